@@ -21,7 +21,8 @@ import scipy.sparse as sp
 import typer
 from scipy.sparse.linalg import spsolve
 
-from lcp_plugin import LCP, error_against_time, solve
+from lcp_plugin import LCP, solve
+from lcp_plugin.evidence.error_against_time import error_against_time
 
 SIZE, SPEED, LOSS, HOTTEST = 48, 20.0, 5.0, 0.6
 

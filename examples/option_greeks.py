@@ -25,8 +25,9 @@ import numpy as np
 import scipy.sparse as sp
 import typer
 
-from lcp_plugin import LCP, MarchDerivative, derivative, march
+from lcp_plugin import LCP, derivative, march
 from lcp_plugin.evidence.drawing import STYLE
+from lcp_plugin.problems.march.march_derivative import MarchDerivative
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
 SIZE, MARCHES, STEPS, KEPT = 5999, 10, 120, 12  # unknowns, marches, steps of each; every twelfth is drawn

@@ -24,8 +24,9 @@ import numpy as np
 import scipy.sparse as sp
 import typer
 
-from lcp_plugin import LCP, study
+from lcp_plugin import LCP
 from lcp_plugin.algorithms import Algorithm, Step
+from lcp_plugin.evidence.study import study
 
 SIZES, TOLERANCE = (100, 400, 900, 1600), 1e-8
 

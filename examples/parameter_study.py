@@ -7,7 +7,7 @@ stress |∇u| cannot exceed the yield stress 1, which means that u stays below t
 
 From one α to the next only q = −2α h² changes. `prepare` computes what depends on M alone once, `with_q` shares it, and
 each solve starts from the answer before, whose contact set is nearly right: Newton's method needs a step or two.
-`solve_many` is the short way where the starts do not matter.
+`solve_batch` is the short way where the starts do not matter.
 
 Two limits are known: for small α all is elastic and the torque is 0.1406 · 2⁴ · α (a bar of side 2); for large α all is
 plastic and the torque is twice the volume under a pyramid, 8/3.
@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 import typer
 
-from lcp_plugin import LCP, prepare, solve, solve_many
+from lcp_plugin import LCP, prepare, solve, solve_batch
 from lcp_plugin.evidence.drawing import STYLE
 
 SIZE = 49  # nodes along each side, the edge not counted
@@ -43,7 +43,7 @@ def main(out: Path = Path()) -> None:
     for load in loads:
         warm.append(solve(problem.with_q(load), "newton", z0=start).require_solved())
         start = warm[-1].z
-    cold = solve_many(problem, list(loads), "newton")
+    cold = solve_batch(problem, loads, algorithm="newton")
     for name, results in (("each from the one before", warm), ("each from nothing", cold)):
         print(f"{len(results)} problems, {name:<25} {sum(one.iterations for one in results):5d} iterations, "
               f"{sum(one.work for one in results):7.0f} passes over M")

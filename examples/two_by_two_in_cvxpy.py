@@ -19,8 +19,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import typer
 
-from lcp_plugin import ComplementarityProblem, complements
+from lcp_plugin import complements
 from lcp_plugin.evidence.drawing import STYLE
+from lcp_plugin.modeling.registration import ComplementarityProblem
 
 M = np.array([[2.0, 1.0], [1.0, 2.0]])
 q = np.array([-5.0, 1.0])

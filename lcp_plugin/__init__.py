@@ -22,6 +22,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 from __future__ import annotations
 
 import sys
+import warnings
 from importlib import import_module
 from importlib.abc import FileLoader
 from importlib.machinery import ModuleSpec
@@ -41,18 +42,53 @@ def _homes() -> dict[str, str]:
 
 _HOME = _homes()
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without
+_MOVED = {  # public names of before: these still work for one release, with a warning
+    "core.solving.result": "Sample",
+    "evidence.cross_check": "CrossCheck cross_validate",
+    "evidence.error_against_time": "error_against_time",
+    "evidence.results": "Study",
+    "evidence.stability": "stability_atlas",
+    "evidence.study": "study",
+    "interfaces.qpsolvers": "register_with_qpsolvers",
+    "interfaces.quantecon": "lemke",
+    "modeling.registration": "ComplementarityProblem is_complementarity_problem register",
+    "problems.batches.batch": "solve_many",
+    "problems.batches.batch_run": "BatchResult",
+    "problems.batches.program_batch": "ProgramBatchResult",
+    "problems.cones.solving": "ConeResult",
+    "problems.equilibria.branch_and_bound": "minimize_over_solutions",
+    "problems.equilibria.result": "EquilibriumResult",
+    "problems.least_squares.solving": "LeastSquaresResult bounded_least_squares",
+    "problems.march": "March",
+    "problems.march.march_derivative": "MarchDerivative MarchGradient",
+    "problems.march.march_many": "march_many",
+    "problems.nonlinear.solving": "solve_nonlinear",
+    "problems.programs.certification": "Certification",
+    "problems.programs.solving": "QuadraticProgramResult",
+    "problems.sensitivity": "Derivative Gradient",
+    "problems.sensitivity.batch_derivative": "BatchDerivative BatchGradient",
+    "proofs.bounds.error_bounds": "ErrorBound",
+    "proofs.guarantees": "convergence_guarantee",
+    "proofs.guarantees.theorems": "Guarantee",
+    "proofs.verdicts": "MatrixReport",
+}
+_NEW_HOME = {name: home for home, names in _MOVED.items() for name in names.split()}
 __all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 - the names are strings, from the table
 
 
 def __getattr__(name: str) -> Any:
-    home = _HOME.get(name)
+    home = _HOME.get(name) or _NEW_HOME.get(name)
     if home is None:
         raise AttributeError(f"module 'lcp_plugin' has no attribute {name!r}")
+    if name in _NEW_HOME:
+        what = f"lcp_plugin.{name} has moved; write from lcp_plugin.{home} import {name}"
+        warnings.warn(what, DeprecationWarning, stacklevel=2)
     module = import_module(f"{__name__}.{home}")
     if home.startswith("modeling"):
         import_module(f"{__name__}.modeling.registration").register()
     value = module if home == name else getattr(module, name)
-    globals()[name] = value
+    if name in _HOME:
+        globals()[name] = value
     return value
 
 

@@ -135,12 +135,12 @@ def solve(
     For other kinds of problem, the functions and classes below say which options there are (others raise
     InvalidOption), what SOLVED means, and which tolerance is the default:
 
-    - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.solve_nonlinear`;
+    - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.problems.nonlinear.solving.solve_nonlinear`;
     - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and
-      UNBOUNDED with a proof, see :class:`~lcp_plugin.QuadraticProgramResult`; options as for an LCP, z0 is the
-      ``result.z`` of an earlier run, a start where that has as many unknowns;
-    - ``EquilibriumProgram``: :func:`~lcp_plugin.minimize_over_solutions`;
-    - ``BoundedLeastSquares``: :func:`~lcp_plugin.bounded_least_squares`;
+      UNBOUNDED with a proof, see :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`; options as for
+      an LCP, z0 is the ``result.z`` of an earlier run, a start where that has as many unknowns;
+    - ``EquilibriumProgram``: :func:`~lcp_plugin.problems.equilibria.branch_and_bound.minimize_over_solutions`;
+    - ``BoundedLeastSquares``: :func:`~lcp_plugin.problems.least_squares.solving.bounded_least_squares`;
     - ``ConeProblem`` and ``FrictionalContact``: :func:`~lcp_plugin.problems.cones.solving.solve_cones`.
 
     Kernels of small problems are interpreted, with the same bits, until compiling them pays. The first large problem of

@@ -14,7 +14,6 @@ import numpy as np
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
-    ComplementarityProblem,
     ConeProblem,
     EquilibriumProgram,
     FrictionalContact,
@@ -25,6 +24,7 @@ from lcp_plugin import (
     complements,
     friction_cone,
 )
+from lcp_plugin.modeling.registration import ComplementarityProblem
 
 INF = np.inf
 NO_ANSWER = (Status.STALLED, Status.MAX_ITERATIONS)

@@ -27,6 +27,8 @@ ELSEWHERE = {
     "modeling.registration": "solve_model",
     "methods.search": "Solution",
 }
+for home, names in lcp_plugin._MOVED.items():
+    ELSEWHERE[home] = f"{ELSEWHERE.get(home, '')} {names}".strip()
 PUBLIC: dict[str, Any] = {
     **{name: getattr(lcp_plugin, name) for name in lcp_plugin.__all__},
     **{f"LCP.{name}": getattr(lcp_plugin.LCP, name) for name in vars(lcp_plugin.LCP) if name[0] != "_"},

@@ -26,7 +26,8 @@ from nonlinear_models import (
 )
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
-from lcp_plugin import LCP, NonlinearProblem, solve, solve_nonlinear
+from lcp_plugin import LCP, NonlinearProblem, solve
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 
 @dataclass

@@ -26,8 +26,7 @@ from ..methods.interior.primal_active_set import UpdatedFactor
 from ..problems.batches.batch import solve_batch
 from ..problems.cones.data import FrictionalContact
 from ..problems.cones.methods import METHODS
-from ..problems.march import march
-from ..problems.march.march_many import march_many
+from ..problems.march.march_many import march, march_many
 from ..problems.programs.stacked_programs import QuadraticProgramBatch
 from ..problems.sensitivity import derivative
 from ..proofs.bounds.error_bounds import error_bound

@@ -218,7 +218,8 @@ def stability_atlas(
     Parameters
     ----------
     algorithms : iterable of str and Algorithm, optional
-        As :func:`lcp_plugin.error_against_time` takes them; all registered names and "auto" by default.
+        As :func:`lcp_plugin.evidence.error_against_time.error_against_time` takes them; all registered names and "auto"
+        by default.
     stresses : iterable of str, optional
         Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range",
         "cancellation", "one ulp", "ranges", "proved ranges" (the maps). All by default.

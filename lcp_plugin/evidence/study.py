@@ -69,7 +69,7 @@ def study(
 
     Examples
     --------
-    >>> from lcp_plugin import study
+    >>> from lcp_plugin.evidence.study import study
     >>> found = study("half_active", ["npsor", "psor"], sizes=[100, 400], repeats=1)
     >>> [(row.n, row.curve.label, row.curve.status) for row in found.rows][:2]
     [(100, 'npsor', 'SOLVED'), (100, 'psor', 'SOLVED')]

@@ -4,9 +4,9 @@
 |---|---|
 | a Pyomo model | ``import lcp_plugin.pyomo``, then ``SolverFactory("lcp_plugin")`` |
 | AMPL, JuMP, an ``.nl`` file | the executable ``lcp-plugin-ampl``, ``interfaces.nl.read_nl("m.nl").solve()`` |
-| qpsolvers | ``lcp_plugin.register_with_qpsolvers()``, then ``solver="lcp_plugin"`` |
+| qpsolvers | ``register_with_qpsolvers()`` of ``interfaces.qpsolvers``, then ``solver="lcp_plugin"`` |
 | cvxpylayers | ``CvxpyLayer(…, solver=LCPSolver())`` |
-| QuantEcon | ``from lcp_plugin import lemke as lcp_lemke``, ``LCP.from_game(game)`` |
+| QuantEcon | ``from lcp_plugin.interfaces.quantecon import lemke as lcp_lemke``, ``LCP.from_game(game)`` |
 | files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
 | programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
 | contacts with friction in ``.h5`` of fclib (extra ``[fclib]``), ``.npz`` | ``solve(load_problem("pile.h5"))`` |
@@ -50,7 +50,8 @@ the proof; ``tolerance``, ``algorithm``, ``max_seconds`` are ours.
 
 >>> import numpy as np
 >>> import qpsolvers
->>> lcp_plugin.register_with_qpsolvers()
+>>> from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
+>>> register_with_qpsolvers()
 >>> program = qpsolvers.Problem(2 * np.eye(2), np.array([-2.0, -4.0]), np.array([[1.0, 1.0]]), np.array([2.0]))
 >>> solution = qpsolvers.solve_problem(program, solver="lcp_plugin")
 >>> solution.x, solution.z, solution.extras["status"].name
@@ -77,7 +78,8 @@ parameters.
 
 **QuantEcon** ``lemke`` has the parameters and the result of ``quantecon.optimize.lcp_lemke``, which needs not be there.
 
->>> from lcp_plugin import LCP, lemke as lcp_lemke, solve
+>>> from lcp_plugin import LCP, solve
+>>> from lcp_plugin.interfaces.quantecon import lemke as lcp_lemke
 >>> lcp_lemke(np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0]))
 LCPResult(z=array([2.5, 0. ]), success=True, status=0, num_iter=2)
 

@@ -1,4 +1,4 @@
-"""qpsolvers: ``solve_qp(…, solver="lcp_plugin")`` after ``lcp_plugin.register_with_qpsolvers()``.
+"""qpsolvers: ``solve_qp(…, solver="lcp_plugin")`` after ``lcp_plugin.interfaces.qpsolvers.register_with_qpsolvers()``.
 
 Nothing of qpsolvers is changed but its tables: ``solve_function``, from a name to a function of a problem, and the
 lists ``available_solvers``, ``dense_solvers`` and ``sparse_solvers``, the same objects wherever it shows them.
@@ -77,8 +77,9 @@ def solve_problem(problem: Problem, initvals: Any = None, verbose: bool = False,
     -------
     qpsolvers.Solution
         ``extras["status"]`` is the :class:`~lcp_plugin.Status`, ``extras["result"]`` the
-        :class:`~lcp_plugin.QuadraticProgramResult`: its ``solution`` has x, the multipliers and their residuals, its
-        ``proof`` is that of infeasibility. Not found: x is None, and the best x is in the result.
+        :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`: its ``solution`` has x, the multipliers
+        and their residuals, its ``proof`` is that of infeasibility. Not found: x is None, and the best x is in the
+        result.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""QuantEcon: ``from lcp_plugin import lemke as lcp_lemke`` takes the place of ``quantecon.optimize.lcp_lemke``."""
+"""QuantEcon: ``lemke`` of this module takes the place of ``quantecon.optimize.lcp_lemke``."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def lemke(
 
     Examples
     --------
-    >>> from lcp_plugin import lemke as lcp_lemke
+    >>> from lcp_plugin.interfaces.quantecon import lemke as lcp_lemke
     >>> lcp_lemke([[1, 0, 0], [2, 1, 0], [2, 2, 1]], [-8, -12, -14])
     LCPResult(z=array([8., 0., 0.]), success=True, status=0, num_iter=8)
     """

@@ -117,7 +117,7 @@ def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None)
     Examples
     --------
     >>> import cvxpy as cp
-    >>> from lcp_plugin import ComplementarityProblem
+    >>> from lcp_plugin.modeling.registration import ComplementarityProblem
     >>> r = cp.Variable(3)
     >>> problem = ComplementarityProblem(complements(friction_cone(r, 0.5), r + [-1, 3, 4]))
     >>> _ = problem.solve()
@@ -165,7 +165,7 @@ def complements(first: Any, second: Any) -> Complements:
     Examples
     --------
     >>> import cvxpy as cp
-    >>> from lcp_plugin import ComplementarityProblem
+    >>> from lcp_plugin.modeling.registration import ComplementarityProblem
     >>> M = np.array([[2, 1], [1, 2]])
     >>> x = cp.Variable(2)
     >>> problem = ComplementarityProblem([complements(x >= 0, M @ x + [-5, 1] >= 0)])

@@ -1,6 +1,7 @@
 """What can be proved about a matrix, a method and an answer, from the data of the caller alone.
 
->>> from lcp_plugin import LCP, analyze, convergence_guarantee, error_bound, solve
+>>> from lcp_plugin import LCP, analyze, error_bound, solve
+>>> from lcp_plugin.proofs.guarantees import convergence_guarantee
 >>> problem = LCP([[4, -1, 0], [-1, 4, -1], [0, -1, 4]], [-3, 5, -1])
 >>> print(analyze(problem).is_h_plus)  # print(analyze(problem)) shows every verdict with its evidence
 True

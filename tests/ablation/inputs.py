@@ -23,14 +23,14 @@ from lcp_plugin import (
     QuadraticProgram,
     QuadraticProgramBatch,
     Status,
-    bounded_least_squares,
     certify,
     march,
-    minimize_over_solutions,
     solve,
     solve_batch,
-    solve_nonlinear,
 )
+from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TESTS = Path(__file__).parents[1]
 DATA = Path(os.environ.get("LCP_PLUGIN_DATA", TESTS.parents[1] / "shared" / "data"))  # published problems, if there

@@ -69,13 +69,14 @@ def _program() -> None:
 
 
 def _least_squares() -> None:
-    from lcp_plugin import bounded_least_squares
+    from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
     bounded_least_squares(_random(5 * SIZE, SIZE), np.arange(5.0 * SIZE))
 
 
 def _nonlinear() -> None:
-    from lcp_plugin import NonlinearProblem, solve_nonlinear
+    from lcp_plugin import NonlinearProblem
+    from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
     M = np.array([[2.0, 1.0], [1.0, 3.0]])
     solve_nonlinear(NonlinearProblem(lambda x: M @ x + x**3 - 1.0), [1.0, 1.0]).require_solved()

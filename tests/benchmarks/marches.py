@@ -27,8 +27,8 @@ from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.solving.result import Result
-from lcp_plugin.problems.march import March, march
-from lcp_plugin.problems.march.march_many import march_many
+from lcp_plugin.problems.march import March
+from lcp_plugin.problems.march.march_many import march, march_many
 from lcp_plugin.problems.sensitivity import derivative
 
 SCENES: dict[str, tuple[Callable[[], marches.Steps], Callable[[], marches.Steps]]] = {

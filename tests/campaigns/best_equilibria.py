@@ -30,7 +30,8 @@ import highspy
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, minimize_over_solutions
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status
+from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.equilibrium_program import BETWEEN, CASES, LOWER
 
 INF = np.inf

@@ -28,7 +28,8 @@ from pyomo.mpec import Complementarity
 from pyomo.mpec import complements as complementary
 
 import lcp_plugin.pyomo
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements, minimize_over_solutions
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements
+from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 if __package__:
     from .best_equilibria import ACCURACY, INF, Generator, random_problem, truth

@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from lcp_plugin import Certification, QuadraticProgram, certify
+from lcp_plugin import QuadraticProgram, certify
+from lcp_plugin.problems.programs.certification import Certification
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")

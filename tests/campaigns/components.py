@@ -39,9 +39,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from collection.truth import ExactData
 from exact_components import references_of_rows, relative_residual
 
-from lcp_plugin import LCP, Status, derivative, error_bound, march, solve, solve_batch, solve_many
+from lcp_plugin import LCP, Status, derivative, error_bound, march, solve, solve_batch
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.problems.batches.batch import solve_many
 
 Generator = np.random.Generator
 Vector = np.ndarray

@@ -29,8 +29,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from exact import FREE, LOWER, UPPER
 from exact_derivatives import Change, ExactGradient, Piece, distance, piece_at
 
-from lcp_plugin import LCP, Derivative, derivative, solve
+from lcp_plugin import LCP, derivative, solve
 from lcp_plugin.core.errors import ConvergenceWarning
+from lcp_plugin.problems.sensitivity import Derivative
 
 Generator = np.random.Generator
 ACCURACY, ADJOINT, WELL_CONDITIONED = 1e-12, 1e-13, 100.0

@@ -18,8 +18,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from polynomial_families import is_violated, polynomial
 
-from lcp_plugin import solve_nonlinear
 from lcp_plugin.problems.nonlinear.krawczyk import krawczyk_bound
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 ENOUGH = 0.8
 NEAR = 1e-6

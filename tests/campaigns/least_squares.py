@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
-from lcp_plugin import bounded_least_squares
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 INF = np.inf
 EPSILON = float(np.finfo(float).eps)

@@ -34,7 +34,8 @@ from nonlinear_families import KINDS, planted
 from nonlinear_models import membrane
 from vanishing_families import SHAPES, STRUCTURES, decade_of, vanishing
 
-from lcp_plugin import Status, solve_nonlinear
+from lcp_plugin import Status
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TOLERANCE = 1e-8
 ENOUGH = 0.99

@@ -12,7 +12,8 @@ import time
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin import NonlinearProblem, solve_nonlinear
+from lcp_plugin import NonlinearProblem
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 
 def traffic(side=10, destinations=10):

@@ -28,10 +28,11 @@ from collection.truth import SOLVABLE, ExactData, decide
 from exact import Exact
 from relations import EXACT, bits, scaled
 
-from lcp_plugin import LCP, LCPError, UnsuitableProblem, all_solutions, error_bound, prepare, solve, solve_many
+from lcp_plugin import LCP, LCPError, UnsuitableProblem, all_solutions, error_bound, prepare, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.algorithm import SWEEPS
 from lcp_plugin.core.errors import UnsuitableMatrix
+from lcp_plugin.problems.batches.batch import solve_many
 
 Generator = np.random.Generator
 

@@ -12,8 +12,9 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, NonlinearProblem, Status, complements, march, solve, solve_batch, solve_nonlinear
+from lcp_plugin import LCP, NonlinearProblem, Status, complements, march, solve, solve_batch
 from lcp_plugin.core.errors import InvalidOption
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 AT_REST = [[-1.0, -1.0], [-1.0, 2.0]], [-5.6e-17, 1.0]  # no solution, by rounding
 

@@ -18,30 +18,30 @@ from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
     Certificate,
-    ComplementarityProblem,
     LCPError,
     NonlinearProblem,
     QuadraticProgram,
     Result,
     Status,
-    bounded_least_squares,
     certify,
     complements,
-    convergence_guarantee,
     derivative,
     error_bound,
     gallery,
     march,
     prepare,
     solve,
-    solve_many,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class, create
 from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.core.solving.advice import advice_of_run
 from lcp_plugin.core.tuning import PIVOTED_UP_TO
 from lcp_plugin.methods.direct import FallbackOrder, Retries
+from lcp_plugin.modeling.registration import ComplementarityProblem
+from lcp_plugin.problems.batches.batch import solve_many
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 LEFT_OUT = (
     "the exhaustive search", "a look for a proof that there is no solution", "newton, where the diagonal is negative,",

@@ -20,7 +20,7 @@ from small_families import FAMILIES, problem
 from typer.testing import CliRunner
 
 import lcp_plugin
-from lcp_plugin import LCP, QuadraticProgramBatch, Status, bounded_least_squares, gallery, solve, solve_batch
+from lcp_plugin import LCP, QuadraticProgramBatch, Status, gallery, solve, solve_batch
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.checks import read_only
@@ -29,6 +29,7 @@ from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.core.kernels.compilation import cache_folder, compiled, compiling_at_once
 from lcp_plugin.core.kernels.enclosures import fused, split_sum
 from lcp_plugin.core.solving import run_log
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 COUNT_COMPILED = """
 import sys
@@ -56,7 +57,8 @@ print(len(kernels) > 20, sum(sum(kernel.stats.cache_misses.values()) for kernel 
 COUNT_OVERLOADS = """
 import sys
 import numpy as np
-from lcp_plugin import LCP, QuadraticProgramBatch, bounded_least_squares, derivative, error_bound, solve, solve_batch
+from lcp_plugin import LCP, QuadraticProgramBatch, derivative, error_bound, solve, solve_batch
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin import gallery
 from lcp_plugin.core.kernels.compilation import compiling_at_once

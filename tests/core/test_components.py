@@ -11,10 +11,11 @@ import scipy.sparse as sp
 from campaigns import components as campaign
 from collection.truth import ExactData
 
-from lcp_plugin import LCP, Certificate, Status, derivative, error_bound, march, solve, solve_batch, solve_many
+from lcp_plugin import LCP, Certificate, Status, derivative, error_bound, march, solve, solve_batch
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.criterion import CommonScaling, references_of_components
 from lcp_plugin.core.matrix.structure import connected_components
+from lcp_plugin.problems.batches.batch import solve_many
 
 TOLERANCE = 1e-8
 FAR_APART = LCP(np.eye(2), [-1e10, -0.5])

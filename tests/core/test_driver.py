@@ -25,21 +25,21 @@ from lcp_plugin import (
     ConvergenceWarning,
     NotConverged,
     Result,
-    Sample,
     Status,
     UnsuitableMatrix,
-    convergence_guarantee,
     error_bound,
     gallery,
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.deadline import time_limit
+from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.proofs import guarantees
 from lcp_plugin.proofs.bounds import error_bounds
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
 from lcp_plugin.proofs.bounds.error_judge import ErrorJudge
 from lcp_plugin.proofs.exact.linear_systems import solve_exactly
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)

@@ -18,10 +18,11 @@ import pytest
 from families import BOUNDED
 from relations import bits, data_of, surroundings
 
-from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, gallery, prepare, solve, solve_many
+from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, gallery, prepare, solve
 from lcp_plugin.algorithms import REGISTRY, Step
 from lcp_plugin.core.errors import LCPError, UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.core.splittings.projected_type import NPSOR
+from lcp_plugin.problems.batches.batch import solve_many
 
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)

@@ -17,21 +17,7 @@ import pytest
 import scipy.sparse as sp
 from families import MODULUS
 
-from lcp_plugin import (
-    LCP,
-    Certificate,
-    ComplementarityProblem,
-    Result,
-    Sample,
-    convergence_guarantee,
-    cross_validate,
-    error_against_time,
-    error_bound,
-    gallery,
-    march,
-    solve,
-    stability_atlas,
-)
+from lcp_plugin import LCP, Certificate, Result, error_bound, gallery, march, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.errors import (
     InvalidOption,
@@ -44,11 +30,16 @@ from lcp_plugin.core.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
+from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
 from lcp_plugin.engines import engine_class
+from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.curves import Report, performance_profile
-from lcp_plugin.evidence.stability import Atlas
+from lcp_plugin.evidence.error_against_time import error_against_time
+from lcp_plugin.evidence.stability import Atlas, stability_atlas
+from lcp_plugin.modeling.registration import ComplementarityProblem
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 BUILTIN_BASE = {
     InvalidProblem: ValueError,

@@ -9,7 +9,8 @@ import sys
 import numpy as np
 import pytest
 
-from lcp_plugin import LCP, NonlinearProblem, Result, gallery, solve, solve_nonlinear
+from lcp_plugin import LCP, NonlinearProblem, Result, gallery, solve
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 LINE = re.compile(r" +(\d+) +[\d.]+ +\d\.\d\de[+-]\d\d +[\d.]+")
 

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from relations import bits, data_of, surroundings
 
-from lcp_plugin import LCP, InvalidProblem, Status, analyze, convergence_guarantee, error_bound, prepare, solve
-from lcp_plugin import solve_many as solve_batch
+from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, prepare, solve
+from lcp_plugin.problems.batches.batch import solve_many as solve_batch
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 SEEDS = st.integers(0, 2**32 - 1)
 NAMES = ["auto", *BOUNDED]

@@ -18,13 +18,15 @@ import pytest
 import scipy.sparse as sp
 from test_forks import exit_code_of_a_child
 
-from lcp_plugin import LCP, InvalidOption, NonlinearProblem, gallery, prepare, solve, solve_many, solve_nonlinear
+from lcp_plugin import LCP, InvalidOption, NonlinearProblem, gallery, prepare, solve
 from lcp_plugin.algorithms import NPGS
 from lcp_plugin.core.certificates import row_residuals
 from lcp_plugin.core.certificates.row_residuals import residual_ends_of
 from lcp_plugin.core.kernels.threads import share, threads_for, threads_now
 from lcp_plugin.core.settings import Settings, checked_threads
+from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.many.chunks import in_chunks
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TWO = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 1.0])
 

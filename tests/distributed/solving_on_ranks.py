@@ -20,7 +20,6 @@ from lcp_plugin import (
     Status,
     all_solutions,
     analyze,
-    convergence_guarantee,
     derivative,
     error_bound,
     gallery,
@@ -36,6 +35,7 @@ from lcp_plugin.core.errors import (
     UnsuitableMatrix,
     UnsuitableProblem,
 )
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 ALGORITHMS = ("auto", "multigrid", "npsor", "npaor", "npgs", "npj", "pgs", "psor")
 SIZES = {

@@ -19,24 +19,15 @@ import scipy.sparse as sp
 from legends import hides_nothing
 
 import lcp_plugin.evidence.study as module
-from lcp_plugin import (
-    LCP,
-    InvalidOption,
-    QuadraticProgram,
-    Study,
-    UnknownAlgorithm,
-    UnreadableFile,
-    gallery,
-    solve,
-    study,
-)
+from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, UnreadableFile, gallery, solve
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.evidence import collecting, paper_tables
 from lcp_plugin.evidence.contestants import contestants
 from lcp_plugin.evidence.curves import Curve, Point
 from lcp_plugin.evidence.exporting import Table, save_tables
-from lcp_plugin.evidence.results import COLUMNS, VIEWS, Row
+from lcp_plugin.evidence.results import COLUMNS, VIEWS, Row, Study
 from lcp_plugin.evidence.stability import HIDDEN, OUTCOMES, WRONG, Atlas, Cell, stability_atlas
+from lcp_plugin.evidence.study import study
 
 
 def chain(n: int) -> tuple[Any, Any]:

@@ -35,14 +35,14 @@ from lcp_plugin import (
     UnsuitableMatrix,
     UnsuitableProblem,
     analyze,
-    convergence_guarantee,
     error_bound,
     gallery,
     prepare,
     solve,
-    solve_many,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step
+from lcp_plugin.problems.batches.batch import solve_many
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 TESTS = Path(__file__).parents[1]
 README = TESTS.parent.joinpath("README.md").read_text(encoding="utf-8")

@@ -21,7 +21,6 @@ from typer.testing import CliRunner
 from lcp_plugin import (
     LCP,
     Certificate,
-    ComplementarityProblem,
     InvalidOption,
     LCPError,
     NonlinearProblem,
@@ -35,31 +34,32 @@ from lcp_plugin import (
     analyze,
     certify,
     complements,
-    convergence_guarantee,
-    cross_validate,
     derivative,
-    error_against_time,
     error_bound,
     load_problem,
     march,
-    march_many,
     prepare,
-    register_with_qpsolvers,
     solve,
     solve_batch,
-    solve_many,
-    study,
 )
 from lcp_plugin.commands import ampl
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.kind import COMMANDS, WAYS, kind_of
 from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.answer import Answer
+from lcp_plugin.evidence.cross_check import cross_validate
+from lcp_plugin.evidence.error_against_time import error_against_time
+from lcp_plugin.evidence.study import study
 from lcp_plugin.interfaces.nl import read_nl, read_sol, write_nl
 from lcp_plugin.interfaces.nl.answers import CODES
+from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.kinds import KINDS, options_of
 from lcp_plugin.methods.presolve import presolve
 from lcp_plugin.modeling._compat import CVXPY_STATUS
+from lcp_plugin.modeling.registration import ComplementarityProblem
+from lcp_plugin.problems.batches.batch import solve_many
+from lcp_plugin.problems.march.march_many import march_many
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 CLOSE = 1e-5
 ON_CONES = ("ConeProblem", "FrictionalContact")

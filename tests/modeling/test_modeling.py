@@ -13,19 +13,8 @@ import pytest
 import scipy.sparse as sp
 from fresh_process import printed_by
 
-from lcp_plugin import (
-    LCP,
-    ComplementarityProblem,
-    InvalidProblem,
-    ModelWarning,
-    QPSolver,
-    UnsupportedModel,
-    box,
-    complements,
-    is_complementarity_problem,
-    solve,
-)
-from lcp_plugin.modeling.registration import build
+from lcp_plugin import LCP, InvalidProblem, ModelWarning, QPSolver, UnsupportedModel, box, complements, solve
+from lcp_plugin.modeling.registration import ComplementarityProblem, build, is_complementarity_problem
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -2.0, 4.0]])
 Q = np.array([-3.0, 5.0, -4.0])

@@ -12,7 +12,6 @@ import pytest
 
 from lcp_plugin import (
     LCP,
-    ComplementarityProblem,
     ConeProblem,
     FrictionalContact,
     InvalidOption,
@@ -22,6 +21,7 @@ from lcp_plugin import (
     friction_cone,
     solve,
 )
+from lcp_plugin.modeling.registration import ComplementarityProblem
 
 RNG = np.random.default_rng(3)
 

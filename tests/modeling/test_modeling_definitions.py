@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import ComplementarityProblem, box, complements
+from lcp_plugin import box, complements
 from lcp_plugin.modeling.equations import Affine, known_ranges
-from lcp_plugin.modeling.registration import build
+from lcp_plugin.modeling.registration import ComplementarityProblem, build
 
 N = 6
 

@@ -19,19 +19,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_extraction import FORMS, SPARSE, Unknowns, expression
 
-from lcp_plugin import (
-    LCP,
-    ComplementarityProblem,
-    ModelWarning,
-    UnsuitableProblem,
-    UnsupportedModel,
-    box,
-    certify,
-    complements,
-)
+from lcp_plugin import LCP, ModelWarning, UnsuitableProblem, UnsupportedModel, box, certify, complements
 from lcp_plugin.modeling._compat import refuse_without_derivatives
 from lcp_plugin.modeling.model_derivative import ParametricRows
 from lcp_plugin.modeling.reading import Reader, folded
+from lcp_plugin.modeling.registration import ComplementarityProblem
 
 LEAVES = ("s", "x", "y", "X", "Y", "c", "Z")
 Parts = tuple[Any, list[Any], list[Any], list[Any]]

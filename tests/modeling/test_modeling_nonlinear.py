@@ -20,13 +20,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import root
 
-from lcp_plugin import ComplementarityProblem, NonlinearProblem, Status, box, complements, is_complementarity_problem
+from lcp_plugin import NonlinearProblem, Status, box, complements
 from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
 from lcp_plugin.modeling.expressions import functions
 from lcp_plugin.modeling.expressions import intervals as iv
 from lcp_plugin.modeling.expressions.program import Program
 from lcp_plugin.modeling.reading import Reader
-from lcp_plugin.modeling.registration import build
+from lcp_plugin.modeling.registration import ComplementarityProblem, build, is_complementarity_problem
 
 WIDTH = 2 * (2 * iv.ULPS + 2)  # units in the last place: ε|y| is one or two of them
 STEP = 1e-200  # of complex differentiation: no subtraction, hence no rounding of one

@@ -11,19 +11,9 @@ import pytest
 import scipy.sparse as sp
 from published_problems import COMPLEMENTARITY, FOLDER, errors_of_lcp, needs_files, read
 
-from lcp_plugin import (
-    LCP,
-    ComplementarityProblem,
-    LCPError,
-    Status,
-    box,
-    complements,
-    load_problem,
-    march,
-    solve,
-    solve_batch,
-)
+from lcp_plugin import LCP, LCPError, Status, box, complements, load_problem, march, solve, solve_batch
 from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.modeling.registration import ComplementarityProblem
 
 TOLERANCE = 1e-6
 Published = dict[str, Any]

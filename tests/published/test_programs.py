@@ -12,16 +12,8 @@ import qpsolvers
 import scipy.sparse as sp
 from published_problems import FOLDER, PROGRAMS, PublishedProgram, needs_files
 
-from lcp_plugin import (
-    QPSolver,
-    QuadraticProgram,
-    QuadraticProgramBatch,
-    certify,
-    load_problem,
-    register_with_qpsolvers,
-    solve,
-    solve_batch,
-)
+from lcp_plugin import QPSolver, QuadraticProgram, QuadraticProgramBatch, certify, load_problem, solve, solve_batch
+from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 
 register_with_qpsolvers()
 pytestmark = needs_files

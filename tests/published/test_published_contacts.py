@@ -11,7 +11,8 @@ import pytest
 import scipy.sparse as sp
 from published_problems import CONTACTS, errors_of_contact, needs_files, read
 
-from lcp_plugin import ComplementarityProblem, FrictionalContact, complements, friction_cone, solve, solve_batch
+from lcp_plugin import FrictionalContact, complements, friction_cone, solve, solve_batch
+from lcp_plugin.modeling.registration import ComplementarityProblem
 
 pytestmark = needs_files
 TOLERANCE = 1e-6

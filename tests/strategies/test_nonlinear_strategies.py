@@ -7,8 +7,9 @@ from fractions import Fraction
 import numpy as np
 from hypothesis import given
 
-from lcp_plugin import Status, solve_nonlinear
+from lcp_plugin import Status
 from lcp_plugin.problems.nonlinear.data import NonlinearProblem
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 from lcp_plugin.strategies import solved_nonlinear_problems
 
 Drawn = tuple[NonlinearProblem, tuple[Fraction, ...]]

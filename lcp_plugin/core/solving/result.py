@@ -151,7 +151,7 @@ class Result(Answer):
     def guarantee(self) -> Guarantee:
         """What is proved about the convergence of what the caller chose, on this matrix; the first look computes it.
 
-        See :func:`lcp_plugin.convergence_guarantee`.
+        See :func:`lcp_plugin.proofs.guarantees.convergence_guarantee`.
         """
         from ...proofs.guarantees import convergence_guarantee
 

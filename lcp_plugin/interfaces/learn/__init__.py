@@ -30,11 +30,11 @@ also be sparse: a scipy array, a constant of the layer; in PyTorch a CSR tensor,
 was; w = M z + q is easily written beside it. Where a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` says
 which of the batch it is. (Within ``jit``, JAX puts its own error around these words.)
 
-**Gradients** by all four are those of :meth:`lcp_plugin.BatchDerivative.vjp`: exact where no row is both at a bound and
+**Gradients** by all four are those of :meth:`BatchDerivative.vjp`: exact where no row is both at a bound and
 has w = 0. Where one is, as where a ReLU gets 0, they are those of one of the pieces that meet there. Forward mode gives
-:meth:`lcp_plugin.BatchDerivative.jvp`, which is one-sided there. A second derivative is refused. Where the block of M
-on the free rows is singular, they are those of the least change, as :class:`lcp_plugin.Derivative` says; a change that
-leaves no solution is an :class:`~lcp_plugin.UnsuitableProblem`.
+:meth:`BatchDerivative.jvp`, which is one-sided there. A second derivative is refused. Where the block of M
+on the free rows is singular, they are those of the least change, as :class:`lcp_plugin.problems.sensitivity.Derivative`
+says; a change that leaves no solution is an :class:`~lcp_plugin.UnsuitableProblem`.
 
 **Transformations.** ``jax.jit``, ``vmap``, ``grad``, ``vjp``, ``jvp``, ``jacrev``, ``jacfwd``, and in PyTorch
 ``torch.func`` of the same names, beside ``backward()`` and dual numbers; ``vmap`` makes one batch of what it maps. A

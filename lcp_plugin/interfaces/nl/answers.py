@@ -98,7 +98,8 @@ class NLModel(ABC):
         Parameters
         ----------
         algorithm, **options
-            Of :func:`lcp_plugin.solve`, or :func:`lcp_plugin.solve_nonlinear` for a smooth model.
+            Of :func:`lcp_plugin.solve`, or :func:`lcp_plugin.problems.nonlinear.solving.solve_nonlinear` for a smooth
+            model.
         """
 
     @property
@@ -326,8 +327,8 @@ class EquilibriumModel(NLModel):
         algorithm : str
             "auto": SCIP where it is installed, else branch and bound.
         **options
-            Of :func:`lcp_plugin.minimize_over_solutions`; ``max_iterations`` is its ``max_nodes``, ``threads`` is taken
-            and changes nothing.
+            Of :func:`lcp_plugin.problems.equilibria.branch_and_bound.minimize_over_solutions`; ``max_iterations`` is
+            its ``max_nodes``, ``threads`` is taken and changes nothing.
 
         Raises
         ------

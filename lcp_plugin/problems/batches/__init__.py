@@ -1,1 +1,1 @@
-"""Many problems at once: prepare, solve_many, solve_batch."""
+"""Many problems at once: prepare, solve_batch."""

@@ -104,7 +104,7 @@ def solve_batch(
 ) -> AnswerList: ...
 @overload
 def solve_batch(
-    M: Any, q: ArrayLike | None = None, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf,
+    M: Any, q: ArrayLike | None = None, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None,
     z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
     max_iterations: int | None = None, max_seconds: float | None = None,
     absolute_tolerance: float = 0.0, prove_infeasibility: bool = True, threads: int | None = None,
@@ -113,8 +113,8 @@ def solve_batch(
     M: Any,
     q: ArrayLike | None = None,
     *,
-    lower: ArrayLike = 0.0,
-    upper: ArrayLike = np.inf,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     tolerance: float = 1e-8,
@@ -123,12 +123,16 @@ def solve_batch(
     absolute_tolerance: float = 0.0,
     prove_infeasibility: bool = True,
     threads: int | None = None,
-) -> BatchResult | ProgramBatchResult | AnswerList:
+) -> Any:
     """Return the answers to many problems, or quadratic programs, small ones in one compiled loop.
 
     Parameters
     ----------
-    M : array, shape (B, n, n) or (n, n), a sparse array for all, a sequence of problems, or a QuadraticProgramBatch
+    M : array, shape (B, n, n) or (n, n), a sparse array or an LCP for all, a sequence of problems, a program and its
+        vectors, or a QuadraticProgramBatch
+        With one LCP and a q of shape (B, n), all share what is known of its matrix, as after :func:`prepare`; its
+        bounds hold where no others are given. One program takes a sequence of mappings in the place of q, as
+        ``[{"b": b}, …]``: what ``program.with_vectors`` takes.
         Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data: of these small
         problems over cones, with dense matrices, share a compiled loop, and others are solved one by one; programs
         are faster in a QuadraticProgramBatch. LCPs may differ in size. Beside a sequence q, lower and upper are not
@@ -148,11 +152,13 @@ def solve_batch(
 
     Returns
     -------
-    BatchResult, ProgramBatchResult for a QuadraticProgramBatch, or AnswerList for a sequence of other problems
+    BatchResult, ProgramBatchResult for a QuadraticProgramBatch, AnswerList for a sequence of other problems, or, for
+    one program and mappings, a list of results, with an LCPError in the place of what was refused
         Each problem judged by its own certificate. NaN in one, or no solution of it, harms no other: what the
         compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED. Each program is
-        judged by its own residuals, as :class:`~lcp_plugin.QuadraticProgramResult` says. Where the compiled loop
-        meets a contradiction that proves it infeasible, this is said with prove_infeasibility=False, too.
+        judged by its own residuals, as :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult` says.
+        Where the compiled loop meets a contradiction that proves it infeasible, this is said with
+        prove_infeasibility=False, too.
 
     Raises
     ------
@@ -168,6 +174,13 @@ def solve_batch(
     ([[2.5, 0.0], [1.0, 2.0]], True)
     >>> batch[1].status.name
     'SOLVED'
+
+    >>> problem = prepare(LCP([[2, 1], [1, 2]], [0, 0]))
+    >>> solve_batch(problem, [[-5, 1], [-3, -3]]).z.round(6).tolist()
+    [[2.5, 0.0], [1.0, 1.0]]
+    >>> program = prepare(QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[2]))
+    >>> [answer.x.tolist() for answer in solve_batch(program, [{"b": [2]}, {"b": [4]}])]
+    [[1.0, 1.0], [2.0, 2.0]]
 
     The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
 
@@ -186,8 +199,15 @@ def solve_batch(
         }
         return ProgramBatchRun(M, algorithm, of_each, threads=checked, limit=limit).run()
     items: Items
-    if (kind := kind_of(M)) is not None:
-        write = "QuadraticProgramBatch(P, c, …) or [program]" if isinstance(M, QuadraticProgram) else "[problem]"
+    asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, max_iterations=max_iterations,
+                 absolute_tolerance=absolute_tolerance, prove_infeasibility=prove_infeasibility)
+    defaults = solve_batch.__kwdefaults__ or {}
+    if isinstance(M, QuadraticProgram) and q is not None:
+        _refuse_data("the mappings", '[{"lower": …, "upper": …}]', None, lower, upper)
+        own = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
+        return solve_programs(M, q, **own, limit=limit, threads=threads)
+    if (kind := kind_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
+        write = {LCP: "problem, Q", QuadraticProgram: 'program, [{"b": b}, …]'}.get(type(M), "[problem]")
         raise InvalidProblem(f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})")
     others = {one: kind for one in M if (kind := kind_of(one)) is not None} if isinstance(M, Sequence) else {}
     for one, kind in others.items():
@@ -198,14 +218,14 @@ def solve_batch(
             if kind_of(one) is None:
                 raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
         _refuse_data("these problems", "new ones", q, lower, upper)
-        asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, max_iterations=max_iterations,
-                     absolute_tolerance=absolute_tolerance, prove_infeasibility=prove_infeasibility)
-        defaults = solve_batch.__kwdefaults__ or {}
         wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
         return MixedRun(M, wishes, threads=checked, limit=limit).run()
     if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
         items = Listed(_checked_list(M, q, lower, upper), z0)
     else:
+        held = M if isinstance(M, LCP) else None
+        lower = (0.0 if held is None else held.lower) if lower is None else lower
+        upper = (np.inf if held is None else held.upper) if upper is None else upper
         items = Stacked(M, q, lower, upper, z0)
     wishes = {
         "tolerance": tolerance, "max_iterations": max_iterations,
@@ -286,7 +306,7 @@ def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Se
 
 
 def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
-    if q is not None or np.ndim(lower) or np.ndim(upper) or (lower, upper) != (0.0, np.inf):
+    if not (q is None and lower is None and upper is None):
         raise InvalidOption(f"{what} bring q and their bounds; write {remedy} for others")
 
 

@@ -111,13 +111,12 @@ class Listed(Items):
 
 
 class Stacked(Items):
-    """Arrays: M of shape (B, n, n), or one (n, n) for all; the vectors of shape (B, n), (n,) or numbers."""
+    """Arrays: M of shape (B, n, n), or one (n, n) or LCP for all; the vectors of shape (B, n), (n,) or numbers."""
 
     def __init__(self, M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> None:
         need = "M must be an array of shape (B, n, n) or (n, n), or a list of LCPs"
-        if isinstance(M, LCP):
-            raise InvalidProblem(f"{need}, got one LCP; write solve(problem), or solve_batch([problem])")
-        self._M = M if sp.issparse(M) else real_array(M, need)
+        given = M if isinstance(M, LCP) else None
+        self._M = given.M if given else M if sp.issparse(M) else real_array(M, need)
         self._shared = self._M.ndim == 2
         n = self._M.shape[-1] if self._M.ndim else 0
         if self._M.ndim not in (2, 3) or self._M.shape[-2] != n:
@@ -132,7 +131,7 @@ class Stacked(Items):
         counts |= {} if self._shared else {"M": self._M.shape[0]}
         super().__init__(length_of_all(counts))
         self.sizes = {n}
-        self._base = LCP(self._M, np.zeros(n)) if self._shared else None
+        self._base = given or (LCP(self._M, np.zeros(n)) if self._shared else None)
         self._note_errors(self._suspects())
 
     def _suspects(self) -> Any:

@@ -139,7 +139,8 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
     inequality, equality, lower, upper : arrays, shapes (B, m), (B, p), (B, n), (B, n)
         Multipliers as those of a QPSolution; NaN where there are none.
     status : array of Status, shape (B,)
-        As of a :class:`~lcp_plugin.QuadraticProgramResult`. None where the data are no convex program.
+        As of a :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`. None where the data are no convex
+        program.
     residual : array, shape (B,)
         An upper bound of the largest measure of a QPSolution; NaN where nothing was found.
     iterations : array of int, shape (B,)
@@ -151,7 +152,7 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
 
     Notes
     -----
-    ``answers[k]`` is the :class:`~lcp_plugin.QuadraticProgramResult` of program k.
+    ``answers[k]`` is the :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult` of program k.
     """
 
     ITEM = "program"

@@ -1,7 +1,7 @@
 """Least squares within bounds as linear complementarity problems.
 
-:func:`lcp_plugin.bounded_least_squares` is the solver for them. These are for who has methods for complementarity, or
-a model that goes on from there.
+:func:`lcp_plugin.problems.least_squares.solving.bounded_least_squares` is the solver for them. These are for who has
+methods for complementarity, or a model that goes on from there.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FORMS = ("normal", "mixed", "auto")
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresSolution:
-    """A point x of a least squares problem; names as in :class:`lcp_plugin.LeastSquaresResult`.
+    """A point x of a least squares problem; names as in ``LeastSquaresResult``.
 
     Attributes
     ----------

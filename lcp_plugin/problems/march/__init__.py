@@ -170,71 +170,11 @@ class _Answers(Results[FloatVector]):
         return f"<z of {len(self)} steps, each of shape ({self._march.problem.n},): z[k] is that of step k>"
 
 
-def march(
+def march_one(
     problem: LCP | Blocks, forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
 ) -> March:
-    """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
-
-    Parameters
-    ----------
-    problem : LCP or ConeProblem or FrictionalContact
-        Gives M and the bounds or cones; its own q is not used.
-    forcing : array, shape (k, n)
-        A row a step; ``np.broadcast_to(row, (k, n))`` where it is always the same.
-    propagator : number or array or sparse array, shape (n, n)
-        What the z of one step adds to the q of the next; a number stands for a multiple of the identity. An implicit
-        Euler step (I + Δt A) z = z_before has −1.
-    z0 : array, shape (n,), optional
-        The state before the first step; by default the point of [lower, upper] nearest to 0.
-    max_seconds : float, optional
-        In seconds, for the whole march: the step under way then is the last one.
-    keep_every : int
-        One result in so many stays in memory, and the last; the others are computed again when they are looked at, so
-        that what is given must not change, and an algorithm of yours has to give the same iterates each time. √k of k
-        steps take the least memory.
-    algorithm, **wishes
-        What else :func:`lcp_plugin.solve` takes, for each step.
-
-    Returns
-    -------
-    March
-        A sequence of k Results; of fewer where a step was not solved, which is the last one then, where its q
-        overflows (``error`` says so), or after Ctrl-C.
-
-    Raises
-    ------
-    InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
-        Before the first step; the last where the rows of M are spread over ranks.
-
-    Notes
-    -----
-    Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
-    `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` chooses afresh
-    in the first two steps; later ones begin with the method that ended the step before. Where few rows have a bound,
-    as in contact, the others are eliminated by one factor, once for all steps, if that pays.
-
-    A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
-    propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only
-    where it is damped: by four implicit half steps at first, with the same M, the propagator −B and the forcing
-    −½ Δt f (Rannacher 1984).
-
-    Contacts with friction on elastic bodies: W has displacements by forces, and a slow load gives, step by step, the
-    gaps without contact and the tangential displacements from the step before. The propagator is −W with zeros in the
-    rows of the normals then: slip is what the tangents move on in a step. Where contacts change there is another W,
-    and no march: write ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step.
-
-    References
-    ----------
-    R. Rannacher, *Finite element solution of diffusion problems with irregular data*, Numer. Math. 43 (1984),
-    doi:10.1007/BF01390130.
-
-    Examples
-    --------
-    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)  # cools in two steps, heated on the left
-    >>> [z.round(3) for z in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z]
-    [array([0.875, 0.625]), array([0.781, 0.469])]
-    """
+    """Return one march; see :func:`lcp_plugin.march`."""
     if (kind := kind_of(problem)) is None or "march" not in kind.ways:
         raise InvalidOption(refusal("march", problem))
     if isinstance(problem, LCP):
@@ -243,7 +183,7 @@ def march(
     if given := [name for name in ("lower", "upper") if name in wishes]:
         raise InvalidOption(
             f"march has no option {given[0]!r}: the bounds are the problem's, problem.with_q(problem.q, {given[0]}=…); "
-            f"several marches, each with its own, are march_many(problem, forcing, propagator, {given[0]}=…)"
+            f"several marches, each with its own, take {given[0]} of shape (m, n)"
         )
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")

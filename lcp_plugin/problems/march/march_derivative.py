@@ -182,7 +182,8 @@ class MarchGradient:
 class MarchDerivative:
     """The derivative of all steps in time with respect to M, forcing, propagator, z0 and bounds.
 
-    ``found[k]`` is the :class:`~lcp_plugin.Derivative` of step k by its own q, which says what is proved of it.
+    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of step k by its own q, which says what is
+    proved of it.
 
     Parameters
     ----------

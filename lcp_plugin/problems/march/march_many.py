@@ -1,10 +1,10 @@
-"""Many marches in time with one matrix: the strikes of an option, the loads of a rod."""
+"""Marches in time with one matrix, one or many: the strikes of an option, the loads of a rod."""
 
 from __future__ import annotations
 
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,11 +22,102 @@ from ...core.solving.driver import fused_result
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ...systems.factors import bands
+from ..cones.data import Blocks
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
-from . import BLOCK, March, begun, checked_forcing, march, needs_no_scaling, take_steps
+from . import BLOCK, March, begun, checked_forcing, march_one, needs_no_scaling, take_steps
 
 SIDE_BY_SIDE = 16  # as the compiled loop has space for
+
+
+def march(
+    problem: LCP | Blocks, forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
+) -> Any:
+    """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
+
+    Where forcing, z0, or ``lower=`` or ``upper=`` in the place of an LCP's own bounds have an axis more in front, these
+    are as many marches with one M, which are taken together where that is quicker.
+
+    Parameters
+    ----------
+    problem : LCP or ConeProblem or FrictionalContact
+        Gives M and the bounds or cones; its own q is not used.
+    forcing : array, shape (k, n), or (m, k, n) for m marches
+        A row a step; ``np.broadcast_to(row, (k, n))`` where it is always the same.
+    propagator : number or array or sparse array, shape (n, n)
+        What the z of one step adds to the q of the next; a number stands for a multiple of the identity. An implicit
+        Euler step (I + Δt A) z = z_before has −1.
+    z0 : array, shape (n,) or (m, n), optional
+        The state before the first step; by default the point of [lower, upper] nearest to 0.
+    max_seconds : float, optional
+        In seconds, for all marches together: the step under way then is the last one.
+    keep_every : int
+        One result in so many stays in memory, and the last; the others are computed again when they are looked at, so
+        that what is given must not change, and an algorithm of yours has to give the same iterates each time. √k of k
+        steps take the least memory.
+    algorithm, **wishes
+        What else :func:`lcp_plugin.solve` takes, for each step.
+
+    Returns
+    -------
+    March, or a list of m of them
+        A sequence of k Results; of fewer where a step was not solved, which is the last one then, where its q
+        overflows (``error`` says so), or after Ctrl-C.
+
+    Raises
+    ------
+    InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
+        Before the first step; the last where the rows of M are spread over ranks.
+
+    Notes
+    -----
+    Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
+    `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` chooses afresh
+    in the first two steps; later ones begin with the method that ended the step before. Where few rows have a bound,
+    as in contact, the others are eliminated by one factor, once for all steps, if that pays.
+
+    A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
+    propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only
+    where it is damped: by four implicit half steps at first, with the same M, the propagator −B and the forcing
+    −½ Δt f (Rannacher 1984).
+
+    Contacts with friction on elastic bodies: W has displacements by forces, and a slow load gives, step by step, the
+    gaps without contact and the tangential displacements from the step before. The propagator is −W with zeros in the
+    rows of the normals then: slip is what the tangents move on in a step. Where contacts change there is another W,
+    and no march: write ``solve(FrictionalContact(W, b, friction), z0=result.z)`` for each step.
+
+    References
+    ----------
+    R. Rannacher, *Finite element solution of diffusion problems with irregular data*, Numer. Math. 43 (1984),
+    doi:10.1007/BF01390130.
+
+    Examples
+    --------
+    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)  # cools in two steps, heated on the left
+    >>> [z.round(3) for z in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z]
+    [array([0.875, 0.625]), array([0.781, 0.469])]
+    >>> [done.z[-1].round(3) for done in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1], upper=[[1, 1], [0.5, 1]])]
+    [array([0.781, 0.469]), array([0.5  , 0.333])]
+    """
+    if _are_many(forcing, z0, wishes):
+        return march_many(
+            cast(LCP, problem), forcing, propagator, z0=z0, algorithm=algorithm, max_seconds=max_seconds,
+            keep_every=keep_every, **wishes,
+        )
+    return march_one(
+        problem, forcing, propagator, z0=z0, algorithm=algorithm, max_seconds=max_seconds, keep_every=keep_every,
+        **wishes,
+    )
+
+
+def _are_many(forcing: Any, z0: Any, wishes: dict[str, Any]) -> bool:
+    """Return whether one of these has an axis for several marches."""
+    of_states: tuple[Any, ...] = z0, wishes.get("lower"), wishes.get("upper")
+    try:
+        return np.ndim(forcing) == 3 or any(np.ndim(one) == 2 for one in of_states)
+    except ValueError:  # rows of different lengths, which one march refuses in words
+        return False
 
 
 def march_many(
@@ -94,7 +185,7 @@ def march_many(
         start = own.pop("z0", None)
         of_march = problem.with_q(problem.q, **own) if own else problem
         if not marches:  # what all share is checked once
-            one = march(
+            one = march_one(
                 of_march, offsets[0][:0], propagator, z0=start, algorithm=algorithm, keep_every=keep_every, **wishes
             )
         else:

@@ -20,7 +20,7 @@ was asked, together with a measure of how wrong it is there.
 | problem | function |
 |---|---|
 | convex quadratic program | ``LCP.from_qp(P, c, G, h, A, b, lower, upper)``; back: ``problem.to_qp()`` |
-| programs with the same matrices | ``solve_many(prepare(program), [{"b": b}, …])``, ``program.with_vectors(b=b)`` |
+| programs with the same matrices | ``solve_batch(prepare(program), [{"b": b}, …])``, ``program.with_vectors(b=b)`` |
 | many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
 | linear program | ``problems.programs.conversion.lcp_from_lp`` |
 | least squares within bounds | ``problems.least_squares.conversion.lcp_from_least_squares`` |

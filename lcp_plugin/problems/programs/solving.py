@@ -462,10 +462,11 @@ def prepare_program(program: QuadraticProgram) -> None:
 
 
 def solve_programs(
-    program: QuadraticProgram, vectors: Any, algorithm: Any, **options: Any
+    program: QuadraticProgram, vectors: Any, algorithm: Any = "auto", *, limit: float = math.inf, **options: Any
 ) -> list[QuadraticProgramResult | LCPError]:
-    """Return what `solve_many` does of a program: where a run is needed, it goes on from the last answer."""
+    """Return the answers for many vectors, within so many seconds in all: a run goes on from the last answer."""
     answers: list[QuadraticProgramResult | LCPError] = []
+    clock = Clock()
     z: FloatVector | None = None
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
         raise InvalidProblem(f'a program takes a list of mappings, as [{{"b": b}}], got {type(vectors).__name__}')
@@ -473,6 +474,8 @@ def solve_programs(
         if not isinstance(one, Mapping) or (unknown := set(one) - VECTORS):
             what = f"the name {min(unknown)!r}" if isinstance(one, Mapping) else type(one).__name__
             raise InvalidProblem(f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}")
+        if limit < math.inf:
+            options["max_seconds"] = max(limit - clock.read(), 0.0)
         try:
             found = solve_program(program.with_vectors(**one), algorithm, guess=z, **options)
             answers.append(found)

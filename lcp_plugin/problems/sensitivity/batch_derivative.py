@@ -98,8 +98,8 @@ class BatchGradient:
     Parameters
     ----------
     q, lower, upper : array, shape (B, n), or a list of arrays where the sizes differ
-        As those of :class:`~lcp_plugin.Gradient`, one row a problem. NaN where `errors` of the derivative says why
-        there is none; 0 where the function does not look at z and w.
+        As those of :class:`~lcp_plugin.problems.sensitivity.Gradient`, one row a problem. NaN where `errors` of the
+        derivative says why there is none; 0 where the function does not look at z and w.
     by_M : callable
         Gives M.
     """
@@ -120,8 +120,8 @@ class BatchGradient:
 class BatchDerivative:
     """The derivatives of the solutions of a batch with respect to the data, one for each problem.
 
-    ``found[k]`` is the :class:`~lcp_plugin.Derivative` of problem k, which says what is proved of it. What the arrays
-    say of all problems equals what it says, to rounding.
+    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, which says what is proved of
+    it. What the arrays say of all problems equals what it says, to rounding.
 
     Parameters
     ----------
@@ -133,8 +133,8 @@ class BatchDerivative:
     ----------
     errors : dict
         Why problem k has no derivative: an UnsuitableProblem where it is not solved, an InvalidProblem where it is
-        none. What `vjp` and `jvp` meet is added, where that of :class:`~lcp_plugin.Derivative` is refused. The rows of
-        these problems are NaN, and cost the others nothing.
+        none. What `vjp` and `jvp` meet is added, where that of :class:`~lcp_plugin.problems.sensitivity.Derivative` is
+        refused. The rows of these problems are NaN, and cost the others nothing.
 
     Notes
     -----

@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import lcp_plugin
-from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve, solve_many
+from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve
 from lcp_plugin.algorithms import (
     REGISTRY,
     Algorithm,
@@ -28,6 +28,7 @@ from lcp_plugin.algorithms import (
 )
 from lcp_plugin.commands.cli import app
 from lcp_plugin.engines import ENGINES
+from lcp_plugin.problems.batches.batch import solve_many
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")

@@ -16,10 +16,11 @@ from scipy.optimize import nnls
 
 import lcp_plugin
 from lcp_plugin import Status, certify
+from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.problems.programs.program import QuadraticProgram
 from lcp_plugin.strategies import convex_qps
 
-lcp_plugin.register_with_qpsolvers()
+register_with_qpsolvers()
 NAME = "lcp_plugin"
 P, Q = 2.0 * np.eye(2), np.array([-2.0, -4.0])
 G, H = np.array([[1.0, 1.0]]), np.array([2.0])
@@ -149,7 +150,7 @@ def test_what_is_refused(error: type[Exception], given: dict[str, Any], words: s
 
 def test_registering_twice_changes_nothing() -> None:
     """The name stands once in each list; the other solvers are where they were."""
-    lcp_plugin.register_with_qpsolvers()
+    lcp_plugin.interfaces.qpsolvers.register_with_qpsolvers()
     for names in (qpsolvers.available_solvers, qpsolvers.dense_solvers, qpsolvers.sparse_solvers):
         assert names.count(NAME) == 1
 
@@ -158,8 +159,8 @@ def test_qpsolvers_is_loaded_by_its_interface_alone() -> None:
     """Neither import nor a solve loads it; without it the interface says what to install."""
     code = (
         "import sys, lcp_plugin\nlcp_plugin.solve(lcp_plugin.LCP([[2.0]], [-1.0]))\nprint('qpsolvers' in sys.modules)\n"
-        "sys.modules['qpsolvers'] = None\n"
-        "try:\n    lcp_plugin.register_with_qpsolvers()\nexcept ImportError as error:\n    print(error)"
+        "sys.modules['qpsolvers'] = None\nfrom lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers\n"
+        "try:\n    register_with_qpsolvers()\nexcept ImportError as error:\n    print(error)"
     )
     needed = "register_with_qpsolvers needs qpsolvers; install it with: pip install 'lcp_plugin[qpsolvers]'"
     assert printed_by(code).splitlines() == ["False", needed]

@@ -12,7 +12,8 @@ from fresh_process import printed_by
 from quantecon.game_theory import NormalFormGame, Player
 from quantecon.optimize import lcp_lemke
 
-from lcp_plugin import LCP, InvalidOption, InvalidProblem, lemke, solve
+from lcp_plugin import LCP, InvalidOption, InvalidProblem, solve
+from lcp_plugin.interfaces.quantecon import lemke
 
 FEW = np.array([[1.0, 0.0], [2.0, 1.0]]), np.array([-8.0, -12.0])
 
@@ -126,7 +127,8 @@ def test_a_game_has_two_players() -> None:
 def test_quantecon_is_not_needed() -> None:
     """Lemke and games run without it."""
     code = (
-        "import sys\nsys.modules['quantecon'] = None\nfrom lcp_plugin import LCP, lemke as lcp_lemke\n"
+        "import sys\nsys.modules['quantecon'] = None\nfrom lcp_plugin import LCP\n"
+        "from lcp_plugin.interfaces.quantecon import lemke as lcp_lemke\n"
         "print(lcp_lemke([[2.0]], [-1.0]).z, LCP.from_game([[1, -1], [-1, 1]], [[-1, 1], [1, -1]]).n)"
     )
     assert printed_by(code) == "[0.5] 4"

@@ -13,9 +13,10 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Status, convergence_guarantee, gallery, solve
+from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.methods.multigrid import Multigrid
 from lcp_plugin.methods.multigrid.multigrid_safeguard import Safeguard
+from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 
 WAYS: dict[str, Callable[[np.ndarray, np.random.Generator], Any]] = {

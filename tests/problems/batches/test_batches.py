@@ -12,9 +12,10 @@ import pytest
 import scipy.sparse as sp
 from small_families import FAMILIES, definite_stack, draw, told
 
-from lcp_plugin import LCP, InvalidProblem, Status, march, solve, solve_batch, solve_many
+from lcp_plugin import LCP, InvalidProblem, QuadraticProgram, Status, march, solve, solve_batch
 from lcp_plugin.core.errors import InvalidOption
 from lcp_plugin.problems.batches import batch_run
+from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.many import chunks as sharing
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
@@ -223,3 +224,18 @@ def test_a_batch_is_a_sequence() -> None:
     assert [told(one) for one in batch[1:4:2]] == [told(batch[1]), told(batch[3])]
     with pytest.raises(TypeError):
         batch[1.0]
+
+
+def test_one_problem_takes_many_q() -> None:
+    """solve_batch(problem, Q) has the problem's bounds and the answers of solve; a bad row harms no other."""
+    problem = LCP(sp.csr_array([[2.0, 1.0], [1.0, 2.0]]), [0.0, 0.0], upper=[1.0, 4.0])
+    Q = np.array([[-5.0, 1.0], [np.nan, 0.0], [-3.0, -3.0]])
+    batch = solve_batch(problem, Q)
+    assert np.isnan(batch.z[1]).all()
+    assert set(batch.errors) == {1}
+    for k in (0, 2):
+        assert np.array_equal(batch.z[k], solve(problem.with_q(Q[k])).z)
+    assert solve_batch(problem, Q[2:], upper=np.inf, lower=-1.0).z.round(6).tolist() == [[1.0, 1.0]]
+    for one in (problem, QuadraticProgram(np.eye(2), [0.0, 0.0])):
+        with pytest.raises(InvalidProblem, match=r"needs many problems, got one .*; write solve_batch"):
+            solve_batch(one)

@@ -12,17 +12,9 @@ import pytest
 from macmpec import COLLECTION
 from scipy.optimize import linprog
 
-from lcp_plugin import (
-    LCP,
-    EquilibriumProgram,
-    QuadraticProgram,
-    Status,
-    box,
-    complements,
-    minimize_over_solutions,
-    solve,
-)
+from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, Status, box, complements, solve
 from lcp_plugin.interfaces import scip
+from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.incumbents import LocalSearch
 from lcp_plugin.problems.equilibria.lower_level import tightened
 

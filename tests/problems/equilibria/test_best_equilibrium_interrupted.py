@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, minimize_over_solutions
+from lcp_plugin import EquilibriumProgram, QuadraticProgram
 from lcp_plugin.core.settings import Status
 from lcp_plugin.problems.equilibria import relaxations
+from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 
 def some_pairs() -> EquilibriumProgram:

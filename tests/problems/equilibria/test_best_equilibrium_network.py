@@ -13,10 +13,11 @@ import pyscipopt
 import pytest
 from network import network
 
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, minimize_over_solutions
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
 from lcp_plugin.core.errors import LCPError, UnsupportedModel
 from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria import branch_and_bound
+from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 
 @pytest.fixture

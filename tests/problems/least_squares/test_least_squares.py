@@ -21,12 +21,13 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
-from lcp_plugin import LeastSquaresResult, Status, bounded_least_squares, solve
+from lcp_plugin import Status, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
 from lcp_plugin.problems.least_squares import run
 from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.enclosures import Enclosures, largest_residuals
+from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, bounded_least_squares
 
 INF = np.inf
 

@@ -15,21 +15,12 @@ import scipy.sparse as sp
 from exact import LOWER, UPPER, exact_rows, solve_fractions
 from exact_derivatives import distance, exact, piece_at, product
 
-from lcp_plugin import (
-    LCP,
-    Derivative,
-    InvalidOption,
-    InvalidProblem,
-    MarchDerivative,
-    Status,
-    UnsuitableProblem,
-    derivative,
-    march,
-    march_many,
-    solve,
-)
+from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, derivative, march, solve
 from lcp_plugin.core.kernels.compilation import compiling_at_once
 from lcp_plugin.problems.march import March, kernels, propagator_remark
+from lcp_plugin.problems.march.march_derivative import MarchDerivative
+from lcp_plugin.problems.march.march_many import march_many
+from lcp_plugin.problems.sensitivity import Derivative
 
 # --- What is kept ---------------------------------------------------------------------------------------------
 
@@ -466,7 +457,7 @@ def test_what_a_march_says_of_its_answers_and_bounds() -> None:
     rod = LCP([[3, -1], [-1, 3]], [0, 0])
     assert repr(march(rod, [[-1, 0]] * 3).z) == "<z of 3 steps, each of shape (2,): z[k] is that of step k>"
     for algorithm in ("auto", "psor"):
-        with pytest.raises(InvalidOption, match=r"problem.with_q\(problem.q, lower=…\); several .* march_many"):
+        with pytest.raises(InvalidOption, match=r"problem.with_q\(problem.q, lower=…\); several .* shape \(m, n\)"):
             march(rod, [[-1, 0]], lower=0.0, algorithm=algorithm)
 
 

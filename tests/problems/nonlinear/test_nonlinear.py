@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from nonlinear_families import KINDS, planted
 from polynomial_families import Polynomial, is_violated, polynomial
 
-from lcp_plugin import LCP, NonlinearProblem, Result, Status, bounded_least_squares, derivative, solve, solve_nonlinear
+from lcp_plugin import LCP, NonlinearProblem, Result, Status, derivative, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.deadline import compiling
 from lcp_plugin.core.errors import (
@@ -26,10 +26,12 @@ from lcp_plugin.core.errors import (
     UnsuitableMatrix,
     UnsuitableProblem,
 )
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.nonlinear import josephy_newton
 from lcp_plugin.problems.nonlinear.certificate import shares_of_unknowns, term_residuals
 from lcp_plugin.problems.nonlinear.differences import Differences
 from lcp_plugin.problems.nonlinear.krawczyk import krawczyk_bound
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 INF = np.inf
 ROOTS = {(round(np.sqrt(6) / 2, 6), 0.0, 0.0, 0.5), (1.0, 0.0, 3.0, 0.0)}

@@ -31,14 +31,14 @@ from lcp_plugin import (
     QuadraticProgram,
     Status,
     UnsupportedModel,
-    bounded_least_squares,
     certify,
     complements,
     solve,
-    solve_nonlinear,
 )
 from lcp_plugin.commands.cli import app
 from lcp_plugin.modeling.stated_terms import StatedTerms
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
+from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 from lcp_plugin.problems.programs.certification import SMALL, ProgramProofs, distances
 from lcp_plugin.problems.programs.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
 from lcp_plugin.problems.programs.feasible_points import FeasiblePoint, FeasiblePoints, distance_of_equations

@@ -16,24 +16,13 @@ import pytest
 import scipy.sparse as sp
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
-from lcp_plugin import (
-    LCP,
-    ComplementarityProblem,
-    InvalidProblem,
-    QPSolver,
-    Status,
-    UnsupportedModel,
-    box,
-    certify,
-    complements,
-    solve,
-    solve_many,
-)
+from lcp_plugin import LCP, InvalidProblem, QPSolver, Status, UnsupportedModel, box, certify, complements, solve
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior import interior_point
 from lcp_plugin.methods.interior.interior_point import InteriorPoint
-from lcp_plugin.modeling.registration import build
+from lcp_plugin.modeling.registration import ComplementarityProblem, build
+from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.programs import no_minimum
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.problems.programs.no_minimum import (

@@ -10,15 +10,8 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from lcp_plugin import (
-    QPSolver,
-    QuadraticProgram,
-    QuadraticProgramBatch,
-    Status,
-    register_with_qpsolvers,
-    solve,
-    solve_batch,
-)
+from lcp_plugin import QPSolver, QuadraticProgram, QuadraticProgramBatch, Status, solve, solve_batch
+from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.problems.programs.criterion import Errors, program_goal
 
 register_with_qpsolvers()

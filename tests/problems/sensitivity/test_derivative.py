@@ -15,9 +15,10 @@ from exact_derivatives import Change, Piece, distance, piece_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Derivative, Status, derivative, solve
+from lcp_plugin import LCP, Status, derivative, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from lcp_plugin.core.matrix.matrix import Matrix
+from lcp_plugin.problems.sensitivity import Derivative
 from lcp_plugin.proofs.bounds.row_inequality import NearPoint
 from lcp_plugin.proofs.bounds.solution_bounds import block_error_bound
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps

@@ -282,7 +282,7 @@ def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
 def test_no_compiler_is_needed() -> None:
     """Boxes, l1, weights, the gap: nothing of it loads numba."""
     code = (
-        "import sys; from lcp_plugin import bounded_least_squares as f; "
+        "import sys; from lcp_plugin.problems.least_squares.solving import bounded_least_squares as f; "
         "r = f([[1, 2], [3, 4], [5, 6]], [1, 2, 4], -1, 1, weights=[1, 2, 3], l1=0.1); "
         "assert r.is_solved and r.gap < 1e-8; assert 'numba' not in sys.modules"
     )

@@ -108,6 +108,17 @@ def test_no_row_is_explained_by_a_number_that_does_not_act() -> None:
         assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)
 
 
+def test_an_answer_where_a_limit_comes_first_ends_with_its_case() -> None:
+    """Heavy stands on light by psor: what becomes SOLVED at the last step allowed carries the weight, too."""
+    mass = np.array([1e8, 1.0, 1.0, 1.0, 1.0, 1.0, 1e8])
+    relative = np.eye(7) - np.eye(7, k=-1)
+    problem = LCP(relative @ np.diag(1.0 / mass) @ relative.T, np.where(np.arange(7) == 0, -0.04905, 0.0))
+    weights = 0.04905 * np.cumsum(mass[::-1])[::-1]
+    for steps in (20_000, 70_000):
+        result = solve(problem, "psor", max_iterations=steps)
+        assert not result.is_solved or result.z == pytest.approx(weights, rel=1e-6)
+
+
 def test_a_row_with_a_q_is_asked_for_in_its_own_unit() -> None:
     """w_2 = −1 and w_3 = −1 off a bound beside z = 1e15 and 1e19 in the same component: neither has a solution."""
     for M, q, lower, false in (

@@ -214,8 +214,9 @@ class Run:
         is_excluded = last is not None and last.least_residual > self.settings.goal and end is not End.CONVERGED
         best = start if incumbent.z is None or is_excluded else incumbent.z
         certificate = self.judge.final(best, end, None if last is None else last.algorithm)
-        is_open = end in WITH_A_CASE and not is_excluded and isinstance(self.judge.asked, LCP)
-        if last is not None and is_open and not last.algorithm.ends_with_a_case:
+        is_open = not is_excluded and isinstance(self.judge.asked, LCP)
+        has_case = is_open and (end in WITH_A_CASE or self.judge.is_solved_by(certificate))  # or a limit came first
+        if last is not None and has_case and not last.algorithm.ends_with_a_case:
             certificate = self._with_last_system(certificate, last)
         return certificate, self.judge.verdict(certificate, end, is_chain=len(state.stages) > 1)
 

@@ -57,7 +57,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -88,7 +88,7 @@ from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PRO
 from .engines import Engine
 
 if TYPE_CHECKING:
-    from .methods.direct import FallbackOrder, Retries
+    from .methods.direct import FallbackOrder
     from .methods.small.small_dense import SmallDenseSolver
 
 DIRECT = "newton"  # predicts for all direct methods
@@ -160,12 +160,6 @@ class Auto(EndsWithItsCase):
     def __init__(self, *, prove_infeasibility: bool = True, looks_at_cases: bool = True) -> None:
         self._prove_infeasibility, self.looks_at_cases = prove_infeasibility, looks_at_cases
         self._direct: FallbackOrder | None = None
-
-    @cached_property
-    def _retries(self) -> Retries:
-        from .methods.direct import Retries
-
-        return Retries()
 
     def first(self, problem: LCP) -> Choice:
         """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
@@ -246,12 +240,8 @@ class Auto(EndsWithItsCase):
         from .methods.direct import FallbackOrder
 
         return FallbackOrder(
-            problem, self._retries, prove_infeasibility=self._prove_infeasibility, looks_at_cases=self.looks_at_cases
+            problem, prove_infeasibility=self._prove_infeasibility, looks_at_cases=self.looks_at_cases
         )
-
-    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
-        """Return newton or lemke, where they have not begun there."""
-        return self._retries.following(problem, stages)
 
 
 def takes_the_small_dense_solver(problem: LCP) -> bool:

@@ -17,7 +17,7 @@ from .errors import InvalidOption, did_you_mean
 FUNCTIONS = (
     "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "derivative", "certify", "Certificate.of",
     "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate", "error_against_time",
-    "study", "presolve",
+    "study",
 )
 STORES = ("save", "pickle")
 LANGUAGES = ("cvxpy", "Pyomo", "AMPL", "qpsolvers")

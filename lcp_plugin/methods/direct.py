@@ -14,15 +14,14 @@
 Where the diagonal is negative throughout, as where M has the wrong sign, newton is left out beyond n = 5000. Before
 them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases
 in doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any
-other method takes; some ten milliseconds at the most. They run on the presolved problem, each until it ends; but where
-no theorem promises an end, newton and lemke have a turn of so many steps or pivots, and wait, where they need more,
-until all others have had theirs (:class:`FallbackOrder`). What they leave open, newton and lemke try once more from the
-start: the best point may have led astray (:class:`Retries`). Where a factor is too large by the counts of its columns,
-newton and interior_point are left out, but not of programs. A row that contradicts its bounds by itself brings
-`feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000); so does a factor of a sparse
-symmetric M that meets a pivot of 0, of a structure that nothing holds, at any n. lemke takes n ≤ 6000 (beyond, psor
-comes back at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a counted number of
-operations; what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
+other method takes; some ten milliseconds at the most. Each runs until it ends; but where no theorem promises an end,
+newton and lemke have a turn of so many steps or pivots, and wait, where they need more, until all others have had
+theirs (:class:`FallbackOrder`). At last newton begins once more where the run began. Where a factor is too large by the
+counts of its columns, newton and interior_point are left out, but not of programs. A row that contradicts its bounds by
+itself brings `feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000); so does a factor of
+a sparse symmetric M that meets a pivot of 0, of a structure that nothing holds, at any n. lemke takes n ≤ 6000 (beyond,
+psor comes back at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a counted number
+of operations; what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
 """
 
 from __future__ import annotations
@@ -55,9 +54,7 @@ from .interior.interior_point import InteriorPoint
 from .lemke import Lemke, has_components_that_fit
 from .newton.condensed import Condensed, condensing_passes
 from .newton.semismooth_newton import Newton
-from .presolve import presolve
 
-CHEAP_ENTRIES = 1e7  # touched: what is always worth another try
 # Turns of lemke, in pivots by n, and of newton, in steps.
 FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
 FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M is a dense one
@@ -87,12 +84,12 @@ class FallbackOrder:
     """
 
     def __init__(
-        self, problem: LCP, retries: Retries, *, prove_infeasibility: bool = True, looks_at_cases: bool = True
+        self, problem: LCP, *, prove_infeasibility: bool = True, looks_at_cases: bool = True
     ) -> None:
-        self._problem, self._waiting, self._retries = problem, list[Choice](), retries
+        self._problem, self._waiting = problem, list[Choice]()
         self.left_out: list[str] = []
         by_prospects = _by_prospects(problem, prove_infeasibility, self.left_out)
-        self._last = _at_last(problem, prove_infeasibility, self.left_out)
+        self._last = chain(_once_more(problem), _at_last(problem, prove_infeasibility, self.left_out))
         self._coming = chain(_first_look(problem, prove_infeasibility) if looks_at_cases else (), by_prospects)
         self._now: Choice | None = None
 
@@ -117,27 +114,15 @@ class FallbackOrder:
             if self._now is not None and not failed:
                 self._waiting.append(replace(self._now, because="the others have had their turn", turn=math.inf))
         elif failed and not is_far_out:
-            following = self._retries.following(self._problem, stages) or next(self._last, None)
+            following = next(self._last, None)
         self._now = following or self._now
         return following
 
 
-class Retries:
-    """newton and lemke once more, each once, on the whole problem from the start: the best point may lead astray."""
-
-    def __init__(self) -> None:
-        self._left: list[Algorithm] = [Newton(), Lemke()]
-
-    def following(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
-        """Return the next that has not begun there: lemke where two paths cost no more than was spent, or little."""
-        spent = sum(stage.work for stage in stages) * problem.nonzeros
-        while problem.n <= PIVOTED_UP_TO and self._left:
-            method = self._left.pop(0)
-            name = method.name
-            is_dear = name == "lemke" and 4.0 * problem.n**3 > max(spent, CHEAP_ENTRIES)
-            if not is_dear and not any(stage.algorithm.name == name and stage.from_start for stage in stages):
-                return Choice(method, f"{name} once more, from the start", from_start=True)
-        return None
+def _once_more(problem: LCP) -> Iterator[Choice]:
+    """Yield newton from where the run began: the best point may have led it astray."""
+    if problem.n <= PIVOTED_UP_TO:
+        yield Choice(Newton(), "newton once more, from the start", from_start=True)
 
 
 def factor_passes(problem: LCP) -> float:
@@ -195,44 +180,40 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
         why = "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does"
         yield Choice(LargestPoint(prove_infeasibility=prove_infeasibility), why)
-    # A program has been folded already, and what could be decided of its multipliers is not worth the look.
     is_kkt = getattr(problem.origin, "form", "") == "kkt"
-    reduced = None if is_kkt else presolve(problem)
-    left = problem if reduced is None else reduced.problem
-    about = f" ({reduced})" if left is not problem else ""
-    newton = Choice(Newton(), f"guesses what is at a bound, solves for the rest{about}", reduced)
-    why = f"steps strictly between the bounds; suits M, which is monotone or may be{about}"
+    newton = Choice(Newton(), "guesses what is at a bound, solves for the rest")
     is_made = "interior_point" in getattr(problem.origin, "attempted", ())
-    interior = Choice(InteriorPoint(), why, reduced, is_made=is_made)
+    why = "steps strictly between the bounds; suits M, which is monotone or may be"
+    interior = Choice(InteriorPoint(), why, is_made=is_made)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
-    lemke = Choice(Lemke(), f"pivoting needs no property of M{about}", reduced)
-    too_large = _too_large(problem, left, is_kkt=is_kkt)
+    lemke = Choice(Lemke(), "pivoting needs no property of M")
+    too_large = _too_large(problem, is_kkt=is_kkt)
     left_out = [one.algorithm for one in (check, lemke, newton, interior) if one.algorithm.name in too_large]
     left_out += [] if prove_infeasibility else [check.algorithm]
     row = contradictory_row(problem) if prove_infeasibility else None
     is_contradictory = row is not None and row.excludes(EPSILON)
-    if not (is_kkt or is_contradictory) and condensing_passes(left) < _passes_of_factors(left, FEWEST_FACTORS):
-        yield Choice(Condensed(), f"few rows have a bound: one factor eliminates the others{about}", reduced)
+    if not (is_kkt or is_contradictory) and condensing_passes(problem) < _passes_of_factors(problem, FEWEST_FACTORS):
+        yield Choice(Condensed(), "few rows have a bound: one factor eliminates the others")
     if is_contradictory:
         yield replace(check, because="one row contradicts its bounds by itself")
     elif prove_infeasibility and not problem.is_dense and seems_unheld(problem):
         yield replace(check, because="a factor of M meets a pivot of 0: nothing seems to hold z along some direction")
-    elif newton.algorithm not in left_out and _suits_newton(left):
+    elif newton.algorithm not in left_out and _suits_newton(problem):
         yield newton
         left_out.append(newton.algorithm)
-    if _seems_monotone(left, problem.origin):
+    if _seems_monotone(problem):
         order = [interior, check, newton, lemke]
-        is_full = left.is_dense or left.nonzeros > FULL_SHARE * left.n**2
-        if is_full and not has_positive_diagonal(left.matrix).all():
-            few = Lemke(max_pivots=10 + left.n // FIRST_PIVOTS, restarts=0)
-            order = [Choice(few, f"some pivots, before a factor of a dense M{about}", reduced), *order]
+        is_full = problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2
+        if is_full and not has_positive_diagonal(problem.matrix).all():
+            few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)
+            order = [Choice(few, "some pivots, before a factor of a dense M"), *order]
     else:
-        interior = replace(interior, because=f"M is not shown to be monotone, but interior points may do{about}")
-        may_be_p = bool(has_positive_diagonal(left.matrix).all())
+        interior = replace(interior, because="M is not shown to be monotone, but interior points may do")
+        may_be_p = bool(has_positive_diagonal(problem.matrix).all())
         newton, lemke = (
             replace(newton, turn=INTERIOR_STEPS), replace(lemke, turn=PIVOTS if may_be_p else GAME_PIVOTS)
         )
-        if left.is_dense or left.n <= PIVOTS_FIRST_UP_TO:
+        if problem.is_dense or problem.n <= PIVOTS_FIRST_UP_TO:
             order = [newton, lemke, interior, check] if may_be_p else [lemke, interior, check, newton]
         else:
             order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]
@@ -244,20 +225,20 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     yield from chosen
 
 
-def _too_large(problem: LCP, left: LCP, *, is_kkt: bool) -> dict[str, str]:
+def _too_large(problem: LCP, *, is_kkt: bool) -> dict[str, str]:
     """Return the methods that take no problem as large, by their names, and what to say of each.
 
-    They run on what presolving has `left`. A program has no other method that would be quicker than these of a factor,
-    whatever it fills. Where the diagonal is negative newton's active sets change at random.
+    A program has no other method that would be quicker than these of a factor, whatever it fills. Where the diagonal is
+    negative newton's active sets change at random.
     """
     from ..systems.factors import factor_fits
 
     found = {}
     if problem.n > LINEAR_PROGRAM_UP_TO:
         found["feasibility"] = _up_to("a look for a proof that there is no solution", LINEAR_PROGRAM_UP_TO, problem)
-    if not has_components_that_fit(left):
-        found["lemke"] = _up_to("lemke", PIVOTED_UP_TO, left)
-    if not (is_kkt or left.is_dense or left.n <= LINEAR_PROGRAM_UP_TO or factor_fits(left.csr)):
+    if not has_components_that_fit(problem):
+        found["lemke"] = _up_to("lemke", PIVOTED_UP_TO, problem)
+    if not (is_kkt or problem.is_dense or problem.n <= LINEAR_PROGRAM_UP_TO or factor_fits(problem.csr)):
         found |= {name: f"{name} (a factor of M is predicted to be too large)" for name in ("newton", "interior_point")}
     if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
         found.setdefault("newton", _up_to("newton, where the diagonal is negative,", LINEAR_PROGRAM_UP_TO, problem))
@@ -296,13 +277,13 @@ def _suits_newton(problem: LCP) -> bool:
     return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
 
 
-def _seems_monotone(problem: LCP, origin: Any) -> bool:
+def _seems_monotone(problem: LCP) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
     from ..systems.symmetry import is_nearly_symmetric
 
     if problem.n == 0:
         return False
-    if is_of_convex_program(origin):
+    if is_of_convex_program(problem.origin):
         return True
     if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
         return True

@@ -161,26 +161,6 @@ def first_alone() -> Instead:
     return Instead(lambda old: old[:1], watch)
 
 
-def retries_without(*names: str) -> Instead:
-    def off(old: Any) -> Any:
-        def following(self: Any, problem: Any, stages: Any) -> Any:
-            self._left = [one for one in self._left if one.name not in names]
-            return old(self, problem, stages)
-
-        return following
-
-    def watch(old: Any, note: Callable[[], None]) -> Any:
-        def following(*given: Any) -> Any:
-            choice = old(*given)
-            if choice is not None and choice.algorithm.name in names:
-                note()
-            return choice
-
-        return following
-
-    return Instead(off, watch)
-
-
 def only_start() -> Instead:
     """No step of least squares: the start alone."""
     return Instead(lambda old: lambda start, *_: iter([start]))
@@ -338,12 +318,10 @@ MECHANISMS = (
     Mechanism("moved to bounds", "a row right with its unknown at the bound that is near is right",
               {"core.certificates.own_terms:_at_bounds": given_back(1)}, "core/certificates/own_terms.py:_at_bounds"),
     # --- LCPs: the direct methods
-    Mechanism("presolve", "rows that are decided before any method", {"methods.presolve:presolve": says(None)},
-              "methods/presolve.py"),
     Mechanism("condensed", "unknowns without bounds eliminated by one factor",
               {"methods.newton.condensed:condensing_passes": says(math.inf)}, "methods/newton/condensed.py"),
-    Mechanism("retries", "newton and lemke once more, from the start",
-              {f"{DIRECT}:Retries.following": says(None)}, "methods/direct.py:Retries"),
+    Mechanism("retries", "newton once more, from the start",
+              {f"{DIRECT}:_once_more": nothing()}, "methods/direct.py:_once_more"),
     Mechanism("largest point", "−M an M-matrix: one system decides",
               {"proofs.verdicts.report:is_negated_m_matrix": says(False)},
               "methods/search/stages.py:LargestPoint proofs/verdicts/report.py:is_negated_m_matrix"),
@@ -364,10 +342,9 @@ MECHANISMS = (
     Mechanism("some pivots", "pivots before a factor of a dense M",
               {f"{DIRECT}:_by_prospects": yielding(lambda _, one: getattr(one.algorithm, "max_pivots", None) is None)}),
     Mechanism("lemke", "complementary pivoting",
-              {f"{DIRECT}:_by_prospects": without("lemke"), f"{DIRECT}:Retries.following": retries_without("lemke")},
-              "methods/lemke"),
+              {f"{DIRECT}:_by_prospects": without("lemke")}, "methods/lemke"),
     Mechanism("newton", "semismooth Newton on LCPs",
-              {f"{DIRECT}:_by_prospects": without("newton"), f"{DIRECT}:Retries.following": retries_without("newton")},
+              {f"{DIRECT}:_by_prospects": without("newton")},
               "methods/newton/semismooth_newton.py methods/newton/active_set.py"),
     Mechanism("interior point", "interior steps on LCPs",
               {f"{DIRECT}:_by_prospects": without("interior_point")}, "methods/interior"),
@@ -580,8 +557,8 @@ MECHANISMS = (
 )
 NAMES = {one.name: one for one in MECHANISMS}
 HEAVIEST = (
-    "small loop", "multigrid", "banded", "units", "presolve", "search", "lemke", "interior point", "newton",
-    "quasidefinite", "engines",
+    "small loop", "multigrid", "banded", "units", "search", "lemke", "interior point", "newton", "quasidefinite",
+    "engines",
 )
 
 

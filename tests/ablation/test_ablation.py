@@ -88,7 +88,7 @@ def test_what_would_do_the_same_is_not_met(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(measuring, "inputs", lambda: iter([one()]))
     found = measuring.meetings([*NAMES])
     assert found["small loop"] == [["tiny", "0"]]
-    assert found["presolve"] == found["units"] == []
+    assert found["condensed"] == found["units"] == []
 
 
 def test_false_answers_are_seen() -> None:

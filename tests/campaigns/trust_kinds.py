@@ -20,7 +20,6 @@ import convex_programs
 import error_bounds
 import guarantees
 import matrix_verdicts
-import presolve
 import search
 import small_lcps
 from collection.judgement import false_claim
@@ -265,13 +264,6 @@ def bounds(rng: Generator, kind: float | str) -> Found:
         yield Finding(OPEN, f"{tally.refused} bounds refused")
 
 
-def presolved(rng: Generator, kind: str) -> Found:
-    """No solution gets lost in presolve, none comes back wrong."""
-    outcome = presolve.check(rng)
-    if outcome.wrong or outcome.lost:
-        yield Finding(CLAIM, str(outcome))
-
-
 def searched(rng: Generator, kind: str) -> Found:
     """All solutions, feasibility and proofs of a problem against all patterns."""
     for line in search.violations(*search.random_problem(rng, 3))[0]:
@@ -357,7 +349,6 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "large": (large, ("plain", "symmetric", "scaled"), 6),
     "matrix": (verdicts, matrix_verdicts.KINDS, 80),
     "bound": (bounds, error_bounds.CLASSES, 25),
-    "presolve": (presolved, ("any",), 32),
     "search": (searched, ("any",), 6),
     "guarantee": (guaranteed, ("any",), 10),
     "program": (programs, tuple(convex_programs.FAMILIES), 38),

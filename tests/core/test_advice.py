@@ -36,7 +36,7 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class, create
 from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.core.solving.advice import advice_of_run
 from lcp_plugin.core.tuning import PIVOTED_UP_TO
-from lcp_plugin.methods.direct import FallbackOrder, Retries
+from lcp_plugin.methods.direct import FallbackOrder
 from lcp_plugin.modeling.registration import ComplementarityProblem
 from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
@@ -177,7 +177,7 @@ def test_auto_is_not_advised_to_itself() -> None:
 def test_what_auto_leaves_out_for_its_size_is_told(n: int, named: tuple[str, ...]) -> None:
     """Each with the size up to which it goes; nothing where all are tried."""
     M = sp.diags_array([np.full(n - 1, -2.0), np.full(n, -1.0), np.full(n - 1, 3.0)], offsets=(-1, 0, 1)).tocsr()
-    order = FallbackOrder(LCP(M, np.ones(n), lower=-np.ones(n), upper=1.0), Retries())
+    order = FallbackOrder(LCP(M, np.ones(n), lower=-np.ones(n), upper=1.0))
     stage = Stage(create("newton", {}))
     following = order.first()
     while following is not None and following.algorithm.name != "psor":

@@ -16,7 +16,7 @@ from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.auto import Auto
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.symmetry import mean_coupling
-from lcp_plugin.core.policy.stages import Choice, Stage
+from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.gallery.stencil import stencil_matrix
 from lcp_plugin.methods.direct import direct_methods, factor_passes, has_had_its_turn
 from lcp_plugin.methods.newton.condensed import condensing_passes
@@ -470,7 +470,7 @@ def test_what_is_too_large_is_left_out() -> None:
 
 
 def test_direct_methods_come_one_after_the_other_and_each_ends_by_itself() -> None:
-    """Each goes on until it fails; newton and lemke once more from the start, then the cases, then there is none."""
+    """Each goes on until it fails; newton once more from the start, then the cases, then there is none."""
     problem, policy = chain(25), Auto()
     stages = [after(policy.first(problem).algorithm, 10, 1.0)]
     found = []
@@ -478,7 +478,7 @@ def test_direct_methods_come_one_after_the_other_and_each_ends_by_itself() -> No
         found.append(choice.algorithm.name)
         stages.append(after(choice.algorithm, 50, 1.0))
         assert policy.next_step(problem, stages, TARGET, False) is None
-    assert found == ["newton", "interior_point", "feasibility", "lemke", "newton", "lemke", "search"]
+    assert found == ["newton", "interior_point", "feasibility", "lemke", "newton", "search"]
 
 
 def test_a_method_without_an_end_in_sight_waits_for_the_others() -> None:
@@ -493,7 +493,7 @@ def test_a_method_without_an_end_in_sight_waits_for_the_others() -> None:
         if failed:
             assert policy.next_step(problem, stages, TARGET, False) is None
     turns = ["newton", "lemke", "interior_point", "feasibility", "newton", "lemke"]
-    assert found == [*turns, "newton", "lemke", "search"]  # newton and lemke from the start
+    assert found == [*turns, "newton", "search"]  # from the start
 
 
 @pytest.mark.parametrize(("name", "steps", "rate", "work"), [
@@ -556,27 +556,6 @@ def test_after_a_proof_within_a_radius_nobody_has_a_second_turn() -> None:
     assert "check the data" in result.advice
     names = [stage.name for stage in result.stages]
     assert names.index("feasibility") == len(names) - 1
-
-
-# --- Presolved problems ------------------------------------------------------------------------------------------
-
-
-def test_direct_methods_run_on_the_presolved_problem_and_answer_for_the_given_one() -> None:
-    """Fixed rows are taken out, and put back into every iterate, within the bounds."""
-    problem = LCP([[2.0, 1.0, 0.0], [1.0, 2.0, 5.0], [7.0, 0.0, 0.0]], [-5.0, 1.0, 3.0], upper=[9.0, 9.0, 0.0])
-    first = list(direct_methods(problem))[1]
-    assert first.presolved is not None
-    assert first.presolved.problem.n < 3
-    iterates = [step.z.copy() for step in first.iterates(problem, np.ones(3).clip(problem.lower, problem.upper))]
-    assert all(z.shape == (3,) and problem.lower[2] <= z[2] <= problem.upper[2] for z in iterates)
-    np.testing.assert_allclose(iterates[-1], [2.5, 0.0, 0.0], atol=1e-12)
-
-
-def test_a_choice_without_a_smaller_problem_runs_on_the_given_one() -> None:
-    """Then the steps are those of the algorithm, residuals and all."""
-    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-    plain = [step.residual for step in create("newton", {}).iterates(problem, np.zeros(2))]
-    assert [step.residual for step in Choice(create("newton", {})).iterates(problem, np.zeros(2))] == plain
 
 
 # --- Few rows with a bound -------------------------------------------------------------------------------------------

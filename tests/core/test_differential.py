@@ -194,6 +194,6 @@ def test_a_case_can_be_repeated_from_its_name(capsys: pytest.CaptureFixture[str]
     """--only KIND:NUMBER runs that case; a wrong name is told with the right ones."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trust, "prepare_process", lambda: None)
-        assert trust.repeat("presolve any:11") == 0
+        assert trust.repeat("search any:11") == 0
         assert trust.repeat("no such:11") == 2
     assert "small indefinite" in capsys.readouterr().out

@@ -19,7 +19,7 @@ from lcp_plugin.algorithms import REGISTRY
 
 ROOT = Path(__file__).parents[2]
 FROM_AUTO = (
-    "FallbackOrder", "Retries", "SmallDenseSolver", "Banded", "Multigrid", "Newton", "FeasibilityCheck", "NPSOR",
+    "FallbackOrder", "SmallDenseSolver", "Banded", "Multigrid", "Newton", "FeasibilityCheck", "NPSOR",
     "PSOR", "PGS",
 )
 PROJECT = jedi.Project(ROOT)

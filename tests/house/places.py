@@ -120,7 +120,6 @@ ANOTHER_JOB = {  # looked at by eye
     "core/policy/stages.py: CheckSchedule.is_due": "when to measure",
     "core/policy/stages.py: Stage.steps_to_go": "a prediction",
     "core/solving/advice.py: advice_of_run": "words",
-    "core/solving/judge.py: Judge.is_limited_by_size": "rounding of z",
     "core/solving/run.py: Run.ended": "whether the start is given back",
     "methods/small/kernels/small_problems.py: enclosed": "whether an enclosure is worth its work",
     "problems/batches/batch_groups.py: excluded": "that nothing solves it",

@@ -54,7 +54,6 @@ from lcp_plugin.interfaces.nl import read_nl, read_sol, write_nl
 from lcp_plugin.interfaces.nl.answers import CODES
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.kinds import KINDS, options_of
-from lcp_plugin.methods.presolve import presolve
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 from lcp_plugin.modeling.registration import ComplementarityProblem
 from lcp_plugin.problems.batches.batch import solve_many
@@ -203,10 +202,6 @@ def by_curves(sample: Sample, folder: Path) -> None:
 
 def by_study(sample: Sample, folder: Path) -> None:
     assert [row.curve.label for row in study(sample.problem, ["lemke"], repeats=1).rows] == ["lemke"]
-
-
-def by_presolve(sample: Sample, folder: Path) -> None:
-    presolve(sample.problem)
 
 
 def by_files(sample: Sample, folder: Path) -> None:
@@ -373,7 +368,6 @@ TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "error_bound": by_bound, "analyze": by_analyze, "all_solutions": by_all_solutions,
     "convergence_guarantee": by_guarantee,
     "cross_validate": by_cross_validation, "error_against_time": by_curves, "study": by_study,
-    "presolve": by_presolve,
     "save": by_files, "pickle": by_pickle, "cvxpy": by_cvxpy, "Pyomo": by_pyomo, "AMPL": by_ampl,
     "qpsolvers": by_qpsolvers, "lcp-plugin solve": by_command_solve, "lcp-plugin check": by_command_check,
     "lcp-plugin certify": by_command_certify, "lcp-plugin analyze": by_command_analyze,
@@ -388,7 +382,6 @@ REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "analyze": lambda p, _: analyze(p),
     "convergence_guarantee": lambda p, _: convergence_guarantee(p), "cross_validate": lambda p, _: cross_validate(p),
     "error_against_time": lambda p, _: error_against_time(p), "study": lambda p, _: study(p, ["lemke"]),
-    "presolve": lambda p, _: presolve(p),
 }
 CELLS = [pytest.param(sample, way, id=f"{sample} × {way}") for sample in SAMPLES for way in WAYS]
 

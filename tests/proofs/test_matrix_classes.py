@@ -513,7 +513,7 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
         assert error_bound(problem(), np.ones(len(M))).infinity >= 0.0
     assert Certificate.of(problem(), np.ones(len(M))).scale_spread >= 1.0
     is_nearly_symmetric(problem().matrix)
-    _seems_monotone(problem(), None)
+    _seems_monotone(problem())
 
 
 def test_a_library_without_memory_is_no_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,10 +36,6 @@ class Policy:
         """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
         return None
 
-    def another_start(self, problem: LCP, stages: Sequence[Stage]) -> Choice | None:
-        """Return what begins where the run began, after a point so far out that rounding hides the tolerance there."""
-        return None
-
     def last_system(
         self, problem: LCP, z: FloatVector, work: float, is_solved: bool
     ) -> tuple[FloatVector, float] | None:

@@ -6,14 +6,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from ..algorithm import Algorithm, Step
 from ..checks import BoolVector, FloatVector
 from ..lcp import LCP
-
-if TYPE_CHECKING:
-    from ...methods.presolve import Presolved
 
 STEADY = 0.05
 KEPT_RESIDUALS = 512
@@ -27,7 +23,7 @@ RISING = 10
 
 @dataclass(frozen=True)
 class Choice:
-    """An algorithm, the reason for it, and the smaller problem it is to run on, if any.
+    """An algorithm and the reason for it.
 
     `turn` says after how many steps, or of lemke pivots divided by n, another one may have its turn before this one has
     come to its end; `from_start`, that it does not go on from the best point so far but begins where the run began;
@@ -36,18 +32,13 @@ class Choice:
 
     algorithm: Algorithm
     because: str = ""
-    presolved: Presolved | None = None
     turn: float = math.inf
     from_start: bool = False
     is_made: bool = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the steps of the algorithm in terms of the caller's problem."""
-        if self.is_made:
-            return iter((Step(z0, work=0.0),))
-        if self.presolved is None:
-            return self.algorithm.iterates(problem, z0)
-        return self.presolved.iterates(self.algorithm, problem, z0)
+        """Yield the steps of the algorithm."""
+        return iter((Step(z0, work=0.0),)) if self.is_made else self.algorithm.iterates(problem, z0)
 
 
 @dataclass
@@ -55,16 +46,15 @@ class Stage:
     """What one algorithm of a chain has done so far.
 
     `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
-    several; `from_start` says that it began where the run began; `least_residual` is that of its steps; `settles`, that
-    steps have said their residuals may rise for a while; `has_no_solution_nearby`, that a step has proved that no z
-    within a radius, far beyond the data, is a solution; `z` is the latest iterate, as long as the stage lasts; `moves`
-    counts the unknowns that came to a bound or left it, window by window, where the policy watches them; `successor`,
-    what its algorithm would be with all that it has learned.
+    several; `least_residual` is that of its steps; `settles`, that steps have said their residuals may rise for a
+    while; `has_no_solution_nearby`, that a step has proved that no z within a radius, far beyond the data, is a
+    solution; `z` is the latest iterate, as long as the stage lasts; `moves` counts the unknowns that came to a bound or
+    left it, window by window, where the policy watches them; `successor`, what its algorithm would be with all that it
+    has learned.
     """
 
     algorithm: Algorithm
     because: str = ""
-    from_start: bool = False
     iterations: int = 0
     work: float = 0.0
     remark: str = ""

@@ -76,8 +76,7 @@ def fused(
     the call does not converge within the tolerance.
     """
     algorithm, problem = first.algorithm, scaling.problem
-    may_fuse = settings.is_unobserved and first.presolved is None
-    if type(algorithm).solve_fused is Algorithm.solve_fused or not may_fuse:
+    if type(algorithm).solve_fused is Algorithm.solve_fused or not settings.is_unobserved:
         return None
     clock.read()
     if clock.elapsed >= settings.max_seconds:

@@ -15,11 +15,10 @@ from ..certificates.criterion import CommonScaling, measured_scaled_residual, ro
 from ..certificates.residuals import GAINED, Certificate
 from ..certificates.row_residuals import measured_residual, ratio
 from ..checks import FloatVector
-from ..kernels.floats import DATA_ROUNDING, EPSILON
+from ..kernels.floats import DATA_ROUNDING
 from ..settings import Settings, Status
 from .result import BoundOrReason
 
-FAR_OUT = 1e-2
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
 
 
@@ -50,7 +49,7 @@ class Judge:
     Every z that it is given is in the scaling of the run; what it gives back is the caller's. A problem of another
     kind brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run` asks: at each step
     `residual_of` (what the algorithm says), `measure`, `certified` and `meets_tolerance`; where nothing falls
-    `is_at_floor` and `is_limited_by_size`; of a proof `accept_proof` and `misses_by_rounding`; at the end `final`,
+    `is_at_floor`; of a proof `accept_proof` and `misses_by_rounding`; at the end `final`,
     whose certificate `verdict` names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the Result of an
     LCP of them.
 
@@ -144,11 +143,6 @@ class Judge:
             return False
         certificate = self.certificate_of(z)
         return certificate.relative_residual <= GAINED and certificate.is_at_rounding_level
-
-    def is_limited_by_size(self, z: FloatVector | None) -> bool:
-        """Return whether z is so far out that rounding of z alone hides the tolerance: a nearer solution need not."""
-        size = 0.0 if z is None else float(np.abs(z).max(initial=0.0))
-        return bool(size * EPSILON > FAR_OUT * self.settings.goal * self.reference)
 
     def misses_by_rounding(self, z: FloatVector | None) -> bool:
         """Return whether no z is a solution, but this one misses by no more than rounding of the data."""

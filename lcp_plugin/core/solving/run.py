@@ -72,9 +72,8 @@ class Run:
                 while following is not None:
                     if self.log is not None:
                         self.log.begin(following)
-                    from_start = following.from_start or self.incumbent.z is None
-                    self.state.open(Stage(following.algorithm, following.because, from_start))
-                    z = (start if self.incumbent.z is None or from_start else self.incumbent.z).copy()
+                    self.state.open(Stage(following.algorithm, following.because))
+                    z = (start if following.from_start or self.incumbent.z is None else self.incumbent.z).copy()
                     end, following = self._follow(self.scaling.steps(following, z))
         except OutOfTimeError:
             return End.TIME_LIMIT
@@ -93,8 +92,6 @@ class Run:
         end = end or (End.TIME_LIMIT if is_late else End.NOTHING_LEFT)
         if end in FAILED and self.judge.is_at_floor(self.incumbent.z):
             end = End.AT_FLOOR
-        if end is End.AT_FLOOR and self.judge.is_limited_by_size(self.incumbent.z):
-            return end, self.policy.another_start(self.problem, self.state.stages)
         return end, self._next(has_failed=True) if end in FAILED else None
 
     def _step_of(self, steps: Iterator[Step]) -> Any:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.checks import FloatVector
-from ...methods.presolve import like
+from ...proofs.exact.rational import like
 from .program_matrices import Indices, ProgramMatrices, block
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from ...core.checks import FloatVector, assembled, read_only
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.scaling import ALIKE, fitted_columns
 from ...core.matrix.structure import row_numbers
-from ...methods.presolve import like
+from ...proofs.exact.rational import like
 from .program_matrices import Exponents, ProgramMatrices, as_csr, curved_part, exponents_of, or_one, vertically
 from .reductions import Step
 

@@ -96,6 +96,11 @@ def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
     return [value.numerator * (denominator // value.denominator) for value in fractions], denominator
 
 
+def like(values: FloatVector, z: Any) -> Any:
+    """Return doubles as they are, or as Fractions beside a z of Fractions."""
+    return np.array([Fraction(value) for value in values.tolist()], dtype=object) if z.dtype == object else values
+
+
 def total(values: Sequence[Fraction]) -> Fraction:
     """Return the sum of fractions, with one common divisor looked for in all.
 

@@ -221,7 +221,7 @@ def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytes
     def never(*given: Any, **options: Any) -> Any:
         raise AssertionError("the long way was taken")
 
-    monkeypatch.setattr(solving, "_by_forms", never)
+    monkeypatch.setattr(solving, "_by_run", never)
     rng, (P, c, G, h) = np.random.default_rng(3), dense(40)
     A, b, y = rng.normal(size=(40, 2, 6)), rng.normal(size=(40, 2)), rng.random((40, 12))
     signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum("kij,ki->kj", A, np.ones((40, 2)))

@@ -335,10 +335,6 @@ MECHANISMS = (
     Mechanism("one row", "a row that contradicts its bounds by itself is looked for first",
               {"proofs.no_solution.infeasibility:contradictory_row": says(None)},
               "proofs/no_solution/infeasibility.py:contradictory_row"),
-    Mechanism("forced rows", "chains of rows that force each other prove that there is no solution",
-              {"proofs.no_solution.infeasibility:find_forced_contradiction": says(None)},
-              "proofs/no_solution/infeasibility.py:find_forced_contradiction "
-              "proofs/no_solution/infeasibility.py:ForcedContradiction"),
     Mechanism("some pivots", "pivots before a factor of a dense M",
               {f"{DIRECT}:_by_prospects": yielding(lambda _, one: getattr(one.algorithm, "max_pivots", None) is None)}),
     Mechanism("lemke", "complementary pivoting",

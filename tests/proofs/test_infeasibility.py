@@ -22,9 +22,7 @@ from lcp_plugin.proofs.exact.linear_systems import rank_profile, solve_exactly
 from lcp_plugin.proofs.exact.rational import exact_slack, integers, is_exact_solution
 from lcp_plugin.proofs.no_solution.farkas import CONTRADICTION, FarkasProgram
 from lcp_plugin.proofs.no_solution.infeasibility import (
-    ForcedContradiction,
     contradictory_row,
-    find_forced_contradiction,
     find_infeasibility,
 )
 from lcp_plugin.proofs.no_solution.linear_constraints import LinearConstraints
@@ -155,32 +153,6 @@ def test_tiny_and_limited_problems_end_well() -> None:
     assert find_infeasibility(LCP([[0]], [-1]), effort_limit=0) is not None
 
 
-def test_forced_bounds_prove_what_no_linear_program_can() -> None:
-    """A feasible problem whose forced bounds contradict gets a chain that verifies; a changed one does not."""
-    problem = LCP([[0.0, 0.0], [1.0, 0.0]], [1.0, -1.0])
-    assert find_infeasibility(problem) is None
-    proof = find_forced_contradiction(problem)
-    assert proof is not None
-    assert proof.steps == ((0, 1), (1, -1))
-    assert proof.verify()
-    assert not ForcedContradiction(problem, proof.steps[1:]).verify()
-    assert not ForcedContradiction(problem, proof.steps[:1]).verify()
-    assert not ForcedContradiction(problem, ((0, -1), (1, -1))).verify()
-    assert find_forced_contradiction(LCP([[2, 1], [1, 2]], [-5, 1])) is None
-
-
-def test_a_long_chain_keeps_only_the_rows_it_needs() -> None:
-    """In a chain of forced bounds, rows that the contradiction does not rest on are left out."""
-    n = 8
-    M = np.zeros((n, n))
-    M[1, 0], M[2, 1] = -1.0, 1.0
-    q = np.ones(n)
-    q[1], q[2] = 1.0, -2.0
-    proof = find_forced_contradiction(LCP(M, q, upper=[1.0, *[np.inf] * (n - 1)]))
-    assert proof is not None
-    assert {row for row, _ in proof.steps} == {0, 1, 2}
-
-
 def test_exact_solutions_are_told_from_rounded_ones() -> None:
     """A third solves 3 z = 1 exactly, the double next to it does not."""
     problem = LCP([[3.0, 0.0], [0.0, 1.0]], [-1.0, 5.0], lower=[0.0, -1.0], upper=[np.inf, -1.0])
@@ -300,13 +272,10 @@ def test_the_largest_margin_is_looked_for() -> None:
 def test_cases_have_a_margin_too(t: float) -> None:
     """w₁ = 1 forces z₁ = 0, w₂ = z₁ − t asks for t: every z misses by t/2, which counts beyond the tolerance only."""
     problem = LCP([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 2.0]], [1.0, -t, -2.0])
-    chain = find_forced_contradiction(problem)
     tree = search(problem)
-    assert chain is not None
     assert isinstance(tree, NoSolution)
-    for proof in (chain, tree):
-        assert proof.margin == pytest.approx(t / 2, rel=1e-9)
-        assert proof.margin <= t / 2
+    assert tree.margin == pytest.approx(t / 2, rel=1e-9)
+    assert tree.margin <= t / 2
     status = solve(problem).status
     assert (status is Status.NO_SOLUTION) == (t > 1e-8)
     near = np.array([t / 2, 0.0, 1.0 - t / 2])

@@ -23,7 +23,7 @@ from ...core.matrix.structure import IntVector
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...proofs.exact.rational import integers
 from ...proofs.exact.simplex import QUANTUM
-from ...proofs.no_solution.infeasibility import Case, find_forced_contradiction, find_infeasibility
+from ...proofs.no_solution.infeasibility import Case, find_infeasibility
 from ...proofs.no_solution.proof import LOWER, SLACKLESS, UPPER, Infeasibility
 from ...systems.free_systems import FreeSystem
 from ..small.small_dense import as_dense
@@ -41,7 +41,7 @@ FIRST_ENTRIES, FIRST_PRODUCTS = 1e7, QUANTUM  # some ten milliseconds: no more t
 
 @dataclass(frozen=True, kw_only=True)
 class FeasibilityCheck(Algorithm):
-    """Looks for a proof that no z satisfies the linear inequalities, or that complementarity contradicts itself."""
+    """Looks for a proof that no z satisfies the linear inequalities."""
 
     name: ClassVar[str] = "feasibility"
     is_monotone: ClassVar[bool] = False
@@ -58,10 +58,6 @@ class FeasibilityCheck(Algorithm):
             yield Step(z0, proof=proof)
         if proof is not None and proof.is_free_motion and problem.criterion is None:
             yield Step(z0, least_residual=proof.margin)  # of all z within its radius: no method goes on beyond
-            return
-        chain = find_forced_contradiction(problem)
-        if chain is not None:
-            yield Step(z0, proof=chain)
 
 
 @dataclass(frozen=True, kw_only=True)

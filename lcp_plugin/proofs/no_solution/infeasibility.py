@@ -1,8 +1,7 @@
-"""How it is found out that a problem has no solution: by its linear constraints, chains of forced rows, trees of cases.
+"""How it is found out that a problem has no solution: by its linear constraints, or by trees of cases.
 
 The linear constraints: whether some z within the bounds has a w of the signs that they permit; a look at each row, then
-a linear program. A chain: rows whose slack has one sign force their z to a bound; followed to the end, that may
-contradict. A tree: every case of the complementarity conditions, each closed by a Farkas vector of its own.
+a linear program. A tree: every case of the complementarity conditions, each closed by a Farkas vector of its own.
 
 The look at each row finds those whose signs no point of a box has.
 """
@@ -18,29 +17,17 @@ import numpy as np
 
 from ...core.certificates.criterion import CommonScaling, RowScaling, reference_residual
 from ...core.checks import FloatVector
-from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
-from ...core.matrix.structure import IntVector, row_numbers
+from ...core.matrix.structure import IntVector
 from ...systems.graph import compressed_rows
 from ...systems.null_space import null_space_by_rows, null_space_of
 from ..exact.rational import Rational
 from .free_motion import falling_directions
-from .linear_constraints import DECISIVE, LinearConstraints, activity
-from .proof import (
-    LOWER,
-    SLACKLESS,
-    UPPER,
-    Choices,
-    Closing,
-    Infeasibility,
-    NoSolutionProof,
-    rescaled_multipliers,
-    row_choices,
-)
+from .linear_constraints import DECISIVE, LinearConstraints
+from .proof import Choices, Closing, Infeasibility, NoSolutionProof, rescaled_multipliers, row_choices
 
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 UNITS_TRIED = 3
-MOST_PASSES = 50
 
 
 @np.errstate(all="ignore")
@@ -178,108 +165,6 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
         if proof is not None:
             return proof
     return None
-
-
-@dataclass(frozen=True, eq=False)
-class ForcedContradiction(NoSolutionProof):
-    """A chain of rows, each forcing z_i to a bound for all z still possible, that ends in a row with no z left.
-
-    Attributes
-    ----------
-    steps : tuple of (row, sign)
-        sign +1: w_i > 0, so that z_i = lower_i; −1: w_i < 0, so that z_i = upper_i. The last one cannot be met: the
-        bound is infinite, or z_i stands at the other one. No problem with such a chain has a solution.
-    """
-
-    problem: LCP = field(repr=False)
-    steps: tuple[tuple[int, int], ...]
-
-    def rescaled(self, problem: LCP, exponents: IntVector) -> ForcedContradiction:
-        """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
-        return ForcedContradiction(problem, self.steps)
-
-    def closings(self) -> Iterator[Closing | None]:
-        """Yield, for each step, what excludes every other choice of its row.
-
-        A z_i that is forced to a bound stands within |r_i| of it.
-        """
-        path: dict[int, str] = {}
-        for k, (i, sign) in enumerate(self.steps):
-            bound, forced = (self.problem.lower[i], LOWER) if sign > 0 else (self.problem.upper[i], UPPER)
-            before = path.setdefault(i, SLACKLESS)
-            yield Choices(self.problem, path).closed_by({i: Fraction(-sign)})
-            if np.isinf(bound) or before not in (SLACKLESS, forced):
-                if k < len(self.steps) - 1:
-                    yield None
-                return
-            path[i] = forced
-        yield None
-
-    def __str__(self) -> str:
-        row, sign = self.steps[-1]
-        before = f" (given {len(self.steps) - 1} forced before)" * (len(self.steps) > 1)
-        relation = "> 0" if sign > 0 else "< 0"
-        return f"no solution: w[{row}] {relation} for every z still possible{before}, and no z[{row}] goes with that"
-
-
-def find_forced_contradiction(problem: LCP) -> ForcedContradiction | None:
-    """Return a chain of forced bounds that contradicts itself, or None; a few passes over M.
-
-    Examples
-    --------
-    >>> proof = find_forced_contradiction(LCP([[1, 0], [-3, 1]], [2, -1], upper=[1, np.inf]))
-    >>> proof is None
-    True
-    >>> proof = find_forced_contradiction(LCP([[0, 0], [1, 0]], [1, -1]))
-    >>> print(proof)
-    no solution: w[1] < 0 for every z still possible (given 1 forced before), and no z[1] goes with that
-    >>> proof.verify()
-    True
-    """
-    lower, upper = problem.lower.copy(), problem.upper.copy()
-    is_forced = lower == upper
-    steps: list[tuple[int, int]] = []
-    for _ in range(MOST_PASSES):
-        low, high = slack_range(problem, lower, upper)
-        signs = (low > 0.0).astype(int) - (high < 0.0)
-        bound = np.where(signs > 0, problem.lower, problem.upper)
-        contradicts = (signs != 0) & (np.isinf(bound) | (bound < lower) | (bound > upper))
-        if contradicts.any():
-            i = int(np.flatnonzero(contradicts)[0])
-            proof = ForcedContradiction(problem, (*_needed(problem, steps, i), (i, int(signs[i]))))
-            return proof if proof.verify() else None
-        new = np.flatnonzero((signs != 0) & ~is_forced)
-        if not new.size:
-            return None
-        lower[new] = upper[new] = bound[new]
-        is_forced[new] = True
-        steps.extend((int(i), int(signs[i])) for i in new)
-    return None
-
-
-def slack_range(problem: LCP, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of w = M z + q over lower ≤ z ≤ upper that hold in spite of rounding, each of shape (n,)."""
-    csr = problem.csr
-    with np.errstate(all="ignore"):
-        least, most = activity(csr, lower, upper)
-        # A product that overflows is no infinite bound: its size is infinite, and nothing is known of its row.
-        farthest = np.max([np.where(np.isinf(bound), 0.0, np.abs(bound)) for bound in (lower, upper)], axis=0)
-        size = np.bincount(row_numbers(csr), np.abs(csr.data) * farthest[csr.indices], problem.n) + np.abs(problem.q)
-        terms = np.diff(csr.indptr) + 8
-        error = np.where(terms > 8, 2.0 * terms * (EPSILON * size + TINY), 0.0)
-        low, high = least + problem.q - error, most + problem.q + error
-    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
-
-
-def _needed(problem: LCP, steps: list[tuple[int, int]], last: int) -> Iterator[tuple[int, int]]:
-    """Yield the steps that the last row rests on, directly or through others."""
-    csr = problem.csr
-    sought, kept = {last, *csr.indices[csr.indptr[last] : csr.indptr[last + 1]].tolist()}, set()
-    for i, _ in reversed(steps):
-        if i in sought:
-            kept.add(i)
-            sought.update(csr.indices[csr.indptr[i] : csr.indptr[i + 1]].tolist())
-    return (step for step in steps if step[0] in kept)
 
 
 @dataclass(slots=True)

@@ -143,8 +143,8 @@ def solve(
     - ``BoundedLeastSquares``: :func:`~lcp_plugin.problems.least_squares.solving.bounded_least_squares`;
     - ``ConeProblem`` and ``FrictionalContact``: :func:`~lcp_plugin.problems.cones.solving.solve_cones`.
 
-    Kernels of small problems are interpreted, with the same bits, until compiling them pays. The first large problem of
-    its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles everything.
+    The first problem of its kind in an installation compiles for 2 to 10 s, once; ``lcp-plugin warm-up`` compiles
+    everything.
 
     Examples
     --------

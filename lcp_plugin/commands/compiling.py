@@ -18,7 +18,7 @@ from ..algorithms import REGISTRY
 from ..api import solve
 from ..core.deadline import NEW_KERNELS
 from ..core.errors import LCPError
-from ..core.kernels.compilation import cache_folder, compiling_at_once
+from ..core.kernels.compilation import cache_folder
 from ..core.lcp import LCP
 from ..core.settings import checked_threads
 from ..core.tuning import SINGLE_FROM
@@ -55,11 +55,6 @@ def compile_everything() -> str:
 
 def compile_part(part: str) -> None:
     """Run what needs the kernels of one part."""
-    with compiling_at_once():
-        _run(part)
-
-
-def _run(part: str) -> None:
     sparse = gallery.build("obstacle_2d", size=20).problem
     dense = LCP(sparse.csr[:9, :9].toarray(), sparse.q[:9], lower=-1.0, upper=1.0)
     if part == "batches":

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.kernels.compilation import compiled
+from ..core.kernels.compilation import kernel
 
 # Rows with more entries than so many √n come last, as a row of constraints that ties all unknowns together: fewer rows
 # where counting takes too long otherwise.
@@ -63,7 +63,7 @@ def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: flo
     return np.inf, np.inf
 
 
-@compiled
+@kernel
 def minimum_degree(begins, workspace, last, most_entries, most_operations, most_touched):  # type: ignore[no-untyped-def]
     """Return Σ count and Σ count² of the columns of L, ∞ and ∞ beyond the limits, and how much of lists was touched.
 
@@ -216,7 +216,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     return entries, operations, touched
 
 
-@compiled
+@kernel
 def _together(begin, size, weight, elements, is_gone, workspace, n):  # type: ignore[no-untyped-def]
     """Move the lists still in use to the front, in their order; return where the free space behind them begins."""
     order = np.argsort(begin)

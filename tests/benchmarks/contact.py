@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin.api import solve
-from lcp_plugin.core.kernels.compilation import compiled
+from lcp_plugin.core.kernels.compilation import kernel
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.settings import Status
 from lcp_plugin.problems.batches.batch import solve_batch
@@ -136,7 +136,7 @@ def _trajectory(boxes: int, steps: int, *, is_warm: bool) -> str:
     )
 
 
-@compiled
+@kernel
 def gauss_seidel(W, free, mu):  # type: ignore[no-untyped-def]
     """Return impulses after some sweeps over rows, friction within ±μ p."""
     x, n = np.zeros(free.size), free.size
@@ -150,7 +150,7 @@ def gauss_seidel(W, free, mu):  # type: ignore[no-untyped-def]
     return x
 
 
-@compiled
+@kernel
 def dantzig(W, free, mu):  # type: ignore[no-untyped-def]
     """Return impulses by Dantzig's pivots row after row, normals first, friction within ±μ p of the p then found.
 

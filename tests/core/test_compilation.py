@@ -15,21 +15,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from numba import njit, typeof
-from small_families import FAMILIES, problem
+from numba import njit
 from typer.testing import CliRunner
 
 import lcp_plugin
-from lcp_plugin import LCP, QuadraticProgramBatch, Status, gallery, solve, solve_batch
+from lcp_plugin import LCP, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
-from lcp_plugin.core.checks import read_only
 from lcp_plugin.core.deadline import NEW_KERNELS, Clock, compilation
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.core.kernels.compilation import cache_folder, compiled, compiling_at_once
-from lcp_plugin.core.kernels.enclosures import fused, split_sum
+from lcp_plugin.core.kernels.compilation import cache_folder
 from lcp_plugin.core.solving import run_log
-from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 COUNT_COMPILED = """
 import sys
@@ -61,39 +57,38 @@ from lcp_plugin import LCP, QuadraticProgramBatch, derivative, error_bound, solv
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin import gallery
-from lcp_plugin.core.kernels.compilation import compiling_at_once
+from numba.core.dispatcher import Dispatcher
 from numba.core.types import Array
 from scipy.sparse import diags_array
 
-with compiling_at_once():
-    for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "murty:n=30", "obstacle_2d:size=260"):
-        problem = gallery.parse(name).problem
-        for algorithm in ("auto", "psor", "npsor", "multigrid") if name.startswith("obstacle") else ("auto", "lemke"):
-            result = solve(problem, algorithm)
-            if name.startswith("half"):
-                error_bound(problem, result.z)
-    ones = np.ones(90)
-    string = LCP(diags_array([-ones[1:], 2.0 * ones, -ones[1:]], offsets=[-1, 0, 1], format="csr"), ones)
-    for algorithm in ("newton", "banded", "interior_point", "mgs"):
-        own = solve(string, algorithm)
-        solve(string.with_q(-np.arange(90.0)), algorithm, z0=own.z, record=True)
-        solve(LCP(string.csr.copy(), np.ones(90)), algorithm, z0=np.ones(90))
-    M, q = [[[2.0, 1.0], [1.0, 2.0]]], [-5.0, 1.0]
-    found = derivative(solve_batch(M, q))
-    found.vjp([[1.0, 1.0]]), found.jvp(dq=[1.0, 0.0])
-    solve(LCP(M[0], q), record=True), solve_batch(np.array(M), np.array([q]), z0=np.ones(2))
-    for P in (M, M[0], np.asfortranarray(M * 2)):
-        solve_batch(QuadraticProgramBatch(P, q, [[1.0, 1.0]], [2.0], lower=-9.0))
-    bounded_least_squares(np.eye(3)[:, :2], np.ones(3)), bounded_least_squares(np.eye(300)[:, :99], np.ones(300))
+for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "murty:n=30", "obstacle_2d:size=260"):
+    problem = gallery.parse(name).problem
+    for algorithm in ("auto", "psor", "npsor", "multigrid") if name.startswith("obstacle") else ("auto", "lemke"):
+        result = solve(problem, algorithm)
+        if name.startswith("half"):
+            error_bound(problem, result.z)
+ones = np.ones(90)
+string = LCP(diags_array([-ones[1:], 2.0 * ones, -ones[1:]], offsets=[-1, 0, 1], format="csr"), ones)
+for algorithm in ("newton", "banded", "interior_point", "mgs"):
+    own = solve(string, algorithm)
+    solve(string.with_q(-np.arange(90.0)), algorithm, z0=own.z, record=True)
+    solve(LCP(string.csr.copy(), np.ones(90)), algorithm, z0=np.ones(90))
+M, q = [[[2.0, 1.0], [1.0, 2.0]]], [-5.0, 1.0]
+found = derivative(solve_batch(M, q))
+found.vjp([[1.0, 1.0]]), found.jvp(dq=[1.0, 0.0])
+solve(LCP(M[0], q), record=True), solve_batch(np.array(M), np.array([q]), z0=np.ones(2))
+for P in (M, M[0], np.asfortranarray(M * 2)):
+    solve_batch(QuadraticProgramBatch(P, q, [[1.0, 1.0]], [2.0], lower=-9.0))
+bounded_least_squares(np.eye(3)[:, :2], np.ones(3)), bounded_least_squares(np.eye(300)[:, :99], np.ones(300))
 
 
 def widths(signature):
-    return tuple(kind.dtype for kind in signature if isinstance(kind, Array))
+    return tuple((kind.dtype, kind.mutable) for kind in signature if isinstance(kind, Array))
 
 
 kernels = {
     kernel for name, module in list(sys.modules.items()) if name.startswith("lcp_plugin")
-    for kernel in vars(module).values() if hasattr(kernel, "is_patient")  # not the parts of kernels
+    for kernel in vars(module).values() if isinstance(kernel, Dispatcher) and kernel.stats.cache_path
 }
 print(len(kernels) > 50, *[
     kernel.py_func.__name__ for kernel in kernels
@@ -225,67 +220,13 @@ def test_a_verbose_run_says_that_kernels_are_compiled(
 
 @pytest.mark.full
 def test_no_kernel_is_compiled_twice() -> None:
-    """Read-only arrays and others, constants and variables, share one code: two are for index widths and precisions."""
+    """Constants and variables share one code: two are for index widths, precisions, and arrays that are read-only."""
     assert in_a_new_process(COUNT_OVERLOADS) == "True"
 
 
-def solutions() -> list[bytes]:
-    """Answers to problems of a few unknowns, of every kind whose kernels may be interpreted."""
-    rng = np.random.default_rng(3)
-    found: list[np.ndarray] = []
-    for family in FAMILIES:
-        drawn = problem(family, 9, rng)
-        for algorithm in ("auto", "newton", "lemke"):
-            result = solve(LCP(drawn.matrix.array, drawn.q, lower=drawn.lower, upper=drawn.upper), algorithm)
-            found += [result.z, np.array([result.residual, result.work])]
-    for n in (1, 2, 30):
-        string = sp.diags_array([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
-        for algorithm in ("auto", "banded", "interior_point"):
-            found.append(solve(LCP(string, rng.normal(size=n), upper=rng.random(n)), algorithm).z)
-    for n in (3, 60):  # of a Neumann problem, singular
-        ends = np.r_[1.0, np.full(n - 2, 2.0), 1.0]
-        string = sp.diags_array([-np.ones(n - 1), ends, -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
-        for algorithm in ("auto", "banded"):
-            result = solve(LCP(string, -np.ones(n)), algorithm)
-            found += [result.z, np.array([result.status is Status.INFEASIBLE])]
-    hopeless = [[0.0, 0.0], [0.0, 0.0]], [[-1.0, -1.0], [-1.0, -2.0]], [[1, -2, 1], [-3, 2, -2], [1, -2, 0]]
-    for M in hopeless:
-        result = solve(LCP(M, [-5.0, 1.0, 2.0][: len(M)]))
-        found += [result.z, np.array([result.status is Status.INFEASIBLE])]
-    for k in range(6):
-        A, b = rng.normal(size=(9 + k, 5)), rng.normal(size=9 + k)
-        found.append(bounded_least_squares(A, b, upper=0.3 + k, ridge=0.1 * (k % 2)).x)
-        found.append(solve(LCP(A.T @ A + np.eye(5), A.T @ b), "interior_point").z)
-        programs = QuadraticProgramBatch(np.diag([1.0] * k + [0.0] * (5 - k)), b[:5], A[:, :5], b + 1.0, lower=-1.0)
-        answers = solve_batch(programs, prove_infeasibility=False)
-        found += [answers.x, answers.inequality, answers.lower, answers.residual]
-    return [array.tobytes() for array in found]
-
-
-def test_interpreted_kernels_have_the_bits_of_compiled_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a first call answers before anything is compiled is what every later call answers."""
-    with compiling_at_once():
-        compiled_bits = solutions()
-    assert interpret_all(monkeypatch) > 8
-    assert solutions() == compiled_bits
-
-
-def interpret_all(monkeypatch: pytest.MonkeyPatch) -> int:
-    """Have every kernel run by the interpreter that may be; return how many names of such were found."""
-    interpreted = 0
-    for name, module in list(sys.modules.items()):
-        for attribute, kernel in list(vars(module).items()) if name.startswith("lcp_plugin.") else ():
-            if getattr(kernel, "is_patient", False):
-                monkeypatch.setattr(module, attribute, np.errstate(all="ignore")(kernel.py_func))
-                interpreted += 1
-    return interpreted
-
-
 @pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
-def test_a_history_has_floats_whether_kernels_are_compiled_or_not(
-    algorithm: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The interpreter returns scalars of numpy where compiled code returns floats: a method's step has floats."""
+def test_a_history_has_floats(algorithm: str) -> None:
+    """Numbers of a history are floats, not scalars of numpy."""
     rng, numbers = np.random.default_rng(0), []
     band = sp.diags_array([-np.ones(39), np.full(40, 3.0), -np.ones(39)], offsets=(-1, 0, 1))
     skew = np.triu(rng.normal(size=(30, 30)))
@@ -295,8 +236,6 @@ def test_a_history_has_floats_whether_kernels_are_compiled_or_not(
     )
     for given in problems:
         with suppress(UnsuitableMatrix, UnsuitableProblem):
-            solve(given, algorithm, record=True, max_iterations=200)  # loads its kernels
-            interpret_all(monkeypatch)
             for sample in solve(given, algorithm, record=True, max_iterations=200).history:
                 numbers += [sample.residual, sample.work, sample.seconds]
     assert numbers
@@ -308,24 +247,6 @@ def test_numba_is_asked_in_one_place() -> None:
     for file in Path(lcp_plugin.__file__).parent.rglob("kernels/*.py"):
         is_the_place = file.name in ("compiler.py", "compilation.py")
         assert is_the_place or "njit" not in file.read_text(encoding="utf-8"), file.name
-
-
-def test_a_first_small_problem_compiles_nothing(tmp_path: Path) -> None:
-    """With no kernel kept anywhere, ten unknowns are solved by interpreted kernels, without a file in the cache."""
-    code = (
-        "import numpy as np\nfrom lcp_plugin import LCP, solve\nfrom lcp_plugin.core.deadline import NEW_KERNELS\n"
-        "M = np.diag(np.full(10, 4.0)) - np.diag(np.ones(9), 1) - np.diag(np.ones(9), -1)\n"
-        "print(solve(LCP(M, np.linspace(-1.0, 1.0, 10))).status.name)"
-    )
-    assert in_a_new_process(code, NUMBA_CACHE_DIR=str(tmp_path)) == "SOLVED"
-    assert not list(tmp_path.rglob("*.nbc"))
-
-
-def test_a_part_of_kernels_is_interpreted_where_python_calls_it() -> None:
-    """It has no machine code of its own to crash in."""
-    total, error = split_sum(1.0, 2.0**-60)
-    assert (total, error) == (1.0, 2.0**-60)
-    assert not split_sum.overloads or fused(3.0, 1.0 / 3.0, -1.0) != 0.0
 
 
 @pytest.mark.full
@@ -413,61 +334,3 @@ def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
     assert text.count(old) == 1
     changed.write_text(text.replace(old, new))
     assert in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="") == f"{at} 0 0"
-
-
-def test_constants_of_other_files_are_part_of_kernels() -> None:
-    """The stamp of what lies on disk covers every file where functions are compiled, and what these import."""
-    from lcp_plugin.core import tuning
-    from lcp_plugin.core.kernels import compilation
-    from lcp_plugin.methods.small.kernels import small_problems
-    from lcp_plugin.proofs.exact import upward
-    from lcp_plugin.systems.hierarchy import grids
-
-    stamps = compilation._sources()
-    for module in (tuning, upward, small_problems, grids):
-        stat = Path(str(module.__file__)).stat()
-        assert (stat.st_mtime_ns, stat.st_size) in stamps
-    _, others = grids.mark_equal._cache._cache_file._source_stamp  # the first is numba's, of its own file
-    assert others == stamps
-
-
-def test_a_constant_argument_compiles_no_kernel_of_its_own() -> None:
-    """Of a kernel called with constants and variables there is one version for the same kinds of arrays."""
-    from lcp_plugin import LCP, solve
-    from lcp_plugin.methods.small.kernels import small_problems, small_systems
-
-    assert solve(LCP([[2.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), "newton").is_solved
-    for kernel in (small_problems.ends, small_problems.slack, small_problems.classify, small_systems.eliminate):
-        kinds = [tuple(str(kind) for kind in signature) for signature in kernel.signatures]
-        assert len(kinds) == len(set(kinds))
-        assert not any("Literal" in kind for key in kinds for kind in key)
-
-
-def test_a_kernel_that_two_threads_asked_for_is_found_at_once() -> None:
-    """Asked for twice for the same read-only arrays, as by two threads at once, a kernel has one entry for them."""
-
-    @compiled
-    def last(values):  # type: ignore[no-untyped-def]
-        return values[-1]
-
-    values = read_only(np.ones(3))
-    signature = (typeof(values),)
-    for _ in range(2):  # as if the second had asked before the first was answered
-        last.compile(signature)
-    asked, compile_for = [], last._compile_for_args
-    last._compile_for_args = lambda *arguments: asked.append(arguments) or compile_for(*arguments)
-    assert last(values) == 1.0
-    assert asked == []
-
-
-def test_two_types_compiled_at_once_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither process sees what the other enters into the index: each keeps its code in a file of its own."""
-    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-
-    @compiled
-    def twice(x):  # type: ignore[no-untyped-def]
-        return x + x
-
-    monkeypatch.setattr(twice._cache._cache_file, "_load_index", dict)
-    assert (twice(1), twice(1.5)) == (2, 3.0)
-    assert len({file.read_bytes() for file in tmp_path.rglob("*.nbc")}) == 2

@@ -25,7 +25,6 @@ from picture import PACKAGE, subpackage_of
 from test_architecture import IMPORTS, MODULES
 
 import lcp_plugin
-from lcp_plugin.core.kernels.compilation import compiling_at_once
 
 Function = tuple[str, str]  # its file and its name
 
@@ -103,10 +102,9 @@ def main() -> None:
     imported = reach()
     print(f"{'warm solve':28} {'calls':>6} {'files':>6} {'moves':>6} {'climbs':>7}")
     for title, run in runs().items():
-        with compiling_at_once():
-            run()
-            run()
-            calls = calls_of(run)
+        run()
+        run()
+        calls = calls_of(run)
         files = dict.fromkeys(other[0] for _, other in calls)
         moves = dict.fromkeys(
             (one[0], other[0]) for one, other in calls if one is not None and subpackage(one[0]) != subpackage(other[0])

@@ -61,18 +61,21 @@ def to_its_end(action: Callable[[], object]) -> None:
         raise raised[-1]
 
 
+def _nothing() -> None:
+    pass
+
+
 with compiling():  # which takes most of a second
     loaded_whole("numba")
     from numba import config, float32, float64, njit, types, uintp, vectorize
     from numba.core import event
-    from numba.core.caching import FunctionCache
-    from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import Compiler
-    from numba.core.runtime.nrt import rtsys
-    from numba.core.sigutils import normalize_signature
     from numba.extending import lower_builtin, type_callable
 
+    # Its tables of what it knows to compile are filled by its first compilation, and what Ctrl-C leaves half filled
+    # stays so. It imports the module of what it compiles.
+    _nothing.__module__ = "numba"
+    to_its_end(partial(njit("void()"), _nothing))
+
 __all__ = [
-    "Compiler", "FunctionCache", "JITCodeLibrary", "config", "event", "float32", "float64", "lower_builtin", "njit",
-    "normalize_signature", "rtsys", "type_callable", "types", "uintp", "vectorize",
+    "config", "event", "float32", "float64", "lower_builtin", "njit", "type_callable", "types", "uintp", "vectorize",
 ]

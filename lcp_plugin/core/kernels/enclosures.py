@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .compilation import compiled_into_others, compiled_part, interpreted_while_small
+from .compilation import helper, inlined, kernel
 from .compiler import float32, float64, lower_builtin, type_callable, types, uintp
 from .floats import EPSILON, TINY, UNIT
 from .rows import clamp
@@ -59,7 +59,7 @@ def _unsigned_code(context, builder, signature, arguments):  # type: ignore[no-u
     return context.cast(builder, arguments[0], signature.args[0], signature.return_type)
 
 
-@compiled_into_others
+@inlined
 def split_sum(a, b):  # type: ignore[no-untyped-def]
     """(s, e) with s = fl(a + b) and s + e = a + b, exactly."""
     s = a + b
@@ -67,7 +67,7 @@ def split_sum(a, b):  # type: ignore[no-untyped-def]
     return s, (a - (s - t)) + (b - t)
 
 
-@compiled_into_others
+@inlined
 def with_term(total, errors, size, h, a, b):  # type: ignore[no-untyped-def]
     """Return a sum with the rounded product h = fl(a b) in it, the errors so far added up, and their magnitudes."""
     e = fused(a, b, -h)
@@ -75,14 +75,14 @@ def with_term(total, errors, size, h, a, b):  # type: ignore[no-untyped-def]
     return total, errors + (e + f), size + (abs(e) + abs(f))
 
 
-@compiled_into_others
+@inlined
 def of_terms(total, errors, size, terms):  # type: ignore[no-untyped-def]
     """Return such a sum of so many terms, and how far it may be off: γ₂ₖ times the magnitudes, and what was left."""
     high, low = split_sum(total, errors)
     return high, abs(low) + size * (4.0 * terms + 8.0) * UNIT
 
 
-@compiled_into_others
+@inlined
 def outward(value, error):  # type: ignore[no-untyped-def]
     """Return `error` and what the rounding of value ± error and of `error` itself may add to it; 0 for 0."""
     is_tiny = (abs(value) < MAY_UNDERFLOW) & (error > 0.0)
@@ -90,14 +90,14 @@ def outward(value, error):  # type: ignore[no-untyped-def]
     return widened if error > 0.0 else 0.0
 
 
-@compiled_into_others
+@inlined
 def _difference(a, b):  # type: ignore[no-untyped-def]
     """Return fl(a − b) and a bound of its error, 0 where it is exact or b infinite."""
     value, error = split_sum(a, -b)
     return value, outward(value, abs(error)) if abs(value) < np.inf else 0.0
 
 
-@compiled_into_others
+@inlined
 def _quotient(a, b, error):  # type: ignore[no-untyped-def]
     """Return fl(a / b), b > 0, and a bound of its distance from the quotient by b of any number in a ± error.
 
@@ -110,7 +110,7 @@ def _quotient(a, b, error):  # type: ignore[no-untyped-def]
     return value, outward(value, 0.0 if is_exact else error / b + abs(value) * UNIT + least)
 
 
-@compiled_part
+@helper
 def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-def]
     """Return a bound of what underflow takes from the products of a row and from their rounding errors."""
     lost = 0.0
@@ -129,7 +129,7 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
 def summing_rows(comparison: bool) -> Any:
     """Return the kernel that sums the rows of M x + q, or of ⟨M⟩x + q, as high + low ± radius."""
 
-    @interpreted_while_small
+    @kernel
     def row_sums(indptr, indices, data, x, q, high, low, radius):  # type: ignore[no-untyped-def]
         """Sum the rounded terms, beside them their rounding errors, beside them what that second sum loses."""
         one = unsigned(1)
@@ -161,7 +161,7 @@ def summing_rows(comparison: bool) -> Any:
 row_sums = summing_rows(False)
 
 
-@compiled_into_others
+@inlined
 def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-def]
     """Return bounds of |mid(z − upper, z − lower, w / scale)| for any w in slack ± slip."""
     step, slip_step = _quotient(slack, scale, slip)
@@ -175,7 +175,7 @@ def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-de
     return least if is_finite & (least > 0.0) else 0.0, abs(most) if is_finite else np.inf  # no −0
 
 
-@interpreted_while_small
+@kernel
 def residual_ends(  # type: ignore[no-untyped-def]
     indptr, indices, data, stride, x, q, z, lower, upper, scale, smallest, largest
 ):

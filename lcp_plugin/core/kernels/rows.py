@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from .compilation import compiled, compiled_into_others
+from .compilation import inlined, kernel
 from .compiler import uintp
 
 FEW = 8  # entries that are read one after the other
 
 
-@compiled_into_others
+@inlined
 def clamp(value, lower, upper):  # type: ignore[no-untyped-def]
     """Return mid(lower, upper, value), a NaN kept."""
     value = lower if lower > value else value
     return upper if upper < value else value
 
 
-@compiled_into_others
+@inlined
 def residual_of_row(step, z, lower, upper):  # type: ignore[no-untyped-def]
     """Return r = z − mid(lower, upper, z − step), as mid(z − upper, z − lower, step): a small step is not lost in z."""
     below, above = z - upper, z - lower
@@ -23,7 +23,7 @@ def residual_of_row(step, z, lower, upper):  # type: ignore[no-untyped-def]
     return above if above < step else step
 
 
-@compiled_into_others
+@inlined
 def wrong_part(w, z, lower, upper):  # type: ignore[no-untyped-def]
     """Return the part of w that has the wrong sign, |w| off bounds; not positive where w is right."""
     if z <= lower:
@@ -31,7 +31,7 @@ def wrong_part(w, z, lower, upper):  # type: ignore[no-untyped-def]
     return w if z >= upper else abs(w)
 
 
-@compiled
+@kernel
 def unmirrored(begin, last, indices, data, tolerance, first_row, end_row):  # type: ignore[no-untyped-def]
     """Return how many more entries stand right of the diagonal than left of it; −n² where one lacks its mirror.
 
@@ -62,7 +62,7 @@ def unmirrored(begin, last, indices, data, tolerance, first_row, end_row):  # ty
     return balance
 
 
-@compiled
+@kernel
 def triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: ignore[no-untyped-def]
     """Fill lower[i] and upper[i] with scale_i Σ |m_ij| v_j over j < i and j > i."""
     for i in range(lower.size):
@@ -78,7 +78,7 @@ def triangle_sums(indptr, indices, data, scale, v, lower, upper):  # type: ignor
         upper[i] = above
 
 
-@compiled
+@kernel
 def join(indptr, indices, first):  # type: ignore[no-untyped-def]
     """Write the least unknown of each one's connected component, by the entries of the rows."""
     for j in range(first.size):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from .compilation import interpreted_while_small
+from .compilation import kernel
 
 PASSES = 50  # over all entries: what takes longer runs round a cycle, or drifts
 LEAST = -2000  # beyond the range of doubles
 
 
-@interpreted_while_small
+@kernel
 def shortest(indptr, indices, length, component, is_cut, distance, queue, is_waiting):  # type: ignore[no-untyped-def]
     """Overwrite the integers `distance` by the greatest d ≤ distance with d_j ≤ d_i + length_k, k the entry (i, j).
 
@@ -39,7 +39,7 @@ def shortest(indptr, indices, length, component, is_cut, distance, queue, is_wai
                     waiting += 1
 
 
-@interpreted_while_small
+@kernel
 def balance_within(  # type: ignore[no-untyped-def]
     indptr, indices, size, mirror_indptr, mirror_indices, mirror_size, lower, upper, position, sweeps
 ):

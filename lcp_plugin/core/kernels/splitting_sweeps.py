@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from .compilation import compiled
+from .compilation import kernel
 from .compiler import uintp
 from .rows import clamp, residual_of_row
 
 ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache
 
 
-@compiled
+@kernel
 def split_rows(indptr, indices, backward, split):  # type: ignore[no-untyped-def]
     """Fill split[i] with the position in row i of the first column ≥ i (backward: > i)."""
     one = uintp(1)
@@ -39,7 +39,7 @@ def split_rows(indptr, indices, backward, split):  # type: ignore[no-untyped-def
         split[i] = k
 
 
-@compiled
+@kernel
 def splitting_sweep(  # type: ignore[no-untyped-def]
     indptr, split, indices, data, rows, coupling, projected, backward, z, new
 ):
@@ -107,7 +107,7 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
     return largest
 
 
-@compiled
+@kernel
 def relaxation_sweep(  # type: ignore[no-untyped-def]
     indptr, split, indices, data, rows, relaxation, backward, z
 ):

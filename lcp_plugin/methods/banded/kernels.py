@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+from ...core.kernels.compilation import helper, inlined, kernel
 from ...core.kernels.enclosures import residual_ends
 from ...core.kernels.floats import SURELY_RIGHT
 from ...core.kernels.rows import residual_of_row, wrong_part
@@ -23,7 +23,7 @@ HALVES = 200  # changes of every other wrong row, by lot, before the end; what c
 FEW_HALVES = 0  # the same where others are to have their turn: what converges soon needs none
 
 
-@compiled_part
+@helper
 def _measured(bands, below, q, lower, upper, scale, z, w, target):  # type: ignore[no-untyped-def]
     """Fill w = M z + q and, in target, the bounds that z − w/d reaches (−1, 0, 1); return ‖r(z)‖∞."""
     width, n = bands.shape
@@ -43,7 +43,7 @@ def _measured(bands, below, q, lower, upper, scale, z, w, target):  # type: igno
     return largest if is_finite else np.inf
 
 
-@compiled_part
+@helper
 def _load(bands, below, weights, q, value, state, rows, right):  # type: ignore[no-untyped-def]
     """Fill the rows of the free block, each from its first column on, and what is right of them."""
     width, n = bands.shape
@@ -64,7 +64,7 @@ def _load(bands, below, weights, q, value, state, rows, right):  # type: ignore[
         right[i] = total * weights[i]
 
 
-@compiled_part
+@helper
 def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: ignore[no-untyped-def]
     """Fill z with value where state is not 0 and the solution of w = 0 elsewhere, by pivots from the column.
 
@@ -97,7 +97,7 @@ def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: 
         z[k] = total / rows[k, 0]
 
 
-@compiled_part
+@helper
 def _choose(n, bands, q, lower, upper, value, state, target, memory, workspace):  # type: ignore[no-untyped-def]
     """Fill state with the bounds that are to hold, and value with the z there."""
     if memory[WAY] == DIRECT:
@@ -118,7 +118,7 @@ def _choose(n, bands, q, lower, upper, value, state, target, memory, workspace):
             value[i] = lower[i] if state[i] < 0 else upper[i]
 
 
-@compiled_part
+@helper
 def _goes_on(state, target, memory):  # type: ignore[no-untyped-def]
     """Return whether another round may help; where changing all wrong rows leads nowhere, half of them."""
     wrong = far = held = 0
@@ -155,7 +155,7 @@ def _goes_on(state, target, memory):  # type: ignore[no-untyped-def]
     return memory[HALVES_LEFT] >= 0
 
 
-@compiled
+@kernel
 def step(  # type: ignore[no-untyped-def]
     bands, below, is_direct, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, halves
 ):
@@ -168,7 +168,7 @@ def step(  # type: ignore[no-untyped-def]
     return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace)
 
 
-@compiled_part
+@helper
 def _advanced(  # type: ignore[no-untyped-def]
     bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace
 ):
@@ -205,7 +205,7 @@ def _advanced(  # type: ignore[no-untyped-def]
     return now, goes_on and not (is_refined and memory[IS_SETTLED] == 1)
 
 
-@compiled_part
+@helper
 def _beside_terms(indptr, indices, data, q, lower, upper, z, w):  # type: ignore[no-untyped-def]
     """Return an upper bound of the term residual of z, as `core.certificates.own_terms` has it: no z_i is moved."""
     largest = 0.0
@@ -221,14 +221,14 @@ def _beside_terms(indptr, indices, data, q, lower, upper, z, w):  # type: ignore
     return largest * largest
 
 
-@compiled_in_place
+@inlined
 def _workspace_for_contacts(n):  # type: ignore[no-untyped-def]
     """Return what `_choose` works in."""
     is_held, is_free, stops = np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty(n + 1, np.int64)
     return is_held, is_free, stops, np.empty(n + 1), np.empty((n + 1, 6))
 
 
-@compiled_part
+@helper
 def _begin(is_direct, lower, upper, memory, halves):  # type: ignore[no-untyped-def]
     """Fill the memory of a run that begins; the contacts of the side with most bounds are found directly at first."""
     n = lower.size
@@ -242,7 +242,7 @@ def _begin(is_direct, lower, upper, memory, halves):  # type: ignore[no-untyped-
     memory[PATIENCE], memory[HALVES_LEFT], memory[IS_SETTLED] = TRIES, halves, 0
 
 
-@compiled_part
+@helper
 def add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
     """Add A x to y."""
     for i in range(y.size):
@@ -252,7 +252,7 @@ def add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
         y[i] += total
 
 
-@compiled_part
+@helper
 def _largest(values):  # type: ignore[no-untyped-def]
     """Return the largest of some values, NaN where one of them is."""
     largest = values[0]
@@ -262,7 +262,7 @@ def _largest(values):  # type: ignore[no-untyped-def]
     return largest
 
 
-@interpreted_while_small
+@kernel
 def run_all(  # type: ignore[no-untyped-def]
     bands, below, is_direct, weights, scale, indptr, indices, data, propagator_indptr, propagator_indices,
     propagator_data, Q, lower, upper, nearest, tolerance, most_rounds, halves, Z, rounds, ends

@@ -18,12 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import (
-    compiled_into_others,
-    compiled_on_arrays_apart,
-    compiled_part,
-    interpreted_while_small,
-)
+from ...core.kernels.compilation import helper, inlined, kernel
 from ...core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, split_sum, with_term
 from ...core.kernels.floats import TINY, UNIT
 from ...core.kernels.rows import residual_of_row
@@ -39,7 +34,7 @@ NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular 
 EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
 
 
-@compiled_part
+@helper
 def _row_sum(indptr, indices, data, i, x, m):  # type: ignore[no-untyped-def]
     """Return the sum of row i of M x of march m, as `with_term` makes it; what underflow takes is in its last part."""
     total = errors = size = 0.0
@@ -51,7 +46,7 @@ def _row_sum(indptr, indices, data, i, x, m):  # type: ignore[no-untyped-def]
     return total, errors, size
 
 
-@compiled_part
+@helper
 def _largest_reference(indptr, indices, data, nearest, q, lower, upper, scale, rows, least):  # type: ignore[no-untyped-def]
     """Fill a lower bound of each ‖r(z°)‖∞: that of |r_i(z°)| in the row i in which it is largest but for rounding."""
     for m in range(rows.size):
@@ -62,7 +57,7 @@ def _largest_reference(indptr, indices, data, nearest, q, lower, upper, scale, r
         least[m], _ = row_ends(w, slip, scale[i], nearest[i, m], lower[i, m], upper[i, m])
 
 
-@compiled_part
+@helper
 def _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):  # type: ignore[no-untyped-def]
     """Fill the factor of M from its last row to its first, and M z°; return whether reciprocals are rounded once."""
     n, marches = nearest.shape
@@ -78,7 +73,7 @@ def _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):  # type:
     return is_ordinary
 
 
-@compiled_on_arrays_apart
+@helper
 def _next_offset(propagator_indptr, propagator_indices, propagator_data, forcing, z, ratios, q, y, total):  # type: ignore[no-untyped-def]
     """Fill q = forcing + C z, and y with what is right of the rows that are eliminated from the last to the first."""
     n, marches = z.shape
@@ -101,7 +96,7 @@ def _next_offset(propagator_indptr, propagator_indices, propagator_data, forcing
             y[i, m] = ratio * y[after, m] - q[i, m]
 
 
-@compiled_on_arrays_apart
+@helper
 def _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, largest, rows):  # type: ignore[no-untyped-def]
     """Fill rows with the one in which |r(z°)| is largest but for rounding."""
     n, marches = q.shape
@@ -116,7 +111,7 @@ def _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, larges
             largest[m] = r if r > largest[m] else largest[m]
 
 
-@compiled_on_arrays_apart
+@helper
 def _eliminate(  # type: ignore[no-untyped-def]
     bands, inverse_pivots, y, q, lower, upper, trust, state, x, slope, guess, here, factor
 ):
@@ -145,7 +140,7 @@ def _eliminate(  # type: ignore[no-untyped-def]
             slope[i, m] = factor[m] = share if side == 0.0 else 0.0
 
 
-@compiled_on_arrays_apart
+@helper
 def _substitute_and_measure(  # type: ignore[no-untyped-def]
     bands, q, lower, upper, inverse_scale, slope, x, z, state, here, sizes, wrong, most
 ):
@@ -193,7 +188,7 @@ def _substitute_and_measure(  # type: ignore[no-untyped-def]
         most[m] = whole if sizes[m] < np.inf else np.inf  # a number that is none is the largest of nothing
 
 
-@compiled_part
+@helper
 def _are_small(most, least, tolerance, ends):  # type: ignore[no-untyped-def]
     """Fill the ends of a step; return whether all its residuals are within the tolerance."""
     are_small = True
@@ -203,7 +198,7 @@ def _are_small(most, least, tolerance, ends):  # type: ignore[no-untyped-def]
     return are_small
 
 
-@interpreted_while_small
+@kernel
 def march_all(  # type: ignore[no-untyped-def]
     bands, scale, indptr, indices, data, propagator_indptr, propagator_indices, propagator_data, forcing, lower, upper,
     nearest, tolerance, most_rounds, kept, states, Z, rounds, ends
@@ -277,7 +272,7 @@ def march_all(  # type: ignore[no-untyped-def]
     return kept.size
 
 
-@compiled_into_others
+@inlined
 def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     """Return the block that two blocks and the free row between them make, and the pivot of that row.
 
@@ -290,7 +285,7 @@ def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     return (first[0], first[1], first[2], last[0], last[1], last[2]), pivot
 
 
-@compiled_part
+@helper
 def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks):  # type: ignore[no-untyped-def]
     """Fill is_free with the rows that are not at their bound in the least z ≥ value with w ≥ 0, complementary.
 
@@ -347,7 +342,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks)
     return True
 
 
-@compiled_part
+@helper
 def substitute(bands, q, value, state, z, slope):  # type: ignore[no-untyped-def]
     """Fill z with value where state is not 0 and the solution of w = 0 elsewhere; no pivot is looked for.
 

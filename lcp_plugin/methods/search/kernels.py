@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import compiled, compiled_in_place, compiled_part, interpreted_while_small
+from ...core.kernels.compilation import helper, inlined, kernel
 from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL
 from ...core.kernels.rows import residual_of_row
 
@@ -25,7 +25,7 @@ MARGIN_GIVEN = 0.0625  # of a contradiction, for signs that survive rounding
 FARTHEST = 2.0**-16  # moved for that, beside the largest multiplier
 
 
-@interpreted_while_small
+@kernel
 def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-def]
     """Look at the cases; return FOUND, EXCLUDED or GAVE_UP, how many, the tableau entries computed, and `least`.
 
@@ -153,7 +153,7 @@ def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-d
     return EXCLUDED, seen, spent, least
 
 
-@compiled
+@kernel
 def look_at_all(M, q, lower, upper, items, limit, most, found, seen, spent, least, z):  # type: ignore[no-untyped-def]
     """Look at the cases of these items of a batch; an array with one row in front stands for all of them."""
     n = M.shape[1]
@@ -166,7 +166,7 @@ def look_at_all(M, q, lower, upper, items, limit, most, found, seen, spent, leas
         )
 
 
-@compiled_in_place
+@inlined
 def _choose(bounds, i, n, choice):  # type: ignore[no-untyped-def]
     """Narrow the bounds of z_i and w_i to one choice of the row."""
     if choice == AT_ZERO:
@@ -177,7 +177,7 @@ def _choose(bounds, i, n, choice):  # type: ignore[no-untyped-def]
         bounds[0, i], bounds[0, n + i], bounds[1, n + i] = bounds[1, i], -np.inf, 0.0
 
 
-@compiled_part
+@helper
 def _exchange(table, basic, other, n, row, column):  # type: ignore[no-untyped-def]
     """Let the basic variable of `row` and the other one of `column` change places."""
     p = table[row, column]
@@ -193,7 +193,7 @@ def _exchange(table, basic, other, n, row, column):  # type: ignore[no-untyped-d
     basic[row], other[column] = other[column], basic[row]
 
 
-@compiled_in_place
+@inlined
 def _renewed(table, origin, basic, other, n):  # type: ignore[no-untyped-def]
     """Compute the tableau of the present basis afresh; return False where it is singular."""
     is_basic = np.zeros(2 * n, np.bool_)
@@ -216,7 +216,7 @@ def _renewed(table, origin, basic, other, n):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled_in_place
+@inlined
 def _close(table, basic, other, bounds, value, row, sign, unit, y):  # type: ignore[no-untyped-def]
     """Write the multipliers of the row whose basic variable cannot reach its bound; sign +1: the lower one.
 
@@ -259,7 +259,7 @@ def _close(table, basic, other, bounds, value, row, sign, unit, y):  # type: ign
             y[x - n] = -entry * unit[x - n]
 
 
-@compiled_in_place
+@inlined
 def _weight(M, lower, upper, bounds, scale, y):  # type: ignore[no-untyped-def]
     """Return what a residual of 1 on every row takes from the contradiction of the multipliers."""
     n, weight = scale.size, 0.0
@@ -274,7 +274,7 @@ def _weight(M, lower, upper, bounds, scale, y):  # type: ignore[no-untyped-def]
     return weight
 
 
-@compiled_in_place
+@inlined
 def _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed):  # type: ignore[no-untyped-def]
     """Return a row that the point violates, one with the fewest choices left first; −1 where it solves the problem."""
     n = basic.size

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import compiled, compiled_part
+from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.enclosures import row_ends
 from ...core.kernels.floats import NEGLIGIBLE, TINY, UNIT
 
@@ -20,7 +20,7 @@ TURN = 0.5  # radians a step of Newton turns at the most
 ACCURATE = 1e-14
 
 
-@compiled_part
+@helper
 def _tangent(x, first, end):  # type: ignore[no-untyped-def]
     """Return ‖x_T‖ of a block, without overflow."""
     largest = 0.0
@@ -34,7 +34,7 @@ def _tangent(x, first, end):  # type: ignore[no-untyped-def]
     return largest * np.sqrt(total)
 
 
-@compiled_part
+@helper
 def _project(x, first, end, mu):  # type: ignore[no-untyped-def]
     """Overwrite a block of x with its projection on the cone; return where that lies."""
     normal, tangent = x[first], _tangent(x, first, end)
@@ -50,7 +50,7 @@ def _project(x, first, end, mu):  # type: ignore[no-untyped-def]
     return ON
 
 
-@compiled_part
+@helper
 def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # type: ignore[no-untyped-def]
     """Write R = z − P(z − ŵ / scale) of one block into `found`; return where the projection lies."""
     first, end = starts[k], starts[k + 1]
@@ -71,14 +71,14 @@ def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # 
     return case
 
 
-@compiled
+@kernel
 def residuals(starts, slope, friction, lower, upper, z, w, scale, found, cases):  # type: ignore[no-untyped-def]
     """Write R = z − P(z − ŵ / scale) block by block into `found`, and into `cases` where the projections lie."""
     for k in range(slope.size):
         cases[k] = _residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
 
 
-@compiled_part
+@helper
 def project(starts, slope, lower, upper, z):  # type: ignore[no-untyped-def]
     """Overwrite z with the point of K nearest to it."""
     for k in range(slope.size):
@@ -89,7 +89,7 @@ def project(starts, slope, lower, upper, z):  # type: ignore[no-untyped-def]
             _project(z, first, starts[k + 1], slope[k])
 
 
-@compiled_part
+@helper
 def block_bounds(  # type: ignore[no-untyped-def]
     k, starts, slope, friction, lower, upper, z, w, slip, scale, found
 ):
@@ -115,7 +115,7 @@ def block_bounds(  # type: ignore[no-untyped-def]
     return max(own / OUTWARD - off, 0.0), 0.0 if is_open else OUTWARD * (own + off)
 
 
-@compiled
+@kernel
 def bounds(starts, slope, friction, lower, upper, z, w, slip, scale, least, most):  # type: ignore[no-untyped-def]
     """Write bounds of ‖R_k‖ of every block into `least` and `most`, for every w in w ± slip."""
     found = np.empty(z.size)
@@ -125,7 +125,7 @@ def bounds(starts, slope, friction, lower, upper, z, w, slip, scale, least, most
         )
 
 
-@compiled_part
+@helper
 def own_terms(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, near, slack, R, terms,
     longest, most, wrong
@@ -171,7 +171,7 @@ def own_terms(  # type: ignore[no-untyped-def]
             wrong[k] = (wrong[k] / own) ** 2 if wrong[k] < np.inf and own < np.inf else np.inf
 
 
-@compiled
+@kernel
 def term_residuals(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, wrong
 ):
@@ -183,7 +183,7 @@ def term_residuals(  # type: ignore[no-untyped-def]
     )
 
 
-@compiled_part
+@helper
 def block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z, by_w):  # type: ignore[no-untyped-def]
     """Write an element of the generalised derivative of R by z and by w of one block, of shape (m, m)."""
     first, end = starts[k], starts[k + 1]
@@ -229,7 +229,7 @@ def block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, w
                 by_w[i, j] += by_w[i, 0] * mu * w[first + j] / slip
 
 
-@compiled
+@kernel
 def derivatives(starts, slope, friction, lower, upper, z, w, scale, by_z, by_w):  # type: ignore[no-untyped-def]
     """Write an element of the generalised derivative of R by z and by w, blocks of shape (k, m, m)."""
     x, way = np.empty(by_z.shape[1]), np.empty(by_z.shape[1])
@@ -237,7 +237,7 @@ def derivatives(starts, slope, friction, lower, upper, z, w, scale, by_z, by_w):
         block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
 
 
-@compiled
+@kernel
 def newton_rows(starts, by_z, by_w, indptr, indices, data, proximal, found):  # type: ignore[no-untyped-def]
     """Write the entries of by_z + by_w (M + diag(proximal)) into `found`; rows of a block have one pattern."""
     for k in range(starts.size - 1):
@@ -254,7 +254,7 @@ def newton_rows(starts, by_z, by_w, indptr, indices, data, proximal, found):  # 
                 found[indptr[first + i] + place] = total
 
 
-@compiled_part
+@helper
 def _solve_three(A, b, x):  # type: ignore[no-untyped-def]
     """Write the x of A x + b = 0 by Cramer's rule; return whether there is one."""
     a = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
@@ -270,7 +270,7 @@ def _solve_three(A, b, x):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled_part
+@helper
 def _one_contact(A, b, mu, x):  # type: ignore[no-untyped-def]
     """Write the impulse of one contact in space with velocities A x + b over x; return whether it was found.
 
@@ -312,7 +312,7 @@ def _one_contact(A, b, mu, x):  # type: ignore[no-untyped-def]
     return False
 
 
-@compiled_part
+@helper
 def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-untyped-def]
     """Take x nearer to the answer of one block by x ← P(x − step · ŵ), w = A x + b."""
     for _ in range(LOCAL_STEPS):
@@ -332,7 +332,7 @@ def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-un
             return
 
 
-@compiled_part
+@helper
 def sweep_once(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, w, before
 ):
@@ -374,7 +374,7 @@ def sweep_once(  # type: ignore[no-untyped-def]
     return moved
 
 
-@compiled
+@kernel
 def sweep(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, sweeps
 ):
@@ -392,7 +392,7 @@ def sweep(  # type: ignore[no-untyped-def]
     return moved
 
 
-@compiled_part
+@helper
 def measure(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
 ):

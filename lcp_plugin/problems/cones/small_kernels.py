@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import compiled, compiled_part
+from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
 from ...methods.small.kernels.small_systems import eliminate, substitute
@@ -16,7 +16,7 @@ LAST_STEPS = 2  # where the system is singular and a proximal term left in it
 SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale of an LCP
 
 
-@compiled_part
+@helper
 def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
     """Write M as CSR, its diagonal blocks, the norms of its blocks, 1/‖M_kk‖, and d; return whether M is in one unit.
 
@@ -58,7 +58,7 @@ def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  #
     return shows_none or largest * 2.0**-SPREAD <= least
 
 
-@compiled_part
+@helper
 def _label(norms, labels):  # type: ignore[no-untyped-def]
     """Give each block the number of the first block in its connected component."""
     for k in range(labels.size):
@@ -73,7 +73,7 @@ def _label(norms, labels):  # type: ignore[no-untyped-def]
                     has_changed = True
 
 
-@compiled_part
+@helper
 def _product(indptr, indices, data, q, z, w, slip):  # type: ignore[no-untyped-def]
     """Write w = M z + q, and how far rounding has taken it from that."""
     for i in range(q.size):
@@ -86,7 +86,7 @@ def _product(indptr, indices, data, q, z, w, slip):  # type: ignore[no-untyped-d
         slip[i] = (count + 2.0) * UNIT * OUTWARD * total + count * TINY if count else 0.0
 
 
-@compiled_part
+@helper
 def _references(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, z, w, slip, scale, labels, R, least, most, reference, weights
 ):
@@ -107,7 +107,7 @@ def _references(  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled_part
+@helper
 def _newton_step(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J, whole,
     place, step
@@ -153,7 +153,7 @@ def _newton_step(  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled_part
+@helper
 def _newton(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, goal, most_steps,
     constants, z, w, R, start, sizes, x, way, by_z, by_w, J, whole, place, step
@@ -193,7 +193,7 @@ def _newton(  # type: ignore[no-untyped-def]
     return largest, most_steps
 
 
-@compiled
+@kernel
 def solve_each(  # type: ignore[no-untyped-def]
     item, end_item, starts, friction, slopes, lowers, uppers, matrices, offsets, origins, goal, rounds, most_steps,
     memory, constants, away, points, made, proved

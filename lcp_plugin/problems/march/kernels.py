@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import compiled_into_others, compiled_part, interpreted_while_small
+from ...core.kernels.compilation import helper, inlined, kernel
 from ...core.kernels.enclosures import MAY_UNDERFLOW, fused, split_sum
 from ...core.kernels.floats import EPSILON
 from ...methods.banded.kernels import add_product, eliminate
@@ -26,7 +26,7 @@ CANCELLED = 2.0**40  # terms beside their sum: the block is about singular
 KINK = 2  # times the side of a row that is at this bound, with w = 0
 
 
-@compiled_part
+@helper
 def _solve(band, right, value, state, x, rows, workspace):  # type: ignore[no-untyped-def]
     """Fill x with value where state is not 0 and the solution of B x + right = 0 elsewhere."""
     bands, below, is_direct, weights = band
@@ -36,7 +36,7 @@ def _solve(band, right, value, state, x, rows, workspace):  # type: ignore[no-un
         eliminate(bands, below, weights, right, value, state, x, rows, workspace)
 
 
-@compiled_part
+@helper
 def _is_regular(band, right, state, x, w):  # type: ignore[no-untyped-def]
     """Fill w = B x + right; return whether it is rounding on the free rows and these not about singular, and rounding.
 
@@ -61,7 +61,7 @@ def _is_regular(band, right, state, x, w):  # type: ignore[no-untyped-def]
     return error <= BACKWARD * terms and terms <= CANCELLED * largest, EPSILON * terms
 
 
-@compiled_part
+@helper
 def _slacks(indptr, indices, data, q, z, change, w, size, spread):  # type: ignore[no-untyped-def]
     """Fill w = M z + q in twice the precision, the rounding of its terms, and |M| change."""
     for i in range(z.size):
@@ -75,13 +75,13 @@ def _slacks(indptr, indices, data, q, z, change, w, size, spread):  # type: igno
         w[i], size[i], spread[i] = total + errors, largest * EPSILON * (indptr[i + 1] - indptr[i] + 1), moved
 
 
-@compiled_into_others
+@inlined
 def _is_negligible(distance, slack):  # type: ignore[no-untyped-def]
     """Return whether nothing is left of a row's distance from its bound and of its slack, both in the unit of w."""
     return (distance < MAY_UNDERFLOW) & (abs(slack) < MAY_UNDERFLOW)
 
 
-@compiled_part
+@helper
 def _take_sides(z, w, scale, lower, upper, state):  # type: ignore[no-untyped-def]
     """Fill state with the bound that z − w/d reaches (−1, 0, 1); return whether that changes nothing of any size."""
     is_same = True
@@ -97,7 +97,7 @@ def _take_sides(z, w, scale, lower, upper, state):  # type: ignore[no-untyped-de
     return is_same
 
 
-@compiled_part
+@helper
 def _is_told_apart(z, w, scale, lower, upper, change, size, spread, state):  # type: ignore[no-untyped-def]
     """Mark the rows that are at a bound and have w = 0; return whether every row is clearly one or none of these."""
     for i in range(z.size):
@@ -115,7 +115,7 @@ def _is_told_apart(z, w, scale, lower, upper, change, size, spread, state):  # t
     return True
 
 
-@interpreted_while_small
+@kernel
 def settle(  # type: ignore[no-untyped-def]
     band, indptr, indices, data, scale, Q, lower, upper, Z, sides, is_plain
 ):
@@ -158,7 +158,7 @@ def settle(  # type: ignore[no-untyped-def]
             is_settled = most <= SETTLED * largest
 
 
-@interpreted_while_small
+@kernel
 def tangents(  # type: ignore[no-untyped-def]
     band, propagator, dM, dpropagator, dforcing, lower, upper, states, Z, sides, is_plain, first, before, dz
 ):
@@ -207,7 +207,7 @@ def tangents(  # type: ignore[no-untyped-def]
     return Z.shape[0]
 
 
-@interpreted_while_small
+@kernel
 def adjoints(  # type: ignore[no-untyped-def]
     band, propagator, g, of_matrix, of_propagator, states, Z, sides, is_plain, last, after, by_q, by_lower, by_upper,
     by_M, by_propagator

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import compiled
+from ...core.kernels.compilation import kernel
 from ...core.kernels.compiler import uintp
 
 
-@compiled
+@kernel
 def colour_columns(indptr, indices, row_indptr, row_indices, colours):  # type: ignore[no-untyped-def]
     """Give each column the first colour that no column has which meets one of its rows; colours begin as −1.
 

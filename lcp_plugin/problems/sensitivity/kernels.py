@@ -12,13 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import (
-    compiled,
-    compiled_in_any_order,
-    compiled_in_place,
-    compiled_into_others,
-    compiled_part,
-)
+from ...core.kernels.compilation import IN_ANY_ORDER, helper, inlined, kernel
 from ...core.kernels.floats import EPSILON
 from ...methods.small.kernels.small_problems import classify, look_at, slack, take
 from ...methods.small.kernels.small_systems import solve_free
@@ -46,7 +40,7 @@ HALF = 2.0**-26  # of the digits of a double
 KINK = 4  # added to the side of a row that is at a bound with w = 0: to this bound's, or to BETWEEN where it is freed
 
 
-@compiled
+@kernel
 def settle_all(M, q, lower, upper, first, end, z, side, is_plain):  # type: ignore[no-untyped-def]
     """Make z exact to rounding and find the sides of its rows, first ≤ k < end; `is_plain` says where that succeeded.
 
@@ -67,7 +61,7 @@ def settle_all(M, q, lower, upper, first, end, z, side, is_plain):  # type: igno
                 z[k, i], side[k, i] = real[FOUND, i], whole[SIDE, i]
 
 
-@compiled_in_place
+@inlined
 def _settled(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     """Write FOUND and SIDE, from Z; return whether every row is clearly on one."""
     n = M.shape[1]
@@ -91,7 +85,7 @@ def _settled(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     return False
 
 
-@compiled_into_others
+@inlined
 def _hold(real, whole, n):  # type: ignore[no-untyped-def]
     """Put the rows of FOUND that are held at their bound."""
     for i in range(n):
@@ -99,7 +93,7 @@ def _hold(real, whole, n):  # type: ignore[no-untyped-def]
             real[FOUND, i] = real[UPPER if whole[SIDE, i] == AT_UPPER else LOWER, i]
 
 
-@compiled_part
+@helper
 def _choose(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped-def]
     """Free the rows at a kink where the block is singular without them and regular with them."""
     n, kinks = M.shape[1], 0
@@ -120,7 +114,7 @@ def _choose(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped
         whole[SIDE, i] = BETWEEN + KINK if side >= KINK and is_regular and freed else side
 
 
-@compiled_in_any_order
+@helper(**IN_ANY_ORDER)
 def _judged(M, k, real, whole, beside):  # type: ignore[no-untyped-def]
     """Return whether another solve would change FOUND by rounding alone, and whether each row is clear; mark kinks.
 
@@ -153,7 +147,7 @@ def _judged(M, k, real, whole, beside):  # type: ignore[no-untyped-def]
     return is_exact, is_clear
 
 
-@compiled_into_others
+@inlined
 def _solved(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped-def]
     """Write FOUND by one linear solve; return whether no pivot is half rounding.
 
@@ -167,7 +161,7 @@ def _solved(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped
     return keeps_digits
 
 
-@compiled
+@kernel
 def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignore[no-untyped-def]
     """Write how z changes with h = dM z + dq and with the bounds, first ≤ k < end; `is_plain` as above."""
     n = M.shape[1]
@@ -187,7 +181,7 @@ def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignor
             dz[k, i] = real[FOUND, i]
 
 
-@compiled
+@kernel
 def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain):  # type: ignore[no-untyped-def]
     """Write the gradients by q and the bounds of functions with ∂L/∂z = g, ∂L/∂w = by_w; the rest as in `tangents`."""
     n = M.shape[1]

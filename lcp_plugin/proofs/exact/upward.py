@@ -10,8 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from ...core.checks import FloatVector
-from ...core.kernels.compilation import compiled_elementwise
-from ...core.kernels.compiler import njit
+from ...core.kernels.compilation import elementwise, inlined
 from ...core.kernels.floats import EPSILON, LARGEST, TINY
 
 LEAST = -LARGEST
@@ -35,7 +34,7 @@ def quotient_above(a: Any, b: Any) -> FloatVector:
     return quotient
 
 
-@njit(inline="always")
+@inlined
 def _above(value):  # type: ignore[no-untyped-def]
     """Return a double above the value: the next one or the one after."""
     if value < LEAST:
@@ -44,7 +43,7 @@ def _above(value):  # type: ignore[no-untyped-def]
     return value + max(abs(value) * EPSILON, TINY)
 
 
-@compiled_elementwise
+@elementwise
 def _sum(a, b):  # type: ignore[no-untyped-def]
     value = a + b
     part = value - a
@@ -53,11 +52,11 @@ def _sum(a, b):  # type: ignore[no-untyped-def]
     return value if error <= 0.0 else _above(value)
 
 
-@compiled_elementwise
+@elementwise
 def _product(a, b):  # type: ignore[no-untyped-def]
     return 0.0 if a == 0.0 or b == 0.0 else _above(a * b)
 
 
-@compiled_elementwise
+@elementwise
 def _quotient(a, b):  # type: ignore[no-untyped-def]
     return 0.0 if a == 0.0 else _above(a / b)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import interpreted_while_small
+from ...core.kernels.compilation import kernel
 
 
-@interpreted_while_small
+@kernel
 def is_missed(indptr, indices, data, q, lower, upper, rows):  # type: ignore[no-untyped-def]
     """Return whether z within the bounds miss the sign that w has to have in one of the rows, to rounding."""
     for i in rows:

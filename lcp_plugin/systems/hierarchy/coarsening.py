@@ -20,8 +20,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import compiled
-from ...core.kernels.compiler import njit, uintp
+from ...core.kernels.compilation import inlined, kernel
+from ...core.kernels.compiler import uintp
 from .vectors import LACKING
 
 COARSE, FINE = 1, 2
@@ -29,7 +29,7 @@ LEAST_WEIGHT = 0.2  # of the largest weight, and
 MOST_WEIGHTS = 3  # so many are kept in a row that interpolates through fine unknowns
 
 
-@compiled
+@kernel
 def strong_couplings(  # type: ignore[no-untyped-def]
     indptr, indices, data, strength, own, is_strong, columns, last, first_row, end_row
 ):
@@ -54,7 +54,7 @@ def strong_couplings(  # type: ignore[no-untyped-def]
         last[i] = size
 
 
-@compiled
+@kernel
 def choose_coarse(  # type: ignore[no-untyped-def]
     begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after, head
 ):
@@ -124,7 +124,7 @@ def choose_coarse(  # type: ignore[no-untyped-def]
                 weight[p] -= 1
 
 
-@compiled
+@kernel
 def direct_interpolation(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_strong, kind, number, first_row, end_row, p_indptr, p_indices, p_data
 ):
@@ -166,7 +166,7 @@ def direct_interpolation(  # type: ignore[no-untyped-def]
     return size, lonely
 
 
-@compiled
+@kernel
 def extended_interpolation(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_strong, kind, number, first_row, end_row, p_indptr, p_indices, p_data
 ):
@@ -223,7 +223,7 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
     return size, read
 
 
-@compiled
+@kernel
 def _strong_coarse(indptr, indices, is_strong, kind):  # type: ignore[no-untyped-def]
     """Return where the strong couplings to coarse unknowns stand: near[first[i]:first[i + 1]] of row i."""
     one, size = uintp(1), uintp(0)
@@ -238,7 +238,7 @@ def _strong_coarse(indptr, indices, is_strong, kind):  # type: ignore[no-untyped
     return first, near
 
 
-@compiled
+@kernel
 def _through_fine(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_strong, kind, first, near, i, count, coarse, weights, place, met_by
 ):
@@ -282,7 +282,7 @@ def _through_fine(  # type: ignore[no-untyped-def]
     return through, back, count, read
 
 
-@compiled
+@kernel
 def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
     """Keep MOST_WEIGHTS of the weights and none below LEAST_WEIGHT; return how many, and their share of the sum."""
     total, kept = 0.0, 0.0
@@ -303,7 +303,7 @@ def _largest_weights(count, coarse, weights):  # type: ignore[no-untyped-def]
     return count, kept / total
 
 
-@compiled
+@kernel
 def couplings_by_sign(indptr, indices, data):  # type: ignore[no-untyped-def]
     """Return the sum of the positive off-diagonal entries, that of all in absolute value, and how many rows lack.
 
@@ -331,7 +331,7 @@ def couplings_by_sign(indptr, indices, data):  # type: ignore[no-untyped-def]
     return positive, total, lacking
 
 
-@njit(inline="always")
+@inlined
 def _least_strong(indptr, indices, data, strength, i):  # type: ignore[no-untyped-def]
     """Return the least −m_ij of a strong coupling of row i; ∞ where it has none."""
     largest = 0.0
@@ -341,7 +341,7 @@ def _least_strong(indptr, indices, data, strength, i):  # type: ignore[no-untype
     return strength * largest if largest > 0.0 else np.inf
 
 
-@compiled
+@kernel
 def mend_seams(indptr, indices, data, strength, own, gives_way, kind):  # type: ignore[no-untyped-def]
     """Make own unknowns coarse that depend strongly on a foreign fine one without a strong coarse one for both.
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import Arrays, FloatVector, read_only
-from ...core.kernels.compilation import compiled
-from ...core.kernels.compiler import njit, uintp
+from ...core.kernels.compilation import inlined, kernel
+from ...core.kernels.compiler import uintp
 from ...core.kernels.threads import share, threads_now
 from ...core.tuning import SHARED_FROM
 from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
@@ -57,7 +57,7 @@ def _transposed(
     return first, rows, t_data
 
 
-@compiled
+@kernel
 def _count_columns(begin, last, columns, ends, counts, first_piece, end_piece):  # type: ignore[no-untyped-def]
     for piece in range(first_piece, end_piece):
         count = counts[piece]
@@ -66,7 +66,7 @@ def _count_columns(begin, last, columns, ends, counts, first_piece, end_piece): 
                 count[uintp(columns[k])] += 1
 
 
-@compiled
+@kernel
 def _find_places(places, first):  # type: ignore[no-untyped-def]
     """Turn the counts of each piece into where its first entry of each column goes; first[0] is 0 before."""
     total = 0
@@ -78,7 +78,7 @@ def _find_places(places, first):  # type: ignore[no-untyped-def]
         first[j + 1] = total
 
 
-@compiled
+@kernel
 def _transpose(begin, last, columns, data, ends, places, rows, t_data, first_piece, end_piece):  # type: ignore[no-untyped-def]
     """Write the entries of these pieces of rows to their places in the transpose; `data` may be empty."""
     one, has_data = uintp(1), data.size > 0
@@ -94,7 +94,7 @@ def _transpose(begin, last, columns, data, ends, places, rows, t_data, first_pie
                 place[j] = p + one
 
 
-@njit(inline="always")
+@inlined
 def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
     """Sort by insertion: the rows are short."""
     one = uintp(1)
@@ -112,7 +112,7 @@ def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> floa
     return float(sum(share(partial(_count_products, indptr, indices, p_indptr), indptr.size - 1, SHARED_FROM)))
 
 
-@compiled
+@kernel
 def _count_products(indptr, indices, p_indptr, first, end):  # type: ignore[no-untyped-def]
     one = uintp(1)
     total = 0.0  # an integer, which more than 64 bits may take
@@ -183,7 +183,7 @@ def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
     return max(int(steps[np.argmax(times)]), 0) if steps.size else 0
 
 
-@compiled
+@kernel
 def _mark_repeats(step, runs, indptr, indices, is_same, repeats):  # type: ignore[no-untyped-def]
     """Mark the rows i of M P that are those of i − step with each column one further, as `is_same` says of P.
 
@@ -202,7 +202,7 @@ def _mark_repeats(step, runs, indptr, indices, is_same, repeats):  # type: ignor
                     repeats[begin + p] &= is_same[to + p]
 
 
-@njit(inline="always")
+@inlined
 def _repeats(row, step, repeats, r_indptr, r_indices, r_data):  # type: ignore[no-untyped-def]
     """Return whether that row of R M P is the one before with each column one further."""
     one = uintp(1)
@@ -218,7 +218,7 @@ def _repeats(row, step, repeats, r_indptr, r_indices, r_data):  # type: ignore[n
     return True
 
 
-@compiled
+@kernel
 def _product_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
     step, repeats, longest, first, next_row, end, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
@@ -289,7 +289,7 @@ def mark_rows(*operands: Any) -> None:
     share(partial(_mark_rows, *operands), operands[0].size - 1, SHARED_FROM)
 
 
-@compiled
+@kernel
 def _mark_rows(  # type: ignore[no-untyped-def]
     indptr, indices, runs, is_free_changed, is_row_changed, touched, first_row, end_row
 ):
@@ -330,7 +330,7 @@ def update_product(*operands: Any) -> tuple[float, int]:
     return sum(products), sum(changed)
 
 
-@compiled
+@kernel
 def _update_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, is_interpolated, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from ...core.checks import Arrays, BoolVector, FloatVector, read_only
 from ...core.communicator import ALONE, Communicator, SharedRows
-from ...core.kernels.compilation import compiled
-from ...core.kernels.compiler import njit, uintp
+from ...core.kernels.compilation import inlined, kernel
+from ...core.kernels.compiler import uintp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
 
@@ -319,7 +319,7 @@ def without(runs: EqualRows, changed: BoolVector) -> EqualRows:
     return left
 
 
-@njit(inline="always")
+@inlined
 def run_at(row, runs):  # type: ignore[no-untyped-def]
     """Return which run that row belongs to."""
     low, high = 0, runs.shape[0] - 1
@@ -332,7 +332,7 @@ def run_at(row, runs):  # type: ignore[no-untyped-def]
     return low
 
 
-@compiled
+@kernel
 def find_pivots(indptr, indices, data, weight, smallest, split, inverse, first, end):  # type: ignore[no-untyped-def]
     """Write where the diagonal entries stand, and the inverse pivots: 0 of a diagonal entry that is not above that."""
     for i in range(uintp(first), uintp(end)):
@@ -344,7 +344,7 @@ def find_pivots(indptr, indices, data, weight, smallest, split, inverse, first, 
         inverse[i] = 1.0 / pivot if data[k] > smallest else 0.0
 
 
-@compiled
+@kernel
 def mark_equal(step, indptr, indices, data, is_same, first, end):  # type: ignore[no-untyped-def]
     """Mark the rows i that are those of i − step with each column one further; the flags are bytes."""
     one, step = uintp(1), uintp(step)
@@ -359,7 +359,7 @@ def mark_equal(step, indptr, indices, data, is_same, first, end):  # type: ignor
         is_same[i] = same
 
 
-@compiled
+@kernel
 def _cut(runs, changed, found):  # type: ignore[no-untyped-def]
     """Write what is left of the runs into `found`; return how many there are."""
     count = 0

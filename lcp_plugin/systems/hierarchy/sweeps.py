@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.kernels.compilation import compiled
-from ...core.kernels.compiler import njit, uintp
+from ...core.kernels.compilation import inlined, kernel
+from ...core.kernels.compiler import uintp
 from ...core.kernels.enclosures import fused
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
@@ -150,7 +150,7 @@ def _swept_piece(
     _sweep(indptr, indptr[1:], *operands, sums, colour, seams, block_ends, first, last)
 
 
-@njit(inline="always")
+@inlined
 def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-untyped-def]
     """Return total + Σ data_k x_j over the entries first ≤ k < last of a row."""
     for k in range(first, last):
@@ -158,7 +158,7 @@ def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-unt
     return total
 
 
-@njit(inline="always")
+@inlined
 def _add_products(first, last, but, shift, indices, data, x, size, sums):  # type: ignore[no-untyped-def]
     """Add Σ data_k x_j, j = p + shift + the column of k, to sums[p], p < size; first ≤ k < last, k ≠ but.
 
@@ -182,7 +182,7 @@ def _add_products(first, last, but, shift, indices, data, x, size, sums):  # typ
         k = after
 
 
-@njit(inline="always")
+@inlined
 def _place(first, last, column, indices):  # type: ignore[no-untyped-def]
     """Return where that column stands among these entries, `last` where it does not."""
     for k in range(first, last):
@@ -191,7 +191,7 @@ def _place(first, last, column, indices):  # type: ignore[no-untyped-def]
     return last
 
 
-@compiled
+@kernel
 def _sweep(  # type: ignore[no-untyped-def]
     indptr, ends, split, indices, data, runs, inverse, b, lower, upper, sign, relaxation, is_first, backward, x,
     sums, colour, begins, block_ends, first_block, last_block,
@@ -250,7 +250,7 @@ def _sweep(  # type: ignore[no-untyped-def]
                     x[p] = before
 
 
-@njit(inline="always")
+@inlined
 def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: ignore[no-untyped-def]
     """Return total + (M x)_i, the neighbour that was swept last added last: the sum has waited for nothing else."""
     first, diagonal, end, one = uintp(first), uintp(diagonal), uintp(end), uintp(1)
@@ -263,14 +263,14 @@ def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: i
     return total
 
 
-@njit(inline="always")
+@inlined
 def _clamped(value, lower, upper):  # type: ignore[no-untyped-def]
     """mid(lower, upper, value), a NaN kept."""
     value = lower if lower > value else value
     return upper if upper < value else value
 
 
-@njit(inline="always")
+@inlined
 def _snap(begin, end, w, inverse, lower, upper, z):  # type: ignore[no-untyped-def]
     for p in range(begin, end):
         r, above, below = w[p] * inverse[p], z[p] - lower[p], z[p] - upper[p]
@@ -280,7 +280,7 @@ def _snap(begin, end, w, inverse, lower, upper, z):  # type: ignore[no-untyped-d
             z[p] = upper[p]
 
 
-@compiled
+@kernel
 def _products(  # type: ignore[no-untyped-def]
     indptr, begins, further, indices, data, runs, inverse, sign, b, adds, x, product,
     looks, snaps, lower, upper, is_free, is_changed, workspace, bits, first_row, last_row,

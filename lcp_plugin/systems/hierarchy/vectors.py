@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.checks import BoolVector, FloatVector
-from ...core.kernels.compilation import compiled
+from ...core.kernels.compilation import kernel
 from ...core.kernels.compiler import uintp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
@@ -63,7 +63,7 @@ def span(vector: FloatVector) -> float:
     return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
 
 
-@compiled
+@kernel
 def _dots(one, other, sums, first, end):  # type: ignore[no-untyped-def]
     for piece in range(first, end):
         a = b = c = d = 0.0  # one sum alone would wait for itself
@@ -78,14 +78,14 @@ def _dots(one, other, sums, first, end):  # type: ignore[no-untyped-def]
         sums[piece] = (a + b) + (c + d)
 
 
-@compiled
+@kernel
 def _add_both(factor, vector, to, other_factor, other, to_other, first, end):  # type: ignore[no-untyped-def]
     for i in range(first, end):
         to[i] += factor * vector[i]
         to_other[i] += other_factor * other[i]
 
 
-@compiled
+@kernel
 def _add_within(origin, factor, vector, lower, upper, z, first, end):  # type: ignore[no-untyped-def]
     for i in range(first, end):
         value = origin[i] + factor * vector[i]
@@ -93,7 +93,7 @@ def _add_within(origin, factor, vector, lower, upper, z, first, end):  # type: i
         z[i] = upper[i] if upper[i] < value else value
 
 
-@compiled
+@kernel
 def _largest_product(one, other, first, end):  # type: ignore[no-untyped-def]
     largest = 0.0
     for i in range(first, end):
@@ -141,7 +141,7 @@ def _is_scaling(v: FloatVector) -> bool:
     return bool(v.min() >= 1.0 / FARTHEST and v.max() <= FARTHEST)
 
 
-@compiled
+@kernel
 def smooth_scaling(indptr, indices, data, v, sweeps):  # type: ignore[no-untyped-def]
     """Overwrite v by symmetric Gauss–Seidel sweeps for M v = 0; return how many rows sum to less than zero.
 
@@ -192,7 +192,7 @@ def add_prolonged(transfer: Transfer, coarse: FloatVector, unit: float, flags: B
     shared(partial(_interpolate, *operands), transfer.is_coarse.size)
 
 
-@compiled
+@kernel
 def _interpolate(  # type: ignore[no-untyped-def]
     indptr, indices, data, source, factor, adds, flags, lower, upper, to, first, end
 ):
@@ -225,7 +225,7 @@ def find_held(*operands: Any) -> int:
     return sum(share(partial(_find_held, *operands), operands[-1].size, SHARED_FROM))
 
 
-@compiled
+@kernel
 def _find_held(  # type: ignore[no-untyped-def]
     indptr, indices, whole, values, is_free, touched, is_interpolated, is_changed, scaling, is_coarse, first, end
 ):
@@ -261,7 +261,7 @@ def _find_held(  # type: ignore[no-untyped-def]
     return found
 
 
-@compiled
+@kernel
 def transposed_sweep(indptr, indices, data, inverse, backward, residual, x):  # type: ignore[no-untyped-def]
     """Add to x one Gauss–Seidel sweep for Mᵀx = b by the rows of M, which are the columns of Mᵀ.
 
@@ -277,7 +277,7 @@ def transposed_sweep(indptr, indices, data, inverse, backward, residual, x):  # 
                 residual[uintp(indices[k])] -= data[k] * change
 
 
-@compiled
+@kernel
 def add_transposed_product(indptr, indices, data, factor, x, to):  # type: ignore[no-untyped-def]
     """Add factor · Aᵀx to `to`, by the rows of A."""
     one = uintp(1)

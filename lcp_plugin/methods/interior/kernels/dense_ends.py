@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled
+from ....core.kernels.compilation import kernel
 from ....core.kernels.compiler import uintp
 
 
-@compiled
+@kernel
 def eliminate(  # type: ignore[no-untyped-def]
     order, starts, below, row_starts, columns, above_starts, above, at, entries, values, pivots, y, slot, block, left
 ):
@@ -54,7 +54,7 @@ def eliminate(  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled
+@kernel
 def store(starts, values, pivots, slot, block, factor, positive):  # type: ignore[no-untyped-def]
     """Put into L and D what the dense block is: its first `positive` pivots are, and the others are negative.
 
@@ -76,7 +76,7 @@ def store(starts, values, pivots, slot, block, factor, positive):  # type: ignor
             values[start + k - j - one] = factor[j, k] / pivot
 
 
-@compiled
+@kernel
 def rows_of_factor(above_starts, above, parent, seen, starts, columns):  # type: ignore[no-untyped-def]
     """Fill L by rows from what is above the diagonal, by columns; return how many entries it has, written as they fit.
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_part, interpreted_while_small
+from ....core.kernels.compilation import helper, kernel
 from ....core.kernels.rows import residual_of_row
 
 BADLY_SCALED = 10.0  # times as large as the largest entry of another row
@@ -14,7 +14,7 @@ NEGLIGIBLE = -10.0  # log₂ of an entry that beside others of about 1 has no sa
 MOST_BITS = 500.0
 
 
-@interpreted_while_small
+@kernel
 def equilibrate(indptr, indices, data, signs, sweeps, passes, c):  # type: ignore[no-untyped-def]
     """Fill c with factors such that c_i m_ij c_j is about 1 (Curtis, Reid), at most 1 in each row and column (Ruiz).
 
@@ -65,7 +65,7 @@ def equilibrate(indptr, indices, data, signs, sweeps, passes, c):  # type: ignor
             break
 
 
-@compiled_part
+@helper
 def _extremes(size):  # type: ignore[no-untyped-def]
     """Return the smallest and the largest of the positive sizes."""
     least, most = np.inf, 0.0
@@ -75,7 +75,7 @@ def _extremes(size):  # type: ignore[no-untyped-def]
     return least, most
 
 
-@interpreted_while_small
+@kernel
 def oppose(indptr, indices, data, same, signs):  # type: ignore[no-untyped-def]
     """Fill signs with −1 where a row before is the opposite of a column, else 1; rows sorted.
 
@@ -113,7 +113,7 @@ def oppose(indptr, indices, data, same, signs):  # type: ignore[no-untyped-def]
     return fits
 
 
-@interpreted_while_small
+@kernel
 def box_residual(z, w, lower, upper, scale):  # type: ignore[no-untyped-def]
     """Return max |z − mid(lower, upper, z − w/scale)|, and the largest product of |w| and the finite distance it holds.
 

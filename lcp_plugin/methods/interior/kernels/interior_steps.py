@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_in_place, interpreted_while_small
+from ....core.kernels.compilation import inlined, kernel
 
 TO_THE_BOUNDARY = 0.995
 LEAST_CENTRAL, MOST_CENTRAL = 0.1, 10.0  # products outside this share of the target are corrected
@@ -49,7 +49,7 @@ STATE = 7
 PRODUCT, FACTOR, DIRECTION, CORRECTION, FAILED, HAS_SETTLED = 0, 1, 2, 3, -1, -2
 
 
-@interpreted_while_small
+@kernel
 def go_on(vectors, facts, state, is_active, asked, error, size):  # type: ignore[no-untyped-def]
     """Take what was asked for; return what is asked for now. After a step that is PRODUCT, HAS_SETTLED or FAILED.
 
@@ -80,7 +80,7 @@ def go_on(vectors, facts, state, is_active, asked, error, size):  # type: ignore
     return FACTOR
 
 
-@interpreted_while_small
+@kernel
 def relax(state):  # type: ignore[no-untyped-def]
     """Begin with a new factor: regularised less where the last one was useful at once."""
     state[MISSED] = state[SHARE] = 0.0
@@ -89,7 +89,7 @@ def relax(state):  # type: ignore[no-untyped-def]
     state[IS_EASY] = 1.0
 
 
-@interpreted_while_small
+@kernel
 def regularise(state):  # type: ignore[no-untyped-def]
     """Regularise more, as a factor was useless; return False where that is too much."""
     state[MAY_SHARPEN] = state[IS_EASY] = 0.0
@@ -98,7 +98,7 @@ def regularise(state):  # type: ignore[no-untyped-def]
     return 0.0 < state[NOW] <= LARGEST_REGULARISATION
 
 
-@compiled_in_place
+@inlined
 def _sharpen(state):  # type: ignore[no-untyped-def]
     """Regularise less from the next factorisation on, unless that has made matters worse before."""
     may = state[SHARE] <= WORSE * state[SHARE_BEFORE]
@@ -108,7 +108,7 @@ def _sharpen(state):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled_in_place
+@inlined
 def _begin(vectors, facts):  # type: ignore[no-untyped-def]
     """Fill the residuals, M z given in vectors[LEFT], and the diagonal, aim at 0; return whether all are finite."""
     largest, is_finite = 0.0, True
@@ -127,7 +127,7 @@ def _begin(vectors, facts):  # type: ignore[no-untyped-def]
     return is_finite
 
 
-@compiled_in_place
+@inlined
 def _demand(vectors):  # type: ignore[no-untyped-def]
     """Fill the right-hand side of the direction that meets the aim."""
     for i in range(vectors.shape[1]):
@@ -137,7 +137,7 @@ def _demand(vectors):  # type: ignore[no-untyped-def]
         vectors[RIGHT, i] = right - vectors[LEFT, i]
 
 
-@compiled_in_place
+@inlined
 def _move(vectors, facts, is_active):  # type: ignore[no-untyped-def]
     """Follow the chosen direction; return PRODUCT, FAILED where z is not finite, or HAS_SETTLED."""
     length, is_finite, total = facts[LENGTH], True, 0.0
@@ -160,7 +160,7 @@ def _move(vectors, facts, is_active):  # type: ignore[no-untyped-def]
     return HAS_SETTLED if facts[SETTLED] in LOOKS else PRODUCT
 
 
-@compiled_in_place
+@inlined
 def _aim(vectors, facts, asked, length):  # type: ignore[no-untyped-def]
     """Choose the direction on trial, of that length, or not; fill the products that the next one aims at.
 
@@ -202,7 +202,7 @@ def _aim(vectors, facts, asked, length):  # type: ignore[no-untyped-def]
     return DIRECTION
 
 
-@compiled_in_place
+@inlined
 def _turn(vectors):  # type: ignore[no-untyped-def]
     """Fill the direction on trial; return the longest step, at most 1/TO_THE_BOUNDARY, that keeps all positive."""
     steepest = TO_THE_BOUNDARY
@@ -224,7 +224,7 @@ def _turn(vectors):  # type: ignore[no-untyped-def]
     return 1.0 / steepest
 
 
-@compiled_in_place
+@inlined
 def _gap_after(vectors, length):  # type: ignore[no-untyped-def]
     """Return the sum of all products after a step on trial, at least 0."""
     total = 0.0
@@ -236,7 +236,7 @@ def _gap_after(vectors, length):  # type: ignore[no-untyped-def]
     return max(total, 0.0)
 
 
-@compiled_in_place
+@inlined
 def _pull(vectors, target, length):  # type: ignore[no-untyped-def]
     """Aim, as Gondzio does, away from products that a step of that length would leave far from the target."""
     for i in range(vectors.shape[1]):
@@ -248,7 +248,7 @@ def _pull(vectors, target, length):  # type: ignore[no-untyped-def]
         vectors[AIM_UPPER, i] += vectors[HAS_UPPER, i] * _towards(above * w_upper, target)
 
 
-@compiled_in_place
+@inlined
 def _towards(product, target):  # type: ignore[no-untyped-def]
     wanted = min(max(product, LEAST_CENTRAL * target), MOST_CENTRAL * target)
     return max(wanted - product, -MOST_CENTRAL * target)

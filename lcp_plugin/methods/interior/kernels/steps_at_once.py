@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled
+from ....core.kernels.compilation import kernel
 from ....systems.refinement import REFINEMENTS
 from . import interior_steps as step
 from .symmetric_factors import factorise, is_useful, solve
 
 
-@compiled
+@kernel
 def steps(vectors, facts, state, is_active, most, pattern, entries, own, signs, M, factor, spare):  # type: ignore[no-untyped-def]
     """Make so many steps, or fewer: until the active set has settled and the gap is small, or one fails.
 

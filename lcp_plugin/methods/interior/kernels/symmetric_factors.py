@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled
+from ....core.kernels.compilation import kernel
 from ....core.kernels.compiler import uintp
 from ....systems.refinement import REFINED, ROUGH, STABLE, USEFUL
 
 
-@compiled
+@kernel
 def factorise(order, starts, below, row_starts, columns, above_starts, above, at, entries, values, pivots, y):  # type: ignore[no-untyped-def]
     """Fill L; pivots, the diagonal in the order of the rows, become D in that of the pattern. Return whether D ≠ 0.
 
@@ -42,7 +42,7 @@ def factorise(order, starts, below, row_starts, columns, above_starts, above, at
     return True
 
 
-@compiled
+@kernel
 def solve(  # type: ignore[no-untyped-def]
     order, starts, below, values, pivots, signs, indptr, indices, data, diagonal, right, x, spare, refinements, enough
 ):
@@ -87,7 +87,7 @@ def solve(  # type: ignore[no-untyped-def]
     return error, size, passes
 
 
-@compiled
+@kernel
 def is_useful(order, starts, below, values, pivots, signs, indptr, indices, data, shifted, right, x, spare):  # type: ignore[no-untyped-def]
     """Fill x with what the factor of S (M + diag(shifted)) answers to `right`; return whether it is of any use."""
     error, size, _ = solve(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ....core.kernels.compilation import interpreted_while_small
+from ....core.kernels.compilation import kernel
 
 
-@interpreted_while_small
+@kernel
 def dense_sweeps(M, inverse_diagonal, lower, upper, z, w, count):  # type: ignore[no-untyped-def]
     """Overwrite z by `count` sweeps z_i ← mid(l_i, u_i, z_i − w_i/m_ii), and w = M z + q with it.
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_part, interpreted_while_small
+from ....core.kernels.compilation import helper, kernel
 from ....core.kernels.floats import EPSILON
 
 SMALLEST_PIVOT = 1e-14  # of the diagonal entry, squared; below, a factor says nothing
 MET_A_BOUND, FREE, SINGULAR = 0, 1, 2
 
 
-@compiled_part
+@helper
 def product(row, x, size):  # type: ignore[no-untyped-def]
     """Return the product of the first entries of two vectors; four sums, so that none waits for the other."""
     first = second = third = fourth = 0.0
@@ -29,14 +29,14 @@ def product(row, x, size):  # type: ignore[no-untyped-def]
     return (first + second) + (third + fourth)
 
 
-@compiled_part
+@helper
 def forward(L, size, x):  # type: ignore[no-untyped-def]
     """Overwrite x by L⁻¹ x."""
     for i in range(size):
         x[i] = (x[i] - product(L[i], x, i)) / L[i, i]
 
 
-@compiled_part
+@helper
 def backward(L, size, x):  # type: ignore[no-untyped-def]
     """Overwrite x by L⁻ᵀ x."""
     for i in range(size - 1, -1, -1):
@@ -46,7 +46,7 @@ def backward(L, size, x):  # type: ignore[no-untyped-def]
             x[j] -= value * row[j]
 
 
-@compiled_part
+@helper
 def leave(L, order, size, at, cosines, sines):  # type: ignore[no-untyped-def]
     """Take the row in that place out of the factor; rotations, `size` numbers each, make the rest triangular again."""
     for i in range(at, size - 1):
@@ -65,7 +65,7 @@ def leave(L, order, size, at, cosines, sines):  # type: ignore[no-untyped-def]
         row[i] = size_of_both
 
 
-@interpreted_while_small
+@kernel
 def join(M, shift, L, order, size, rows):  # type: ignore[no-untyped-def]
     """Add the rows at the end; return the new size, or −1 where the block is singular to working precision."""
     for j in rows:
@@ -82,7 +82,7 @@ def join(M, shift, L, order, size, rows):  # type: ignore[no-untyped-def]
     return size
 
 
-@interpreted_while_small
+@kernel
 def minimise(L, order, size, lower, upper, z, w, is_free, limit):  # type: ignore[no-untyped-def]
     """Go towards w = 0 on the free rows; where a bound is met, fix that row and go on.
 

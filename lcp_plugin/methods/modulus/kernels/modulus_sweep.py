@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ....core.kernels.compilation import compiled
+from ....core.kernels.compilation import kernel
 from ....core.kernels.compiler import uintp
 
 
-@compiled
+@kernel
 def modulus_sweep(  # type: ignore[no-untyped-def]
     indptr, split, indices, data, rows, relaxation, acceleration, backward, x, new, z
 ):

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
-from ....core.kernels.compilation import compiled, interpreted_while_small
+from ....core.kernels.compilation import kernel
 from .contact_rounds import solve_contacts
 from .friction_pyramids import condense, read_contacts
-from .small_problems import PATH_UP_TO, ROUND, TOTAL, USUAL, enclosed, ends, is_kept_dense, look_at, moved, take
+from .small_problems import ROUND, TOTAL, USUAL, enclosed, ends, is_kept_dense, look_at, moved, take
 from .workspace import FOUND, LOWER, UPPER, Q, Z
 
 
-@compiled
+@kernel
 def count_contacts(M, real, whole):  # type: ignore[no-untyped-def]
     """Return how many contacts M, shape (1, n, n), has rows of, 0 where it is of another form; q counts as 0."""
     for i in range(M.shape[1]):
@@ -21,7 +19,7 @@ def count_contacts(M, real, whole):  # type: ignore[no-untyped-def]
     return read_contacts(M, 0, real, whole)[1]
 
 
-@partial(interpreted_while_small, longest=PATH_UP_TO)
+@kernel
 def solve_all_contacts(  # type: ignore[no-untyped-def]
     M, q, lower, upper, starts, tolerance, first, end, real, whole, matrix, z, residual, terms, made, work, needs_path,
 ):
@@ -38,14 +36,14 @@ def solve_all_contacts(  # type: ignore[no-untyped-def]
             made[item, phase], work[item, phase] = 0, 0.0
         work[item, TOTAL] = 0.0
         left += 1
-        is_zero = take(q, lower, upper, item, real, n)
+        take(q, lower, upper, item, real, n)
         unknowns, contacts = read_contacts(M, k, real, whole)
         if contacts == 0:
             continue
         nonzeros, is_usual, _, _ = look_at(M, k, real)
         is_dense, least, most = is_kept_dense(nonzeros, n), 1.0, 1.0
         if is_usual and tolerance >= 0.0:
-            least, most = ends(M, k, real, is_zero, is_dense)
+            least, most = ends(M, k, real, is_dense)
         if not (is_usual and (tolerance < 0.0 or (least > 0.0 and USUAL[0] < most < USUAL[1]))):
             continue
         is_cold, at = True, item if starts.shape[0] > 1 else 0

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_into_others, compiled_part
+from ....core.kernels.compilation import helper, inlined
 from .contact_systems import (
     BEST,
     CONE,
@@ -54,7 +54,7 @@ FIRST_SWEEPS, SWEEPS = 8, 4
 ROUNDS, MOST_ROUNDS, IDLE = 12, 40, 3  # in a row; altogether, and one for three rows; in vain, before X is pulled
 
 
-@compiled_part
+@helper
 def solve_contacts(real, whole, matrix, n, unknowns, has_start):  # type: ignore[no-untyped-def]
     """Write FOUND; return the entries touched. FOUND holds the start, used where `has_start` says so."""
     for i in range(unknowns):
@@ -96,13 +96,13 @@ def solve_contacts(real, whole, matrix, n, unknowns, has_start):  # type: ignore
     return float(n * n + (rounds + 1.0) * (4.0 + unknowns / 12.0) * unknowns * unknowns)
 
 
-@compiled_into_others
+@inlined
 def _copy(real, unknowns, source, target):  # type: ignore[no-untyped-def]
     for i in range(unknowns):
         real[target, i] = real[source, i]
 
 
-@compiled_part
+@helper
 def _stay_near(real, matrix, unknowns, near):  # type: ignore[no-untyped-def]
     """Let velocities grow with the distance from X, by that share of the diagonal; 0 gives those of the problem."""
     for i in range(unknowns):
@@ -110,12 +110,12 @@ def _stay_near(real, matrix, unknowns, near):  # type: ignore[no-untyped-def]
         real[PULLED, i] = real[FREELY, i] - near * real[OWN, i] * real[X, i]
 
 
-@compiled_into_others
+@inlined
 def _sign(x):  # type: ignore[no-untyped-def]
     return 1 if x > 0.0 else -1 if x < 0.0 else 0
 
 
-@compiled_part
+@helper
 def _nearest(real, first, end, radius):  # type: ignore[no-untyped-def]
     """Write to FOR the point of Σ|f| ≤ radius next to f − ρ v, first ≤ i < end; return whether it is inside."""
     total, count = 0.0, end - first
@@ -140,7 +140,7 @@ def _nearest(real, first, end, radius):  # type: ignore[no-untyped-def]
     return False
 
 
-@compiled_part
+@helper
 def _residual(real, whole):  # type: ignore[no-untyped-def]
     """Return how far X is from the equations of contact, in the unit of impulses; p is made ≥ 0 before."""
     plain, largest = whole[OF_CONES, 1], 0.0
@@ -158,7 +158,7 @@ def _residual(real, whole):  # type: ignore[no-untyped-def]
     return largest
 
 
-@compiled_part
+@helper
 def _sweep(real, whole, matrix, unknowns, count):  # type: ignore[no-untyped-def]
     """Take each contact to the solution of its own equations, its friction by a step of projection, so many times."""
     move(real, matrix, unknowns)
@@ -180,7 +180,7 @@ def _sweep(real, whole, matrix, unknowns, count):  # type: ignore[no-untyped-def
     _classify(real, whole)
 
 
-@compiled_into_others
+@inlined
 def _keep(real, n, unknowns, size):  # type: ignore[no-untyped-def]
     """Keep X where its residual is the least so far; return whether it is."""
     if not size < real[LEAST, n]:
@@ -191,7 +191,7 @@ def _keep(real, n, unknowns, size):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled_part
+@helper
 def _begin_at(real, whole, n, unknowns):  # type: ignore[no-untyped-def]
     """Take X and what presses, sticks and slips from FOUND."""
     plain = whole[OF_CONES, 1]
@@ -210,7 +210,7 @@ def _begin_at(real, whole, n, unknowns):  # type: ignore[no-untyped-def]
             whole[STATUS, j] = (sign if slips else STICKS) if whole[STATUS, i] == 1 else 0
 
 
-@compiled_part
+@helper
 def _classify(real, whole):  # type: ignore[no-untyped-def]
     """Note what presses, sticks and slips by the equations of contact at X; return how many changed."""
     changes = 0
@@ -231,7 +231,7 @@ def _classify(real, whole):  # type: ignore[no-untyped-def]
     return changes
 
 
-@compiled_part
+@helper
 def _rounds(real, whole, matrix, n, unknowns, settled, idle, is_kept):  # type: ignore[no-untyped-def]
     """Solve for what presses, sticks and slips until that is the answer, or so many rounds got no better.
 
@@ -262,7 +262,7 @@ def _rounds(real, whole, matrix, n, unknowns, settled, idle, is_kept):  # type: 
     return made, is_settled
 
 
-@compiled_part
+@helper
 def _project(real, whole):  # type: ignore[no-untyped-def]
     """Move X to p ≥ 0 and Σ|f| ≤ μ p; return whether it was elsewhere."""
     is_moved = False
@@ -282,7 +282,7 @@ def _project(real, whole):  # type: ignore[no-untyped-def]
     return is_moved
 
 
-@compiled_part
+@helper
 def _write(real, whole, n, unknowns):  # type: ignore[no-untyped-def]
     """Write X, what it is at each edge, and the speeds λ to FOUND."""
     for i in range(n):

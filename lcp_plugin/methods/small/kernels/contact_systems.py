@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_into_others, compiled_part
+from ....core.kernels.compilation import helper, inlined
 from .small_systems import eliminate, solve_again, substitute
 from .workspace import (
     BASE,
@@ -44,7 +44,7 @@ REFINED = 4
 STICKS = 2
 
 
-@compiled_part
+@helper
 def move(real, matrix, unknowns):  # type: ignore[no-untyped-def]
     """Write V at X."""
     for i in range(unknowns):
@@ -54,14 +54,14 @@ def move(real, matrix, unknowns):  # type: ignore[no-untyped-def]
             add(real, matrix, unknowns, j, real[X, j])
 
 
-@compiled_into_others
+@inlined
 def add(real, matrix, unknowns, j, change):  # type: ignore[no-untyped-def]
     """Add to V what a change of unknown j does."""
     for i in range(unknowns):
         real[V, i] += change * matrix[unknowns + j, i]
 
 
-@compiled_part
+@helper
 def solve_equations(real, whole, matrix, n, unknowns, settled):  # type: ignore[no-untyped-def]
     """Move X, and V with it, to where the equations of what presses, sticks and slips hold; return how many these are.
 
@@ -98,7 +98,7 @@ def solve_equations(real, whole, matrix, n, unknowns, settled):  # type: ignore[
     return size
 
 
-@compiled_into_others
+@inlined
 def _entry(real, whole, matrix, n, unknowns, s, t):  # type: ignore[no-untyped-def]
     """Return what the unknown of column t does to the equation of row s."""
     i, j = whole[SOLVED_FOR, s], whole[SOLVED_FOR, n + 1 + s]
@@ -113,7 +113,7 @@ def _entry(real, whole, matrix, n, unknowns, s, t):  # type: ignore[no-untyped-d
     return entry
 
 
-@compiled_part
+@helper
 def _name(real, whole, n, unknowns):  # type: ignore[no-untyped-def]
     """Name what a round solves for, and move X to where it may be; return how many that are.
 

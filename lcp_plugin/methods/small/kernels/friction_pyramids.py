@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_into_others, compiled_part
+from ....core.kernels.compilation import helper, inlined
 from .contact_systems import CONE, FREELY, OF_CONES, ROW, SLOPE, STATUS, STEP
 from .workspace import LOWER, UPPER, Q
 
 ALIKE = 1e-9  # how far d and −d may differ, of the largest entry
 
 
-@compiled_part
+@helper
 def read_contacts(M, k, real, whole):  # type: ignore[no-untyped-def]
     """Note the contacts of a problem; return (unknowns, contacts), 0 where M, q or the bounds are of another form."""
     n, contacts = M.shape[1], 0
@@ -54,7 +54,7 @@ def read_contacts(M, k, real, whole):  # type: ignore[no-untyped-def]
     return n // 2, contacts
 
 
-@compiled_into_others
+@inlined
 def _are_opposite(M, k, real, speed, i, j):  # type: ignore[no-untyped-def]
     """Return whether edges i = d and j = −d are in one unit and opposite, by q and what both do to one another."""
     if M[k, speed, j] != M[k, speed, i] or M[k, j, speed] != M[k, i, speed]:
@@ -67,7 +67,7 @@ def _are_opposite(M, k, real, speed, i, j):  # type: ignore[no-untyped-def]
     return is_like
 
 
-@compiled_part
+@helper
 def condense(M, k, real, whole, matrix, unknowns, cones):  # type: ignore[no-untyped-def]
     """Write G, velocities by x, transposed, into the rows of `matrix` from `unknowns` on; FREELY and STEP."""
     plain = whole[OF_CONES, 1]

@@ -11,18 +11,10 @@ kernel, which few problems need.
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from ....core.checks import DENSE_ABOVE_DENSITY
-from ....core.kernels.compilation import (
-    LONGEST_IN_ORDER,
-    compiled_in_any_order,
-    compiled_into_others,
-    compiled_part,
-    interpreted_while_small,
-)
+from ....core.kernels.compilation import IN_ANY_ORDER, helper, inlined, kernel
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL, SURELY_RIGHT
 from ....core.kernels.rows import residual_of_row, wrong_part
@@ -44,11 +36,10 @@ ROUNDS = 12  # these cost about as much as the pivots of a whole path
 IDLE_ROUNDS = 2
 PIVOTS = 10  # times n + 10
 RELAXATION = 1.7
-PATH_UP_TO = 20  # numbers in a row: a path of many pivots is interpreted in half a second
 USUAL = (1e-130, 1e130)  # magnitudes whose products stay in range
 
 
-@compiled_into_others
+@inlined
 def look_at(M, k, real):  # type: ignore[no-untyped-def]
     """Fill in SCALE; return (nonzeros, all usual, the diagonal positive, M symmetric)."""
     n = M.shape[1]
@@ -70,8 +61,8 @@ def look_at(M, k, real):  # type: ignore[no-untyped-def]
     return max(nonzeros, 1), most < USUAL[1] and least > USUAL[0], is_positive, difference == 0.0
 
 
-@compiled_in_any_order
-def _long_row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
+@helper(**IN_ANY_ORDER)
+def row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
     """Return Σ m_ij x_j over j < end, x that row of `real`."""
     total = 0.0
     for j in range(end):
@@ -79,24 +70,7 @@ def _long_row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled_into_others
-def row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
-    """Return the same as four sums side by side, which a row that may be interpreted adds up in one order."""
-    if end > LONGEST_IN_ORDER:
-        return _long_row_times(M, k, i, end, real, point)
-    a = b = c = d = 0.0
-    fours = end - end % 4
-    for j in range(0, fours, 4):
-        a += M[k, i, j] * real[point, j]
-        b += M[k, i, j + 1] * real[point, j + 1]
-        c += M[k, i, j + 2] * real[point, j + 2]
-        d += M[k, i, j + 3] * real[point, j + 3]
-    for j in range(fours, end):
-        a += M[k, i, j] * real[point, j]
-    return (a + b) + (c + d)
-
-
-@compiled_part
+@helper
 def slack(M, k, real, point):  # type: ignore[no-untyped-def]
     """Write W = M x + q at that row x of `real`."""
     n = M.shape[1]
@@ -104,7 +78,7 @@ def slack(M, k, real, point):  # type: ignore[no-untyped-def]
         real[W, i] = row_times(M, k, i, n, real, point) + real[Q, i]
 
 
-@compiled_part
+@helper
 def classify(real, whole, n, point):  # type: ignore[no-untyped-def]
     """Note where x − w/d lies, x that row of `real`; return how many rows changed their side."""
     changes = 0
@@ -120,7 +94,7 @@ def classify(real, whole, n, point):  # type: ignore[no-untyped-def]
     return changes
 
 
-@compiled_part
+@helper
 def moved(M, k, real, point, has_slack):  # type: ignore[no-untyped-def]
     """Put Z at the point of the box nearest to that row x of `real`, and W with it; return its residual.
 
@@ -138,33 +112,18 @@ def moved(M, k, real, point, has_slack):  # type: ignore[no-untyped-def]
     return largest
 
 
-@compiled_into_others
-def _sweep(M, k, real):  # type: ignore[no-untyped-def]
-    """Write FOUND by a sweep of NPSOR with the row scaling 1/d from Z and W."""
-    n, pivot = M.shape[1], 1.0 / (1.0 / RELAXATION + 3.0)
-    for i in range(n):
-        total = row_times(M, k, i, i, real, KEPT)
-        z, lower, upper, scale = real[Z, i], real[LOWER, i], real[UPPER, i], real[SCALE, i]
-        r = residual_of_row(real[W, i] / scale, z, lower, upper)
-        new = min(max(z - (2.0 * r + total / scale) * pivot, lower), upper)
-        real[FOUND, i], real[KEPT, i] = new, new - z
-
-
-@compiled_into_others
+@inlined
 def take(q, lower, upper, item, real, n):  # type: ignore[no-untyped-def]
-    """Copy a problem's vectors, Z at the point of its box nearest to 0; return whether that is 0."""
+    """Copy a problem's vectors, Z at the point of its box nearest to 0."""
     of_q, of_lower, of_upper = (
         item if q.shape[0] > 1 else 0, item if lower.shape[0] > 1 else 0, item if upper.shape[0] > 1 else 0
     )  # fmt: skip
-    is_zero = True
     for i in range(n):
         real[Q, i], real[LOWER, i], real[UPPER, i] = q[of_q, i], lower[of_lower, i], upper[of_upper, i]
         real[Z, i] = min(max(0.0, real[LOWER, i]), real[UPPER, i])
-        is_zero &= real[Z, i] == 0.0
-    return is_zero
 
 
-@compiled_into_others
+@inlined
 def _begin(  # type: ignore[no-untyped-def]
     starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n
 ):
@@ -185,7 +144,7 @@ def _begin(  # type: ignore[no-untyped-def]
     return SWEEP if wants_sweeps else ROUND if wants_rounds else PIVOT
 
 
-@compiled_into_others
+@inlined
 def _step(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     """Take one step; return (its phase, the residual of Z, entries touched): a pivot or OVER where none is taken."""
     n, free, touched = M.shape[1], 0, float(M.shape[1] * M.shape[1])
@@ -197,10 +156,26 @@ def _step(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
             phase = whole[STATE, PHASE] = whole[STATE, LAST]
         else:
             slack(M, k, real, FOUND)
-            _judge_round(classify(real, whole, n, FOUND), whole, n)
+            changes = classify(real, whole, n, FOUND)
+            whole[STATE, MADE] += 1
+            whole[STATE, IDLE] = 0 if changes < whole[STATE, FEWEST] else whole[STATE, IDLE] + 1
+            whole[STATE, FEWEST] = min(changes, whole[STATE, FEWEST])
+            is_long = whole[STATE, IDLE] >= IDLE_ROUNDS or whole[STATE, MADE] >= ROUNDS
+            if whole[STATE, TO_THE_END]:
+                is_long = whole[STATE, MADE] > n + 1  # enough where M is an M-matrix
+            if changes == 0:
+                whole[STATE, PHASE] = OVER
+            elif is_long:
+                whole[STATE, PHASE] = whole[STATE, LAST]
             touched = 2.0 * n * n + free * free * (free / (6.0 if is_symmetric else 3.0))
     elif phase == SWEEP:
-        _sweep(M, k, real)
+        pivot = 1.0 / (1.0 / RELAXATION + 3.0)
+        for i in range(n):  # FOUND by a sweep of NPSOR with the row scaling 1/d from Z and W
+            total = row_times(M, k, i, i, real, KEPT)
+            z, lower, upper, scale = real[Z, i], real[LOWER, i], real[UPPER, i], real[SCALE, i]
+            r = residual_of_row(real[W, i] / scale, z, lower, upper)
+            new = min(max(z - (2.0 * r + total / scale) * pivot, lower), upper)
+            real[FOUND, i], real[KEPT, i] = new, new - z
         touched = 1.5 * n * n
         whole[STATE, MADE] += 1
         if whole[STATE, MADE] >= SWEEPS:
@@ -214,23 +189,12 @@ def _step(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     return phase, size, touched
 
 
-@compiled_into_others
-def _judge_round(changes, whole, n):  # type: ignore[no-untyped-def]
-    """Note what a round has changed, and whether another one is worth its work."""
-    whole[STATE, MADE] += 1
-    whole[STATE, IDLE] = 0 if changes < whole[STATE, FEWEST] else whole[STATE, IDLE] + 1
-    whole[STATE, FEWEST] = min(changes, whole[STATE, FEWEST])
-    is_long = whole[STATE, IDLE] >= IDLE_ROUNDS or whole[STATE, MADE] >= ROUNDS
-    if changes == 0:
-        whole[STATE, PHASE] = OVER
-    elif whole[STATE, MADE] > n + 1 if whole[STATE, TO_THE_END] else is_long:  # enough where M is an M-matrix
-        whole[STATE, PHASE] = whole[STATE, LAST]
-
-
-@compiled_part
-def ends(M, k, real, is_zero, is_dense):  # type: ignore[no-untyped-def]
+@helper
+def ends(M, k, real, is_dense):  # type: ignore[no-untyped-def]
     """Return (a lower, an upper bound) of ‖r(z)‖∞ as `residual_ends` does; ∞ where a product may underflow."""
-    n, least, most = M.shape[1], 0.0, 0.0
+    n, least, most, is_zero = M.shape[1], 0.0, 0.0, True
+    for i in range(n):
+        is_zero &= real[Z, i] == 0.0
     for i in range(n):
         total, errors, size, is_small = real[Q, i], 0.0, 0.0, False
         terms = n if is_dense and not is_zero else 0
@@ -246,20 +210,13 @@ def ends(M, k, real, is_zero, is_dense):  # type: ignore[no-untyped-def]
     return least, most
 
 
-@compiled_into_others
-def _ratio_upwards(a, b):  # type: ignore[no-untyped-def]
-    """Return a double that is no smaller than a / b."""
-    quotient = a / b
-    return np.nextafter(quotient, np.inf) if fused(quotient, b, -a) < 0.0 else quotient
-
-
-@compiled_into_others
+@inlined
 def is_kept_dense(nonzeros, n):  # type: ignore[no-untyped-def]
     """Return whether M is kept with its zeros; a sparse one is kept without them, and has fewer terms a row."""
     return nonzeros > DENSE_ABOVE_DENSITY * n * n
 
 
-@compiled_part
+@helper
 def beside_terms(M, k, real):  # type: ignore[no-untyped-def]
     """Return an upper bound of the term residual of Z, as `core.certificates.own_terms` has it: no z_i is moved."""
     n, largest = M.shape[1], 0.0
@@ -277,7 +234,7 @@ def beside_terms(M, k, real):  # type: ignore[no-untyped-def]
     return largest * largest
 
 
-@compiled_into_others
+@inlined
 def enclosed(M, k, real, size, least, most, is_dense, tolerance):  # type: ignore[no-untyped-def]
     """Return upper bounds of the relative and of the term residual of Z, ∞ where `size` is no such hope.
 
@@ -287,11 +244,14 @@ def enclosed(M, k, real, size, least, most, is_dense, tolerance):  # type: ignor
         return size, 0.0
     if not size / most <= tolerance:
         return np.inf, np.inf
-    _, largest = ends(M, k, real, False, is_dense)
-    return _ratio_upwards(largest, least), beside_terms(M, k, real)
+    _, largest = ends(M, k, real, is_dense)
+    ratio = largest / least
+    if fused(ratio, least, -largest) < 0.0:
+        ratio = np.nextafter(ratio, np.inf)  # upwards
+    return ratio, beside_terms(M, k, real)
 
 
-@interpreted_while_small
+@kernel
 def run_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end, steps,
     real, whole, matrix, z, residual, terms, made, work, needs_path,
@@ -315,12 +275,12 @@ def run_all(  # type: ignore[no-untyped-def]
             count, limit = 0, 1
         else:
             limit = max_iterations if steps == ALL else 0
-            is_zero = take(q, lower, upper, item, real, n)
+            take(q, lower, upper, item, real, n)
             nonzeros, is_usual, may_sweep, is_symmetric = look_at(M, k, real)
             whole[STATE, IS_SYMMETRIC], whole[STATE, NONZEROS], whole[STATE, PHASE] = is_symmetric, nonzeros, UNUSUAL
             is_dense = is_kept_dense(nonzeros, n)
             if is_usual and is_enclosed:
-                least, most = ends(M, k, real, is_zero, is_dense)
+                least, most = ends(M, k, real, is_dense)
             has_start = starts.shape[1] > 0 and most > 0.0
             after = _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n)
             work[item, after] = work[item, TOTAL] = n * n / nonzeros
@@ -353,7 +313,7 @@ def run_all(  # type: ignore[no-untyped-def]
     return paths
 
 
-@partial(interpreted_while_small, longest=PATH_UP_TO)
+@kernel
 def follow_all(  # type: ignore[no-untyped-def]
     M, q, lower, upper, tolerance, first, end, real, whole, matrix, z, residual, terms, made, work, needs_path
 ):
@@ -363,10 +323,10 @@ def follow_all(  # type: ignore[no-untyped-def]
         if not needs_path[item]:
             continue
         k, least, most = item if M.shape[0] > 1 else 0, 1.0, 1.0
-        is_zero = take(q, lower, upper, item, real, n)
+        take(q, lower, upper, item, real, n)
         nonzeros, _, _, is_symmetric = look_at(M, k, real)
         if tolerance >= 0.0:
-            least, most = ends(M, k, real, is_zero, is_kept_dense(nonzeros, n))
+            least, most = ends(M, k, real, is_kept_dense(nonzeros, n))
         pivots = follow_path(M, k, real, whole, matrix, PIVOTS * (n + 10))
         if pivots < 0:
             continue

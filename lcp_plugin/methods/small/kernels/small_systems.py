@@ -2,42 +2,55 @@
 
 from __future__ import annotations
 
-from ....core.kernels.compilation import compiled_into_others, compiled_part
+import numpy as np
+
+from ....core.kernels.compilation import helper, inlined
 from .workspace import AT_UPPER, BETWEEN, CANDIDATE, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290
 
 
-@compiled_part
+@helper
 def solve_free(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped-def]
     """Write FOUND with every variable at its bound where SIDE says so, and w_i = 0 on the other rows.
 
     Returns the number of those, or −1 where their block is singular to working precision: FOUND is what it was then.
     """
-    n, free = M.shape[1], 0
+    n, free = M.shape[1], np.int64(0)
     for i in range(n):
         if whole[SIDE, i] == BETWEEN:
             whole[FREE, free] = i
             free += 1
-    _gather(M, k, real, whole, matrix, is_symmetric, free)
-    if not (is_symmetric and _eliminate_symmetric(matrix, n, free)):
-        if is_symmetric:
-            _gather(M, k, real, whole, matrix, False, free)
-        if not eliminate(matrix, whole, n, free):
-            return -1
+    is_solved = False
+    for attempt in range(0 if is_symmetric else 1, 2):
+        if is_solved:
+            break
+        for p in range(free):  # a symmetric block stays as it is; rows of another are divided by their SCALE
+            i = whole[FREE, p]
+            unit, total = 1.0 if attempt == 0 else real[SCALE, i], -real[Q, i]
+            for j in range(free):
+                matrix[p, j] = M[k, i, whole[FREE, j]] / unit
+            for j in range(n):
+                bound = real[UPPER if whole[SIDE, j] == AT_UPPER else LOWER, j] if whole[SIDE, j] != BETWEEN else 0.0
+                if bound != 0.0:
+                    total -= M[k, i, j] * bound
+            matrix[p, free] = total / unit
+        is_solved = _eliminate_symmetric(matrix, n, free) if attempt == 0 else eliminate(matrix, whole, n, free)
+    if not is_solved:
+        return -1
     substitute(matrix, free)
     for p in range(free):
         if not abs(matrix[p, free]) < LARGEST:
             return -1
     for i in range(n):
-        real[FOUND, i] = _bound(real, whole, i)
+        real[FOUND, i] = real[UPPER if whole[SIDE, i] == AT_UPPER else LOWER, i]
     for p in range(free):
         real[FOUND, whole[FREE, p]] = matrix[p, free]
     return free
 
 
-@compiled_part
+@helper
 def substitute(matrix, free):  # type: ignore[no-untyped-def]
     """Solve with what elimination left on and above the diagonal; the right-hand side is column `free`."""
     for p in range(free - 1, -1, -1):
@@ -47,7 +60,7 @@ def substitute(matrix, free):  # type: ignore[no-untyped-def]
         matrix[p, free] = total / matrix[p, p]
 
 
-@compiled_part
+@helper
 def solve_again(matrix, whole, n, free):  # type: ignore[no-untyped-def]
     """Solve with the factors that `eliminate` left for another right-hand side in column `free`."""
     for p in range(free):
@@ -61,31 +74,7 @@ def solve_again(matrix, whole, n, free):  # type: ignore[no-untyped-def]
     substitute(matrix, free)
 
 
-@compiled_into_others
-def _bound(real, whole, i):  # type: ignore[no-untyped-def]
-    return 0.0 if whole[SIDE, i] == BETWEEN else real[UPPER if whole[SIDE, i] == AT_UPPER else LOWER, i]
-
-
-@compiled_into_others
-def _gather(M, k, real, whole, matrix, is_symmetric, free):  # type: ignore[no-untyped-def]
-    """Copy the rows and columns between the bounds, and the right-hand side behind them.
-
-    A symmetric block stays as it is; rows of another are divided by their SCALE, so that they may have any unit.
-    """
-    for p in range(free):
-        i = whole[FREE, p]
-        unit = 1.0 if is_symmetric else real[SCALE, i]
-        total = -real[Q, i]
-        for j in range(free):
-            matrix[p, j] = M[k, i, whole[FREE, j]] / unit
-        for j in range(M.shape[1]):
-            bound = _bound(real, whole, j)
-            if bound != 0.0:
-                total -= M[k, i, j] * bound
-        matrix[p, free] = total / unit
-
-
-@compiled_into_others
+@inlined
 def _eliminate_symmetric(matrix, n, free):  # type: ignore[no-untyped-def]
     """Eliminate on and above the diagonal, without pivoting; return whether every pivot was clearly positive."""
     for p in range(free):
@@ -102,22 +91,27 @@ def _eliminate_symmetric(matrix, n, free):  # type: ignore[no-untyped-def]
                     return False
         if end == free:
             break
-        _copy(matrix, n, begin, end, free)
+        for p in range(4):
+            for j in range(end, free + 1):
+                matrix[n + p, j] = matrix[begin + p, j]
         for i in range(end, free):
             before = matrix[i, i]
             a, b = matrix[n, i] / matrix[begin, begin], matrix[n + 1, i] / matrix[begin + 1, begin + 1]
             c, d = matrix[n + 2, i] / matrix[begin + 2, begin + 2], matrix[n + 3, i] / matrix[begin + 3, begin + 3]
-            _subtract(matrix, n, i, a, b, c, d, i, free)
+            for j in range(i, free + 1):
+                first = a * matrix[n, j] + b * matrix[n + 1, j]
+                matrix[i, j] -= first + (c * matrix[n + 2, j] + d * matrix[n + 3, j])
             if not matrix[i, i] > CANCELLED * before:
                 return False
     return True
 
 
-@compiled_part
+@helper
 def eliminate(matrix, whole, n, free):  # type: ignore[no-untyped-def]
     """Eliminate below the diagonal with partial pivoting; return whether no column was all rounding.
 
-    Four columns are eliminated at a time. Their factors stay below the diagonal, and the rows exchanged in `whole`.
+    Four columns are eliminated at a time, their rows copied behind the others. Their factors stay below the diagonal,
+    and the rows exchanged in `whole`.
     """
     largest = 0.0
     for i in range(free):
@@ -146,25 +140,14 @@ def eliminate(matrix, whole, n, free):  # type: ignore[no-untyped-def]
                     matrix[i, j] -= matrix[i, p] * matrix[p, j]
         if end == free:
             break
-        _copy(matrix, n, begin, end, free)
+        for p in range(4):
+            for j in range(end, free + 1):
+                matrix[n + p, j] = matrix[begin + p, j]
         for i in range(end, free):
             a, b, c, d = matrix[i, begin], matrix[i, begin + 1], matrix[i, begin + 2], matrix[i, begin + 3]
             if a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0:  # of another island
                 continue
-            _subtract(matrix, n, i, a, b, c, d, end, free)
+            for j in range(end, free + 1):
+                first = a * matrix[n, j] + b * matrix[n + 1, j]
+                matrix[i, j] -= first + (c * matrix[n + 2, j] + d * matrix[n + 3, j])
     return True
-
-
-@compiled_into_others
-def _copy(matrix, n, begin, end, free):  # type: ignore[no-untyped-def]
-    """Copy four rows from column `end` on behind the others."""
-    for p in range(4):
-        for j in range(end, free + 1):
-            matrix[n + p, j] = matrix[begin + p, j]
-
-
-@compiled_into_others
-def _subtract(matrix, n, i, a, b, c, d, first, free):  # type: ignore[no-untyped-def]
-    """Subtract those four rows at once from row i: it is read and written once instead of four times."""
-    for j in range(first, free + 1):
-        matrix[i, j] -= (a * matrix[n, j] + b * matrix[n + 1, j]) + (c * matrix[n + 2, j] + d * matrix[n + 3, j])

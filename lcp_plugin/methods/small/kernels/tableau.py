@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled, compiled_into_others, compiled_part
+from ....core.kernels.compilation import helper, inlined, kernel
 from .workspace import (
     AT_LOWER,
     AT_UPPER,
@@ -51,7 +51,7 @@ NOT_STARTED = -1  # SIDE of no cell
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 
-@compiled_part
+@helper
 def follow_path(M, k, real, whole, matrix, limit):  # type: ignore[no-untyped-def]
     """Follow w = M z + q + t r from the least t with w ≥ 0 to t = 0; return the pivots made, −1 where it breaks off.
 
@@ -67,16 +67,20 @@ def follow_path(M, k, real, whole, matrix, limit):  # type: ignore[no-untyped-de
     if level > 0.0:
         for i in range(n):
             real[KEPT, i] += level
-        outcome, _driven, _value, _direction, made = _advance(real, whole, matrix, n, 2 * n, level, -1.0, True, limit)
+        outcome, _driven, _value, _direction, made = pivots(real, whole, matrix, n, 2 * n, level, -1.0, True, limit)
     if outcome != SOLVED:
         return -1
     _end(real, whole, n)
     return made
 
 
-@compiled
+@kernel
 def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
     """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
+
+    The tableau is the first n rows of `matrix` plus the products of the columns `factors` with `rows`, which follow it:
+    those of the last few pivots. They are added at once, so that a large tableau goes through memory once for all of
+    them. What a pivot looks at is brought up to date before.
 
     Parameters
     ----------
@@ -84,17 +88,6 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
         KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE, START; the tableau. All but WIDTH and START are updated.
     is_fresh : bool
         The tableau has just been computed: a first pivot is taken however small it is.
-    """
-    return _advance(real, whole, matrix, n, driven, value, direction, is_fresh, limit)
-
-
-@compiled_part
-def _advance(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
-    """Make these pivots.
-
-    The tableau is the first n rows of `matrix` plus the products of the columns `factors` with `rows`, which follow it:
-    those of the last few pivots. They are added at once, so that a large tableau goes through memory once for all of
-    them. What a pivot looks at is brought up to date before.
     """
     size, most = 0.0, HELD if n > ADDED_AT_ONCE_UP_TO else 1
     factors, rows = matrix[n : n + HELD], matrix[n + HELD : n + 2 * HELD]
@@ -144,7 +137,7 @@ def _advance(real, whole, matrix, n, driven, value, direction, is_fresh, limit):
     return outcome, driven, value, direction, made
 
 
-@compiled_into_others
+@inlined
 def _bring_up_to_date(matrix, n, factors, rows, held, row):  # type: ignore[no-untyped-def]
     """Add what is held back of a row to the tableau; OWN_BOUND is none."""
     for k in range(held):
@@ -155,7 +148,7 @@ def _bring_up_to_date(matrix, n, factors, rows, held, row):  # type: ignore[no-u
             factors[k, row] = 0.0
 
 
-@compiled_into_others
+@inlined
 def _hold(matrix, n, factor, held, row, column):  # type: ignore[no-untyped-def]
     """Take the product that an exchange of `row` and `column` adds to the tableau, and clear these in it."""
     p = matrix[row, column]
@@ -169,7 +162,7 @@ def _hold(matrix, n, factor, held, row, column):  # type: ignore[no-untyped-def]
     factor[row] = 1.0
 
 
-@compiled_into_others
+@inlined
 def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
     """Add all that is held back to the tableau: HELD products at once."""
     for i in range(n):
@@ -185,7 +178,7 @@ def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
             matrix[i, j] += first + ((e * rows[4, j] + f * rows[5, j]) + (g * rows[6, j] + h * rows[7, j]))
 
 
-@compiled_into_others
+@inlined
 def _move(real, whole, matrix, n, driven, value, direction, row, column, step):  # type: ignore[no-untyped-def]
     """Move the driven variable by a step, at whose end `row` blocks it; return what left the basis, and what is driven.
 
@@ -208,7 +201,7 @@ def _move(real, whole, matrix, n, driven, value, direction, row, column, step): 
     return leaving, driven, value, direction
 
 
-@compiled_into_others
+@inlined
 def _begin(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     """Fill in the tableau of the canonical problem 0 ≤ z ≤ WIDTH, z at 0; return False where a row is free."""
     n = M.shape[1]
@@ -240,7 +233,7 @@ def _begin(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled_into_others
+@inlined
 def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
     """Let the basic variable of `row` and the other one of `column` change places; return the one that was basic."""
     leaving, entering = whole[BASIC, row], whole[OTHER, column]
@@ -255,7 +248,7 @@ def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
     return leaving
 
 
-@compiled_into_others
+@inlined
 def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped-def]
     """Return the complement of a variable that left the basis, the value it has, and the direction it moves in."""
     if leaving >= n:  # w_i reached 0: z_i leaves the bound it stands at
@@ -266,7 +259,7 @@ def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped
     return n + leaving, 0.0, 1.0 if is_falling else -1.0
 
 
-@compiled_into_others
+@inlined
 def _blocking(real, whole, matrix, n, column, direction, value, driven, size):  # type: ignore[no-untyped-def]
     """Return the row that blocks the driven variable, OWN_BOUND or NOTHING, the distance, and how many CANDIDATES do.
 
@@ -296,7 +289,7 @@ def _blocking(real, whole, matrix, n, column, direction, value, driven, size):  
     return whole[CANDIDATE, 0], nearest, count
 
 
-@compiled_into_others
+@inlined
 def _share(whole, matrix, n, column, direction, c, j):  # type: ignore[no-untyped-def]
     """Return by how much later candidate c blocks when q_j grows; 0 for the driven variable's own bound."""
     row, at = whole[CANDIDATE, c], whole[PLACE, n + j]
@@ -305,7 +298,7 @@ def _share(whole, matrix, n, column, direction, c, j):  # type: ignore[no-untype
     return (matrix[row, at - n] if at >= n else -1.0 if at == row else 0.0) / (direction * matrix[row, column])
 
 
-@compiled_part
+@helper
 def _first_in_order(whole, matrix, n, column, direction, count):  # type: ignore[no-untyped-def]
     """Return the candidate that blocks first for q + (ε, ε², …)."""
     for j in range(n):
@@ -324,7 +317,7 @@ def _first_in_order(whole, matrix, n, column, direction, count):  # type: ignore
     return whole[CANDIDATE, 0]
 
 
-@compiled_into_others
+@inlined
 def _end(real, whole, n):  # type: ignore[no-untyped-def]
     """Write FOUND and SIDE in terms of the caller's problem."""
     for i in range(n):

@@ -8,11 +8,14 @@ and a tableau or a linear system in `matrix`, (n + 16, n + 1); functions take th
 
 from __future__ import annotations
 
-from ....core.kernels.compilation import compiled_into_others
+import numpy as np
+
+from ....core.kernels.compilation import inlined
 
 # Rows of `real`: the problem, the point, what a search for the next point needs, what a path needs.
-Q, LOWER, UPPER, SCALE, Z, W, FOUND, KEPT = 0, 1, 2, 3, 4, 5, 6, 7
-WIDTH, BASE, ROW_UNIT, UNIT, LOW, HIGH, DISTANCE, PIVOT_ROW = 8, 9, 10, 11, 12, 13, 14, 15
+# Of numpy's integers, as numba compiles a function anew for each of Python's that is passed to it.
+Q, LOWER, UPPER, SCALE, Z, W, FOUND, KEPT = np.arange(8)
+WIDTH, BASE, ROW_UNIT, UNIT, LOW, HIGH, DISTANCE, PIVOT_ROW = np.arange(8, 16)
 
 # Rows of `whole`.
 SIDE, STATE, FREE, BASIC, PLACE, OTHER, CANDIDATE = 0, 1, 2, 3, 4, 5, 6
@@ -28,4 +31,4 @@ def shapes(n):  # type: ignore[no-untyped-def]
     return (16, n + 1), (7, 2 * n + 6), (n + 2 * HELD, n + 1)
 
 
-sizes = compiled_into_others(shapes)
+sizes = inlined(shapes)

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ....core.kernels.compilation import compiled_into_others, interpreted_while_small
+from ....core.kernels.compilation import inlined, kernel
 
 LIMITS, COSTS, BOUNDS = 1, 2, 3  # who may say how large unknowns are, beside
 ACTING = 0  # those limits and bounds that x = 0 violates
@@ -18,7 +18,7 @@ NOISE = 2.0**-30  # of the largest cost: smaller ones are rounding in the place 
 NEVER = 2000.0  # beyond any exponent
 
 
-@interpreted_while_small
+@kernel
 def mean_exponents(indptr, indices, data, is_full, means, largest, columns):  # type: ignore[no-untyped-def]
     """Write the mean exponent of each row, NaN of an empty one, and its largest |entry|.
 
@@ -44,7 +44,7 @@ def mean_exponents(indptr, indices, data, is_full, means, largest, columns):  # 
                     columns[k, 1, j] += 1.0
 
 
-@compiled_into_others
+@inlined
 def _part(place, k, m, n, of_rows, of_hessian, is_equality, limits, c, lower, upper):  # type: ignore[no-untyped-def]
     """Return what stands in this place of limits, costs and bounds: its size, NaN where it says nothing, and its kind.
 
@@ -67,7 +67,7 @@ def _part(place, k, m, n, of_rows, of_hessian, is_equality, limits, c, lower, up
     return math.frexp(value)[1] - 1.0 - beside, kind, acts
 
 
-@interpreted_while_small
+@kernel
 def sizes_of_unknowns(  # type: ignore[no-untyped-def]
     of_rows, of_hessian, is_equality, limits, c, lower, upper, sizes, say
 ):
@@ -114,7 +114,7 @@ def sizes_of_unknowns(  # type: ignore[no-untyped-def]
             say[k, place] = size >= ROUNDING + largest and (acts if chosen == ACTING else kind == chosen)
 
 
-@compiled_into_others
+@inlined
 def _mean_and_least(values, k):  # type: ignore[no-untyped-def]
     """Return the mean, rounded down, and the smallest exponent of a row, without noise; NEVER where all are 0."""
     largest = 0.0
@@ -131,7 +131,7 @@ def _mean_and_least(values, k):  # type: ignore[no-untyped-def]
     return np.floor(total / count) if count > 0.0 else NEVER, least
 
 
-@interpreted_while_small
+@kernel
 def objective_exponents(c, diagonal, exponents):  # type: ignore[no-untyped-def]
     """Write what most |c_j| are near, or most p_jj if these are larger, and the smallest |c_j|; 0 where all are 0.
 

@@ -81,7 +81,7 @@ def applications(*, full: bool) -> Iterator[Input]:
 
     if full:
         chosen = {
-            "obstacle_2d": {"side": 100}, "obstacle_3d": {"side": 20}, "jumps": {"side": 100},
+            "obstacle_2d": {"side": 300}, "obstacle_3d": {"side": 20}, "jumps": {"side": 100},
             "put_uniform": {"n": 4000}, "put_geometric": {"n": 4000}, "seepage": {"side": 70},
             "rotated_anisotropy": {"side": 70}, "graph_laplacian": {"n": 3000}, "plate": {"side": 30},
         }
@@ -170,6 +170,41 @@ def residual(problem: Any, z: Any) -> float:
 
 def _by_residual(problem: Any, result: Any) -> str:
     return OPEN if not result.is_solved else SOLVED if residual(problem, result.z) <= ALIKE else FALSE
+
+
+def plain_structures() -> Iterator[Input]:
+    """Matrices whose rows tell how to solve them, and mistakes that they tell: a wrong sign, a row against its bounds.
+
+    Of −L, L an M-matrix, no z with w = q − L z ≥ 0 exceeds L⁻¹q, which has a negative entry; the other row that
+    contradicts says w = −z − 1.
+    """
+    rng = np.random.default_rng(SEED)
+
+    def random_rows(n: int, share: float) -> sp.csr_array:
+        A = sp.csr_array(sp.random_array((n, n), density=6.0 / n, rng=rng, data_sampler=rng.standard_normal))
+        A = A - sp.diags_array(A.diagonal())
+        return sp.csr_array(A + sp.diags_array(np.asarray(abs(A).sum(axis=1)).ravel() / share + 1e-3))
+
+    def stencil(side: int, flow: float) -> sp.csr_array:
+        line = sp.diags_array([-1.0 - flow, 2.0 + flow, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+        return sp.csr_array(sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line))
+
+    def by_proof(problem: Any, result: Any) -> str:
+        return FALSE if result.is_solved else PROVED if result.has_no_solution else OPEN
+
+    wrong, flow, contradictory = stencil(40, 0.0), stencil(150, 10.0), random_rows(3000, 0.5).tolil()
+    contradictory[7, :], contradictory[7, 9] = 0.0, -1.0
+    against = rng.standard_normal(3000)
+    against[7] = -1.0
+    stated = {
+        "dominant rows": (random_rows(50_000, 0.7), rng.standard_normal(50_000), _by_residual),
+        "lower triangle": (np.tril(rng.standard_normal((800, 800))) + 5.0 * np.eye(800), -np.ones(800), _by_residual),
+        "flow": (flow, rng.standard_normal(22_500), _by_residual),
+        "wrong sign": (-wrong, wrong @ (rng.random(1600) - 0.1), by_proof),
+        "contradictory row": (sp.csr_array(contradictory), against, by_proof),
+    }
+    for name, (M, q, judge) in stated.items():
+        yield Input("plain structures", name, partial(LCP, M, q), solve, judge)
 
 
 def contacts(count: int = 63) -> Iterator[Input]:
@@ -617,7 +652,8 @@ def proved_nonlinear(count: int = 15) -> Iterator[Input]:
 
 SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "applications": partial(applications, full=False), "collection": collection, "published LCPs": published_lcps,
-    "small LCPs": small_lcps, "contacts": contacts, "applications, larger": partial(applications, full=True),
+    "small LCPs": small_lcps, "plain structures": plain_structures, "contacts": contacts,
+    "applications, larger": partial(applications, full=True),
     "marches": marches, "batches": batches,
     "batches of programs": batches_of_programs, "published programs": published_programs,
     "planted programs": planted_programs, "shapes of programs": partial(shapes, full=False),

@@ -146,7 +146,8 @@ def largest_of_components(problem: LCP, values: FloatVector) -> FloatVector:
     several = connected_components(problem.matrix)
     if several is not None:
         return several.largest(values)
-    return np.array([problem.matrix.largest_of(values)])
+    of_all = float(values.max()) if values.size else 0.0  # values may be negative
+    return np.array([problem.matrix.largest_of(of_all)])
 
 
 def for_each_row(problem: LCP, values: Any) -> Any:

@@ -182,9 +182,8 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
         yield Choice(LargestPoint(prove_infeasibility=prove_infeasibility), why)
     is_kkt = getattr(problem.origin, "form", "") == "kkt"
     newton = Choice(Newton(), "guesses what is at a bound, solves for the rest")
-    is_made = "interior_point" in getattr(problem.origin, "attempted", ())
     why = "steps strictly between the bounds; suits M, which is monotone or may be"
-    interior = Choice(InteriorPoint(), why, is_made=is_made)
+    interior = Choice(InteriorPoint(), why)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     lemke = Choice(Lemke(), "pivoting needs no property of M")
     too_large = _too_large(problem, is_kkt=is_kkt)

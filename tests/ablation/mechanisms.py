@@ -209,15 +209,6 @@ def if_program(old: Any, note: Callable[[], None]) -> Any:
     return newton_matrix
 
 
-def step_by_step(old: Any) -> Any:
-    def steps(self: Any, *given: Any) -> Any:
-        from lcp_plugin.methods.interior.newton_matrix import NewtonMatrix
-
-        return NewtonMatrix.steps(self, *given)
-
-    return steps
-
-
 def no_starts(old: Any) -> Any:
     return lambda path, z, restarts, **named: old(path, z, 0, **named)
 
@@ -393,16 +384,8 @@ MECHANISMS = (
               {"methods.interior.suited_matrix:sizes_of_components": says((1.0, 1.0))},
               "methods/interior/suited_matrix.py:sizes_of_components methods/interior/suited_matrix.py:_means"),
     Mechanism("quasidefinite", "LDLᵀ without pivots for programs",
-              {"methods.interior.dense_ends:newton_matrix": Instead(sparse_factor, if_program)},
-              "methods/interior/quasidefinite.py methods/interior/dense_ends.py methods/interior/kernels"),
-    Mechanism("dense ends", "the dense end of a sparse factor by LAPACK",
-              {"methods.interior.dense_ends:dense_part": says(None),
-               "methods.interior.dense_ends:dense_rows_last": says((None, 0))},
-              "methods/interior/dense_ends.py methods/interior/kernels/dense_ends.py"),
-    Mechanism("steps at once", "interior steps of programs in one compiled call",
-              {"methods.interior.quasidefinite:QuasidefiniteNewtonMatrix.steps": Instead(step_by_step)},
-              "methods/interior/kernels/steps_at_once.py "
-              "methods/interior/quasidefinite.py:QuasidefiniteNewtonMatrix.steps"),
+              {"methods.interior.quasidefinite:newton_matrix": Instead(sparse_factor, if_program)},
+              "methods/interior/quasidefinite.py methods/interior/kernels"),
     # --- programs
     Mechanism("engines", "programs answered by solvers of others, judged here",
               {f"{CALLS}:engines_for": without_engines("daqp", "piqp", "clarabel", "highs")},

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg.blas import dsyrk
 
 from lcp_plugin.api import solve
 from lcp_plugin.core import tuning
@@ -19,8 +18,6 @@ from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.gallery import build
-from lcp_plugin.methods.interior.dense_ends import analysed, newton_matrix
-from lcp_plugin.methods.interior.quasidefinite import QuasidefiniteNewtonMatrix, Symbolic
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.no_solution.infeasibility import find_infeasibility
 from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, symmetric_part
@@ -341,35 +338,6 @@ def _single(repeats: int) -> str:
     return "a V-cycle takes " + ", ".join(found)
 
 
-def _dense_end(constant: str, repeats: int) -> str:
-    """Return what a lasso's factor takes with a dense end and without, in multiplications of compiled loops."""
-    rng, (m, n) = np.random.default_rng(0), (200, 1000)
-    A = sp.csr_array(rng.standard_normal((m, n)))
-    M = sp.csr_array(sp.block_array([[sp.eye_array(n), A.T], [-A, sp.eye_array(m)]]))
-    M.sort_indices()
-    signs, diagonal = np.repeat([1.0, -1.0], [n, m]), rng.random(m + n)
-    plain, known = Symbolic.of(M), analysed(M, signs)
-    loops, whole = QuasidefiniteNewtonMatrix(M, signs, plain), newton_matrix(M, False, signs, known)
-    assert isinstance(whole, QuasidefiniteNewtonMatrix)
-
-    def eliminate(matrix: QuasidefiniteNewtonMatrix) -> bool:
-        matrix._pivots[:] = signs * (1.0 + diagonal)
-        return matrix._eliminate()  # without the system that a factor is tried on
-
-    block, S = np.asfortranarray(A.toarray()), np.asfortranarray(np.eye(m))
-    seconds = medians({
-        "loops": partial(eliminate, loops), "whole": partial(eliminate, whole),
-        "lapack": lambda: positive_factor(dsyrk(1.0, block, 1.0, S)), "analysed": lambda: analysed(M, signs),
-    }, 3 * repeats)
-    unit = seconds["loops"] / plain.work
-    by_lapack = (0.5 * n * m**2 + m**3 / 6.0) * unit
-    return {
-        "BLOCKED_RATE": f"{by_lapack / seconds['lapack']:.1f}",
-        "BLOCKED_ENTRY": f"{(seconds['whole'] - seconds['lapack']) / unit / known.entries:.1f}",
-        "BLOCKED_FROM": f"{seconds['analysed'] / unit / known.entries / 15.0:.1f} for each of fifteen factors",
-    }[constant] + f", a multiplication in loops {1e9 * unit:.2f} ns"
-
-
 MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct_dense, "DIRECT_ROWS": _direct_in_rows,
     "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small, "SWEEP_ENTRIES": _calls_of_a_sweep,
@@ -388,5 +356,4 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "FULL_CHOLESKY_FROM": partial(_cholesky, 500, tuning.FULL_CHOLESKY_FROM),
     "DENSE_NEWTON_UP_TO": _dense_or_sparse, "SHARP_SAMPLES_UP_TO": _sharp_bound, "SHARED_FROM": _hand_over,
     "SINGLE_FROM": _single,
-    **{name: partial(_dense_end, name) for name in ("BLOCKED_RATE", "BLOCKED_ENTRY", "BLOCKED_FROM")},
 }

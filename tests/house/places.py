@@ -30,7 +30,7 @@ NAMED = {
         "Presolved", "fold_simple_rows", "substitute_definitions", "eliminate_definitions", "known_before",
         "without_known", "fixed_and_free", "Condensed", "_FreePart", "CanonicalBox", "Reduction",
     ),
-    "a step of interior points": ("step", "steps_at_once", "sharpen", "factorise"),
+    "a step of interior points": ("step", "sharpen", "factorise"),
     "a dense active set of a convex program": (
         "PrimalActiveSet", "Triangles", "append_row", "WorkingSet", "add_row", "drop_row", "dual_active_set",
     ),

@@ -26,19 +26,17 @@ class Choice:
     """An algorithm and the reason for it.
 
     `turn` says after how many steps, or of lemke pivots divided by n, another one may have its turn before this one has
-    come to its end; `from_start`, that it does not go on from the best point so far but begins where the run began;
-    `is_made`, that it came to its end before the run, which begins with the point that it led to.
+    come to its end; `from_start`, that it does not go on from the best point so far but begins where the run began.
     """
 
     algorithm: Algorithm
     because: str = ""
     turn: float = math.inf
     from_start: bool = False
-    is_made: bool = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the steps of the algorithm."""
-        return iter((Step(z0, work=0.0),)) if self.is_made else self.algorithm.iterates(problem, z0)
+        return self.algorithm.iterates(problem, z0)
 
 
 @dataclass

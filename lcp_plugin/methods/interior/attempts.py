@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from .dense_ends import newton_matrix
 from .newton_matrix import NewtonMatrix, SparseNewtonMatrix
+from .quasidefinite import newton_matrix
 from .suited_matrix import SuitedMatrix
 
 MOST_TO_PIVOT = 1e7  # entries of L beyond which no factor with pivots is tried

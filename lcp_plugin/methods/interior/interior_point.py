@@ -18,10 +18,10 @@ from ...core.deadline import is_over
 from ...core.lcp import LCP
 from ...core.tuning import SWEEPS_FIRST_UP_TO
 from .attempts import ATTEMPTS
-from .dense_ends import newton_matrix
 from .newton_matrix import NewtonMatrix
 from .predictor_corrector import PredictorCorrector, Standstill, Starts
 from .primal_active_set import PrimalActiveSet
+from .quasidefinite import newton_matrix
 from .suited_matrix import known_before, sizes_of_components, suited
 
 SWEEPS_AT_ONCE = (10, 5)  # small or not
@@ -31,7 +31,6 @@ FIRST_GUESS = (200, 1.0)  # changes of the first active set, 200 + n, that cost 
 LATER_GUESS = (10, 0.02)
 EARLIEST_GUESS = 3
 MOST_ITERATIONS = 150
-AT_ONCE = 8  # steps between two looks at where they have come to
 MUCH_SMALLER = 0.1
 CLOSED_GAP = 1e-20  # of the first gap: nothing is hidden any more
 POLISHED_GAP = 1e-4  # of the first gap, no active set is looked for before; then each step is looked at
@@ -103,29 +102,8 @@ class InteriorPoint(Algorithm):
             return z if left <= FINISHED * reference_residual(problem) else Search(problem).finished(z)
 
 
-def points(problem: LCP, tolerance: float) -> Iterator[tuple[FloatVector, int, float, bool]]:
-    """Yield better and better points of a program's problem whose relative residual is within the tolerance.
-
-    And those at which nothing improves. z, the steps taken so far, their work in passes over M, and whether an attempt
-    ends there. Nobody watches single steps: many are made between two looks, and no limit is obeyed but between these.
-    """
-    with np.errstate(all="ignore"):
-        search = Search(problem, AT_ONCE)
-    allowed, work = tolerance * search.reference, 0.0
-    for step in without_warnings(search.steps(np.array(problem.nearest_to_zero))):
-        work += step.work
-        if is_over():
-            return
-        if search.best <= allowed or (search.is_at_end and search.best < np.inf):
-            is_exact = search.best <= FINISHED * search.reference
-            with np.errstate(all="ignore"):
-                z = search.best_z if is_exact else search.finished(search.best_z)
-            yield z, search.taken, work, search.is_at_end
-            allowed = min(allowed, 0.5 * search.best)
-
-
 class Search:
-    """The run on the rows that are not fixed, in equilibrated unknowns z = unit · y; so many interior steps `at_once`.
+    """The run on the rows that are not fixed, in equilibrated unknowns z = unit · y.
 
     Attributes
     ----------
@@ -133,14 +111,10 @@ class Search:
         The best point of the caller's problem.
     best, reference : float
         Its residual, and that of z°.
-    taken : int
-        Interior steps.
-    is_at_end : bool
-        Whether nothing improves, but with another attempt.
     """
 
-    def __init__(self, problem: LCP, at_once: int = 1) -> None:
-        self.problem, self.at_once, self.taken, self.is_at_end = problem, at_once, 0, False
+    def __init__(self, problem: LCP) -> None:
+        self.problem = problem
         q, lower, upper, self.known = problem.q, problem.lower, problem.upper, known_before(problem)
         kept = np.flatnonzero(np.isnan(self.known))
         self.kept = None if kept.size == problem.n else kept
@@ -268,11 +242,10 @@ class Search:
         standstill, first_gap, counted = Standstill(self.is_convex), point.gap, point.matrix.work
         polishes, steps, held, missing, small_gap = 0, 0, 0, 0, POLISHED_GAP * point.gap
         while steps < MOST_ITERATIONS:
-            at_once = 1 if point.gap <= small_gap else self.at_once  # the best point may be one that steps go past
-            made = point.advance(at_once if steps > 1 else min(at_once, 2), small_gap)
+            made = point.advance(1, small_gap)  # the best point may be one that steps go past
             if not made:
                 break
-            steps, self.taken = steps + made, self.taken + made
+            steps += made
             step = self.step(point.z, point.matrix.work - counted)
             # A residual that is small already hides errors beside large multipliers: as long as the gap falls, go on.
             is_falling = point.gap > CLOSED_GAP * first_gap and not is_over()
@@ -302,9 +275,7 @@ class Search:
                 yield from self.polished(point.z, *point.active(1.0))
         for threshold in CLASSIFICATIONS:
             yield from self.polished(point.z, *point.active(threshold))
-        self.is_at_end = True
         yield self.step(point.z, 0.0)
-        self.is_at_end = False
         return True
 
     def _limit(self, share: tuple[int, float]) -> int:

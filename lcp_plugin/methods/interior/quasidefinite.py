@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.checks import FloatVector, read_only
 from ...core.deadline import require_seconds
 from ...core.tuning import SPARSE_OPERATIONS
 from ...systems.factors import require_time_for_factor
 from ...systems.graph import compressed_rows
 from ...systems.refinement import REFINEMENTS
-from .newton_matrix import NewtonMatrix
+from .newton_matrix import DenseNewtonMatrix, NewtonMatrix, SparseNewtonMatrix
 
 DEAR = (8.0, 30.0)  # times the work of a solve: factorisations that are worth one correction, or two
-AT_ONCE_UP_TO = 1e8  # operations a factor, .1 s: beyond, somebody may want to look between two steps
+DENSE_UP_TO = 150  # rows up to which a sparse M is factorised by LAPACK, with pivoting
 SAME = 1e-12  # entries that differ by less, beside their size, are the same but for rounding
 
 
@@ -135,18 +135,6 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         arrays = *self.symbolic.pattern, self._signed, self._values, self._pivots, self._spare[0]
         return bool(symmetric_factors.factorise(*arrays))
 
-    def steps(self, vectors: FloatVector, facts: FloatVector, is_active: BoolVector, most: int) -> None:
-        """Make steps in one compiled call; one where each takes long."""
-        from .kernels import steps_at_once
-
-        known = self.symbolic
-        require_seconds(known.work / SPARSE_OPERATIONS)
-        factors, solves = steps_at_once.steps(
-            vectors, facts, self.state, is_active, most if known.work <= AT_ONCE_UP_TO else 1, known.pattern,
-            self._signed, self._own_diagonal, self.signs, self._entries_of, (self._values, self._pivots), self._spare,
-        )
-        self.work += float(factors) * known.work + float(solves) * (known.solve_work + self.M.nnz)
-
     @property
     def corrections(self) -> int:
         """As in every Newton matrix; the work is known."""
@@ -162,6 +150,19 @@ class QuasidefiniteNewtonMatrix(NewtonMatrix):
         )
         self.work += passes * (self.symbolic.solve_work + self.M.nnz)
         return x, error, size
+
+
+def newton_matrix(
+    M: Any, is_symmetric: bool, signs: FloatVector | None = None, symbolic: Symbolic | None = None
+) -> NewtonMatrix:
+    """Return the Newton matrix that suits M: dense or small, of a quadratic program with these signs, or sparse."""
+    if not sp.issparse(M):
+        return DenseNewtonMatrix(M, is_symmetric, signs)
+    if signs is not None:
+        return QuasidefiniteNewtonMatrix(M, signs, symbolic)
+    if M.shape[0] <= DENSE_UP_TO:
+        return DenseNewtonMatrix(M.toarray(), is_symmetric)
+    return SparseNewtonMatrix(M)
 
 
 def signs_of(M: Any) -> FloatVector | None:

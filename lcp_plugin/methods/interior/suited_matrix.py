@@ -20,7 +20,6 @@ from ...core.tuning import DENSE_NEWTON_UP_TO
 from ...systems.equilibration import unit_diagonal
 from ...systems.graph import compressed_rows
 from ...systems.symmetry import is_nearly_symmetric, is_symmetric_to_rounding
-from .dense_ends import analysed
 from .quasidefinite import Symbolic, signs_of
 
 SPARSE_BELOW = 0.01  # share of the entries: a symmetric M with fewer is not treated as a dense one
@@ -69,7 +68,7 @@ class SuitedMatrix:
     @cached_property
     def symbolic(self) -> Symbolic | None:
         """Order and pattern of a factor of a sparse M with signs, for all numbers."""
-        return analysed(self.M, self.signs) if self.signs is not None and sp.issparse(self.M) else None
+        return Symbolic.of(self.M) if self.signs is not None and sp.issparse(self.M) else None
 
     @property
     def is_program(self) -> bool:

@@ -229,7 +229,6 @@ class QPOrigin:
     is_of_convex_program: ClassVar[bool] = True
     _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
     _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
-    _attempted: list[str] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> QPOrigin:
@@ -346,15 +345,6 @@ class QPOrigin:
     def ended_by(self) -> QPInfeasibility | QPUnboundedness | None:
         """The proof that has ended a run, if one has."""
         return self._proofs[0] if self._proofs else None
-
-    def note_attempt(self, name: str) -> None:
-        """Take note of an algorithm that has ended without an answer before there is a run, which starts there."""
-        self._attempted.append(name)
-
-    @property
-    def attempted(self) -> tuple[str, ...]:
-        """The algorithms that have ended without an answer before there is a run, which starts where they ended."""
-        return tuple(self._attempted)
 
     def _split(self, answer: Any) -> tuple[FloatVector, FloatVector]:
         """Return x and the multipliers of the rows of G and A that are left."""

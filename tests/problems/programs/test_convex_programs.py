@@ -19,7 +19,6 @@ from cvxpy.tests.solver_test_helpers import StandardTestLPs
 from lcp_plugin import LCP, InvalidProblem, QPSolver, Status, UnsupportedModel, box, certify, complements, solve
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.deadline import time_limit
-from lcp_plugin.methods.interior import interior_point
 from lcp_plugin.methods.interior.interior_point import InteriorPoint
 from lcp_plugin.modeling.registration import ComplementarityProblem, build
 from lcp_plugin.problems.batches.batch import solve_many
@@ -197,24 +196,6 @@ def test_rows_that_contradict_by_rounding_prove_nothing() -> None:
     result = solve(program)
     assert result.is_solved
     assert result.x == pytest.approx([1.0, 3.0], abs=1e-6)
-
-
-def test_each_step_is_looked_at_once_the_gap_is_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The best point may be one that steps go past: of eight at once, the last would be all that is seen."""
-    program, _ = CAMPAIGN.case("degenerate", 57, 1, 300)
-    problem, asked = lcp_from_qp(program, "kkt"), []
-    advance = interior_point.PredictorCorrector.advance
-
-    def noted(point: Any, most: int, small_gap: float) -> int:
-        asked.append((point.gap <= small_gap, most))
-        return advance(point, most, small_gap)
-
-    monkeypatch.setattr(interior_point.PredictorCorrector, "advance", noted)
-    for z, *_ in interior_point.points(problem, 1e-12):
-        if problem.origin.recover(z).is_stationary(1e-9):
-            break
-    assert {most for is_small, most in asked if is_small} == {1}
-    assert max(most for is_small, most in asked if not is_small) == interior_point.AT_ONCE
 
 
 def test_at_a_small_tolerance_a_program_ends_where_its_own_criterion_holds() -> None:

@@ -78,13 +78,15 @@ def solve(
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
-        Warm start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. ``interior_point``
-        uses one on dense symmetric M and programs only; ``lemke`` begins from the active set of z0 where its residual
-        is at most a tenth of that of the default start. Where a start changes nothing, ``explain()`` says so.
+        Start, of every kind of problem; x0 is the same where the unknown is called x. It is projected onto the bounds;
+        by default it is the point of [lower, upper] nearest to 0. ``interior_point`` uses one on dense symmetric M and
+        programs only; ``lemke`` begins from the active set of z0 where its residual is at most a tenth of that of the
+        default start. Where a start changes nothing, ``explain()`` says so.
     tolerance : float
-        SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included,
-        is at most this times that of the point of [lower, upper] nearest to 0, and that no w_i misses its sign by
-        more than √tolerance of its own terms: ``help("lcp_plugin.core.certificates.criterion")``.
+        In [0, 1), relative, for every kind. Here SOLVED means that in every connected component of M's graph the
+        residual of the returned z, rounding included, is at most this times that of the point of [lower, upper] nearest
+        to 0, and that no w_i misses its sign by more than √tolerance of its own terms:
+        ``help("lcp_plugin.core.certificates.criterion")``.
     tolerance_on : {"residual", "error"}
         With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved for each of these components; z*
         is the solution.
@@ -97,10 +99,11 @@ def solve(
         In the unit of z: a component with ‖r‖∞ ≤ absolute_tolerance is solved in any case. Use it for contacts at rest,
         whose gaps are rounding. INFEASIBLE and NO_SOLUTION are proved by more than it.
     record : bool
-        Keep samples of the run at geometric intervals in ``Result.history``.
+        Keep samples of the run at geometric intervals in ``Result.history``; of an engine its start and its end.
     callback : callable, optional
         Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
-        run with status INTERRUPTED. What it raises is passed on.
+        run with status INTERRUPTED. What it raises is passed on. "auto" answers a program by a method of our own
+        then, since engines show no steps.
     error_bound : bool
         Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
         clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.

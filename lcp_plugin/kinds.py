@@ -68,6 +68,8 @@ def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
     if kind is None:
         raise InvalidOption(refusal("solve", problem))
     options = options_of(kind)
+    if "z0" in wishes and "x0" in (options or {}) and "x0" not in wishes:  # the same, of an unknown that is called x
+        wishes = {"x0" if name == "z0" else name: wish for name, wish in wishes.items()}
     if options is None or "algorithm" in options or algorithm != "auto":
         wishes = {"algorithm": algorithm, **wishes}
     kind.refuse(wishes)

@@ -363,7 +363,7 @@ def run_model(
     is_on_cones = kind_in(target.strip()).__name__ in ON_CONES  # whose algorithms have names of their own
     chosen: Any
     if isinstance(algorithm, str) and algorithm in ENGINES:
-        chosen = engine_class(algorithm)(options)
+        chosen = engine_class(algorithm)(**options)
     elif is_on_cones and options and algorithm in METHODS:
         chosen = made(METHODS[algorithm], algorithm, options)
     else:

@@ -57,7 +57,7 @@ class Settings:
     Parameters
     ----------
     tolerance : float
-        ≥ 0 and finite.
+        In [0, 1): it is relative.
     tolerance_on : {"residual", "error"}
         What the tolerance speaks of.
     max_iterations : int or None
@@ -136,6 +136,13 @@ def _number(value: Any, name: str) -> float:
     return float(value)
 
 
+def _relative(value: Any, name: str) -> float:
+    if _number(value, name) >= 1.0:
+        what = "it is relative: the residual of the start itself is at 1"
+        raise InvalidOption(f"{name} must be less than 1, got {value!r}: {what}, and 1e-8 the default of most kinds")
+    return float(value)
+
+
 def _seconds(value: Any, name: str) -> float:
     return math.inf if value is None else _number(value, name)
 
@@ -184,7 +191,7 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "tolerance": _number, "tolerance_on": partial(_choice, choices=TARGETS),
+    "tolerance": _relative, "tolerance_on": partial(_choice, choices=TARGETS),
     "max_iterations": _count, "max_seconds": _seconds,
     "absolute_tolerance": _number, "record": _flag, "error_bound": _flag,
     "threads": checked_threads, "verbose": _flag, "prove_infeasibility": _flag,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
@@ -80,9 +79,8 @@ class Point(NamedTuple):
     says: Hint
 
 
-@dataclass(frozen=True, eq=False)
 class Engine(ABC):
-    """An engine with its options, by the names that it has given them.
+    """An engine with its options, by the names that it has given them: ``PIQP(max_iter=50)``.
 
     Attributes
     ----------
@@ -112,15 +110,17 @@ class Engine(ABC):
     steps: ClassVar[str] = "max_iter"
     ends_with_a_case: ClassVar[bool] = False
     is_for_linear_alone: ClassVar[bool] = False
-    options: Mapping[str, Any] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        """Refuse what the engine has no option for."""
-        known = self.known_options()
-        for option in self.options:
+    def __init__(self, **options: Any) -> None:
+        known = self.known_options() if options else frozenset[str]()
+        for option in options:
             if option not in known:
                 hint = did_you_mean(option, known, is_listed=True)
                 raise InvalidOption(f"{self.name} has no option {option!r}{hint}")
+        self.options = options
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{name}={value!r}' for name, value in self.options.items())})"
 
     @property
     def settings(self) -> dict[str, Any]:

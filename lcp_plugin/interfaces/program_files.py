@@ -268,7 +268,15 @@ def _from_mps(source: Path) -> Stated:
         raise UnreadableFile(f"{source} is read by HiGHS; install it with: pip install highspy") from error
     if not source.is_file():
         raise UnreadableFile(f"no such file: {source}")
-    reader: Any = highspy.Highs()  # type: ignore[no-untyped-call]
+
+    class Silent(highspy.Highs):
+        """HiGHS without its banner, which its constructor prints when it switches callbacks on."""
+
+        def enableCallbacks(self) -> None:
+            self.setOptionValue("output_flag", False)
+            super().enableCallbacks()  # type: ignore[no-untyped-call]
+
+    reader: Any = Silent()  # type: ignore[no-untyped-call]
     reader.setOptionValue("output_flag", False)
     with tempfile.TemporaryDirectory() as folder:  # HiGHS goes by the ending of the name
         copy = Path(folder) / "program.mps"

@@ -113,7 +113,10 @@ def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
     with pytest.raises(InvalidOption, match="piqp has no option 'max_itr'; did you mean 'max_iter'"):
         solve(program, "piqp", max_itr=3)
     piqp = engine_class("piqp")
-    assert np.abs(solve(program, piqp({"max_iter": 50})).x - x).max() <= 1e-7
+    assert np.abs(solve(program, piqp(max_iter=50)).x - x).max() <= 1e-7
+    assert repr(piqp(max_iter=50)) == "PIQP(max_iter=50)"
+    with pytest.raises(InvalidOption, match="piqp has no option 'max_itr'; did you mean 'max_iter'"):
+        piqp(max_itr=3)
     with pytest.raises(InvalidOption, match="PIQP"):
         solve(program, piqp(), max_iter=3)
 
@@ -213,3 +216,13 @@ def test_a_polish_solves_the_case_and_goes_on_where_it_names_another(kind: Any) 
     inequality = rough.inequality + (np.arange(program.h.size) == np.argmin(rough.inequality)) * 1e3
     start = Point(x + 1e-4, Multipliers(inequality, rough.equality, rough.lower, rough.upper), 0, Hint.GAVE_UP)
     assert min(float(np.abs(one.x - x).max()) for one in polished(statement, start)) <= 1e-12
+
+
+def test_a_record_changes_no_bit() -> None:
+    """With record=True the same engine answers, with its start and its end as samples."""
+    for seed in range(3):
+        program, _, _ = planted(seed)
+        plain, recorded = solve(program), solve(program, record=True)
+        assert np.array_equal(plain.x, recorded.x)
+        assert (plain.algorithm, plain.history) == (recorded.algorithm, ())
+        assert [sample.iteration for sample in recorded.history] == [0, recorded.iterations]

@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 from lcp_plugin import (
     LCP,
+    BoundedLeastSquares,
     Certificate,
     InvalidOption,
     LCPError,
@@ -456,9 +457,11 @@ def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, cap
     kind, wish = kind_of(sample.problem), WISHES[name]
     assert kind is not None
     is_taken = name in OF_SOLVE or name == "algorithm" if options_of(kind) is None else name in options_of(kind)
+    is_start_x = name == "z0" and "x0" in (options_of(kind) or {})  # z0 is x0 there
+    is_taken = is_taken or is_start_x
     wish = "newton" if name == "algorithm" and sample.kind in ON_CONES else wish
     if name in ("z0", "x0") and is_taken:
-        wish = solved(sample).z if name == "z0" else solved(sample).x
+        wish = solved(sample).z if name == "z0" and not is_start_x else solved(sample).x
     try:
         answer = solve(sample.problem, **{**sample.start, name: wish})
     except UnsuitableMatrix as error:
@@ -630,3 +633,15 @@ def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
         assert result.is_solved
         assert float(result.x[0]) == pytest.approx(np.exp(-1.0))
         assert "begun at the point of the bounds nearest to 1: F or its derivative is not finite" in str(result)
+
+
+def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind() -> None:
+    """Solve takes z0 of every kind, with the bits of x0 where it has that name, and no tolerance of 1 or more."""
+    root = NonlinearProblem(lambda x: x**3 - 8.0, lower=[0.0])
+    squares = BoundedLeastSquares(np.array([[2.0, 1.0], [1.0, 3.0]]), [1.0, -1.0])
+    for problem, start in ((root, [1.0]), (squares, [0.5, 0.5])):
+        assert np.array_equal(solve(problem, z0=start).x, solve(problem, x0=start).x)
+    for problem, more in ((LCP([[2.0]], [-1.0]), {}), (QuadraticProgram([[2.0]], [-1.0]), {}), (root, {"z0": [1.0]}),
+                          (squares, {})):
+        with pytest.raises(InvalidOption, match="tolerance must be less than 1, got 2: it is relative"):
+            solve(problem, tolerance=2, **more)

@@ -43,7 +43,7 @@ from .program import QuadraticProgram
 from .program_matrices import may_be_small
 from .solution import QPSolution
 
-SEEN = ("callback", "record", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
+SEEN = ("callback", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SHARE = 0.75  # of a limit that interior points may take before there is a run
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
@@ -227,9 +227,10 @@ def solve_program(
         if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
             found = program.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
     if isinstance(found, EngineRun):
+        history = _two_samples(by, found, clock.read()) if options.get("record") else ()
         return QuadraticProgramResult(
             Status.SOLVED, found.solution, goal, f"auto: {by}", found.stage.iterations, clock.read(),
-            tolerance, (found.stage,),
+            tolerance, (found.stage,), history,
         )
     if found is not None:
         return _without_minimum(program, found, by, tolerance, clock.read())
@@ -293,19 +294,24 @@ def _solved_by_engine(
     )
     solution = run.solution if proof is None else QPSolution.without_multipliers(program, run.solution.x)
     steps, seconds = run.stage.iterations, clock.read()
-    end = Sample(steps, 0.0, seconds, run.solution.error, engine.name)
+    history = _two_samples(engine.name, run, seconds)
     if callback is not None:
-        callback(end, run.solution.x)
-    history = (Sample(0, 0.0, 0.0, None, engine.name), end) if settings.record else ()
+        callback(history[-1], run.solution.x)
     return QuadraticProgramResult(
-        status, solution, goal, engine.name, steps, seconds, tolerance, (run.stage,), history, proof=proof
+        status, solution, goal, engine.name, steps, seconds, tolerance, (run.stage,),
+        history if settings.record else (), proof=proof,
     )
+
+
+def _two_samples(name: str, run: EngineRun, seconds: float) -> tuple[Sample, Sample]:
+    """Return what a record has of an engine: its start, of which nothing is known, and its end."""
+    return Sample(0, 0.0, 0.0, None, name), Sample(run.stage.iterations, 0.0, seconds, run.solution.error, name)
 
 
 def _engine(algorithm: Any, options: dict[str, Any]) -> Engine:
     """Return the engine with its options."""
     if not isinstance(algorithm, Engine):
-        return engine_class(algorithm)(options)
+        return engine_class(algorithm)(**options)
     if options:
         raise InvalidOption(
             f"give {min(options)} to {type(algorithm).__name__}(…), or name the engine: "
@@ -365,7 +371,7 @@ def _status(
 
 
 def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -> bool:
-    """Return whether engines may be asked: nobody watches the steps. Refuse what is wrong."""
+    """Return whether engines may be asked: no callback wants the steps. Refuse what is wrong."""
     is_auto = isinstance(algorithm, str) and algorithm == "auto"
     if options or not is_auto or not isinstance(tolerance, float):
         asked_of_solve(algorithm, {"tolerance": tolerance, **options})

@@ -20,6 +20,7 @@ Ball = tuple[FloatVector, FloatVector]
 
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
 NOTHING = np.empty(0)
+SMALLEST_NORMAL = 2.0**-1022  # smaller products may vanish
 GRAM_UP_TO = 3000  # columns; AᵀWA is factorised
 
 
@@ -167,10 +168,17 @@ def _add_products(sums: Any, B: Any, sizes: Any, v: FloatVector, of_terms: Float
     sums[1] += sizes @ of_terms
     if slip.size:
         sums[2] += sizes @ slip
-    sums[3] += sums[1] > 0.0
-    has_term = (v != 0.0) | (slip != 0.0 if slip.size else False)
-    if not sums[3].all() and has_term.any():
+    is_filled = (sums[1] > 0.0) | (sums[2] > 0.0)
+    sums[3] += is_filled
+    if not is_filled.all() and _least(sizes) * min(_least(of_terms), _least(slip)) < SMALLEST_NORMAL:
+        has_term = (v != 0.0) | (slip != 0.0 if slip.size else False)
         sums[3] += (sizes != 0.0).astype(np.float64) @ has_term.astype(np.float64)
+
+
+def _least(sizes: Any) -> float:
+    """Return the smallest of these that is not 0, ∞ of none."""
+    data = sizes.data if sp.issparse(sizes) else sizes
+    return float(np.min(data, initial=np.inf, where=data > 0.0))
 
 
 def typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:

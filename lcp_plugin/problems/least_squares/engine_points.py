@@ -30,6 +30,10 @@ from .steps import FacePoint
 NNLS_UP_TO = 600  # columns or rows, whichever are fewer: it frees one column at a time
 PIQP_UP_TO = 1500  # the same of a dense A, of which it makes a dense factor
 SOLVES = 2  # by one factor of a face
+FACTORS = 20  # that PIQP makes, about
+PATIENCE = 60.0  # seconds for that
+SECONDS = 1e-6  # of one, an entry, row and column of a sparse A, where its factor hardly fills in
+LARGEST_FILL = 1e8  # entries of a factor
 FACES = 8  # one after the other
 STEPS = 10  # of nnls, times the number of columns
 
@@ -98,6 +102,8 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[FacePoint]:
     if is_dense and min(m, n) > PIQP_UP_TO:
         return
     A, b = _rows(problem, is_dense=is_dense)
+    if not (is_dense or _has_end_in_sight(A)):
+        return
     parts = Parts.of(problem, A)
     if not parts.columns.size:
         yield FacePoint(problem, parts.start)
@@ -107,10 +113,8 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[FacePoint]:
     if is_dense and not is_over():
         if not is_open:
             z = _by_bounds(parts, entries, right)
-        elif min(m, n) <= NNLS_UP_TO and not parts.slopes.any():
-            z = _by_nnls(entries, right)
         else:
-            z = np.full(parts.signs.size, np.nan)
+            z = _by_nnls(entries, right, is_asked=min(m, n) <= NNLS_UP_TO and not parts.slopes.any())
         if np.isfinite(z).all():
             point = parts.point(z, problem)
             if is_open:  # nnls ends with a face solved by an orthogonal factor
@@ -128,12 +132,24 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[FacePoint]:
             yield on_its_face(point, A, b) if is_dense else point
 
 
-def _by_nnls(A: FloatVector, b: FloatVector) -> FloatVector:
-    """Return the parts z by scipy; NaN where it gives up."""
+def _has_end_in_sight(A: Any) -> bool:
+    """Return whether PIQP, which nothing stops, can be asked within the time that is left: its sparse factors fit."""
+    from ...core.tuning import SPARSE_OPERATIONS
+    from ...systems.minimum_degree import factor_sizes
+
+    most = min(seconds_left(), PATIENCE) / FACTORS
+    if most < SECONDS * (A.nnz + sum(A.shape)):
+        return False
+    both = sp.csr_array(sp.block_array([[None, A], [A.T, None]]))
+    return factor_sizes(both, LARGEST_FILL, most * SPARSE_OPERATIONS)[0] < np.inf
+
+
+def _by_nnls(A: FloatVector, b: FloatVector, *, is_asked: bool) -> FloatVector:
+    """Return the parts z by scipy; NaN where it gives up, or is not asked."""
     from scipy.optimize import nnls
 
     try:
-        z: FloatVector = nnls(A, b, maxiter=STEPS * A.shape[1])[0]
+        z: FloatVector = nnls(A, b, maxiter=STEPS * A.shape[1])[0] if is_asked else np.full(A.shape[1], np.nan)
     except (RuntimeError, ValueError):  # too many steps; what is not finite
         return np.full(A.shape[1], np.nan)
     return z
@@ -162,11 +178,11 @@ def on_its_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
     """
     from scipy.linalg import qr, solve_triangular
 
-    before = None
+    before, is_filled = None, A.any(axis=0)
     for _ in range(FACES):
         orthant = point.problem.whole.orthant(point.x, point.slope)
         point = FacePoint(orthant, point.x, point.residual, dual=NOTHING)
-        free = np.flatnonzero(point.is_free | (np.abs(point.pull) > point.noise))
+        free = np.flatnonzero(is_filled & (point.is_free | (np.abs(point.pull) > point.noise)))
         case = free.tobytes(), orthant.linear[free].tobytes()
         if case == before or not 0 < free.size <= A.shape[0]:
             break

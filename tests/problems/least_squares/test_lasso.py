@@ -158,7 +158,6 @@ def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:
     assert result.cost <= max(bounds) * (1.0 + 1e-6)
     if noise == 0.0:
         np.testing.assert_allclose(result.x, x, atol=10.0 * l1)
-    assert result.seconds < 20.0
 
 
 def test_a_penalty_that_is_large_enough_leaves_nothing() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 import tracemalloc
 from collections.abc import Callable
 from fractions import Fraction
@@ -273,9 +274,10 @@ def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
     """Tridiagonal, 2·10⁵ unknowns: max_seconds=.2 is over by no more than what one certificate costs."""
     n = 200_000
     A = sp.diags_array([np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]).tocsr()
-    result = bounded_least_squares(A, np.random.default_rng(0).standard_normal(n), lower, max_seconds=0.2)
+    b, began = np.random.default_rng(0).standard_normal(n), time.process_time()
+    result = bounded_least_squares(A, b, lower, max_seconds=0.2)
     assert result.status is Status.MAX_SECONDS
-    assert result.seconds < 5.0  # 18 before; .4 alone on a machine
+    assert time.process_time() - began < 2.0
     assert result.cost > 0.0
 
 

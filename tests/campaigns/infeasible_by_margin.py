@@ -249,7 +249,7 @@ def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
     m = program.h.size
     C = np.vstack([np.asarray(program.G), np.asarray(program.A)])
     right = np.concatenate([program.h, program.b])
-    every = [Fraction(float(v)) for v in program.constraints.unit]  # of rows, of lower and of upper bounds
+    every = [Fraction(float(v)) for v in program.constraints.own_sizes]  # of rows, of lower and of upper bounds
     units, of_lower, of_upper = np.split(every, [right.size, right.size + program.n])
     high = Fraction(0)
     for i, (row, limit) in enumerate(zip(C.tolist(), right.tolist(), strict=True)):
@@ -265,7 +265,8 @@ def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
             if np.isinf(bound):
                 return Margin(0.0, float(high))
             value -= left * Fraction(bound)
-            weight += abs(left) * (of_lower if left > 0 else of_upper)[j]
+            pulls = sum((abs(a * Fraction(float(b))) for a, b in zip(exact_y, C[:, j], strict=True)), abs(left))
+            weight += pulls * (of_lower if left > 0 else of_upper)[j]
     low = max(-value, Fraction(0)) / weight if weight else Fraction(0)
     return Margin(float(low), float(high))
 

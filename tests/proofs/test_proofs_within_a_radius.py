@@ -107,7 +107,7 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
     program = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
     proof = program.accepted_proof()
     assert isinstance(proof, QPInfeasibility)
-    unit = program.constraints.unit
+    unit = program.constraints.own_sizes
 
     def residual(x: Any) -> Fraction:
         sums = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True)) for row in DECIMAL.tolist()]

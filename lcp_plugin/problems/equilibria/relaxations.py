@@ -226,7 +226,9 @@ class Relaxations:
 
         Along what falls without end that one lies far out.
         """
-        far = FAR * program.primal_size
+        rows = program.constraints
+        limits = np.abs(rows.limit) / program.matrices.row_sizes
+        far = FAR * (1.0 + float(limits[rows.finite].max(initial=0.0)))
         within = program.with_vectors(lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far))
         found = solved_at_once(within, TOLERANCE)
         solution = _by_steps(within) if found is None else found.solution

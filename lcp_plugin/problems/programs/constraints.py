@@ -1,4 +1,4 @@
-"""The constraints of a quadratic program as one list of rows; the scaling of its data."""
+"""The constraints of a quadratic program as one list of rows."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
+from ...core.matrix.matrix import largest_in_rows
 from ...core.rounding import compensated_product, upper_end
 from ...proofs.exact.rational import Row, rational_rows
 from ...proofs.no_solution.linear_constraints import LinearConstraints
-from .program_matrices import Indices, ProgramMatrices, as_csr
+from .program_matrices import Indices, ProgramMatrices, as_csr, or_one
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
+
+NOISE = 1e-7  # of the coefficients of a row: a limit that is 1e-7 of that is rounding in the place of 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,19 +32,16 @@ class Constraints:
     matrices : ProgramMatrices
     limit : ndarray
         d.
-    coefficient : ndarray
-        The largest one of each in the program's own scaling.
     """
 
     matrices: ProgramMatrices
     limit: FloatVector
-    coefficient: FloatVector
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> Constraints:
         """Return the constraints of a program."""
         limit = np.concatenate([program.h, program.b, -program.lower, program.upper])
-        return cls(program.matrices, limit, program.scaling.coefficient)
+        return cls(program.matrices, limit)
 
     @property
     def matrix(self) -> sp.csr_array:
@@ -74,16 +74,22 @@ class Constraints:
         return [values[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
 
     @cached_property
-    def unit(self) -> FloatVector:
-        """What the residual of each row is relative to: sizes of its data, the same for every x.
+    def own_sizes(self) -> FloatVector:
+        """The |limit| of each row, or 1e-7 of its smallest coefficient where that is larger.
 
-        The largest coefficient in the program's own scaling plus the right-hand side: the row's own, so that no large
-        number elsewhere excuses it. Where multipliers y contradict by c, every x violates some row by
-        (c / Σ|y_i| unit_i) · unit_i at least: "optimal" and "infeasible" exclude each other.
+        A contradiction that is rounding beside all coefficients in the caller's units is one of rounded data.
         """
-        right = np.abs(self.limit)
+        right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
+        with np.errstate(divide="ignore"):
+            inverse = largest_in_rows(self.matrix, 1.0 / np.abs(self.matrix.data))
+            return np.maximum(right, NOISE / np.where(inverse > 0.0, inverse, np.inf))
+
+    @cached_property
+    def unit(self) -> FloatVector:
+        """The largest |coefficient| of each row + its |limit|: what searches for a contradiction weigh it by."""
+        right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
         with np.errstate(over="ignore"):
-            return np.asarray(self.coefficient + np.where(np.isfinite(right), right, 0.0))
+            return np.asarray(self.matrices.row_sizes + right)
 
     @cached_property
     def as_rows(self) -> LinearConstraints:
@@ -118,18 +124,6 @@ class Constraints:
         return np.where(is_finite, above, -np.inf)
 
 
-def dual_unit(program: QuadraticProgram) -> FloatVector:
-    """Return what each component of a program's dual residual is relative to: sizes of its data.
-
-    In the program's own scaling, where the largest coefficient of a row is 1: the largest entry of each column of P, G
-    and A (1 where there is none) times 1 + the largest |c_j| ÷ that; where there is a P, the largest right-hand side
-    of an equation, and of an inequality that x = 0 violates, if that is larger. Along a direction d of descent some
-    component of the dual residual is at least (−cᵀd / Σ|d_j| dual_j) · dual_j, whatever x and the multipliers are.
-    """
-    column, size = program.column_sizes, program.size_of_multipliers
-    return np.asarray(program.scaling.objective * (column * size) / program.scaling.unknown)
-
-
 def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
     """Return P x + Gᵀy + Aᵀv + c with the signs that the bounds ask for, y ≥ 0; of P some rows that span the others."""
     rows = as_csr(program.G)[np.flatnonzero(np.isfinite(program.h))]
@@ -138,5 +132,6 @@ def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
     is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
     return LinearConstraints(
         matrix, program.c, np.isinf(program.upper), np.isinf(program.lower),
-        np.where(is_inequality, 0.0, -np.inf), free, program.dual_unit, (nothing, nothing),
+        np.where(is_inequality, 0.0, -np.inf), free, or_one(largest_in_rows(matrix)) + np.abs(program.c),
+        (nothing, nothing),
     )

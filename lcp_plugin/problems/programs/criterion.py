@@ -4,7 +4,8 @@ Of min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds, at x with mul
 included:
 
 - **primal**: by how much a row is violated beside its own terms, max(|d_i|, max_j |c_ij x_j|), or beside
-  ω min_j |c_ij u_j| · max_k |x_k / u_k| where that is larger; a bound beside |x_j|.
+  ω min_j |c_ij u_j| · max_k |x_k / u_k| where that is larger, of unknowns that rows and P connect with it, and of
+  others up to 1; a bound beside |x_j|.
 - **dual**: what is left of component j of P x + c + Cᵀy beside its own terms, max(|c_j|, |p_jk x_k|, |c_ij y_i|, its
   bounds' multipliers), or beside ω times the smallest |b_k u_k| / u_j of unknowns off their bounds, b_k the largest
   of |c_k| and |p_kl x_l|, where that is larger; a multiplier of a wrong sign beside the same without ω, divided by the
@@ -164,10 +165,22 @@ class Acting(NamedTuple):
             forces = (base * unit)[is_free]
             pull = forces[forces > 0.0].min(initial=np.inf)
             pull = pull if pull < np.inf else 0.0
-            reach = (np.abs(x) / unit)[own * unit > EPSILON * pull].max(initial=0.0)
+            reach = _reach(program, matrix, np.where(own * unit > EPSILON * pull, np.abs(x) / unit, 0.0))
             of_rows = np.where(coefficient > 0.0, coefficient * reach, 1.0 / ACTS)
             sizes.append((of_rows, pull / unit, pull / coefficient))
         return cls(*(np.fmin(one, other) for one, other in zip(*sizes, strict=True)))
+
+
+def _reach(program: QuadraticProgram, matrix: Any, sizes: FloatVector) -> Any:
+    """Return the largest size that acts on each row: of all unknowns, or up to 1, or of those connected with it."""
+    largest = sizes.max(initial=0.0)
+    if largest <= 1.0:
+        return largest
+    part, of_part = program.matrices.components, np.zeros(sizes.size)
+    np.maximum.at(of_part, part, sizes)
+    if sp.issparse(matrix):
+        return np.maximum(1.0, largest_in_rows(matrix, of_part[part[matrix.indices]]))
+    return np.maximum(1.0, np.where(matrix != 0.0, of_part[part], 0.0).max(axis=1, initial=0.0))
 
 
 def _times(A: sp.csr_array, x: FloatVector) -> sp.csr_array:

@@ -8,8 +8,8 @@ where to look; the answer is repaired, and then checked. Nothing else counts as 
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -19,7 +19,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from ...core.kernels.floats import EPSILON, LARGEST
+from ...core.deadline import is_over
+from ...core.kernels.floats import EPSILON, TINY
 from ...core.matrix.matrix import largest_in_rows
 from ...core.representation import within
 from ...core.settings import Status
@@ -27,11 +28,11 @@ from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import ZERO, Vector, common_denominator, products, rational, rounded_down, short
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
 from ...proofs.no_solution.free_motion import falling_directions, is_at_rest, is_far_out, moved_unknowns
-from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction, exact_dot
+from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction, LinearConstraints, exact_dot
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
 from .criterion import PROGRAM_TOLERANCE, SURE, constraint_tolerance
-from .program_matrices import as_csr, or_one
+from .program_matrices import as_csr
 from .reductions import FoldedRows
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
 LARGEST_DENSE = 1500
 LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
+REACHED = 1e-6, 1e5  # of the unit of a linear program: sizes that it can tell from 0 and from ∞
 NARROW = 1e-7  # a slack that may be none
 
 
@@ -69,7 +71,8 @@ class QPInfeasibility:
 
     def verify(self) -> bool:
         """Return whether the multipliers are a proof; exact."""
-        return self._found.holds(size_of_limits(self.program, list(self._found.y)))
+        found = self._found
+        return found.has_signs and found.size > 0 and found.is_wide_beside_terms() and found.is_rounding()
 
     @cached_property
     def _found(self) -> Contradiction:
@@ -92,11 +95,23 @@ class QPInfeasibility:
 
     @cached_property
     def margin(self) -> float:
-        """A lower bound of the primal residual of every x, in units of the data; 0 where the proof does not hold.
+        """The least relative change of its own numbers that may end the contradiction; 0 where it does not hold.
 
-        The least shift of all limits, each in its unit, that could make the constraints consistent.
+        −dᵀy / Σ size_i |y_i|, the size of a row |d_i|, or 1e-7 of its smallest coefficient where that is more: what is
+        rounding beside coefficients contradicts nothing. Of a bound of x_j, or a row of x_j alone, it is |x_j| there
+        times Σ_i |c_ij y_i|: a sum of coefficients that is rounding contradicts nothing, either.
         """
-        return self._found.miss(self.program.constraints.unit) if self.verify() else 0.0
+        if not self.verify():
+            return 0.0
+        numbers, program = list(self._found.y), self.program
+        largest = max(map(abs, self._found.y.values()))
+        y = np.array([float(abs(value) / largest) for value in self._found.y.values()])
+        rows, sizes = abs(program.constraints.matrix[numbers]), program.constraints.own_sizes[numbers]
+        is_alone, pulls, at = np.diff(rows.indptr) == 1, rows.T @ y, np.zeros(program.n)
+        entries = rows.indptr[:-1][is_alone]
+        np.maximum.at(at, rows.indices[entries], sizes[is_alone] / rows.data[entries])
+        size = float(y[~is_alone] @ sizes[~is_alone] + at @ pulls)
+        return float(self._found.size / largest) / size if 0.0 < size < np.inf else 0.0
 
     @cached_property
     def least_violation(self) -> float:
@@ -143,22 +158,18 @@ class QPUnboundedness:
 
     @cached_property
     def _holds(self) -> bool:
-        is_held = self.is_free_motion and not is_far_out(
-            self.program.P, self.program.c, self.direction, self._found.left
-        )
-        return not is_held and self._found.holds(*self._sizes)
+        found, program = self._found, self.program
+        is_held = self.is_free_motion and not is_far_out(program.P, program.c, self.direction, found.left)
+        return not is_held and found.has_signs and found.size > 0 and self._is_wide and found.is_rounding(program.n)
 
-    @property
-    def _sizes(self) -> tuple[float, int, float]:
-        """The size of multipliers, how many unknowns come before them, and that of x where P hardly resists d."""
-        program, moved = self.program, [j for j, d in enumerate(self.direction) if d]
-        column = or_one(np.maximum(largest_in_rows(program.P), program.matrices.columns_of_rows))
-        of_dual = 1.0 + float((np.abs(program.c) / column)[moved].max(initial=0.0))
-        if not program.matrices.entries[0]:
-            return of_dual, program.n, of_dual
-        of_x = size_of_limits(program)
-        of_costs = float((np.abs(program.c) / or_one(largest_in_rows(program.P)))[moved].max(initial=0.0))
-        return max(of_dual, of_x), program.n, max(of_costs, of_x - 1.0) if self.is_free_motion else max(of_dual, of_x)
+    @cached_property
+    def _is_wide(self) -> bool:
+        """Whether what is left of sums that should be 0 stops no x and multipliers near those of the point.
+
+        Of a free motion the x that P stops is looked at otherwise.
+        """
+        known = {j: 0.0 if self.is_free_motion else abs(float(self.point[j])) or TINY for j in range(self.program.n)}
+        return self._found.is_wide_beside_terms(known)
 
     @cached_property
     def is_free_motion(self) -> bool:
@@ -195,14 +206,14 @@ class QPUnboundedness:
         return (are_doubles and not (rows.excess(near) > 0.0).any()) or not any(losses(rows, self.point))
 
     @cached_property
-    def violation(self) -> Fraction:
-        """By how much the point violates some constraint, each in units of the data; exact."""
+    def violation(self) -> float:
+        """By how much the point violates some constraint, beside that one's terms."""
         if self._is_feasible:
-            return ZERO
-        rows = self.program.constraints
-        units = np.minimum(rows.unit, np.finfo(np.float64).max).tolist()
-        excess = zip(losses(rows, self.point), units, strict=True)
-        return max((value / Fraction(unit) for value, unit in excess if value), default=ZERO)
+            return 0.0
+        rows, x = self.program.constraints, np.abs(numbers(self.point))
+        terms = largest_in_rows(rows.matrix, np.abs(rows.matrix.data) * x[rows.matrix.indices])
+        excess = zip(losses(rows, self.point), np.maximum(terms, rows.own_sizes).tolist(), strict=True)
+        return max((float(value) / size if size else np.inf for value, size in excess if value), default=0.0)
 
     @cached_property
     def radius(self) -> float:
@@ -211,29 +222,16 @@ class QPUnboundedness:
 
     @cached_property
     def margin(self) -> float:
-        """A lower bound of the dual residual of every x and multipliers, in units of the data.
+        """The least relative change of all costs that stops the descent, −cᵀd / Σ|c_j d_j|, in any units.
 
-        The least shift of c, each component in its unit, that stops the descent. ∞ where the objective is curved
-        downwards by more than the rounding of P; 0 where the proof does not hold.
+        ∞ where the objective is curved downwards by more than the rounding of P; 0 where the proof does not hold.
         """
+        found = self._found
         if not self.verify():
             return 0.0
         if not self._is_rounding:
             return np.inf
-        is_fall = self._found.plain > 0 and self._found.is_wide(*self._sizes)
-        return self._found.miss(self.program.dual_unit) if is_fall else 0.0
-
-    @cached_property
-    def cost_margin(self) -> float:
-        """The least relative change of all costs that stops the descent, −cᵀd / Σ|c_j d_j|, in any units.
-
-        Where it is exact, or along a free motion: what a structure is not held against is a matter of its load, however
-        stiff it is. Else 0.
-        """
-        found = self._found
-        if not (self.verify() and found.plain > 0 and found.is_wide(*self._sizes)):
-            return 0.0
-        if not (self.is_exact or self.is_free_motion):
+        if not (found.plain > 0 and self._is_wide):
             return 0.0
         whole, denominator = common_denominator([abs(d) for d in found.y.values()])
         return rounded_down(found.size * denominator / exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist()))
@@ -241,7 +239,7 @@ class QPUnboundedness:
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance; where it is exact, at a thousandth of it."""
         least = (SURE if self.is_exact else 1.0) * tolerance
-        return max(self.margin, self.cost_margin) > least and self.violation <= constraint_tolerance(tolerance)
+        return self.margin > least and self.violation <= constraint_tolerance(tolerance)
 
     @cached_property
     def _is_rounding(self) -> bool:
@@ -257,15 +255,6 @@ class QPUnboundedness:
         if self.is_free_motion:
             along += f", as nothing holds {moved_unknowns(self.direction)}: P maps it to 0, and no constraint ends it"
         return f"unbounded: the objective falls without end along {along} ({how})"
-
-
-def size_of_limits(program: QuadraticProgram, rows: Sequence[int] | None = None) -> float:
-    """Return 1 + the largest limit of some constraints ÷ the largest coefficient of its row: a size of x."""
-    constraints = program.constraints
-    some = constraints.finite if rows is None else np.array(rows, dtype=np.intp)
-    with np.errstate(over="ignore"):
-        found = 1.0 + float((np.abs(constraints.limit) / program.matrices.row_sizes)[some].max(initial=0.0))
-    return min(found, LARGEST)
 
 
 def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
@@ -370,16 +359,12 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
     constraints = program.constraints
     if not np.isfinite(constraints.unit[constraints.finite]).all():
         return None
-    farkas = FarkasProgram(constraints.within_bounds, 1.0)
-    answer = farkas.solve()
-    if answer is None or not answer.is_contradiction:
-        return None
 
     def proven(y: Multipliers) -> QPInfeasibility | None:
         proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y) if value})
         return proof if proof.margin > 0.0 else None
 
-    return (None if exactly else _if_enough(proven(farkas.polished(answer)))) or farkas.proof(answer, proven)
+    return _first_enough(constraints.within_bounds, 1.0, proven, exactly=exactly)
 
 
 def prove_unheld(program: QuadraticProgram) -> QPUnboundedness | None:
@@ -423,10 +408,6 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
     if program.matrices.is_definite:
         return None
     P = sp.csr_array(program.P)
-    farkas = FarkasProgram(stationarity(program, P[_independent_rows(P)]))
-    answer = farkas.solve()
-    if answer is None or not answer.is_contradiction:
-        return None
     points: list[tuple[Vector, ...]] = []
 
     def proven(d: Multipliers) -> QPUnboundedness | None:
@@ -434,17 +415,50 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
             points.append(points_inside(program))
         for point in reversed(points[0]):
             proof = QPUnboundedness(program, tuple(point), tuple(map(Fraction, d)))
-            # Beside a direction that is none exactly, a point that meets rounded rows exactly may be far away.
-            if proof.is_exact or (point is points[0][0] and proof.verify()):
+            if proof.verify():
                 return proof
         return None
 
-    return (None if exactly else _if_enough(proven(farkas.polished(answer)))) or farkas.proof(answer, proven)
+    return _first_enough(stationarity(program, P[_independent_rows(P)]), None, proven, exactly=exactly)
 
 
-def _if_enough(proof: T | None) -> T | None:
-    """Return the proof where it counts at the tolerances that programs are solved to."""
-    return proof if proof is not None and proof.excludes(PROGRAM_TOLERANCE) else None
+def _first_enough(
+    asked: LinearConstraints, first: float | None, proven: Callable[[Multipliers], T | None], *, exactly: bool
+) -> T | None:
+    """Return the first proof that counts at the tolerances of programs, else the one of the largest margin.
+
+    The linear program is asked in one unit of offsets and bounds after the other, the first given or the largest of
+    them: what is 1e-6 of a unit it cannot tell from 0, and what is 1e5 is cut off.
+    """
+    found, tried = list[T](), list[float]()
+    scale: FarkasProgram = FarkasProgram(asked)
+    q = np.where(np.isfinite(asked.q), np.abs(asked.q), 0.0)
+    bounds = [np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (asked.lower, asked.upper)]
+    for unit in scale.sizes if first is None else [first, *scale.sizes]:
+        if any(REACHED[0] * one <= unit <= REACHED[1] * one for one in tried):
+            continue
+        tried.append(unit)
+        with np.errstate(over="ignore"):  # in that scale, coefficient + size / unit
+            weights = 1.0 / scale.rows + q / unit
+            below, above = (
+                (scale.columns + bound / unit) * (given > 0.0)
+                for bound, given in zip(bounds, asked.bound_weights, strict=True)
+            )
+        weighed = replace(asked, weights=weights, bound_weights=(below, above), reference=unit)
+        farkas = FarkasProgram(weighed, unit)
+        answer = farkas.solve()
+        if answer is None or not answer.is_contradiction:
+            continue
+        proof = None if exactly else proven(farkas.polished(answer))
+        if proof is None or not proof.excludes(PROGRAM_TOLERANCE):
+            proof = farkas.proof(answer, proven)
+        if proof is not None:
+            found.append(proof)
+            if proof.excludes(PROGRAM_TOLERANCE):
+                break
+        if is_over():
+            break
+    return max(found, key=lambda proof: proof.margin, default=None)
 
 
 def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
@@ -473,12 +487,26 @@ def feasible_point(program: QuadraticProgram) -> Vector | None:
 
 
 def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
-    """Return a point that satisfies all constraints to rounding, and one that does so exactly; those that are found."""
+    """Return a point that satisfies all constraints to rounding, and one that does so exactly; those that are found.
+
+    Unknowns are measured in the caller's units, then in fitted ones.
+    """
+    found: tuple[Vector, ...] = ()
+    for unit in (np.ones(program.n), program.fitted_units):
+        found = _points_inside(program, unit) or found
+        if len(found) > 1:
+            break
+    return found
+
+
+def _points_inside(program: QuadraticProgram, unit: FloatVector) -> tuple[Vector, ...]:
     constraints, n = program.constraints, program.n
-    matrix, limit, finite = constraints.matrix, constraints.limit, constraints.finite
+    limit, finite = constraints.limit, constraints.finite
     is_row, is_equality = np.arange(limit.size) < constraints.rows, constraints.is_equality
+    matrix = constraints.matrix @ sp.diags_array(unit)
     sides = sp.hstack([matrix, np.where(is_row & np.isfinite(limit), limit, 0.0)[:, None]], format="csr")
-    scale = np.where(is_row, np.ldexp(1.0, equilibrating_exponents(sides, LARGEST_ENTRY, 900).row), 1.0)
+    exponents = equilibrating_exponents(sides, LARGEST_ENTRY, 900).row
+    scale = np.where(is_row, np.ldexp(1.0, exponents), 1.0 / np.concatenate([np.ones(constraints.rows), unit, unit]))
     equal, most = finite[is_equality[finite]], finite[~is_equality[finite]]
     is_fixed = np.tile(program.lower == program.upper, 2)
     margin = ~np.concatenate([np.zeros(constraints.rows, dtype=bool), is_fixed])
@@ -493,13 +521,13 @@ def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     )
     if answer is None:
         return ()
-    x = np.clip(answer.x[:-1], program.lower, program.upper)
+    x = np.clip(unit * answer.x[:-1], program.lower, program.upper)
     rows = most[is_row[most]]
-    value = scale[rows] * (matrix[rows] @ x - limit[rows])
+    value = scale[rows] * (constraints.matrix[rows] @ x - limit[rows])
     tight = rows[np.abs(value) <= MET] if answer.x[-1] <= NARROW else rows[:0]
     at_bound = (x <= program.lower) | (x >= program.upper)
-    guess = [near if not stuck else exact
-             for near, stuck, exact in zip(short(x, 1 << 52), at_bound, rational(x), strict=True)]
+    near = zip(short(x / unit, 1 << 52), rational(unit), at_bound, rational(x), strict=True)
+    guess = [exact if stuck else few * one for few, one, stuck, exact in near]
     system = [*equal.tolist(), *tight.tolist()]
     exact = solved_nearby(
         [constraints.exactly[i] for i in system], rational(limit[system]), guess, [not stuck for stuck in at_bound]

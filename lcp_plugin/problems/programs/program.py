@@ -29,11 +29,10 @@ from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.scaling import fitted_columns
 from ...core.representation import REPR_UP_TO, bounds_repr, matrix_repr
 from ...systems.symmetry import is_its_mirror, mismatch
-from .constraints import Constraints, dual_unit
+from .constraints import Constraints
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
-from .program_matrices import ProgramMatrices, as_csr, no_rows, or_one, vertically
-from .scaling import ProgramScaling, Rescaled
+from .program_matrices import ProgramMatrices, as_csr, no_rows, vertically
 
 SYMMETRIC_TO = 1e-12
 LARGEST_EXPONENT = 300  # of two, of a fitted unit
@@ -211,8 +210,7 @@ class QuadraticProgram:
         counts.
         """
         if "_proof" not in self.__dict__:
-            own = self.rescaled
-            found = proof_of_no_minimum(self) if own is None else own.proof(own.reduced.proof_of_no_minimum)
+            found = proof_of_no_minimum(self)
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
@@ -238,8 +236,7 @@ class QuadraticProgram:
     @cached_property
     def proof_of_descent(self) -> QPUnboundedness | None:
         """A proof that the objective falls without end, whatever else contradicts; looked for once."""
-        own = self.rescaled
-        found = proof_of_no_minimum(self, is_met=True) if own is None else own.proof(own.reduced.proof_of_descent)
+        found = proof_of_no_minimum(self, is_met=True)
         return found if isinstance(found, QPUnboundedness) else None
 
     def accepted_proof(
@@ -258,18 +255,8 @@ class QuadraticProgram:
 
     @cached_property
     def constraints(self) -> Constraints:
-        """All constraints as rows of one matrix, with the units in which they are judged."""
+        """All constraints as rows of one matrix."""
         return Constraints.of(self)
-
-    @cached_property
-    def scaling(self) -> ProgramScaling:
-        """What rows, unknowns and the objective are measured in."""
-        return ProgramScaling.of(self)
-
-    @cached_property
-    def rescaled(self) -> Rescaled | None:
-        """The scaled program, where its numbers are far from 1."""
-        return Rescaled.of(self)
 
     @cached_property
     def fitted_units(self) -> FloatVector:
@@ -282,38 +269,6 @@ class QuadraticProgram:
         column = np.where(np.isfinite(column), column, 0.0)
         exponents = fitted_columns(sp.csr_array(sp.hstack([matrix, column[:, np.newaxis]], format="csr")))
         return np.asarray(np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_EXPONENT, LARGEST_EXPONENT)))
-
-    @cached_property
-    def dual_unit(self) -> FloatVector:
-        """What each component of the dual residual is relative to."""
-        return dual_unit(self)
-
-    @property
-    def primal_size(self) -> float:
-        """1 + the largest limit ÷ the largest coefficient of its row: a size of x that the data name."""
-        rows = self.constraints
-        return float((rows.unit / rows.coefficient).max(initial=1.0) * self.scaling.unknown.max(initial=0.0))
-
-    @cached_property
-    def column_sizes(self) -> FloatVector:
-        """The largest |entry| of each column of P, G and A in the program's own scaling, 1 where there is none."""
-        matrices, (coefficient, unknown, objective, _, leaves_unknowns) = self.matrices, self.scaling
-        if leaves_unknowns:
-            return or_one(np.maximum(largest_in_rows(self.P) / objective, matrices.columns_of_rows))
-        of_rows = matrices.columns_beside(coefficient, unknown)
-        P = as_csr(self.P)
-        of_P = largest_in_rows(P, np.abs(P.data) * unknown[P.indices])
-        return or_one(np.maximum(of_P * unknown / objective, of_rows))
-
-    @cached_property
-    def size_of_multipliers(self) -> float:
-        """1 + the largest |c_j| ÷ the size of its column, or right-hand side that acts on x, in its own units."""
-        (m, p, _, _), (coefficient, unknown, objective, _, _) = self.matrices.sizes, self.scaling
-        with np.errstate(over="ignore"):
-            slope = float(np.abs(self.c * unknown / objective / self.column_sizes).max(initial=0.0))
-            violated = (-self.h / coefficient[:m]).max(initial=0.0)
-            right = np.abs(self.b / coefficient[m : m + p]).max(initial=0.0)
-            return 1.0 + float(max(slope, right, violated) if self.matrices.entries[0] else slope)
 
     def with_vectors(
         self, c: ArrayLike | None = None, h: ArrayLike | None = None, b: ArrayLike | None = None,

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, frozen, read_only
-from ...core.matrix.matrix import Matrix
+from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 from ...systems.null_space import null_space_of
@@ -81,6 +81,19 @@ class ProgramMatrices:
         return read_only(np.ascontiguousarray(self.P.diagonal()))
 
     @cached_property
+    def components(self) -> Indices:
+        """Which of the parts that P, G and A do not connect each unknown is in, shape (n,)."""
+        if self.P.shape[0] < 2:
+            return np.zeros(self.P.shape[0], dtype=np.intp)
+        from scipy.sparse.csgraph import connected_components
+
+        rows = vertically(self.rows, as_csr(self.P))
+        m, n = rows.shape
+        both = sp.csr_array((np.ones(rows.nnz), rows.indices + m, np.append(rows.indptr, np.full(n, rows.nnz))),
+                            shape=(m + n, m + n))
+        return np.unique(connected_components(both, directed=False)[1][m:], return_inverse=True)[1]
+
+    @cached_property
     def stored(self) -> int:
         """How many entries are stored, zeros of ndarrays among them."""
         return sum(int(one.nnz if sp.issparse(one) else one.size) for one in (self.P, self.G, self.A))
@@ -96,16 +109,6 @@ class ProgramMatrices:
         return sp.csr_array(sp.hstack([as_csr(self.P), self.rows.T], format="csr"))
 
     @cached_property
-    def rows_of_hessian(self) -> tuple[Any, Any, FloatVector, bool]:
-        """Where rows of P begin, their columns, their entries; of an ndarray the columns of one row stand for all."""
-        return by_rows(self.P)
-
-    @cached_property
-    def rows_of_constraints(self) -> tuple[Any, Any, FloatVector, bool]:
-        """The same of [G; A]."""
-        return by_rows(self.rows if self.has_sparse_rows else self.dense_rows)
-
-    @cached_property
     def magnitudes(self) -> Any:
         """|P|."""
         return abs(self.P)
@@ -113,31 +116,14 @@ class ProgramMatrices:
     @cached_property
     def row_sizes(self) -> FloatVector:
         """The largest |entry| of each constraint, 1 where there is none."""
-        return or_one(np.concatenate([self.exponents.largest[0], np.ones(2 * self.P.shape[0])]))
-
-    @cached_property
-    def curved(self) -> Any:
-        """P without rows and columns whose diagonal entry is 0."""
-        return curved_part(self.P, self.diagonal)
-
-    @cached_property
-    def exponents(self) -> Exponents:
-        """What the exponents of [G; A] and of P are on average."""
-        return exponents_of(self.rows if self.has_sparse_rows else self.dense_rows, self.curved)
+        return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
 
     @cached_property
     def columns_of_rows(self) -> FloatVector:
         """The largest |entry| of each column of [G; A], each row divided by its own; 0 where there is none."""
-        return self.columns_beside(self.row_sizes, np.ones(self.P.shape[0]))
-
-    def columns_beside(self, coefficients: FloatVector, units: FloatVector) -> FloatVector:
-        """Return the largest |entry| of each column of [G; A] in these units of rows and of columns."""
-        if not self.has_sparse_rows:
-            beside = np.abs(self.dense_rows) / coefficients[: self.dense_rows.shape[0], np.newaxis]
-            return np.asarray(beside.max(axis=0, initial=0.0) * units)
         rows, largest = self.rows, np.zeros(self.P.shape[0])
-        np.maximum.at(largest, rows.indices, np.abs(rows.data) / coefficients[row_numbers(rows)])
-        return largest * units
+        np.maximum.at(largest, rows.indices, np.abs(rows.data) / self.row_sizes[row_numbers(rows)])
+        return largest
 
     @cached_property
     def entries(self) -> tuple[int, int]:
@@ -219,78 +205,6 @@ class ProgramMatrices:
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""
         return {"P": self.P, "G": self.G, "A": self.A, "_kept": {}}
-
-
-def curved_part(P: Any, diagonal: Any) -> Any:
-    """Return P, a CSR array or ndarrays, without rows and columns whose diagonal entry is 0.
-
-    What a semidefinite P has there is rounding.
-    """
-    is_curved = diagonal > 0.0
-    if is_curved.all():
-        return P
-    if not sp.issparse(P):
-        return np.where(is_curved[..., :, np.newaxis] & is_curved[..., np.newaxis, :], P, 0.0)
-    kept = is_curved[row_numbers(P)] & is_curved[P.indices]
-    return P if kept.all() else sp.csr_array((P.data[kept], (row_numbers(P)[kept], P.indices[kept])), shape=P.shape)
-
-
-class Exponents(NamedTuple):
-    """Exponents of the entries of [G; A] and of P, floor(log2 |entry|), of one program or of a stack.
-
-    Attributes
-    ----------
-    of_rows, of_hessian : ndarray, shapes (1 or count, m + p) and (1 or count, n)
-        The mean one of each row, NaN of an empty one.
-    largest : ndarray, shape (1 or count, m + p)
-        The largest |entry| of each row of [G; A].
-    spread : ndarray, shape (1 or count,)
-        The most that those in a column are above the means of their rows, or below, on average.
-    """
-
-    of_rows: FloatVector
-    of_hessian: FloatVector
-    largest: FloatVector
-    spread: FloatVector
-
-
-def exponents_of(constraints: Any, hessian: Any) -> Exponents:
-    """Return those of [G; A] and P, ndarrays, stacks of them or CSR arrays."""
-    from .kernels.entry_sizes import mean_exponents  # numba, which not every run needs
-
-    found, sums = list[Any](), np.zeros(1)
-    for matrix in (constraints, hessian):
-        starts, indices, data, is_full = by_rows(matrix)
-        stack = data if data.ndim == 2 else data[np.newaxis]
-        means, largest = np.empty((2, len(stack), starts.size - 1))
-        columns = np.zeros((len(stack), 2, matrix.shape[-1]))
-        mean_exponents(starts, indices, stack, is_full, means, largest, columns)
-        found.append((means, largest))
-        sums = sums + columns
-    spread = np.abs(sums[:, 0] / np.maximum(sums[:, 1], 1.0)).max(axis=1, initial=0.0)
-    return Exponents(found[0][0], found[1][0], found[0][1], spread)
-
-
-def by_rows(matrix: Any) -> tuple[Any, Any, Any, bool]:
-    """Return where the rows of an array begin, their columns, their entries, and whether one row's columns are all's.
-
-    Of stacked ndarrays, shape (count, m, n), the entries are of shape (count, m n).
-
-    Examples
-    --------
-    >>> by_rows(np.array([[1.0, 2.0], [0.0, 3.0]]))
-    (array([0, 2, 4], dtype=int32), array([0, 1], dtype=int32), array([1., 2., 0., 3.]), True)
-    """
-    if sp.issparse(matrix):
-        return matrix.indptr, matrix.indices, matrix.data, False
-    *lead, m, n = matrix.shape
-    return *_full_pattern(m, n), matrix.reshape(*lead, m * n), True
-
-
-@lru_cache(maxsize=64)
-def _full_pattern(m: int, n: int) -> tuple[Any, Any]:
-    """Return where the rows of an ndarray begin, and the columns of each: small, and the same for all."""
-    return read_only(n * np.arange(m + 1, dtype=np.int32)), read_only(np.arange(n, dtype=np.int32))
 
 
 def is_full(entries: int, shape: tuple[int, int]) -> bool:

@@ -199,8 +199,6 @@ class FoldedRows(Step):
                 matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
                 right[left[left >= program.h.size]], lower, upper,
             )
-            # What a row says does not depend on where it stands.
-            folded.__dict__["scaling"] = program.scaling.of_rows(left)
         return cls(program, folded, left, lower_row, upper_row, coefficient)
 
     @property
@@ -262,7 +260,6 @@ class FixedVariables(Step):
         b = program.b - program.A @ x if program.b.size else program.b
         c, lower, upper = (one[free] for one in (program.c + program.P @ x, program.lower, program.upper))
         reduced = program.with_matrices(smaller, c, h, b, lower, upper)
-        reduced.__dict__["scaling"] = program.scaling.of_unknowns_left(free)
         return cls(program, reduced, free, x)
 
     def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:

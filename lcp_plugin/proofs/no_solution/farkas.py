@@ -104,12 +104,17 @@ class FarkasProgram:
             object.__setattr__(self, name, value)
 
     @cached_property
-    def _scaled_unit(self) -> float:
+    def sizes(self) -> list[float]:
+        """The sizes of offsets and of bounds in the scale of the program, the largest first."""
         asked = self.constraints
         with np.errstate(over="ignore"):
             q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
             sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
-        largest = float(sizes[np.isfinite(sizes)].max(initial=0.0)) if self.unit is None else self.unit
+        return list(map(float, np.unique(sizes[np.isfinite(sizes) & (sizes > 0.0)])[::-1]))
+
+    @cached_property
+    def _scaled_unit(self) -> float:
+        largest = max(self.sizes, default=0.0) if self.unit is None else self.unit
         return float(0.5 * power_of_two(max(largest, 2.0**-900)))
 
     def margin_of(self, optimum: float) -> float:

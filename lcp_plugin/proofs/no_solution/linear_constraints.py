@@ -191,21 +191,32 @@ class Contradiction:
         """Whether each y_i has a sign that its row asks for."""
         return all(self.sides.signs(i)[value < 0] for i, value in self.y.items())
 
-    def holds(self, data: float, first: int = 0, before: float | None = None) -> bool:
-        """Return whether it is a proof, for all x that data of a size may mean; of the unknowns from the first on.
+    def holds(self, data: float, first: int = 0) -> bool:
+        """Return whether it is a proof, for all x that data of a size may mean; of the unknowns from the first on."""
+        return self.has_signs and self.size > 0 and self.is_wide(data) and self.is_rounding(first)
 
-        Those before the first are of another size where one is given.
-        """
-        return self.has_signs and self.size > 0 and self.is_wide(data, first, before) and self.is_rounding(first)
-
-    def is_wide(self, data: float, first: int = 0, before: float | None = None) -> bool:
+    def is_wide(self, data: float) -> bool:
         """Return whether x of 10⁸ times the size that such data mean leaves half the contradiction, as no solution."""
+        moved = sum((abs(value) for value in self.left.values()), ZERO)
+        return max(self.plain, ZERO) >= 2 * Fraction(WIDE) * Fraction(data) * moved
+
+    def is_wide_beside_terms(self, known: Mapping[int, float] | None = None) -> bool:
+        """Return whether x of 10⁸ times the size that it has itself leaves half the contradiction.
+
+        That size is Σ|y_i q_i| / Σ|y_i m_ij|, where the terms of column j are as large as those of q, or a known one
+        where that is larger; columns of size 0 do not count.
+        """
         if not self.left:
             return True
-        parts = [[abs(value) for j, value in self.left.items() if (j < first) == is_before] for is_before in (0, 1)]
-        sizes = Fraction(data), Fraction(data if before is None else before)
-        moved = sum((size * total(part) for size, part in zip(sizes, parts, strict=True)), ZERO)
-        return max(self.plain, ZERO) >= 2 * Fraction(WIDE) * moved
+        largest, known = max(map(abs, self.y.values())), known or {}
+        y = np.array([float(abs(value) / largest) for value in self.y.values()])
+        terms, offset = abs(self.sides.matrix[list(self.y)]).T @ y, float(y @ np.abs(self.sides.q[list(self.y)]))
+        with np.errstate(all="ignore"):
+            moved = sum(
+                float(abs(value) / largest) * max(offset / terms[j], known.get(j, 0.0))
+                for j, value in self.left.items() if known.get(j) != 0.0
+            )
+        return bool(float(self.plain / largest) >= 2.0 * WIDE * moved)
 
     def is_rounding(self, first: int = 0) -> bool:
         """Return whether what is left of sums that should be 0 is rounding beside their terms; data are none."""

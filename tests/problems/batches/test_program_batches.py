@@ -303,7 +303,6 @@ def test_arrays_for_all_programs_are_broadcast() -> None:
         assert len(programs) == count
         assert bits(solve_batch(programs)) == whole
         assert programs[-1].objective(np.ones(6)) == programs[0].objective(np.ones(6))
-        assert programs[3].constraints.unit.tolist() == programs[0].constraints.unit.tolist()
     alone = QuadraticProgramBatch(**one)
     assert len(alone) == 1
     assert solve_batch(alone).all_solved

@@ -685,9 +685,9 @@ def test_an_exact_descent_counts_beside_its_own_costs(program: QuadraticProgram,
     point = np.zeros(program.n) if not program.b.size else np.array([1.0, 0.0])
     proof = QPUnboundedness(program, tuple(map(Fraction, point)), tuple(map(Fraction, along)))
     assert proof.is_exact
-    assert (proof.cost_margin, proof.excludes(1e-6)) == (1.0, True)
+    assert (proof.margin, proof.excludes(1e-6)) == (1.0, True)
     assert certify(program, point).verdict == "disproved"
-    assert certify(program, claim="unbounded").verdict == ("proved" if program.n == 2 else "unproved")  # is not found
+    assert certify(program, claim="unbounded").verdict == "proved"
 
 
 def test_recover_tells_the_status() -> None:
@@ -875,7 +875,7 @@ def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> 
     assert program.status == cp.OPTIMAL_INACCURATE
     assert np.abs(x.value).max() < 1e-6
     exact = problem.origin.program.proof_of_no_minimum
-    assert exact is None or (exact.verify() and exact.margin < 1e-15)
+    assert exact is None or (exact.verify() and exact.margin < 1e-9)
     assert problem.origin.program.accepted_proof() is None
 
 
@@ -889,7 +889,7 @@ def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
     assert program.status == cp.INFEASIBLE
     proof = program.solver_stats.extra_stats.proof
     assert proof.verify()
-    assert proof.margin == pytest.approx(0.5e-6, rel=5e-2)
+    assert proof.margin == pytest.approx(1e-6, rel=5e-2)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from campaigns import convex_programs, scaled_programs
 
 from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve
 from lcp_plugin.problems.batches.batch import solve_batch
-from lcp_plugin.problems.programs.reductions import FoldedRows
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
 
@@ -36,9 +34,8 @@ def test_what_falls_for_ever_is_unbounded_in_any_unit(c: list[float], rows: dict
 
 
 def test_what_is_infeasible_in_its_own_units_has_a_proof() -> None:
-    """A proof within a radius that unknowns in mixed units would make too small is the one in the program's own."""
+    """Constraints in mixed units that contradict have a proof."""
     program, _ = convex_programs.case("infeasible, graded", 57001, 2, 2000)
-    assert program.rescaled is not None
     result = solve(program)
     assert result.status is Status.INFEASIBLE
     assert result.proof is not None
@@ -89,8 +86,8 @@ def test_errors_are_the_same_in_units_of_unknowns_far_apart() -> None:
 
 
 def test_right_hand_sides_that_are_rounding_name_no_unit() -> None:
-    """9e-16 beside coefficients of 1e-3 contradicts x ≥ 0 by rounding: x = 0, at the limit of precision."""
-    row = 1e-3 * np.array([[-1.227, -1.1546, -1.1391, -2.9916]])
+    """9e-16 beside coefficients of .1 contradicts x ≥ 0 by rounding: x = 0, at the limit of precision."""
+    row = 0.1 * np.array([[-1.227, -1.1546, -1.1391, -2.9916]])
     program = QuadraticProgram(None, np.ones(4), np.ones((1, 4)), [1e3], row, [8.9e-16], lower=0.0)
     result = solve(program)
     assert result.status is Status.PRECISION_LIMIT
@@ -129,18 +126,45 @@ def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
     assert len(lines) == len(scaled_programs.WHAT)
 
 
-def test_smaller_programs_keep_the_units_of_unknowns() -> None:
-    """An unknown is measured in one unit before and after rows become bounds."""
-    units = np.ldexp(1.0, [0, 20, -20, 0])
-    rows = np.array([[1.0, 2.0, 3.0, 0.0], [3.0, 1.0, -2.0, 0.0], [1.0, 1.0, 1.0, -1.0]]) / units
-    program = QuadraticProgram(
-        np.diag([0.0, 0.0, 0.0, 1.0]), np.ones(4), G=sp.csr_array(np.eye(1, 4)), h=[3.0], A=sp.csr_array(rows),
-        b=[1.0, 2.0, 1.0],
-    )
-    folded = FoldedRows.of(program).reduced
-    assert not program.scaling.leaves_unknowns
-    assert folded is not program
-    assert folded.scaling.unknown.tolist() == program.scaling.unknown.tolist()
+@pytest.mark.parametrize("far", [{"upper": [np.inf, 1e15]}, {"upper": [np.inf, 1e19]}, "row"], ids=str)
+@pytest.mark.parametrize("by", [1e-3, 1e-5])
+def test_a_far_limit_hides_no_contradiction(far: Any, by: float) -> None:
+    """x₁ ≤ 1 and x₁ ≥ 1 + 1e-5 contradict, whatever limit of x₂ nobody reaches."""
+    G, h = [[1.0, 0.0], [-1.0, 0.0]], [1.0, -1.0 - by]
+    rows = {"G": [*G, [0.0, 1.0]], "h": [*h, 1e15]} if far == "row" else {"G": G, "h": h, **far}
+    result = solve(QuadraticProgram(np.eye(2), [1.0, -1.0], **rows))
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.is_exact
+    assert result.proof.verify()
+    assert result.proof.least_violation == pytest.approx(by / 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("cost", [-1e-3, -1e-9])
+def test_a_large_cost_hides_no_descent(cost: float) -> None:
+    """The objective cost x₁ + 1e10 x₂ over x ≥ 0 falls for ever along x₁ alone."""
+    result = solve(QuadraticProgram(None, [cost, 1e10], lower=0.0))
+    assert result.status is Status.UNBOUNDED
+    assert result.proof.is_exact
+    assert result.proof.direction[1] == 0
+
+
+@pytest.mark.parametrize("far", [-1e13, -1e15, -1e16, -1e19])
+def test_an_unknown_far_out_excuses_no_row_that_it_has_no_part_in(far: float) -> None:
+    """x₂ = −1 by one row and x₁ at a bound of −1e19: right where −1 is permitted, contradictory where it is −10."""
+    programs = [QuadraticProgram(None, [3.0, 2.0], A=[[0.0, -2.0]], b=[b], lower=[far, -1.0], upper=[3.0, np.inf])
+                for b in (2.0, 20.0)]
+    met, contradictory = map(solve, programs)
+    assert met.status is Status.SOLVED
+    assert met.x.tolist() == [far, -1.0]
+    assert contradictory.status is Status.INFEASIBLE
+    assert contradictory.proof.is_exact
+    assert contradictory.proof.verify()
+
+
+def test_a_row_of_rounding_is_met_or_proved_not_to_be() -> None:
+    """1e-13 x + (1 + 1e-13) y ≤ −1e-13 over 0 ≤ x, y ≤ 3: x = 0 within rounding, or a proof, and at once."""
+    result = solve(QuadraticProgram(None, [1.0, 1.0], G=[[1e-13, 1.0 + 1e-13]], h=[-1e-13], lower=0.0, upper=3.0))
+    assert result.proof is not None or np.abs(result.x).max() <= 1e-12
 
 
 @pytest.mark.parametrize(("diagonal", "lower", "upper", "expected"), [

@@ -39,7 +39,7 @@ from lcp_plugin.problems.programs.solution import QPSolution
 
 Generator = np.random.Generator
 ERROR, POLISH = 0.01, 1e-3
-LEAST, MOST, HALVINGS = -13.0, 2.0, 9  # decimal exponents of tolerances, and how finely they are found
+LEAST, MOST, HALVINGS = -13.0, -0.01, 9  # decimal exponents of tolerances, and how finely they are found
 JUDGES = {"lcp": 1e-8, "program": 1e-6, "linear": 1e-6}
 OTHERS = {  # the climbers of other kinds: functions of (rng, count) that yield or return falls
     "cones": ("attack_cones", "attack_cones"), "nonlinear": ("attack_nonlinear", "attack_nonlinear"),

@@ -41,6 +41,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from exact import exact_rows, solve_fractions
 
 import lcp_plugin as lp
+from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 Generator = np.random.Generator
 RIGHT, REFUSED, FALSE, OPEN = "right", "refused", "FALSE", "open"
@@ -807,7 +808,7 @@ def least_squares_case(rng: Generator) -> Outcome:
         elif word == "unit":
             scale = 10.0 ** rng.choice([-162, -120, 100, 140])
             A, b = A * scale, b * scale
-    result = lp.bounded_least_squares(A, b, lower, upper, ridge=ridge, max_seconds=SECONDS)
+    result = bounded_least_squares(A, b, lower, upper, ridge=ridge, max_seconds=SECONDS)
     text = f"{words}, ridge {ridge}: {A.tolist()}, {b.tolist()}, lower={lower.tolist()}, upper={upper.tolist()}"
     rows, right = exact_rows(A), exact(b)
     P = [

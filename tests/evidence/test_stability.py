@@ -275,8 +275,8 @@ def test_a_tolerance_out_of_reach_is_a_precision_limit(name: str, tolerance: flo
 
 @EVERY_ALGORITHM
 def test_a_huge_tolerance_accepts_the_start(name: str) -> None:
-    """With tolerance 1e300 the start is SOLVED after no iteration."""
-    result = solve(inexact(), name, tolerance=1e300)
+    """With an absolute tolerance of 1e300 the start is SOLVED after no iteration."""
+    result = solve(inexact(), name, absolute_tolerance=1e300)
     assert (result.status, result.iterations) == (Status.SOLVED, 0)
 
 

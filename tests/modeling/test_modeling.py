@@ -372,7 +372,7 @@ def test_a_run_says_that_it_began_from_the_last_answer() -> None:
     x, weights = cp.Variable(3), np.random.default_rng(0).standard_normal((3, 3))
     affine = ComplementarityProblem([complements(x >= 0, M @ x + Q >= 0)])
     smooth = ComplementarityProblem([complements(x >= 0, cp.exp(x) + M @ x + Q >= 0)])
-    program = cp.Problem(cp.Minimize(cp.sum_squares(weights @ x) + Q @ x), [x >= 0])
+    program = cp.Problem(cp.Minimize(cp.quad_form(x, weights.T @ weights) + Q @ x), [x >= 0])
     for problem, first in ((affine, None), (smooth, None), (program, "psor")):
         x.value, wishes = None, {} if first is None else {"algorithm": first, "max_iterations": 100_000}
         told = []

@@ -284,7 +284,8 @@ class EquilibriumResult(Answer):
         bound += f" ({BY_SCIP})" if self.bound_by == "SCIP" else ""
         if self.x is None:
             return f"no solution found, {bound}"
-        return f"objective {self.value:.9g}, {bound}, gap {self.gap:.1e}"
+        gap = f", gap {self.gap:.1e}" if self.gap < math.inf else ""  # beside an objective without terms
+        return f"objective {self.value:.9g}, {bound}{gap}"
 
     def _effort(self) -> str:
         return f"{self.algorithm}: {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"

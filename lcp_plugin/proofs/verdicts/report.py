@@ -233,7 +233,8 @@ def analyze(M: Any) -> MatrixReport:
 
 def matrix_of(M: Any) -> Matrix:
     """Return a problem's matrix, a matrix as it is, or what an array states."""
-    if not hasattr(M, "matrix") and kind_of(M) is not None:
+    kind = kind_of(M)
+    if kind is not None and "analyze" not in kind.ways:
         raise InvalidProblem(refusal("analyze", M))
     matrix = getattr(M, "matrix", M)
     return matrix if isinstance(matrix, Matrix) else Matrix(M)

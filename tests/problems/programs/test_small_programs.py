@@ -90,9 +90,17 @@ def test_its_result_is_that_of_a_complementarity_problem() -> None:
     assert result.to_content()["status"] == "SOLVED"
 
 
-@pytest.mark.parametrize("wish", [{"verbose": True}, {"record": True}, {"callback": lambda *_: None}])
+def test_a_record_changes_no_bit() -> None:
+    """It has two samples, the engine's start and its end."""
+    program, _, _ = planted(6, 4, 1, 6, 3)
+    plain, recorded = solve_program(program), solve_program(program, record=True)
+    assert len(recorded.history) == 2
+    assert np.array_equal(plain.x, recorded.x)
+
+
+@pytest.mark.parametrize("wish", [{"verbose": True}, {"callback": lambda *_: None}])
 def test_who_watches_sees_every_step(wish: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
-    """A log, a record and a callback are of steps taken one by one."""
+    """A log and a callback are of steps taken one by one."""
     program, _, value = planted(6, 4, 1, 6, 3)
     result = solve_program(program, **wish)
     solution = result.solution

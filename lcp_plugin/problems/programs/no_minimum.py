@@ -159,7 +159,7 @@ class QPUnboundedness:
     @cached_property
     def _holds(self) -> bool:
         found, program = self._found, self.program
-        is_held = self.is_free_motion and not is_far_out(program.P, program.c, self.direction, found.left)
+        is_held = not is_far_out(program.P, program.c, self.direction, found.left)
         return not is_held and found.has_signs and found.size > 0 and self._is_wide and found.is_rounding(program.n)
 
     @cached_property

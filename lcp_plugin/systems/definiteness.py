@@ -99,7 +99,7 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     # A zero on the diagonal of a semidefinite matrix has nothing beside it.
     if filled.size < diagonal.size and (abs(P) @ (diagonal == 0.0).astype(np.float64)).any():
         return False
-    if sp.issparse(P) and bool(np.all(abs(P) @ np.ones(diagonal.size) <= 2.0 * diagonal)):
+    if sp.issparse(P) and bool(np.all(abs(P) @ np.ones(diagonal.size) - diagonal <= diagonal)):
         return True  # no row is less than the sum of its other entries (Gershgorin)
     is_small = filled.size <= CHOLESKY_UP_TO
     if sp.issparse(P) and (

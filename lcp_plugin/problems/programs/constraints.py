@@ -75,14 +75,14 @@ class Constraints:
 
     @cached_property
     def own_sizes(self) -> FloatVector:
-        """The |limit| of each row, or 1e-7 of its smallest coefficient where that is larger.
+        """The |limit| of each row, or 1e-7 of its smallest coefficient where that is larger; 1 of a row of none.
 
         A contradiction that is rounding beside all coefficients in the caller's units is one of rounded data.
         """
         right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
         with np.errstate(divide="ignore"):
             inverse = largest_in_rows(self.matrix, 1.0 / np.abs(self.matrix.data))
-            return np.maximum(right, NOISE / np.where(inverse > 0.0, inverse, np.inf))
+            return np.maximum(right, NOISE / np.where(inverse > 0.0, inverse, NOISE))
 
     @cached_property
     def unit(self) -> FloatVector:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector, checked_right_side, checked_vector
 from ..core.errors import InvalidProblem, UnsupportedModel
+from ..core.settings import Status
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solution import QPSolution
 from ..problems.programs.solving import solve_program
@@ -110,16 +111,14 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         cache = {} if solver_cache is None else solver_cache
         try:
             with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
-                return self._answer(data, warm_start, verbose, solver_opts, cache)
+                answer = self._answer(data, warm_start, verbose, solver_opts, cache)
         except InvalidProblem as error:
-            parts = [data[key].data for key in MATRIX_KEYS if data[key] is not None]
-            sizes = np.abs(np.concatenate(parts))
-            if not ((sizes > ORDINARY[1]) | ((sizes > 0.0) & (sizes < ORDINARY[0]))).any():
+            if not (words := _too_far_apart(data)):
                 raise
-            raise UnsupportedModel(
-                "some coefficients of the program that cvxpy made are too far from 1 to be multiplied in double "
-                f"precision, {sizes[sizes > 0.0].min():.3g} to {sizes.max():.3g}; write the problem in other units"
-            ) from error
+            raise UnsupportedModel(words) from error
+        if answer.result.status is Status.STALLED and (words := _too_far_apart(data)):
+            raise UnsupportedModel(words)
+        return answer
 
     def _answer(self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any) -> SolverAnswer:
         options = {**SOLVE_OPTIONS, **solver_opts}
@@ -203,6 +202,18 @@ class _Solved(NamedTuple):
         _require_plain(data)
         program = before.program.with_vectors(data[settings.Q], data[settings.G], data[settings.B])
         return before._replace(program=program)
+
+
+def _too_far_apart(data: Any) -> str:
+    """Return that some coefficients of cvxpy's problem data are too far from 1 to be multiplied; "" where none is."""
+    sizes = np.abs(np.concatenate([data[key].data for key in MATRIX_KEYS if data[key] is not None]))
+    sizes = sizes[sizes > 0.0]
+    if not ((sizes > ORDINARY[1]) | (sizes < ORDINARY[0])).any():
+        return ""
+    return (
+        "some coefficients of the program that cvxpy made are too far from 1 to be multiplied in double "
+        f"precision, {sizes.min():.3g} to {sizes.max():.3g}; write the problem in other units"
+    )
 
 
 def quadratic_program(data: Any) -> QuadraticProgram:

@@ -447,7 +447,7 @@ def test_clean_up_puts_active_components_on_their_bound() -> None:
     result = solve(scene.problem, "npgs")
     assert result.status is Status.SOLVED
     np.testing.assert_array_equal(result.z == 0.0, np.asarray(scene.exact) == 0.0)
-    *_, raw = islice(create("npgs", {}).iterates(scene.problem, scene.problem.nearest_to_zero), 50)
+    *_, raw = islice(create("npgs", {}).iterates(scene.problem, scene.problem.nearest_to_zero.copy()), 50)
     assert np.count_nonzero(raw.z == 0.0) < np.count_nonzero(np.asarray(scene.exact) == 0.0)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from campaigns import tiny_diagonals
 
 from lcp_plugin import LCP, Certificate, Status, solve, solve_batch
@@ -131,6 +132,19 @@ def test_a_row_with_a_q_is_asked_for_in_its_own_unit() -> None:
         problem = LCP(M, q, lower=lower)
         assert not Certificate.of(problem, false).meets(Settings())
         assert solve(problem).status is not Status.SOLVED
+
+
+def test_rows_where_no_double_is_nearer_are_right() -> None:
+    """A step of diffusion into a far field that underflows is solved; a wrong row of 1e-309 there is not excused."""
+    n = 2400
+    M = sp.diags_array([-8.0, 17.0, -8.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
+    problem = LCP(M, -np.fmax(5e-324, 0.1 ** np.arange(n)))
+    result = solve(problem)
+    assert result.is_solved
+    assert 0.0 < result.z[-1] < 1e-320
+    false = result.z.copy()
+    false[n - 200] += 1e-309
+    assert not Certificate.of(problem, false).meets(Settings())
 
 
 def test_a_diagonal_entry_of_1e12_may_leave_no_solution() -> None:

@@ -8,6 +8,8 @@ With v_i the part of w_i that has the wrong sign (|w_i| where z_i is off its bou
 - q_i = 0, T_i ≤ 2⁻⁴² |m_ii| ‖z_P‖∞ (d_i for m_ii = 0) and T_i ≤ 2⁻⁴² T_k for a row k that acts (z_k off its bounds,
   or v_k > 0), both in its component P: beside what acts at the answer it is negligible in the unit of z and in that of
   w, as in a far field, and what is left of z there explains it. A q_i says what is asked for in its own unit.
+- v_i is no more than underflow makes of it: the distance to the next double of each z_j that is no normal number, times
+  |m_ij|, and of each term. No z is nearer.
 
 Its *term residual* is the least such s²: at most the tolerance where it is right to √tolerance. A component is also
 right where it is so at another z', with z_i at its bound where the sign of w_i is right there and d_i·distance ≤ |w_i|,
@@ -21,12 +23,12 @@ count nowhere. Beside a T_i that is large because its terms cancel, the relative
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..checks import FloatVector
-from ..kernels.floats import NEGLIGIBLE
+from ..kernels.floats import NEGLIGIBLE, NORMAL, TINY
 from .criterion import for_each_row, largest_of_components
 from .row_residuals import magnitude
 
@@ -84,10 +86,23 @@ def _beside_own_terms(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVect
     if not problem.matrix.any_row(is_wrong):
         return np.zeros(z.size)
     with np.errstate(all="ignore"):
-        terms = magnitude(problem, problem.matrix.whole(z))
+        whole = problem.matrix.whole(z)
+        terms = magnitude(problem, whole)
         acts = np.where(is_wrong | ~(is_low | is_high), terms, 0.0)
         of_z, of_w = (for_each_row(problem, largest_of_components(problem, side)) for side in (np.abs(z), acts))
         unit = np.where(problem.diagonal != 0.0, np.abs(problem.diagonal), problem.residual_scale)
         counts = (problem.q != 0.0) | ~(terms <= NEGLIGIBLE * np.minimum(unit * of_z, of_w))
+        counts &= ~(wrong <= _underflow(problem, whole))
         squares = np.where(is_wrong & counts, (wrong / terms) ** 2, 0.0)
     return np.where(np.isfinite(squares), squares, np.inf)
+
+
+def _underflow(problem: LCP, whole: FloatVector) -> FloatVector | float:
+    """Return what underflow alone makes of each w_i, shape (own,), or 0 where each z_j is 0 or a normal number."""
+    sizes = np.abs(whole)
+    grid = np.where((sizes > 0.0) & (sizes < NORMAL), TINY, 0.0)
+    if not grid.any():
+        return 0.0
+    absolute: Any = abs(problem.matrix.rows)
+    margin: FloatVector = absolute @ grid + TINY * (np.diff(problem.matrix.csr_rows.indptr) + 2)
+    return margin

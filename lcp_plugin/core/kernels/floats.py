@@ -5,6 +5,7 @@ from __future__ import annotations
 EPSILON = 2.0**-52  # from 1 to the next double
 UNIT = 2.0**-53  # the largest relative error of one rounding
 TINY = 2.0**-1074  # the smallest positive double; a product that underflows is wrong by up to this
+NORMAL = 2.0**-1022  # the smallest normal double: below it the next one is TINY away
 LARGEST = 1.7976931348623157e308  # the largest double
 DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
 SURELY_RIGHT = 1e-10  # beside a few terms of a row: a wrong part that its other terms need not be added up for

@@ -17,7 +17,7 @@ from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, program_goal
 from .program import QuadraticProgram, asymmetry_of
 from .program_matrices import sums_and_terms
-from .reductions import FoldedRows, Reduction
+from .reductions import DefinedVariables, FoldedRows, Reduction
 from .solution import QPSolution
 
 if TYPE_CHECKING:
@@ -140,9 +140,11 @@ def lcp_from_lp(
     return lcp_from_qp(QuadraticProgram(sp.csr_array((n, n)), c, G, h, A, b, lower, upper))
 
 
-def optimality_conditions(program: QuadraticProgram) -> LCP:
-    """Return the conditions of a program known to be convex."""
+def optimality_conditions(program: QuadraticProgram, *, puts_in: bool = False) -> LCP:
+    """Return the conditions of a program known to be convex; for a run without the variables that equations define."""
     origin = QPOrigin.of(program)
+    if puts_in:
+        origin = QPOrigin(origin.reduction.then(DefinedVariables.of))
     problem = origin.problem()
     problem.origin = problem.criterion = origin
     return problem

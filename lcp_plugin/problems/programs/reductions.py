@@ -15,10 +15,11 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...proofs.exact.rational import like
-from .program_matrices import Indices, ProgramMatrices, block
+from .program_matrices import Indices, ProgramMatrices, as_csr, block
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -288,6 +289,80 @@ class FixedVariables(Step):
         whole = np.concatenate([y, np.maximum(costs, 0), np.maximum(-costs, 0)])
         whole[m + self.free], whole[m + program.n + self.free] = lower, upper
         return whole
+
+
+@dataclass(frozen=True, eq=False)
+class DefinedVariables(Step):
+    """The program without the variables that its equations define, as cvxpy writes t = A x − b, and without these.
+
+    Only where bounds are all that is left then: its complementarity problem is that of a P, which sweeps take.
+
+    Attributes
+    ----------
+    defined : ndarray of int
+        The variable of each equation: free, in no other one, with a quadratic term.
+    kept : ndarray of int
+    D : CSR array, shape (equations, kept)
+        x_defined = shift − D x_kept.
+    shift, pivots : ndarray, shape (equations,)
+    """
+
+    defined: Indices
+    kept: Indices
+    D: sp.csr_array
+    shift: FloatVector
+    pivots: FloatVector
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> DefinedVariables | None:
+        """Return that of a program; None where some row or equation would be left."""
+        A, n = as_csr(program.A), program.n
+        if program.h.size or not program.b.size:
+            return None
+        is_open = np.isinf(program.lower) & np.isinf(program.upper) & (program.matrices.diagonal > 0.0)
+        places = np.flatnonzero((is_open & (np.bincount(A.indices, minlength=n) == 1))[A.indices])
+        owners = np.repeat(np.arange(program.b.size), np.diff(A.indptr))[places]
+        order = np.lexsort((-np.abs(A.data[places]), owners))  # the largest entry of a row is the safest pivot
+        rows, first = np.unique(owners[order], return_index=True)
+        if rows.size < program.b.size:
+            return None
+        places = places[order[first]]
+        defined, pivots = A.indices[places].astype(np.intp), A.data[places]
+        kept = np.setdiff1d(np.arange(n), defined)
+        D, shift = sp.csr_array(sp.diags_array(1.0 / pivots) @ A[:, kept]), program.b / pivots
+        P = as_csr(program.P)
+        across = P[kept][:, defined] @ D
+        reduced_P = P[kept][:, kept] - across - across.T + D.T @ P[defined][:, defined] @ D
+        whole = np.zeros(n)
+        whole[defined] = shift
+        slope = program.c + P @ whole
+        reduced = type(program)(
+            0.5 * (reduced_P + reduced_P.T), slope[kept] - D.T @ slope[defined],
+            lower=program.lower[kept], upper=program.upper[kept],
+        )
+        return cls(program, reduced, defined, kept, D, shift, pivots)
+
+    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return the variables that are left, and the multipliers of their bounds."""
+        lower, upper = np.split(multipliers[self.defined.size :], 2)
+        return x[self.kept], np.concatenate([lower[self.kept], upper[self.kept]])
+
+    def point(self, x: Any, *, is_direction: bool = False) -> Any:
+        """Return x of all variables."""
+        whole, values = np.zeros(self.program.n, dtype=x.dtype), like(self.D.data, x) * x[self.D.indices]
+        whole[self.kept], sums = x, np.zeros(self.defined.size, dtype=x.dtype)
+        np.add.at(sums, np.repeat(np.arange(sums.size), np.diff(self.D.indptr)), values)
+        whole[self.defined] = -sums if is_direction else like(self.shift, x) - sums
+        return whole
+
+    def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
+        """Return the multipliers of all constraints: an equation's is what its variable's quadratic term leaves."""
+        own, (lower, upper) = np.zeros(self.defined.size, dtype=reduced.dtype), np.split(reduced, 2)
+        if x is not None:
+            own = -(self.program.P @ x + self.program.c)[self.defined] / self.pivots
+        whole = np.zeros((2, self.program.n), dtype=reduced.dtype)
+        whole[0, self.kept], whole[1, self.kept] = lower, upper
+        return np.concatenate([own, *whole])
 
 
 def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:

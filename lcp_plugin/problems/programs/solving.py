@@ -428,7 +428,7 @@ def run_program(
     find_proof: Callable[[], Any] | None = None, callback: Any = None, **options: Any,
 ) -> tuple[Result, QPSolution]:
     """Return a run on the complementarity problem of a program, and the answer; a proof that is found ends it."""
-    problem, labels = optimality_conditions(program), set[str]()
+    problem, labels = optimality_conditions(program, puts_in=True), set[str]()
 
     def ends(sample: Sample, z: FloatVector) -> bool:
         labels.add(sample.label)

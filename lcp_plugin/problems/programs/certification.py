@@ -30,6 +30,7 @@ from ...proofs.bounds.solution_bounds import norm_above
 from ...proofs.exact.rational import enclosures
 from ...proofs.exact.upward import quotient_above, sum_above
 from .convexity import refuse_nonconvex
+from .criterion import row_excuses
 from .dual_bounds import DualBounds, implied_box
 from .engine_calls import solved_at_once
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
@@ -74,12 +75,12 @@ def certify(
         and of a result or a cvxpy problem what its status says.
     tolerance : float
         "proved" means: x has the optimal value f*, |f(x) − f*| ≤ tolerance · (Σ|c_j x_j| + |xᵀP x|), and meets the
-        constraints: each c·x ≤ d or = d holds but for tolerance · max(|d|, largest |c_j x_j|), or where no x_j moves,
-        within its bounds, by more than tolerance · min(1, ‖x‖∞). Where all terms are 0 the comparison is exact. Neither
-        is x proved to be farther than 10 · tolerance · ‖x‖∞ from every optimal one, nor are multipliers that came with
-        it wrong by more than 10 · tolerance beside the terms of their conditions: sign, gradient, and 0 where x leaves
-        slack. Of "infeasible": that every x violates a constraint by more than this, in its own unit, so that no x can
-        be proved to be optimal.
+        constraints: each c·x ≤ d or = d holds but for tolerance · max(|d|, largest |c_j x_j|, 1e-6 of what acts on the
+        row), or where no x_j moves, within its bounds, by more than tolerance · min(1, ‖x‖∞). Where all terms are 0
+        the comparison is exact. Neither is x proved to be farther than 10 · tolerance · ‖x‖∞ from every optimal one,
+        nor are multipliers that came with it wrong by more than 10 · tolerance beside the terms of their conditions:
+        sign, gradient, and 0 where x leaves slack. Of "infeasible": that every x violates a constraint by more than
+        this, in its own unit, so that no x can be proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 
@@ -403,7 +404,10 @@ class Violation:
     @classmethod
     @np.errstate(all="ignore")  # what overflows is not met
     def of(cls, program: QuadraticProgram, x: FloatVector, tolerance: float) -> Violation:
-        """Return that of x: beside the terms of each row, or what a step of each x_j within its bounds mends."""
+        """Return that of x: beside the terms of each row, what a step of each x_j within its bounds mends, what acts.
+
+        What acts excuses a row here as it does where a program is solved: neither call may refute the other.
+        """
         rows = program.constraints
         finite = rows.finite
         matrix, limit, is_equality = rows.matrix[finite], rows.limit[finite], rows.is_equality[finite]
@@ -414,7 +418,8 @@ class Violation:
         falls, rises = positive @ below + negative @ above, positive @ above + negative @ below
         mended = np.where(is_equality & (value < 0.0), rises, falls)
         size = np.where(is_equality, np.abs(value), value)
-        allowed = np.maximum(tolerance * largest_terms(matrix, limit, x), mended)
+        acting = np.concatenate([row_excuses(program, x), np.zeros(2 * program.n)])[finite]
+        allowed = np.maximum(tolerance * np.maximum(largest_terms(matrix, limit, x), acting), mended)
         least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
         return cls(
             float(least.max(initial=0.0)) / OUTWARD, float(largest.max(initial=0.0)),

@@ -75,10 +75,7 @@ class Errors(NamedTuple):
         vectors = program.c, limits, matrices.is_equality[: m + p], program.lower, program.upper
         split = multipliers[: m + p], multipliers[m + p : m + p + n], multipliers[m + p + n :]
         with np.errstate(all="ignore"):
-            if matrices.has_sparse_rows or sp.issparse(program.P):
-                terms = Terms.of_sparse(program.P, matrices.rows, x, split[0])
-            else:
-                terms = Terms.of_dense(program.P, matrices.dense_rows, x, split[0])
+            terms = Terms.of(program, x, split[0])
             found = measured(terms, *vectors, x, *split)
             if not found.largest <= NO_EXCUSE:
                 acting = Acting.of(program, terms, x, split)
@@ -111,6 +108,14 @@ class Terms(NamedTuple):
     product_size: Any
     product_largest: Any
     summands: int
+
+    @classmethod
+    def of(cls, program: QuadraticProgram, x: FloatVector, y: FloatVector) -> Terms:
+        """Return those of a program at x, with multipliers y of the rows of G and A."""
+        matrices = program.matrices
+        if matrices.has_sparse_rows or sp.issparse(program.P):
+            return cls.of_sparse(program.P, matrices.rows, x, y)
+        return cls.of_dense(program.P, matrices.dense_rows, x, y)
 
     @classmethod
     def of_dense(cls, P: Any, C: Any, x: FloatVector, y: FloatVector) -> Terms:
@@ -169,6 +174,20 @@ class Acting(NamedTuple):
             of_rows = np.where(coefficient > 0.0, coefficient * reach, 1.0 / ACTS)
             sizes.append((of_rows, pull / unit, pull / coefficient))
         return cls(*(np.fmin(one, other) for one, other in zip(*sizes, strict=True)))
+
+
+def row_excuses(program: QuadraticProgram, x: FloatVector) -> FloatVector:
+    """Return what rows of G and A are measured beside at x where their own terms are smaller, whatever multipliers are.
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> row_excuses(QuadraticProgram([[1, 0], [0, 1]], [-1, 0], G=[[0, 2]], h=[0]), np.array([1.0, 1e-13])).tolist()
+    [2e-06]
+    """
+    m, p, n, _ = program.matrices.sizes
+    none = np.zeros(m + p), np.zeros(n), np.zeros(n)
+    return np.asarray(ACTS * Acting.of(program, Terms.of(program, x, none[0]), x, none).row)
 
 
 def _reach(program: QuadraticProgram, matrix: Any, sizes: FloatVector) -> Any:

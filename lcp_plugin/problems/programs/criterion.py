@@ -182,8 +182,8 @@ def row_excuses(program: QuadraticProgram, x: FloatVector) -> FloatVector:
     Examples
     --------
     >>> from lcp_plugin import QuadraticProgram
-    >>> row_excuses(QuadraticProgram([[1, 0], [0, 1]], [-1, 0], G=[[0, 2]], h=[0]), np.array([1.0, 1e-13])).tolist()
-    [2e-06]
+    >>> row_excuses(QuadraticProgram([[1, 0], [0, 1]], [-1, 0], G=[[0, 1]], h=[0]), np.array([1.0, 1e-13])).tolist()
+    [1e-06]
     """
     m, p, n, _ = program.matrices.sizes
     none = np.zeros(m + p), np.zeros(n), np.zeros(n)

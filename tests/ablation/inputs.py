@@ -1,8 +1,8 @@
 """What is solved with and without a mechanism: problems with answers that others know, by kinds.
 
-Applications at small sizes and, as "grid", at larger ones; the collection; published problems, where they lie beside
-the checkout; and small shares of the campaigns. Judges are independent references, exact arithmetic and other people's
-solvers, never a status.
+Applications at small sizes and at larger ones; the collection; published problems, where they lie beside the checkout;
+small shares of the campaigns; and the methods and engines by name, each on what it is meant for. Judges are independent
+references, exact arithmetic and other people's solvers, never a status.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ DATA = Path(os.environ.get("LCP_PLUGIN_DATA", TESTS.parents[1] / "shared" / "dat
 SOLVED, PROVED, OPEN, FALSE = "solved", "proved", "open", "false"
 ALIKE, LOOSE = 1e-6, 1e-4  # relative, of an objective or a residual that others judge; of a program over a cone
 MOST_PUBLISHED = 2500  # rows and columns
-SEED = 70
+SEED, SHARE = 70, 7
 
 
 @dataclass(frozen=True)
@@ -205,6 +205,29 @@ def plain_structures() -> Iterator[Input]:
     }
     for name, (M, q, judge) in stated.items():
         yield Input("plain structures", name, partial(LCP, M, q), solve, judge)
+
+
+def unheld_structures() -> Iterator[Input]:
+    """Structures that nothing holds, pulled away or pressed down, and their programs."""
+    from unheld import block, chain, circuit, truss
+
+    def by_balance(problem: Any, result: Any) -> str:
+        """Return whether what is pulled away is proved to have no answer, and nothing else."""
+        return FALSE if result.is_solved else PROVED if result.has_no_solution else OPEN
+
+    pulled: dict[str, Callable[[], Any]] = {
+        "block": lambda: block(60, 40, 0.0, 1.0), "chain": lambda: chain(3000, 1.0),
+        "circuit": lambda: circuit(3000, 1.0), "truss": lambda: truss(300, 1.0, braced=False),
+    }
+    pressed: dict[str, Callable[[], Any]] = {
+        "block": lambda: block(60, 40, 0.0, -1.0), "chain": lambda: chain(3000, -1.0),
+        "circuit": lambda: circuit(3000, -1.0),
+    }
+    for name, made in pulled.items():
+        yield Input("unheld", f"{name}, pulled", lambda made=made: made().problem, solve, by_balance)
+        yield Input("unheld", f"{name}, pulled, program", lambda made=made: made().program, solve, by_balance)
+    for name, made in pressed.items():
+        yield Input("unheld", f"{name}, pressed", lambda made=made: made().problem, solve, _by_residual)
 
 
 def contacts(count: int = 63) -> Iterator[Input]:
@@ -595,6 +618,45 @@ def published_contacts() -> Iterator[Input]:
         yield Input("published contacts", file.stem, partial(state, file), solve, judge)
 
 
+def piles() -> Iterator[Input]:
+    """Walls and towers, whose floor carries what they weigh; contacts and cones without an answer; cones at random."""
+    from cone_families import cancelled_diagonals, tower, violation, wall
+
+    def by_weight(of_floor: int, stated: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        weight = stated[1]
+        return SOLVED if abs(result.motion.normal[:of_floor].sum() - weight) <= LOOSE * weight else FALSE
+
+    def heavy_on_light(light: int) -> tuple[FrictionalContact, float]:
+        problem, weights = tower([1.0] * light + [1e4], (-0.5, 0.5))
+        return problem, float(weights[0])
+
+    def by_proof(_: Any, result: Any) -> str:
+        return FALSE if result.is_solved else PROVED if result.status is Status.INFEASIBLE else OPEN
+
+    def by_violation(problem: Any, result: Any) -> str:
+        return OPEN if not result.is_solved else SOLVED if violation(problem, result.z) <= LOOSE else FALSE
+
+    squeezed = np.vstack([np.eye(3), np.diag([-1.0, 1.0, 1.0])])
+    hopeless: dict[str, tuple[Any, Any, Any]] = {
+        "nothing moves the normal": (np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5),
+        "between walls that close": (squeezed @ squeezed.T, [-1.0, 0.0, 0.0, -1.0, 0.0, 0.0], 0.5),
+        "beside one that slides": (np.diag([1.0, 1.0, 1.0, 0.0, 1.0, 1.0]), [-1.0, 3.0, 4.0, -1.0, 0.0, 0.0], 0.5),
+    }
+    for size in (3, 6, 9):
+        yield Input("piles", f"wall {size}", partial(wall, size, size), lambda stated: solve(stated[0]),
+                    partial(by_weight, 4 * size))
+    for light in (2, 5):
+        yield Input("piles", f"tower {light}", partial(heavy_on_light, light),
+                    lambda stated: solve(stated[0]), partial(by_weight, 2))
+    for name, (W, q, friction) in hopeless.items():
+        yield Input("piles", name, partial(FrictionalContact, W, q, friction), solve, by_proof)
+    for case in range(40):
+        rng = partial(np.random.default_rng, [SEED, case])
+        yield Input("piles", f"cones {case}", lambda rng=rng: cancelled_diagonals(rng()), solve, by_violation)
+
+
 def nonlinear(count: int = 30) -> Iterator[Input]:
     from nonlinear_families import KINDS, planted
 
@@ -650,9 +712,59 @@ def proved_nonlinear(count: int = 15) -> Iterator[Input]:
                     lambda stated: solve_nonlinear(stated[0].problem, stated[1], error_bound=True), by_bound)
 
 
+# --- by name --------------------------------------------------------------------------------------------------------
+
+
+def named_methods() -> Iterator[Input]:
+    """Every method of LCPs on the applications that suit it, and those that take any M on a share of the collection."""
+    from applications.table import NAMED, cases
+    from collection import all_entries
+    from collection.judgement import false_claim
+
+    def as_stated(entry: Any, problem: Any, result: Any) -> str:
+        if false_claim(problem, entry.truth, result, 1e-8):
+            return FALSE
+        return SOLVED if result.is_solved else PROVED if result.has_no_solution else OPEN
+
+    for case in cases(full=False):
+        for method in NAMED:
+            if method != "program" and case.suits(method):
+                yield Input("methods by name", f"{method}, {case.name}", partial(case.in_units, "own"),
+                            partial(_named, method), partial(_as_application, case))
+    for entry in all_entries()[::SHARE]:
+        for method in ("lemke", "newton", "interior_point"):
+            yield Input("methods by name", f"{method}, {entry.name}", partial(_fresh, entry.problem),
+                        partial(_named, method), partial(as_stated, entry))
+
+
+def _named(method: str, stated: Any) -> Any:
+    return solve(stated[0] if isinstance(stated, tuple) else stated, method)
+
+
+def named_engines() -> Iterator[Input]:
+    """Every engine on planted programs; on their shapes, and on linear programs, those that take such."""
+    for one in planted_programs(20):
+        for engine in ("daqp", "piqp", "clarabel"):
+            yield Input("engines by name", f"{engine}, {one.name}", one.state,
+                        lambda stated, engine=engine: solve(stated[1], engine), one.judge)
+    for one in shapes(full=False):
+        engines = ("piqp", "clarabel") if sp.csr_array(one.state().P).nnz else ("piqp", "clarabel", "highs")
+        for engine in engines:
+            yield Input("engines by name", f"{engine}, {one.name}", one.state,
+                        lambda program, engine=engine: solve(program, engine), one.judge)
+
+
+def named_over_cones() -> Iterator[Input]:
+    """Every method over cones, on planted contacts and on published ones."""
+    for one in [*cones(16), *published_contacts()]:
+        for method in ("npgs", "newton", "interior_point"):
+            yield Input("cones by name", f"{method}, {one.name}", one.state,
+                        lambda problem, method=method: solve(problem, method), one.judge)
+
+
 SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "applications": partial(applications, full=False), "collection": collection, "published LCPs": published_lcps,
-    "small LCPs": small_lcps, "plain structures": plain_structures, "contacts": contacts,
+    "small LCPs": small_lcps, "plain structures": plain_structures, "contacts": contacts, "unheld": unheld_structures,
     "applications, larger": partial(applications, full=True),
     "marches": marches, "batches": batches,
     "batches of programs": batches_of_programs, "published programs": published_programs,
@@ -660,8 +772,10 @@ SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "shapes of programs, larger": partial(shapes, full=True), "programs again": programs_again,
     "outliers": outliers, "certify": certified, "equilibria": equilibria,
     "least squares": least_squares, "least squares, larger": large_least_squares, "cones": cones,
-    "published contacts": published_contacts, "nonlinear": nonlinear, "nonlinear, vanishing": vanishing_slopes,
-    "nonlinear, proved": proved_nonlinear,
+    "published contacts": published_contacts, "piles": piles,
+    "nonlinear": nonlinear, "nonlinear, vanishing": vanishing_slopes,
+    "nonlinear, proved": proved_nonlinear, "methods by name": named_methods, "engines by name": named_engines,
+    "cones by name": named_over_cones,
 }
 
 

@@ -4,7 +4,6 @@ from . import gallery as gallery
 from . import strategies as strategies
 from .api import solve as solve
 from .core.certificates.residuals import Certificate as Certificate
-from .core.errors import ConvergenceWarning as ConvergenceWarning
 from .core.errors import InvalidOption as InvalidOption
 from .core.errors import InvalidProblem as InvalidProblem
 from .core.errors import LCPError as LCPError

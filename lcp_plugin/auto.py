@@ -413,7 +413,6 @@ def solve_lcp(
         matrix.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
         return solved_by(
             policy, problem, settings, start, clock, callback, judge=_judge_of, header=_header,
-            warn=None if policy.chosen == "auto" else _warn,
         )
 
 
@@ -424,12 +423,6 @@ def _judge_of(scaling: CommonScaling, settings: Settings) -> Judge:
     from .proofs.bounds.error_judge import ErrorJudge
 
     return ErrorJudge(scaling, settings)
-
-
-def _warn(problem: LCP, policy: Policy) -> None:
-    from .proofs.guarantees import warn_where_known_to_be_uncovered
-
-    warn_where_known_to_be_uncovered(problem, policy)
 
 
 def _header(matrix: Matrix) -> tuple[str, str]:

@@ -45,10 +45,6 @@ class NotConverged(LCPError, RuntimeError):
     """The run ended without a solution and the caller asked for one."""
 
 
-class ConvergenceWarning(UserWarning):
-    """No known theorem says that the chosen algorithm converges on this matrix."""
-
-
 class ModelWarning(UserWarning):
     """The model can be read, but probably says something else than was meant."""
 

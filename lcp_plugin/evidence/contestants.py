@@ -11,7 +11,6 @@ import inspect
 import sys
 import sysconfig
 import traceback
-import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -22,7 +21,7 @@ from ..api import solve
 from ..auto import policy_for
 from ..core.algorithm import Algorithm
 from ..core.checks import FloatVector
-from ..core.errors import ConvergenceWarning, InvalidOption, LCPError
+from ..core.errors import InvalidOption, LCPError
 from ..core.kind import refusal
 from ..core.lcp import LCP
 from ..core.settings import Status
@@ -210,9 +209,7 @@ class WorkLimit:
 
 def measured_run(problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **settings: Any) -> Result:
     """Return what `solve` returns; Ctrl-C, after which `solve` keeps the best iterate, ends a measurement."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # whether it converges is what is measured
-        result = solve(problem, algorithm, callback=limit, **settings)
+    result = solve(problem, algorithm, callback=limit, **settings)
     if result.status is Status.INTERRUPTED and not limit.is_over:
         raise KeyboardInterrupt
     return result

@@ -16,7 +16,6 @@ from ..algorithms import REGISTRY
 from ..api import solve
 from ..core.algorithm import Algorithm
 from ..core.errors import (
-    ConvergenceWarning,
     InvalidOption,
     UnsuitableMatrix,
     UnsuitableProblem,
@@ -301,7 +300,6 @@ def _cell(family: str, case: StressCase, name: str, algorithm: str | Algorithm, 
 def _strictly_solved(case: StressCase, algorithm: str | Algorithm, limit: int) -> Result:
     with warnings.catch_warnings(), np.errstate(over="warn", divide="warn", invalid="warn", under="ignore"):
         warnings.simplefilter("error")
-        warnings.simplefilter("ignore", ConvergenceWarning)  # it tells what the atlas is about to find out
         is_bounded = case.problem.n <= LARGEST_BOUNDED
         return solve(
             case.problem, algorithm, z0=case.start, max_iterations=limit, error_bound=is_bounded,

@@ -42,8 +42,7 @@ that the error may exceed 1 % of z, and where a product (z_i − bound) w_i is l
 **Guarantees** are "guaranteed" or "not covered". ``scaling="auto"``, the default of the np* methods, is a row scaling
 with which every H₊-matrix is covered: S = θ_i/d_i with θ_i = 1, or up to 2 where the row sums of M prove that too.
 `solve` analyses nothing that you did not ask for: ``result.guarantee`` (or `convergence_guarantee`) looks whether a
-theorem covers what you named, and so does ``explain()`` after a run that failed. Once it is known that none does,
-`solve` warns of it once a matrix (`ConvergenceWarning`).
+theorem covers what you named, and so does ``explain()`` after a run that failed.
 
 **Programs.** `certify` says what is proved about anybody's answer to a convex quadratic or linear program: of a cvxpy
 problem that some solver has filled, or of an x for a `QuadraticProgram`. "proved" is a violation and a distance from a

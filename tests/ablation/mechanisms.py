@@ -530,8 +530,6 @@ MECHANISMS = (
     Mechanism("threads", "loops shared among threads",
               {"core.kernels.threads:threads_for.__init__": Instead(lambda old: lambda self, count: old(self, 1))},
               "core/kernels/threads.py problems/many/chunks.py"),
-    Mechanism("guarantees", "a warning where no theorem covers a named method",
-              {"proofs.guarantees:warn_where_known_to_be_uncovered": says(None)}, "proofs/guarantees"),
 )
 NAMES = {one.name: one for one in MECHANISMS}
 HEAVIEST = (

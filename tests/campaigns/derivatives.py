@@ -30,7 +30,6 @@ from exact import FREE, LOWER, UPPER
 from exact_derivatives import Change, ExactGradient, Piece, distance, piece_at
 
 from lcp_plugin import LCP, derivative, solve
-from lcp_plugin.core.errors import ConvergenceWarning
 from lcp_plugin.problems.sensitivity import Derivative
 
 Generator = np.random.Generator
@@ -280,7 +279,6 @@ def judge(arguments: tuple[int, int, int, bool]) -> list[tuple[str, str, str]]:
     """Return (family, what happened, where if it is wrong) of problem k."""
     seed, k, largest, is_planted = arguments
     warnings.simplefilter("error")
-    warnings.simplefilter("ignore", ConvergenceWarning)
     rng = np.random.default_rng((seed, k, is_planted))
     kind, family = KINDS[k % 3], "planted" if is_planted else list(FAMILIES)[k // 3 % len(FAMILIES)]
     where = f"{family} {kind} --only {k}" + (" --planted" if is_planted else "")

@@ -35,7 +35,7 @@ from matrix_verdicts import Case, check, extreme
 
 from lcp_plugin import LCP
 from lcp_plugin.algorithms import Algorithm, create
-from lcp_plugin.core.errors import ConvergenceWarning, LCPError
+from lcp_plugin.core.errors import LCPError
 from lcp_plugin.core.matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.guarantees import convergence_guarantee
@@ -397,7 +397,6 @@ def run_case(seed: int, k: int, counts: Counter[tuple[str, str]]) -> list[str]:
     found = []
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.simplefilter("ignore", ConvergenceWarning)
         for judge in (
             lambda: wrong_verdicts(rng, kind, M, counts), lambda: wrong_guarantees(rng, M, counts),
             lambda: wrong_bounds(rng, M, counts),

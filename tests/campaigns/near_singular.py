@@ -31,7 +31,7 @@ from exact import exact_solution
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.errors import ConvergenceWarning, UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 
 Generator = np.random.Generator
 ALGORITHMS = ("auto", *REGISTRY)
@@ -178,7 +178,6 @@ def result_truth(status: str) -> str:
 def stretch(task: tuple[int, int, int]) -> tuple[Counter[str], list[str]]:
     first, last, seed = task
     warnings.simplefilter("error")
-    warnings.simplefilter("ignore", ConvergenceWarning)
     counts: Counter[str] = Counter()
     lines: list[str] = []
     kinds = list(KINDS)

@@ -23,7 +23,7 @@ from collection.judgement import false_claim, shortfall
 from collection.truth import INFEASIBLE, NO_SOLUTION, SOLVABLE, decide
 
 from lcp_plugin import LCP, solve
-from lcp_plugin.core.errors import ConvergenceWarning, UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 
 Matrix = np.ndarray
 Generator = np.random.Generator
@@ -317,5 +317,4 @@ if __name__ == "__main__":
     parser.add_argument("--show", type=int, default=20, help="how many unsolved solvable cases to print")
     given = parser.parse_args()
     warnings.simplefilter("error")
-    warnings.simplefilter("ignore", ConvergenceWarning)
     sys.exit(main(given.cases, given.seed, given.algorithm, given.tolerance, given.kind, given.show))

@@ -24,7 +24,6 @@ from collection.truth import ExactData
 from small_families import FAMILIES, problem
 
 from lcp_plugin import LCP, Result, Status, solve
-from lcp_plugin.core.errors import ConvergenceWarning
 
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
 INFEASIBLE = (Status.INFEASIBLE, Status.NO_SOLUTION)
@@ -48,7 +47,6 @@ def judge(arguments: tuple[int, int, int, int]) -> list[tuple[str, str, str]]:
     """Return (family, what happened, where) of problem k."""
     seed, k, largest, long_every = arguments
     warnings.simplefilter("error")
-    warnings.simplefilter("ignore", ConvergenceWarning)
     rng = np.random.default_rng((seed, k))
     family = list(FAMILIES)[k % len(FAMILIES)]
     algorithm = ("auto", "auto", "newton", "lemke")[k // len(FAMILIES) % 4]

@@ -44,7 +44,6 @@ from relations import bits, surroundings
 from trust_kinds import CRASH, MODIFIED, ROUND, SCHEDULE, TOLD, VIOLATIONS, Finding, Found
 
 from lcp_plugin import LCP
-from lcp_plugin.core.errors import ConvergenceWarning
 
 LONGEST = 300.0  # seconds of one case
 CHUNK = 200  # cases between two reports of a process
@@ -103,7 +102,6 @@ def run(name: str, kind: Any, number: int) -> list[Finding]:
 def prepare_process() -> None:
     """Make warnings errors, and let a clock end what hangs."""
     warnings.simplefilter("error")
-    warnings.simplefilter("ignore", ConvergenceWarning)
     signal.signal(signal.SIGALRM, too_long)
     for name in ("pyamg", "cvxpy", "scipy.optimize"):  # what other packages do when they are loaded is not our doing
         importlib.import_module(name)

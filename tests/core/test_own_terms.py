@@ -21,7 +21,6 @@ HIDDEN = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::lcp_plugin.core.errors.ConvergenceWarning")
 @pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
 @pytest.mark.parametrize("kind", HIDDEN)
 def test_solved_is_the_solution(kind: str, algorithm: str) -> None:
@@ -49,7 +48,6 @@ def test_a_batch_is_judged_alike(kind: str) -> None:
         assert z == pytest.approx(right, rel=1e-5, abs=1e-3)
 
 
-@pytest.mark.filterwarnings("ignore::lcp_plugin.core.errors.ConvergenceWarning")
 @pytest.mark.parametrize("light", [1, 2, 5])
 def test_a_long_run_ends_with_the_system_of_its_case(light: int) -> None:
     """Heavy stands on light: sweeps that a residual calls SOLVED leave a support of nothing, the last system none."""

@@ -364,16 +364,8 @@ def test_arguments_are_checked() -> None:
         convergence_guarantee(problem, "npgs", scaling_factor=2.0)
 
 
-def test_a_guarantee_is_kept_with_the_matrix() -> None:
-    """The same options give the same object, also for another q; other options another one."""
-    problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
-    found = convergence_guarantee(problem, "npsor")
-    assert convergence_guarantee(problem.with_q([1.0, 2.0]), "npsor") is found
-    assert convergence_guarantee(problem, "npsor", relaxation=1.1) is not found
-
-
 def test_a_class_of_the_same_name_has_a_guarantee_of_its_own() -> None:
-    """What is kept with M is kept for the class and all it holds, not for its name."""
+    """A theorem is about the class and all it holds, not about its name."""
     problem = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
     first, second = named_like_another(0.5), named_like_another(3.0)
     assert type(first).__qualname__ == type(second).__qualname__

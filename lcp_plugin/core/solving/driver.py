@@ -24,7 +24,6 @@ from .run_log import Header
 def solved_by(
     policy: Policy, problem: LCP, settings: Settings, start: FloatVector, clock: Clock, callback: Callback | None,
     *, judge: Callable[[CommonScaling, Settings], Judge] = Judge, header: Header | None = None,
-    warn: Callable[[LCP, Policy], None] | None = None,
 ) -> Result:
     """Return the result of what a policy chooses.
 
@@ -42,8 +41,6 @@ def solved_by(
         Makes the judge of a run.
     header : callable, optional
         What ``verbose=True`` tells of M.
-    warn : callable, optional
-        Asked before the run.
     """
     run = scaling = None
 
@@ -52,8 +49,6 @@ def solved_by(
 
     with threads_for(1 if settings.threads is None and problem.is_distributed else settings.threads):  # ranks: cores
         try:
-            if warn is not None:
-                warn(problem, policy)
             scaling = CommonScaling.of(problem, settings.least_reference)
             start, first = scaling.inward(start), policy.first(scaling.problem)
             if callback is None and (result := fused(scaling, policy, first, settings, start, clock)) is not None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-import warnings
-from collections.abc import Hashable, Iterator
 from dataclasses import fields, replace
 from typing import Any
 
@@ -12,7 +9,7 @@ import numpy as np
 
 from ...core.algorithm import Algorithm
 from ...core.checks import FloatVector
-from ...core.errors import ConvergenceWarning, InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import (
@@ -22,14 +19,12 @@ from ...core.matrix.iteration_facts import (
     PROJECTED_TYPE,
     IterationFacts,
 )
-from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
-from ...core.policy.policy import Policy
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.comparison import jacobi_radius
 from ...systems.graph import within_blocks
 from ..verdicts import analyze, comparison_certificate, h_verdict
-from .convergence import Contraction, Sums, contraction, next_weights, numbers, sums_for
+from .convergence import Contraction, contraction, next_weights, numbers, sums_for
 from .theorems import (
     GUARANTEED,
     NOT_COVERED,
@@ -41,7 +36,6 @@ from .theorems import (
     theorem_of,
 )
 
-NEAR_ONE = (0.05, 1.0)
 WEIGHT_STEPS = 40
 DENSE_SPLITTING = 500
 CLEARLY = 1.0 + 1e-12
@@ -62,7 +56,7 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     Returns
     -------
     Guarantee
-        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy. Kept with the matrix.
+        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy.
 
     Raises
     ------
@@ -95,42 +89,6 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
         return _of_auto(problem, last_resort(problem))
 
 
-def warn_where_known_to_be_uncovered(problem: LCP, policy: Policy) -> None:
-    """Warn, once a matrix and choice, where it is known already that nothing proves the convergence."""
-    if policy.algorithm is None or not _guarantees.is_known(problem.matrix):
-        return
-    held = _identity(policy.algorithm)
-    guarantee = _guarantees(problem.matrix).get(held) if held else None
-    if guarantee is None or guarantee.is_guaranteed or held in (warned := _warned_of(problem.matrix)):
-        return
-    warned.add(held)
-    remedy = f"; what to do: {guarantee.remedy}" if guarantee.remedy else ""
-    warnings.warn(
-        f"nothing proves that {policy.name} converges on this matrix ({guarantee.theorem}){remedy}",
-        ConvergenceWarning, stacklevel=_caller_outside(),
-    )
-
-
-def _caller_outside() -> int:
-    """Return how far up the first caller outside this package is, for a warning given by the caller of this."""
-    package, level, frame = __name__.partition(".")[0], 0, inspect.currentframe()
-    while frame is not None and str(frame.f_globals.get("__name__", "")).partition(".")[0] == package:
-        level, frame = level + 1, frame.f_back
-    return level
-
-
-@fact
-def _warned_of(matrix: Matrix) -> set[Hashable]:
-    """Return the choices of which a caller was warned on this matrix."""
-    return set()
-
-
-@fact
-def _guarantees(matrix: Matrix) -> dict[Hashable, Guarantee]:
-    """Return what was found out about algorithms on this matrix, by their identity."""
-    return {}
-
-
 def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
     if problem.n == 0:
         return Guarantee(GUARANTEED, "there are no rows")
@@ -140,20 +98,7 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is None:
         return _of_a_direct_method(problem, algorithm)
-    known, held = _guarantees(problem.matrix), _identity(algorithm)
-    if held in known:
-        return known[held]
-    guarantee = _full(problem, facts, {field.name for field in fields(algorithm)})
-    return guarantee if held is None else known.setdefault(held, guarantee)
-
-
-def _identity(algorithm: Algorithm) -> tuple[Hashable, ...] | None:
-    """Return its class, not the name of that, and all it holds; None where that is more than numbers and words."""
-    held = {field.name: getattr(algorithm, field.name) for field in fields(algorithm)}
-    held |= getattr(algorithm, "__dict__", {})
-    if not all(value is None or isinstance(value, (str, int, float)) for value in held.values()):
-        return None
-    return type(algorithm), *sorted(held.items(), key=lambda item: item[0])
+    return _full(problem, facts, {field.name for field in fields(algorithm)})
 
 
 def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
@@ -206,7 +151,7 @@ def _guaranteed(problem: LCP, facts: IterationFacts, proof: Contraction, paper: 
 
 
 def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
-    """Return the contraction with the best rate of all weights tried, or None.
+    """Return a contraction with the weights of the H₊ certificate, or with better ones, or None.
 
     Every row bound implies ⟨M⟩v > 0 and a positive diagonal.
     """
@@ -214,11 +159,7 @@ def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
         return None
     if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
         return None
-    proofs = [contraction(facts, problem, v, sums) for v, sums in _usual_weights(problem, facts)]
-    found = [proof for proof in proofs if proof is not None]
-    if found:
-        return min(found, key=lambda proof: 1.0 if proof.rate is None else proof.rate)
-    return _by_better_weights(problem, facts)
+    return contraction(facts, problem, _usual_weights(problem)) or _by_better_weights(problem, facts)
 
 
 def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
@@ -236,22 +177,10 @@ def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
     return None if proof is None else theorem_of(facts, blocks, proof)
 
 
-def _usual_weights(problem: LCP, facts: IterationFacts) -> Iterator[tuple[FloatVector, Sums]]:
-    """Yield 1, the weights of the H₊ certificate, and sums of both, each with its triangle sums."""
-    ones = np.ones(problem.n)
-    of_ones = sums_for(facts, problem, ones)
-    yield ones, of_ones
+def _usual_weights(problem: LCP) -> FloatVector:
+    """Return the weights of the H₊ certificate, 1 without one."""
     certificate = comparison_certificate(problem.matrix)
-    if certificate is None or np.array_equal(certificate.v, ones):
-        return
-    of_v = sums_for(facts, problem, certificate.v)
-    yield certificate.v, of_v
-    largest = float(certificate.v.max(initial=0.0))
-    for share in NEAR_ONE:
-        factor = share / largest
-        if factor * largest > 0.0 and np.isfinite(factor):
-            mixed = ones + factor * certificate.v
-            yield mixed, sums_for(facts, problem, mixed)
+    return np.ones(problem.n) if certificate is None else certificate.v
 
 
 def _by_better_weights(problem: LCP, facts: IterationFacts) -> Contraction | None:
@@ -348,9 +277,7 @@ def _scaling_remedy(facts: IterationFacts) -> str:
 
 def _relaxation_limit(problem: LCP, facts: IterationFacts) -> str:
     """Return the range of ω, up to 2/(1 + max(ℓ + u)) rounded down, that the weights at hand prove."""
-    per_diagonal = 1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix))
-    largest = min(
-        float(np.max(np.add(*sums) * per_diagonal / v, initial=0.0)) for v, sums in _usual_weights(problem, facts)
-    )
+    v, per_diagonal = _usual_weights(problem), 1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix))
+    largest = float(np.max(np.add(*sums_for(facts, problem, v)) * per_diagonal / v, initial=0.0))
     limit = np.floor(1000.0 * 2.0 / (1.0 + largest) - 1e-3) / 1000.0
     return f"relaxation < {limit:g}" if limit > 1.0 else "relaxation ≤ 1"

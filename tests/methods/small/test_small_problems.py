@@ -12,7 +12,6 @@ from small_families import FAMILIES, definite_stack, draw, told
 
 import lcp_plugin.methods.small.small_dense as small_dense
 from lcp_plugin import LCP, Certificate, Status, march, solve, solve_batch
-from lcp_plugin.core.errors import ConvergenceWarning
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
@@ -109,10 +108,9 @@ def test_rounds_alone_are_newton_and_pivots_alone_are_lemke() -> None:
 
 
 def test_nothing_is_said_in_passing() -> None:
-    """No warning but those meant for the caller, on problems of every kind."""
+    """No warning, on problems of every kind."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.simplefilter("ignore", ConvergenceWarning)
         solve_batch([drawn for family in FAMILIES for drawn in draw(family, 3, 7)])
 
 

@@ -92,11 +92,11 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
             except typer.Exit:
                 raise
             except Exception as error:
-                from ..evidence.contestants import own_frame, told
+                from ..evidence.contestants import error_line, own_frame
 
                 if own_frame(error) is None:  # a mistake of ours
                     raise
-                message = told(error)
+                message = error_line(error)
             typer.echo(f"lcp-plugin: {message}", err=True)
             raise typer.Exit(EXIT_BAD_INPUT)
 

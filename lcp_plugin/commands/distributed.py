@@ -122,8 +122,8 @@ class OnRanks(OneProcess):
         peaks = [int(peak) for peak in self.ranks.table(peak_memory())[:, 0]]
         megabytes = [round(peak / 1e6) for peak in peaks]
         each = ", ".join(map(str, megabytes)) if len(peaks) <= FEW_RANKS else f"{min(megabytes)} to {max(megabytes)}"
-        told = f"{each} MB a rank" + (f", {sum(megabytes)} MB in all" if len(peaks) > 1 else "")
-        return {"ranks": self.ranks.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {told}"]
+        memory = f"{each} MB a rank" + (f", {sum(megabytes)} MB in all" if len(peaks) > 1 else "")
+        return {"ranks": self.ranks.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {memory}"]
 
     def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
         """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""

@@ -101,8 +101,8 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
         }
         for title, found in guarantees(problem)
     ]
-    told: dict[str, Any] = finite_content({"matrix": analyze(problem).to_content(), "convergence": rows})
-    return told
+    content: dict[str, Any] = finite_content({"matrix": analyze(problem).to_content(), "convergence": rows})
+    return content
 
 
 def _wrapped(title: str, text: str) -> list[str]:

@@ -22,7 +22,7 @@ from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption, LCPError, did_you_mean
 from ..core.kind import refusal
 from ..core.lcp import LCP
-from ..evidence.contestants import as_scene_of, told
+from ..evidence.contestants import as_scene_of, error_line
 from ..gallery.scene import Scene
 
 _OWN = re.compile(r"([^:]+\.py|[^\W\d]\w*(\.\w+)*):[^\W\d]\w*(:.*)?")
@@ -100,9 +100,9 @@ def _imported(place: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name == name.partition(".")[0]:
             raise InvalidOption(f"no module {place!r} in {Path.cwd()} or installed; write file.py:name") from None
-        raise InvalidOption(f"{place}: {told(error)}") from error
+        raise InvalidOption(f"{place}: {error_line(error)}") from error
     except Exception as error:  # whatever a module of somebody else raises
-        raise InvalidOption(f"{place}: {told(error)}") from error
+        raise InvalidOption(f"{place}: {error_line(error)}") from error
     finally:
         sys.path.remove(folder)
         if folder not in sys.path:  # for what its functions import when they are called
@@ -148,7 +148,7 @@ def scene_of(text: str, size: int | None) -> Scene:
     except LCPError:
         raise
     except Exception as error:  # whatever somebody else's function raises
-        raise InvalidOption(f"{text}: {told(error)}") from error
+        raise InvalidOption(f"{text}: {error_line(error)}") from error
 
 
 def read_target(target: str, way: str, size: int | None = None) -> tuple[LCP, Any]:

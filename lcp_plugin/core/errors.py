@@ -63,15 +63,15 @@ def did_you_mean(
     "; did you mean 'psor'? (known: npgs, psor)"
     """
     written = {str(name): repr(name) for name in known}
-    told = [f"known: {', '.join(sorted(written))}"] if written else []
+    hints = [f"known: {', '.join(sorted(written))}"] if written else []
     if is_listed and len(written) > LONG_LIST:
-        told = [f"{len(written)} are known, lcp-plugin list shows them"]
+        hints = [f"{len(written)} are known, lcp-plugin list shows them"]
     written |= {name: repr(name) for name in of_solve}
-    told += [f"solve itself takes {', '.join(sorted(of_solve))}"] if of_solve else []
+    hints += [f"solve itself takes {', '.join(sorted(of_solve))}"] if of_solve else []
     given = str(word).lower()
     closeness = {name: SequenceMatcher(None, name, given).ratio() for name in sorted(written)}
     if len(given) > 2:  # an abbreviation is close too
         closeness = {name: ratio + (CLOSE if name.startswith(given) else 0.0) for name, ratio in closeness.items()}
     guess = max(closeness, key=closeness.__getitem__, default="")
     is_close = closeness.get(guess, 0.0) >= CLOSE
-    return f"; did you mean {written[guess]}? ({'; '.join(told)})" if is_close else f"; {'; '.join(told)}"
+    return f"; did you mean {written[guess]}? ({'; '.join(hints)})" if is_close else f"; {'; '.join(hints)}"

@@ -218,7 +218,7 @@ def measured_run(problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **s
 OURS = (str(Path(__file__).parents[1]), *(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib")))
 
 
-def told(error: BaseException) -> str:
+def error_line(error: BaseException) -> str:
     """Return an error in one line, with the last line of somebody else's code that it passed."""
     words = " ".join(str(error).split())
     if isinstance(error, LCPError):

@@ -207,14 +207,14 @@ def _compared(
         tried.append(one)
     # Of those without an answer the last, which is the least likely to be just absent.
     best = min(reversed(tried), key=lambda one: one.residual)
-    told = f"{formulation.kind} ({formulation.evidence})" if formulation.kind else "no convex program"
+    described = f"{formulation.kind} ({formulation.evidence})" if formulation.kind else "no convex program"
     pair = None
     if best.certificate is not None and np.isfinite(ours.z).all():
         pair = _Pair(formulation, ours, best.certificate)
     verdict, reason = _judged(formulation, result, ours, best, pair)
     name, facts = (best.name, pair.facts()) if pair is not None else ("", {})
     return CrossCheck(
-        verdict, reason, name, told, ours, best.certificate, result.seconds, best.seconds, tuple(tried), **facts
+        verdict, reason, name, described, ours, best.certificate, result.seconds, best.seconds, tuple(tried), **facts
     )
 
 

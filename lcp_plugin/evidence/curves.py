@@ -106,7 +106,7 @@ class Curve:
         """Iterations until the answer."""
         return self.last.iteration
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Return what the answer took, or why there is none."""
         if not self.points:
             return self.note

@@ -75,8 +75,8 @@ def cells() -> Iterator[PaperCell]:
                 scene = build(f"paper_example_{example}", n=n, delta=DELTA)
                 algorithm = create(name, paper_options(name, row.get("relaxation")))
                 for _ in range(2):  # the first one may compile
-                    _, *told = iterated(fresh(scene.problem), scene.start, algorithm)
-                count, seconds, residual = told
+                    _, *measured = iterated(fresh(scene.problem), scene.start, algorithm)
+                count, seconds, residual = measured
                 yield PaperCell(
                     example, name, row.get("relaxation"), n, row["iterations"][column], row["seconds"][column],
                     row["residual"][column], int(count), seconds, residual,

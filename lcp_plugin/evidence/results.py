@@ -197,14 +197,14 @@ class Study:
         fits = value in GROWING and len(sizes) >= LEAST_SIZES
         table = [
             (method, *(cells.get((method, size)) for size in sizes),
-             *([self._told_exponent(problem, method, value)] if fits else []))
+             *([self._exponent_or_reason(problem, method, value)] if fits else []))
             for method in self.methods
         ]
         heads = ("method", *(f"n = {n[size]}" if size in n else f"size {size}" for size in sizes),
                  *(["exponent"] if fits else []))
         return Table(f"{problem}: {VALUES[value]}", heads, table)
 
-    def _told_exponent(self, problem: str, method: str, value: str) -> float | str:
+    def _exponent_or_reason(self, problem: str, method: str, value: str) -> float | str:
         """Return the exponent, or in words why there is none."""
         power = self.exponent(problem, method, value)
         if not math.isnan(power):
@@ -258,7 +258,7 @@ class Study:
 
     def __str__(self) -> str:
         lines = [f"{row.problem:<20} {f'n = {row.n}' if row.n else '':<12} {row.curve.label:<20} "
-                 f"{row.curve.status:<15} {row.curve.told()}" for row in self.rows]
+                 f"{row.curve.status:<15} {row.curve.summary()}" for row in self.rows]
         return "\n".join([*lines, *(f"missing: {what}" for what in self.missing)])
 
 

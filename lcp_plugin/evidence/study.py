@@ -20,7 +20,7 @@ from ..gallery.parameters import parameters_of
 from ..gallery.scene import Scene, builder_of
 from ..interfaces.files.files import checked_path
 from .collecting import Part, Progress, collect, data_of, machine
-from .contestants import Contestant, as_scene_of, contestants, own_source, told
+from .contestants import Contestant, as_scene_of, contestants, error_line, own_source
 from .curves import Curve
 from .error_against_time import Bench, checked_numbers, title_of
 from .exporting import AnyPath, finite_content
@@ -178,7 +178,7 @@ class _Plan:
         try:
             problem = data_of(self.scene(label, size).problem)
         except Exception as error:  # reported where it is measured
-            problem = told(error)
+            problem = error_line(error)
         return str((problem, one.algorithm, own_source(one.algorithm), self.repeats, self.limits))
 
     def measured(self, label: str, size: int | None, one: Contestant, say: Any) -> dict[str, Any]:
@@ -193,9 +193,9 @@ class _Plan:
             (curve,) = bench.curves([one], self.repeats, say)
         except (LCPError, ValueError) as error:
             is_refusal = n == 0 or isinstance(error, UnsuitableMatrix | UnsuitableProblem)
-            curve = Curve(one.label, one.family, "REFUSED" if is_refusal else "ERROR", (), told(error))
+            curve = Curve(one.label, one.family, "REFUSED" if is_refusal else "ERROR", (), error_line(error))
         except Exception as error:  # whatever somebody's own code raises: the other rows are worth keeping
-            curve = Curve(one.label, one.family, "ERROR", (), told(error))
+            curve = Curve(one.label, one.family, "ERROR", (), error_line(error))
         last, has = curve.last, bool(curve.points)
         points = json.dumps(finite_content(curve.points))
         return dict(zip(COLUMNS, (

@@ -55,7 +55,7 @@ Watcher = Callable[[float, float, int], bool]
 Improver = Callable[[FloatVector | None], FloatVector | None]
 
 
-class Found(NamedTuple):
+class ScipAnswer(NamedTuple):
     """What SCIP says.
 
     Attributes
@@ -76,7 +76,7 @@ class Found(NamedTuple):
     nodes: int
 
 
-def minimize_or_none() -> Callable[..., Found] | None:
+def minimize_or_none() -> Callable[..., ScipAnswer] | None:
     """Return `minimize`, None where pyscipopt is not installed, or does not load."""
     try:
         import pyscipopt  # noqa: F401
@@ -88,7 +88,7 @@ def minimize_or_none() -> Callable[..., Found] | None:
 def minimize(
     problem: EquilibriumProgram, *, tolerance: float = 1e-6, max_nodes: float = math.inf,
     start: FloatVector | None = None, ends: Watcher | None = None, improves: Improver | None = None,
-) -> Found:
+) -> ScipAnswer:
     """Return the least objective over all solutions of an equilibrium program, as SCIP finds it.
 
     Parameters
@@ -174,10 +174,10 @@ class _Model:
     def solved(
         self, tolerance: float, max_nodes: float, start: FloatVector | None, ends: Watcher | None,
         improves: Improver | None, feasible: float,
-    ) -> Found:
+    ) -> ScipAnswer:
         """Return what SCIP finds."""
         if self._excludes:
-            return Found("infeasible", None, math.inf, math.inf, 0)
+            return ScipAnswer("infeasible", None, math.inf, math.inf, 0)
         model = self.model
         model.setParams({
             "limits/time": min(seconds_left(), LONGEST), "limits/gap": SHARE * tolerance,
@@ -195,7 +195,7 @@ class _Model:
         except MemoryError:
             raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
-            return Found(str(error), None, math.inf, -math.inf, 0)
+            return ScipAnswer(str(error), None, math.inf, -math.inf, 0)
         if watcher.error is not None:
             raise watcher.error
         status, x = model.getStatus(), None
@@ -204,7 +204,7 @@ class _Model:
             best = model.getBestSol()
             x = np.array([model.getSolVal(best, one) for one in self.x])
             x = x if (np.abs(x) < LARGEST).all() else None
-        return Found(status, x, value, bound, nodes)
+        return ScipAnswer(status, x, value, bound, nodes)
 
     # --- the statement ---
 

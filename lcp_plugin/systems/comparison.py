@@ -239,7 +239,7 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
     B.eliminate_zeros()
     if B.nnz == 0:
         return 0.0, 0.0
-    blocks = _Blocks(B, labels)
+    blocks = _IrreducibleBlocks(B, labels)
     x = blocks.power_steps(np.ones(n))
     best = blocks.bounds(x)
     for better in blocks.noda_steps(x) if n <= FACTOR_LIMIT and factor_fits(B) else ():
@@ -250,7 +250,7 @@ def nonnegative_radius(matrix: Any) -> tuple[float, float]:
     return best
 
 
-class _Blocks:
+class _IrreducibleBlocks:
     """A block diagonal nonnegative matrix with irreducible blocks."""
 
     def __init__(self, B: Any, labels: Any) -> None:

@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
 DIRECT, LEAST, CONES, EQUILIBRIA = "methods.direct", "problems.least_squares", "problems.cones", "problems.equilibria"
 INTERIOR, NEWTON, PROGRAMS = "methods.interior.interior_point", "methods.newton.semismooth_newton", "problems.programs"
 CALLS = f"{PROGRAMS}.engine_calls"
-STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_Newton", f"{PROGRAMS}.dual_bounds:DualBounds"
+STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_NewtonRun", f"{PROGRAMS}.dual_bounds:DualBounds"
 
 
 class Mechanism(NamedTuple):
@@ -466,17 +466,17 @@ MECHANISMS = (
     # --- nonlinear
     Mechanism("nonlinear restarts", "other starts of small nonlinear problems",
               {f"{STEPS}.start_elsewhere": says(False)},
-              "problems/nonlinear/josephy_newton.py:_Newton.start_elsewhere"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun.start_elsewhere"),
     Mechanism("by Φ", "steps of Fischer–Burmeister before linear problems",
               {f"{STEPS}._by_phi": says(None)},
-              "problems/nonlinear/josephy_newton.py:_Newton._by_phi"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._by_phi"),
     Mechanism("on the path", "part of the way of a linearisation", {f"{STEPS}._on_path": says(None)},
-              "problems/nonlinear/josephy_newton.py:_Newton._on_path"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._on_path"),
     Mechanism("proximal", "linearisations with a larger diagonal", {f"{STEPS}._proximal": says(None)},
-              "problems/nonlinear/josephy_newton.py:_Newton._proximal "
-              "problems/nonlinear/josephy_newton.py:_Newton._proximal_point"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal "
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point"),
     Mechanism("descent", "steepest descent at last", {f"{STEPS}._descended": says(None)},
-              "problems/nonlinear/josephy_newton.py:_Newton._descended"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._descended"),
     Mechanism("Krawczyk", "proves a solution of a nonlinear problem near an answer",
               {"problems.nonlinear.krawczyk:krawczyk_bound": says(None)}, "problems/nonlinear/krawczyk.py"),
     # --- equilibria

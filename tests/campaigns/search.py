@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from lcp_plugin import LCP
-from lcp_plugin.methods.search import Found, NoSolution, Solution, search
+from lcp_plugin.methods.search import NoSolution, Solution, Solutions, search
 from lcp_plugin.proofs.no_solution.infeasibility import find_infeasibility
 
 # An inequality is (coefficients, constant, strict): coefficients·z + constant ≥ 0, or > 0.
@@ -170,9 +170,9 @@ def violations(M, q, lower, upper):
             bad.append(f"{type(outcome).__name__}, but {len(patterns)} patterns have solutions")
         if isinstance(outcome, NoSolution) and not outcome.verify():
             bad.append("proof of no solution does not verify")
-        if isinstance(outcome, Found):
+        if isinstance(outcome, Solutions):
             bad += [complaint for s in outcome.solutions for complaint in wrong_with(truth, s, outcome is every)]
-    if isinstance(every, Found):
+    if isinstance(every, Solutions):
         listed = [s.pattern for s in every.solutions]
         bad += [f"{p} is not covered" for p in patterns if not any(truth.lies_in(p, other) for other in listed)]
         bad += [f"{p} lies in {o}" for p in listed for o in listed if p != o and truth.lies_in(p, o)]

@@ -125,7 +125,7 @@ ANOTHER_JOB = {  # looked at by eye
     "problems/batches/batch_groups.py: excluded": "that nothing solves it",
     "problems/equilibria/equilibrium_program.py: EquilibriumProgram.distances": "distances of pairs",
     "problems/least_squares/certificate.py: _beside_cost": "whether a nearer dual point is worth its work",
-    "problems/nonlinear/josephy_newton.py: _Newton._progress": "the goal of a linear problem inside",
+    "problems/nonlinear/josephy_newton.py: _NewtonRun._progress": "the goal of a linear problem inside",
     "problems/programs/certification.py: multiplier_error": "multipliers",
     "problems/programs/certification.py: Proved.gap": "a gap",
     "proofs/bounds/error_bounds.py: ErrorBound.proves": "the error, which a bound proves",

@@ -14,7 +14,7 @@ from lcp_plugin.core.kernels.threads import threads_for
 from lcp_plugin.core.matrix.symmetry import is_symmetric_entrywise
 from lcp_plugin.gallery.stencil import balanced_matrix
 from lcp_plugin.systems.hierarchy import coarsening, galerkin, grids, levels, sweeps, vectors
-from lcp_plugin.systems.hierarchy.grids import Blocks, Hierarchy, Operator
+from lcp_plugin.systems.hierarchy.grids import Hierarchy, Operator, RowBlocks
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
 
@@ -389,7 +389,7 @@ def test_sweeps_in_blocks_are_gauss_seidel_in_the_order_of_the_blocks(text: str,
     reach = int(np.abs(M.tocoo().row - M.tocoo().col).max())
     edges = np.linspace(0, n, 5).astype(np.int64)
     assert np.diff(edges).min() >= reach
-    blocks = Blocks(read_only(edges), reach)
+    blocks = RowBlocks(read_only(edges), reach)
     b, start, free = generator.normal(size=n), generator.normal(size=n), generator.random(n) < share_free
     inverse = grid.inverse * free
     order = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in (0, 2, 1, 3)])

@@ -36,7 +36,7 @@ class StageRecord(NamedTuple):
     remark: str = ""
 
 
-def told_stages(stages: Sequence[StageRecord]) -> list[str]:
+def stage_lines(stages: Sequence[StageRecord]) -> list[str]:
     """Return a line for each stage: what ran, for how long, and why; of one stage alone only where that says why."""
     if len(stages) == 1:
         return [f"  {stages[0].name}: {stages[0].because}"] if stages[0].because else []
@@ -209,7 +209,7 @@ class Result(Answer):
             self.reached(),
             *self._course(),
         ]
-        lines += told_stages(self.stages)
+        lines += stage_lines(self.stages)
         if self.is_solved:
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
             lines += [*(f"the stored doubles are {small}" for small in self._small_contradiction()), *self._sign()]

@@ -73,7 +73,7 @@ class _InPlace(_Relaxation):
         pivots = require_positive_diagonal(problem, self.name)
         fixed, _ = self.weights()
         adaptive = AdaptiveRelaxation(self.first_trial()) if fixed is None else None
-        relaxation, told = 1.0 if fixed is None else fixed, self.first_trial()
+        relaxation, reported = 1.0 if fixed is None else fixed, self.first_trial()
         if matrix.is_coupled and has_symmetric_entries(matrix):
             pivots = pivots + pivot_weight(M, matrix.fetch, relaxation)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
@@ -93,9 +93,9 @@ class _InPlace(_Relaxation):
                 total += change_sum
             is_settling = adaptive is not None and adaptive.is_settling
             learned = None
-            if adaptive and adaptive.wanted != told:
-                told = adaptive.wanted
-                learned = ContinuedPSOR(sweep=self.sweep, first_relaxation=told)
+            if adaptive and adaptive.wanted != reported:
+                reported = adaptive.wanted
+                learned = ContinuedPSOR(sweep=self.sweep, first_relaxation=reported)
             yield Step(
                 own, increment=matrix.largest_of(largest), work=float(len(passes)), is_settling=is_settling,
                 successor=learned,

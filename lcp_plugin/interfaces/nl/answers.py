@@ -279,12 +279,12 @@ class ProgramModel(NLModel):
         words, code = "optimal" if found.is_solved else status.name.lower(), CODES[status]
         if status is Status.SOLVED and (wrong := self._contradiction(values, found)):
             status, words, code = Status.STALLED, wrong, CODES[Status.STALLED]
-        is_told = found.proof is None
-        words += f", objective {objective:.9g}" if is_told else ""
+        has_objective = found.proof is None
+        words += f", objective {objective:.9g}" if has_objective else ""
         # The program's own residuals, which the status is made of, not those of its optimality conditions.
         message = self._message(words, found.solution.error, found.iterations)
         duals = -self.sign * found.solution.row_multipliers + 0.0
-        return NLAnswer(x, duals, status, message, found, objective if is_told else None, code)
+        return NLAnswer(x, duals, status, message, found, objective if has_objective else None, code)
 
     def _contradiction(self, values: Evaluation, found: QuadraticProgramResult) -> str:
         """Return which row, or the objective, is another in the file than in the program; else nothing."""

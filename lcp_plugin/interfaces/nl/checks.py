@@ -140,9 +140,9 @@ class PairBounds(NamedTuple):
 
 def pair_bounds(content: NLContent, rows: Indices) -> PairBounds:
     """Return the bounds that complementarity rows speak of."""
-    columns, told = content.partners[rows], content.partner_bounds[rows]
+    columns, bound_bits = content.partners[rows], content.partner_bounds[rows]
     lower, upper = content.lower[columns], content.upper[columns]
-    return PairBounds(np.where(told & 1, lower, -np.inf), np.where(told & 2, upper, np.inf))
+    return PairBounds(np.where(bound_bits & 1, lower, -np.inf), np.where(bound_bits & 2, upper, np.inf))
 
 
 def jacobian(content: NLContent, x: FloatVector, rows: Indices) -> sp.csr_array:
@@ -207,11 +207,11 @@ class SideConditions:
     def at_bounds_of_their_own(self, x: FloatVector) -> str:
         """Return which variable stops at a bound that its complementarity does not state; nothing where none does."""
         content, rows = self.content, self.pairs
-        columns, told = content.partners[rows], content.partner_bounds[rows]
+        columns, bound_bits = content.partners[rows], content.partner_bounds[rows]
         for bit, word, bounds in ((1, "lower", content.lower), (2, "upper", content.upper)):
             bound = bounds[columns]
             is_there = np.isfinite(bound) & (np.abs(x[columns] - bound) <= FEASIBLE * np.maximum(1.0, np.abs(bound)))
-            for k in np.flatnonzero(is_there & (told & bit == 0)).tolist():
+            for k in np.flatnonzero(is_there & (bound_bits & bit == 0)).tolist():
                 return (
                     f"{content.variable(columns[k])} stops at its own {word} bound {bound[k]:g}, which counts although "
                     f"its complementarity, {content.row(rows[k])}, does not state it"

@@ -81,9 +81,9 @@ def _content_of_lcp(problem: LCP) -> NLContent:
     """Return rows M z + q, each complementary to its own z."""
     n = problem.n
     free = np.full(n, np.inf)
-    told = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
+    bits = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
     return _stating(
-        problem.lower, problem.upper, problem.csr, _numbers(problem.q), (-free, free), np.arange(n), told
+        problem.lower, problem.upper, problem.csr, _numbers(problem.q), (-free, free), np.arange(n), bits
     )
 
 
@@ -117,14 +117,14 @@ def _sum_of_products(factors: Any, first: Any, second: Any) -> Trees:
 
 
 def _stating(
-    lower: Any, upper: Any, linear: Any, trees: Trees, limits: tuple[Any, Any], partners: Any, told: Any,
+    lower: Any, upper: Any, linear: Any, trees: Trees, limits: tuple[Any, Any], partners: Any, bits: Any,
     objective: Trees | None = None, objective_linear: Any = None,
 ) -> NLContent:
     """Return the content with these rows, and an objective to be minimised where there is one."""
     n, m, nothing = lower.size, trees.size, np.zeros(0)
     objectives = 0 if objective is None else 1
     return NLContent(
-        lower=lower, upper=upper, row_lower=limits[0], row_upper=limits[1], partners=partners, partner_bounds=told,
+        lower=lower, upper=upper, row_lower=limits[0], row_upper=limits[1], partners=partners, partner_bounds=bits,
         linear=linear, trees=trees, is_maximized=np.zeros(objectives, dtype=bool),
         objective_linear=sp.csr_array((0, n)) if objective is None else objective_linear,
         objective_trees=objective or _numbers(nothing), defined_linear=sp.csr_array((0, n)),

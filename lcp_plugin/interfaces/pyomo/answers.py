@@ -250,11 +250,11 @@ class Loader(LOADER):  # type: ignore[misc, valid-type]
     def _chosen(self, values: ComponentMap, wanted: Iterable[Any] | None) -> ComponentMap:
         """Return those that are wanted; raise where the model has no solution that they could belong to."""
         if not self.answer.has_point:
-            raise _told(NoFeasibleSolutionError, self.answer.message)
+            raise _error_with(NoFeasibleSolutionError, self.answer.message)
         return values if wanted is None else ComponentMap((component, values[component]) for component in wanted)
 
 
-def _told(kind: type[Exception], message: str) -> Exception:
+def _error_with(kind: type[Exception], message: str) -> Exception:
     """Return Pyomo's exception with a message, which older versions do not take."""
     error = kind.__new__(kind)
     Exception.__init__(error, message)
@@ -293,10 +293,10 @@ class LCPPluginV2(SolverBase):  # type: ignore[misc]
         results.timing_info.start_timestamp, results.timing_info.wall_time = begin, perf_counter() - start
         is_optimal = results.solution_status == SolutionStatus.optimal
         if config.raise_exception_on_nonoptimal_result and not is_optimal:
-            raise _told(NoOptimalSolutionError, answer.message)
+            raise _error_with(NoOptimalSolutionError, answer.message)
         if config.load_solutions:
             if not answer.has_point:
-                raise _told(NoFeasibleSolutionError, answer.message)
+                raise _error_with(NoFeasibleSolutionError, answer.message)
             results.solution_loader.load_solution()
         return results
 

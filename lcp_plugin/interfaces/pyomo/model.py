@@ -94,9 +94,9 @@ class Statement:
         content = self.content
         if content.is_maximized.size:
             return content
-        told = np.isfinite(content.lower) + 2 * np.isfinite(content.upper)
-        told = np.where(content.partners >= 0, told[content.partners], content.partner_bounds)
-        return replace(content, partner_bounds=told)
+        bound_bits = np.isfinite(content.lower) + 2 * np.isfinite(content.upper)
+        bound_bits = np.where(content.partners >= 0, bound_bits[content.partners], content.partner_bounds)
+        return replace(content, partner_bounds=bound_bits)
 
     @property
     def is_nonlinear(self) -> bool:
@@ -300,8 +300,8 @@ class _Draft:
             constants[i] = -row_lower[i]
             row_lower[i], row_upper[i], partners[i] = -np.inf, np.inf, j
             lower[j], upper[j] = self._within(variable, pair)
-            is_told = lower[j] == pair.held.lower, upper[j] == pair.held.upper
-            partner_bounds[i] = (is_told[0] & np.isfinite(lower[j])) + 2 * (is_told[1] & np.isfinite(upper[j]))
+            is_same = lower[j] == pair.held.lower, upper[j] == pair.held.upper
+            partner_bounds[i] = (is_same[0] & np.isfinite(lower[j])) + 2 * (is_same[1] & np.isfinite(upper[j]))
         if not self.takes_inequalities:
             self._look_at_bounds(variables, set(partners.tolist()))
         return replace(

@@ -62,7 +62,7 @@ class Path:
         self.basis, self.others, self.side = self.whole[BASIC, :n], self.whole[OTHER, :n + 1], self.whole[SIDE, :n]
         self.start_side = self.whole[START, :n]
         self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
-        self.entries = self._told = 0.0  # touched so far, and up to when that was asked last
+        self.entries = self._reported = 0.0  # touched so far, and up to when that was asked last
         self.fresh_for = max(FRESH_FOR, n)
         self.is_well_conditioned = True  # the basis, when the tableau was last computed
         self.pivots = self.age = 0
@@ -106,7 +106,7 @@ class Path:
 
     def touched(self) -> float:
         """Return how many entries were touched since this was asked last."""
-        since, self._told = self.entries - self._told, self.entries
+        since, self._reported = self.entries - self._reported, self.entries
         return since
 
     # --- moving -----------------------------------------------------------------------------------------

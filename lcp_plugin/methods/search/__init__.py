@@ -19,7 +19,9 @@ from ...proofs.exact.simplex import Effort
 from ...proofs.no_solution.infeasibility import Case, NoSolution
 from .explorer import Explorer, Face, Point, extreme_points
 
-__all__ = ["Effort", "Found", "GaveUp", "NoSolution", "Solution", "all_solutions", "explore", "is_searchable", "search"]
+__all__ = [
+    "Effort", "GaveUp", "NoSolution", "Solution", "Solutions", "all_solutions", "explore", "is_searchable", "search",
+]
 
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
@@ -85,12 +87,12 @@ class Solution:
             return f"z = {_in_fractions(self.exact_z)}, isolated"
         some = list(islice(extreme_points(self.problem, self.pattern), SHOWN + 2))
         others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z][: SHOWN + 1]
-        told = f"; others: {', '.join([*others[:SHOWN], *(['…'] if len(others) > SHOWN else [])])}" if others else ""
-        return f"z = {_in_fractions(self.exact_z)}, a vertex of a face of dimension {self.dimension}{told}"
+        rest = f"; others: {', '.join([*others[:SHOWN], *(['…'] if len(others) > SHOWN else [])])}" if others else ""
+        return f"z = {_in_fractions(self.exact_z)}, a vertex of a face of dimension {self.dimension}{rest}"
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Solutions:
     """The search found solutions: the first, or all of them."""
 
     solutions: tuple[Solution, ...]
@@ -104,7 +106,7 @@ class GaveUp:
     nodes: int
 
 
-def search(problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES) -> Found | NoSolution | GaveUp:
+def search(problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES) -> Solutions | NoSolution | GaveUp:
     """Return a solution (or all), the proof that there is none, or that the limit was too low.
 
     Parameters
@@ -140,7 +142,7 @@ def search(problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NO
 
 def explore(
     problem: LCP, effort: Effort, *, first_only: bool = True, tree: Case | None = None
-) -> Iterator[Found | NoSolution | None]:
+) -> Iterator[Solutions | NoSolution | None]:
     """Yield None after each case that was looked at, and within long ones, and at last what `search` returns.
 
     For callers with a clock, or a limit of what they count in `effort`. Of a tree that is given only those cases are
@@ -151,7 +153,7 @@ def explore(
     for _ in explorer.run():
         yield None
     if explorer.faces:
-        yield Found(tuple(_solution(problem, face) for face in _maximal(explorer.faces)), explorer.nodes)
+        yield Solutions(tuple(_solution(problem, face) for face in _maximal(explorer.faces)), explorer.nodes)
     elif not first_only:
         # A search for all leaves out cases that lie in others; the proof must not.
         yield from explore(problem, effort)
@@ -209,7 +211,7 @@ def all_solutions(
             f"the search looked at max_nodes={max_nodes} cases without an end; raise max_nodes, or ask for one "
             "solution with solve(problem)"
         )
-    found = outcome.solutions if isinstance(outcome, Found) else ()
+    found = outcome.solutions if isinstance(outcome, Solutions) else ()
     return list(found if limit is None else found[: _checked_count("limit", limit)])
 
 

@@ -27,7 +27,7 @@ from ...proofs.no_solution.infeasibility import Case, find_infeasibility
 from ...proofs.no_solution.proof import LOWER, SLACKLESS, UPPER, Infeasibility
 from ...systems.free_systems import FreeSystem
 from ..small.small_dense import as_dense
-from . import Effort, Found, NoSolution, explore, is_searchable
+from . import Effort, NoSolution, Solutions, explore, is_searchable
 
 SLIGHTLY = 1e-2  # of a contradiction, spent on the rounding of its proof
 MOST_CASES = 4096  # in doubles
@@ -155,14 +155,14 @@ class ExhaustiveSearch(Algorithm):
 
     def _exactly(self, problem: LCP, z0: FloatVector, tree: Case | None) -> Iterator[Step]:
         """Yield z0 while exact arithmetic looks at all cases, or at those of a tree that are not closed."""
-        effort, told = Effort(), Effort()
+        effort, reported = Effort(), Effort()
         for outcome in explore(problem, effort, tree=tree):
-            is_due = effort.cases - told.cases >= CASES_A_STEP or effort.products - told.products >= QUANTUM
+            is_due = effort.cases - reported.cases >= CASES_A_STEP or effort.products - reported.products >= QUANTUM
             if outcome is None and not is_due:
                 continue
-            step = Step(z0, work=(effort.entries - told.entries) / max(problem.nonzeros, 1))
-            told = replace(effort)
-            if isinstance(outcome, Found):
+            step = Step(z0, work=(effort.entries - reported.entries) / max(problem.nonzeros, 1))
+            reported = replace(effort)
+            if isinstance(outcome, Solutions):
                 try:
                     step.z = np.clip(outcome.solutions[0].z, problem.lower, problem.upper)
                 except UnsuitableProblem as error:

@@ -25,7 +25,7 @@ CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER)
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
 
 
-class Found(NamedTuple):
+class LoopAnswers(NamedTuple):
     """Points that are proved to be answers.
 
     Attributes
@@ -57,7 +57,7 @@ def groups_of(problems: Sequence[object]) -> list[NDArray[np.int64]]:
 def solve_small(
     problems: Sequence[Blocks], settings: Settings,
     in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None, *, start: FloatVector | None = None,
-) -> Found:
+) -> LoopAnswers:
     """Return the answers to problems of one group, as far as the loop finds and proves them.
 
     Parameters
@@ -92,7 +92,7 @@ def solve_small(
     else:
         in_chunks(solve_chunk, count)
     items = np.flatnonzero((made[:, 1] >= 0) & within(proved[:, 0], proved[:, 1], settings.tolerance))
-    return Found(items, list(z[items]), made[items].tolist(), proved[items, 0].tolist())
+    return LoopAnswers(items, list(z[items]), made[items].tolist(), proved[items, 0].tolist())
 
 
 _ARRAYS: tuple[Callable[[Blocks], Any], ...] = (

@@ -27,7 +27,7 @@ from ...core.representation import in_words
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.judge import End, Judge
-from ...core.solving.result import Result, StageRecord, told_stages
+from ...core.solving.result import Result, StageRecord, stage_lines
 from ...core.solving.run import Callback, Run
 from ...systems.factors import sizes_of_factor
 from ..contact import ContactMotion
@@ -36,7 +36,7 @@ from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks, FrictionalContact
 from .infeasibility import InfeasibilityCheck, NoImpulse
 from .methods import EXACT, METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, InteriorPoint, Newton, NewtonSystem
-from .small import LARGEST, Found, solve_small
+from .small import LARGEST, LoopAnswers, solve_small
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
@@ -205,7 +205,7 @@ def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock) -> bool:
 
 
 def result_of(
-    problem: Blocks, found: Found, k: int, settings: Settings, seconds: float
+    problem: Blocks, found: LoopAnswers, k: int, settings: Settings, seconds: float
 ) -> ConeResult:
     """Return the result of a problem, the k-th of those that the compiled loop has solved, after these seconds."""
     sweeps, newton = found.made[k]
@@ -440,7 +440,7 @@ class ConeResult(Result):
 
     def explain(self) -> str:
         """Return the story of the run in a few lines."""
-        lines = [f"{self.status.name}: {self.advice}.", self.reached(), *self._course(), *told_stages(self.stages)]
+        lines = [f"{self.status.name}: {self.advice}.", self.reached(), *self._course(), *stage_lines(self.stages)]
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))
         if isinstance(self.problem, FrictionalContact):

@@ -68,13 +68,13 @@ class AnswerSequence(Results[T]):
 
     def explain(self) -> str:
         """Return how many there are of each status, and the story of the first that is not SOLVED, or of the last."""
-        told = next((k for k, status in enumerate(self.status) if status is not Status.SOLVED), len(self) - 1)
+        shown = next((k for k, status in enumerate(self.status) if status is not Status.SOLVED), len(self) - 1)
         lines = [f"{len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s"]
-        if told >= 0:
-            lines.append(f"{self.ITEM} {told}: {self._told(told)}")
+        if shown >= 0:
+            lines.append(f"{self.ITEM} {shown}: {self._described(shown)}")
         return "\n".join(lines)
 
-    def _told(self, k: int) -> str:
+    def _described(self, k: int) -> str:
         """Return the story of item k, or what is wrong with it."""
         try:
             return str(self.at(k))

@@ -98,7 +98,7 @@ def _take_sides(z, w, scale, lower, upper, state):  # type: ignore[no-untyped-de
 
 
 @helper
-def _is_told_apart(z, w, scale, lower, upper, change, size, spread, state):  # type: ignore[no-untyped-def]
+def _is_nondegenerate(z, w, scale, lower, upper, change, size, spread, state):  # type: ignore[no-untyped-def]
     """Mark the rows that are at a bound and have w = 0; return whether every row is clearly one or none of these."""
     for i in range(z.size):
         above, below = z[i] - lower[i], upper[i] - z[i]
@@ -145,7 +145,7 @@ def settle(  # type: ignore[no-untyped-def]
             _slacks(indptr, indices, data, Q[k], z, change, w, size, spread)
             is_same = _take_sides(z, w, scale, lower, upper, state)
             if is_settled and is_same:
-                is_plain[k] = _is_told_apart(z, w, scale, lower, upper, change, size, spread, state)
+                is_plain[k] = _is_nondegenerate(z, w, scale, lower, upper, change, size, spread, state)
                 break
             for i in range(n):
                 value[i] = 0.0 if state[i] == 0 else (lower[i] if state[i] < 0 else upper[i]) - z[i]

@@ -198,8 +198,8 @@ class NonlinearCertificate(Certificate):
         if not without.is_defined:
             return strict
         there = largest_of_components(self.problem, term_residuals(without.lcp, without.x, without.value))
-        told: FloatVector = np.fmin(strict, np.fmax(own, for_each_row(self.problem, there)))
-        return told
+        errors: FloatVector = np.fmin(strict, np.fmax(own, for_each_row(self.problem, there)))
+        return errors
 
     @cached_property
     def relative_residual(self) -> float:

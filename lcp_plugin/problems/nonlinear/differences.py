@@ -90,10 +90,10 @@ class Differences:
                 if not _agree(near, found).all():
                     other = self._quotients(F, x, value, 4.0 * shorter, places)
                     least = TOLD * EPSILON * np.abs(value)[self.pattern.indices[places]]
-                    is_told = _agree(near, other) & ~_agree(near, found)
-                    is_told &= np.abs(near * shorter[self._columns[places]]) > least
-                    found = np.where(is_told, near, found)
-                    steps[places] = np.where(is_told, np.inf, steps[places])
+                    is_clear = _agree(near, other) & ~_agree(near, found)
+                    is_clear &= np.abs(near * shorter[self._columns[places]]) > least
+                    found = np.where(is_clear, near, found)
+                    steps[places] = np.where(is_clear, np.inf, steps[places])
             derivative[places] = found
         derivative = self._without_rounding(derivative, x, value, steps)
         pattern = self.pattern

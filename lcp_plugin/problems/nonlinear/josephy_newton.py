@@ -98,7 +98,7 @@ class JosephyNewton(Algorithm):
         return without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        run = _Newton(self, self.points.at(z0))
+        run = _NewtonRun(self, self.points.at(z0))
         yield run.step()
         for _ in range(RESTARTS if problem.n <= SMALL else 0):
             yield from run.steps()
@@ -108,7 +108,7 @@ class JosephyNewton(Algorithm):
         yield from run.steps()
 
 
-class _Newton:
+class _NewtonRun:
     """Where a run is, the last points, and the work since the last step."""
 
     def __init__(self, options: JosephyNewton, start: Linearisation) -> None:

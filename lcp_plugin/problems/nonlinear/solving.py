@@ -277,8 +277,8 @@ def _contradiction(point: Linearisation, direction: FloatVector) -> FloatVector:
     for step in (STEP, *OTHERS):
         wrong, unsure = _difference(point, direction, step)
         terms = size + np.abs(wrong)
-        is_told = np.isfinite(terms) & (UNSURE * unsure < np.maximum(np.abs(wrong), WRONG * terms))
-        least = np.where(is_told, np.minimum(least, np.abs(wrong) / terms), least)
+        is_sure = np.isfinite(terms) & (UNSURE * unsure < np.maximum(np.abs(wrong), WRONG * terms))
+        least = np.where(is_sure, np.minimum(least, np.abs(wrong) / terms), least)
     contradiction: FloatVector = np.where(np.isinf(least) | point.is_steep, 0.0, least)
     return contradiction
 

@@ -28,7 +28,7 @@ OWN = -1  # the variable's own bound, not a row's
 
 
 @dataclass(frozen=True, eq=False)
-class Step(ABC):
+class ReductionStep(ABC):
     """A program and a smaller one that stands for it.
 
     Attributes
@@ -42,7 +42,7 @@ class Step(ABC):
 
     @classmethod
     @abstractmethod
-    def of(cls, program: QuadraticProgram) -> Step | None:
+    def of(cls, program: QuadraticProgram) -> ReductionStep | None:
         """Return that of a program; None, or the same object left, where there is nothing to do."""
 
     @abstractmethod
@@ -91,7 +91,7 @@ class Reduction:
     Attributes
     ----------
     program : QuadraticProgram
-    steps : tuple of Step
+    steps : tuple of ReductionStep
 
     Examples
     --------
@@ -105,9 +105,9 @@ class Reduction:
     """
 
     program: QuadraticProgram
-    steps: tuple[Step, ...] = ()
+    steps: tuple[ReductionStep, ...] = ()
 
-    def then(self, step: Callable[[QuadraticProgram], Step | None]) -> Reduction:
+    def then(self, step: Callable[[QuadraticProgram], ReductionStep | None]) -> Reduction:
         """Return the reduction with one more step, or as it is where that does nothing."""
         found = step(self.reduced)
         if found is None or found.reduced is self.reduced:
@@ -145,7 +145,7 @@ class Reduction:
 
 
 @dataclass(frozen=True, eq=False)
-class FoldedRows(Step):
+class FoldedRows(ReductionStep):
     """The program's bounds and rows with singleton, empty and unlimited rows gone.
 
     A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. What cannot hold – 0 ≤ −1, or
@@ -231,7 +231,7 @@ class FoldedRows(Step):
 
 
 @dataclass(frozen=True, eq=False)
-class FixedVariables(Step):
+class FixedVariables(ReductionStep):
     """The program in the variables whose bounds differ.
 
     Attributes
@@ -292,7 +292,7 @@ class FixedVariables(Step):
 
 
 @dataclass(frozen=True, eq=False)
-class DefinedVariables(Step):
+class DefinedVariables(ReductionStep):
     """The program without the variables that its equations define, as cvxpy writes t = A x − b, and without these.
 
     Only where bounds are all that is left then: its complementarity problem is that of a P, which sweeps take.

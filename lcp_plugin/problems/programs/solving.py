@@ -27,7 +27,7 @@ from ...core.errors import (
 from ...core.kind import Kind
 from ...core.settings import OF_SOLVE, Status, checked_callback
 from ...core.solving.answer import Answer
-from ...core.solving.result import Result, Sample, StageRecord, told_stages
+from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ...core.solving.run_log import say
 from ...engines import ENGINES, Engine, Hint, engine_class
 from ...methods.interior.interior_point import InteriorPoint
@@ -185,7 +185,7 @@ class QuadraticProgramResult(Answer):
 
     def _course(self) -> list[str]:
         has_run = self.is_solved or not self.is_compiled  # a proof may have come first
-        return [*super()._course(), *(told_stages(self.stages) if has_run else [])]
+        return [*super()._course(), *(stage_lines(self.stages) if has_run else [])]
 
 
 def solve_program(

@@ -96,7 +96,7 @@ class Grid(SharedRows):
     matrix: Operator
     split: NDArray[Any]
     runs: EqualRows
-    blocks: Blocks
+    blocks: RowBlocks
     inverse: FloatVector
     communicator: Communicator = ALONE
     weight: FloatVector = field(default_factory=lambda: NO_WEIGHT)
@@ -187,7 +187,7 @@ REACHES = 4  # times as many rows as a row reaches far: what is done twice at th
 FEWEST = 4  # two of either kind
 
 
-class Blocks(NamedTuple):
+class RowBlocks(NamedTuple):
     """Where blocks begin, with the end of the last, and how far a row reaches where there are several."""
 
     edges: NDArray[np.int64]
@@ -203,7 +203,7 @@ class Blocks(NamedTuple):
         return max(SHARED_FROM // max(2 * int(self.edges[1]), 1), 1)
 
 
-def blocks_of(matrix: Arrays, unlike: NDArray[Any], rows: int, *, may_cut: bool) -> Blocks:
+def blocks_of(matrix: Arrays, unlike: NDArray[Any], rows: int, *, may_cut: bool) -> RowBlocks:
     """Return the blocks of that many rows; one where it may not be cut, or would be for nothing.
 
     Only the rows that are `unlike` the one before need be looked at: the others reach as far.
@@ -217,7 +217,7 @@ def blocks_of(matrix: Arrays, unlike: NDArray[Any], rows: int, *, may_cut: bool)
         count, reach = 1, 0
     edges = np.linspace(0, rows, count + 1).astype(np.int64)
     edges.flags.writeable = False
-    return Blocks(edges, reach)
+    return RowBlocks(edges, reach)
 
 
 SMALLEST_PIECE = 16384  # rows
@@ -255,11 +255,11 @@ def rows_from_kernel(kernel: Any, operands: tuple[Any, ...], more: int, smallest
         last = end if first else n  # memory that nothing is written to was never touched
         capacity = int(indptr[last] - indptr[first]) + more * (last - first)
         rows = np.empty(end - first + 1, indptr.dtype), np.empty(capacity, indices.dtype), np.empty(capacity)
-        _, told = kernel(*operands, first, end, *rows)
-        return rows, told
+        _, counts = kernel(*operands, first, end, *rows)
+        return rows, counts
 
-    pieces, told = zip(*share(piece, n, smallest), strict=True)
-    return joined(list(pieces)), sum(told)
+    pieces, counts = zip(*share(piece, n, smallest), strict=True)
+    return joined(list(pieces)), sum(counts)
 
 
 SHORTEST = 16  # rows; fewer are taken one by one

@@ -19,7 +19,7 @@ from ...core.kernels.compiler import uintp
 from ...core.kernels.enclosures import fused
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
-from .grids import LONGEST_REACH, Blocks, EqualRows, run_at
+from .grids import LONGEST_REACH, EqualRows, RowBlocks, run_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, EqualRows]  # in CSR, and where diagonals stand
 NO_BOUNDS = {dtype: (read_only(np.zeros(0, dtype)),) * 2 for dtype in (np.dtype(np.float64), np.dtype(np.float32))}
@@ -29,7 +29,7 @@ NO_BITS: dict[Any, NDArray[Any]] = {
 }
 
 
-def first_sweep(rows: Matrix, blocks: Blocks, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
+def first_sweep(rows: Matrix, blocks: RowBlocks, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
     """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0.
 
     A pass over the lower triangle, and over all of the rows from which an odd block meets the even one behind it.
@@ -41,7 +41,7 @@ def first_sweep(rows: Matrix, blocks: Blocks, inverse: FloatVector, b: FloatVect
 
 
 def residual_after_first_sweep(
-    rows: Matrix, blocks: Blocks, inverse: FloatVector, weight: FloatVector, b: FloatVector, x: FloatVector,
+    rows: Matrix, blocks: RowBlocks, inverse: FloatVector, weight: FloatVector, b: FloatVector, x: FloatVector,
     residual: FloatVector,
 ) -> None:
     """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then others changed.
@@ -74,7 +74,7 @@ def _product_of(
 
 
 def sweep(
-    rows: Matrix, blocks: Blocks, inverse: FloatVector, backward: bool, b: FloatVector, x: FloatVector
+    rows: Matrix, blocks: RowBlocks, inverse: FloatVector, backward: bool, b: FloatVector, x: FloatVector
 ) -> None:
     """Overwrite x by one Gauss–Seidel sweep for M x = b."""
     vectors = read_only(inverse), read_only(b), *NO_BOUNDS[x.dtype]
@@ -82,7 +82,7 @@ def sweep(
 
 
 def projected_sweep(
-    rows: Matrix, blocks: Blocks, vectors: tuple[FloatVector, ...], relaxation: float, backward: bool, z: FloatVector
+    rows: Matrix, blocks: RowBlocks, vectors: tuple[FloatVector, ...], relaxation: float, backward: bool, z: FloatVector
 ) -> None:
     """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − relaxation inverse_i w_i) with w_i from the current z.
 
@@ -124,7 +124,7 @@ def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
 
 
 def _swept(
-    rows: Matrix, ends: Any, blocks: Blocks, vectors: tuple[FloatVector, ...], sign: float, relaxation: float,
+    rows: Matrix, ends: Any, blocks: RowBlocks, vectors: tuple[FloatVector, ...], sign: float, relaxation: float,
     is_first: bool, backward: bool, x: FloatVector,
 ) -> None:
     """Sweep the blocks of one colour and then those of the other; the entries of row i end before ends[i]."""

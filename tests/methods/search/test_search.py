@@ -13,7 +13,7 @@ from campaigns.games import game, missed, wrong_equilibria
 from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
-from lcp_plugin.methods.search import Effort, Found, GaveUp, all_solutions, explore, search
+from lcp_plugin.methods.search import Effort, GaveUp, Solutions, all_solutions, explore, search
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.proofs.exact.simplex import QUANTUM
@@ -256,7 +256,7 @@ def test_the_search_can_be_stopped_between_cases() -> None:
     """`explore` gives the clock back after each case and the outcome last."""
     steps = list(explore(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), Effort()))
     assert steps[:-1] == [None] * (len(steps) - 1)
-    assert isinstance(steps[-1], Found)
+    assert isinstance(steps[-1], Solutions)
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,11 @@ import pytest
 from lcp_plugin import QuadraticProgram, solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.programs.program_matrices import Indices
-from lcp_plugin.problems.programs.reductions import FixedVariables, FoldedRows, Reduction, Step
+from lcp_plugin.problems.programs.reductions import FixedVariables, FoldedRows, Reduction, ReductionStep
 
 
 @dataclass(frozen=True, eq=False)
-class DistinctRows(Step):
+class DistinctRows(ReductionStep):
     """The program without the rows of G that are stated before: all that a step of one's own takes."""
 
     kept: Indices
@@ -47,7 +47,7 @@ class DistinctRows(Step):
         return whole
 
 
-STEPS: dict[str, Callable[[QuadraticProgram], Step | None]] = {
+STEPS: dict[str, Callable[[QuadraticProgram], ReductionStep | None]] = {
     "simple rows": FoldedRows.of, "fixed variables": FixedVariables.of,
     "doubled rows": DistinctRows.of,
 }

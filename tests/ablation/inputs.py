@@ -36,6 +36,7 @@ TESTS = Path(__file__).parents[1]
 DATA = Path(os.environ.get("LCP_PLUGIN_DATA", TESTS.parents[1] / "shared" / "data"))  # published problems, if there
 SOLVED, PROVED, OPEN, FALSE = "solved", "proved", "open", "false"
 ALIKE, LOOSE = 1e-6, 1e-4  # relative, of an objective or a residual that others judge; of a program over a cone
+SHARP = 1e-8  # of the largest entry: a proved distance
 MOST_PUBLISHED = 2500  # rows and columns
 SEED, SHARE = 70, 7
 
@@ -189,10 +190,18 @@ def plain_structures() -> Iterator[Input]:
         line = sp.diags_array([-1.0 - flow, 2.0 + flow, -1.0], offsets=[-1, 0, 1], shape=(side, side))
         return sp.csr_array(sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line))
 
+    def upwind(side: int, flow: float) -> sp.csr_array:
+        """Diffusion and a flow along one axis of that cell Péclet number."""
+        line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+        along = line + flow * sp.diags_array([-1.0, 1.0], offsets=[-1, 0], shape=(side, side))
+        return sp.csr_array(sp.kron(along, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line))
+
     def by_proof(problem: Any, result: Any) -> str:
         return FALSE if result.is_solved else PROVED if result.has_no_solution else OPEN
 
     wrong, flow, contradictory = stencil(40, 0.0), stencil(150, 10.0), random_rows(3000, 0.5).tolil()
+    across = upwind(40, 20.0)
+    scattered = rng.permutation(1600)
     contradictory[7, :], contradictory[7, 9] = 0.0, -1.0
     against = rng.standard_normal(3000)
     against[7] = -1.0
@@ -200,6 +209,8 @@ def plain_structures() -> Iterator[Input]:
         "dominant rows": (random_rows(50_000, 0.7), rng.standard_normal(50_000), _by_residual),
         "lower triangle": (np.tril(rng.standard_normal((800, 800))) + 5.0 * np.eye(800), -np.ones(800), _by_residual),
         "flow": (flow, rng.standard_normal(22_500), _by_residual),
+        "flow of convection": (upwind(120, 5.0), rng.standard_normal(14_400), _by_residual),
+        "flow on a grid without order": (across[scattered][:, scattered], rng.standard_normal(1600), _by_residual),
         "wrong sign": (-wrong, wrong @ (rng.random(1600) - 0.1), by_proof),
         "contradictory row": (sp.csr_array(contradictory), against, by_proof),
     }
@@ -454,7 +465,8 @@ def certified(count: int = 60) -> Iterator[Input]:
             return FALSE
         if said.verdict != "proved":
             return PROVED if said.verdict == "disproved" else OPEN
-        return SOLVED if not given.is_definite or said.distance is not None else OPEN
+        is_near = said.distance is not None and said.distance <= SHARP * (1.0 + float(np.abs(x).max(initial=0.0)))
+        return SOLVED if not given.is_definite or is_near else OPEN
 
     for number in range(count):
         yield Input("certify", str(number), partial(state, number), ask, judge)
@@ -742,7 +754,20 @@ def _named(method: str, stated: Any) -> Any:
 
 
 def named_engines() -> Iterator[Input]:
-    """Every engine on planted programs; on their shapes, and on linear programs, those that take such."""
+    """Every engine on planted programs, on some with limits that stand for none, and on shapes that it takes."""
+    def with_far_limits(case: int) -> tuple[QuadraticProgram, QuadraticProgram]:
+        rng, n = np.random.default_rng([SEED, case]), 8
+        F, G, h, c = rng.standard_normal((n, n)), rng.standard_normal((12, n)), rng.random(12), rng.standard_normal(n)
+        P, pairs = F @ F.T / n + 0.1 * np.eye(n), np.eye(n) + np.roll(np.eye(n), 1, axis=1)
+        far = np.concatenate([h, 10.0 ** rng.uniform(9.0, 19.0, n)])
+        stated = QuadraticProgram(P, c, np.vstack([G, pairs]), far, lower=-2.0)
+        return stated, QuadraticProgram(P, c, G, h, lower=-2.0)
+
+    for case in range(10):
+        for engine in ("daqp", "piqp", "clarabel"):
+            yield Input("engines by name", f"{engine}, far limits {case}", partial(with_far_limits, case),
+                        lambda stated, engine=engine: solve(stated[0], engine),
+                        lambda stated, result: _by_value(stated[1], result, value_of_others(stated[1])))
     for one in planted_programs(20):
         for engine in ("daqp", "piqp", "clarabel"):
             yield Input("engines by name", f"{engine}, {one.name}", one.state,

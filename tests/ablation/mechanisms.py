@@ -250,6 +250,24 @@ def no_limit(old: Any) -> Any:
     return lambda given: np.zeros(given.h.size + 2 * given.c.size, np.bool_)
 
 
+def unfolded(old: Any) -> Any:
+    def of(cls: Any, program: Any) -> Any:
+        rows, none = program.h.size + program.b.size, np.full(program.n, -1)
+        return cls(program, program, np.arange(rows), none, none, np.ones(rows))
+
+    return of
+
+
+def if_folded(old: Any, note: Callable[[], None]) -> Any:
+    def of(cls: Any, program: Any) -> Any:
+        found = old(cls, program)
+        if found.reduced is not program:
+            note()
+        return found
+
+    return of
+
+
 def nothing_found(old: Any) -> Any:
     """An engine of least squares that finds nothing."""
     return lambda A, b, *, is_asked: np.full(A.shape[1], np.nan)
@@ -407,12 +425,12 @@ MECHANISMS = (
     Mechanism("far limits", "an engine is asked again without limits far beyond all others",
               {"engines.statement:far_limits": differing(no_limit)}, "engines/statement.py:far_limits"),
     Mechanism("noise", "rounding beside the largest of an engine's numbers put to 0",
-              {f"{CALLS}:_without_noise": says(None)}, "problems/programs/engine_calls.py:_without_noise"),
+              {f"{CALLS}:_without_noise": nothing()}, "problems/programs/engine_calls.py:_without_noise"),
     Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
               {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, 0.0))},
               "problems/programs/criterion.py:Acting"),
     Mechanism("folded rows", "rows with one entry become bounds",
-              {f"{PROGRAMS}.reductions:FoldedRows.of": says(None)}),
+              {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)}),
     Mechanism("fixed variables", "variables with equal bounds leave small programs",
               {f"{PROGRAMS}.reductions:FixedVariables.of": says(None)},
               "problems/programs/reductions.py:FixedVariables"),
@@ -470,8 +488,6 @@ MECHANISMS = (
     Mechanism("by Φ", "steps of Fischer–Burmeister before linear problems",
               {f"{STEPS}._by_phi": says(None)},
               "problems/nonlinear/josephy_newton.py:_NewtonRun._by_phi"),
-    Mechanism("on the path", "part of the way of a linearisation", {f"{STEPS}._on_path": says(None)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._on_path"),
     Mechanism("proximal", "linearisations with a larger diagonal", {f"{STEPS}._proximal": says(None)},
               "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal "
               "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point"),
@@ -502,10 +518,6 @@ MECHANISMS = (
     Mechanism("sharp distance", "how far an x is, by its residuals",
               {f"{PROGRAMS}.certification:ProgramProofs.sharpened": given_back(1)},
               "problems/programs/sharp_distances.py problems/programs/certification.py:ProgramProofs.sharpened"),
-    Mechanism("dual slack", "dual points repaired to have the signs that are needed",
-              {f"{BOUNDS}._with_slack": given_back(1)}, "problems/programs/dual_bounds.py:DualBounds._with_slack"),
-    Mechanism("dual rows", "dual points repaired by more rows",
-              {f"{BOUNDS}._with_more_rows": says(None)}, "problems/programs/dual_bounds.py:DualBounds._with_more_rows"),
     Mechanism("exact dual", "the dual bound in exact arithmetic",
               {f"{BOUNDS}._exact_value": says(-math.inf)}, "problems/programs/dual_bounds.py:DualBounds._exact_value"),
     Mechanism("implied box", "bounds of unknowns that the rows imply",

@@ -40,7 +40,6 @@ EXPLODED = 1e5  # times as much slack is no progress, whatever the merit says
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
 SHIFT_OF_PHI = 1e-3  # keeps the Jacobian of Φ regular
-ON_PATH = (0.5, 0.125)
 FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
 ENOUGH = 0.1  # of what the run asks for: no linearisation need be solved to less
@@ -71,9 +70,8 @@ class JosephyNewton(Algorithm):
     The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, beside the largest entry of each row of F′
     here: a diagonal that vanishes with x, as that of a convex power does at 0, says nothing about a point far away.
     A step is shortened until F is defined and ‖Φ‖ falls below the worst of the last four points. Where that takes more
-    than 16 trials, these are tried in turn: points on the path of the linearisation, whose slack at x is given and
-    taken back in part (Ralph); the LCP of F′(x) + μD, D the residual scale (proximal); Newton on Φ; its steepest
-    descent. The last three must lower ‖Φ‖ at x, or they climb and descend in turn. Where nothing helps x is a
+    than 16 trials, these are tried in turn: the LCP of F′(x) + μD, D the residual scale (proximal); Newton on Φ; its
+    steepest descent. All three must lower ‖Φ‖ at x, or they climb and descend in turn. Where nothing helps x is a
     stationary point of ‖Φ‖, and small problems start again elsewhere. A large linearisation is given up after 12 active
     sets or 20 interior steps without half the residual: Newton on Φ takes the next steps, a factorisation each, one at
     first and each time twice as many.
@@ -81,8 +79,6 @@ class JosephyNewton(Algorithm):
     References
     ----------
     N. H. Josephy, *Newton's method for generalized equations*, MRC report 1965, Wisconsin 1979.
-    D. Ralph, *Global convergence of damped Newton's method for nonsmooth equations via the path search*, Math. Oper.
-    Res. 19 (1994), doi:10.1287/moor.19.2.352.
     """
 
     name: ClassVar[str] = "josephy_newton"
@@ -173,7 +169,7 @@ class _NewtonRun:
             return None
         here, worst = self._merit(self.here), max(self._merit(point) for point in self.recent)
         for find, least in (
-            (self._newton, worst), (self._on_path, worst), (self._proximal, here), (self._descended, here),
+            (self._newton, worst), (self._proximal, here), (self._descended, here),
         ):
             found = find(lcp, least)
             if found is not None or is_over() or self._is_at_floor():
@@ -208,18 +204,6 @@ class _NewtonRun:
         for k in range(SHORTER_OF_DESCENT):
             x = np.clip(self.here.x + 0.5**k * direction, lcp.lower, lcp.upper)
             if (found := self._accepted(x, worst, SUFFICIENT * 0.5**k)) is not None:
-                return found
-        return None
-
-    def _on_path(self, lcp: LCP, worst: float) -> Linearisation | None:
-        """Return a point of the path: at its start, slack that x has and should not have is given; at its end none."""
-        if self.is_regularised:
-            return None
-        x, w = self.here.x, self.here.value
-        given = np.where(x <= lcp.lower, np.minimum(w, 0.0), np.where(x >= lcp.upper, np.maximum(w, 0.0), w))
-        for length in ON_PATH:
-            target = self._solution(lcp, w - (1.0 - length) * given)
-            if target is not None and (found := self._accepted(target, worst, length)) is not None:
                 return found
         return None
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
-from ...core.kernels.floats import EPSILON
 from ...systems.definiteness import is_semidefinite_to_rounding
 
 if TYPE_CHECKING:
@@ -16,11 +17,12 @@ if TYPE_CHECKING:
 
 LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question of convexity alone
 LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
+ROUNDED = 1e-7  # beside √(p_ii p_jj): entries of single precision, or of seven digits
 CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
 
 
 def refuse_nonconvex(program: QuadraticProgram) -> None:
-    """Raise where P has an eigenvalue that is negative beyond the rounding of its largest entries.
+    """Raise where P has an eigenvalue that is negative beyond 1e-7 of its rows, and of its largest entry.
 
     One factorisation up to n = 5000; beyond, a look at each entry beside its diagonal ones.
 
@@ -38,10 +40,9 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     """
     P = program.P
     if program.n <= LARGEST_CHECKED:
-        if program.is_convex is not False or is_semidefinite_beside_its_largest(P):
+        if program.is_convex is not False or program.matrices.negative_curvature < math.inf:
             return
-        dense = P.toarray() if sp.issparse(P) else P
-        what = f"the smallest eigenvalue of P is {np.linalg.eigvalsh(dense)[0]:.3g}" if program.n <= LARGEST_MEASURED \
+        what = f"the smallest eigenvalue of P is {smallest_eigenvalue(P):.3g}" if program.n <= LARGEST_MEASURED \
             else "P has a negative eigenvalue"
     else:
         place = clearly_indefinite_at(P)
@@ -56,14 +57,40 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     )
 
 
-def is_semidefinite_beside_its_largest(P: Any) -> bool:
-    """Return whether P is positive semidefinite up to the rounding of its largest entries.
+def negative_curvature(P: Any, is_semidefinite: bool | None) -> float:
+    """Return how far the smallest eigenvalue of P is below 0, or a bound of it.
 
-    A row that should be zero may hold rounding errors of the others, which a scale of its own would magnify.
+    0 where the rows of P, each in its own unit, are semidefinite up to 1e-7: data of seven digits are. ∞ where P is
+    not, and not up to 1e-7 of its largest entry either. In between, rows that should be zero may hold rounding errors
+    of others; whether they act is a question to an answer.
     """
-    n = P.shape[0]
-    shift = n * (n + 4) * EPSILON * float(abs(P).max())
-    return is_semidefinite_to_rounding(sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(n))) is not False
+    if is_semidefinite is not False or is_semidefinite_to_rounding(P, ROUNDED) is not False:
+        return 0.0
+    shift = ROUNDED * float(abs(P).max())
+    if is_semidefinite_to_rounding(sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(P.shape[0]))) is False:
+        return math.inf
+    return shift if P.shape[0] > LARGEST_MEASURED else max(-smallest_eigenvalue(P), 0.0)
+
+
+def bends(program: QuadraticProgram, x: FloatVector, tolerance: float) -> bool:
+    """Return whether negative curvature acts at x: a stationary x is then no minimiser of a convex program.
+
+    It acts where −λ, P's smallest eigenvalue, changes the gradient over the size of x, λ max(1, ‖x‖∞), by more than
+    the tolerance beside the smallest max(|c_j|, |(P x)_j|) above that, of x_j off their bounds if there are any.
+    """
+    if not (curvature := program.matrices.negative_curvature):
+        return False
+    change = curvature * max(1.0, float(np.abs(x).max()))
+    with np.errstate(all="ignore"):
+        forces = np.maximum(np.abs(program.c), np.abs(program.P @ x))
+        acts, is_free = forces > change, (x > program.lower) & (x < program.upper)
+        least = forces[acts & is_free if (acts & is_free).any() else acts].min(initial=np.inf)
+    return not (acts.any() and change <= tolerance * least)
+
+
+def smallest_eigenvalue(P: Any) -> float:
+    """Return that of a dense copy of P."""
+    return float(np.linalg.eigvalsh(P.toarray() if sp.issparse(P) else P)[0])
 
 
 def clearly_indefinite_at(P: Any) -> tuple[int, int] | None:

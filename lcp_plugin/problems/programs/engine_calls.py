@@ -85,7 +85,7 @@ def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: boo
         return None
     goal = program_goal(tolerance)
     run = run_engine(program, engine, 0.0 if is_sharp else goal, points=SHARPEST)
-    return run if run.solution.is_stationary(goal) else None
+    return run if run.solution.is_minimal(goal) else None
 
 
 def run_engine(
@@ -111,7 +111,7 @@ def run_engine(
             iterations, says = iterations + point.iterations, point.says
             if solution is not None and (best is None or solution.error < best.error):
                 best = solution
-            if (best is not None and best.is_stationary(goal)) or is_over():
+            if (best is not None and best.is_minimal(goal)) or is_over():
                 break
     if best is None:
         nearest, nothing = np.clip(0.0, program.lower, program.upper), np.zeros(sum(program.matrices.sizes))

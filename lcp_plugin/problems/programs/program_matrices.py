@@ -16,6 +16,7 @@ from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 from ...systems.null_space import null_space_of
+from .convexity import LARGEST_CHECKED, negative_curvature
 
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = 0.3, 2e7  # share of entries; multiplications that sparse factors take more quickly
@@ -144,6 +145,14 @@ class ProgramMatrices:
     def is_semidefinite(self) -> bool | None:
         """Whether P is positive semidefinite to rounding; None where it is too large to say."""
         return is_semidefinite_to_rounding(self.P)
+
+    @cached_property
+    def negative_curvature(self) -> float:
+        """How far P's smallest eigenvalue is below 0, or a bound of it; 0 where that is rounding beside its own rows.
+
+        ∞ where P is clearly not semidefinite, 0 where it is too large to say.
+        """
+        return 0.0 if self.P.shape[0] > LARGEST_CHECKED else negative_curvature(self.P, self.is_semidefinite)
 
     @cached_property
     def null_space(self) -> FloatVector | None:

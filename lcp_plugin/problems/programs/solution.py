@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
+from .convexity import bends
 from .criterion import SURE, Errors
 
 if TYPE_CHECKING:
@@ -157,6 +158,10 @@ class QPSolution:
         if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
         return bool(self._errors.meet(float(tolerance)))
+
+    def is_minimal(self, tolerance: float = 1e-6) -> bool:
+        """Return whether x is stationary, and no negative curvature acts at it: what SOLVED says of a program."""
+        return self.is_stationary(tolerance) and not bends(self.program, self.x, tolerance)
 
     def is_sure(self, tolerance: float = 1e-6) -> bool:
         """Return whether x is stationary, and no exact proof of unboundedness may beat it: none is looked for.

@@ -172,7 +172,13 @@ class QuadraticProgramResult(Answer):
     @property
     def advice(self) -> str:
         """What the status means for this program, in a sentence."""
-        return "; ".join([ADVICE.get(self.status, self.status.value), *self._of_which("x")])
+        words = [ADVICE.get(self.status, self.status.value), *self._of_which("x")]
+        if self.program.n <= LARGEST_CHECKED and self.program.is_convex is False and not self.has_no_solution:
+            words.append(
+                "P has a negative eigenvalue, which is taken for rounding" if self.is_solved else
+                "P has a negative eigenvalue, and if it is no rounding error the program is not convex"
+            )
+        return "; ".join(words)
 
     def _numbers(self) -> dict[str, float]:
         names = ("primal_residual", "dual_residual", "duality_gap")
@@ -246,10 +252,10 @@ def solve_program(
                 say(f"{unheld.status.name}: the program is {unheld}")
             return _without_minimum(program, unheld, BY_FACTOR, tolerance, clock.read())
         result, solution, proof = _by_run(program, algorithm, tolerance, guess, options)
-    is_optimal = solution.is_stationary(goal)
+    is_optimal = solution.is_minimal(goal)
     if proof is None and prove_infeasibility and not ended_by_caller(result, options) and not solution.is_sure(goal):
         proof = program.accepted_proof(goal, is_met=is_optimal and solution.holds_surely(goal))
-    is_nearly = solution.is_stationary(max(goal, NEARLY)) or (not is_optimal and _contradicts_by_rounding(program))
+    is_nearly = solution.is_minimal(max(goal, NEARLY)) or (not is_optimal and _contradicts_by_rounding(program))
     status = _status(result, is_optimal, is_nearly, proof)
     if options.get("verbose") and status is not result.status:
         say(f"{status.name}: {ADVICE.get(status, status.value) if proof is None else proof}")
@@ -281,10 +287,10 @@ def _solved_by_engine(
             run = run_engine(program, engine, goal, is_verbose=settings.verbose)
         except KeyboardInterrupt:
             return _interrupted(program, engine, goal, tolerance, clock.read())
-        is_optimal, proof = run.solution.is_stationary(goal), None
+        is_optimal, proof = run.solution.is_minimal(goal), None
         if settings.prove_infeasibility and not run.solution.is_sure(goal):
             proof = program.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
-    is_nearly = run.says is Hint.OPTIMAL and run.solution.is_stationary(max(goal, NEARLY))
+    is_nearly = run.says is Hint.OPTIMAL and run.solution.is_minimal(max(goal, NEARLY))
     is_nearly |= not is_optimal and _contradicts_by_rounding(program)
     why = Status.STALLED
     if run.says is Hint.STOPPED:
@@ -393,7 +399,7 @@ def _at_once(
     try:
         for engine in engines_for(program):
             run = run_engine(program, engine, goal)
-            if run.solution.is_stationary(goal):
+            if run.solution.is_minimal(goal):
                 return engine.name, run
             is_hint = run.says in (Hint.INFEASIBLE, Hint.UNBOUNDED)
             if prove_infeasibility and is_hint and (proof := program.accepted_proof(goal)) is not None:

@@ -607,6 +607,44 @@ NONCONVEX = {
 }
 
 
+@pytest.mark.parametrize(("P", "c", "value"), [
+    (np.diag([1.0, -3e-15]), [1, 0], -0.5), (np.diag([1.0, -3e-15]), [1, 1], -1.5),
+    (np.diag([1.0, -1e-9]), [1, 1], -1.5),
+    (np.array([[1, 1 + 1e-8, 0], [1 + 1e-8, 1, 0], [0, 0, 4]]), [1, 1, 0], -0.5),
+])
+def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value: float) -> None:
+    """An eigenvalue of −1e-7 beside its rows, or one that nothing that acts would notice; the advice says so."""
+    n = len(c)
+    result = solve(QuadraticProgram(P, c, lower=-np.ones(n), upper=np.ones(n)))
+    assert result.is_solved
+    assert abs(result.objective - value) <= 1e-6
+    assert "negative eigenvalue" in result.advice
+    assert certify(result).verdict != "disproved"
+
+
+@pytest.mark.parametrize("c", [[0, 0, 0], [1, 0, 0], [1, 1, 1], [0, 1, 1]])
+def test_one_large_entry_hides_no_saddle(c: list[float]) -> None:
+    """What is rounding beside 1e19 is a curvature beside all that acts."""
+    P = np.array([[1e19, 0.0, 0.0], [0.0, 1.0, 2.0], [0.0, 2.0, 1.0]])
+    result = solve(QuadraticProgram(P, c, lower=-np.ones(3), upper=np.ones(3)))
+    assert not result.is_solved
+    assert "not convex" in result.advice
+
+
+def test_data_of_single_precision_are_convex_enough() -> None:
+    """A covariance of fewer samples than assets, rounded to seven digits, in any unit."""
+    rng = np.random.default_rng(0)
+    P = np.cov(rng.standard_normal((20, 40)).T.astype(np.float32)).astype(np.float32).astype(float)
+    gains = 0.3 * rng.random(40)
+    x = cp.Variable(40)
+    other = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) - gains @ x), [cp.sum(x) == 1, x >= 0])
+    other.solve(solver=cp.CLARABEL)
+    for unit in (1.0, 1e6, 1e-6):
+        result = solve(QuadraticProgram(unit * P, -unit * gains, A=np.ones((1, 40)), b=[1], lower=np.zeros(40)))
+        assert result.is_solved
+        assert abs(result.objective / unit - other.value) <= 1e-6 * abs(other.value)
+
+
 @pytest.mark.parametrize("name", NONCONVEX)
 @pytest.mark.parametrize("form", ["auto", "direct", "kkt"])
 def test_a_program_that_is_clearly_not_convex_is_refused(name: str, form: str) -> None:

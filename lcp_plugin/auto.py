@@ -2,9 +2,9 @@
 
 A small problem (256 unknowns where M is dense, 128 elsewhere, but not on tridiagonal M-matrices) is solved by one
 compiled call, which does the same in miniature: sweeps of npsor guess the active set, rounds solve for it, pivots
-follow; where no positive diagonal entry allows a sweep they come first. Contacts with friction, up to 1200 rows, are
-solved there in their own unknowns, in rounds as newton's. What that leaves open goes to the direct methods, with which
-the KKT form of a program begins: neither sweeps nor pivots find much in it. Otherwise:
+follow; where a row without a positive diagonal entry allows no sweep these come first, up to 500 unknowns. What that
+leaves open goes to the direct methods, with which the KKT form of a program begins: neither sweeps nor pivots find much
+in it. Otherwise:
 
 The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
 and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:

@@ -26,7 +26,6 @@ PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper t
 # Up to where one compiled call is quicker than libraries called step by step.
 COMPILED_UP_TO = 256  # rows of a dense M
 COMPILED_SPARSE_UP_TO = 128  # rows of a sparse one, treated as dense
-CONTACTS_UP_TO = 1200  # rows of contacts with friction: a round for all of them takes about a tenth of a second
 PIVOTED_AT_ONCE_UP_TO = 160  # rows of a dense M with a positive diagonal: beyond, an interior point is less than a path
 
 # Up to where a sparse matrix is quicker shown to be definite as a dense one.

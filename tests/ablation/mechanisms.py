@@ -296,10 +296,6 @@ MECHANISMS = (
               {"methods.small.small_dense:is_short": says(False)},
               "methods/small/small_dense.py methods/small/kernels/small_problems.py methods/small/kernels/tableau.py "
               "methods/small/kernels/small_systems.py methods/small/kernels/workspace.py"),
-    Mechanism("contact loop", "contacts with friction pyramids in one compiled call",
-              {"methods.small.small_dense:has_contacts": says(False)},
-              "methods/small/kernels/contact_problems.py methods/small/kernels/contact_rounds.py "
-              "methods/small/kernels/contact_systems.py methods/small/kernels/friction_pyramids.py"),
     Mechanism("fused", "auto's first method in one compiled call where nobody watches",
               {"core.solving.driver:fused": says(None)}, "core/solving/driver.py:fused"),
     Mechanism("banded", "rounds of active sets on narrow bands",

@@ -298,13 +298,6 @@ def _path_or_interior_point(repeats: int) -> str:
     return f"lemke takes {seconds['lemke'] / seconds['interior_point']:.1f} times as long as interior_point there"
 
 
-def _contacts(repeats: int) -> str:
-    """Return what contacts with friction cost at the end of the compiled road."""
-    case = friction(tuning.CONTACTS_UP_TO // 6)
-    problem = LCP(case.M, case.q)
-    return f"auto takes {medians({'auto': partial(_solved_afresh, problem, 'auto')}, repeats)['auto']:.1e} s there"
-
-
 def _sharp_bound(repeats: int) -> str:
     problem = _grid(316)
     z = solve(problem, "multigrid").z
@@ -347,7 +340,7 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
     "COMPILED_UP_TO": partial(_compiled, _dense, "COMPILED_UP_TO"),
     "COMPILED_SPARSE_UP_TO": partial(_compiled, _scattered, "COMPILED_SPARSE_UP_TO"),
-    "PIVOTED_AT_ONCE_UP_TO": _path_or_interior_point, "CONTACTS_UP_TO": _contacts,
+    "PIVOTED_AT_ONCE_UP_TO": _path_or_interior_point,
     "DIRECT_UP_TO": _factor_or_multigrid, "LINEAR_PROGRAM_UP_TO": _program,
     "FACTOR_OPERATIONS_UP_TO": _operations, "DENSE_OPERATIONS": _dense_speed, "SPARSE_OPERATIONS": _sparse_speed,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,

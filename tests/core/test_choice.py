@@ -449,14 +449,14 @@ def test_where_the_diagonal_is_not_positive_either_pivoting_comes_first() -> Non
 
 
 @pytest.mark.parametrize("contacts", [25, 40, 80])
-def test_frictional_contact_is_solved_in_its_own_unknowns(contacts: int) -> None:
-    """Copositive, neither symmetric nor H₊: rounds over the contacts touch less than n pivots on the whole of M."""
+def test_frictional_contact_is_solved_by_pivots_alone(contacts: int) -> None:
+    """Copositive, neither symmetric nor H₊: up to 500 rows a compiled path comes first, of at most 3 n pivots."""
     case = friction(contacts)
     problem = LCP(case.M, case.q)
     result = solve(problem)
     assert result.is_solved
-    assert names(result) == ["newton"]
-    assert result.work * problem.nonzeros <= 0.2 * problem.n**3
+    assert names(result) == ["lemke"]
+    assert result.work * problem.nonzeros <= 3.0 * problem.n**3
 
 
 def test_what_is_too_large_is_left_out() -> None:

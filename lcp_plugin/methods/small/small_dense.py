@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, without_warnings
 from ...core.certificates.criterion import within
-from ...core.checks import DENSE_ABOVE_DENSITY, FloatVector, read_only
+from ...core.checks import FloatVector, read_only
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
-from ...core.tuning import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO, CONTACTS_UP_TO
+from ...core.matrix.row_sums import has_positive_diagonal
+from ...core.tuning import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO, PIVOTS_FIRST_UP_TO
 
 # the phases of `methods.small.kernels.small_problems`, by the methods that they are
 PARTS = ("npsor", "newton", "lemke")
@@ -39,8 +39,9 @@ class SmallDenseSolver(Algorithm):
 
     @staticmethod
     def takes(problem: LCP) -> bool:
-        """Return whether the problem is small enough, or of contacts with friction, and all of it is here."""
-        return is_short(problem) or has_contacts(problem)
+        """Return whether the problem is small enough, and all of it is here; larger where pivots come first anyway."""
+        pivots_first = problem.n <= PIVOTS_FIRST_UP_TO and not problem.is_distributed
+        return is_short(problem) or (pivots_first and not has_positive_diagonal(problem.matrix).all())
 
     def phases_of_small(self) -> Phases:
         """Return all phases."""
@@ -59,23 +60,6 @@ def is_short(problem: LCP) -> bool:
     """Return whether the problem is small enough, and all of it is here."""
     largest = COMPILED_UP_TO if problem.is_dense else COMPILED_SPARSE_UP_TO
     return 0 < problem.n <= largest and not problem.is_distributed
-
-
-def has_contacts(problem: LCP) -> bool:
-    """Return whether the problem is one of contacts with friction that a compiled call takes."""
-    may_have = 0 < problem.n <= CONTACTS_UP_TO and not problem.is_distributed
-    return may_have and problem.is_plain and has_rows_of_contacts(problem.matrix)
-
-
-@fact
-def has_rows_of_contacts(matrix: Matrix) -> bool:
-    """Return whether M has the rows that ``LCP.from_contacts`` writes, in its order."""
-    if matrix.diagonal[-1]:
-        return False
-    from .kernels.contact_problems import count_contacts
-
-    real, whole, _ = new_workspace(matrix.n)
-    return bool(count_contacts(as_dense(matrix), real, whole) > 0)
 
 
 @fact
@@ -106,15 +90,7 @@ def steps(problem: LCP, z0: FloatVector, phases: Phases) -> Iterator[Step]:
     if state[kernels.PHASE] == kernels.UNUSUAL:
         return
     phase = int(answers.work[0, :3].argmax())
-    contacts = Answers(1, problem.n)
-    if phases == EVERYTHING and not unit:
-        run_contacts(arrays, -1.0, 0, 1, new_workspace(problem.n), contacts)
-    if contacts.made.any():
-        z, touched = answers.z[0], problem.n**2 / max(problem.nonzeros, 1)
-        yield Step(z, residual=float(answers.residual[0]), work=touched, label=PARTS[1])
-        z, work = contacts.z[0], contacts.work[0, kernels.TOTAL] - touched
-        yield Step(z, residual=float(contacts.residual[0]), work=work, label=PARTS[1])
-    while is_short(problem):
+    while True:
         z = np.clip(np.ldexp(answers.z[0], -unit), problem.lower, problem.upper) if unit else answers.z[0]
         if np.isfinite(z).all():
             residual, work = np.ldexp(answers.residual[0], -unit), answers.work[0, kernels.TOTAL]
@@ -131,8 +107,7 @@ def solve_fused(
     """Return where `steps` converge within the tolerance, None where they do not."""
     start = NO_START if z0 is problem.nearest_to_zero else as_batch(z0)
     vectors, answers = map(as_batch, (problem.q, problem.lower, problem.upper)), Answers(1, problem.n)
-    arrays, may_have = (as_dense(problem.matrix), *vectors, start), has_rows_of_contacts(problem.matrix)
-    run_phases(arrays, phases, tolerance, max_iterations, 0, 1, answers, may_have_contacts=may_have)
+    run_phases((as_dense(problem.matrix), *vectors, start), phases, tolerance, max_iterations, 0, 1, answers)
     return answers.solve_fused(0)
 
 
@@ -152,51 +127,15 @@ def _shapes(n: int) -> Any:
 def run_phases(
     arrays: tuple[Any, ...], phases: Phases, tolerance: float, max_iterations: int, first: int, end: int,
     answers: Answers, *, steps: int | None = None, workspace: tuple[Any, Any, Any] | None = None,
-    may_have_contacts: bool = True,
 ) -> None:  # fmt: skip
     """Write the answers to problems first ≤ k < end of a batch, as far as the planned phases converge."""
     from .kernels.small_problems import ALL, follow_all, run_all
 
-    workspace, left = workspace or new_workspace(arrays[0].shape[1]), [(first, end)]
-    if may_have_contacts and phases == EVERYTHING and steps is None and max_iterations > 0:
-        left = run_contacts(arrays, tolerance, first, end, workspace, answers)
-    else:
-        answers.made[first:end] = 0
-    steps = ALL if steps is None else steps
-    for begin, stop in left:
-        before = int(answers.made[begin].sum())  # steps for contacts, as many in all of a range
-        spent = (answers.made[begin:stop].copy(), answers.work[begin:stop].copy()) if before else (0, 0.0)
-        limits = tolerance, max_iterations - before, begin, stop
-        if run_all(*arrays, *phases, *limits, steps, *workspace, *answers.arrays):
-            follow_all(*arrays[:4], tolerance, begin, stop, *workspace, *answers.arrays)
-        answers.judge(begin, stop, tolerance)
-        if before:
-            answers.made[begin:stop] += spent[0]
-            answers.work[begin:stop] += spent[1]
-
-
-def run_contacts(
-    arrays: tuple[Any, ...], tolerance: float, first: int, end: int, workspace: Any, answers: Answers
-) -> list[tuple[int, int]]:
-    """Write the answers to those of these problems that are of contacts with friction; return the rest, as ranges.
-
-    Those of a range have taken as many steps, none or one. What is too large for other phases is not in the rest.
-    """
-    M, n = arrays[0], arrays[0].shape[1]
-    if (M[first:end] if len(M) > 1 else M)[:, -1, -1].all():  # the last row is of no speed λ
-        answers.made[first:end] = 0
-        return [(first, end)]
-    from .kernels.contact_problems import solve_all_contacts
-
-    left = solve_all_contacts(*arrays, tolerance, first, end, *workspace, *answers.arrays)
+    workspace, steps = workspace or new_workspace(arrays[0].shape[1]), ALL if steps is None else steps
+    limits = tolerance, max_iterations, first, end
+    if run_all(*arrays, *phases, *limits, steps, *workspace, *answers.arrays):
+        follow_all(*arrays[:4], tolerance, first, end, *workspace, *answers.arrays)
     answers.judge(first, end, tolerance)
-    if not left:
-        return []
-    if n > COMPILED_SPARSE_UP_TO and (n > COMPILED_UP_TO or np.count_nonzero(M[:1]) <= DENSE_ABOVE_DENSITY * n * n):
-        return []
-    kinds = np.where(answers.has_converged[first:end], -1, answers.made[first:end, 1])
-    cuts = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), end - first]
-    return [(first + a, first + b) for a, b in pairwise(cuts) if kinds[a] >= 0]
 
 
 class Answers:

@@ -8,12 +8,27 @@ from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
 from ...methods.small.kernels.small_systems import eliminate, substitute
-from ...methods.small.kernels.workspace import CANDIDATE
 from .kernels import OUTWARD, block_bounds, block_derivative, measure, own_terms, project, sweep_once
 from .methods import EXACT, LEAST_PROXIMAL
 
 LAST_STEPS = 2  # where the system is singular and a proximal term left in it
 SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale of an LCP
+
+
+@helper
+def _copy(x, y):  # type: ignore[no-untyped-def]
+    """Write x into y: as y[:] = x, whose check of shapes takes two seconds to compile."""
+    for i in range(x.size):
+        y[i] = x[i]
+
+
+@helper
+def _put_back(starts, weights, origin, z):  # type: ignore[no-untyped-def]
+    """Write z° into the blocks of z whose component it answers."""
+    for k in range(weights.size):
+        if weights[k] == 0.0:
+            for i in range(starts[k], starts[k + 1]):
+                z[i] = origin[i]
 
 
 @helper
@@ -109,14 +124,14 @@ def _references(  # type: ignore[no-untyped-def]
 
 @helper
 def _newton_step(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J, whole,
-    place, step
+    starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J, place,
+    step
 ):
     """Write the step s of (R_z + R_w (M + ε D)) s = −R; return whether there is one.
 
     Of open blocks, and of rows at bounds, s = −R; the system is that of the others, whose rows `place` numbers.
     """
-    n = 0
+    n = np.int64(0)  # numpy's: one signature of `eliminate`
     for k in range(slope.size):
         block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
         is_free = False
@@ -144,7 +159,7 @@ def _newton_step(  # type: ignore[no-untyped-def]
                         else:
                             right += by_w[k, i, j] * data[p] * R[column]
             J[row, n] = right
-    if not eliminate(J, whole, place.size, n):
+    if not eliminate(J, place.size, n):
         return False
     substitute(J, n)
     for i in range(place.size):
@@ -156,7 +171,7 @@ def _newton_step(  # type: ignore[no-untyped-def]
 @helper
 def _newton(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, goal, most_steps,
-    constants, z, w, R, start, sizes, x, way, by_z, by_w, J, whole, place, step
+    constants, z, w, R, start, sizes, x, way, by_z, by_w, J, place, step
 ):
     """Take Newton's steps, with a nonmonotone line search, to the goal; return the largest residual and how many."""
     proximal, halvings, decrease, least_proximal, harder = constants
@@ -170,13 +185,12 @@ def _newton(  # type: ignore[no-untyped-def]
         epsilon = max(min(proximal, 0.1 * largest), least_proximal)
         while epsilon <= 1.0 and not _newton_step(
             starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w,
-            J, whole, place, step,
+            J, place, step,
         ):
             epsilon *= harder
         if epsilon > 1.0:
             return largest, made
-        for i in range(z.size):
-            start[i] = z[i]
+        _copy(z, start)
         length, allowed = 1.0, size
         for earlier in sizes:
             allowed = max(allowed, earlier)
@@ -218,7 +232,7 @@ def solve_each(  # type: ignore[no-untyped-def]
     b, x, y, before = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
     by_z, by_w, step, place = np.empty((blocks, m, m)), np.empty((blocks, m, m)), np.empty(n), np.empty(n, np.int64)
     w, R, slip, start, swept = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    J, whole = np.empty((n + 4, n + 1)), np.empty((CANDIDATE + 1, 2 * n + 2), np.int64)
+    J = np.empty((n + 4, n + 1))
     for number in range(item, end_item):
         made[number, 0], made[number, 1] = 0, -1
         slope, lower, upper = slopes[number], lowers[number], uppers[number]
@@ -226,36 +240,39 @@ def solve_each(  # type: ignore[no-untyped-def]
         if not _gather(matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale):
             continue
         _label(norms, labels)
-        _product(indptr, indices, data, q, origin, w, slip)
+        _copy(origin, swept)
+        _product(indptr, indices, data, q, swept, w, slip)
         if not _references(
-            starts, slope, friction, lower, upper, origin, w, slip, scale, labels, R, least, most, reference, weights
+            starts, slope, friction, lower, upper, swept, w, slip, scale, labels, R, least, most, reference, weights
         ):
             continue
-        for k in range(blocks):
-            if weights[k] == 0.0:
-                z[starts[k]:starts[k + 1]] = origin[starts[k]:starts[k + 1]]
+        _put_back(starts, weights, origin, z)
         largest = measure(
             starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
         )[0]
-        random, swept[:], newton_steps = 1, z, 0
+        random, newton_steps = 1, 0
+        _copy(z, swept)
         for turn in range(rounds.size):
             if largest <= goal:
                 break
-            z[:] = swept
+            _copy(swept, z)
             for _ in range(rounds[turn]):
                 sweep_once(
                     starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, y, before
                 )
             made[number, 0] += rounds[turn]
-            swept[:] = z
+            _copy(z, swept)
             if turn % 2:
-                spread = 2.0 * away * np.abs(swept).mean()
+                total = 0.0
+                for i in range(n):
+                    total += abs(swept[i])
+                spread = 2.0 * away * (total / n)
                 for i in range(n):
                     random = (1103515245 * random + 12345) % 2147483648
                     z[i] += spread * (random / 1073741824.0 - 1.0)
             largest, taken = _newton(
                 starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, goal, most_steps,
-                constants, z, w, R, start, sizes, x, y, by_z, by_w, J, whole, place, step,
+                constants, z, w, R, start, sizes, x, y, by_z, by_w, J, place, step,
             )
             newton_steps += taken
         if largest <= goal:
@@ -263,10 +280,11 @@ def solve_each(  # type: ignore[no-untyped-def]
             for _ in range(LAST_STEPS):
                 if largest <= EXACT or not pays:
                     break
-                start[:], epsilon = z, 0.0
+                _copy(z, start)
+                epsilon = 0.0
                 while epsilon <= LEAST_PROXIMAL and not _newton_step(
                     starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, y, by_z,
-                    by_w, J, whole, place, step,
+                    by_w, J, place, step,
                 ):
                     epsilon = max(2.0 * epsilon, LEAST_PROXIMAL)
                 if epsilon > LEAST_PROXIMAL:
@@ -278,19 +296,17 @@ def solve_each(  # type: ignore[no-untyped-def]
                     starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
                 )[0]
                 if not largest < before_it:
-                    z[:] = start
+                    _copy(start, z)
                     break
             made[number, 1] = newton_steps
-            for k in range(blocks):
-                if weights[k] == 0.0:
-                    z[starts[k]:starts[k + 1]] = origin[starts[k]:starts[k + 1]]
+            _put_back(starts, weights, origin, z)
             project(starts, slope, lower, upper, z)
             _product(indptr, indices, data, q, z, w, slip)
             own_terms(
                 starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, start, step, R,
                 swept, least, most, weights,
             )
-            proved[number] = 0.0
+            proved[number, 0] = proved[number, 1] = 0.0
             for k in range(blocks):
                 most[k] = block_bounds(k, starts, slope, friction, lower, upper, z, w, slip, scale, R)[1]
                 if most[k] > 0.0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.kernels.compilation import helper, inlined
-from .workspace import AT_UPPER, BETWEEN, CANDIDATE, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
+from .workspace import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290
@@ -36,7 +36,7 @@ def solve_free(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-unty
                 if bound != 0.0:
                     total -= M[k, i, j] * bound
             matrix[p, free] = total / unit
-        is_solved = _eliminate_symmetric(matrix, n, free) if attempt == 0 else eliminate(matrix, whole, n, free)
+        is_solved = _eliminate_symmetric(matrix, n, free) if attempt == 0 else eliminate(matrix, n, free)
     if not is_solved:
         return -1
     substitute(matrix, free)
@@ -58,20 +58,6 @@ def substitute(matrix, free):  # type: ignore[no-untyped-def]
         for j in range(p + 1, free):
             total -= matrix[p, j] * matrix[j, free]
         matrix[p, free] = total / matrix[p, p]
-
-
-@helper
-def solve_again(matrix, whole, n, free):  # type: ignore[no-untyped-def]
-    """Solve with the factors that `eliminate` left for another right-hand side in column `free`."""
-    for p in range(free):
-        best = whole[CANDIDATE, n + 1 + p]
-        matrix[p, free], matrix[best, free] = matrix[best, free], matrix[p, free]
-    for i in range(free):
-        total = matrix[i, free]
-        for p in range(i):
-            total -= matrix[i, p] * matrix[p, free]
-        matrix[i, free] = total
-    substitute(matrix, free)
 
 
 @inlined
@@ -107,11 +93,10 @@ def _eliminate_symmetric(matrix, n, free):  # type: ignore[no-untyped-def]
 
 
 @helper
-def eliminate(matrix, whole, n, free):  # type: ignore[no-untyped-def]
+def eliminate(matrix, n, free):  # type: ignore[no-untyped-def]
     """Eliminate below the diagonal with partial pivoting; return whether no column was all rounding.
 
-    Four columns are eliminated at a time, their rows copied behind the others. Their factors stay below the diagonal,
-    and the rows exchanged in `whole`.
+    Four columns are eliminated at a time, their rows copied behind the others.
     """
     largest = 0.0
     for i in range(free):
@@ -125,7 +110,6 @@ def eliminate(matrix, whole, n, free):  # type: ignore[no-untyped-def]
                 best = i if abs(matrix[i, p]) > abs(matrix[best, p]) else best
             if not abs(matrix[best, p]) > CANCELLED * largest:
                 return False
-            whole[CANDIDATE, n + 1 + p] = best
             if best != p:
                 for j in range(free + 1):
                     matrix[p, j], matrix[best, j] = matrix[best, j], matrix[p, j]

@@ -305,7 +305,9 @@ def run_all(  # type: ignore[no-untyped-def]
             add_product(propagator_indptr, propagator_indices, propagator_data, z, q)
             for i in range(n):
                 z[i] = min(max(z[i], lower[i]), upper[i])
-        residual_ends(indptr, indices, data, 0, nearest, q, nearest, lower, upper, scale, smallest, largest)
+        for i in range(n):  # a start that may be written to, as z: one signature of what follows
+            vectors[1, i] = nearest[i]
+        residual_ends(indptr, indices, data, 0, vectors[1], q, vectors[1], lower, upper, scale, smallest, largest)
         least, most = _largest(smallest), _largest(largest)
         _begin(is_direct, lower, upper, memory, halves)
         residual, goes_on = _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), least > 0.0

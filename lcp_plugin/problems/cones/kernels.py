@@ -18,6 +18,7 @@ OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: at the apex or a bound, in
 LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for one block
 TURN = 0.5  # radians a step of Newton turns at the most
 ACCURATE = 1e-14
+FIRST = np.int64(0)  # row of a block by itself; numba compiles a function anew for a 0 of Python's
 
 
 @helper
@@ -200,7 +201,7 @@ def block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, w
         by_z[i, i] = 1.0
     if friction:
         x[0] -= mu * slip / scale[k]
-    tangent = _tangent(x, 0, size)
+    tangent = _tangent(x, FIRST, size)
     if mu * tangent <= -x[0] and not tangent <= mu * x[0]:
         return
     if mu == 0.0:  # a half-line: tangents are held at 0
@@ -322,10 +323,10 @@ def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-un
             for j in range(size):
                 w[i] += A[i, j] * x[j]
         if friction:
-            w[0] += mu * _tangent(w, 0, size)
+            w[0] += mu * _tangent(w, FIRST, size)
         for i in range(size):
             w[i], x[i] = x[i], x[i] - step * w[i]
-        _project(x, 0, size, mu)
+        _project(x, FIRST, size, mu)
         for i in range(size):
             change, length = max(change, abs(x[i] - w[i])), max(length, abs(x[i]))
         if change <= ACCURATE * length:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.certificates.criterion import within
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, read_only
 from ...core.settings import Settings
 from .data import Blocks
 from .methods import DECREASE, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL, SHORTEST, SPREAD
@@ -103,4 +103,5 @@ _ARRAYS: tuple[Callable[[Blocks], Any], ...] = (
 
 
 def _stacked(arrays: list[Any]) -> Any:
-    return np.ascontiguousarray(arrays[0])[np.newaxis] if len(arrays) == 1 else np.stack(arrays)
+    """Return the arrays of all problems as one, read-only: one signature of the loop for one problem and for many."""
+    return read_only(np.ascontiguousarray(arrays[0])[np.newaxis] if len(arrays) == 1 else np.stack(arrays))

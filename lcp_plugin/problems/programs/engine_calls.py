@@ -28,8 +28,7 @@ from .program_matrices import as_csr, may_be_small
 from .reductions import FixedVariables, FoldedRows, Reduction
 from .solution import QPSolution
 
-SHARPEST = 4  # points: as it came, and polished, each with its noise and without
-NOISE = 2.0**-44
+SHARPEST = 2  # points: as it came, and polished
 CALLS = 4  # of an engine for one program
 
 Answered = tuple[QPSolution | None, Point]
@@ -172,20 +171,9 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])
     for one in chain(first, [point], cases, at_zero):
-        for near in chain([one], _without_noise(one)):
-            if (solution := _solution(reduction, prepared, near)) is not None:
-                yield solution, one._replace(iterations=steps)
-                steps = 0
-
-
-def _without_noise(point: Point) -> Iterator[Point]:
-    """Yield the point with 0 in place of x and multipliers that are rounding beside the largest, if any."""
-    x, y = point.x, np.concatenate(point.multipliers)
-    of_x, of_y = np.abs(x), np.abs(y)
-    in_x, in_y = of_x <= NOISE * of_x.max(initial=0.0), of_y <= NOISE * of_y.max(initial=0.0)
-    if x[in_x].any() or y[in_y].any():
-        kept = np.split(np.where(in_y, 0.0, y), np.cumsum([part.size for part in point.multipliers[:-1]]))
-        yield point._replace(x=np.where(in_x, 0.0, x), multipliers=Multipliers(*kept))
+        if (solution := _solution(reduction, prepared, one)) is not None:
+            yield solution, one._replace(iterations=steps)
+            steps = 0
 
 
 def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:

@@ -484,6 +484,15 @@ def certified(count: int = 60) -> Iterator[Input]:
         yield Input("certify", str(number), partial(state, number), ask, judge)
 
 
+def published_answers() -> Iterator[Input]:
+    """What `certify` proves of answers to published programs."""
+    def judge(_: Any, said: Any) -> str:
+        return PROVED if said.verdict == "proved" else OPEN
+
+    for one in published_programs():
+        yield Input("certify, published", one.name, one.state, lambda program: certify(solve(program)), judge)
+
+
 def equilibria(count: int = 40) -> Iterator[Input]:
     from campaigns.best_equilibria import complaints, random_problem, truth
 
@@ -863,7 +872,7 @@ SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "batches of programs": batches_of_programs, "published programs": published_programs,
     "planted programs": planted_programs, "shapes of programs": partial(shapes, full=False),
     "shapes of programs, larger": partial(shapes, full=True), "programs again": programs_again,
-    "outliers": outliers, "certify": certified, "equilibria": equilibria,
+    "outliers": outliers, "certify": certified, "certify, published": published_answers, "equilibria": equilibria,
     "followers without bounds": followers_without_bounds,
     "least squares": least_squares, "least squares, larger": large_least_squares, "cones": cones,
     "published contacts": published_contacts, "piles": piles,

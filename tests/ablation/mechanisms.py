@@ -519,6 +519,8 @@ MECHANISMS = (
     Mechanism("sharp distance", "how far an x is, by its residuals",
               {f"{PROGRAMS}.certification:ProgramProofs.sharpened": given_back(1)},
               "problems/programs/sharp_distances.py problems/programs/certification.py:ProgramProofs.sharpened"),
+    Mechanism("dual slack", "dual points repaired to have the signs that are needed",
+              {f"{BOUNDS}._with_slack": given_back(1)}, "problems/programs/dual_bounds.py:DualBounds._with_slack"),
     Mechanism("exact dual", "the dual bound in exact arithmetic",
               {f"{BOUNDS}._exact_value": says(-math.inf)}, "problems/programs/dual_bounds.py:DualBounds._exact_value"),
     Mechanism("implied box", "bounds of unknowns that the rows imply",

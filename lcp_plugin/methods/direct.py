@@ -12,16 +12,16 @@
 | sparse, few rows with a bound | first condensed, where that is less than ten factors |
 
 Where the diagonal is negative throughout, as where M has the wrong sign, newton is left out beyond n = 5000. Before
-them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases
-in doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any
-other method takes; some ten milliseconds at the most. Each runs until it ends; but where no theorem promises an end,
-newton and lemke have a turn of so many steps or pivots, and wait, where they need more, until all others have had
-theirs (:class:`FallbackOrder`). At last newton begins once more where the run began. Where a factor is too large by the
-counts of its columns, newton and interior_point are left out, but not of programs. A row that contradicts its bounds by
-itself brings `feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000); so does a factor of
-a sparse symmetric M that meets a pivot of 0, of a structure that nothing holds, at any n. lemke takes n ≤ 6000 (beyond,
-psor comes back at the end, until it stalls), `search` looks at the cases of problems with n ≤ 60 until a counted number
-of operations; what doubles leave open goes to exact arithmetic where at most 24 rows leave a choice.
+them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases in
+doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any other
+method takes; some ten milliseconds at the most. Each runs until it ends; but where no theorem promises an end, newton
+and lemke have a turn of so many steps or pivots, and wait, where they need more, until all others have had theirs
+(:class:`FallbackOrder`). Where a factor is too large by the counts of its columns, newton and interior_point are left
+out, but not of programs. A row that contradicts its bounds by itself brings `feasibility` to the front: it looks for a
+proof that there is no solution (n ≤ 5000); so does a factor of a sparse symmetric M that meets a pivot of 0, of a
+structure that nothing holds, at any n. lemke takes n ≤ 6000 (beyond, psor comes back at the end, until it stalls),
+`search` looks at the cases of problems with n ≤ 60 until a counted number of operations; what doubles leave open goes
+to exact arithmetic where at most 24 rows leave a choice.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class FallbackOrder:
         self._problem, self._waiting = problem, list[Choice]()
         self.left_out: list[str] = []
         by_prospects = _by_prospects(problem, prove_infeasibility, self.left_out)
-        self._last = chain(_once_more(problem), _at_last(problem, prove_infeasibility, self.left_out))
+        self._last = _at_last(problem, prove_infeasibility, self.left_out)
         self._coming = chain(_first_look(problem, prove_infeasibility) if looks_at_cases else (), by_prospects)
         self._now: Choice | None = None
 
@@ -117,12 +117,6 @@ class FallbackOrder:
             following = next(self._last, None)
         self._now = following or self._now
         return following
-
-
-def _once_more(problem: LCP) -> Iterator[Choice]:
-    """Yield newton from where the run began: the best point may have led it astray."""
-    if problem.n <= PIVOTED_UP_TO:
-        yield Choice(Newton(), "newton once more, from the start", from_start=True)
 
 
 def factor_passes(problem: LCP) -> float:

@@ -16,7 +16,6 @@ PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
 DIRECT, LEAST, CONES, EQUILIBRIA = "methods.direct", "problems.least_squares", "problems.cones", "problems.equilibria"
 INTERIOR, NEWTON, PROGRAMS = "methods.interior.interior_point", "methods.newton.semismooth_newton", "problems.programs"
 CALLS = f"{PROGRAMS}.engine_calls"
-NONLINEAR = "problems/nonlinear/test_nonlinear.py"
 STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_NewtonRun", f"{PROGRAMS}.dual_bounds:DualBounds"
 
 
@@ -31,15 +30,12 @@ class Mechanism(NamedTuple):
         What is put in place of what, by places.
     goes : str
         Files, folders and definitions that it alone needs.
-    claim : str
-        A test of this folder's parent that fails without it, ``path::name``, where the inputs here show no loss.
     """
 
     name: str
     purpose: str
     off: dict[str, Instead]
     goes: str = ""
-    claim: str = ""
 
     @property
     def patches(self) -> list[Patch]:
@@ -329,8 +325,6 @@ MECHANISMS = (
     # --- LCPs: the direct methods
     Mechanism("condensed", "unknowns without bounds eliminated by one factor",
               {"methods.newton.condensed:condensing_passes": says(math.inf)}, "methods/newton/condensed.py"),
-    Mechanism("retries", "newton once more, from the start",
-              {f"{DIRECT}:_once_more": nothing()}, "methods/direct.py:_once_more"),
     Mechanism("largest point", "−M an M-matrix: one system decides",
               {"proofs.verdicts.report:is_negated_m_matrix": says(False)},
               "methods/search/stages.py:LargestPoint proofs/verdicts/report.py:is_negated_m_matrix"),
@@ -365,8 +359,6 @@ MECHANISMS = (
               {f"{NEWTON}:damped_steps": nothing()},
               "methods/newton/semismooth_newton.py:damped_steps methods/newton/semismooth_newton.py:_full_step "
               "methods/newton/semismooth_newton.py:_searched methods/newton/semismooth_newton.py:_newton_direction"),
-    Mechanism("principal pivots", "one row at a time where newton's sets return",
-              {f"{NEWTON}:principal_pivots": nothing()}, "methods/newton/semismooth_newton.py:principal_pivots"),
     # --- multigrid
     Mechanism("nested start", "multigrid begins on the coarsest grid",
               {"methods.multigrid.multigrid_run:MultigridRun._nested_start": skipped()},
@@ -424,11 +416,16 @@ MECHANISMS = (
               {"engines.statement:Prepared.of": Instead(in_given_units, if_in_other_units)}),
     Mechanism("far limits", "an engine is asked again without limits far beyond all others",
               {"engines.statement:far_limits": differing(no_limit)}, "engines/statement.py:far_limits"),
+    Mechanism("noise", "rounding beside the largest of an engine's numbers put to 0",
+              {f"{CALLS}:_without_noise": nothing()}, "problems/programs/engine_calls.py:_without_noise"),
     Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
               {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, 0.0))},
               "problems/programs/criterion.py:Acting"),
     Mechanism("folded rows", "rows with one entry become bounds",
               {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)}),
+    Mechanism("fixed variables", "variables with equal bounds leave small programs",
+              {f"{PROGRAMS}.reductions:FixedVariables.of": says(None)},
+              "problems/programs/reductions.py:FixedVariables"),
     Mechanism("defined variables", "what an equation alone defines is put in before a run",
               {f"{PROGRAMS}.reductions:DefinedVariables.of": says(None)},
               "problems/programs/reductions.py:DefinedVariables"),
@@ -462,8 +459,7 @@ MECHANISMS = (
               {f"{CONES}.solving:_is_for_the_loop": says(False)},
               "problems/cones/small.py problems/cones/small_kernels.py"),
     Mechanism("late stages", "more sweeps and other starts at the end",
-              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))},
-              claim="problems/cones/test_cones.py::test_groups_of_contacts_are_right_each"),
+              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))}),
     Mechanism("cone interior", "an interior point along the central path of contacts",
               {f"{CONES}.solving:ConeAuto._stages": without("interior_point")},
               "problems/cones/methods.py:InteriorPoint problems/cones/central_path.py"),
@@ -483,15 +479,12 @@ MECHANISMS = (
               "problems/nonlinear/josephy_newton.py:_NewtonRun.start_elsewhere"),
     Mechanism("by Φ", "steps of Fischer–Burmeister before linear problems",
               {f"{STEPS}._by_phi": says(None)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._by_phi",
-              f"{NONLINEAR}::test_a_far_start_of_a_large_problem_costs_few_factorisations"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._by_phi"),
     Mechanism("proximal", "linearisations with a larger diagonal", {f"{STEPS}._proximal": says(None)},
               "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal "
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point",
-              f"{NONLINEAR}::test_steps_that_are_far_too_long_are_shortened"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point"),
     Mechanism("descent", "steepest descent at last", {f"{STEPS}._descended": says(None)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._descended",
-              f"{NONLINEAR}::test_of_several_solutions_one_near_the_start_is_found"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._descended"),
     Mechanism("Krawczyk", "proves a solution of a nonlinear problem near an answer",
               {"problems.nonlinear.krawczyk:krawczyk_bound": says(None)}, "problems/nonlinear/krawczyk.py"),
     # --- equilibria
@@ -509,9 +502,7 @@ MECHANISMS = (
               {f"{EQUILIBRIA}.incumbents:LocalSearch.from_leaders": skipped()},
               "problems/equilibria/incumbents.py:LocalSearch.from_leaders "
               "problems/equilibria/incumbents.py:followers_solved problems/equilibria/incumbents.py:leaders "
-              "problems/equilibria/incumbents.py:_followed",
-              "problems/equilibria/test_best_equilibrium_network.py"
-              "::test_the_optimum_on_a_network_is_believed_with_scip_and_found_without"),
+              "problems/equilibria/incumbents.py:_followed"),
     Mechanism("incumbents", "solutions from the points of relaxations",
               {f"{EQUILIBRIA}.incumbents:LocalSearch.from_point": says(None)},
               "problems/equilibria/incumbents.py:LocalSearch.from_point"),
@@ -519,8 +510,6 @@ MECHANISMS = (
     Mechanism("sharp distance", "how far an x is, by its residuals",
               {f"{PROGRAMS}.certification:ProgramProofs.sharpened": given_back(1)},
               "problems/programs/sharp_distances.py problems/programs/certification.py:ProgramProofs.sharpened"),
-    Mechanism("dual slack", "dual points repaired to have the signs that are needed",
-              {f"{BOUNDS}._with_slack": given_back(1)}, "problems/programs/dual_bounds.py:DualBounds._with_slack"),
     Mechanism("exact dual", "the dual bound in exact arithmetic",
               {f"{BOUNDS}._exact_value": says(-math.inf)}, "problems/programs/dual_bounds.py:DualBounds._exact_value"),
     Mechanism("implied box", "bounds of unknowns that the rows imply",
@@ -528,8 +517,7 @@ MECHANISMS = (
               "problems/programs/dual_bounds.py:implied_box problems/programs/dual_bounds.py:_tighten"),
     Mechanism("exact points", "feasible points in exact arithmetic",
               {f"{PROGRAMS}.feasible_points:FeasiblePoints.exactly_near": says(None)},
-              "problems/programs/feasible_points.py:FeasiblePoints.exactly_near",
-              "problems/programs/test_certify.py::test_feasible_points_are_feasible"),
+              "problems/programs/feasible_points.py:FeasiblePoints.exactly_near"),
     # --- many
     Mechanism("lesson", "a step of a march begins with what ended the one before",
               {"problems.march.marching:StepPolicy.following": says(None)}, "problems/march/marching.py"),

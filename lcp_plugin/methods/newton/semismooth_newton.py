@@ -24,9 +24,7 @@ from .active_set import LARGE_PATIENCE, NewtonState, classify
 PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
 PATIENT_ROWS = 250
 ROUNDS = 3
-PIVOTED_ROWS = 500  # up to here single pivots are tried
-BLOCKS = 5  # block steps that may pass without a new smallest number of wrong rows
-PIVOTS_PER_STEP = 10
+BEGUN_AGAIN_UP_TO = 500  # rows: from the point of the box nearest to 0, too
 
 # Of the line search.
 LONGEST_RUN = 150
@@ -46,16 +44,15 @@ class Newton(Algorithm):
     -----
     Full steps as long as they lead to new active sets; on M-matrices these are finite and monotone. When an active
     set comes back, or nothing improves, a line search on the Fischer–Burmeister function takes over, which tries
-    full steps again where they halve it. Small problems that resist are pivoted, one index at a time where blocks
-    do not pay, and tried once more from the point of the box nearest to 0. In theory the line search converges, and
-    the pivots are finite, on P-matrices; here both are bounded in number. Singular blocks are regularised, and the
-    residual judges what comes of it. On more than 3000 rows, steps that gain little are given up early. Each step
-    yields the best z so far, projected onto the bounds.
+    full steps again where they halve it. Small problems that resist are tried once more from the point of the box
+    nearest to 0. In theory the line search converges on P-matrices; here its steps are bounded in number. Singular
+    blocks are regularised, and the residual judges what comes of it. On more than 3000 rows, steps that gain little
+    are given up early. Each step yields the best z so far, projected onto the bounds.
 
     References
     ----------
     Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558. De Luca, Facchinei, Kanzow 1996,
-    doi:10.1007/BF02592192. Murty 1974, *Opsearch* 11, 123–130.
+    doi:10.1007/BF02592192.
 
     Examples
     --------
@@ -103,7 +100,7 @@ class Newton(Algorithm):
         if is_short(problem):
             yield from steps(problem, z0, ROUNDS_ONLY)
         start = np.clip(z0, problem.lower, problem.upper)
-        is_elsewhere = problem.n <= PIVOTED_ROWS and not np.array_equal(start, problem.nearest_to_zero)
+        is_elsewhere = problem.n <= BEGUN_AGAIN_UP_TO and not np.array_equal(start, problem.nearest_to_zero)
         state = NewtonState(problem, start)
         yield state.step()
         if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
@@ -115,7 +112,7 @@ class Newton(Algorithm):
 
 
 def rounds(state: NewtonState) -> Generator[Step, None, bool]:
-    """Yield full steps and damped ones in turn, and pivots where they fail; return whether an active set settled."""
+    """Yield full steps and damped ones in turn; return whether an active set settled."""
     for _ in range(ROUNDS):
         is_settled = yield from full_steps(state)
         before = state.best
@@ -124,7 +121,6 @@ def rounds(state: NewtonState) -> Generator[Step, None, bool]:
             return True
         if not state.best < (0.9 * before if state.is_large else before):
             break
-    yield from principal_pivots(state)
     return False
 
 
@@ -152,44 +148,6 @@ def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
         lowest, fewest = min(lowest, size), min(fewest, changes)
         previous = present
     return False
-
-
-def principal_pivots(state: NewtonState) -> Iterator[Step]:
-    """Yield after every few pivots; nothing for large problems.
-
-    A row is wrong where its z leaves the bounds or its w has the wrong sign. Change all wrong rows as long as their
-    number reaches new minima, else only the first in a fixed order. On P-matrices that is finite; it may be
-    exponential, so that the number of pivots is bounded.
-
-    References
-    ----------
-    Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6. Murty 1974, *Opsearch* 11, 123–130.
-    """
-    problem = state.problem
-    if problem.n > PIVOTED_ROWS:
-        return
-    rank = np.random.default_rng(0).permutation(problem.n)
-    state.move(state.best_z)
-    at_lower, at_upper = classify(problem, state.z, state.w)
-    fewest, blocks_left = problem.n + 1, BLOCKS
-    for pivot in range(20 * problem.n + 100):
-        solution = state.solve(at_lower, at_upper)
-        if solution is None:
-            return
-        state.move(solution.z)
-        to_lower, to_upper = classify(problem, state.z, state.w)
-        wrong = np.flatnonzero((to_lower != at_lower) | (to_upper != at_upper))
-        if wrong.size == 0 or pivot % PIVOTS_PER_STEP == 0:
-            yield state.step()
-        if wrong.size == 0:
-            return
-        if wrong.size < fewest:
-            fewest, blocks_left = wrong.size, BLOCKS
-        else:
-            blocks_left -= 1
-        changed = wrong if blocks_left > 0 else wrong[[np.argmin(rank[wrong])]]
-        at_lower[changed], at_upper[changed] = to_lower[changed], to_upper[changed]
-    yield state.step()
 
 
 # --- the safeguard: a line search on the Fischer–Burmeister function ---

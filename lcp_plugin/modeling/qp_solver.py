@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector, checked_right_side, checked_vector
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.settings import Status
+from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solution import QPSolution
 from ..problems.programs.solving import solve_program
-from ._compat import CVXPY_STATUS, stand_before, statistics
+from ._compat import CVXPY_STATUS, name_of, stand_before, statistics
 from .compiled_program import CompiledProgram
 from .stated_terms import Claim, dense_value, measure, refusal
 
@@ -32,6 +33,7 @@ SOLVE_OPTIONS = {"tolerance": 1e-9}
 BEGUN = "begun from the last answer; warm_start=False begins anew"
 MATRIX_KEYS = (settings.P, settings.F, settings.A)
 ORDINARY = (1e-100, 1e100)  # numbers whose products are doubles
+MOST_NAMED = 5  # constraints that a contradiction lists
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
 
 
@@ -42,7 +44,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     """Solves convex quadratic programs, linear ones included, through their linear complementarity problem.
 
     The status is judged by the program's own residuals, then values are measured on the problem as it was stated;
-    infeasible and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.proof``.
+    infeasible and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.proof``; of an infeasible
+    problem the duals are the multipliers that prove it, and ``extra_stats.contradiction`` names the constraints.
 
     Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``,
@@ -141,7 +144,10 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         attributes = {} if result is None else statistics(result)
         if solution.status not in settings.SOLUTION_PRESENT:
             attributes["message"] = result.advice if result.proof is None else str(result.proof)
-            return failure_solution(solution.status, attributes)
+            failed = failure_solution(solution.status, attributes)
+            if isinstance(result.proof, QPInfeasibility):
+                failed.dual_vars = self._duals(_farkas(result.proof), inverse_data)
+            return failed
         values = {inverse_data[self.VAR_ID]: qp.x}
         value = qp.objective + inverse_data[settings.OFFSET]
         return Solution(solution.status, value, values, self._duals(qp, inverse_data), attributes)
@@ -154,6 +160,13 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         for values, constraints in ((qp.equality, self.EQ_CONSTR), (qp.inequality, self.NEQ_CONSTR)):
             duals |= utilities.get_dual_values(values, utilities.extract_dual_value, inverse_data[constraints])
         return duals
+
+
+def _farkas(proof: QPInfeasibility) -> QPSolution:
+    """Return the multipliers that prove infeasibility, the largest ±1, in the place of an answer's."""
+    largest = max(map(abs, proof.multipliers))
+    multipliers = np.array([float(y / largest) for y in proof.multipliers])
+    return QPSolution.of_rows(proof.program, np.zeros(proof.program.n), multipliers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,8 +345,34 @@ QPSolver = _LCPQuadraticSolver()
 def _measured(own: Callable[..., Any], problem: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
     """Unpack as cvxpy does, and measure what is ours on the user's own expressions."""
     own(problem, solution, chain, inverse_data)
-    if isinstance(solution, SolverAnswer) and (claim := solution.claim(problem.solution.opt_val)) is not None:
+    if not isinstance(solution, SolverAnswer):
+        return
+    if solution.result is not None and isinstance(proof := solution.result.proof, QPInfeasibility):
+        named = replace(solution.result, contradiction=_contradiction(problem, proof))
+        problem.solver_stats.extra_stats = named
+    elif (claim := solution.claim(problem.solution.opt_val)) is not None:
         measure(problem, claim)
+
+
+def _contradiction(problem: Any, proof: QPInfeasibility) -> str:
+    """Return the user's constraints that contradict one another, the heaviest first, and by how much they do."""
+    weights = []
+    for constraint in problem.constraints:
+        dual = constraint.dual_value
+        if dual is None or not np.any(values := np.atleast_1d(np.abs(dense_value(dual)))):
+            continue
+        first = np.unravel_index(np.argmax(values), values.shape)
+        entry = "" if values.size == 1 else f", entry {', '.join(map(str, map(int, first)))}"
+        others = int(np.count_nonzero(values)) - 1
+        more = f" and {others} more of its entries" if others else ""
+        weights.append((float(values.max()), f"{name_of(constraint)}{entry}{more}"))
+    weights.sort(key=lambda pair: -pair[0])
+    named = "; ".join(name for _, name in weights[:MOST_NAMED])
+    left = f"; and {len(weights) - MOST_NAMED} more" if len(weights) > MOST_NAMED else ""
+    if not named:
+        return ""
+    what = "contradict one another" if len(weights) > 1 else "cannot hold"
+    return f"{named}{left} {what}: every point violates a constraint by {proof.least_violation:.3g} or more"
 
 
 stand_before("unpack_results", _measured)

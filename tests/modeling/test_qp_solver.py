@@ -246,3 +246,27 @@ def test_the_first_failure_ends_in_a_proof(kind: str) -> None:
     assert problem.status == kind
     assert problem.solver_stats.extra_stats.proof.verify()
     assert not labels & {"newton", "lemke", "search"}
+
+
+@pytest.mark.parametrize("sense", [cp.Minimize, cp.Maximize])
+def test_duals_of_an_infeasible_problem_prove_it_and_name_its_constraints(sense: Any) -> None:
+    """Σ y_i (lhs_i − rhs_i) ≤ 0 of all that holds is a positive constant, as other solvers' multipliers say."""
+    x, y = cp.Variable(3, name="x"), cp.Variable(name="y", nonneg=True)
+    constraints = [x[0] >= 1, cp.sum(x) <= 0, x >= 0, y <= 3, x[1] + y == 2]
+    problem = cp.Problem(sense(cp.sum(x) - 2 * x[1]), constraints)
+    problem.solve(solver=QPSolver)
+    assert problem.status == "infeasible"
+    combined = sum(cp.sum(cp.multiply(one.dual_value, one.expr)) for one in constraints)
+    found = [combined.value for x.value, y.value in ((np.zeros(3), 0.0), (np.array([3.0, -1.0, 2.0]), 5.0))]
+    assert found == pytest.approx([1.0, 1.0])
+    words = str(problem.solver_stats.extra_stats)
+    assert all(part in words for part in ("1.0 <= x[0]", "0.0 <= x, entry 1", "contradict one another", "0.25"))
+    assert "y <= 3" not in words
+
+
+def test_a_constraint_that_cannot_hold_is_named_alone() -> None:
+    """Of |x| ≤ −1 the answer says so, whatever cvxpy adds to state it."""
+    x = cp.Variable(name="x")
+    problem = cp.Problem(cp.Minimize(x), [cp.abs(x) <= -1, x >= -5])
+    problem.solve(solver=QPSolver)
+    assert problem.solver_stats.extra_stats.contradiction.startswith("abs(x) <= -1.0 cannot hold")

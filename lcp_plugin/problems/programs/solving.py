@@ -91,6 +91,8 @@ class QuadraticProgramResult(Answer):
         Seconds until the first iterate.
     begun : str
         As of :class:`lcp_plugin.Result`.
+    contradiction : str
+        Of an infeasible cvxpy problem: which of its constraints contradict one another.
     """
 
     answered_kind: ClassVar[Kind] = QUADRATIC_PROGRAM
@@ -107,6 +109,7 @@ class QuadraticProgramResult(Answer):
     setup_seconds: float = 0.0
     proof: QPInfeasibility | QPUnboundedness | None = None
     begun: str = ""
+    contradiction: str = ""
     _run: Result | None = None
     _origin: QPOrigin | None = None
 
@@ -187,7 +190,9 @@ class QuadraticProgramResult(Answer):
 
     def reached(self) -> str:
         """Return the residuals, or what proves that there are none."""
-        return str(self.solution) if self.proof is None else str(self.proof)
+        if self.proof is None:
+            return str(self.solution)
+        return f"{self.proof}\n{self.contradiction}" if self.contradiction else str(self.proof)
 
     def _course(self) -> list[str]:
         has_run = self.is_solved or not self.is_compiled  # a proof may have come first

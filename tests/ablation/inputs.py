@@ -19,6 +19,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import (
     LCP,
+    EquilibriumProgram,
     FrictionalContact,
     QuadraticProgram,
     QuadraticProgramBatch,
@@ -82,7 +83,7 @@ def applications(*, full: bool) -> Iterator[Input]:
 
     if full:
         chosen = {
-            "obstacle_2d": {"side": 300}, "obstacle_3d": {"side": 20}, "jumps": {"side": 100},
+            "obstacle_3d": {"side": 20}, "jumps": {"side": 100},
             "put_uniform": {"n": 4000}, "put_geometric": {"n": 4000}, "seepage": {"side": 70},
             "rotated_anisotropy": {"side": 70}, "graph_laplacian": {"n": 3000}, "plate": {"side": 30},
         }
@@ -95,6 +96,17 @@ def applications(*, full: bool) -> Iterator[Input]:
                 "applications, larger" if full else "applications", f"{case.name} {units}",
                 partial(case.in_units, units), lambda stated: solve(stated[0]), partial(_as_application, case),
             )
+
+
+def obstacles() -> Iterator[Input]:
+    """Membranes over obstacles, for which grids are made."""
+    from applications.table import Case
+
+    for side in (150, 300):
+        case = Case("obstacle_2d", {"side": side})
+        for method in ("auto", "multigrid"):
+            yield Input("obstacles", f"{method}, {case.name}", partial(case.in_units, "own"),
+                        partial(_named, method), partial(_as_application, case))
 
 
 def _as_application(case: Any, stated: Any, result: Any) -> str:
@@ -472,6 +484,15 @@ def certified(count: int = 60) -> Iterator[Input]:
         yield Input("certify", str(number), partial(state, number), ask, judge)
 
 
+def published_answers() -> Iterator[Input]:
+    """What `certify` proves of answers to published programs."""
+    def judge(_: Any, said: Any) -> str:
+        return PROVED if said.verdict == "proved" else OPEN
+
+    for one in published_programs():
+        yield Input("certify, published", one.name, one.state, lambda program: certify(solve(program)), judge)
+
+
 def equilibria(count: int = 40) -> Iterator[Input]:
     from campaigns.best_equilibria import complaints, random_problem, truth
 
@@ -490,6 +511,44 @@ def equilibria(count: int = 40) -> Iterator[Input]:
 
     for case in range(count):
         yield Input("equilibria", str(case), partial(drawn, case), minimize_over_solutions,
+                    partial(judge, case))
+
+
+def followers_without_bounds(count: int = 8) -> Iterator[Input]:
+    """Leaders in a box who like what their followers do, which no bound holds; judged by a linear program a piece."""
+    from scipy.optimize import linprog
+
+    @cache
+    def drawn(case: int) -> tuple[Any, ...]:
+        rng, k = np.random.default_rng([SEED, case]), 8
+        H = rng.standard_normal((k, k))
+        rows = np.hstack([rng.standard_normal((k, 2)), H @ H.T + np.eye(k)])
+        lower, upper = np.append([-1.0, -1.0], np.zeros(k)), np.append([1.0, 1.0], np.full(k, np.inf))
+        return np.append(rng.standard_normal(2), -np.ones(k)), rows, rng.standard_normal(k), lower, upper
+
+    def state(case: int) -> EquilibriumProgram:
+        c, rows, q, lower, upper = drawn(case)
+        program = QuadraticProgram(np.zeros((c.size, c.size)), c, lower=lower, upper=upper)
+        return EquilibriumProgram.of_rows(program, [*range(2, c.size)], rows, q)
+
+    @cache
+    def least(case: int) -> float:
+        c, rows, q, lower, upper = drawn(case)
+        found = []
+        for open_ones in np.ndindex(*[2] * q.size):
+            is_open = np.array(open_ones, dtype=bool)
+            ends = np.where(np.append([True, True], is_open), upper, 0.0)
+            one = linprog(c, -rows[~is_open], q[~is_open], rows[is_open], -q[is_open], np.column_stack([lower, ends]))
+            found.append(one.fun if one.status == 0 else np.inf)
+        return min(found)
+
+    def judge(case: int, _: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        return SOLVED if abs(result.value - least(case)) <= ALIKE * (1.0 + abs(least(case))) else FALSE
+
+    for case in range(count):
+        yield Input("followers without bounds", str(case), partial(state, case), minimize_over_solutions,
                     partial(judge, case))
 
 
@@ -733,6 +792,11 @@ def named_methods() -> Iterator[Input]:
     from collection import all_entries
     from collection.judgement import false_claim
 
+    def by_weight(stated: Any, result: Any) -> str:
+        if not result.is_solved:
+            return OPEN
+        return SOLVED if np.abs(result.z / stated[1] - 1.0).max() <= 1e-2 else FALSE
+
     def as_stated(entry: Any, problem: Any, result: Any) -> str:
         if false_claim(problem, entry.truth, result, 1e-8):
             return FALSE
@@ -743,10 +807,23 @@ def named_methods() -> Iterator[Input]:
             if method != "program" and case.suits(method):
                 yield Input("methods by name", f"{method}, {case.name}", partial(case.in_units, "own"),
                             partial(_named, method), partial(_as_application, case))
+    for light in (1, 2, 5):
+        for method in ("psor", "pgs", "npsor", "newton"):
+            yield Input("methods by name", f"{method}, {light} light bodies", partial(_tower_of_lcp, light),
+                        lambda stated, method=method: solve(stated[0], method), by_weight)
     for entry in all_entries()[::SHARE]:
         for method in ("lemke", "newton", "interior_point"):
             yield Input("methods by name", f"{method}, {entry.name}", partial(_fresh, entry.problem),
                         partial(_named, method), partial(as_stated, entry))
+
+
+def _tower_of_lcp(light: int) -> tuple[LCP, Any]:
+    """Light bodies between two that are 1e8 times as heavy, on the floor; and what each contact carries."""
+    mass = np.concatenate([[1e8], np.ones(light), [1e8]])
+    J = np.eye(mass.size) - np.eye(mass.size, k=-1)
+    q = np.zeros(mass.size)
+    q[0] = -0.04905
+    return LCP((J / mass) @ J.T, q), 0.04905 * np.cumsum(mass[::-1])[::-1]
 
 
 def _named(method: str, stated: Any) -> Any:
@@ -754,7 +831,7 @@ def _named(method: str, stated: Any) -> Any:
 
 
 def named_engines() -> Iterator[Input]:
-    """Every engine on planted programs, on some with limits that stand for none, and on shapes that it takes."""
+    """Every engine on planted programs, some with limits that stand for none, and shapes that it takes."""
     def with_far_limits(case: int) -> tuple[QuadraticProgram, QuadraticProgram]:
         rng, n = np.random.default_rng([SEED, case]), 8
         F, G, h, c = rng.standard_normal((n, n)), rng.standard_normal((12, n)), rng.random(12), rng.standard_normal(n)
@@ -790,12 +867,13 @@ def named_over_cones() -> Iterator[Input]:
 SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "applications": partial(applications, full=False), "collection": collection, "published LCPs": published_lcps,
     "small LCPs": small_lcps, "plain structures": plain_structures, "contacts": contacts, "unheld": unheld_structures,
-    "applications, larger": partial(applications, full=True),
+    "applications, larger": partial(applications, full=True), "obstacles": obstacles,
     "marches": marches, "batches": batches,
     "batches of programs": batches_of_programs, "published programs": published_programs,
     "planted programs": planted_programs, "shapes of programs": partial(shapes, full=False),
     "shapes of programs, larger": partial(shapes, full=True), "programs again": programs_again,
-    "outliers": outliers, "certify": certified, "equilibria": equilibria,
+    "outliers": outliers, "certify": certified, "certify, published": published_answers, "equilibria": equilibria,
+    "followers without bounds": followers_without_bounds,
     "least squares": least_squares, "least squares, larger": large_least_squares, "cones": cones,
     "published contacts": published_contacts, "piles": piles,
     "nonlinear": nonlinear, "nonlinear, vanishing": vanishing_slopes,

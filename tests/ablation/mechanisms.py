@@ -16,6 +16,7 @@ PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
 DIRECT, LEAST, CONES, EQUILIBRIA = "methods.direct", "problems.least_squares", "problems.cones", "problems.equilibria"
 INTERIOR, NEWTON, PROGRAMS = "methods.interior.interior_point", "methods.newton.semismooth_newton", "problems.programs"
 CALLS = f"{PROGRAMS}.engine_calls"
+NONLINEAR = "problems/nonlinear/test_nonlinear.py"
 STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_NewtonRun", f"{PROGRAMS}.dual_bounds:DualBounds"
 
 
@@ -30,12 +31,15 @@ class Mechanism(NamedTuple):
         What is put in place of what, by places.
     goes : str
         Files, folders and definitions that it alone needs.
+    claim : str
+        A test of this folder's parent that fails without it, ``path::name``, where the inputs here show no loss.
     """
 
     name: str
     purpose: str
     off: dict[str, Instead]
     goes: str = ""
+    claim: str = ""
 
     @property
     def patches(self) -> list[Patch]:
@@ -416,16 +420,11 @@ MECHANISMS = (
               {"engines.statement:Prepared.of": Instead(in_given_units, if_in_other_units)}),
     Mechanism("far limits", "an engine is asked again without limits far beyond all others",
               {"engines.statement:far_limits": differing(no_limit)}, "engines/statement.py:far_limits"),
-    Mechanism("noise", "rounding beside the largest of an engine's numbers put to 0",
-              {f"{CALLS}:_without_noise": nothing()}, "problems/programs/engine_calls.py:_without_noise"),
     Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
               {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, 0.0))},
               "problems/programs/criterion.py:Acting"),
     Mechanism("folded rows", "rows with one entry become bounds",
               {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)}),
-    Mechanism("fixed variables", "variables with equal bounds leave small programs",
-              {f"{PROGRAMS}.reductions:FixedVariables.of": says(None)},
-              "problems/programs/reductions.py:FixedVariables"),
     Mechanism("defined variables", "what an equation alone defines is put in before a run",
               {f"{PROGRAMS}.reductions:DefinedVariables.of": says(None)},
               "problems/programs/reductions.py:DefinedVariables"),
@@ -444,7 +443,8 @@ MECHANISMS = (
               "problems/least_squares/engine_points.py:dual_program"),
     Mechanism("face of an engine's point", "an engine's point solved on the face that it names",
               {f"{LEAST}.engine_points:on_its_face": Instead(lambda old: lambda point, A, b: point)},
-              "problems/least_squares/engine_points.py:on_its_face"),
+              "problems/least_squares/engine_points.py:on_its_face",
+              "problems/least_squares/test_least_squares.py::test_boxed_problems_as_by_scipy_bvls"),
     Mechanism("projected steps", "projected gradients and conjugate steps",
               {f"{LEAST}.run:projected_steps": only_start()},
               "problems/least_squares/steps.py:projected_steps problems/least_squares/steps.py:_conjugate_steps "
@@ -459,7 +459,8 @@ MECHANISMS = (
               {f"{CONES}.solving:_is_for_the_loop": says(False)},
               "problems/cones/small.py problems/cones/small_kernels.py"),
     Mechanism("late stages", "more sweeps and other starts at the end",
-              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))}),
+              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))},
+              claim="problems/cones/test_cones.py::test_groups_of_contacts_are_right_each"),
     Mechanism("cone interior", "an interior point along the central path of contacts",
               {f"{CONES}.solving:ConeAuto._stages": without("interior_point")},
               "problems/cones/methods.py:InteriorPoint problems/cones/central_path.py"),
@@ -479,12 +480,15 @@ MECHANISMS = (
               "problems/nonlinear/josephy_newton.py:_NewtonRun.start_elsewhere"),
     Mechanism("by Φ", "steps of Fischer–Burmeister before linear problems",
               {f"{STEPS}._by_phi": says(None)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._by_phi"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._by_phi",
+              f"{NONLINEAR}::test_a_far_start_of_a_large_problem_costs_few_factorisations"),
     Mechanism("proximal", "linearisations with a larger diagonal", {f"{STEPS}._proximal": says(None)},
               "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal "
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point",
+              f"{NONLINEAR}::test_steps_that_are_far_too_long_are_shortened"),
     Mechanism("descent", "steepest descent at last", {f"{STEPS}._descended": says(None)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._descended"),
+              "problems/nonlinear/josephy_newton.py:_NewtonRun._descended",
+              f"{NONLINEAR}::test_of_several_solutions_one_near_the_start_is_found"),
     Mechanism("Krawczyk", "proves a solution of a nonlinear problem near an answer",
               {"problems.nonlinear.krawczyk:krawczyk_bound": says(None)}, "problems/nonlinear/krawczyk.py"),
     # --- equilibria
@@ -502,7 +506,9 @@ MECHANISMS = (
               {f"{EQUILIBRIA}.incumbents:LocalSearch.from_leaders": skipped()},
               "problems/equilibria/incumbents.py:LocalSearch.from_leaders "
               "problems/equilibria/incumbents.py:followers_solved problems/equilibria/incumbents.py:leaders "
-              "problems/equilibria/incumbents.py:_followed"),
+              "problems/equilibria/incumbents.py:_followed",
+              "problems/equilibria/test_best_equilibrium_network.py"
+              "::test_the_optimum_on_a_network_is_believed_with_scip_and_found_without"),
     Mechanism("incumbents", "solutions from the points of relaxations",
               {f"{EQUILIBRIA}.incumbents:LocalSearch.from_point": says(None)},
               "problems/equilibria/incumbents.py:LocalSearch.from_point"),
@@ -510,6 +516,8 @@ MECHANISMS = (
     Mechanism("sharp distance", "how far an x is, by its residuals",
               {f"{PROGRAMS}.certification:ProgramProofs.sharpened": given_back(1)},
               "problems/programs/sharp_distances.py problems/programs/certification.py:ProgramProofs.sharpened"),
+    Mechanism("dual slack", "dual points repaired to have the signs that are needed",
+              {f"{BOUNDS}._with_slack": given_back(1)}, "problems/programs/dual_bounds.py:DualBounds._with_slack"),
     Mechanism("exact dual", "the dual bound in exact arithmetic",
               {f"{BOUNDS}._exact_value": says(-math.inf)}, "problems/programs/dual_bounds.py:DualBounds._exact_value"),
     Mechanism("implied box", "bounds of unknowns that the rows imply",
@@ -517,7 +525,8 @@ MECHANISMS = (
               "problems/programs/dual_bounds.py:implied_box problems/programs/dual_bounds.py:_tighten"),
     Mechanism("exact points", "feasible points in exact arithmetic",
               {f"{PROGRAMS}.feasible_points:FeasiblePoints.exactly_near": says(None)},
-              "problems/programs/feasible_points.py:FeasiblePoints.exactly_near"),
+              "problems/programs/feasible_points.py:FeasiblePoints.exactly_near",
+              "problems/programs/test_certify.py::test_feasible_points_are_feasible"),
     # --- many
     Mechanism("lesson", "a step of a march begins with what ended the one before",
               {"problems.march.marching:StepPolicy.following": says(None)}, "problems/march/marching.py"),

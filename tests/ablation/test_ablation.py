@@ -33,6 +33,13 @@ def test_a_mechanism_is_found(mechanism: Mechanism) -> None:
     assert (mechanism.lines > 0) is bool(mechanism.goes)
 
 
+@pytest.mark.parametrize("claim", [one.claim for one in MECHANISMS if one.claim])
+def test_a_claim_is_a_test(claim: str) -> None:
+    """The test that a mechanism is kept for stands where the list says."""
+    path, _, name = claim.partition("::")
+    assert f"\ndef {name}(" in (HERE.parent / path).read_text(encoding="utf-8")
+
+
 def test_what_is_no_more_is_missed() -> None:
     """A mechanism that has another name now, or another module, fails."""
     with pytest.raises(KeyError), replaced([Patch("methods.small.small_dense:SmallDenseSolver.taken", says(None))]):

@@ -9,7 +9,7 @@ Where the weights are those of P + ρ AᵀA, ½ ρ‖A x̂ − b‖² is to be t
 multipliers ν − ρ (A x̂ − b).
 
 Everything is evaluated downwards. Where a box is open on the side to which s_i falls and μ_i = 0, the sum is −∞: then
-(x̂, λ, ν) is repaired first, in rationals, so that s_i is exactly zero.
+(x̂, λ, ν) is repaired first, by least squares with some slack, and where s_i must be exactly zero in rationals.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
 from ...core.deadline import is_over
+from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end
 from ...proofs.bounds.curvature import Curvature
@@ -36,6 +37,8 @@ from .reductions import FoldedRows
 
 SLACKS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, beyond what least squares round
 NOISE = 2.0**-44  # of the largest multiplier
+ROUNDS = 4  # of least squares: components that were right may need slack after those that were wrong
+NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
 ITERATIONS = 100  # of bounded least squares, each an unbounded one
 MOST_PASSES = 10_000  # a chain of equations needs one a link, and each looks only at rows beside new bounds
@@ -78,6 +81,11 @@ class DualBounds:
         if found < enough and (clean := given._replace(y=_without_rounding(given.y))).y.any():
             points.append(clean)
             found = max(found, self.value(clean))
+        for slack in SLACKS:
+            if found >= enough or is_over():
+                return found
+            points.append(self._with_slack(given, slack))
+            found = max(found, self.value(points[-1]))
         for point in points:
             if found >= enough or is_over():
                 break
@@ -134,6 +142,27 @@ class DualBounds:
         return _sum_above(np.where(weights > 0.0, np.minimum(corners, vertex), sagging))
 
     # --- Repairs ------------------------------------------------------------------------------------------------
+
+    def _with_slack(self, at: DualPoint, slack: float) -> DualPoint:
+        """Return a point beside this one whose s has the signs that the open sides ask for, with slack if it can be."""
+        needs_rise, needs_fall = self._open_sides
+        is_free = needs_rise & needs_fall
+        sign = np.where(needs_rise, 1.0, -1.0)
+        largest = largest_in_rows(sp.csr_array(self._rows.T)) * np.abs(at.y).max(initial=0.0)
+        for _ in range(ROUNDS):
+            v = np.concatenate(at)
+            s = self._stacked @ v + self.program.c
+            size = np.maximum(abs(self._stacked) @ np.abs(v) + np.abs(self.program.c), largest)
+            target = np.where(is_free, 0.0, sign * np.maximum(sign * s, slack * size))
+            asked = needs_rise | needs_fall
+            if not (asked & (np.abs(target - s) > 0.1 * slack * size)).any():
+                break
+            # What is nearly zero must not become wrong by what is put right elsewhere.
+            near = np.flatnonzero(asked & (is_free | (sign * s <= NEAR * size)))
+            movable = np.flatnonzero(self._is_movable(at))
+            v[movable] += least_squares(self._stacked[near][:, movable], (target - s)[near])
+            at = self.admitted(v[: at.x.size], v[at.x.size :])
+        return at
 
     def _is_movable(self, at: DualPoint) -> BoolVector:
         """Which entries of x̂ and of the multipliers a repair may change."""

@@ -1,6 +1,6 @@
 """Programs answered by engines of others: reduced, prepared, answered, polished, and judged by the program's criterion.
 
-An engine is given the program without fixed unknowns, empty rows and rows that are bounds, its other rows of one size
+An engine is given the program without empty rows and rows that are bounds, where it is large, its rows of one size
 (:mod:`lcp_plugin.engines.statement`). Its point, and the same after one step to the linear system of its case
 (:mod:`lcp_plugin.engines.polish`), are judged on the program as it was given. Where neither is right, limits far beyond
 all others are left out and the engine is asked again; those that its answer breaks are put back.
@@ -25,11 +25,10 @@ from .convexity import refuse_nonconvex
 from .criterion import program_goal
 from .program import QuadraticProgram
 from .program_matrices import as_csr, may_be_small
-from .reductions import FixedVariables, FoldedRows, Reduction
+from .reductions import FoldedRows, Reduction
 from .solution import QPSolution
 
-SHARPEST = 4  # points: as it came, and polished, each with its noise and without
-NOISE = 2.0**-44
+SHARPEST = 2  # points: as it came, and polished
 CALLS = 4  # of an engine for one program
 
 Answered = tuple[QPSolution | None, Point]
@@ -125,17 +124,16 @@ def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Ite
     reduction = Reduction(program)
     if not may_be_small(program.n, sum(program.matrices.sizes[:2]), program.matrices.stored):
         reduction = reduction.then(FoldedRows.of)
-    reduced = reduction.then(FixedVariables.of)
-    given = _statement(reduced.reduced)
+    given = _statement(reduction.reduced)
     nothing = np.zeros(given.h.size + 2 * given.c.size, np.bool_)
-    yield from _points(reduced, Prepared.of(given, nothing), engine, is_verbose)
+    yield from _points(reduction, Prepared.of(given, nothing), engine, is_verbose)
     is_far = far_limits(given)
-    units = reduced.reduced.fitted_units
+    units = reduction.reduced.fitted_units
     if (units != 1.0).any():
-        yield from _points(reduced, Prepared.of(given, nothing, units), engine, is_verbose)
+        yield from _points(reduction, Prepared.of(given, nothing, units), engine, is_verbose)
     for _ in range(CALLS if is_far.any() else 0):
         prepared, x = Prepared.of(given, is_far, units), None
-        for solution, point in _points(reduced, prepared, engine, is_verbose):
+        for solution, point in _points(reduction, prepared, engine, is_verbose):
             yield solution, point
             x = x if solution is None else prepared.outward(point).x
         if x is None:
@@ -172,20 +170,9 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])
     for one in chain(first, [point], cases, at_zero):
-        for near in chain([one], _without_noise(one)):
-            if (solution := _solution(reduction, prepared, near)) is not None:
-                yield solution, one._replace(iterations=steps)
-                steps = 0
-
-
-def _without_noise(point: Point) -> Iterator[Point]:
-    """Yield the point with 0 in place of x and multipliers that are rounding beside the largest, if any."""
-    x, y = point.x, np.concatenate(point.multipliers)
-    of_x, of_y = np.abs(x), np.abs(y)
-    in_x, in_y = of_x <= NOISE * of_x.max(initial=0.0), of_y <= NOISE * of_y.max(initial=0.0)
-    if x[in_x].any() or y[in_y].any():
-        kept = np.split(np.where(in_y, 0.0, y), np.cumsum([part.size for part in point.multipliers[:-1]]))
-        yield point._replace(x=np.where(in_x, 0.0, x), multipliers=Multipliers(*kept))
+        if (solution := _solution(reduction, prepared, one)) is not None:
+            yield solution, one._replace(iterations=steps)
+            steps = 0
 
 
 def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...proofs.exact.rational import like
-from .program_matrices import Indices, ProgramMatrices, as_csr, block
+from .program_matrices import Indices, as_csr
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -96,12 +96,12 @@ class Reduction:
     Examples
     --------
     >>> from lcp_plugin import QuadraticProgram
-    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[0, 2]], h=[2], lower=[3, 0], upper=[3, 9])
-    >>> smaller = Reduction(program).then(FoldedRows.of).then(FixedVariables.of)
+    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[0, 2]], h=[2])
+    >>> smaller = Reduction(program).then(FoldedRows.of)
     >>> print(smaller.reduced)
-    QuadraticProgram(n=1, 0 inequalities, 0 equalities)
-    >>> smaller.outward(np.array([1.0]), np.array([0.0, 2.0]))
-    (array([3., 1.]), array([1., 4., 0., 0., 0.]))
+    QuadraticProgram(n=2, 0 inequalities, 0 equalities)
+    >>> smaller.outward(np.array([1.0, 1.0]), np.array([0.0, 0.0, 0.0, 2.0]))
+    (array([1., 1.]), array([1., 0., 0., 0., 0.]))
     """
 
     program: QuadraticProgram
@@ -228,67 +228,6 @@ class FoldedRows(ReductionStep):
                 every[owner[moved]] += sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
             own.append(np.where(owner == OWN, share, 0))
         return np.concatenate([every, *own])
-
-
-@dataclass(frozen=True, eq=False)
-class FixedVariables(ReductionStep):
-    """The program in the variables whose bounds differ.
-
-    Attributes
-    ----------
-    free : ndarray of int
-        The variables that are left.
-    x : ndarray, shape (n,)
-        The values of the others, 0 elsewhere.
-    """
-
-    free: Indices
-    x: FloatVector
-
-    @classmethod
-    def of(cls, program: QuadraticProgram) -> FixedVariables | None:
-        """Return that of a program; None where no variable is fixed."""
-        is_free = program.lower < program.upper
-        if is_free.all():
-            return None
-        free, x, matrices = np.flatnonzero(is_free), np.where(is_free, 0.0, program.lower), program.matrices
-        smaller = matrices.kept("free variables", (free,), lambda: ProgramMatrices(
-            block(program.P, free, free), *(
-                block(rows, np.arange(rows.shape[0]), free) for rows in (program.G, program.A)
-            )
-        ))
-        h = program.h - program.G @ x if program.h.size else program.h
-        b = program.b - program.A @ x if program.b.size else program.b
-        c, lower, upper = (one[free] for one in (program.c + program.P @ x, program.lower, program.upper))
-        reduced = program.with_matrices(smaller, c, h, b, lower, upper)
-        return cls(program, reduced, free, x)
-
-    def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return the variables that are left, and the multipliers of rows and of their bounds."""
-        rows, n = self.program.constraints.rows, self.program.n
-        kept = np.concatenate([np.arange(rows), rows + self.free, rows + n + self.free])
-        return x[self.free], multipliers[kept]
-
-    def point(self, x: Any, *, is_direction: bool = False) -> Any:
-        """Return x of all variables."""
-        whole = np.zeros(self.x.size, dtype=x.dtype) if is_direction else like(self.x, x).copy()
-        whole[self.free] = x
-        return whole
-
-    def multipliers(self, reduced: Any, x: FloatVector | None) -> Any:
-        """Return the multipliers of all constraints: a fixed variable's bounds take what stationarity leaves."""
-        program, m, k = self.program, self.program.constraints.rows, self.free.size
-        y, lower, upper = reduced[:m], reduced[m : m + k], reduced[m + k :]
-        if x is None:
-            costs = np.zeros(program.n, dtype=object)
-            for i in np.flatnonzero(y):
-                for j, value in program.constraints.exactly[i].items():
-                    costs[j] += value * y[i]
-        else:
-            costs = program.P @ x + program.c + program.matrices.sum_of_rows(y)
-        whole = np.concatenate([y, np.maximum(costs, 0), np.maximum(-costs, 0)])
-        whole[m + self.free], whole[m + program.n + self.free] = lower, upper
-        return whole
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import pytest
 from lcp_plugin import QuadraticProgram, solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.programs.program_matrices import Indices
-from lcp_plugin.problems.programs.reductions import FixedVariables, FoldedRows, Reduction, ReductionStep
+from lcp_plugin.problems.programs.reductions import FoldedRows, Reduction, ReductionStep
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,7 @@ class DistinctRows(ReductionStep):
 
 
 STEPS: dict[str, Callable[[QuadraticProgram], ReductionStep | None]] = {
-    "simple rows": FoldedRows.of, "fixed variables": FixedVariables.of,
-    "doubled rows": DistinctRows.of,
+    "simple rows": FoldedRows.of, "doubled rows": DistinctRows.of,
 }
 
 
@@ -77,7 +76,7 @@ def program_with_all(seed: int, *, contradicts: bool = False) -> QuadraticProgra
 
 
 def whole_stack(program: QuadraticProgram) -> Reduction:
-    """All three steps."""
+    """All steps."""
     reduction = Reduction(program)
     for step in STEPS.values():
         reduction = reduction.then(step)
@@ -122,8 +121,8 @@ def test_a_direction_of_descent_of_what_is_left_is_one_of_the_program() -> None:
         P, [-1.0, 0.0, 0.0, 1.0], G=[[0.0, -2.0, 0.0, 0.0]], h=[1.0], A=[[0.0, 1.0, 3.0, 1.0]], b=[2.0],
         lower=[-np.inf, -np.inf, -np.inf, 0.1], upper=[np.inf, 4.0, np.inf, 0.1],
     )
-    reduction = Reduction(program).then(FoldedRows.of).then(FixedVariables.of)
-    assert len(reduction.steps) == 2
+    reduction = Reduction(program).then(FoldedRows.of)
+    assert len(reduction.steps) == 1
     proof = reduction.proof(reduction.reduced.proof_of_no_minimum)
     assert proof is not None
     assert (proof.verdict, proof.program, proof.verify()) == ("unbounded", program, True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -281,10 +282,12 @@ def checked_vector(
         For another shape, for numbers that are not real or not finite (+∞ and NaN pass where allowed).
     """
     vector = real_vector(values, name, length, may_be_number=may_be_number, need=need)
-    is_valid = np.isfinite(vector) | (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
+    is_valid = np.isfinite(vector)
     if not is_valid.all():
-        at = int(np.argmin(is_valid))
-        raise _not_finite(name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite")
+        is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
+        if not is_valid.all():
+            at = int(np.argmin(is_valid))
+            raise _not_finite(name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite")
     return vector
 
 
@@ -314,7 +317,15 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 def checked_limit(values: Any, name: str, n: int) -> FloatVector:
     """Return a bound that callers state, where ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
+    if type(values) is float and abs(values) == np.inf:
+        return _no_limit(values, n)
     return read_only(as_stated(checked_bound(values, name, n)))
+
+
+@lru_cache(maxsize=64)
+def _no_limit(value: float, n: int) -> FloatVector:
+    """Return the same read-only vector for all: most problems have a side without bounds."""
+    return read_only(np.full(n, value))
 
 
 def as_stated(limits: NDArray[Any]) -> FloatVector:

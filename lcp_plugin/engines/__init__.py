@@ -8,6 +8,7 @@ infeasible or unbounded is a hint where to look for a proof.
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
@@ -20,6 +21,7 @@ ENGINES = {  # name: file and class; in the order in which `lcp-plugin list` sho
 __all__ = ["ENGINES", "Engine", "Hint", "Limits", "Multipliers", "Point", "Statement", "engine_class"]
 
 
+@cache
 def engine_class(name: str) -> type[Engine]:
     """Return the class of the engine of that name; its file, and what it wraps, are loaded now.
 

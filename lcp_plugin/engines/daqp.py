@@ -47,19 +47,19 @@ class DAQP(Engine):
     def answer(self, program: Statement, limits: Limits) -> Point:
         """Return daqp's point."""
         P, G, A = (one if isinstance(one, np.ndarray) else one.toarray() for one in (program.P, program.G, program.A))
-        m, n = program.h.size, program.c.size
+        m, n, p = program.h.size, program.c.size, program.b.size
         seconds = limits.seconds if np.isfinite(limits.seconds) else 0.0
-        limit = np.concatenate([program.h, program.b])[np.newaxis]
+        C, d = (np.concatenate([G, A]), np.concatenate([program.h, program.b])) if p else (G, program.h)
         ((x, y, flag, steps),) = self.points(
-            P[np.newaxis], program.c[np.newaxis], np.concatenate([G, A])[np.newaxis], limit, np.arange(limit.size) >= m,
-            program.lower[np.newaxis], program.upper[np.newaxis], range(1), seconds,
+            P[np.newaxis], program.c[np.newaxis], C[np.newaxis], d[np.newaxis], m, program.lower[np.newaxis],
+            program.upper[np.newaxis], range(1), seconds,
         )
         lower, upper = beside_bounds(y[:n], program.lower, program.upper)
         multipliers = Multipliers(np.maximum(y[n : n + m], 0.0), y[n + m :], lower, upper)
         return Point(x, multipliers, steps, SAYS.get(flag, Hint.GAVE_UP))
 
     def points(
-        self, P: Any, c: Any, C: Any, d: Any, is_equation: Any, lower: Any, upper: Any, items: Iterable[int],
+        self, P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any, items: Iterable[int],
         seconds: float = 0.0,
     ) -> Iterator[tuple[FloatVector, FloatVector, int, int]]:
         """Yield x, multipliers of bounds and rows, both signs, daqp's exit flag and its steps, for some of a stack.
@@ -68,22 +68,25 @@ class DAQP(Engine):
 
         Parameters
         ----------
-        P, c, C, d, is_equation, lower, upper : arrays
-            Shapes (B or 1, n, n), (B, n), (B or 1, rows, n), (B, rows), (rows,), (B, n), (B, n).
+        P, c, C, d, lower, upper : arrays
+            Shapes (B or 1, n, n), (B, n), (B or 1, rows, n), (B, rows), (B, n), (B, n).
+        m : int
+            How many rows are inequalities; the others are equations.
         """
         import daqp
 
-        sense = np.zeros(upper.shape[1] + is_equation.size, np.intc)
-        sense[upper.shape[1] :][is_equation] = EQUATION
-        above = np.concatenate([upper, d], axis=1)
-        below = np.concatenate([lower, np.where(is_equation, d, -np.inf)], axis=1)
+        count, n = c.shape
+        sense = np.zeros(n + d.shape[1], np.intc)
+        sense[n + m :] = EQUATION
+        above, below = np.concatenate([upper, d], axis=1), np.full((count, sense.size), -np.inf)
+        below[:, :n], below[:, n + m :] = lower, d[:, m:]
         costs, settings, has_P = np.array(c), {**self.settings, "time_limit": seconds}, P.any()
         matrices = [np.array(one) for one in (P, C)]
-        of_P, of_C = (range(len(c)) if len(one) > 1 else [0] * len(c) for one in matrices)
-        solve, nothing = daqp.solve, np.full(c.shape[1], np.nan)
+        of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in matrices)
+        solve = daqp.solve
         for k in items:
             hessian = matrices[0][of_P[k]] if has_P else None
             x, _, flag, info = solve(hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, **settings)
             if flag < ANSWERED:
-                x, info = nothing, {**info, "lam": np.append(nothing, np.full(d.shape[1], np.nan))}
+                x, info = np.full(n, np.nan), {**info, "lam": np.full(sense.size, np.nan)}
             yield np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]

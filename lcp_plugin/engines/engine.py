@@ -145,5 +145,4 @@ def beside_bounds(slack: FloatVector, lower: FloatVector, upper: FloatVector) ->
     >>> beside_bounds(np.array([-2.0, 3.0]), np.zeros(2), np.array([np.inf, 1.0]))
     (array([2., 0.]), array([0., 3.]))
     """
-    below = np.where(np.isfinite(lower), np.maximum(-slack, 0.0), 0.0)
-    return below, np.where(np.isfinite(upper), np.maximum(slack, 0.0), 0.0)
+    return np.maximum(-slack, 0.0) * np.isfinite(lower), np.maximum(slack, 0.0) * np.isfinite(upper)

@@ -25,7 +25,7 @@ class Prepared(NamedTuple):
     Attributes
     ----------
     statement : Statement
-    rows : array of int
+    rows : array of int or slice
         The rows of the given G that are among its own.
     of_inequalities, of_equations : array
         What each given row was divided by.
@@ -43,16 +43,18 @@ class Prepared(NamedTuple):
     objective: float
 
     @classmethod
-    def of(cls, given: Statement, is_left_out: BoolVector, unit: FloatVector | None = None) -> Prepared:
-        """Return that of a statement in these units, without these of its limits, of rows and bounds, (m + 2n,)."""
-        with np.errstate(over="ignore", invalid="ignore"):  # of what overflows an engine makes nothing
-            return cls._of(given, is_left_out, unit)
+    def of(
+        cls, given: Statement, is_left_out: BoolVector | None = None, unit: FloatVector | None = None
+    ) -> Prepared:
+        """Return that of a statement in these units, without these of its limits, of rows and bounds, (m + 2n,).
 
-    @classmethod
-    def _of(cls, given: Statement, is_left_out: BoolVector, unit: FloatVector | None) -> Prepared:
+        Of what overflows, which the caller lets pass, an engine makes nothing.
+        """
         m, n, objective = given.h.size, given.c.size, 1.0
         P, c, G, A, lower, upper = given.P, given.c, given.G, given.A, given.lower, given.upper
-        if is_left_out.any():
+        is_row = np.isfinite(given.h)
+        if is_left_out is not None:
+            is_row &= ~is_left_out[:m]
             lower = np.where(is_left_out[m : m + n], -np.inf, lower)
             upper = np.where(is_left_out[m + n :], np.inf, upper)
         if unit is not None:
@@ -61,23 +63,24 @@ class Prepared(NamedTuple):
             objective = _power_below(np.array([max(np.abs(c).max(initial=0.0), _largest(P).max(initial=0.0))]))[0]
             P, c = P / objective, c / objective
         of_inequalities, of_equations = _power_below(_largest(G)), _power_below(_largest(A))
-        rows = np.flatnonzero(np.isfinite(given.h) & ~is_left_out[:m])
+        rows = slice(None) if is_row.all() else np.flatnonzero(is_row)
         size = of_inequalities[rows]
         statement = Statement(
-            P, c, _divided(G if rows.size == m else G[rows], size), given.h[rows] / size, _divided(A, of_equations),
-            given.b / of_equations, lower, upper,
+            P, c, _divided(G[rows] if isinstance(rows, np.ndarray) else G, size), given.h[rows] / size,
+            _divided(A, of_equations), given.b / of_equations, lower, upper,
         )
         return cls(statement, rows, of_inequalities, of_equations, unit, objective)
 
     def outward(self, point: Point) -> Point:
         """Return the point in the given units, with multipliers of the given rows."""
-        inequality, given = np.zeros(self.of_inequalities.size), point.multipliers
-        unit = 1.0 if self.unit is None else self.unit
-        with np.errstate(over="ignore"):  # what is beyond the range of doubles is no answer
-            inequality[self.rows] = given.inequality * self.objective / self.of_inequalities[self.rows]
-            equality = given.equality * self.objective / self.of_equations
-            of_bounds = (one * self.objective / unit for one in (given.lower, given.upper))
-            return point._replace(x=point.x * unit, multipliers=Multipliers(inequality, equality, *of_bounds))
+        (of_G, of_A, lower, upper), x = point.multipliers, point.x
+        if self.unit is not None:
+            x, of_G, of_A = x * self.unit, of_G * self.objective, of_A * self.objective
+            lower, upper = lower * self.objective / self.unit, upper * self.objective / self.unit
+        inequality = np.zeros(self.of_inequalities.size)
+        inequality[self.rows] = of_G / self.of_inequalities[self.rows]
+        multipliers = Multipliers(inequality, of_A / self.of_equations if of_A.size else of_A, lower, upper)
+        return Point(x, multipliers, point.iterations, point.says)
 
     def inward(self, point: Point) -> Point:
         """Return a point of the given statement as one of this, the way back of `outward`."""
@@ -111,7 +114,7 @@ def far_limits(given: Statement) -> BoolVector:
 
 def _largest(A: Any) -> FloatVector:
     """Return the largest |entry| of each row."""
-    if not sp.issparse(A):
+    if isinstance(A, np.ndarray):
         return np.asarray(np.abs(A).max(axis=1, initial=0.0))
     largest, filled = np.zeros(A.shape[0]), np.flatnonzero(np.diff(A.indptr))
     if filled.size:
@@ -126,7 +129,7 @@ def _power_below(sizes: FloatVector) -> FloatVector:
 
 def _divided(A: Any, sizes: FloatVector) -> Any:
     """Return A with its rows divided by these."""
-    if not sp.issparse(A):
+    if isinstance(A, np.ndarray):
         return A / sizes[:, np.newaxis]
     return sp.csr_array((A.data / np.repeat(sizes, np.diff(A.indptr)), A.indices, A.indptr), shape=A.shape)
 

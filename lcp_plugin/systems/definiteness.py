@@ -90,14 +90,16 @@ def is_semidefinite_to_rounding(P: Any, rounding: float = 0.0) -> bool | None:
     False
     """
     diagonal: FloatVector = np.array(P.diagonal())
-    if (diagonal < 0.0).any():
+    smallest = diagonal.min(initial=np.inf)
+    if smallest < 0.0:
         return False
-    filled = np.flatnonzero(diagonal)
-    if int(P.nnz if sp.issparse(P) else np.count_nonzero(P)) == filled.size:
+    is_dense = isinstance(P, np.ndarray)
+    if (np.count_nonzero(P) if is_dense else int(P.nnz)) == np.count_nonzero(diagonal):
         return True
     # The backward error of a Cholesky factor is as small beside √(p_ii p_jj) as that of the scaled matrix (Demmel).
-    if not sp.issparse(P) and diagonal.min() >= SMALLEST_PIVOT and cholesky(P) is not None:
+    if is_dense and smallest >= SMALLEST_PIVOT and cholesky(P) is not None:
         return True
+    filled = np.flatnonzero(diagonal)
     # A zero on the diagonal of a semidefinite matrix has nothing beside it.
     if filled.size < diagonal.size and (abs(P) @ (diagonal == 0.0).astype(np.float64)).any():
         return False

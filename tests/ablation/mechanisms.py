@@ -238,11 +238,11 @@ def without_engines(*names: str) -> Instead:
 
 
 def in_given_units(old: Any) -> Any:
-    return lambda cls, given, is_left_out, unit=None: old(cls, given, is_left_out)
+    return lambda cls, given, is_left_out=None, unit=None: old(cls, given, is_left_out)
 
 
 def if_in_other_units(old: Any, note: Callable[[], None]) -> Any:
-    def of(cls: Any, given: Any, is_left_out: Any, unit: Any = None) -> Any:
+    def of(cls: Any, given: Any, is_left_out: Any = None, unit: Any = None) -> Any:
         if unit is not None and (unit != 1.0).any():
             note()
         return old(cls, given, is_left_out, unit)
@@ -421,7 +421,7 @@ MECHANISMS = (
     Mechanism("far limits", "an engine is asked again without limits far beyond all others",
               {"engines.statement:far_limits": differing(no_limit)}, "engines/statement.py:far_limits"),
     Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
-              {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, 0.0))},
+              {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, np.zeros(1)))},
               "problems/programs/criterion.py:Acting"),
     Mechanism("folded rows", "rows with one entry become bounds",
               {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)}),

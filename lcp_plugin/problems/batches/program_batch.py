@@ -76,20 +76,19 @@ class ProgramBatchRun(BatchLoop):
 
     def _answer_together(self, data: tuple[Any, ...], engine: Any, may: Any, items: slice) -> None:
         """Ask the engine for each of these programs, and judge what it says of all."""
-        P, c, C, d, is_equality, lower, upper = (
-            one[items] if len(one) > 1 and k != 4 else one for k, one in enumerate(data)
-        )
-        n, wanted = c.shape[1], np.flatnonzero(may[items])
+        P, c, C, d, lower, upper = (one[items] if len(one) > 1 else one for one in data)
+        m, n, wanted = self.programs.sizes[0], c.shape[1], np.flatnonzero(may[items])
         x, signed, steps = self.x[items], np.full((len(c), n + d.shape[1]), np.nan), self.steps[items]
-        points = engine.points(P, c, C, d, is_equality, lower, upper, wanted.tolist())
+        points = engine.points(P, c, C, d, m, lower, upper, wanted.tolist())
         for k, (at, multipliers, _, count) in zip(wanted.tolist(), points, strict=True):
             x[k], signed[k], steps[k] = at, multipliers, count
-        y = np.where(is_equality, signed[:, n:], np.maximum(signed[:, n:], 0.0))
+        y = signed[:, n:]
+        y[:, :m] = np.maximum(y[:, :m], 0.0)
         of_bounds = beside_bounds(signed[:, :n], lower, upper)
         self.x[items], self.y[items], self.at_bounds[:, items] = np.clip(x, lower, upper), y, of_bounds
         with np.errstate(all="ignore"):
             errors = measured(
-                Terms.of_dense(P, C, self.x[items], y), c, d, is_equality, lower, upper, self.x[items], y, *of_bounds
+                Terms.of_dense(P, C, self.x[items], y), c, d, m, lower, upper, self.x[items], y, *of_bounds
             )
             is_solved = np.isfinite(x).all(axis=1) & errors.meet(program_goal(self.settings.tolerance))
         self.is_open[items] = ~is_solved

@@ -24,6 +24,7 @@ number that others have computed from terms which nobody sees here: it stands be
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -43,12 +44,12 @@ SURE = 1e-3  # of what is called optimal: no exact proof that there is no minimu
 STRICT = 1e3  # times a tolerance below 1e-9: what is asked of a program's own residuals
 ACTS = 1e-6  # ω
 NO_EXCUSE = 1e-9  # measures beside own terms that need no other size
-SMALLEST = 2.0**-1074  # instead of a size 0: an error beside it is beyond every goal, and 0 stays 0
+SMALLEST = 2.0**-1074  # added to sizes: an error beside 0 is beyond every goal, and 0 stays 0
 total, most = np.add.reduce, np.maximum.reduce  # what an array's methods come to, of small arrays in half the time
 
 
 class Errors(NamedTuple):
-    """The three measures, rounding included; ∞ where a number is not finite. Of a batch, arrays of shape (B,)."""
+    """The three measures, rounding included; ∞ where a number is not finite. Of a batch, arrays (B,), or NaN there."""
 
     primal: Any
     dual: Any
@@ -65,22 +66,27 @@ class Errors(NamedTuple):
     @property
     def largest(self) -> Any:
         """The largest of the three."""
-        return np.maximum(np.maximum(self.primal, self.dual), self.gap)
+        return max(self) if isinstance(self.gap, float) else np.maximum(np.maximum(self.primal, self.dual), self.gap)
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
         """Return the errors of x and of the multipliers of all constraints."""
-        matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
-        limits = np.concatenate([program.h, program.b])
-        vectors = program.c, limits, matrices.is_equality[: m + p], program.lower, program.upper
+        m, p, n, _ = program.matrices.sizes
+        limits = np.concatenate([program.h, program.b]) if p else program.h
+        vectors = program.c, limits, m, program.lower, program.upper
         split = multipliers[: m + p], multipliers[m + p : m + p + n], multipliers[m + p + n :]
         with np.errstate(all="ignore"):
             terms = Terms.of(program, x, split[0])
-            found = measured(terms, *vectors, x, *split)
-            if not found.largest <= NO_EXCUSE:
+            found = cls.of_numbers(measured(terms, *vectors, x, *split))
+            if found.largest > NO_EXCUSE:
                 acting = Acting.of(program, terms, x, split)
-                found = measured(terms, *vectors, x, *split, acting)
-        return cls(*map(float, found))
+                found = cls.of_numbers(measured(terms, *vectors, x, *split, acting))
+        return found
+
+    @classmethod
+    def of_numbers(cls, found: Errors) -> Errors:
+        """Return those of one program as floats: what is no number is beyond every goal."""
+        return cls(*(math.inf if math.isnan(one) else float(one) for one in found))
 
 
 class Terms(NamedTuple):
@@ -113,7 +119,7 @@ class Terms(NamedTuple):
     def of(cls, program: QuadraticProgram, x: FloatVector, y: FloatVector) -> Terms:
         """Return those of a program at x, with multipliers y of the rows of G and A."""
         matrices = program.matrices
-        if matrices.has_sparse_rows or sp.issparse(program.P):
+        if matrices.has_sparse_rows or not isinstance(program.P, np.ndarray):
             return cls.of_sparse(program.P, matrices.rows, x, y)
         return cls.of_dense(program.P, matrices.dense_rows, x, y)
 
@@ -212,7 +218,7 @@ def _sums(A: sp.csr_array) -> tuple[FloatVector, FloatVector, FloatVector]:
 
 
 def measured(
-    terms: Terms, c: FloatVector, d: FloatVector, is_equality: Any, lower: FloatVector, upper: FloatVector,
+    terms: Terms, c: FloatVector, d: FloatVector, m: int, lower: FloatVector, upper: FloatVector,
     x: FloatVector, y: FloatVector, of_lower: FloatVector, of_upper: FloatVector, acting: Acting | None = None,
 ) -> Errors:
     """Return the three measures of one program, or, by arrays with one axis more, of a batch.
@@ -221,54 +227,74 @@ def measured(
     ----------
     terms : Terms
         At x and y.
-    c, d, is_equality, lower, upper
-        Shapes (…, n), (…, rows), (rows,), (…, n), (…, n).
+    c, d, lower, upper
+        Shapes (…, n), (…, rows), (…, n), (…, n).
+    m : int
+        How many rows are inequalities; the others are equations.
     x, y, of_lower, of_upper
         The point and its multipliers, those of inequalities and of bounds ≥ 0 where they are right.
     acting : Acting, optional
         Without it rows and columns are measured beside their own terms alone.
     """
-    known, rounding = np.isfinite(d), 2.0 * (terms.summands + 4) * EPSILON
-    right = np.where(known, d, 0.0)
-    residual, of_right = np.where(known, terms.value - right, 0.0), np.abs(right)
-    margin = rounding * (terms.size + of_right)
-    off = np.abs(residual)
-    over = np.where(known, np.maximum(np.where(is_equality, off, residual) + margin, 0.0), 0.0)
-    size = np.maximum(terms.largest, of_right)
-    of_x = np.abs(x)
-    outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
+    rounding = 2.0 * (terms.summands + 4) * EPSILON
+    value, row_size, size = terms.value, terms.size, terms.largest
+    wrong = np.minimum(y[..., :m], 0.0)
+    known = np.isfinite(d)
+    if not known.all():  # a limit of ∞ says nothing
+        d, value, row_size, size = (np.where(known, one, 0.0) for one in (d, value, row_size, size))
+        wrong = np.where(known[..., :m], wrong, y[..., :m])
+    residual, of_right = value - d, np.abs(d)
+    margin, size, off = rounding * (row_size + of_right), np.maximum(size, of_right), np.abs(residual)
+    residual[..., m:] = off[..., m:]
+    of_x, outside = np.abs(x), np.maximum(lower - x, x - upper)
 
-    cost, of_y, of_bounds = np.abs(c), np.abs(y), (np.abs(of_lower), np.abs(of_upper))
-    left = np.abs(terms.product + c + terms.pull - of_lower + of_upper)
-    blur = rounding * (terms.product_size + cost + terms.pull_size + of_bounds[0] + of_bounds[1])
-    own = np.maximum(np.maximum(cost, terms.product_largest), np.maximum(terms.pull_largest, np.maximum(*of_bounds)))
-    wrong = of_y * ~(is_equality | (known & (y >= 0.0)))
+    cost, of_y = np.abs(c), np.abs(y)
+    left = terms.product + terms.pull + c
+    blur = terms.product_size + terms.pull_size + cost
+    own = np.maximum(np.maximum(cost, terms.product_largest), terms.pull_largest)
+    sides = (-1.0, of_lower, lower), (1.0, of_upper, upper)
+    of_bounds = [(sign, of, np.abs(of), bound) for sign, of, bound in sides if of.any()]
+    for sign, of, of_bound, _ in of_bounds:
+        left = left + sign * of
+        blur, own = blur + of_bound, np.maximum(own, of_bound)
     if acting is not None:
         size, own = np.maximum(size, ACTS * acting.row), np.maximum(own, ACTS * acting.column)
-    primal = np.maximum(_beside(over, size), _beside(outside, of_x))
-    dual = np.maximum(_beside(left + blur, own), _beside(wrong, 0.0 if acting is None else acting.of_row))
+    left, blur = np.abs(left), rounding * blur
+    primal = _largest(_beside(residual + margin, size), _beside(outside, of_x))
+    wrongs = [_beside(left + blur, own)]
+    if wrong.any():
+        wrongs.append(_beside(np.abs(wrong), 0.0 if acting is None else acting.of_row[..., :m]))
 
     one = most(of_x, -1, keepdims=True, initial=0.0)
     one = one + (one == 0.0)  # of x: objectives may be beyond the range of doubles
-    ahead, of_ahead = x / one, of_x / one
-    gap = total(of_y * (np.maximum(off - margin, 0.0) / one), -1) + total(of_ahead * np.maximum(left - blur, 0.0), -1)
-    linear, hidden = total(cost * of_ahead, -1), total(of_ahead * rounding * terms.product_size, -1)
-    gap = gap + np.where(hidden > linear, hidden, 0.0)  # far along P d = 0 the rounding of P x hides any cost
-    for signed, of_bound, bound in ((of_lower, of_bounds[0], lower), (of_upper, of_bounds[1], upper)):
-        if of_bound.any():
-            has = np.isfinite(bound)
-            unfit = np.where(has & (signed >= 0.0), 0.0, of_bound)
-            dual = np.maximum(dual, _beside(unfit, 0.0 if acting is None else acting.column))
-            slack = np.abs(x - np.where(has, bound, 0.0)) / one
-            gap = gap + total(np.where(has & (of_bound != 0.0), of_bound * slack, 0.0), -1)
-    objective = linear + 1.5 * np.abs(total(ahead * terms.product, -1))
-    found = primal, dual, gap / np.maximum(objective, SMALLEST)
-    return Errors(*(np.where(np.isnan(one), np.inf, one) for one in found))
+    ahead = x / one
+    of_ahead = np.abs(ahead)
+    gap = _inner(of_y, np.maximum(off - margin, 0.0) / one) + _inner(of_ahead, np.maximum(left - blur, 0.0))
+    linear, hidden = _inner(cost, of_ahead), rounding * _inner(of_ahead, terms.product_size)
+    gap = gap + hidden * (hidden > linear)  # far along P d = 0 the rounding of P x hides any cost
+    for _, of, of_bound, bound in of_bounds:
+        has = np.isfinite(bound)
+        wrongs.append(_beside(np.where(has & (of >= 0.0), 0.0, of_bound), 0.0 if acting is None else acting.column))
+        slack = np.abs(x - np.where(has, bound, 0.0)) / one
+        gap = gap + total(np.where(has & (of_bound != 0.0), of_bound * slack, 0.0), -1)
+    objective = linear + 1.5 * abs(_inner(ahead, terms.product))
+    return Errors(primal, _largest(*wrongs), gap / (objective + SMALLEST))
 
 
 def _beside(wrong: Any, size: Any) -> Any:
-    """Return the largest quotient along the last axis, 0 / 0 = 0; NaN where one is no number."""
-    return most(wrong / np.maximum(size, SMALLEST), -1, initial=0.0)
+    """Return the quotients, 0 / 0 = 0."""
+    return wrong / (size + SMALLEST)
+
+
+def _largest(*quotients: Any) -> Any:
+    """Return the largest along the last axis, at least 0; NaN where one is no number."""
+    every = np.concatenate(quotients, axis=-1) if len(quotients) > 1 else quotients[0]
+    return most(every, -1, initial=0.0)
+
+
+def _inner(one: Any, other: Any) -> Any:
+    """Return the inner products along the last axis."""
+    return one.dot(other) if one.ndim == other.ndim == 1 else total(one * other, -1)
 
 
 def program_goal(tolerance: float) -> float:

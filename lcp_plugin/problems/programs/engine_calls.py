@@ -13,7 +13,6 @@ from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, UnsuitableProblem
@@ -65,14 +64,14 @@ def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
     ['daqp', 'piqp', 'clarabel']
     """
     m, p, n, _ = program.matrices.sizes
-    if m + p == 0 and program.matrices.entries[0]:
+    if m + p == 0 and program.matrices.has_curvature:
         return  # a complementarity problem with M = P: what this package is for
     is_small = may_be_small(n, m + p, program.matrices.stored)
     if is_small:
         yield engine_class("daqp")()
     if is_small or seconds_left() == np.inf:
         yield engine_class("piqp")()
-    if not program.matrices.entries[0]:
+    if not program.matrices.has_curvature:
         yield engine_class("highs")()
     yield engine_class("clarabel")()
 
@@ -99,7 +98,7 @@ def run_engine(
     UnsuitableProblem
         Where the engine takes linear programs alone, and it is none.
     """
-    if engine.is_for_linear_alone and program.matrices.entries[0]:
+    if engine.is_for_linear_alone and program.matrices.has_curvature:
         raise UnsuitableProblem(
             f"{engine.name} solves {engine.solves}, but P has nonzeros; take \"piqp\", or give P = None"
         )
@@ -125,12 +124,11 @@ def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Ite
     if not may_be_small(program.n, sum(program.matrices.sizes[:2]), program.matrices.stored):
         reduction = reduction.then(FoldedRows.of)
     given = _statement(reduction.reduced)
-    nothing = np.zeros(given.h.size + 2 * given.c.size, np.bool_)
-    yield from _points(reduction, Prepared.of(given, nothing), engine, is_verbose)
+    yield from _points(reduction, Prepared.of(given), engine, is_verbose)
     is_far = far_limits(given)
     units = reduction.reduced.fitted_units
     if (units != 1.0).any():
-        yield from _points(reduction, Prepared.of(given, nothing, units), engine, is_verbose)
+        yield from _points(reduction, Prepared.of(given, None, units), engine, is_verbose)
     for _ in range(CALLS if is_far.any() else 0):
         prepared, x = Prepared.of(given, is_far, units), None
         for solution, point in _points(reduction, prepared, engine, is_verbose):
@@ -159,9 +157,10 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
             raise InvalidOption(f"{engine.name} does not take {given}: {str(error).splitlines()[0]}") from error
     else:  # what is left to say is whether the rows hold
         empty = np.zeros(0)
-        multipliers = Multipliers(np.zeros(prepared.rows.size), np.zeros(prepared.statement.b.size), empty, empty)
+        of_rows = (np.zeros(right.size) for right in (prepared.statement.h, prepared.statement.b))
+        multipliers = Multipliers(*of_rows, empty, empty)
         point = Point(empty, multipliers, 0, Hint.GAVE_UP)
-    if not (np.isfinite(point.x).all() and np.isfinite(np.concatenate(point.multipliers)).all()):
+    if not np.isfinite(np.concatenate([point.x, *point.multipliers])).all():
         yield None, point
         return
     cases = polished(prepared.statement, point)
@@ -178,7 +177,7 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
 def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:
     """Return what a point of a prepared statement is in the program; None where that is not finite."""
     back, reduced = prepared.outward(point), reduction.reduced
-    x = np.clip(back.x, reduced.lower, reduced.upper)
+    x = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper)
     whole = reduction.outward(x, np.concatenate(back.multipliers))
     return QPSolution.of_rows(reduction.program, *whole) if np.isfinite(np.concatenate(whole)).all() else None
 
@@ -186,7 +185,7 @@ def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolut
 def _statement(program: QuadraticProgram) -> Statement:
     """Return a program as engines take it: all matrices dense, or all sparse."""
     given = (program.P, program.G, program.A)
-    if any(sp.issparse(one) and one.nnz for one in given):
+    if any(not isinstance(one, np.ndarray) and one.nnz for one in given):
         P, G, A = map(as_csr, given)
     else:
         (P,), (rows,) = program.matrices.dense

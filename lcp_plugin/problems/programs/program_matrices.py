@@ -65,7 +65,7 @@ class ProgramMatrices:
     @cached_property
     def dense_rows(self) -> FloatVector:
         """[G; A] as an ndarray, C-contiguous."""
-        given = [one.toarray() if sp.issparse(one) else one for one in (self.G, self.A) if one.shape[0]]
+        given = [one if isinstance(one, np.ndarray) else one.toarray() for one in (self.G, self.A) if one.shape[0]]
         if len(given) == 1:
             return read_only(np.ascontiguousarray(given[0]))
         return read_only(np.vstack([np.zeros((0, self.P.shape[0])), *given]))
@@ -73,7 +73,7 @@ class ProgramMatrices:
     @cached_property
     def dense(self) -> tuple[Any, Any]:
         """P and [G; A] as ndarrays of shapes (1, n, n) and (1, m + p, n), C-contiguous."""
-        P = np.ascontiguousarray(self.P.toarray() if sp.issparse(self.P) else self.P)
+        P = np.ascontiguousarray(self.P if isinstance(self.P, np.ndarray) else self.P.toarray())
         return read_only(P)[np.newaxis], self.dense_rows[np.newaxis]
 
     @cached_property
@@ -97,12 +97,12 @@ class ProgramMatrices:
     @cached_property
     def stored(self) -> int:
         """How many entries are stored, zeros of ndarrays among them."""
-        return sum(int(one.nnz if sp.issparse(one) else one.size) for one in (self.P, self.G, self.A))
+        return sum(one.size if isinstance(one, np.ndarray) else int(one.nnz) for one in (self.P, self.G, self.A))
 
     @cached_property
     def has_sparse_rows(self) -> bool:
         """Whether some constraints were given as a sparse array."""
-        return any(sp.issparse(one) and one.shape[0] > 0 for one in (self.G, self.A))
+        return not all(isinstance(one, np.ndarray) or not one.shape[0] for one in (self.G, self.A))
 
     @cached_property
     def gradient(self) -> sp.csr_array:
@@ -131,6 +131,11 @@ class ProgramMatrices:
         """How many nonzeros P and [G; A] have."""
         of_G, of_A = (one.nnz if sp.issparse(one) else np.count_nonzero(one) for one in (self.G, self.A))
         return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(of_G + of_A)
+
+    @cached_property
+    def has_curvature(self) -> bool:
+        """Whether P has a nonzero."""
+        return bool(self.P.any() if isinstance(self.P, np.ndarray) else self.P.nnz)
 
     @cached_property
     def singletons(self) -> tuple[Indices, Indices, FloatVector]:

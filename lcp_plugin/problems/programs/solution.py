@@ -77,7 +77,7 @@ class QPSolution:
         made, every = object.__new__(cls), read_only(multipliers)
         made.__dict__.update(
             program=program, x=read_only(x), inequality=every[:m], equality=every[m : m + p],
-            lower=every[m + p : m + p + n], upper=every[m + p + n :],
+            lower=every[m + p : m + p + n], upper=every[m + p + n :], multipliers=every,
         )
         return made
 

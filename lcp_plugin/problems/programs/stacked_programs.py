@@ -84,14 +84,13 @@ class QuadraticProgramBatch:
 
     @property
     def arrays(self) -> tuple[Any, ...]:
-        """P, c, C, d, which rows of C are equations, lower and upper: C and d hold G and A, h and b.
+        """P, c, C, d, lower and upper: C and d hold G and A, h and b.
 
         Matrices are of shape (B or 1, …), vectors (B, …), C-contiguous and read-only.
         """
         c, h, b, lower, upper = (np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values())
-        is_equality = np.repeat([False, True], self.sizes[:2])
         P, G, A = map(_stack, (self.P, self.G, self.A))
-        data = P, c, _beside(G, A), _beside(h, b), is_equality, lower, upper
+        data = P, c, _beside(G, A), _beside(h, b), lower, upper
         return tuple(read_only(np.ascontiguousarray(array)) for array in data)
 
     @property

@@ -285,7 +285,7 @@ def test_one_function_judges_dense_sparse_and_stacked_programs(seed: int) -> Non
     stack = np.stack([x, 2.0 * x]), np.stack([y, y])
     with np.errstate(all="ignore"):
         both = measured(
-            Terms.of_dense(P[None], C[None], *stack), c, d, np.arange(m + p) >= m, lower, upper, *stack,
+            Terms.of_dense(P[None], C[None], *stack), c, d, m, lower, upper, *stack,
             np.stack([below, below]), np.stack([above, above]),
         )
     beside_own_terms = np.array([measure[0] for measure in both])

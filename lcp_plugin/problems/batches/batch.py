@@ -27,7 +27,7 @@ from ..cones.solving import result_of as result_of_small
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
-from ..programs.solving import QuadraticProgramResult, prepare_program, solve_programs
+from ..programs.solving import QuadraticProgramResult, prepare_program, programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun, CallersOwn
@@ -133,11 +133,11 @@ def solve_batch(
         With one LCP and a q of shape (B, n), all share what is known of its matrix, as after :func:`prepare`; its
         bounds hold where no others are given. One program takes a sequence of mappings in the place of q, as
         ``[{"b": b}, …]``: what ``program.with_vectors`` takes.
-        Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data: of these small
-        problems over cones, with dense matrices, share a compiled loop, and others are solved one by one; programs
-        are faster in a QuadraticProgramBatch. LCPs may differ in size. Beside a sequence q, lower and upper are not
-        given. Arrays of shape (B, n, n) are read where they lie: leave their entries as they are while you use what
-        is returned.
+        Problems are LCPs, or of any kind that :func:`lcp_plugin.solve` takes without further data. Of these, programs
+        of one shape are judged together, as in a QuadraticProgramBatch, small problems over cones with dense matrices
+        share a compiled loop, and others are solved one by one. LCPs may differ in size. Beside a sequence q, lower and
+        upper are not given. Arrays of shape (B, n, n) are read where they lie: leave their entries as they are while
+        you use what is returned.
     q : array, shape (B, n) or (n,)
     lower, upper : scalar or array, shape (n,) or (B, n)
     z0 : array, shape (B, n) or (n,), optional
@@ -152,13 +152,13 @@ def solve_batch(
 
     Returns
     -------
-    BatchResult, ProgramBatchResult for a QuadraticProgramBatch, AnswerList for a sequence of other problems, or, for
-    one program and mappings, a list of results, with an LCPError in the place of what was refused
-        Each problem judged by its own certificate. NaN in one, or no solution of it, harms no other: what the
-        compiled loop leaves open is solved one by one. After Ctrl-C those left are INTERRUPTED. Each program is
-        judged by its own residuals, as :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult` says.
-        Where the compiled loop meets a contradiction that proves it infeasible, this is said with
-        prove_infeasibility=False, too.
+    BatchResult, ProgramBatchResult for programs of one shape, or AnswerList for other problems
+        All have x, status, objective and iterations, a row an item, and ``explain()``, and are sequences of the results
+        of :func:`lcp_plugin.solve`; to look at one that was refused raises why. Each problem is judged by its own
+        certificate. NaN in one, or no solution of it, harms no other: what the compiled loop leaves open is solved one
+        by one. After Ctrl-C those left are INTERRUPTED. Each program is judged by its own residuals, as
+        :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult` says. Where the compiled loop meets a
+        contradiction that proves it infeasible, this is said with prove_infeasibility=False, too.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def solve_batch(
     >>> solve_batch(problem, [[-5, 1], [-3, -3]]).z.round(6).tolist()
     [[2.5, 0.0], [1.0, 1.0]]
     >>> program = prepare(QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[2]))
-    >>> [answer.x.tolist() for answer in solve_batch(program, [{"b": [2]}, {"b": [4]}])]
+    >>> solve_batch(program, [{"b": [2]}, {"b": [4]}]).x.tolist()
     [[1.0, 1.0], [2.0, 2.0]]
 
     The points of x₁ + x₂ ≤ 2 nearest to (1, 2) and to (0, 1):
@@ -189,23 +189,19 @@ def solve_batch(
     ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
     checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
-    if isinstance(M, QuadraticProgramBatch):
+    programs = _programs_of(M, q, lower, upper, z0)
+    if programs is not None:
         if z0 is not None or absolute_tolerance != 0.0:
             raise InvalidOption("a batch of programs takes no z0 or absolute_tolerance; leave them out")
-        _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
         of_each = {
             "tolerance": tolerance, "max_iterations": max_iterations, "prove_infeasibility": prove_infeasibility,
             "threads": 1,
         }
-        return ProgramBatchRun(M, algorithm, of_each, threads=checked, limit=limit).run()
+        return ProgramBatchRun(programs, algorithm, of_each, threads=checked, limit=limit).run()
     items: Items
     asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, max_iterations=max_iterations,
                  absolute_tolerance=absolute_tolerance, prove_infeasibility=prove_infeasibility)
     defaults = solve_batch.__kwdefaults__ or {}
-    if isinstance(M, QuadraticProgram) and q is not None:
-        _refuse_data("the mappings", '[{"lower": …, "upper": …}]', None, lower, upper)
-        own = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
-        return solve_programs(M, q, **own, limit=limit, threads=threads)
     if (kind := kind_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
         write = {LCP: "problem, Q", QuadraticProgram: 'program, [{"b": b}, …]'}.get(type(M), "[problem]")
         raise InvalidProblem(f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})")
@@ -232,6 +228,20 @@ def solve_batch(
         "absolute_tolerance": absolute_tolerance, "prove_infeasibility": prove_infeasibility, "threads": 1,
     }
     return BatchRun(items, algorithm, wishes, threads=checked, limit=limit).run()
+
+
+def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticProgramBatch | None:
+    """Return programs of one shape, however they were given; None of anything else, and of those with starts."""
+    if isinstance(M, QuadraticProgramBatch):
+        _refuse_data("programs", "QuadraticProgramBatch(P, c, …)", q, lower, upper)
+        return M
+    if isinstance(M, QuadraticProgram) and q is not None:
+        _refuse_data("the mappings", '[{"lower": …, "upper": …}]', None, lower, upper)
+        return QuadraticProgramBatch.of(programs_for(M, q), M)
+    if z0 is None and isinstance(M, Sequence) and M and all(isinstance(one, QuadraticProgram) for one in M):
+        _refuse_data("these problems", "new ones", q, lower, upper)
+        return QuadraticProgramBatch.of(M, M[0])
+    return None
 
 
 class MixedRun(BatchLoop):
@@ -357,7 +367,8 @@ def solve_many(problem: Any, Q: Any, algorithm: str | Algorithm = "auto", **opti
     [[1.0, 1.0], [2.0, 2.0]]
     """
     if isinstance(problem, QuadraticProgram):
-        return solve_programs(problem, Q, algorithm, **options)
+        found = solve_batch(problem, Q, algorithm=algorithm, **options)
+        return [found.errors[k] if k in found.errors else found[k] for k in range(len(found))]
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("solve_many", problem))
     if callable(options.get("callback")):

@@ -120,6 +120,31 @@ class BatchAnswers(AnswerSequence[T]):
     def __len__(self) -> int:
         return len(self.status)
 
+    @cached_property
+    def x(self) -> Any:
+        """The unknowns of each, shape (B, n), NaN where there are none; a list of arrays where sizes differ."""
+        rows = [np.empty(0) if one is None or one.x is None else one.x for one in self._each]
+        sizes = {row.shape for row in rows if row.size} or {(0,)}
+        if len(sizes) > 1:
+            return rows
+        return np.array([row if row.size else np.full(*sizes, np.nan) for row in rows]).reshape(len(rows), *max(sizes))
+
+    @cached_property
+    def objective(self) -> Any:
+        """What was minimised of each, shape (B,); NaN where nothing is."""
+        values = [None if one is None else one.objective for one in self._each]
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+    @cached_property
+    def iterations(self) -> Any:
+        """How many steps each took, shape (B,)."""
+        return np.array([0 if one is None else one.iterations for one in self._each], dtype=np.int64)
+
+    @property
+    def _each(self) -> list[Any]:
+        """Every answer, None where the item is no problem."""
+        return [None if k in self.errors else self._answer_of(k) for k in range(len(self))]
+
     def at(self, k: int) -> T:
         """Return answer k, or raise what is wrong with its item."""
         if k in self.errors:
@@ -278,6 +303,11 @@ class BatchResult(BatchAnswers[Result]):
         super().__init__(run, run.result_of, run.z, run.iterations)
         self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
         self.items, self.threads = run.items, run.threads
+
+    @property
+    def x(self) -> Any:
+        """The same as z."""
+        return self.z
 
     @cached_property
     def w(self) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.kernels.floats import EPSILON
-from ...core.settings import Status
+from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
 from ...engines.engine import beside_bounds
 from ..programs.criterion import Terms, measured, program_goal
@@ -47,6 +47,7 @@ class ProgramBatchRun(BatchLoop):
         self.x, self.y = np.full((count, n), np.nan), np.full((count, m + p), np.nan)
         self.at_bounds, self.steps = np.full((2, count, n), np.nan), np.zeros(count, np.int64)
         self.results: dict[int, QuadraticProgramResult] = {}
+        self.start: Any = None
 
     def run(self) -> ProgramBatchResult:
         """Solve all, and gather what was found."""
@@ -97,8 +98,10 @@ class ProgramBatchRun(BatchLoop):
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         self._forget(k)
-        result = self.results[k] = solve_program(self.programs[k], self.algorithm, **wishes)
+        result = self.results[k] = solve_program(self.programs[k], self.algorithm, z0=self.start, **wishes)
         found = result.solution
+        if result.is_solved and not result.is_compiled and self.programs.has_one_matrix:
+            self.start = result.z  # a run goes on from the last one
         self.x[k], self.steps[k] = found.x, result.iterations
         self.y[k] = np.concatenate([found.inequality, found.equality])
         self.at_bounds[:, k], self.residual[k] = (found.lower, found.upper), found.error
@@ -165,10 +168,11 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
 
     @cached_property
     def objective(self) -> Any:
-        """½ xᵀP x + cᵀx of each, shape (B,); computed when it is looked at."""
+        """½ xᵀP x + cᵀx of each, shape (B,), NaN where a proof says that there is no minimum; made when looked at."""
         P, x = self.programs.P, self.x
         Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
-        return ((0.5 * Px + self.programs.vectors["c"]) * x).sum(axis=1)
+        values = ((0.5 * Px + self.programs.vectors["c"]) * x).sum(axis=1)
+        return np.where([status in PROVEN for status in self.status], np.nan, values)
 
 
 def _are_semidefinite(P: Any) -> Any:

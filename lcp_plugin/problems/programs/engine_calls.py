@@ -156,9 +156,8 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
             given = ", ".join(f"{name}={value!r}" for name, value in engine.options.items())
             raise InvalidOption(f"{engine.name} does not take {given}: {str(error).splitlines()[0]}") from error
     else:  # what is left to say is whether the rows hold
-        empty = np.zeros(0)
-        of_rows = (np.zeros(right.size) for right in (prepared.statement.h, prepared.statement.b))
-        multipliers = Multipliers(*of_rows, empty, empty)
+        empty, (m, p) = np.zeros(0), (prepared.statement.h.size, prepared.statement.b.size)
+        multipliers = Multipliers(np.zeros(m), np.zeros(p), empty, empty)
         point = Point(empty, multipliers, 0, Hint.GAVE_UP)
     if not np.isfinite(np.concatenate([point.x, *point.multipliers])).all():
         yield None, point

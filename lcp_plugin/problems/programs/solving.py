@@ -19,7 +19,6 @@ from ...core.errors import (
     InvalidOption,
     InvalidProblem,
     LCPError,
-    UnknownAlgorithm,
     UnsuitableMatrix,
     UnsuitableProblem,
     UnsupportedModel,
@@ -478,29 +477,23 @@ def prepare_program(program: QuadraticProgram) -> None:
         _ = matrices.dense
 
 
-def solve_programs(
-    program: QuadraticProgram, vectors: Any, algorithm: Any = "auto", *, limit: float = math.inf, **options: Any
-) -> list[QuadraticProgramResult | LCPError]:
-    """Return the answers for many vectors, within so many seconds in all: a run goes on from the last answer."""
-    answers: list[QuadraticProgramResult | LCPError] = []
-    clock = Clock()
-    z: FloatVector | None = None
+def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgram | LCPError]:
+    """Return the program with each of many vectors, or what is wrong with these.
+
+    Raises
+    ------
+    InvalidProblem
+        Where it is no sequence of mappings from the names of vectors.
+    """
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
         raise InvalidProblem(f'a program takes a list of mappings, as [{{"b": b}}], got {type(vectors).__name__}')
+    programs: list[QuadraticProgram | LCPError] = []
     for k, one in enumerate(vectors):
         if not isinstance(one, Mapping) or (unknown := set(one) - VECTORS):
             what = f"the name {min(unknown)!r}" if isinstance(one, Mapping) else type(one).__name__
             raise InvalidProblem(f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}")
-        if limit < math.inf:
-            options["max_seconds"] = max(limit - clock.read(), 0.0)
         try:
-            found = solve_program(program.with_vectors(**one), algorithm, guess=z, **options)
-            answers.append(found)
-            z = found.z if found.is_solved and not found.is_compiled else z
-        except (InvalidOption, UnknownAlgorithm, UnsupportedModel):  # what concerns all
-            raise
+            programs.append(program.with_vectors(**one))
         except LCPError as error:
-            answers.append(error)
-        if isinstance(answers[-1], QuadraticProgramResult) and answers[-1].status is Status.INTERRUPTED:
-            break
-    return answers
+            programs.append(error)
+    return programs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import INFINITE_LIMIT, BoolVector, as_stated, read_only, real_array
-from ...core.errors import InvalidProblem
+from ...core.errors import InvalidProblem, LCPError
 from ..many.data import length_of_all, rows_of_a_batch
 from .convexity import refuse_nonconvex
 from .program import SYMMETRIC_TO, QuadraticProgram, check_pair
+from .program_matrices import may_be_small
 
 
 class QuadraticProgramBatch:
@@ -43,6 +45,9 @@ class QuadraticProgramBatch:
     (QuadraticProgramBatch(2 programs, n=2), array([ 0., -1.]))
     """
 
+    _given: Sequence[QuadraticProgram | LCPError] | None
+    _shared: QuadraticProgram | None
+
     def __init__(
         self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
         b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
@@ -66,7 +71,7 @@ class QuadraticProgramBatch:
         stacks |= {name: rows for name, rows in self.vectors.items() if np.ndim(right[name][0]) == 2}
         self.count = length_of_all({name: len(rows) for name, rows in stacks.items()})
         self.sizes: tuple[int, int, int, int] = m, p, n, n
-        self._shared = None
+        self._shared, self._given = None, None
         if not stacks.keys() & matrices.keys():
             self._shared = QuadraticProgram(
                 matrices["P"], np.zeros(n), matrices["G"], np.zeros(m), matrices["A"], np.zeros(p)
@@ -77,10 +82,58 @@ class QuadraticProgramBatch:
         if self._shared is None:
             self.P, self._is_symmetric = _symmetric(self.P)
 
+    @classmethod
+    def of(
+        cls, programs: Sequence[QuadraticProgram | LCPError], example: QuadraticProgram
+    ) -> QuadraticProgramBatch | None:
+        """Return checked programs of one shape as a batch; None where they are not, or fill too much memory together.
+
+        Parameters
+        ----------
+        programs : sequence of QuadraticProgram or LCPError
+            An error says why there is none; to ask for that one raises it.
+        example : QuadraticProgram
+            Of the same shape.
+
+        Examples
+        --------
+        >>> program = QuadraticProgram(np.eye(2), [-1, 0])
+        >>> QuadraticProgramBatch.of([program, program.with_vectors(c=[0, -1])], program)
+        QuadraticProgramBatch(2 programs, n=2)
+        """
+        given = [one for one in programs if isinstance(one, QuadraticProgram)]
+        (m, p, n, _), is_shared = example.matrices.sizes, all(one.matrices is example.matrices for one in given)
+        if any(one.matrices.sizes != example.matrices.sizes for one in given):
+            return None
+        if not (is_shared or may_be_small(n, m + p, n * (n + m + p))):
+            return None
+        made = object.__new__(cls)
+        made.count, made.sizes, made._given = len(programs), (m, p, n, n), programs
+        made._shared, made._is_symmetric = (example if is_shared else None), True
+        # Where there is none, its vectors are no numbers.
+        sizes = {"c": n, "h": m, "b": p, "lower": n, "upper": n}
+        none = {name: np.full(size, np.nan) for name, size in sizes.items()}
+        made.vectors = {
+            name: np.array([getattr(one, name, missing) for one in programs]).reshape(len(programs), missing.size)
+            for name, missing in none.items()
+        }
+        if is_shared:
+            made.P, made.G, made.A = example.P, example.G, example.A
+        else:
+            every = [(one if isinstance(one, QuadraticProgram) else example).matrices.dense for one in programs]
+            made.P, rows = (np.concatenate(stack) for stack in zip(*every, strict=True))
+            made.G, made.A = rows[:, :m], rows[:, m:]
+        return made
+
     @property
     def n(self) -> int:
         """Number of variables of each."""
         return self.sizes[2]
+
+    @property
+    def has_one_matrix(self) -> bool:
+        """Whether P, G and A are the same for all."""
+        return self._shared is not None
 
     @property
     def arrays(self) -> tuple[Any, ...]:
@@ -117,6 +170,10 @@ class QuadraticProgramBatch:
         if not -len(self) <= k < len(self):
             raise IndexError(f"there are {len(self)} programs, and none has the number {k}")
         c, h, b, lower, upper = (_of(rows, k % len(self)) for rows in self.vectors.values())
+        if self._given is not None:
+            if isinstance(one := self._given[k], LCPError):
+                raise one
+            return one
         if self._shared is not None:
             return self._shared.with_vectors(c, h, b, lower, upper)
         P, G, A = (_of(stack, k % len(self)) for stack in (self.P, self.G, self.A))

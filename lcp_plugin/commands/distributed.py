@@ -139,7 +139,7 @@ class OnRanks(OneProcess):
         try:
             for name, own in (("z.npy", result.z), ("w.npy", result.w)):
                 begin = self.ranks.from_first(partial(_begin_array, temporary[name], problem.n))
-                self.ranks.together(partial(_write_part, temporary[name], begin + 8 * problem.first, own))
+                self.ranks.together(partial(_write_part, temporary[name], begin + 8 * problem.own_rows.start, own))
             self.ranks.from_first(finish)
         finally:
             if self.ranks.rank == 0:
@@ -165,7 +165,7 @@ def scene_on_ranks(name: str, comm: Any, parameters: Mapping[str, Any]) -> Scene
         scene = ranks.together(lambda: build_whole(name, **parameters))
         problem = LCP.from_problem(scene.problem, comm)
         vectors = {"exact": scene.exact, "continuum": scene.continuum, "start": scene.start}
-        own = slice(problem.first, problem.last)
+        own = problem.own_rows
         parts: dict[str, Any] = {fact: None if vector is None else vector[own] for fact, vector in vectors.items()}
         return replace(scene, problem=problem, **parts)
     values = ranks.together(lambda: checked_values(name, parameters))

@@ -289,7 +289,7 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     def check() -> None:
         if not usable.all():
             i = int(np.flatnonzero(~usable)[0])
-            row, other = problem.first + i, "npsor" if problem.is_distributed else "auto"
+            row, other = problem.own_rows.start + i, "npsor" if problem.is_distributed else "auto"
             raise UnsuitableMatrix(
                 f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="{other}"'
             )

@@ -373,7 +373,7 @@ def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
         nearest: FloatVector = problem.nearest_to_zero
         return nearest
     try:
-        start = finite_vector(z0, "z0", problem.own, may_be_number=problem.n == 1)
+        start = finite_vector(z0, "z0", problem.q.size, may_be_number=problem.n == 1)
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
     return np.clip(start, problem.lower, problem.upper)

@@ -80,8 +80,8 @@ class LCP:
 
     def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
-        self.q: FloatVector = finite_vector(q, "q", self.own)
-        bounds = checked_bound(lower, "lower", self.own), checked_bound(upper, "upper", self.own)
+        self.q: FloatVector = finite_vector(q, "q", self.matrix.own)
+        bounds = checked_bound(lower, "lower", self.matrix.own), checked_bound(upper, "upper", self.matrix.own)
         self.lower, self.upper = without_huge(*bounds)
         check_order(self.lower, self.upper)
         self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
@@ -93,19 +93,9 @@ class LCP:
         return self.matrix.n
 
     @property
-    def own(self) -> int:
-        """The number of rows that this process holds: all, unless they are spread over the ranks of an MPI job."""
-        return self.matrix.own
-
-    @property
-    def first(self) -> int:
-        """The index of the first row that this process holds."""
-        return self.matrix.first
-
-    @property
-    def last(self) -> int:
-        """The index after the last row that this process holds."""
-        return self.first + self.own
+    def own_rows(self) -> slice:
+        """The rows that this process holds: all, unless they are spread over the ranks of an MPI job."""
+        return slice(self.matrix.first, self.matrix.first + self.matrix.own)
 
     @property
     def M(self) -> Any:
@@ -190,7 +180,7 @@ class LCP:
         InvalidProblem
             On every rank, where one part is no real vector of the right length.
         """
-        return self.matrix.together(lambda: real_vector(z, name, self.own))
+        return self.matrix.together(lambda: real_vector(z, name, self.matrix.own))
 
     def gathered(self, z: ArrayLike) -> FloatVector | None:
         """Return the rows of all ranks as one vector on rank 0, and None on the others.
@@ -222,7 +212,7 @@ class LCP:
         other = object.__new__(LCP)
         other.origin, other.criterion, other.matrix = None, None, self.matrix
         other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero  # checked, kept
-        other.q = self.matrix.together(lambda: finite_vector(q, "q", self.own))
+        other.q = self.matrix.together(lambda: finite_vector(q, "q", self.matrix.own))
         return other
 
     # --- rows over the ranks of an MPI job ----------------------------------------------------------------

@@ -96,7 +96,7 @@ class Scene:
         for fact in _VECTORS:
             values = getattr(self, fact)
             if values is not None:
-                object.__setattr__(self, fact, _read_only(values, fact, self.problem.own))
+                object.__setattr__(self, fact, _read_only(values, fact, self.problem.q.size))
         if self.exact is not None and self.active_share is None and self.n:
             object.__setattr__(self, "active_share", float(np.mean(is_at_bound(self.problem, self.exact))))
         if self.grid is None and self.coordinates is not None:

@@ -171,7 +171,7 @@ def _write_chunk(problem: LCP, folder: Path, name: str) -> None:
     M = numbered_over_all(problem.matrix.csr_rows, ranks)
     try:
         with (folder / f"rows-{ranks.rank:05d}-of-{ranks.size:05d}.npz").open("xb") as file:
-            np.savez(file, **arrays_of(problem, M), first_row=np.array(problem.first), save=np.array(name))
+            np.savez(file, **arrays_of(problem, M), first_row=np.array(problem.own_rows.start), save=np.array(name))
     except FileNotFoundError as error:
         raise UnreadableFile(f"the folder {folder} is not seen; all ranks must share the file system") from error
 

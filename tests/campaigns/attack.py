@@ -232,7 +232,7 @@ def planted_program(rng: Generator, *, linear: bool = False) -> Target:
     c = -(P @ x + G.T @ y + A.T @ e - below + above)
     data = [P, c, G, h, A, b, lower, upper]
     program = lp.QuadraticProgram(*data[:6], lower=lower, upper=upper)
-    program.is_shown_convex  # noqa: B018 - kept
+    program.facts.is_shown_convex  # noqa: B018 - kept
     best, own = value_of(data, x)
     ends = np.cumsum([n, m, p, n, n])
 

@@ -177,7 +177,7 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
         other = QuadraticProgram(
             program.P, program.c, program.G[kept], program.h[kept], program.A, program.b, program.lower, program.upper
         )
-        if other.proof_of_no_minimum is None and (own := ProgramProofs(other).own_solution) is not None:
+        if other.facts.proof_of_no_minimum is None and (own := ProgramProofs(other).own_solution) is not None:
             wrong["a constraint dropped"] = (own.x, None)
     return wrong
 

@@ -326,7 +326,7 @@ def program_violations(case: PlantedProgram) -> tuple[list[str], str]:
     statuses.add("optimal" if solution.is_optimal() else solution.status)
     if "infeasible" in statuses and case.margin.high <= CONSTRAINTS:
         bad.append(f"infeasible at a margin of {case.margin.high:.3e}")
-    proof = case.program.proof_of_no_minimum
+    proof = case.program.facts.proof_of_no_minimum
     if proof is not None and proof.verdict == "infeasible" and proof.margin > case.margin.high * (1.0 + 1e-12):
         bad.append(f"margin {proof.margin:.3e} claimed of {case.margin.high:.3e}")
     if {"optimal", "infeasible"} <= statuses:

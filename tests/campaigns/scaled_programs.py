@@ -129,7 +129,7 @@ def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str
             bad.append(f"objective {result.objective / size:.9g} for {case.value:.9g}")
         solution = result.solution
         if solution.error > SURE:
-            proof = program.proof_of_no_minimum
+            proof = program.facts.proof_of_no_minimum
             bad += ["SOLVED, and an exact proof against it"] * (proof is not None and proof.is_exact)
     elif result.proof is not None and not result.proof.verify():
         bad.append("a proof that does not verify")

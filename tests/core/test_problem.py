@@ -644,3 +644,20 @@ def test_a_masked_z_is_refused_in_words() -> None:
     """``slack`` of a masked array is refused as it is everywhere else."""
     with pytest.raises(InvalidProblem, match="masked"):
         LCP(A, Q).slack(np.ma.array(np.ones(4), mask=[0, 1, 0, 0]))
+
+
+def test_a_problem_shows_what_its_users_want() -> None:
+    """dir() lists data, what is said of them, and ways in and out; what solvers find out is inside."""
+    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-1.0, -1.0])
+    program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[2.0])
+    shown = [{name for name in dir(one) if not name.startswith("_")} for one in (problem, program)]
+    assert shown[0] == {
+        "M", "q", "lower", "upper", "n", "nonzeros", "diagonal", "is_dense", "is_distributed", "is_plain",
+        "nearest_to_zero", "residual_scale", "slack", "with_q", "save", "load", "from_qp", "from_game", "from_contacts",
+        "from_cvxpy", "from_problem", "from_rows", "to_qp", "to_cvxpy", "origin", "own_rows", "own_part", "gathered",
+        "csr", "matrix", "criterion", "problem_kind",
+    }
+    assert shown[1] == {
+        "P", "c", "G", "h", "A", "b", "lower", "upper", "n", "asymmetry", "ranges", "is_convex", "objective",
+        "with_vectors", "from_ranges", "constraints", "matrices", "with_matrices", "facts", "problem_kind",
+    }

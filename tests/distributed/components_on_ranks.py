@@ -51,7 +51,7 @@ def components_are_those_of_the_whole(comm: Any) -> None:
             total = 1 if alone is None else alone.total
             rng = np.random.default_rng([seed, 1])
             near = np.maximum(z * (1.0 + 10.0 ** rng.uniform(-12, 0, z.size) * rng.normal(size=z.size)), 0.0)
-            judged = Certificate.of(problem, near[problem.first : problem.last])
+            judged = Certificate.of(problem, near[problem.own_rows])
             truth = Certificate.of(one, near)
             assert judged.components == truth.components == total
             assert np.isclose(judged.relative_residual, truth.relative_residual, rtol=1e-6, atol=1e-13)
@@ -59,7 +59,7 @@ def components_are_those_of_the_whole(comm: Any) -> None:
                 continue
             assert shared.total == total
             values = rng.random(one.n)
-            largest = shared.largest(values[problem.first : problem.last])[shared.labels]
+            largest = shared.largest(values[problem.own_rows])[shared.labels]
             told = np.concatenate(comm.allgather(largest))
             assert np.array_equal(told, alone.largest(values)[alone.labels])
 
@@ -72,7 +72,7 @@ def every_component_is_solved_in_its_own_unit(comm: Any) -> None:
         problem = LCP.from_problem(whole, comm)
         rng = np.random.default_rng([seed, 2])
         is_right = rng.random(component.max() + 1) < 0.5
-        starts = (None, np.where(is_right[component], z, 1.5 * z)[problem.first : problem.last])
+        starts = (None, np.where(is_right[component], z, 1.5 * z)[problem.own_rows])
         for algorithm in ("auto", "psor", "npsor", "multigrid"):
             for start in starts:
                 result = solve(problem, algorithm, z0=start)

@@ -80,7 +80,7 @@ def compare(comm: Any, name: str) -> None:
             marks.append((sha256(result.z.tobytes()).hexdigest(), result.iterations, repr(result.residual)))
         assert marks[0] == marks[1], algorithm
         assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (algorithm, str(result))
-        own = truth[problem.first : problem.last]
+        own = truth[problem.own_rows]
         assert np.abs(result.z - own).max(initial=0.0) <= 1e-9 * np.abs(truth).max(), algorithm
         assert np.allclose(result.w, problem.slack(result.z))
         assert result.residual == Certificate.of(problem, result.z).relative_residual
@@ -122,7 +122,7 @@ def limits_and_starts_are_those_of_one_process(comm: Any) -> None:
     """The options z0, max_iterations, max_seconds, record and measure do what they do there."""
     whole, truth = scene("obstacle_2d")
     problem = LCP.from_problem(whole, comm)
-    own = truth[problem.first : problem.last]
+    own = truth[problem.own_rows]
     assert solve(problem, "npsor", z0=own).iterations == 0
     far = solve(problem, "pgs", z0=own - 100.0, max_iterations=0)
     assert far.status is Status.MAX_ITERATIONS
@@ -150,7 +150,7 @@ def an_error_can_be_asked_for(comm: Any) -> None:
     for name in ("obstacle_2d", "mixed"):
         whole, truth = scene(name)
         problem = LCP.from_problem(whole, comm)
-        own = truth[problem.first : problem.last]
+        own = truth[problem.own_rows]
         for algorithm in ("auto", "pgs", "npsor"):
             result = solve(problem, algorithm, tolerance=1e-5, tolerance_on="error", record=True)
             require_same_on_all(comm, result)
@@ -182,7 +182,7 @@ def one_rank_can_end_the_run(comm: Any) -> None:
 
         def stop(sample: Any, z: Any, seen: list[int] = seen) -> bool:
             assert not z.flags.writeable
-            assert z.size == problem.last - problem.first
+            assert z.size == problem.q.size
             seen.append(sample.iteration)
             return is_last and sample.iteration == 3
 
@@ -260,7 +260,7 @@ def problems_that_need_no_iteration_are_solved(comm: Any) -> None:
     problem = LCP.from_problem(LCP(M, np.ones(M.shape[0])), comm)
     empty = LCP.from_problem(LCP(sp.csr_array((0, 0)), []), comm)
     for algorithm in ALGORITHMS:
-        result = solve(problem, algorithm, z0=np.ones(problem.last - problem.first))
+        result = solve(problem, algorithm, z0=np.ones(problem.q.size))
         assert (result.status, result.iterations, result.residual) == (Status.SOLVED, 0, 0.0), algorithm
         assert not result.z.any()
         require_same_on_all(comm, result)
@@ -291,7 +291,7 @@ def any_order_and_an_automatic_relaxation_work(comm: Any) -> None:
     for name in ("obstacle_2d", "mixed"):
         whole, truth = scene(name)
         problem = LCP.from_problem(whole, comm)
-        own = truth[problem.first : problem.last]
+        own = truth[problem.own_rows]
         for algorithm, options in (
             ("psor", {"sweep": "backward"}), ("psor", {"sweep": "symmetric", "relaxation": 1.0}), ("psor", {}),
             ("npsor", {"sweep": "backward"}), ("npgs", {"sweep": "symmetric"}),
@@ -378,7 +378,7 @@ def derivatives_are_those_of_one_process(comm: Any) -> None:
     whole = gallery.build("obstacle_2d", size=40).problem
     one, n = derivative(solve(whole, tolerance=1e-12)), whole.n
     problem = LCP.from_problem(whole, comm)
-    own = slice(problem.first, problem.last)
+    own = problem.own_rows
     found = derivative(solve(problem, tolerance=1e-12))
     dq, dlower, g, gw = np.random.default_rng(0).normal(size=(4, n))
 
@@ -415,7 +415,7 @@ def derivatives_that_need_all_rows_are_refused_everywhere(comm: Any) -> None:
     """A change of M, the adjoint of a nonsymmetric M, a side of a kink; also where one rank alone asks or is kinked."""
     whole = gallery.build("obstacle_2d", size=9).problem
     problem = LCP.from_problem(whole, comm)
-    found, own, is_last = derivative(solve(problem)), problem.last - problem.first, comm.rank == comm.size - 1
+    found, own, is_last = derivative(solve(problem)), problem.q.size, comm.rank == comm.size - 1
     words = "rows of M are spread over"
     with pytest.raises(UnsuitableProblem, match=words):
         found.jvp(dM=np.eye(whole.n) if is_last else None)
@@ -443,7 +443,7 @@ def derivatives_that_need_all_rows_are_refused_everywhere(comm: Any) -> None:
 def a_part_of_wrong_length_is_refused_everywhere(comm: Any) -> None:
     """Where one rank's z is too long or too short, all ranks are told."""
     problem = LCP.from_problem(gallery.build("obstacle_2d", size=9).problem, comm)
-    own = problem.last - problem.first
+    own = problem.q.size
     for wrong in (own - 1, own + 1):
         z = np.zeros(wrong if comm.rank == 1 else own)
         for call in (problem.slack, problem.gathered, lambda z: Certificate.of(problem, z),

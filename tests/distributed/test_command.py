@@ -27,7 +27,7 @@ from lcp_plugin.ranks.petsc.halo import numbered_over_all
 def compare(name, size, shifted):
     part = scenes.scene_on_ranks(name, MPI.COMM_WORLD, dict(size=size, shifted=shifted)).problem
     whole = gallery.build(name, size=size, shifted=shifted).problem
-    own = slice(part.first, part.last)
+    own = part.own_rows
     rows = numbered_over_all(part.matrix.csr_rows, part.matrix.communicator)
     M = whole.csr[own]
     for one, other in ((rows.indptr, M.indptr), (rows.indices, M.indices), (rows.data, M.data)):
@@ -182,7 +182,7 @@ from lcp_plugin import solve
 from lcp_plugin.commands import distributed as scenes
 problem = scenes.scene_on_ranks("obstacle_2d", MPI.COMM_WORLD, dict(size=30)).problem
 result = solve(problem, "npgs", tolerance=1e-6).require_solved()
-assert result.z.shape == (problem.last - problem.first,)
+assert result.z.shape == (problem.q.size,)
 print("solved", flush=True)
 """
     end = run_code(2, code)

@@ -86,7 +86,7 @@ def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
     within = 0
     for seed in range(200):
         program = redundant_program(kind, seed)
-        proof = program.accepted_proof()
+        proof = program.facts.accepted_proof()
         assert proof is not None, seed
         assert proof.verdict == kind, seed
         assert proof.verify(), seed
@@ -97,7 +97,7 @@ def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
 @pytest.mark.full
 def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
     """None of 200 consistent programs with the same rows has a proof that counts."""
-    assert [seed for seed in range(200) if redundant_program("optimal", seed).accepted_proof() is not None] == []
+    assert [seed for seed in range(200) if redundant_program("optimal", seed).facts.accepted_proof() is not None] == []
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -105,7 +105,7 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
     """Every x up to the radius misses some row by the margin, in exact arithmetic; far beyond it one meets them all."""
     rng = np.random.default_rng(seed)
     program = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
-    proof = program.accepted_proof()
+    proof = program.facts.accepted_proof()
     assert isinstance(proof, QPInfeasibility)
     unit = program.constraints.own_sizes
 
@@ -125,8 +125,8 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
 
 def test_a_tampered_proof_within_a_radius_does_not_verify() -> None:
     """Other signs, a direction upwards, or rounding replaced by data: no proof."""
-    infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY).accepted_proof()
-    unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET).accepted_proof()
+    infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY).facts.accepted_proof()
+    unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET).facts.accepted_proof()
     assert isinstance(infeasible, QPInfeasibility)
     assert isinstance(unbounded, QPUnboundedness)
     first, *rest = infeasible.multipliers
@@ -142,7 +142,7 @@ def test_a_small_coefficient_is_data_and_no_rounding(small: float) -> None:
     """x₁ = 0, x₁ + small x₂ = 1 has the solution x₂ = 1/small, however far out: never infeasible."""
     A, b = np.array([[1.0, 0.0], [1.0, small]]), np.array([0.0, 1.0])
     for P in (np.zeros((2, 2)), np.eye(2)):
-        assert QuadraticProgram(P, [0.0, 0.0], A=A, b=b).proof_of_no_minimum is None
+        assert QuadraticProgram(P, [0.0, 0.0], A=A, b=b).facts.proof_of_no_minimum is None
     result = solve(LCP(A, -b, lower=-np.inf))
     assert not result.has_no_solution
     assert result.infeasibility is None
@@ -169,7 +169,7 @@ def test_certify_proves_nothing_within_a_radius() -> None:
     """What `certify` says holds of all x: a proof within a radius proves neither infeasible nor unbounded."""
     infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
     unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET)
-    assert math.isfinite(infeasible.proof_of_no_minimum.radius)  # type: ignore[union-attr]
+    assert math.isfinite(infeasible.facts.proof_of_no_minimum.radius)  # type: ignore[union-attr]
     assert certify(infeasible, claim="infeasible").verdict != "proved"
     assert certify(unbounded, claim="unbounded").verdict != "proved"
 

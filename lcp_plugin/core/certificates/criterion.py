@@ -293,7 +293,7 @@ class CommonScaling:
         """Bounds of ‖r̂_P(z°)‖∞ of each component, raised to `least`, shape (components,) each; 0 where z° answers."""
         least, most = own_references(self.problem)
         if self.least:
-            of_rows = times_power(np.full(self.stated.own, self.least), self.exponents)
+            of_rows = times_power(np.full(self.stated.q.size, self.least), self.exponents)
             raised = np.where(most > 0.0, largest_of_components(self.problem, of_rows), 0.0)
             least, most = np.maximum(least, raised), np.maximum(most, raised)
         return self.in_open_components(least), self.in_open_components(most)

@@ -176,7 +176,7 @@ class Certificate:
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         matrix, is_empty = self.problem.matrix, not relative.size
         row = matrix.row_of_largest(0.0 if is_empty else float(relative[worst]), worst)
-        is_here = not is_empty and row == self.problem.first + worst
+        is_here = not is_empty and row == self.problem.own_rows.start + worst
         shown = float(residual[worst] if self._scaling is None else residual.max()) if is_here else 0.0
         return matrix.largest_of(shown), row
 

@@ -115,7 +115,7 @@ def beyond_doubles(problem: LCP) -> str:
         return "" if np.isfinite(w).all() else OVERFLOWS
     q, m = f"{abs(problem.q[i]):.3g}", f"{largest[i]:.3g}"
     return (
-        f"row {problem.first + i} has |q| = {q} beside entries of M up to {m}, so that |z| is at least "
+        f"row {problem.own_rows.start + i} has |q| = {q} beside entries of M up to {m}, so that |z| is at least "
         f"1e+{exponents[i]:.0f}, beyond the largest double: state the unknowns in a larger unit; divide M by {m}, q by "
         f"{q}, and z is in units of {q}/{m}"
     )

@@ -75,7 +75,7 @@ class Splitting(Algorithm):
         z : array, shape (n,), optional
             Where x is not z itself: filled with the z of x.
         """
-        matrix, M, own = problem.matrix, problem.matrix.csr_rows, problem.own
+        matrix, M, own = problem.matrix, problem.matrix.csr_rows, problem.q.size
         passes, is_coupled = directions(self.sweep), matrix.is_coupled
         splits = {backward: row_splits(matrix, backward) for backward in passes}
         new, unwanted = np.empty_like(x), np.empty_like(x) if z is not None and len(passes) > 1 else z

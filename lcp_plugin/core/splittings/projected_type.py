@@ -60,7 +60,7 @@ class ScaledByRows(Algorithm):
         use: so it is in an H₊-matrix whose columns differ in unit.
         """
         if self.scaling is None:
-            return np.ones(problem.own)
+            return np.ones(problem.q.size)
         factors = automatic() if self.scaling == "auto" else self.scaling_factor
         inverse = inverse_residual_scale(problem.matrix)
         with np.errstate(over="ignore", divide="ignore"):
@@ -76,7 +76,7 @@ class ScaledByRows(Algorithm):
         rows = packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix))
         cleaned = problem.matrix.whole(z.copy())
         relaxation_sweep(M.indptr, row_splits(problem.matrix, False), M.indices, M.data, rows, 1.0, False, cleaned)
-        return cleaned[: problem.own]
+        return cleaned[: problem.q.size]
 
 
 @dataclass(frozen=True, kw_only=True)

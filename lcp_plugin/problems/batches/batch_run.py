@@ -124,10 +124,13 @@ class BatchAnswers(AnswerSequence[T]):
     def x(self) -> Any:
         """The unknowns of each, shape (B, n), NaN where there are none; a list of arrays where sizes differ."""
         rows = [np.empty(0) if one is None or one.x is None else one.x for one in self._each]
-        sizes = {row.shape for row in rows if row.size} or {(0,)}
+        sizes = {row.size for row in rows if row.size} or {0}
         if len(sizes) > 1:
             return rows
-        return np.array([row if row.size else np.full(*sizes, np.nan) for row in rows]).reshape(len(rows), *max(sizes))
+        x = np.full((len(rows), *sizes), np.nan)
+        for k, row in enumerate(rows):
+            x[k, : row.size] = row
+        return x
 
     @cached_property
     def objective(self) -> Any:

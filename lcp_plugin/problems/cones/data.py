@@ -73,8 +73,6 @@ class Blocks:
         """The number of unknowns."""
         return self.rows.n
 
-    own = n
-
     @property
     def q(self) -> FloatVector:
         """The offset, shape (n,)."""

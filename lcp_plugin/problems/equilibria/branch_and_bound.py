@@ -344,7 +344,7 @@ class BranchAndBound:
     def _settle(self, piece: Node) -> None:
         """Close a piece neither solved to its bound nor infeasible: it falls without end, or nothing is known."""
         program = self.relaxations.program(piece.cases)
-        proof = None if program is None else program.proof_of_no_minimum
+        proof = None if program is None else program.facts.proof_of_no_minimum
         if isinstance(proof, QPUnboundedness):
             self.descent = piece.cases, proof
         self._is_stuck = self._is_stuck or piece.bound < self.cutoff

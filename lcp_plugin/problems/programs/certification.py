@@ -324,7 +324,7 @@ class ProgramProofs:
     @cached_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """An exact proof that the program has no minimum; None where none was found."""
-        proof = self.program.proof_of_no_minimum
+        proof = self.program.facts.proof_of_no_minimum
         if proof is not None and not proof.is_exact:  # what a solve keeps need not be
             proof = proof_of_no_minimum(self.program, exactly=True)
         return proof if proof is not None and proof.is_exact and proof.verify() else None

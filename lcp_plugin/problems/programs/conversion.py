@@ -293,7 +293,7 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, y = self._split(answer)
-        if getattr(answer, "has_no_solution", False) and self.program.accepted_proof() is not None:
+        if getattr(answer, "has_no_solution", False) and self.program.facts.accepted_proof() is not None:
             return QPSolution.without_multipliers(self.program, self.reduction.point(x))
         key = x.tobytes() + y.tobytes()
         solution = self._latest.get(key)  # a run's judge may have asked for it
@@ -309,7 +309,7 @@ class QPOrigin:
         goal = program_goal(tolerance)
         if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
             return False
-        return solution.is_sure(goal) or self.program.accepted_proof(goal, is_met=True) is None
+        return solution.is_sure(goal) or self.program.facts.accepted_proof(goal, is_met=True) is None
 
     def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
@@ -337,7 +337,7 @@ class QPOrigin:
         A contradiction of the problem alone may be one of rounding: an equation 1e-16 = 0 may be all that acts there.
         A tolerance of the problem below 1e-6 is none of the program.
         """
-        return self.program.accepted_proof(max(tolerance, PROGRAM_TOLERANCE)) is not None
+        return self.program.facts.accepted_proof(max(tolerance, PROGRAM_TOLERANCE)) is not None
 
     def end_by(self, proof: QPInfeasibility | QPUnboundedness) -> None:
         """Take note of the proof that ends a run."""

@@ -164,7 +164,7 @@ class Acting(NamedTuple):
         own = np.maximum(np.maximum(base, terms.pull_largest), np.maximum(*np.abs(multipliers[1:])))
         is_free = (x > program.lower) & (x < program.upper)
         sizes = []
-        for unit in (np.ones(x.size), program.fitted_units):
+        for unit in (np.ones(x.size), program.facts.fitted_units):
             matrix: Any = program.matrices.rows if program.matrices.has_sparse_rows else program.matrices.dense_rows
             if sp.issparse(matrix):
                 entries = np.abs(matrix.data) * unit[matrix.indices]

@@ -126,7 +126,7 @@ def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Ite
     given = _statement(reduction.reduced)
     yield from _points(reduction, Prepared.of(given), engine, is_verbose)
     is_far = far_limits(given)
-    units = reduction.reduced.fitted_units
+    units = reduction.reduced.facts.fitted_units
     if (units != 1.0).any():
         yield from _points(reduction, Prepared.of(given, None, units), engine, is_verbose)
     for _ in range(CALLS if is_far.any() else 0):

@@ -492,7 +492,7 @@ def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     Unknowns are measured in the caller's units, then in fitted ones.
     """
     found: tuple[Vector, ...] = ()
-    for unit in (np.ones(program.n), program.fitted_units):
+    for unit in (np.ones(program.n), program.facts.fitted_units):
         found = _points_inside(program, unit) or found
         if len(found) > 1:
             break

@@ -182,93 +182,14 @@ class QuadraticProgram:
         return self.matrices.is_semidefinite
 
     @cached_property
-    def is_shown_convex(self) -> bool:
-        """Whether P is shown to be positive semidefinite up to the rounding of each of its rows.
-
-        By the rows themselves, or by one factorisation. What is semidefinite only beside its largest entries is not.
-        """
-        d = self.P.diagonal()
-        is_dominant = bool((d >= 0.0).all()) and bool((abs(self.P) @ np.ones(self.n) <= 2.0 * d).all())  # Gershgorin
-        return is_dominant or self.is_convex is True
-
-    @cached_property
-    def falls_nowhere(self) -> bool:
-        """Whether a look at P and the bounds shows that there is no direction of endless descent.
-
-        Along one, unknowns with two bounds stay, and P is singular in the others: not where its rows, in these
-        unknowns, are strictly dominant (Gershgorin).
-        """
-        is_open = np.isinf(self.lower) | np.isinf(self.upper)
-        sums = abs(self.P) @ is_open.astype(np.float64)
-        return bool((SURELY * self.P.diagonal() > sums)[is_open].all())
-
-    @property
-    def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
-
-        It holds for the stored doubles, by however little: `margin` says by how much, `accepted_proof` whether it
-        counts.
-        """
-        if "_proof" not in self.__dict__:
-            found = proof_of_no_minimum(self)
-            if found is None and is_over():
-                return None  # a time limit has cut it short
-            self.__dict__["_proof"] = found
-        return self.known_proof
-
-    def accept_proof(
-        self, proof: QPInfeasibility | QPUnboundedness | None, tolerance: float | None = None
-    ) -> QPInfeasibility | QPUnboundedness | None:
-        """Keep a proof of this program and return it, None where it does not hold, or excludes too little to count.
-
-        Without a tolerance it counts by however little.
-        """
-        if proof is None or not proof.verify() or not (tolerance is None or proof.excludes(tolerance)):
-            return None
-        self.__dict__["_proof"] = proof
-        return proof
-
-    @property
-    def known_proof(self) -> QPInfeasibility | QPUnboundedness | None:
-        """The proof that was found last, by whatever looked for one."""
-        return self.__dict__.get("_proof")
-
-    @cached_property
-    def proof_of_descent(self) -> QPUnboundedness | None:
-        """A proof that the objective falls without end, whatever else contradicts; looked for once."""
-        found = proof_of_no_minimum(self, is_met=True)
-        return found if isinstance(found, QPUnboundedness) else None
-
-    def accepted_proof(
-        self, tolerance: float = 1e-6, *, is_met: bool = False
-    ) -> QPInfeasibility | QPUnboundedness | None:
-        """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none.
-
-        A proof of unboundedness that verifies exactly is stronger than an answer within a tolerance: it counts where it
-        excludes all answers within a thousandth of it. Constraints that contradict by less than the tolerance are
-        those of rounded data: they count as consistent. Where an x meets all constraints to the tolerance (`is_met`),
-        they do not contradict by more: only a direction of endless descent is looked for.
-        """
-        is_known = "_proof" in self.__dict__
-        proof = self.proof_of_no_minimum if is_known or not is_met else self.proof_of_descent
-        return proof if proof is not None and proof.excludes(tolerance) else None
-
-    @cached_property
     def constraints(self) -> Constraints:
         """All constraints as rows of one matrix."""
         return Constraints.of(self)
 
     @cached_property
-    def fitted_units(self) -> FloatVector:
-        """Units of x, powers of two, that make entries of [C d] and of [P c] of like sizes (Curtis, Reid), shape (n,).
-
-        A guess: a criterion may be stricter by it, never looser.
-        """
-        matrix = vertically(self.matrices.rows, as_csr(self.P))
-        column = np.concatenate([self.h, self.b, self.c])
-        column = np.where(np.isfinite(column), column, 0.0)
-        exponents = fitted_columns(sp.csr_array(sp.hstack([matrix, column[:, np.newaxis]], format="csr")))
-        return np.asarray(np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_EXPONENT, LARGEST_EXPONENT)))
+    def facts(self) -> ProgramFacts:
+        """What solvers ask of the program and find out about it."""
+        return ProgramFacts(self)
 
     def with_vectors(
         self, c: ArrayLike | None = None, h: ArrayLike | None = None, b: ArrayLike | None = None,
@@ -345,6 +266,102 @@ class QuadraticProgram:
         return {name: value for name, value in self.__dict__.items() if name in data}
 
     __setstate__ = restored
+
+
+class ProgramFacts:
+    """What solvers ask of a program and find out about it, each once.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+    """
+
+    def __init__(self, program: QuadraticProgram) -> None:
+        self.program = program
+
+    @cached_property
+    def is_shown_convex(self) -> bool:
+        """Whether P is shown to be positive semidefinite up to the rounding of each of its rows.
+
+        By the rows themselves, or by one factorisation. What is semidefinite only beside its largest entries is not.
+        """
+        P, d = self.program.P, self.program.P.diagonal()
+        is_dominant = bool((d >= 0.0).all()) and bool((abs(P) @ np.ones(d.size) <= 2.0 * d).all())  # Gershgorin
+        return is_dominant or self.program.is_convex is True
+
+    @cached_property
+    def falls_nowhere(self) -> bool:
+        """Whether a look at P and the bounds shows that there is no direction of endless descent.
+
+        Along one, unknowns with two bounds stay, and P is singular in the others: not where its rows, in these
+        unknowns, are strictly dominant (Gershgorin).
+        """
+        is_open = np.isinf(self.program.lower) | np.isinf(self.program.upper)
+        sums = abs(self.program.P) @ is_open.astype(np.float64)
+        return bool((SURELY * self.program.P.diagonal() > sums)[is_open].all())
+
+    @property
+    def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
+        """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
+
+        It holds for the stored doubles, by however little: `margin` says by how much, `accepted_proof` whether it
+        counts.
+        """
+        if "_proof" not in self.__dict__:
+            found = proof_of_no_minimum(self.program)
+            if found is None and is_over():
+                return None  # a time limit has cut it short
+            self.__dict__["_proof"] = found
+        return self.known_proof
+
+    def accept_proof(
+        self, proof: QPInfeasibility | QPUnboundedness | None, tolerance: float | None = None
+    ) -> QPInfeasibility | QPUnboundedness | None:
+        """Keep a proof of this program and return it, None where it does not hold, or excludes too little to count.
+
+        Without a tolerance it counts by however little.
+        """
+        if proof is None or not proof.verify() or not (tolerance is None or proof.excludes(tolerance)):
+            return None
+        self.__dict__["_proof"] = proof
+        return proof
+
+    @property
+    def known_proof(self) -> QPInfeasibility | QPUnboundedness | None:
+        """The proof that was found last, by whatever looked for one."""
+        return self.__dict__.get("_proof")
+
+    @cached_property
+    def proof_of_descent(self) -> QPUnboundedness | None:
+        """A proof that the objective falls without end, whatever else contradicts; looked for once."""
+        found = proof_of_no_minimum(self.program, is_met=True)
+        return found if isinstance(found, QPUnboundedness) else None
+
+    def accepted_proof(
+        self, tolerance: float = 1e-6, *, is_met: bool = False
+    ) -> QPInfeasibility | QPUnboundedness | None:
+        """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none.
+
+        A proof of unboundedness that verifies exactly is stronger than an answer within a tolerance: it counts where it
+        excludes all answers within a thousandth of it. Constraints that contradict by less than the tolerance are
+        those of rounded data: they count as consistent. Where an x meets all constraints to the tolerance (`is_met`),
+        they do not contradict by more: only a direction of endless descent is looked for.
+        """
+        is_known = "_proof" in self.__dict__
+        proof = self.proof_of_no_minimum if is_known or not is_met else self.proof_of_descent
+        return proof if proof is not None and proof.excludes(tolerance) else None
+
+    @cached_property
+    def fitted_units(self) -> FloatVector:
+        """Units of x, powers of two, that make entries of [C d] and of [P c] of like sizes (Curtis, Reid), shape (n,).
+
+        A guess: a criterion may be stricter by it, never looser.
+        """
+        matrix = vertically(self.program.matrices.rows, as_csr(self.program.P))
+        column = np.concatenate([self.program.h, self.program.b, self.program.c])
+        column = np.where(np.isfinite(column), column, 0.0)
+        exponents = fitted_columns(sp.csr_array(sp.hstack([matrix, column[:, np.newaxis]], format="csr")))
+        return np.asarray(np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_EXPONENT, LARGEST_EXPONENT)))
 
 
 def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:

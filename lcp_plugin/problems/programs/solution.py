@@ -142,7 +142,7 @@ class QPSolution:
         InvalidOption
             Where the tolerance is no number ≥ 0.
         """
-        return self.is_stationary(tolerance) and self.program.is_shown_convex
+        return self.is_stationary(tolerance) and self.program.facts.is_shown_convex
 
     def is_stationary(self, tolerance: float = 1e-6) -> bool:
         """Return whether all three residuals and every row's own are at most the tolerance, and `duality_gap` small.
@@ -168,7 +168,7 @@ class QPSolution:
 
         The gradient is 0 to a thousandth of the tolerance, or the program falls nowhere for ever.
         """
-        return self._errors.are_sure(tolerance) or (self.is_stationary(tolerance) and self.program.falls_nowhere)
+        return self._errors.are_sure(tolerance) or (self.is_stationary(tolerance) and self.program.facts.falls_nowhere)
 
     def holds_surely(self, tolerance: float = 1e-6) -> bool:
         """Return whether x holds all constraints so well that no proof of a contradiction may beat it."""
@@ -194,7 +194,7 @@ class QPSolution:
 
         Where it verifies exactly, it is stronger than an x within the tolerance.
         """
-        return None if self.is_sure() else self.program.accepted_proof()
+        return None if self.is_sure() else self.program.facts.accepted_proof()
 
     @property
     def status(self) -> str:

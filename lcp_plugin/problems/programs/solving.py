@@ -210,7 +210,7 @@ def solve_program(
     algorithm, tolerance, **options
         Of :func:`lcp_plugin.solve`. The tolerance is that of the complementarity problem; where the program's own
         residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on. Where the
-        interior point and the feasibility check end without a solution, ``program.accepted_proof`` is looked for, which
+        interior point and the feasibility check end without a solution, a proof that there is none is looked for, which
         ends the run, too; not so with ``prove_infeasibility=False``. A `z0` is an earlier answer's z, where a run
         starts; engines of others begin anew.
 
@@ -235,7 +235,7 @@ def solve_program(
     with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
         by, found = _at_once(program, goal, options) if is_one_call else ("", None)
         if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
-            found = program.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
+            found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
     if isinstance(found, EngineRun):
         history = _two_samples(by, found, clock.read()) if options.get("record") else ()
         return QuadraticProgramResult(
@@ -258,7 +258,7 @@ def solve_program(
         result, solution, proof = _by_run(program, algorithm, tolerance, guess, options)
     is_optimal = solution.is_minimal(goal)
     if proof is None and prove_infeasibility and not ended_by_caller(result, options) and not solution.is_sure(goal):
-        proof = program.accepted_proof(goal, is_met=is_optimal and solution.holds_surely(goal))
+        proof = program.facts.accepted_proof(goal, is_met=is_optimal and solution.holds_surely(goal))
     is_nearly = solution.is_minimal(max(goal, NEARLY)) or (not is_optimal and _contradicts_by_rounding(program))
     status = _status(result, is_optimal, is_nearly, proof)
     if options.get("verbose") and status is not result.status:
@@ -293,7 +293,7 @@ def _solved_by_engine(
             return _interrupted(program, engine, goal, tolerance, clock.read())
         is_optimal, proof = run.solution.is_minimal(goal), None
         if settings.prove_infeasibility and not run.solution.is_sure(goal):
-            proof = program.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
+            proof = program.facts.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
     is_nearly = run.says is Hint.OPTIMAL and run.solution.is_minimal(max(goal, NEARLY))
     is_nearly |= not is_optimal and _contradicts_by_rounding(program)
     why = Status.STALLED
@@ -347,13 +347,13 @@ def _interrupted(
 
 def _contradicts_by_rounding(program: QuadraticProgram) -> bool:
     """Return whether the known proof of a contradiction is of one too small to count: that of rounded data."""
-    return isinstance(program.known_proof, QPInfeasibility)
+    return isinstance(program.facts.known_proof, QPInfeasibility)
 
 
 def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
     """Return the proof that nothing holds a structure against its load, where it counts; the program keeps it."""
     refuse_nonconvex(program)
-    proof = program.accept_proof(prove_unheld(program), goal)
+    proof = program.facts.accept_proof(prove_unheld(program), goal)
     return proof if isinstance(proof, QPUnboundedness) else None
 
 
@@ -406,7 +406,7 @@ def _at_once(
             if run.solution.is_minimal(goal):
                 return engine.name, run
             is_hint = run.says in (Hint.INFEASIBLE, Hint.UNBOUNDED)
-            if prove_infeasibility and is_hint and (proof := program.accepted_proof(goal)) is not None:
+            if prove_infeasibility and is_hint and (proof := program.facts.accepted_proof(goal)) is not None:
                 return engine.name, proof
             if is_over():
                 break
@@ -423,7 +423,7 @@ def _by_run(
     goal, proofs = program_goal(tolerance), list[Any]()
 
     def find_proof() -> Any:
-        proofs.append(program.accepted_proof(goal))
+        proofs.append(program.facts.accepted_proof(goal))
         return proofs[-1]
 
     wants_proof = options.get("prove_infeasibility", True)

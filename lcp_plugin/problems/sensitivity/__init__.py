@@ -234,7 +234,7 @@ class Derivative:
 
         Where rows are degenerate, solutions with other free rows may have others.
         """
-        determined = np.ones(self.problem.own, np.bool_)
+        determined = np.ones(self.problem.q.size, np.bool_)
         determined[self._system.rows] = self._system.determined
         return determined
 
@@ -418,12 +418,12 @@ class Derivative:
     def _optional(self, values: ArrayLike | None, name: str) -> FloatVector:
         """Return a finite vector: zeros where nothing is given; that of a bound may be of one number."""
         if values is None or (name in ("dlower", "dupper") and np.ndim(values) == 0):
-            values = np.full(self.problem.own, 0.0 if values is None else values)
+            values = np.full(self.problem.q.size, 0.0 if values is None else values)
         return self._own_part(values, name)
 
     def _own_part(self, values: ArrayLike, name: str) -> FloatVector:
         """Return a finite vector; on ranks all of them refuse what one of them refuses."""
-        return self.problem.matrix.together(lambda: finite_vector(values, name, self.problem.own))
+        return self.problem.matrix.together(lambda: finite_vector(values, name, self.problem.q.size))
 
     def _somewhere(self, is_so: bool) -> bool:
         """Return whether it is so on any rank."""

@@ -323,7 +323,7 @@ def relative_to(infinity: float, size: float) -> float:
 def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     return _counted(
-        problem, np.full(problem.own, np.inf), problem.lower == problem.upper, is_free, infinity=np.inf,
+        problem, np.full(problem.q.size, np.inf), problem.lower == problem.upper, is_free, infinity=np.inf,
         relative=np.inf, kind=kind, method=method,
     )
 

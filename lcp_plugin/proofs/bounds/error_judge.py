@@ -66,7 +66,7 @@ class ErrorJudge(Judge):
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
         if not self.settings.is_on_error:
             return
-        n, nowhere = self.problem.n, np.full(self.problem.own, np.nan)
+        n, nowhere = self.problem.n, np.full(self.problem.q.size, np.nan)
         try:  # nothing has to be measured to know the kind of the bounds to come
             kind = self._bound(nowhere, sharp=False).kind
         except UnsuitableMatrix as error:

@@ -78,7 +78,7 @@ class RowInequality:
             matrix = problem.matrix
             value, radius = compensated_product(matrix.csr_rows, matrix.whole(high), problem.q)
             slack, negative = sum_above(value, radius), sum_above(-value, radius)
-            low = np.zeros(problem.own)
+            low = np.zeros(problem.q.size)
         else:
             slack, negative = _slack_of_pair(problem, high, low)
         return cls(

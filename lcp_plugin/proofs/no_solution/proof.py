@@ -50,7 +50,7 @@ def exact_references(problem: LCP) -> Callable[[int], Fraction]:
     def of_component(component: int) -> Fraction:
         if most[component] == 0.0 or SAFE_RANGE[0] < most[component] < SAFE_RANGE[1]:
             return Fraction(float(most[component]))
-        rows = range(problem.own) if several is None else np.flatnonzero(several.labels == component).tolist()
+        rows = range(problem.q.size) if several is None else np.flatnonzero(several.labels == component).tolist()
         exact = exactly_weighted(problem, problem.nearest_to_zero)
         return max(exact[i] for i in rows)
 

@@ -14,6 +14,8 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 
 from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
     InvalidOption,
     InvalidProblem,
     QuadraticProgram,
@@ -436,3 +438,37 @@ def test_terms_that_cancel_excuse_an_error_beside_them_alone() -> None:
         assert status == one.status
         terms = np.abs(batch.vectors["c"][0] * one.x).sum()
         assert status is not Status.SOLVED or one.objective == pytest.approx(-1e-2, abs=1e-6 * terms)
+
+
+def test_programs_of_a_list_are_answered_together() -> None:
+    """A list, or one program with many vectors, gives x, objective and status in rows; a wrong one stands alone."""
+    rng, programs = np.random.default_rng(3), []
+    for _ in range(5):
+        factor, G = rng.normal(size=(4, 4)), rng.normal(size=(3, 4))
+        programs.append(QuadraticProgram(factor @ factor.T + np.eye(4), rng.normal(size=4), G, rng.random(3)))
+    listed = solve_batch(programs)
+    given = [{"c": one.c} for one in programs] + [{"c": np.full(4, np.nan)}]
+    changed = solve_batch(programs[0], given)
+    assert (listed.x.shape, changed.x.shape) == ((5, 4), (6, 4))
+    assert list(changed.errors) == [5]
+    assert np.isnan(changed.x[5]).all()
+    assert np.isnan(changed.objective[5])
+    for k, one in enumerate(programs):
+        for answers, program in ((listed, one), (changed, programs[0].with_vectors(c=one.c))):
+            alone = solve(program)
+            np.testing.assert_allclose(answers.x[k], alone.x, rtol=1e-9, atol=1e-12)
+            assert answers.objective[k] == pytest.approx(alone.objective, rel=1e-9)
+            assert answers[k].status is answers.status[k] is Status.SOLVED
+
+
+def test_answers_of_other_kinds_have_rows_too() -> None:
+    """x, objective and iterations of any batch are arrays where sizes agree, and a list of x where they do not."""
+    program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[2.0])
+    mixed = solve_batch([program, BoundedLeastSquares(np.eye(3)[:, :2], [1.0, 2.0, 3.0]), LCP(np.eye(2), [-1.0, 2.0])])
+    np.testing.assert_allclose(mixed.x, [[0.5, 1.5], [1.0, 2.0], [1.0, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(mixed.objective, [-2.25, 4.5, np.nan], atol=1e-9)
+    assert mixed.iterations.shape == (3,)
+    several = solve_batch([program, QuadraticProgram([[1.0]], [-1.0], G=[[1.0]], h=[0.5])])
+    assert [x.size for x in several.x] == [2, 1]
+    unbounded = solve_batch([program.with_vectors(c=[0.0, 0.0]), program])
+    assert unbounded.objective == pytest.approx([0.0, -2.25], abs=1e-12)

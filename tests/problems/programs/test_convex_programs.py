@@ -192,7 +192,7 @@ def test_programs_that_need_pivots_a_ridge_or_their_own_criterion_are_solved(
 def test_rows_that_contradict_by_rounding_prove_nothing() -> None:
     """A proof by a margin of 1e-12, which holds for the stored doubles alone, is no answer."""
     program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf])
-    assert program.proof_of_no_minimum is not None
+    assert program.facts.proof_of_no_minimum is not None
     result = solve(program)
     assert result.is_solved
     assert result.x == pytest.approx([1.0, 3.0], abs=1e-6)
@@ -214,11 +214,12 @@ def test_no_contradiction_is_looked_for_beside_an_answer(monkeypatch: pytest.Mon
     program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, -1.0]], [-1.0])
     monkeypatch.setattr(no_minimum, "linear_program", lambda *_, **__: pytest.fail("a linear program"))
     monkeypatch.setattr(no_minimum, "FarkasProgram", lambda *_: pytest.fail("a linear program"))
-    assert program.accepted_proof(is_met=True) is None
+    assert program.facts.accepted_proof(is_met=True) is None
     semidefinite = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, 1.0], lower=[-np.inf, 0.0])
     monkeypatch.undo()
-    assert semidefinite.accepted_proof(is_met=True) is None
-    unbounded = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, -1.0], lower=[-np.inf, 0.0]).accepted_proof(is_met=True)
+    assert semidefinite.facts.accepted_proof(is_met=True) is None
+    open_below = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, -1.0], lower=[-np.inf, 0.0])
+    unbounded = open_below.facts.accepted_proof(is_met=True)
     assert unbounded is not None
     assert unbounded.verify()
     assert unbounded.status is Status.UNBOUNDED
@@ -420,7 +421,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
     """Programs with a planted minimum have no proof that there is none, but for data rounded to few digits."""
     case, _ = CAMPAIGN.case(kind, seed, 6, 10)
-    assert case.accepted_proof(1e-6) is None
+    assert case.facts.accepted_proof(1e-6) is None
     assert CAMPAIGN.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
 
 
@@ -537,8 +538,8 @@ def test_a_proof_that_time_has_cut_short_is_looked_for_again(monkeypatch: pytest
     program = contradicting(12)
     with time_limit(0.0), monkeypatch.context() as patched:
         patched.setattr("lcp_plugin.proofs.no_solution.farkas.linear_program", lambda *_: None)
-        assert program.proof_of_no_minimum is None
-    assert program.proof_of_no_minimum is not None
+        assert program.facts.proof_of_no_minimum is None
+    assert program.facts.proof_of_no_minimum is not None
 
 
 @pytest.mark.full
@@ -666,7 +667,7 @@ def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool
         P = scale * (B.T @ B)
         P = np.maximum(P, P.T)
         problem = LCP.from_qp(sp.csr_array(P) if is_sparse else P, P @ rng.standard_normal(12), lower=-9.0, upper=9.0)
-        assert problem.origin.program.is_shown_convex
+        assert problem.origin.program.facts.is_shown_convex
         solution = problem.origin.recover(solve(problem, tolerance=1e-12))
         assert solution.is_optimal(1e-6) == solution.is_stationary(1e-6)
         assert solution.is_stationary(1e-6) or scale > 1.0
@@ -912,9 +913,9 @@ def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> 
         program.solve(solver=QPSolver)
     assert program.status == cp.OPTIMAL_INACCURATE
     assert np.abs(x.value).max() < 1e-6
-    exact = problem.origin.program.proof_of_no_minimum
+    exact = problem.origin.program.facts.proof_of_no_minimum
     assert exact is None or (exact.verify() and exact.margin < 1e-9)
-    assert problem.origin.program.accepted_proof() is None
+    assert problem.origin.program.facts.accepted_proof() is None
 
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
@@ -934,7 +935,7 @@ def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
 def test_a_proof_beats_what_holds_relative_to_x(size: float) -> None:
     """x₁ − x₂ = 1 and x₁ − x₂ = 2: at x = 1e6 both hold to 5e-7 of their terms, and the exact proof says infeasible."""
     program = QuadraticProgram(np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0])
-    proof = program.accepted_proof()
+    proof = program.facts.accepted_proof()
     assert proof is not None
     near = QPSolution(program, [size + 1.5, size], [], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
     assert near.status == "infeasible"
@@ -945,8 +946,8 @@ def test_nothing_is_optimal_beside_a_direction_of_descent(size: float) -> None:
     """Along a direction of endless descent and no multipliers have a dual residual below the proof's margin."""
     program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
     flat = QuadraticProgram(np.zeros((2, 2)), [-2.0, 1.0], A=[[1.0, -1.0]], b=[0.5], lower=0.0)
-    assert program.accepted_proof() is None  # both costs cancel along (1, 1)
-    proof = flat.accepted_proof()
+    assert program.facts.accepted_proof() is None  # both costs cancel along (1, 1)
+    proof = flat.facts.accepted_proof()
     assert isinstance(proof, QPUnboundedness)
     for multiplier in (-size, 0.0, 1.5, size):
         solution = QPSolution(flat, [size + 0.5, size], [], [multiplier], [0.0, 0.0], [0.0, 0.0])
@@ -959,11 +960,11 @@ def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
     problem = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-np.nextafter(1.0, 2.0)], upper=1.0)
     solution = problem.origin.recover(solve(problem))
     assert solution.is_optimal()
-    proof = problem.origin.program.proof_of_no_minimum
+    proof = problem.origin.program.facts.proof_of_no_minimum
     assert proof is not None
     assert proof.verify()
     assert 0.0 < proof.margin < 1e-15
-    assert problem.origin.program.accepted_proof() is None
+    assert problem.origin.program.facts.accepted_proof() is None
     apart = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-1.00001], upper=1.0)
     assert apart.origin.recover(solve(apart)).status == "infeasible"
 
@@ -972,7 +973,7 @@ def test_a_limit_nobody_reaches_hides_no_contradiction() -> None:
     """A row x₃ ≤ 1e12 beside a contradiction of 1e-3 in others changes nothing."""
     rows = [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     program = QuadraticProgram(np.eye(3), np.ones(3), rows, [1.0, -1.001, 1e12])
-    proof = program.accepted_proof()
+    proof = program.facts.accepted_proof()
     assert isinstance(proof, QPInfeasibility)
     assert proof.margin > 1e-4
 

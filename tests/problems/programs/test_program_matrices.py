@@ -73,7 +73,7 @@ def test_rows_that_contradict_their_bounds_come_and_go() -> None:
     crossed = first.with_vectors(h=[1.0, -2.0, 5.0])
     assert FoldedRows.of(crossed).left.tolist() == [0, 1, 2]
     assert FoldedRows.of(crossed.with_vectors(h=first.h)).left.tolist() == [2]
-    assert crossed.accepted_proof() is not None
+    assert crossed.facts.accepted_proof() is not None
 
 
 @pytest.mark.parametrize("name", VECTORS)

@@ -106,7 +106,7 @@ def test_a_contradiction_of_what_is_left_is_one_of_the_program(seed: int) -> Non
     """What proves that the reduced program has no point comes back as a proof of the program: by its own rows."""
     program = program_with_all(seed, contradicts=True)
     reduction = whole_stack(program)
-    proof = reduction.proof(reduction.reduced.proof_of_no_minimum)
+    proof = reduction.proof(reduction.reduced.facts.proof_of_no_minimum)
     assert proof is not None
     assert proof.program is program
     assert proof.verify()
@@ -123,7 +123,7 @@ def test_a_direction_of_descent_of_what_is_left_is_one_of_the_program() -> None:
     )
     reduction = Reduction(program).then(FoldedRows.of)
     assert len(reduction.steps) == 1
-    proof = reduction.proof(reduction.reduced.proof_of_no_minimum)
+    proof = reduction.proof(reduction.reduced.facts.proof_of_no_minimum)
     assert proof is not None
     assert (proof.verdict, proof.program, proof.verify()) == ("unbounded", program, True)
 

@@ -178,7 +178,7 @@ def test_what_falls_nowhere_needs_no_proof(diagonal: list[float], lower: Any, up
     program = QuadraticProgram(np.diag(diagonal), [-diagonal[0], 0.0], lower=lower, upper=upper)
     nearly = QPSolution(program, np.array([1.0 + 1e-7, 0.0]), np.zeros(0), np.zeros(0), np.zeros(2), np.zeros(2))
     assert nearly.is_stationary()
-    assert program.falls_nowhere is expected
+    assert program.facts.falls_nowhere is expected
     assert nearly.is_sure() is expected
 
 

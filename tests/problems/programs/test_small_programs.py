@@ -124,7 +124,7 @@ def test_what_has_no_answer_gets_none(data: dict[str, Any], status: str) -> None
     solution = result.solution
     assert not result.is_solved
     assert solution.status == status
-    assert program.accepted_proof() is not None
+    assert program.facts.accepted_proof() is not None
 
 
 @pytest.mark.parametrize(("h", "b", "status"), [

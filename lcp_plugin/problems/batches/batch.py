@@ -91,6 +91,12 @@ def solve_batch(
     threads: int | None = None,
 ) -> ProgramBatchResult: ...
 @overload
+def solve_batch(
+    M: QuadraticProgram, q: Sequence[Mapping[str, ArrayLike]], *, algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8, max_iterations: int | None = None, max_seconds: float | None = None,
+    prove_infeasibility: bool = True, threads: int | None = None,
+) -> ProgramBatchResult: ...
+@overload
 def solve_batch(  # type: ignore[overload-overlap]  # a list of LCPs is one of problems, too
     M: Sequence[LCP], *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
     max_iterations: int | None = None, max_seconds: float | None = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import Any, ClassVar
@@ -48,7 +49,7 @@ class DAQP(Engine):
         """Return daqp's point."""
         P, G, A = (one if isinstance(one, np.ndarray) else one.toarray() for one in (program.P, program.G, program.A))
         m, n, p = program.h.size, program.c.size, program.b.size
-        seconds = limits.seconds if np.isfinite(limits.seconds) else 0.0
+        seconds = limits.seconds if limits.seconds < math.inf else 0.0
         C, d = (np.concatenate([G, A]), np.concatenate([program.h, program.b])) if p else (G, program.h)
         ((x, y, flag, steps),) = self.points(
             P[np.newaxis], program.c[np.newaxis], C[np.newaxis], d[np.newaxis], m, program.lower[np.newaxis],

@@ -62,7 +62,9 @@ class Prepared(NamedTuple):
             P = _columns(_divided(P, 1.0 / unit), unit)
             objective = _power_below(np.array([max(np.abs(c).max(initial=0.0), _largest(P).max(initial=0.0))]))[0]
             P, c = P / objective, c / objective
-        of_inequalities, of_equations = _power_below(_largest(G)), _power_below(_largest(A))
+        of_inequalities, of_equations = (
+            _power_below(_largest(one)) if one.shape[0] else np.zeros(0) for one in (G, A)
+        )
         rows = slice(None) if is_row.all() else np.flatnonzero(is_row)
         size = of_inequalities[rows]
         statement = Statement(
@@ -129,6 +131,8 @@ def _power_below(sizes: FloatVector) -> FloatVector:
 
 def _divided(A: Any, sizes: FloatVector) -> Any:
     """Return A with its rows divided by these."""
+    if not sizes.size:
+        return A
     if isinstance(A, np.ndarray):
         return A / sizes[:, np.newaxis]
     return sp.csr_array((A.data / np.repeat(sizes, np.diff(A.indptr)), A.indices, A.indptr), shape=A.shape)

@@ -126,12 +126,12 @@ class Terms(NamedTuple):
     @classmethod
     def of_dense(cls, P: Any, C: Any, x: FloatVector, y: FloatVector) -> Terms:
         """Return those of ndarrays, or of stacks of them: shapes (…, n, n), (…, rows, n), (…, n) and (…, rows)."""
-        of_rows, of_columns, of_P = C * x[..., np.newaxis, :], C * y[..., np.newaxis], P * x[..., np.newaxis, :]
-        sizes = [np.abs(one) for one in (of_rows, of_columns, of_P)]
+        of_P, of_C, of_x, of_y = map(np.abs, (P, C, x, y))
+        each = of_x[..., np.newaxis, :]
         return cls(
-            total(of_rows, -1), total(sizes[0], -1), most(sizes[0], -1, initial=0.0),
-            total(of_columns, -2), total(sizes[1], -2), most(sizes[1], -2, initial=0.0),
-            total(of_P, -1), total(sizes[2], -1), most(sizes[2], -1, initial=0.0), max(C.shape[-2:]),
+            _product(C, x), _product(of_C, of_x), most(of_C * each, -1, initial=0.0),
+            _pull(C, y), _pull(of_C, of_y), most(of_C * of_y[..., np.newaxis], -2, initial=0.0),
+            _product(P, x), _product(of_P, of_x), most(of_P * each, -1, initial=0.0), max(C.shape[-2:]),
         )
 
     @classmethod
@@ -206,6 +206,16 @@ def _reach(program: QuadraticProgram, matrix: Any, sizes: FloatVector) -> Any:
     if sp.issparse(matrix):
         return np.maximum(1.0, largest_in_rows(matrix, of_part[part[matrix.indices]]))
     return np.maximum(1.0, np.where(matrix != 0.0, of_part[part], 0.0).max(axis=1, initial=0.0))
+
+
+def _product(A: Any, x: FloatVector) -> Any:
+    """Return A x, of an ndarray or of a stack."""
+    return A.dot(x) if x.ndim == 1 else np.matmul(A, x[..., np.newaxis])[..., 0]
+
+
+def _pull(A: Any, y: FloatVector) -> Any:
+    """Return Aᵀ y, of an ndarray or of a stack."""
+    return y.dot(A) if y.ndim == 1 else np.matmul(y[..., np.newaxis, :], A)[..., 0, :]
 
 
 def _times(A: sp.csr_array, x: FloatVector) -> sp.csr_array:

@@ -117,7 +117,7 @@ def solve_batch(
 ) -> BatchResult: ...
 def solve_batch(
     M: Any,
-    q: ArrayLike | None = None,
+    q: Any = None,
     *,
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,

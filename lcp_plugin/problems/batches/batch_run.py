@@ -312,6 +312,11 @@ class BatchResult(BatchAnswers[Result]):
         """The same as z."""
         return self.z
 
+    @property
+    def objective(self) -> Any:
+        """NaN for each, shape (B,): nothing is minimised."""
+        return np.full(len(self), np.nan)
+
     @cached_property
     def w(self) -> Any:
         """M z + q of each problem, like z; computed when it is looked at."""

@@ -12,7 +12,7 @@ import numpy as np
 from ...core.algorithm import Algorithm, FusedSolve, Step, check_flag
 from ...core.certificates.criterion import within
 from ...core.certificates.row_residuals import ratio_upwards
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, read_only
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
@@ -165,6 +165,7 @@ class Banded(Algorithm):
         if propagator is not None:
             index = M.indptr.dtype
             arrays = [propagator.indptr.astype(index), propagator.indices.astype(index), propagator.data]
+        arrays = [read_only(array) for array in arrays]  # one signature with a propagator and without
         run_all(
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
             M.data, *arrays, Q, problem.lower, problem.upper, problem.nearest_to_zero, tolerance, max_iterations,

@@ -131,6 +131,7 @@ def run_phases(
     """Write the answers to problems first ≤ k < end of a batch, as far as the planned phases converge."""
     from .kernels.small_problems import ALL, follow_all, run_all
 
+    arrays = tuple(read_only(array) if array.flags.writeable else array for array in arrays)  # one signature for all
     workspace, steps = workspace or new_workspace(arrays[0].shape[1]), ALL if steps is None else steps
     limits = tolerance, max_iterations, first, end
     if run_all(*arrays, *phases, *limits, steps, *workspace, *answers.arrays):

@@ -12,6 +12,7 @@ from small_families import FAMILIES, definite_stack, draw, told
 
 import lcp_plugin.methods.small.small_dense as small_dense
 from lcp_plugin import LCP, Certificate, Status, march, solve, solve_batch
+from lcp_plugin.methods.small.kernels.small_problems import run_all
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
@@ -123,3 +124,16 @@ def test_nobody_can_change_what_was_judged() -> None:
     for z in (ragged.z[0], solve_batch(M, q).z, steps.z[0], steps[1].z):
         with pytest.raises(ValueError, match="read-only"):
             z[0] = 7.0
+
+
+def test_a_batch_compiles_nothing_that_a_problem_alone_has_compiled() -> None:
+    """Arrays of the caller's that may be written to, and views that may not, are one signature of the loop."""
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(3, 4, 4))
+    M, q = A @ A.transpose(0, 2, 1) + np.eye(4), rng.normal(size=(3, 4))
+    solve(LCP(M[0], q[0]))
+    before = len(run_all.signatures)
+    z0 = solve_batch(M, q).z
+    solve_batch(M, q, lower=np.zeros((3, 4)), z0=z0)
+    solve_batch(M[0], q)
+    assert len(run_all.signatures) == before

@@ -1,0 +1,1 @@
+"""Interior points, and the active set that they lead to."""

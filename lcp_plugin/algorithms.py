@@ -41,7 +41,7 @@ if TYPE_CHECKING:  # for editors and mypy: __getattr__ has each class of the reg
     from .core.splittings.projected_relaxation import GFP, PAOR, PGS, PJ, PSOR
     from .core.splittings.projected_type import NPAOR, NPGS, NPJ, NPSOR
     from .methods.banded import Banded
-    from .methods.interior.interior_point import InteriorPoint
+    from .methods.interior_point import InteriorPoint
     from .methods.lemke import Lemke
     from .methods.modulus.modulus import MAOR, MGS, MJ, MSOR
     from .methods.multigrid import Multigrid
@@ -94,7 +94,7 @@ REGISTRY = Registry({
     "npgs": "core.splittings.projected_type:NPGS",
     "npj": "core.splittings.projected_type:NPJ",
     "banded": "methods.banded:Banded",
-    "interior_point": "methods.interior.interior_point:InteriorPoint",
+    "interior_point": "methods.interior_point:InteriorPoint",
     "lemke": "methods.lemke:Lemke",
     "maor": "methods.modulus.modulus:MAOR",
     "msor": "methods.modulus.modulus:MSOR",

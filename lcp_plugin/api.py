@@ -79,9 +79,9 @@ def solve(
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
         Start, of every kind of problem; x0 is the same where the unknown is called x. It is projected onto the bounds;
-        by default it is the point of [lower, upper] nearest to 0. ``interior_point`` uses one on dense symmetric M and
-        programs only; ``lemke`` begins from the active set of z0 where its residual is at most a tenth of that of the
-        default start. Where a start changes nothing, ``explain()`` says so.
+        by default it is the point of [lower, upper] nearest to 0. ``interior_point`` and
+        ``lemke`` begin with the active set of a z0 whose residual is at most a tenth of that of the default start;
+        engines of programs begin anew. Where a start changes nothing, ``explain()`` says so.
     tolerance : float
         In [0, 1), relative, for every kind. Here SOLVED means that in every connected component of M's graph the
         residual of the returned z, rounding included, is at most this times that of the point of [lower, upper] nearest

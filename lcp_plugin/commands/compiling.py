@@ -11,7 +11,6 @@ from contextlib import suppress
 from itertools import product
 
 import numpy as np
-import scipy.sparse as sp
 
 from .. import gallery
 from ..algorithms import REGISTRY
@@ -22,7 +21,6 @@ from ..core.kernels.compilation import cache_folder
 from ..core.lcp import LCP
 from ..core.settings import checked_threads
 from ..core.tuning import SINGLE_FROM
-from ..methods.interior.primal_active_set import UpdatedFactor
 from ..problems.batches.batch import solve_batch
 from ..problems.cones.data import FrictionalContact
 from ..problems.cones.methods import METHODS
@@ -85,10 +83,8 @@ def compile_part(part: str) -> None:
         solve(gallery.build("obstacle_2d", size=LARGE_GRID).problem, part)  # in single precision, too
     if part == "others":
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
-        solve(LCP(sp.csr_array([[1.0, -1.0], [1.0, 0.0]]), [-1.0, -2.0]), "interior_point")  # a program's conditions
         program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
         program.origin.recover(solve(program)).is_stationary()
-        UpdatedFactor(np.eye(2), np.arange(1)).join(np.arange(1, 2))
 
 
 def _end_by_ctrl_c() -> None:

@@ -50,7 +50,7 @@ from ..core.tuning import (
 )
 from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
-from .interior.interior_point import InteriorPoint
+from .interior_point import InteriorPoint, monotone_rows
 from .lemke import Lemke, has_components_that_fit
 from .newton.condensed import Condensed, condensing_passes
 from .newton.semismooth_newton import Newton
@@ -265,7 +265,7 @@ def _suits_newton(problem: LCP) -> bool:
     from ..proofs.verdicts import analyze
     from ..systems.symmetry import is_nearly_symmetric
 
-    if problem.is_dense and is_nearly_symmetric(problem.matrix):  # interior_point has dense active sets for it
+    if problem.is_dense and is_nearly_symmetric(problem.matrix):  # PIQP takes fewer dense factors
         return False
     return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
 
@@ -281,9 +281,8 @@ def _seems_monotone(problem: LCP) -> bool:
     if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
         return True
     from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
-    from .interior.suited_matrix import monotone_rows
 
-    row = monotone_rows(problem.M)  # interior points take these
+    row = monotone_rows(problem.M)  # interior_point takes these
     twice = symmetric_part(problem.M if row is None else scaled(problem.M, Exponents(row, np.zeros_like(row))))
     if bool((twice.diagonal() < 0.0).any()):
         return False

@@ -14,7 +14,7 @@ from .switching import Instead, Patch
 
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
 DIRECT, LEAST, CONES, EQUILIBRIA = "methods.direct", "problems.least_squares", "problems.cones", "problems.equilibria"
-INTERIOR, NEWTON, PROGRAMS = "methods.interior.interior_point", "methods.newton.semismooth_newton", "problems.programs"
+INTERIOR, NEWTON, PROGRAMS = "methods.interior_point", "methods.newton.semismooth_newton", "problems.programs"
 CALLS = f"{PROGRAMS}.engine_calls"
 NONLINEAR = "problems/nonlinear/test_nonlinear.py"
 STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_NewtonRun", f"{PROGRAMS}.dual_bounds:DualBounds"
@@ -149,68 +149,9 @@ def nothing() -> Instead:
     return Instead(off, watch)
 
 
-def first_alone() -> Instead:
-    """The first entry of a tuple; who goes beyond it is noted."""
-
-    def watch(old: Any, note: Callable[[], None]) -> Any:
-        class Watched(tuple):  # type: ignore[type-arg]
-            def __iter__(self) -> Any:
-                for k, entry in enumerate(super().__iter__()):
-                    if k:
-                        note()
-                    yield entry
-
-        return Watched(old)
-
-    return Instead(lambda old: old[:1], watch)
-
-
 def only_start() -> Instead:
     """No step of least squares: the start alone."""
     return Instead(lambda old: lambda start, *_: iter([start]))
-
-
-def interior_alone(old: Any) -> Any:
-    """Steps of an interior point that begin without a guess of the active set, nor correct one."""
-
-    def steps(self: Any, z0: Any) -> Any:
-        y = (z0 if self.kept is None else z0[self.kept]) / self.unit
-        if not y.size:
-            yield self.step(y, 0.0)
-        else:
-            yield from self.interior(None)
-
-    return steps
-
-
-def if_symmetric(old: Any, note: Callable[[], None]) -> Any:
-    def steps(self: Any, z0: Any) -> Any:
-        if self.suited.is_symmetric:
-            note()
-        return old(self, z0)
-
-    return steps
-
-
-def sparse_factor(old: Any) -> Any:
-    """LU with pivots for programs, too."""
-
-    def newton_matrix(M: Any, is_symmetric: bool, signs: Any = None, symbolic: Any = None) -> Any:
-        from lcp_plugin.methods.interior.newton_matrix import SparseNewtonMatrix
-
-        is_program = signs is not None and not isinstance(M, np.ndarray)
-        return SparseNewtonMatrix(M, signs) if is_program else old(M, is_symmetric, signs, symbolic)
-
-    return newton_matrix
-
-
-def if_program(old: Any, note: Callable[[], None]) -> Any:
-    def newton_matrix(M: Any, is_symmetric: bool, signs: Any = None, symbolic: Any = None) -> Any:
-        if signs is not None and not isinstance(M, np.ndarray):
-            note()
-        return old(M, is_symmetric, signs, symbolic)
-
-    return newton_matrix
 
 
 def no_starts(old: Any) -> Any:
@@ -226,10 +167,6 @@ def if_arbitrary(old: Any, note: Callable[[], None]) -> Any:
             yield start
 
     return starts
-
-
-def nothing_known(old: Any) -> Any:
-    return lambda problem: np.full(problem.n, np.nan)
 
 
 def without_engines(*names: str) -> Instead:
@@ -349,8 +286,8 @@ MECHANISMS = (
     Mechanism("newton", "semismooth Newton on LCPs",
               {f"{DIRECT}:_by_prospects": without("newton")},
               "methods/newton/semismooth_newton.py methods/newton/active_set.py"),
-    Mechanism("interior point", "interior steps on LCPs",
-              {f"{DIRECT}:_by_prospects": without("interior_point")}, "methods/interior"),
+    Mechanism("interior point", "PIQP on the program of an LCP",
+              {f"{DIRECT}:_by_prospects": without("interior_point")}, "methods/interior_point.py"),
     Mechanism("lemke's starts", "arbitrary starts after the principled ones",
               {"methods.lemke.pivoting_path:starts": Instead(no_starts, if_arbitrary)},
               "methods/lemke/pivoting_path.py:_random_cell"),
@@ -376,36 +313,23 @@ MECHANISMS = (
     Mechanism("single precision", "coarse grids in single precision",
               {"systems.hierarchy.levels:carries_single": says(False)}, "systems/hierarchy/levels.py:carries_single"),
     # --- interior points
-    Mechanism("primal active set", "dense symmetric M: a factor updated row by row",
-              {f"{INTERIOR}:Search.steps": Instead(interior_alone, if_symmetric)},
-              "methods/interior/primal_active_set.py methods/interior/kernels/triangles.py "
-              "methods/interior/kernels/symmetric_sweeps.py methods/interior/interior_point.py:Search.guessed"),
-    Mechanism("interior attempts", "programs again with a ridge, with pivots, from elsewhere",
-              {f"{INTERIOR}:ATTEMPTS": first_alone()},
-              "methods/interior/attempts.py"),
-    Mechanism("polish", "the active set that interior points lead to, solved for",
-              {f"{INTERIOR}:Search.polished": nothing()}, "methods/interior/interior_point.py:Search.polished"),
-    Mechanism("known before", "fixed rows left out before interior steps",
-              {"methods.interior.suited_matrix:known_before": differing(nothing_known)},
-              "methods/interior/suited_matrix.py:known_before"),
-    Mechanism("interior units", "M equilibrated for interior steps",
-              {"methods.interior.suited_matrix:equilibration": says(None)},
-              "methods/interior/suited_matrix.py:equilibration"),
+    Mechanism("cases", "the linear system of the case that an engine's point of an LCP shows",
+              {f"{INTERIOR}:_cases": nothing()}, "methods/interior_point.py:_cases"),
+    Mechanism("signs", "the program of a saddle point problem rather than that of its gap",
+              {f"{INTERIOR}:signs_of": says(None)}, "methods/interior_point.py:signs_of"),
     Mechanism("monotone rows", "row factors that make M monotone",
-              {"methods.interior.suited_matrix:monotone_rows": says(None)},
-              "methods/interior/suited_matrix.py:monotone_rows methods/interior/suited_matrix.py:_may_be_monotone"),
-    Mechanism("sizes", "components of an interior run in units of their own",
-              {"methods.interior.suited_matrix:sizes_of_components": says((1.0, 1.0))},
-              "methods/interior/suited_matrix.py:sizes_of_components methods/interior/suited_matrix.py:_means"),
-    Mechanism("quasidefinite", "LDLᵀ without pivots for programs",
-              {"methods.interior.quasidefinite:newton_matrix": Instead(sparse_factor, if_program)},
-              "methods/interior/quasidefinite.py methods/interior/kernels"),
+              {f"{INTERIOR}:monotone_rows": says(None)},
+              "methods/interior_point.py:monotone_rows methods/interior_point.py:_may_be_monotone"),
+    Mechanism("fitted units", "an engine is asked again in units fitted to an LCP's program",
+              {f"{INTERIOR}:ConvexProgram.units": yielding(lambda k, _: k < 1)}),
     # --- programs
     Mechanism("engines", "programs answered by solvers of others, judged here",
               {f"{CALLS}:engines_for": without_engines("daqp", "piqp", "clarabel", "highs")},
               "engines problems/programs/engine_calls.py"),
     Mechanism("daqp", "the engine of small dense programs", {f"{CALLS}:engines_for": without_engines("daqp")},
               "engines/daqp.py"),
+    Mechanism("daqp at last", "an active set where steps between the bounds have no answer",
+              {f"{CALLS}:engines_for": yielding(lambda _, engine: not engine.options)}),
     Mechanism("PIQP", "the engine of all other programs", {f"{CALLS}:engines_for": without_engines("piqp")},
               "engines/piqp.py"),
     Mechanism("Clarabel", "the engine that is asked last", {f"{CALLS}:engines_for": without_engines("clarabel")},
@@ -546,7 +470,7 @@ MECHANISMS = (
 )
 NAMES = {one.name: one for one in MECHANISMS}
 HEAVIEST = (
-    "small loop", "multigrid", "banded", "units", "search", "lemke", "interior point", "newton", "quasidefinite",
+    "small loop", "multigrid", "banded", "units", "search", "lemke", "interior point", "newton",
     "engines",
 )
 

@@ -30,7 +30,7 @@ from .table import (
     written,
 )
 
-SUBPACKAGES = ("newton", "multigrid", "interior", "lemke", "banded", "small", "direct", "search",
+SUBPACKAGES = ("newton", "multigrid", "interior_point", "lemke", "banded", "small", "direct", "search",
                "programs", "proofs", "equilibria", "contact", "reformulations")  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.gallery.stencil import stencil_matrix
-from lcp_plugin.methods.interior.interior_point import InteriorPoint
+from lcp_plugin.methods.interior_point import InteriorPoint
 
 from .timing import Timed, medians, timed
 

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, solve
 from lcp_plugin.core.settings import Status
-from lcp_plugin.methods.interior.interior_point import InteriorPoint
+from lcp_plugin.methods.interior_point import InteriorPoint
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 
 MATRICES = ("definite", "rank-deficient", "integer", "nonsymmetric", "skew", "zero")

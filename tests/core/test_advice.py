@@ -317,11 +317,10 @@ def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
     assert "npsor" not in result.explain()
 
 
-@pytest.mark.parametrize("algorithm", ["lemke", "interior_point"])
-def test_what_does_not_go_on_does_not_say_so(algorithm: str) -> None:
-    """Pivots and interior steps begin anew from a poor start: only the limit can be raised."""
+def test_what_does_not_go_on_does_not_say_so() -> None:
+    """Pivots begin anew from a poor start: only the limit can be raised."""
     problem = gallery.obstacle_2d(size=40).problem
-    advice = advice_of(lambda: solve(problem, algorithm, max_iterations=1))
+    advice = advice_of(lambda: solve(problem, "lemke", max_iterations=1))
     assert advice == 'the iteration limit came first: raise max_iterations, or try algorithm="auto"'
 
 

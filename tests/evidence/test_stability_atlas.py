@@ -30,7 +30,7 @@ from lcp_plugin.evidence import stability as atlas
 from lcp_plugin.evidence.exact_answers import condition_of_answer, exact_answer, lie_in, relative_error
 from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
 from lcp_plugin.evidence.stresses import FAMILIES, StressCase, grid, half_active, mostly_free, planted, rescaled
-from lcp_plugin.methods.interior.suited_matrix import monotone_rows
+from lcp_plugin.methods.interior_point import monotone_rows
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.strategies import solved_lcps

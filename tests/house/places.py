@@ -22,17 +22,16 @@ MEASURED = re.compile(r"residual|size|largest|value|optimality|errors?\b|gap|sma
 
 NAMED = {
     "bring M, q to one scale": (
-        "scaling_of", "CommonScaling", "equilibrated", "equilibrating_exponents", "scaling_exponents", "monotone_rows",
+        "scaling_of", "CommonScaling", "equilibrated", "equilibrating_exponents", "scaling_exponents",
         "equilibration", "equilibrate", "_fitted", "_scaled_columns", "balance_within", "_together", "_fitted_together",
         "_symmetrising",
     ),
     "take out what is known": (
-        "Presolved", "fold_simple_rows", "substitute_definitions", "eliminate_definitions", "known_before",
-        "without_known", "fixed_and_free", "Condensed", "_FreePart", "CanonicalBox", "Reduction",
+        "Presolved", "fold_simple_rows", "substitute_definitions", "eliminate_definitions", "without_known",
+         "fixed_and_free", "Condensed", "_FreePart", "CanonicalBox", "Reduction",
     ),
-    "a step of interior points": ("step", "sharpen", "factorise"),
     "a dense active set of a convex program": (
-        "PrimalActiveSet", "Triangles", "append_row", "WorkingSet", "add_row", "drop_row", "dual_active_set",
+        "append_row", "WorkingSet", "add_row", "drop_row", "dual_active_set",
     ),
     "a tableau": ("follow_path", "_exchange", "pivots", "_hold", "_add"),
     "a form of a program": ("DirectForm", "KKTForm", "DualForm", "_is_laplacian", "least_multipliers"),
@@ -43,9 +42,8 @@ NAMED = {
     ),
 }
 FOLDERS = {  # where such a name means that job; everywhere where none is given
-    "a step of interior points": "methods/interior/",
     "a tableau": "methods/",
-    "a dense active set of a convex program": "methods/interior/|problems/programs/",
+    "a dense active set of a convex program": "problems/programs/",
     "many": "problems/",
 }
 

@@ -50,6 +50,7 @@ BALANCED_BEYOND, BALANCING_SWEEPS = 4.0, 8  # log2, of the bounds; more sweeps w
 SYMMETRIC_WITHIN = 16  # log2: how far rows may leave the diagonal's units to make |M̂| symmetric
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
 ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding
+LARGEST_UNIT = 300  # log2
 LARGEST_OFF = 2.0**SPREAD  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
 
 
@@ -305,6 +306,19 @@ def fitted_columns(M: sp.csr_array) -> IntVector:
     whole, part = _fitted_together(M)
     exponents: IntVector = whole[1] + np.rint(part[1]).astype(np.int64)
     return exponents
+
+
+def fitted_units(M: sp.csr_array, right: FloatVector) -> FloatVector:
+    """Return units of x, powers of two, in which entries of M and of the right-hand side are of like sizes, shape (n,).
+
+    Examples
+    --------
+    >>> fitted_units(sp.csr_array([[1.0, 1024.0], [8.0, 8192.0]]), np.array([4.0, 32.0])).tolist()
+    [4.0, 0.00390625]
+    """
+    column = np.where(np.isfinite(right), right, 0.0)[:, np.newaxis]
+    exponents = fitted_columns(sp.csr_array(sp.hstack([M, column], format="csr")))
+    return np.asarray(np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_UNIT, LARGEST_UNIT)))
 
 
 def _fitted_together(M: sp.csr_array) -> tuple[Any, Any]:

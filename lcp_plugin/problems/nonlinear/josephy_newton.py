@@ -26,7 +26,6 @@ from ...core.settings import Settings, Status
 from ...core.solving.driver import fused
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
-from ...core.tuning import INTERIOR_STEPS
 from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister, phi_jacobian
 from ...systems.factors import factor_fits, factorise
@@ -46,7 +45,7 @@ ENOUGH = 0.1  # of what the run asks for: no linearisation need be solved to les
 PATIENCE = 25  # steps without a residual clearly below those of the window before it
 WINDOW, GAIN = 12, 0.95  # after a jump a long way back may begin
 RESTARTS, SMALL = 6, 1000  # unknowns: beyond them a new start, and steps without progress, are too expensive
-FACTORS = {"newton": 12, "interior_point": INTERIOR_STEPS}  # without half the residual, on a large linearisation
+FACTORS = {"newton": 12}  # without half the residual, on a large linearisation
 PATHS = 2  # of pivots
 
 
@@ -73,8 +72,8 @@ class JosephyNewton(Algorithm):
     than 16 trials, these are tried in turn: the LCP of F′(x) + μD, D the residual scale (proximal); Newton on Φ; its
     steepest descent. All three must lower ‖Φ‖ at x, or they climb and descend in turn. Where nothing helps x is a
     stationary point of ‖Φ‖, and small problems start again elsewhere. A large linearisation is given up after 12 active
-    sets or 20 interior steps without half the residual: Newton on Φ takes the next steps, a factorisation each, one at
-    first and each time twice as many.
+    sets without half the residual: Newton on Φ takes the next steps, a factorisation each, one at first and each time
+    twice as many.
 
     References
     ----------

@@ -29,6 +29,8 @@ from .solution import QPSolution
 
 SHARPEST = 2  # points: as it came, and polished
 CALLS = 4  # of an engine for one program
+DENSE_AT_LAST = 1500  # unknowns and rows: an active set sees through numbers that steps between the bounds do not
+PROXIMAL = {"eps_prox": 1e-6, "eta_prox": 1e-12}  # of daqp, where P is nothing beside its prox: until x stands still
 
 Answered = tuple[QPSolution | None, Point]
 
@@ -61,7 +63,7 @@ def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
     --------
     >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
     >>> [engine.name for engine in engines_for(program)]
-    ['daqp', 'piqp', 'clarabel']
+    ['daqp', 'piqp', 'clarabel', 'daqp']
     """
     m, p, n, _ = program.matrices.sizes
     if m + p == 0 and program.matrices.has_curvature:
@@ -74,6 +76,8 @@ def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
     if not program.matrices.has_curvature:
         yield engine_class("highs")()
     yield engine_class("clarabel")()
+    if n + m + p <= DENSE_AT_LAST:
+        yield engine_class("daqp")(**PROXIMAL)
 
 
 def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: bool = False) -> EngineRun | None:

@@ -26,7 +26,7 @@ from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.scaling import fitted_columns
+from ...core.matrix.scaling import fitted_units
 from ...core.representation import REPR_UP_TO, bounds_repr, matrix_repr
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints
@@ -35,7 +35,6 @@ from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program_matrices import ProgramMatrices, as_csr, no_rows, vertically
 
 SYMMETRIC_TO = 1e-12
-LARGEST_EXPONENT = 300  # of two, of a fitted unit
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
 
 
@@ -358,10 +357,7 @@ class ProgramFacts:
         A guess: a criterion may be stricter by it, never looser.
         """
         matrix = vertically(self.program.matrices.rows, as_csr(self.program.P))
-        column = np.concatenate([self.program.h, self.program.b, self.program.c])
-        column = np.where(np.isfinite(column), column, 0.0)
-        exponents = fitted_columns(sp.csr_array(sp.hstack([matrix, column[:, np.newaxis]], format="csr")))
-        return np.asarray(np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_EXPONENT, LARGEST_EXPONENT)))
+        return fitted_units(matrix, np.concatenate([self.program.h, self.program.b, self.program.c]))
 
 
 def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:

@@ -29,7 +29,7 @@ from ...core.solving.answer import Answer
 from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ...core.solving.run_log import say
 from ...engines import ENGINES, Engine, Hint, engine_class
-from ...methods.interior.interior_point import InteriorPoint
+from ...methods.interior_point import InteriorPoint
 from ...methods.search.stages import FeasibilityCheck
 from ...systems.null_space import null_space_by_rows
 from .conversion import QPOrigin, optimality_conditions
@@ -44,7 +44,6 @@ from .solution import QPSolution
 
 SEEN = ("callback", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
-SHARE = 0.75  # of a limit that interior points may take before there is a run
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
 BY_FACTOR = "factor of P"  # that meets a pivot of 0
@@ -212,7 +211,7 @@ def solve_program(
         residuals are above 1e-6 at it (or above ten times the tolerance, if that is larger), the run goes on. Where the
         interior point and the feasibility check end without a solution, a proof that there is none is looked for, which
         ends the run, too; not so with ``prove_infeasibility=False``. A `z0` is an earlier answer's z, where a run
-        starts; engines of others begin anew.
+        starts; engines of others begin anew, and "interior_point", which is "piqp" here.
 
     Raises
     ------
@@ -227,6 +226,8 @@ def solve_program(
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
     options = {name: wish for name, wish in options.items() if wish is not None}
+    if isinstance(algorithm, InteriorPoint) or (isinstance(algorithm, str) and algorithm == InteriorPoint.name):
+        algorithm = InteriorPoint.engine  # which it asks of an LCP, too, for its program
     if isinstance(algorithm, Engine) or (isinstance(algorithm, str) and algorithm in ENGINES):
         return _solved_by_engine(program, algorithm, tolerance, options)
     guess = options.pop("guess", None)

@@ -86,7 +86,7 @@ def test_its_result_is_that_of_a_complementarity_problem() -> None:
     assert result.is_solved
     assert result.certificate.relative_residual <= 1e-14
     assert "daqp" in result.explain()
-    assert "interior_point" in solve_program(program, "interior_point").explain()
+    assert "piqp" in solve_program(program, "interior_point").explain()  # which interior_point is, of a program
     assert result.to_content()["status"] == "SOLVED"
 
 

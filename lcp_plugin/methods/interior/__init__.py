@@ -1,1 +1,0 @@
-"""Interior points, and the active set that they lead to."""

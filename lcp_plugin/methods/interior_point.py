@@ -1,0 +1,311 @@
+"""Interior points: the convex program that a monotone problem is, answered by an engine of others; then its case."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.algorithm import Algorithm, Step, without_warnings
+from ..core.certificates.criterion import reference_residual
+from ..core.certificates.row_residuals import scaled_residual
+from ..core.checks import FloatVector
+from ..core.deadline import is_over, require_seconds, seconds_left
+from ..core.lcp import LCP
+from ..core.matrix.matrix import Matrix, fact
+from ..core.matrix.scaling import Exponents, fitted_units, scaled, symmetrising_rows, times_power
+from ..core.matrix.structure import IntVector, row_numbers
+from ..core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
+from ..engines import Engine, Limits, Multipliers, Statement, engine_class
+from ..engines.statement import Prepared
+from ..systems.equilibration import power_of_two
+from ..systems.factors import sizes_of_factor
+from .newton.active_set import classify, signature, solve_active_set
+
+SAME = 1e-12  # entries that differ by less, relatively, are the same but for rounding
+NEAR = 0.1  # of the residual of z°: the case of such a start is tried before an engine
+CASES = 5  # that follow from a point of an engine; from a start, one
+CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
+LARGEST_EXPONENT = 1000
+FULL = 0.1  # share of the entries of a sparse M that is not zero: from there on a dense factor is quicker
+DENSE_AT_LAST = 500  # unknowns of what is left to an active set
+STEPS = 60  # of PIQP: 10 to 30 where M is monotone, not only but for rounding
+AT_ONCE = 100_000  # nonzeros: no limit of seconds is shorter than what they take
+
+
+@dataclass(frozen=True, kw_only=True)
+class InteriorPoint(Algorithm):
+    """The interior point method of PIQP on the convex program of a monotone problem, and the case that it leads to.
+
+    Notes
+    -----
+    Where M is symmetric, the program is min ½ zᵀM z + qᵀz in the bounds; where diag(s) M is, s = ±1, the saddle point
+    problem of a program, that program; else min zᵀ(M z + q) with M z + q ≥ 0, z ≥ 0, and alike for other bounds. The
+    linear system of the case that its point shows, and of the cases that follow from this one, bring the residual to
+    rounding level. Where M is not monotone the program is not convex, and the run ends where the engine does.
+
+    Of the steps of PIQP nothing is seen: a record has its point and what each linear system gives. Under a limit of
+    seconds a large problem is left to Clarabel, which keeps it; so is what PIQP leaves open. Ctrl-C waits for the end
+    of either. Of a start z0 near the answer the case is tried first; else it changes nothing.
+
+    References
+    ----------
+    Schwan, Jiang, Kuhn, Jones 2023, doi:10.1109/CDC49753.2023.10383915.
+
+    Examples
+    --------
+    >>> import lcp_plugin
+    >>> problem = lcp_plugin.LCP([[2, 1], [1, 2]], [-5, 1])
+    >>> lcp_plugin.solve(problem, InteriorPoint()).z
+    array([2.5, 0. ])
+    """
+
+    name: ClassVar[str] = "interior_point"
+    engine: ClassVar[str] = "piqp"
+    needs: ClassVar[str] = "monotone M"
+    solves: ClassVar[str] = "– (by experience: PSD, also nonsymmetric)"
+    cost: ClassVar[str] = "10 to 30 factorisations at once"
+    reference: ClassVar[str] = "Schwan, Jiang, Kuhn, Jones 2023, doi:10.1109/CDC49753.2023.10383915"
+    is_monotone: ClassVar[bool] = False
+    ends_with_a_case: ClassVar[bool] = True
+    why_no_start: ClassVar[str] = (
+        "z0 was not used: interior_point begins anew, but where the residual of z0 is at most a tenth of that of the "
+        "point of the bounds nearest to 0"
+    )
+
+    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
+        """Return whether the case that z0 shows is tried."""
+        return _residual(problem, z0) <= NEAR * reference_residual(problem)
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, the points of engines, after the solution of the linear system of the case of each."""
+        z = np.clip(z0, problem.lower, problem.upper)
+        yield Step(z, work=1.0)
+        yield from without_warnings(self._steps(problem, z))
+
+    def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
+        if self.uses_start(problem, z):
+            yield from _cases(problem, z, 1)
+        operations, speed = problem.n**3 / 3.0, DENSE_OPERATIONS
+        if not problem.is_dense:
+            operations, speed = min(operations, sizes_of_factor(problem.matrix)[1]), SPARSE_OPERATIONS
+        require_seconds(operations / speed)
+        program, passes = ConvexProgram.of(problem), 1.0 + operations / max(problem.nonzeros, 1)
+        for engine, unit in ((engine, unit) for engine in self._engines(problem) for unit in program.units()):
+            z, steps = program.answer(engine, unit)
+            if np.isfinite(z).all():
+                cases = _cases(problem, z, CASES)
+                sharp = next(cases, Step(z))
+                sharp.work += steps * passes
+                sharp.remark = f"{engine.name} took {steps} steps"
+                yield from chain([sharp, Step(z)], cases)
+            if is_over():
+                return
+
+    def _engines(self, problem: LCP) -> Iterator[Engine]:
+        if problem.nonzeros <= AT_ONCE or seconds_left() == np.inf:
+            yield engine_class(self.engine)(max_iter=STEPS)
+        yield engine_class("clarabel")()
+        if problem.n <= DENSE_AT_LAST:
+            yield engine_class("daqp")()
+
+
+def _cases(problem: LCP, z: FloatVector, most: int) -> Iterator[Step]:
+    """Yield what solves the linear system of the case that z shows, then of the case that this shows, if new."""
+    system, tried = None, set[bytes]()
+    for _ in range(most):
+        at_lower, at_upper = classify(problem, z, problem.slack(z))
+        if (case := signature(at_lower, at_upper)) in tried:
+            return
+        tried.add(case)
+        found = solve_active_set(problem, at_lower, at_upper, near=z, system=system)
+        if found is None or not np.isfinite(found.z).all():
+            return
+        z, system = found.z, found.system
+        yield Step(np.clip(z, problem.lower, problem.upper), work=found.work)
+
+
+@np.errstate(all="ignore")
+def _residual(problem: LCP, z: FloatVector) -> float:
+    return float(np.max(np.abs(scaled_residual(problem, z, problem.slack(z))), initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexProgram:
+    """A program whose unknowns are some z, x, and the parts v ≥ 0 of slacks that are negative at an upper bound.
+
+    Attributes
+    ----------
+    problem : LCP
+    statement : Statement
+        min ½ xᵀP x + cᵀx + Σ (upper − lower) v with R x + q + v ≥ 0, or ≤ 0, or = 0, as each row's bounds ask for.
+    unknowns, multipliers : array of int
+        Which z are x, and which are multipliers of the rows, beside `anchor`.
+    anchor : array, shape (n,)
+        A finite bound of each z, or 0.
+    """
+
+    problem: LCP
+    statement: Statement
+    unknowns: Any
+    multipliers: Any
+    anchor: FloatVector
+
+    @classmethod
+    def of(cls, problem: LCP) -> ConvexProgram:
+        """Return the program of the rows that are not fixed: by signs where M has them, else that of the gap."""
+        if (rows := monotone_rows(problem.M)) is not None:
+            M = scaled(problem.M, Exponents(rows, np.zeros_like(rows)))
+            other = LCP(M, times_power(problem.q, rows), lower=problem.lower, upper=problem.upper)
+            return replace(cls.of(other), problem=problem)
+        M, q, lower, upper, signs = problem.M, problem.q, problem.lower, problem.upper, signs_of(problem.matrix)
+        anchor = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0))
+        kept = np.flatnonzero(lower < upper)
+        if kept.size < problem.n:
+            q = problem.slack(np.where(lower < upper, 0.0, lower))[kept]
+            M = M[kept][:, kept]
+        if sp.issparse(M) and M.nnz > FULL * kept.size**2:
+            M = M.toarray()
+        a, every = anchor[kept], np.arange(kept.size)
+        if signs is None:
+            x = y = every
+            P, R, c, multipliers = M + M.T, M, q - M.T @ a, kept[:0]
+        else:
+            is_x = signs[kept] > 0.0 if (signs[kept] > 0.0).any() else np.ones(kept.size, np.bool_)
+            x, y = np.flatnonzero(is_x), np.flatnonzero(~is_x)
+            P, R, c, multipliers = M[x][:, x], M[y][:, x], (q + M[:, y] @ a[y])[x], kept[y]
+            P = 0.5 * (P + P.T)
+        statement = _stated(P, c, R, q[y], lower[kept][y], upper[kept][y], lower[kept[x]], upper[kept[x]])
+        return cls(problem, statement, kept[x], multipliers, anchor)
+
+    def answer(self, engine: Engine, unit: FloatVector) -> tuple[FloatVector, int]:
+        """Return z within its bounds, NaN where the engine has none in these units of x, and its steps."""
+        given, z = self.statement, np.where(self.problem.lower == self.problem.upper, self.problem.lower, 0.0)
+        if not self.unknowns.size:
+            return z, 0
+        nothing = np.zeros(given.h.size + 2 * given.c.size, np.bool_)
+        prepared = Prepared.of(given, nothing, unit)
+        point = prepared.outward(engine.answer(prepared.statement, Limits(seconds_left())))
+        z[self.unknowns] = point.x[: self.unknowns.size]
+        if self.multipliers.size:
+            z[self.multipliers] = self.anchor[self.multipliers] + self._signed(point.multipliers)
+        return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
+
+    def units(self) -> Iterator[FloatVector]:
+        """Yield units of x: one for all, in which costs are as large as coefficients, and fitted ones, if others."""
+        P, c, G, h, A, b, *_ = self.statement
+        sizes = (_largest(c, h, b), _largest(P, G, A))
+        yield np.full(c.size, power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0)
+        fitted = fitted_units(sp.csr_array(sp.vstack([*map(sp.csr_array, (G, A, P))])), np.concatenate([h, b, c]))
+        if (fitted != fitted[:1]).any():
+            yield fitted
+
+    def _signed(self, found: Multipliers) -> FloatVector:
+        lower, upper = self.problem.lower[self.multipliers], self.problem.upper[self.multipliers]
+        is_equation, y = ~np.isfinite(lower) & ~np.isfinite(upper), np.empty(lower.size)
+        y[is_equation] = found.equality
+        y[~is_equation] = np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation] * found.inequality
+        return y
+
+
+def _largest(*parts: Any) -> float:
+    return max(float(np.max(np.abs(one.data if sp.issparse(one) else one), initial=0.0)) for one in parts)
+
+
+def _stated(
+    P: Any, c: FloatVector, R: Any, q: FloatVector, low: FloatVector, high: FloatVector, lower: FloatVector,
+    upper: FloatVector,
+) -> Statement:
+    """Return the statement with lower ≤ x ≤ upper, of rows whose multipliers are between `low` and `high`."""
+    below, above = np.isfinite(low), np.isfinite(high)
+    rows, equations, boxed = map(np.flatnonzero, (below | above, ~(below | above), below & above))
+    sign, k = np.where(below, 1.0, -1.0)[rows], boxed.size
+    A, G = -R[equations], sp.diags_array(-sign) @ R[rows] if sp.issparse(R) else -sign[:, np.newaxis] * R[rows]
+    if k:
+        places = np.searchsorted(rows, boxed), np.arange(k)
+        v = sp.csr_array((np.full(k, -1.0), places), shape=(rows.size, k))
+        if sp.issparse(R):
+            P, A = sp.block_diag([P, sp.csr_array((k, k))]), sp.hstack([A, sp.csr_array((equations.size, k))])
+            G = sp.hstack([G, v])
+        else:
+            P, A, G = np.pad(P, (0, k)), np.pad(A, ((0, 0), (0, k))), np.hstack([G, v.toarray()])
+    if sp.issparse(R):
+        P, G, A = map(sp.csr_array, (P, G, A))
+    return Statement(
+        P, np.append(c, (high - low)[boxed]), G, sign * q[rows], A, q[equations], np.append(lower, np.zeros(k)),
+        np.append(upper, np.full(k, np.inf)),
+    )
+
+
+@fact
+def signs_of(matrix: Matrix) -> FloatVector | None:
+    """Return s of ±1, shape (n,), with diag(s) M symmetric to rounding and 0 between negative ones, or None.
+
+    Examples
+    --------
+    >>> signs_of(Matrix([[2.0, 3.0], [-3.0, 0.0]]))
+    array([ 1., -1.])
+    >>> signs_of(Matrix([[2.0, 3.0], [-1.0, 0.0]])) is None
+    True
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    M, n = matrix.csr, matrix.n
+    mirrored = sp.csr_array(M.T)
+    mirrored.sort_indices()
+    if not (np.array_equal(M.indptr, mirrored.indptr) and np.array_equal(M.indices, mirrored.indices)):
+        return None
+    size, rows, columns = SAME * np.abs(M.data), row_numbers(M).astype(np.int64), M.indices
+    is_same, is_opposite = np.abs(M.data - mirrored.data) <= size, np.abs(M.data + mirrored.data) <= size
+    if is_same.all() or not (is_same | is_opposite).all():
+        return np.ones(n) if is_same.all() else None
+    # In a graph of every row and its opposite: who is connected with his own has no sign.
+    beside = columns + np.where(is_same, 0, n)
+    edges = np.append(rows, rows + n), np.append(beside, (beside + n) % (2 * n))
+    part = connected_components(sp.csr_array((np.ones(2 * rows.size), edges), shape=(2 * n, 2 * n)), directed=False)[1]
+    bends = np.zeros(2 * n, dtype=bool)
+    bends[part[rows[is_same]]] = True
+    one, other = bends[part[:n]], bends[part[n:]]
+    if (part[:n] == part[n:]).any() or (one & other).any():
+        return None
+    return np.where(one | (~other & (part[:n] <= part[n:])), 1.0, -1.0)
+
+
+def monotone_rows(M: Any) -> IntVector | None:
+    """Return r, shape (n,), such that the rows 2^r_i M_i may be monotone although M is not; else None.
+
+    M is not monotone where |m_ij + m_ji| > 2 √(m_ii m_jj), and only what is so clearly is changed. Tried are the
+    factors that make M symmetric, if there are any, and those that make its diagonal 1.
+
+    Examples
+    --------
+    >>> monotone_rows(np.array([[2.0, -1.0], [-64.0, 128.0]]))
+    array([ 0, -6])
+    >>> monotone_rows(np.array([[2.0, -1.0], [-1.0, 2.0]])) is None
+    True
+    """
+    diagonal: FloatVector = M.diagonal()
+    if not diagonal.size or diagonal.min() <= 0.0:
+        return None
+    rows = sp.csr_array(M)
+    exponents = np.zeros(diagonal.size, np.int64)
+    if _may_be_monotone(rows, exponents):
+        return None
+    for logarithms in (symmetrising_rows(rows), -np.log2(diagonal)):
+        exponents = np.rint(logarithms).astype(np.int64)
+        if np.abs(exponents).max() <= LARGEST_EXPONENT and _may_be_monotone(rows, exponents):
+            return exponents
+    return None
+
+
+def _may_be_monotone(M: sp.csr_array, exponents: IntVector) -> bool:
+    with np.errstate(all="ignore"):
+        M = scaled(M, Exponents(exponents, np.zeros_like(exponents)))
+        root = np.sqrt(M.diagonal())
+        both = sp.coo_array(M + M.T)
+        allowed = 2.0 * root[both.row] * root[both.col] * CLEARLY
+        return bool(np.all(np.abs(both.data) <= allowed))

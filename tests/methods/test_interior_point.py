@@ -1,0 +1,226 @@
+"""The interior point reaches rounding level on every monotone problem, whatever its bounds and its rank."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import linprog
+
+from lcp_plugin import LCP, solve
+from lcp_plugin.core.matrix.matrix import Matrix
+from lcp_plugin.core.settings import Status
+from lcp_plugin.methods.interior_point import InteriorPoint, signs_of
+from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
+
+
+def random_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:
+    """A monotone matrix of the kind."""
+    B = rng.standard_normal((n, n))
+    half = B[:, : max(1, n // 2)]
+    return {
+        "definite": B @ B.T + 0.1 * np.eye(n),
+        "rank-deficient": half @ half.T,
+        "nonsymmetric": half @ half.T + B - B.T,
+        "skew": B - B.T,
+        "zero": np.zeros((n, n)),
+    }[kind]
+
+
+def random_bounds(kind: str, n: int, rng: np.random.Generator) -> tuple[Any, Any]:
+    """Bounds: plain, or one-sided of both kinds, boxed, free and fixed rows mixed."""
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    if kind == "mixed":
+        row = rng.integers(0, 5, n)
+        lower = np.where(row <= 1, -np.inf, rng.integers(-3, 3, n).astype(float))
+        upper = np.where((row == 1) | (row == 2), np.inf, np.where(row == 0, 1.0, lower + rng.random(n) + 0.1))
+        upper = np.where(row == 4, lower, upper)
+    return lower, upper
+
+
+def with_answer(M: Any, lower: Any, upper: Any, rng: np.random.Generator, degenerate: float = 0.2) -> LCP:
+    """A problem whose answer was chosen first, part of its rows with both distance and slack 0."""
+    n = lower.size
+    bound = np.where(rng.random(n) < 0.5, lower, upper)
+    z = np.where((rng.random(n) < 0.5) & np.isfinite(bound), bound, np.clip(rng.standard_normal(n), lower, upper))
+    size = np.where(rng.random(n) < degenerate, 0.0, rng.random(n))
+    w = np.where(z == lower, size, 0.0) - np.where((z == upper) & (z != lower), size, 0.0)
+    return LCP(M, w - M @ z, lower=lower, upper=upper)
+
+
+@pytest.mark.parametrize("bounds", ["plain", "mixed"])
+@pytest.mark.parametrize("storage", ["dense", "sparse"])
+@pytest.mark.parametrize("kind", ["definite", "rank-deficient", "nonsymmetric", "skew", "zero"])
+def test_solves_monotone_problems(kind: str, storage: str, bounds: str) -> None:
+    """Every monotone problem with a known answer is solved to 1e-10, degenerate rows included."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        n = [1, 2, 5, 12, 30, 200][seed]
+        M = random_matrix(kind, n, rng)
+        if storage == "sparse":
+            M = sp.csr_array(np.where(rng.random((n, n)) < 0.2, M, 0.0)) if kind == "zero" else sp.csr_array(M)
+        result = solve(with_answer(M, *random_bounds(bounds, n, rng), rng), InteriorPoint(), tolerance=1e-10)
+        assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, result.certificate)
+        assert result.iterations <= 40
+
+
+def test_empty_and_fixed_problems() -> None:
+    """Nothing to decide is no special case: n = 0, and all rows fixed."""
+    assert solve(LCP(np.zeros((0, 0)), []), InteriorPoint()).status is Status.SOLVED
+    fixed = LCP([[1.0, 2.0], [3.0, 4.0]], [-9.0, 9.0], lower=[1.0, 2.0], upper=[1.0, 2.0])
+    assert solve(fixed, InteriorPoint()).z.tolist() == [1.0, 2.0]
+
+
+def test_multipliers_alone_are_at_their_bounds() -> None:
+    """Where all unknowns of a saddle point problem but its multipliers are fixed, nothing is left but signs."""
+    problem = LCP([[0.0, -2.0], [2.0, 0.0]], [2.0, 3.0], lower=[-2.0, -np.inf], upper=[-2.0, 1.0])
+    assert solve(problem, InteriorPoint()).z.tolist() == [-2.0, 1.0]
+
+
+@pytest.mark.parametrize("condition", [1e2, 1e6, 1e8])
+@pytest.mark.parametrize("active", [0.3, 0.7])
+def test_ill_conditioned_dense_problem_is_solved_to_rounding(condition: float, active: float) -> None:
+    """Dense SPD, n = 200: z is off by rounding times the condition."""
+    n, rng = 200, np.random.default_rng(1)
+    vectors, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    M = (vectors * np.geomspace(1.0, 1.0 / condition, n)) @ vectors.T
+    M = 0.5 * (M + M.T)
+    is_active = rng.random(n) < active
+    z, w = np.where(is_active, 0.0, rng.random(n)), np.where(is_active, rng.random(n), 0.0)
+    result = solve(LCP(M, w - M @ z), InteriorPoint(), tolerance=1e-13)
+    assert result.status is Status.SOLVED
+    assert np.max(np.abs(result.z - z)) <= 1e-13 * condition
+
+
+@pytest.mark.parametrize("skew", [0.0, 1e-6])
+@pytest.mark.parametrize("n", [60, 200])
+def test_an_answer_much_larger_than_q_is_found(n: int, skew: float) -> None:
+    """Eigenvalues from 1 to 1e-8 and q ~ 1: z is 1e4 times as large as w."""
+    rng = np.random.default_rng(1)
+    orthogonal, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    M = (orthogonal * np.logspace(0, -8, n)) @ orthogonal.T
+    turn = rng.standard_normal((n, n))
+    problem = LCP((M + M.T) / 2.0 + skew * (turn - turn.T), rng.standard_normal(n))
+    result = solve(problem, "interior_point")
+    assert result.is_solved
+    assert result.z.max() > 1e3 * result.w.max()
+    assert result.iterations <= 20
+
+
+def test_contact_matrix_of_low_rank() -> None:
+    """A Delassus matrix J W Jᵀ with more contacts than freedoms: w is the known one, z one of many."""
+    rng = np.random.default_rng(3)
+    J = rng.standard_normal((60, 24))
+    M = J @ np.diag(rng.random(24) + 0.1) @ J.T
+    z = np.maximum(rng.standard_normal(60), 0.0)
+    w = np.where(z > 0.0, 0.0, rng.random(60))
+    result = solve(LCP(M, w - M @ z), InteriorPoint(), tolerance=1e-12)
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.w, w, atol=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_linear_programs_agree_with_highs(seed: int) -> None:
+    """P = 0, redundant equalities, a degenerate vertex: the objective is that of HiGHS."""
+    rng = np.random.default_rng(seed)
+    n, m = 20, 12
+    G, A = rng.standard_normal((m, n)), rng.standard_normal((3, n))
+    A = np.vstack([A, A[0] + A[1], 2.0 * A[2]])
+    x = np.where(rng.random(n) < 0.5, 0.0, rng.random(n))
+    multiplier = np.maximum(rng.standard_normal(m), 0.0)
+    c = -(G.T @ multiplier + A.T @ rng.standard_normal(5) - np.where(x == 0.0, rng.random(n), 0.0))
+    h = G @ x + np.where(multiplier > 0.0, 0.0, rng.random(m) * (rng.random(m) < 0.5))
+    problem = lcp_from_qp(QuadraticProgram(np.zeros((n, n)), c, G, h, A, A @ x, lower=0.0), "kkt")
+    solution = problem.origin.recover(solve(problem, InteriorPoint(), tolerance=1e-10))
+    truth = linprog(c, G, h, A, A @ x, bounds=(0.0, None), method="highs").fun
+    assert solution.error <= 1e-9
+    assert abs(solution.objective - truth) <= 1e-8 * (1.0 + abs(truth))
+
+
+def test_unsolvable_problem_ends_by_itself() -> None:
+    """Where w = −1 whatever z ≥ 0 is, the run ends without success and without a limit."""
+    result = solve(LCP(np.zeros((2, 2)), [-1.0, 1.0]), InteriorPoint())
+    assert result.status is not Status.SOLVED
+    assert result.iterations < 500
+
+
+def test_units_do_not_matter() -> None:
+    """Congruence by powers of two leaves the number of steps and the answer alone."""
+    rng = np.random.default_rng(4)
+    M, n = random_matrix("nonsymmetric", 40, rng), 40
+    problem = with_answer(M, *random_bounds("mixed", n, rng), rng)
+    c = np.ldexp(1.0, rng.integers(-10, 10, n))
+    other = LCP(M * c[:, None] * c, problem.q * c, lower=problem.lower / c, upper=problem.upper / c)
+    first, second = (solve(p, InteriorPoint(), tolerance=1e-11) for p in (problem, other))
+    assert (first.status, second.status) == (Status.SOLVED, Status.SOLVED)
+    np.testing.assert_allclose(second.w / c, first.w, atol=1e-8)
+
+
+def test_signs_are_found_or_there_are_none() -> None:
+    """diag(s) M is symmetric, 0 between negative ones, for the signs that are found; planted ones are found again."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        n, m = (int(k) for k in rng.integers(0, 8, 2))
+        B = rng.integers(-2, 3, (n, n)).astype(float)
+        C = rng.integers(-2, 3, (m, n)).astype(float)
+        order = rng.permutation(n + m)
+        M = np.block([[B + B.T, -C.T], [C, np.zeros((m, m))]])[order][:, order]
+        s = signs_of(Matrix(sp.csr_array(M)))
+        assert s is not None
+        assert (s[:, np.newaxis] * M == (s[:, np.newaxis] * M).T).all()
+        assert not M[s < 0.0][:, s < 0.0].any()
+    triangle = np.array([[0.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [-1.0, -1.0, 0.0]])  # all three oppose each other
+    bent = np.array([[1.0, 1.0], [-1.0, 1.0]])  # a multiplier with an entry of its own
+    for M in (triangle, np.triu(triangle), bent):
+        assert signs_of(Matrix(M)) is None
+
+
+@pytest.mark.parametrize("kind", ["fixed", "boxed", "free", "below"])
+@pytest.mark.parametrize("storage", ["dense", "sparse"])
+def test_multipliers_of_any_bounds(kind: str, storage: str) -> None:
+    """Rows of a saddle point problem whose multipliers are fixed, free, in a box or have an upper bound alone."""
+    rng = np.random.default_rng(5)
+    n, m = 12, 5
+    B, C = rng.standard_normal((n, n)), rng.standard_normal((m, n))
+    M = np.block([[B @ B.T, -C.T], [C, np.zeros((m, m))]])
+    bounds = {"fixed": (0.5, 0.5), "boxed": (-0.2, 0.2), "free": (-np.inf, np.inf), "below": (-np.inf, 0.3)}[kind]
+    lower, upper = np.append(np.zeros(n), np.full(m, bounds[0])), np.append(np.full(n, np.inf), np.full(m, bounds[1]))
+    problem = LCP(M if storage == "dense" else sp.csr_array(M), rng.standard_normal(n + m), lower=lower, upper=upper)
+    result = solve(problem, "interior_point", tolerance=1e-12)
+    assert result.is_solved
+    np.testing.assert_allclose(result.z, solve(problem, "newton", tolerance=1e-12).z, atol=1e-8)
+
+
+@pytest.mark.parametrize("storage", ["dense", "sparse"])
+def test_a_start_near_the_answer_saves_the_engine(storage: str) -> None:
+    """The case of such a z0 is tried first; of a z0 far away nothing is used."""
+    rng = np.random.default_rng(0)
+    problem = with_answer(random_matrix("nonsymmetric", 60, rng), np.zeros(60), np.full(60, np.inf), rng, 0.0)
+    problem = problem if storage == "dense" else LCP(sp.csr_array(problem.M), problem.q)
+    plain = solve(problem, "interior_point")
+    begun = solve(problem, "interior_point", z0=plain.z * (1.0 + 1e-4))
+    assert (begun.is_solved, begun.iterations) == (True, 1)
+    assert "piqp" in plain.explain()
+    assert "piqp" not in begun.explain()
+    assert "z0 was not used" in solve(problem, "interior_point", z0=np.full(60, 1e3)).explain()
+
+
+@pytest.mark.parametrize("n", [20, 200])
+def test_where_m_is_not_monotone_the_run_ends_by_itself(n: int) -> None:
+    """The program is not convex: few steps, and a status that tells what was reached."""
+    rng = np.random.default_rng(n)
+    problem = LCP(rng.standard_normal((n, n)), rng.standard_normal(n))
+    result = solve(problem, "interior_point", prove_infeasibility=False)
+    assert result.iterations <= 40
+    assert result.status in (Status.STALLED, Status.SOLVED)
+
+
+def test_few_equations_hide_no_error() -> None:
+    """Residuals of few equations more than barely consistent, z ≥ 0: every w is 0 at the answer."""
+    rng = np.random.default_rng(1)
+    A, x = rng.standard_normal((300, 600)), rng.standard_normal(600) * (rng.random(600) < 0.1)
+    b = A @ x + 0.1 * rng.standard_normal(300)
+    P = A.T @ A
+    assert solve(LCP(0.5 * (P + P.T), -A.T @ b), "interior_point").status is Status.SOLVED

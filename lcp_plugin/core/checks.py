@@ -260,8 +260,14 @@ def real_vector(
     if may_be_number and vector.ndim == 0 and length in (None, 1):
         vector = vector.reshape(1)
     if vector.ndim != 1 or length not in (None, vector.size):
-        raise InvalidProblem(f"{need}, got shape {vector.shape}")
+        raise InvalidProblem(f"{need}, got shape {vector.shape}{_flattened(vector, name, length)}")
     return read_only(vector.copy())
+
+
+def _flattened(array: FloatVector, name: str, length: int | None) -> str:
+    """Return what to write for a vector that came as a row or a column."""
+    is_one = array.ndim == 2 and 1 in array.shape and length in (None, array.size)
+    return f"; write np.ravel({name})" if is_one else ""
 
 
 def finite_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
@@ -307,7 +313,7 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
     need = f"{name} must be a number or a vector of length {n}"
     array = real_array(values, need)
     if array.shape not in ((), (n,)):
-        raise InvalidProblem(f"{need}, got shape {array.shape}")
+        raise InvalidProblem(f"{need}, got shape {array.shape}{_flattened(array, name, n)}")
     is_nan = np.isnan(array)
     if is_nan.any():
         where = int(np.argmax(is_nan))

@@ -8,7 +8,8 @@ the problem has is one of ours: any later solve gives it another, and cvxpy answ
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager
 from functools import partial, wraps
 from importlib import import_module
 from typing import Any
@@ -17,6 +18,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
+from cvxpy.error import SolverError
 from numpy.typing import NDArray
 
 from ..core.errors import UnsupportedModel
@@ -166,6 +168,21 @@ def _multiplies_sparse(node: Any, values: list[Any]) -> bool:
 
 def dense(value: Any) -> Any:
     return value.toarray() if sp.issparse(value) else value
+
+
+class UnsolvableModel(UnsupportedModel, SolverError):  # type: ignore[misc]
+    """A model that no algorithm here takes: an UnsupportedModel of ours, and a SolverError of cvxpy's."""
+
+
+@contextmanager
+def solver_errors() -> Iterator[None]:
+    """Let what is refused inside cvxpy be caught as a SolverError, too."""
+    try:
+        yield
+    except UnsupportedModel as error:
+        if isinstance(error, SolverError):
+            raise
+        raise UnsolvableModel(str(error)) from error
 
 
 def name_of(expression: Any) -> str:

@@ -18,16 +18,23 @@ from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from numpy.typing import NDArray
 
 from ..core.checks import FloatVector, checked_right_side, checked_vector
-from ..core.errors import InvalidProblem, UnsupportedModel
+from ..core.errors import InvalidProblem
 from ..core.settings import Status
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solution import QPSolution
 from ..problems.programs.solving import solve_program
-from ._compat import CVXPY_STATUS, name_of, stand_before, statistics
+from ._compat import CVXPY_STATUS, UnsolvableModel, name_of, solver_errors, stand_before, statistics
 from .compiled_program import CompiledProgram
 from .stated_terms import Claim, dense_value, measure, refusal
 
+NO_INTEGERS = (
+    "QPSolver knows no integers, and this problem needs some; choose another solver, as solver=cp.HIGHS or cp.SCIP"
+)
+NEEDS_CONES = (
+    "what cvxpy makes of this problem is no quadratic program: it has cones, as sizes of complex numbers are; choose "
+    "another solver, as solver=cp.CLARABEL"
+)
 MATRICES = "lcp_plugin.matrices"  # the key of P, F and A, checked, in the program's data
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 BEGUN = "begun from the last answer; warm_start=False begins anew"
@@ -52,7 +59,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     ``threads`` and the algorithm's own.
     """
 
-    MIP_CAPABLE = False
+    MIP_CAPABLE = True  # or cvxpy refuses in words that name no solver; `apply` refuses in better ones
     #: cvxpy ≥ 1.9 derives bounds of its own for solvers that take some, wrong ones among them; the rows that a
     #: user's bounds become otherwise are folded back at the cost of a look.
     BOUNDED_VARIABLES = False
@@ -72,12 +79,10 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         return "LCP"
 
     def can_solve(self, problem_form: Any) -> bool:
-        """Return whether the problem can become a quadratic program, as cvxpy ≥ 1.9 asks; raise why not."""
+        """Return that the problem can become a quadratic program, as cvxpy ≥ 1.9 asks; raise why it cannot."""
         if super().can_solve(problem_form):
             return True
-        if (refused := refusal(problem_form._problem)) is not None:
-            raise refused
-        return False
+        raise refusal(problem_form._problem) or UnsolvableModel(NEEDS_CONES)
 
     def import_solver(self) -> None:
         """Do nothing: it is here."""
@@ -88,11 +93,16 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
     def apply(self, problem: Any) -> Any:
         """Return the data of the program that cvxpy compiled, as its own interface does, and what leads back."""
+        if problem.is_mixed_integer():
+            raise UnsolvableModel(NO_INTEGERS)
         if problem not in _compiled:
             _compiled[problem] = CompiledProgram.of(problem)
         compiled = _compiled[problem]
         if compiled is None or not self.accepts(problem):
-            return super().apply(problem)
+            try:
+                return super().apply(problem)
+            except SolverError as error:
+                raise UnsolvableModel(NEEDS_CONES) from error
         found, dims = compiled.present(), problem.cone_dims
         equations, inequalities = ([c for c in problem.constraints if type(c) is kind] for kind in (Zero, NonNeg))
         data = {
@@ -113,14 +123,14 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         """Return the answer to the program in cvxpy's form."""
         cache = {} if solver_cache is None else solver_cache
         try:
-            with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused as such
+            with np.errstate(over="ignore"), solver_errors():  # what overflows becomes infinite, and is refused as such
                 answer = self._answer(data, warm_start, verbose, solver_opts, cache)
         except InvalidProblem as error:
             if not (words := _too_far_apart(data)):
                 raise
-            raise UnsupportedModel(words) from error
+            raise UnsolvableModel(words) from error
         if answer.result.status is Status.STALLED and (words := _too_far_apart(data)):
-            raise UnsupportedModel(words)
+            raise UnsolvableModel(words)
         return answer
 
     def _answer(self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any) -> SolverAnswer:
@@ -248,7 +258,7 @@ def quadratic_program(data: Any) -> QuadraticProgram:
 def _require_plain(data: Any) -> None:
     """Raise where the program has integers, or bounds that nobody can tell from those that cvxpy derived."""
     if len(data.get(settings.BOOL_IDX, ())) or len(data.get(settings.INT_IDX, ())):
-        raise SolverError("QPSolver knows no integers, and this problem needs some; choose another solver, as cp.HIGHS")
+        raise UnsolvableModel(NO_INTEGERS)
     if data.get(settings.LOWER_BOUNDS) is not None or data.get(settings.UPPER_BOUNDS) is not None:
         raise SolverError(
             "this release of cvxpy sends bounds of variables to a solver that takes none, and they cannot be told from "

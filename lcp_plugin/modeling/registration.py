@@ -26,6 +26,7 @@ from ._compat import (
     name_of,
     refuse_without_derivatives,
     set_answering,
+    solver_errors,
     statistics,
 )
 from .assembly import solve_from
@@ -240,26 +241,34 @@ def solve_model(
     Raises
     ------
     UnsupportedModel
-        Where the model is none of the two; the message names what stands in the way.
+        Where the model is none of the two; the message names what stands in the way. It is a SolverError as well.
     cvxpy.error.SolverError
         Where the run diverged.
     """
-    if solver is not None:
-        raise UnsupportedModel(f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…')
-    clear_answering(problem)
-    if requires_grad:
-        refuse_without_derivatives()
+    with solver_errors():
+        if solver is not None:
+            raise UnsupportedModel(f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…')
+        clear_answering(problem)
+        if requires_grad:
+            refuse_without_derivatives()
+        return _solve_model(problem, algorithm, warm_start, bool(verbose), requires_grad, options)
+
+
+def _solve_model(
+    problem: Any, algorithm: Any, warm_start: bool, verbose: bool, requires_grad: bool, options: dict[str, Any]
+) -> Any:
+    """Solve what is a complementarity problem as one, and else a program."""
     if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
         run = _differentiable_program if requires_grad else _program
         return run(problem, warm_start, verbose, {"algorithm": algorithm, **options})
     _refuse_flags(options)
     if not problem.objective.args[0].is_constant():
-        return _best(problem, algorithm, bool(verbose), warm_start, requires_grad, options)
+        return _best(problem, algorithm, verbose, warm_start, requires_grad, options)
     parameters = differentiable_parameters(problem) if requires_grad else []
     known = values_of_parameters(parameters) if requires_grad else {}
     model = build_from(problem)
     start = model.start() if warm_start and "z0" not in options else None
-    result = solve_from(model.problem, start, {"algorithm": algorithm, "verbose": bool(verbose), **options})
+    result = solve_from(model.problem, start, {"algorithm": algorithm, "verbose": verbose, **options})
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)

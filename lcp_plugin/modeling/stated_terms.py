@@ -20,7 +20,7 @@ from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
 from cvxpy.error import SolverError
 from numpy.typing import NDArray
 
-from ._compat import SUM, attribute_bounds, leaf_value, name_of, postorder
+from ._compat import SUM, UnsolvableModel, attribute_bounds, leaf_value, name_of, postorder
 
 EQUATIONS = (Equality, Zero)
 INEQUALITIES = (Inequality, NonPos, NonNeg)
@@ -193,6 +193,8 @@ def why_not(problem: Any) -> list[str]:
         for attribute in ("boolean", "integer", "PSD", "NSD", "hermitian"):
             if np.size(variable.attributes[attribute]) and np.any(variable.attributes[attribute]):
                 reasons.append(f"variable {variable.name()} is {attribute}")
+        if variable.is_complex():
+            reasons.append(f"variable {variable.name()} is complex; give its real and imaginary part a variable each")
     for constraint in problem.constraints:
         if isinstance(constraint, INEQUALITIES):
             if not expression_of(constraint).is_pwl():
@@ -204,11 +206,11 @@ def why_not(problem: Any) -> list[str]:
     return reasons
 
 
-def refusal(problem: Any) -> SolverError | None:
+def refusal(problem: Any) -> UnsolvableModel | None:
     """Return why the problem is no quadratic program, None where its expressions do not tell."""
     if not (reasons := why_not(problem)):
         return None
-    return SolverError(
+    return UnsolvableModel(
         'QPSolver and method="LCP" take programs with a convex quadratic objective and linear constraints, and what '
         f"can be written so; here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
         "or cp.HIGHS"

@@ -270,3 +270,36 @@ def test_a_constraint_that_cannot_hold_is_named_alone() -> None:
     problem = cp.Problem(cp.Minimize(x), [cp.abs(x) <= -1, x >= -5])
     problem.solve(solver=QPSolver)
     assert problem.solver_stats.extra_stats.contradiction.startswith("abs(x) <= -1.0 cannot hold")
+
+
+def integer_program() -> Any:
+    return cp.Problem(cp.Minimize(cp.sum_squares(cp.Variable(2, integer=True) - 0.4)))
+
+
+def complex_sizes() -> Any:
+    z = cp.Variable(2, complex=True)
+    return cp.Problem(cp.Minimize(cp.sum(cp.abs(z))), [z == 1])
+
+
+def norm() -> Any:
+    x = cp.Variable(2)
+    return cp.Problem(cp.Minimize(cp.norm(x)), [x == 1])
+
+
+def concave() -> Any:
+    x = cp.Variable(2)
+    return cp.Problem(cp.Minimize(cp.quad_form(x, cp.psd_wrap(-np.eye(2)))), [x <= 1])
+
+
+@pytest.mark.parametrize("ways", [{"solver": QPSolver}, {"method": "LCP"}])
+@pytest.mark.parametrize(("made", "words"), [
+    (integer_program, "(SCIP|HIGHS)"), (complex_sizes, "complex.*CLARABEL"), (norm, "CLARABEL"),
+    (concave, "not convex"),
+])
+def test_what_is_refused_inside_cvxpy_is_a_solver_error_and_names_a_way_out(
+    ways: dict[str, Any], made: Callable[[], Any], words: str
+) -> None:
+    """Of both classes, so that code for other solvers catches it; never asking to report a bug."""
+    for kind in (cp.SolverError, UnsupportedModel):
+        with pytest.raises(kind, match=words):
+            made().solve(**ways)

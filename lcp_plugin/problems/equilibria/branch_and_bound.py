@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.checks import FloatVector, checked_vector, is_number
-from ...core.deadline import Clock, is_over, time_limit
+from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ...core.settings import Status
 from ..programs.no_minimum import QPUnboundedness
@@ -40,6 +40,7 @@ OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0",
 GROWTH = 1.5  # of the nodes from one line of the log to the next
 FIRST = 300  # nodes · pairs before SCIP is asked: 9 nodes of 30 pairs close leaders that SCIP searches for 5 s
 MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
+LOOKS, FIRST_LOOK = 0.1, 0.1  # of the time, in which points are looked for, and the seconds of the first look
 ENDS = {
     "timelimit": Status.MAX_SECONDS, "nodelimit": Status.MAX_ITERATIONS, "totalnodelimit": Status.MAX_ITERATIONS,
     "userinterrupt": Status.INTERRUPTED,
@@ -148,6 +149,7 @@ class BranchAndBound:
         self._outside_value = math.inf  # of a point that is not confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._is_infeasible = self._is_stuck = False
+        self._looked = 0.0  # seconds
         self._begin(problem)
 
     def _begin(self, problem: EquilibriumProgram) -> None:
@@ -200,7 +202,7 @@ class BranchAndBound:
             return None
         if x0 is not None:
             self.local.from_point(x0)
-        self.local.from_leaders(x0, most=None if engine is None else 1)
+        self._look_for_points(x0, most=None if engine is None else 1)
         if is_provable and self._next() is None:
             return None
         if is_provable:
@@ -215,6 +217,20 @@ class BranchAndBound:
         if ended is not None or not is_provable or (self._is_closed() and not prove):
             return ended
         return self._search(ends, math.inf if prove else MOST_UNASKED)
+
+    def _look_for_points(
+        self, x0: FloatVector | None, near: FloatVector | None = None, *, most: int | None = 1
+    ) -> None:
+        """Descend from so many equilibria of the followers, in a tenth of the time, or from all; and from a point."""
+        began = self.clock.read()
+        left = math.inf if most is None else max(LOOKS * began, FIRST_LOOK) - self._looked
+        if left <= 0.0:
+            return
+        with time_limit(min(left, seconds_left())):
+            self.local.from_leaders(x0, most)
+            if near is not None:
+                self.local.from_point(near)
+        self._looked += self.clock.read() - began
 
     def _root(self) -> bool:
         """Solve the relaxation with all cases open; return whether anything is left to search."""
@@ -237,9 +253,7 @@ class BranchAndBound:
 
         def improved(x: FloatVector | None) -> FloatVector | None:
             before = self.local.best
-            self.local.from_leaders(x0, most=1)
-            if x is not None:
-                self.local.from_point(x)
+            self._look_for_points(x0, x)
             best = self.local.best
             return None if best is before or best is None else best.point
 

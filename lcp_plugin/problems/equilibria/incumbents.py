@@ -29,6 +29,7 @@ MOST_BIACTIVE = 12
 NEAR, MOST_DOUBTFUL = 1e-5, 6  # beside 1 + ‖x‖∞: pairs of another solver's point whose case is in doubt
 MOST_NEIGHBOURS = 50
 MOST_CORNERS = 4  # leaders of whose bounds all combinations are tried
+FOLLOWING = "interior_point", "lemke"  # the program that followers solve, where there is one; else one path of pivots
 UNBOUNDED = 1.0  # from the one bound that a leader has: where a start lies
 
 
@@ -49,7 +50,7 @@ class LocalSearch:
         self.relaxations, self.problem = relaxations, relaxations.problem
         self.best: Node | None = None
         self._known: dict[bytes, Node] = {}
-        self._followed: Iterator[FloatVector] | None = None
+        self._followed: Iterator[FloatVector | None] | None = None
 
     @property
     def value(self) -> float:
@@ -91,11 +92,12 @@ class LocalSearch:
         return piece if piece.value < math.inf else None
 
     def from_leaders(self, guess: FloatVector | None, most: int | None = None) -> None:
-        """Descend from equilibria of the followers, leaders fixed here and there; from the next so many of them."""
+        """Descend from equilibria of the followers, leaders fixed here and there; at the next so many places."""
         if self._followed is None:
             self._followed = followers_solved(self.problem, guess)
         for x in itertools.islice(self._followed, most):
-            self.from_point(x)
+            if x is not None:
+                self.from_point(x)
             if is_over():
                 return
 
@@ -178,10 +180,11 @@ class LocalSearch:
         return True
 
 
-def followers_solved(problem: EquilibriumProgram, guess: FloatVector | None) -> Iterator[FloatVector]:
+def followers_solved(problem: EquilibriumProgram, guess: FloatVector | None) -> Iterator[FloatVector | None]:
     """Yield equilibria of the followers: leaders at the guess, in the middle of their bounds, at corners.
 
-    Followers are what rows and pairs determine; nothing is yielded where smooth rows are among them.
+    None where none was found. Followers are what rows and pairs determine; nothing is yielded where smooth rows are
+    among them.
     """
     if problem.smooth is not None and problem.smooth.lower.size:
         return
@@ -200,9 +203,7 @@ def followers_solved(problem: EquilibriumProgram, guess: FloatVector | None) -> 
     is_whole = np.zeros(is_leader.size, dtype=bool)
     is_whole[problem.integers] = True
     for wish in wishes:
-        x = _followed(problem, is_leader, np.where(is_whole[is_leader], np.rint(wish), wish))
-        if x is not None:
-            yield x
+        yield _followed(problem, is_leader, np.where(is_whole[is_leader], np.rint(wish), wish))
 
 
 def leaders(problem: EquilibriumProgram) -> BoolVector | None:
@@ -252,15 +253,17 @@ def _followed(problem: EquilibriumProgram, is_leader: BoolVector, values: FloatV
                                           shape=(own.size, A.shape[0])) @ A[:, own])
     q, lower, upper = np.zeros(own.size), np.full(own.size, -np.inf), np.full(own.size, np.inf)
     q[others], lower[z], upper[z] = A @ x - program.b, problem.lower, problem.upper
-    limit = seconds_left()
-    try:
-        followers = LCP(M, q, lower=lower, upper=upper)
-        found = solve_lcp(followers, prove_infeasibility=False, max_seconds=None if math.isinf(limit) else limit)
-    except LCPError:
-        return None
-    if found.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
-    if found.status not in (Status.SOLVED, Status.PRECISION_LIMIT):
-        return None
-    x[own] = found.z
-    return x
+    followers = LCP(M, q, lower=lower, upper=upper)
+    for name in FOLLOWING:
+        limit = seconds_left()
+        try:
+            seconds = None if math.isinf(limit) else limit
+            found = solve_lcp(followers, name, prove_infeasibility=False, max_seconds=seconds)
+        except LCPError:
+            continue
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if found.status in (Status.SOLVED, Status.PRECISION_LIMIT):
+            x[own] = found.z
+            return x
+    return None

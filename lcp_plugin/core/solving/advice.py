@@ -11,6 +11,7 @@ from ..algorithm import Algorithm
 from ..checks import FloatVector
 from ..kernels.floats import EPSILON
 from ..lcp import LCP
+from ..matrix.row_signs import why_not_monotone
 from ..matrix.row_sums import has_positive_diagonal
 from ..policy.stages import Stage
 from ..settings import Status
@@ -65,7 +66,7 @@ def advice_of_run(
         said[status] += ", or go on from z0=result.z" * goes_on + f", or try {other}" * bool(other)
     is_far_out = any(stage.has_no_solution_nearby for stage in stages)
     end = FAR_OUT if is_far_out else f"try {other}" if other else _elsewhere(left_out)
-    end = beyond_doubles(problem) or end
+    end = beyond_doubles(problem) or "; ".join(filter(None, (why_not_monotone(problem.matrix), end)))
     for status in WITHOUT_END:
         said[status] = EXCLUDED if is_excluded else f"{said[status]}; {end}"
     return {**words, **said}

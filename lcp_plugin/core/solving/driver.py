@@ -80,7 +80,8 @@ def fused(
     found = algorithm.solve_fused(problem, start, tolerance, settings.max_iterations)
     if found is None:
         return None
-    if scaling.is_connected and scaling.is_identity:  # the kernel has enclosed the residual of the whole
+    is_as_stated = scaling.is_connected and scaling.is_identity and scaling.signs is None
+    if is_as_stated:  # the kernel has enclosed the residual of the whole
         certificate = Certificate.enclosed(scaling.stated, found.z, found.residual, found.term_residual)
     else:
         certificate = Certificate.of(scaling.stated, scaling.outward(found.z))

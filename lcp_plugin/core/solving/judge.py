@@ -161,8 +161,8 @@ class Judge:
         program, that has to be proved infeasible in its own units as well.
         """
         settings, scaling = self.settings, self.scaling
-        if scaling.row_exponents is not None:
-            proof = proof.rescaled(scaling.stated, -scaling.row_exponents)
+        if (factors := scaling.row_factors) is not None:
+            proof = proof.rescaled(scaling.stated, factors)
         if not proof.verify():
             return False
         if self.proof is None or proof.margin > self.proof.margin:

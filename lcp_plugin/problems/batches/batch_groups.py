@@ -97,14 +97,16 @@ def answers_in_common_scaling(group: Group, phases: Phases, settings: Settings) 
     labels = np.zeros(count * n, np.int64) if several is None else several.labels
     ends = np.append(labels[::n], labels.max() + 1)  # components are numbered in the order of their first rows
     vectors = [read_only(getattr(scaling.problem, name).reshape(count, n)) for name in ("q", "lower", "upper")]
-    starts = group.starts
+    M, starts = group.M, group.starts
+    if scaling.signs is not None:
+        M = M * scaling.signs.reshape(count, n, 1)
     if starts.shape[1]:
         starts = read_only(scaling.inward(group.vectors("starts")[0].reshape(-1)).reshape(count, n))
     least, most = scaling.references
     for k in range(count):
         own = slice(ends[k], ends[k + 1])
         tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
-        run_phases((group.M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
+        run_phases((M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
     certificate = Certificate.of(scaling.stated, scaling.outward(answers.z.reshape(-1)))
     answers.z[:] = certificate.z.reshape(count, n)
     largest, least = certificate.residuals_of_components

@@ -8,7 +8,7 @@ The look at each row finds those whose signs no point of a box has.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
@@ -18,7 +18,6 @@ import numpy as np
 from ...core.certificates.criterion import CommonScaling, RowScaling, reference_residual
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
-from ...core.matrix.structure import IntVector
 from ...systems.graph import compressed_rows
 from ...systems.null_space import null_space_by_rows, null_space_of
 from ..exact.rational import Rational
@@ -56,9 +55,9 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
         return None
     effort = DEFAULT_EFFORT // max(problem.n, 400) if effort_limit is None else effort_limit
     scaling = CommonScaling(problem, problem) if RowScaling.of(problem) is None else CommonScaling.of(problem)
-    if scaling.row_exponents is not None:
+    if (factors := scaling.row_factors) is not None:
         known = find_infeasibility(scaling.problem, effort_limit=effort)
-        return None if known is None else known.rescaled(problem, -scaling.row_exponents)
+        return None if known is None else known.rescaled(problem, factors)
     row = contradictory_row(problem)
     if row is not None and row.margin >= DECISIVE:
         return row
@@ -175,10 +174,10 @@ class Case:
     branches: dict[str, Case] = field(default_factory=dict)
     y: list[Fraction] | None = None
 
-    def rescaled(self, exponents: IntVector) -> Case:
+    def rescaled(self, factors: Sequence[Fraction]) -> Case:
         """Return the case of a problem in other units of z."""
-        branches = {choice: branch.rescaled(exponents) for choice, branch in self.branches.items()}
-        return Case(self.row, branches, None if self.y is None else rescaled_multipliers(self.y, exponents))
+        branches = {choice: branch.rescaled(factors) for choice, branch in self.branches.items()}
+        return Case(self.row, branches, None if self.y is None else rescaled_multipliers(self.y, factors))
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,9 +213,9 @@ class NoSolution(NoSolutionProof):
             return None
         return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
 
-    def rescaled(self, problem: LCP, exponents: IntVector) -> NoSolution:
+    def rescaled(self, problem: LCP, factors: Sequence[Fraction]) -> NoSolution:
         """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
-        return NoSolution(problem, self.tree.rescaled(exponents), self.nodes)
+        return NoSolution(problem, self.tree.rescaled(factors), self.nodes)
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""

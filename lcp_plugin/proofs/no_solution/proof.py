@@ -25,7 +25,7 @@ from ...core.certificates.criterion import (
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...core.matrix.structure import IntVector, connected_components
+from ...core.matrix.structure import connected_components
 from ...core.representation import within
 from ...core.settings import Status
 from ...systems.symmetry import is_nearly_symmetric
@@ -128,14 +128,14 @@ class NoSolutionProof:
         """Yield what closes each case, verified; None for a case that is not closed."""
         raise NotImplementedError
 
-    def rescaled(self, problem: LCP, exponents: IntVector) -> NoSolutionProof:
-        """Return what this proves of the problem in other units of z: q and bounds of row i times 2^exponents_i.
+    def rescaled(self, problem: LCP, factors: Sequence[Fraction]) -> NoSolutionProof:
+        """Return what this proves of a problem of which this one's row i is factor_i times the row.
 
         Parameters
         ----------
         problem : LCP
-            In these units.
-        exponents : array of int, shape (n,)
+            Stated so.
+        factors : sequence of Fraction, shape (n,)
         """
         raise NotImplementedError
 
@@ -340,9 +340,9 @@ class Infeasibility(NoSolutionProof):
         """Whether the stored doubles have no solution at all, by however little."""
         return self.radius == np.inf and self.verify()
 
-    def rescaled(self, problem: LCP, exponents: IntVector) -> Infeasibility:
+    def rescaled(self, problem: LCP, factors: Sequence[Fraction]) -> Infeasibility:
         """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
-        return Infeasibility.of(problem, dict(enumerate(rescaled_multipliers(self.exact_y, exponents))))
+        return Infeasibility.of(problem, dict(enumerate(rescaled_multipliers(self.exact_y, factors))))
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
@@ -383,6 +383,6 @@ class Infeasibility(NoSolutionProof):
         return f"Infeasibility({self})"
 
 
-def rescaled_multipliers(y: Sequence[Fraction], exponents: IntVector) -> list[Fraction]:
-    """Return the Farkas vector of the problem whose q and bounds are those of row i times 2^exponents_i: D⁻¹ y."""
-    return [value / Fraction(2) ** k if value else value for value, k in zip(y, exponents.tolist(), strict=True)]
+def rescaled_multipliers(y: Sequence[Fraction], factors: Sequence[Fraction]) -> list[Fraction]:
+    """Return the Farkas vector of the problem whose rows are these divided by the factors."""
+    return [value * factor for value, factor in zip(y, factors, strict=True)]

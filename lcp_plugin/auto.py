@@ -4,7 +4,7 @@ A small problem (256 unknowns where M is dense, 128 elsewhere, but not on tridia
 compiled call, which does the same in miniature: sweeps of npsor guess the active set, rounds solve for it, pivots
 follow; where a row without a positive diagonal entry allows no sweep these come first, up to 500 unknowns. What that
 leaves open goes to the direct methods, with which the KKT form of a program begins: neither sweeps nor pivots find much
-in it. Otherwise:
+in it. So does a bimatrix game, with Lemke and Howson's paths: its paths from r > 0 end on a ray. Otherwise:
 
 The projected-type iteration comes first: npsor, relaxation 1.7, row scaling 1/d, which converges for every H₊-matrix
 and costs no look at M (psor where the first look at the rows proves it quick). Only a narrow band comes before it:
@@ -162,12 +162,13 @@ class Auto(EndsWithItsCase):
         self._direct: FallbackOrder | None = None
 
     def first(self, problem: LCP) -> Choice:
-        """Return what programs need, small problems, narrow bands or quick rows; else NPSOR."""
-        if getattr(problem.origin, "form", "") == "kkt":
+        """Return what programs need, games, small problems, narrow bands or quick rows; else NPSOR."""
+        is_program = getattr(problem.origin, "form", "") == "kkt"
+        if is_program or _is_game(problem):
             self._direct = self._fallback_order(problem)
             if (first := self._direct.first()) is not None:
                 why = "multipliers have no diagonal entry, which sweeps need"
-                return replace(first, because=f"{why}; {first.because}")
+                return replace(first, because=f"{why}; {first.because}") if is_program else first
             self._direct = None
         if takes_the_small_dense_solver(problem):
             return Choice(_small(), "small: a few sweeps guess which unknowns are at a bound")
@@ -244,9 +245,18 @@ class Auto(EndsWithItsCase):
         )
 
 
+def _is_game(problem: LCP) -> bool:
+    """Return whether the problem is a bimatrix game, on which sweeps, rounds and paths from r > 0 lead nowhere."""
+    if has_positive_diagonal(problem.matrix).any():
+        return False
+    from .methods.lemke.games import is_game
+
+    return is_game(problem)
+
+
 def takes_the_small_dense_solver(problem: LCP) -> bool:
-    """Return whether auto solves the problem by one compiled call: small, and no tridiagonal M-matrix kept sparse."""
-    if not _small().takes(problem):
+    """Return whether auto solves it by one compiled call: small, no game, no tridiagonal M-matrix kept sparse."""
+    if not _small().takes(problem) or _is_game(problem):
         return False
     return problem.is_dense or _banded().predicted_passes(problem, math.inf) > TRIAL_SWEEPS
 

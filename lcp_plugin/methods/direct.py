@@ -6,7 +6,8 @@
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | the same, full, diagonal not > 0: budget rows | some pivots of lemke, then as above |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
-| any other: frictional contact, games | lemke, interior_point, feasibility, newton, search |
+| a bimatrix game | lemke, and what any other has |
+| any other: frictional contact | lemke, interior_point, feasibility, newton, search |
 | the same, sparse, n > 500 | newton and interior_point (this one first without diagonal > 0), feasibility, lemke |
 | −M an M-matrix, no upper bounds | first of all largest_point: one linear solve, which decides it |
 | sparse, few rows with a bound | first condensed, where that is less than ten factors |
@@ -52,6 +53,7 @@ from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
 from .interior_point import InteriorPoint, monotone_rows
 from .lemke import Lemke, has_components_that_fit
+from .lemke.games import is_game
 from .newton.condensed import Condensed, condensing_passes
 from .newton.semismooth_newton import Newton
 
@@ -162,7 +164,7 @@ def is_of_convex_program(origin: Any) -> bool:
 def _first_look(problem: LCP, prove_infeasibility: bool) -> Iterator[Choice]:
     from .search.stages import ExhaustiveSearch
 
-    if may_be_searched(problem):
+    if may_be_searched(problem) and not is_game(problem):
         why = "so few unknowns that every choice of bounds can be tried"
         yield Choice(ExhaustiveSearch(is_first=True, prove_infeasibility=prove_infeasibility), why)
 
@@ -171,6 +173,9 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     """Yield the methods in the order of the table; add to the words what is left out for its size."""
     from .search.stages import FeasibilityCheck, LargestPoint
 
+    lemke = Choice(Lemke(), "pivoting needs no property of M")
+    if is_game(problem):
+        yield replace(lemke, because="a game: Lemke and Howson's paths, one a label", turn=GAME_PIVOTS)
     if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
         why = "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does"
         yield Choice(LargestPoint(prove_infeasibility=prove_infeasibility), why)
@@ -179,10 +184,9 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     why = "steps strictly between the bounds; suits M, which is monotone or may be"
     interior = Choice(InteriorPoint(), why)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
-    lemke = Choice(Lemke(), "pivoting needs no property of M")
     too_large = _too_large(problem, is_kkt=is_kkt)
     left_out = [one.algorithm for one in (check, lemke, newton, interior) if one.algorithm.name in too_large]
-    left_out += [] if prove_infeasibility else [check.algorithm]
+    left_out += ([] if prove_infeasibility else [check.algorithm]) + ([lemke.algorithm] if is_game(problem) else [])
     row = contradictory_row(problem) if prove_infeasibility else None
     is_contradictory = row is not None and row.excludes(EPSILON)
     if not (is_kkt or is_contradictory) and condensing_passes(problem) < _passes_of_factors(problem, FEWEST_FACTORS):

@@ -74,6 +74,12 @@ def _least_squares() -> None:
     bounded_least_squares(_random(5 * SIZE, SIZE), np.arange(5.0 * SIZE))
 
 
+def _game() -> None:
+    from lcp_plugin import LCP, solve
+
+    solve(LCP.from_game(_random(3, 3), -_random(3, 3))).require_solved()
+
+
 def _nonlinear() -> None:
     from lcp_plugin import NonlinearProblem
     from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
@@ -84,7 +90,7 @@ def _nonlinear() -> None:
 
 SOLVES: dict[str, Callable[[], None]] = {
     "ten": _ten, "string": _string, "grid": _grid, "model": _model, "program": _program,
-    "least squares": _least_squares, "nonlinear": _nonlinear,
+    "least squares": _least_squares, "nonlinear": _nonlinear, "game": _game,
 }
 
 

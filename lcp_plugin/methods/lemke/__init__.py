@@ -22,6 +22,7 @@ from ...systems.graph import block_rows
 from ..newton.active_set import solve_active_set
 from ..small.small_dense import PIVOTS_ONLY, is_short, solve_fused, steps
 from .canonical_box import CanonicalBox, canonical_box, covered_box
+from .games import is_game
 
 PIVOTS_A_ROUND = (10, 100)  # times n + 10
 ARBITRARY_STARTS = (10, 200)  # at least and at most
@@ -129,7 +130,7 @@ class Lemke(Algorithm):
         return PIVOTS_ONLY if self.max_pivots is None and self.restarts is None else None
 
     def _may_be_fused(self, problem: LCP, z0: FloatVector) -> bool:
-        has_plan = self.phases_of_small() is not None and is_short(problem)
+        has_plan = self.phases_of_small() is not None and is_short(problem) and not is_game(problem)
         return has_plan and np.array_equal(z0, problem.nearest_to_zero)
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:

@@ -31,6 +31,7 @@ from ..small.kernels.workspace import (
     shapes,
 )
 from .canonical_box import WELL_CONDITIONED, invertible_part
+from .games import bimatrix_players
 
 FloatMatrix = NDArray[np.float64]
 
@@ -339,30 +340,6 @@ def _regular_part(M: NDArray[np.float64], chosen: NDArray[np.bool_]) -> NDArray[
     kept = np.zeros_like(chosen)
     kept[invertible_part(M, rows)] = True
     return kept
-
-
-def bimatrix_players(M: NDArray[np.float64], q: FloatVector) -> NDArray[np.bool_] | None:
-    """Return which rows belong to the first player if the problem is a game of costs, else None.
-
-    A game: M = [[0, A], [Bᵀ, 0]] up to order, A, B ≥ 0 and q < 0. Every covering vector r > 0 ends such a path on
-    its first ray.
-    """
-    n = q.size
-    if n < 2 or not np.all(q < 0.0) or M.min() < 0.0 or M.diagonal().any():
-        return None
-    is_linked = (M != 0.0) | (M.T != 0.0)
-    first = np.zeros(n, dtype=bool)
-    second = np.zeros(n, dtype=bool)
-    first[0] = True
-    for _ in range(n):
-        size = first.sum() + second.sum()
-        second |= is_linked[first].any(axis=0)
-        first |= is_linked[second].any(axis=0)
-        if first.sum() + second.sum() == size:
-            break
-    if np.any(first & second) or not np.all(first | second):
-        return None
-    return first
 
 
 def _lemke_howson(path: Path, players: NDArray[np.bool_], k: int) -> bool:

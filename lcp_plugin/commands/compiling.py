@@ -83,6 +83,9 @@ def compile_part(part: str) -> None:
         solve(gallery.build("obstacle_2d", size=LARGE_GRID).problem, part)  # in single precision, too
     if part == "others":
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
+        opposed = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])  # no solution: all cases are looked at
+        solve(opposed)
+        solve_batch([opposed, opposed], prove_infeasibility=False)
         program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
         program.origin.recover(solve(program)).is_stationary()
 

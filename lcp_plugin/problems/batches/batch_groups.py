@@ -15,6 +15,7 @@ from ...core.checks import BoolVector, read_only
 from ...core.lcp import LCP
 from ...core.matrix.scaling import are_well_scaled
 from ...core.matrix.structure import IntVector, connected_components
+from ...core.rounding import read_only_views
 from ...core.settings import Settings
 from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
 from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
@@ -136,7 +137,7 @@ def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, A
     def look(first: int, end: int) -> None:
         some = slice(first, end)
         kernels.look_at_all(
-            *group[1:5], rows[some], FIRST_ENTRIES, MOST_CASES,
+            *read_only_views(*group[1:5]), rows[some], FIRST_ENTRIES, MOST_CASES,
             found[some], cases[some], spent[some], least[some], z[some],
         )
 

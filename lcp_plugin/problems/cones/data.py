@@ -31,6 +31,7 @@ from ...core.kind import Kind
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 from ...core.representation import in_words
+from ...core.rounding import read_only_views
 from ..contact import Bodies, checked_contacts, warn_of_much_friction
 from . import CONE_PROBLEM, FRICTIONAL_CONTACT
 
@@ -151,13 +152,15 @@ class Blocks:
         from .kernels import residuals
 
         found, cases = np.empty(self.n), np.empty(self.slope.size, np.int64)
-        residuals(*self.arrays, z, w, self.scale if scale is None else scale, found, cases)
+        scale = self.scale if scale is None else scale
+        residuals(*self.arrays, *read_only_views(z, w, scale), found, cases)
         return found, cases
 
     @property
     def arrays(self) -> tuple[Any, ...]:
-        """What kernels need to know of the blocks."""
-        return self.starts, self.slope, float(self.has_friction), self.lower, self.upper
+        """What kernels need to know of the blocks, read-only: one signature for unpickled ones, too."""
+        starts, slope, lower, upper = read_only_views(self.starts, self.slope, self.lower, self.upper)
+        return starts, slope, float(self.has_friction), lower, upper
 
     def projected(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, shape (n,)."""

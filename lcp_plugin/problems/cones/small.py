@@ -83,8 +83,8 @@ def solve_small(
 
     def solve_chunk(begin: int, end: int) -> None:
         solve_each(
-            begin, end, first.starts, float(first.has_friction), slopes, lower, upper, M, q, origins,
-            CLOSER * settings.tolerance, rounds, NEWTON_STEPS, MEMORY, CONSTANTS, SPREAD, z, made, proved,
+            begin, end, first.arrays[0], float(first.has_friction), slopes, lower, upper, M, q, origins,
+            CLOSER * settings.tolerance, read_only(rounds), NEWTON_STEPS, MEMORY, CONSTANTS, SPREAD, z, made, proved,
         )
 
     if in_chunks is None:

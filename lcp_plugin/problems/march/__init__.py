@@ -302,7 +302,7 @@ def _fused(
     first, clock = policy.first(problem), Clock(problem.matrix)
     if not (isinstance(first.algorithm, Banded) and needs_no_scaling(problem)):
         return
-    Q, Z = np.array(offsets), np.empty(offsets.shape)
+    Q, Z = np.array(offsets, order="C"), np.empty(offsets.shape)
     Q[0] += propagator @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])
     found = first.algorithm.fused_solves(problem, Q, Z, settings.tolerance, settings.max_iterations, propagator)

@@ -6,7 +6,8 @@
 In the full suite alone run tests with the mark ``full``: benchmarks, the report's page, the atlas, the collection,
 examples, faults, and whatever takes seconds. Of a parametrised test with the mark ``sampled`` the quick suite runs as
 few rows as touch every value of every parameter once, or with ``sampled(k)`` k rows in even steps. What is left out is
-deselected, not skipped. A test that is named on the command line, as in
+deselected, not skipped. A test that draws its problems from a campaign has the fixture ``draws``: a quarter of them in
+the quick suite. A test that is named on the command line, as in
 ``tests/methods/newton/test_newton.py::test_x``, always runs.
 
 Hypothesis: nothing is drawn by chance, so that a suite that passed passes again; random draws are for
@@ -23,6 +24,7 @@ import signal
 import subprocess
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -50,6 +52,13 @@ def pytest_configure(config: pytest.Config) -> None:
             deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
         )  # fmt: skip
     settings.load_profile("default")
+
+
+@pytest.fixture
+def draws(pytestconfig: pytest.Config) -> Callable[[int], range]:
+    """So many problems of a campaign are drawn in the full suite, a quarter of them in the quick one."""
+    is_full = bool(pytestconfig.getoption("--full"))
+    return lambda count: range(count if is_full else count // 4)
 
 
 @pytest.hookimpl(tryfirst=True)

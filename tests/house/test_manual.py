@@ -68,6 +68,7 @@ def pages(folder: Path) -> dict[Path, Page]:
     return {file: Page(file.read_text(encoding="utf-8")) for file in folder.rglob("*.html")}
 
 
+@pytest.mark.full
 def test_every_link_leads_to_a_page_and_an_anchor_of_it(pages: dict[Path, Page]) -> None:
     """Of more than 1000 links none is broken; those that leave the manual, as to a doi, are not followed."""
     followed = 0

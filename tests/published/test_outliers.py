@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from campaigns.outliers import (
@@ -23,11 +25,11 @@ HALF_SPACES = [np.diag([2.0, 2.0]), [-300.0, -500.0], [[3.0, 1.0], [1.0, 4.0]], 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_answer_is_false(kind: str) -> None:
+def test_no_answer_is_false(kind: str, draws: Callable[[int], range]) -> None:
     """No SOLVED beside the conditions and every judge, no proof beside a solution, no exception."""
-    found = [(k, run(kind, 69, k)) for k in range(60)]
+    found = [(k, run(kind, 69, k)) for k in draws(60)]
     assert [(k, outcome.text) for k, outcome in found if outcome.what == FALSE] == []
-    assert sum(outcome.what == RIGHT for _, outcome in found) >= 30
+    assert sum(outcome.what == RIGHT for _, outcome in found) >= len(found) // 2
 
 
 @pytest.mark.parametrize(

@@ -118,6 +118,7 @@ def test_batches_give_what_is_published(name: str, way: Callable[[PublishedProgr
     agrees(of, *way(of, name))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", SMALL)
 def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str) -> None:
     """The published optimum is proved of no x that misses it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -25,6 +26,7 @@ def solved(problem: cp.Problem, **options: Any) -> Any:
     return problem.solver_stats.extra_stats
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", list(COLLECTION))
 def test_published_optima_are_found_and_proved(name: str) -> None:
     """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
@@ -69,12 +71,12 @@ def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
     np.testing.assert_allclose(result.x[:3], [1000003.0, 4e-7 / 15, 2e-8], rtol=1e-6)
 
 
-def test_random_programs_agree_with_all_their_pieces() -> None:
+def test_random_programs_agree_with_all_their_pieces(draws: Callable[[int], range]) -> None:
     """Status, value, bound and verify() hold against every piece, and verify() sees each of a dozen damages."""
     pytest.importorskip("highspy", reason="solves the pieces")
     from campaigns.best_equilibria import complaints, random_problem, truth, undetected
 
-    for case in range(40):
+    for case in draws(40):
         problem = random_problem(np.random.default_rng([36, 0, case]), most=5)
         known = truth(problem)
         for prove in (True, False):

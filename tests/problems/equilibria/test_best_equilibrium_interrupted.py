@@ -63,6 +63,7 @@ def is_running(frame: FrameType | None) -> bool:
     return (searching, "run") in places[1:] and (searching, "_result") not in places
 
 
+@pytest.mark.full
 def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
     """No bound lies above the optimum, nothing is called optimal that is not, and verify() agrees."""
     whole, lines = interrupted(-1)

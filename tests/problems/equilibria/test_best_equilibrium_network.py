@@ -26,6 +26,7 @@ def without_scip(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
 
 
+@pytest.mark.full
 def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(monkeypatch: pytest.MonkeyPatch) -> None:
     """SCIP closes the gap, which is said; without it the same point comes from followers at fixed leaders."""
     problem, invested = network()

@@ -367,6 +367,7 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
     assert term_residuals(at, x, F(x))[0] > 0.1
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("has_jacobian", [False, True])
 @pytest.mark.parametrize("x0", [
     [0, 0, 0], [2, 0, 0], *(pytest.param(x0, marks=pytest.mark.full) for x0 in (

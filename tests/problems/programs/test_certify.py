@@ -557,6 +557,7 @@ def test_implied_bounds_are_rounded_outwards() -> None:
             assert Fraction(float(low[j])) <= max(end, Fraction(float(lower[j]))) or a > 0.0
 
 
+@pytest.mark.full
 def test_a_chain_of_free_states_gets_a_bound() -> None:
     """Positions and speeds without bounds: the dynamics bound them, and errors of 1e-15 in multipliers cost little."""
     steps, rng = 300, np.random.default_rng(0)

@@ -384,6 +384,7 @@ def _single(algorithm: Algorithm, on_ranks: bool, prove_infeasibility: bool) -> 
     return Single(algorithm, prove_infeasibility=prove_infeasibility)
 
 
+@np.errstate(under="ignore")
 def solve_lcp(
     problem: LCP,
     algorithm: str | Algorithm | Policy = "auto",

@@ -78,6 +78,7 @@ class LCP:
 
     problem_kind: ClassVar[Kind] = LINEAR_COMPLEMENTARITY_PROBLEM
 
+    @np.errstate(under="ignore")
     def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
         self.q: FloatVector = finite_vector(q, "q", self.matrix.own)

@@ -15,7 +15,8 @@ from .engine import Engine, Hint, Limits, Multipliers, Point, Statement, beside_
 
 EQUATION = 5  # of daqp's `sense`
 ANSWERED = 1  # the smallest exit flag of an answer
-SAYS = {1: Hint.OPTIMAL, 2: Hint.OPTIMAL, -1: Hint.INFEASIBLE, -3: Hint.UNBOUNDED, -4: Hint.STOPPED}
+INFEASIBLE = -1  # the exit flag
+SAYS = {1: Hint.OPTIMAL, 2: Hint.OPTIMAL, INFEASIBLE: Hint.INFEASIBLE, -3: Hint.UNBOUNDED, -4: Hint.STOPPED}
 OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi", "time_limit")
 
 

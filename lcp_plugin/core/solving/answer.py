@@ -6,6 +6,8 @@ import json
 import math
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from ..errors import NotConverged
 from ..representation import in_words, within
 from ..settings import PROVEN, Status
@@ -89,6 +91,7 @@ class Answer:
         """Return what was reached beside what was asked for."""
         raise NotImplementedError
 
+    @np.errstate(under="ignore")
     def explain(self) -> str:
         """Return in a few lines how the problem was solved, and how well."""
         return "\n".join([f"{self.status.name}: {self.advice}.", self.reached(), *self._course()])

@@ -161,6 +161,7 @@ def explore(
         yield NoSolution(problem, explorer.tree, explorer.nodes)
 
 
+@np.errstate(under="ignore")
 def all_solutions(
     problem: LCP, *, limit: int | None = None, max_nodes: int = DEFAULT_NODES
 ) -> list[Solution]:

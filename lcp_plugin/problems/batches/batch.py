@@ -36,6 +36,7 @@ from .program_batch import ProgramBatchResult, ProgramBatchRun
 P = TypeVar("P", LCP, QuadraticProgram)
 
 
+@np.errstate(under="ignore")
 def prepare(problem: P, *, threads: int | None = None) -> P:
     """Return the same problem, prepared for many q: everything that depends on M alone is computed.
 

@@ -71,6 +71,7 @@ class BatchLoop:
         """Solve item k by itself."""
         raise NotImplementedError
 
+    @np.errstate(under="ignore")
     def _solve_all(self) -> None:
         """Solve until all are done, the clock runs out, or Ctrl-C comes; what an item itself raises is kept."""
         try:

@@ -11,7 +11,9 @@ import scipy.sparse as sp
 from ...core.kernels.floats import EPSILON
 from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
+from ...engines.daqp import INFEASIBLE
 from ...engines.engine import beside_bounds
+from ..programs.contradictions import contradicting_multipliers
 from ..programs.criterion import Terms, measured, program_goal
 from ..programs.program_matrices import may_be_small
 from ..programs.solution import QPSolution
@@ -81,7 +83,8 @@ class ProgramBatchRun(BatchLoop):
         m, n, wanted = self.programs.sizes[0], c.shape[1], np.flatnonzero(may[items])
         x, signed, steps = self.x[items], np.full((len(c), n + d.shape[1]), np.nan), self.steps[items]
         points = engine.points(P, c, C, d, m, lower, upper, wanted.tolist())
-        for k, (at, multipliers, _, count) in zip(wanted.tolist(), points, strict=True):
+        says = np.zeros(len(c), np.int64)
+        for k, (at, multipliers, says[k], count) in zip(wanted.tolist(), points, strict=True):
             x[k], signed[k], steps[k] = at, multipliers, count
         y = signed[:, n:]
         y[:, :m] = np.maximum(y[:, :m], 0.0)
@@ -95,6 +98,15 @@ class ProgramBatchRun(BatchLoop):
         self.is_open[items] = ~is_solved
         self.status[np.flatnonzero(is_solved) + items.start] = Status.SOLVED
         self.residual[items] = np.where(is_solved, errors.largest, np.nan)
+        if self.settings.prove_infeasibility:
+            return
+        goal = program_goal(self.settings.tolerance)
+        for k in np.flatnonzero(~is_solved & (says == INFEASIBLE)).tolist():
+            if contradicting_multipliers(C[k if len(C) > 1 else 0], d[k], m, lower[k], upper[k], goal) is not None:
+                at = items.start + k
+                self.is_open[at], self.status[at] = False, Status.STALLED
+                self._forget(at)
+                self.x[at] = np.clip(0.0, lower[k], upper[k])
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         self._forget(k)

@@ -111,10 +111,8 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[FacePoint]:
     entries, right = parts.entries(A), b - A @ parts.start
     is_open = not (parts.widths < np.inf).any()
     if is_dense and not is_over():
-        if not is_open:
-            z = _by_bounds(parts, entries, right)
-        else:
-            z = _by_nnls(entries, right, is_asked=min(m, n) <= NNLS_UP_TO and not parts.slopes.any())
+        is_asked = min(m, n) <= NNLS_UP_TO and not parts.slopes.any()
+        z = _by_nnls(entries, right, is_asked=is_asked) if is_open else _by_bounds(parts, entries, right)
         if np.isfinite(z).all():
             point = parts.point(z, problem)
             if is_open:  # nnls ends with a face solved by an orthogonal factor
@@ -130,6 +128,24 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[FacePoint]:
         if np.isfinite(found.multipliers.inequality).all():
             point = parts.point(parts.of_dual(dual, found), problem)
             yield on_its_face(point, A, b) if is_dense else point
+    for z in _with_small_slopes(parts, entries, right) if is_dense and is_open else ():
+        yield on_its_face(parts.point(z, problem), A, b)
+
+
+def _with_small_slopes(parts: Parts, A: FloatVector, b: FloatVector) -> Iterator[FloatVector]:
+    """Yield parts z whose faces are right where slopes go to 0: those of none, and of least slope that fit b."""
+    from ...proofs.no_solution.farkas import linear_program
+
+    if not parts.slopes.any() or parts.signs.size > parts.start.size:  # a column of two parts has no face of its own
+        return
+    if not is_over() and min(A.shape) <= NNLS_UP_TO:
+        z = _by_nnls(A, b, is_asked=True)
+        if np.isfinite(z).all():
+            yield z
+    if not is_over() and A.shape[0] < A.shape[1]:
+        found = linear_program(parts.slopes / parts.slopes.max(), sp.csr_array(A), b, (0.0, None), (None, None))
+        if found is not None:
+            yield np.maximum(found.x, 0.0)
 
 
 def _has_end_in_sight(A: Any) -> bool:

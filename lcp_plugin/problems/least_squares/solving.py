@@ -93,6 +93,7 @@ def bounded_least_squares(
     )
 
 
+@np.errstate(under="ignore")
 def solve_least_squares(
     problem: BoundedLeastSquares, *, x0: ArrayLike | None = None, tolerance: float = 1e-8,
     max_iterations: int | None = None, max_seconds: float | None = None,

@@ -30,6 +30,7 @@ from . import BLOCK, March, begun, checked_forcing, march_one, needs_no_scaling,
 SIDE_BY_SIDE = 16  # as the compiled loop has space for
 
 
+@np.errstate(under="ignore")
 def march(
     problem: LCP | Blocks, forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
@@ -120,6 +121,7 @@ def _are_many(forcing: Any, z0: Any, wishes: dict[str, Any]) -> bool:
         return False
 
 
+@np.errstate(under="ignore")
 def march_many(
     problem: LCP, forcing: ArrayLike, propagator: Any = -1.0, *, lower: ArrayLike | None = None,
     upper: ArrayLike | None = None, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",

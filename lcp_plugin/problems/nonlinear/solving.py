@@ -34,6 +34,7 @@ ELSEWHERE = "F or its derivative is not finite at the start given, projected ont
 UNSURE = 10.0  # times what differences of two lengths disagree by
 
 
+@np.errstate(under="ignore")
 def solve_nonlinear(
     problem: NonlinearProblem,
     x0: ArrayLike,

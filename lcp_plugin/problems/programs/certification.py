@@ -30,7 +30,7 @@ from ...proofs.bounds.solution_bounds import norm_above
 from ...proofs.exact.rational import enclosures
 from ...proofs.exact.upward import quotient_above, sum_above
 from .convexity import refuse_nonconvex
-from .criterion import row_excuses
+from .criterion import PROGRAM_TOLERANCE, row_excuses
 from .dual_bounds import DualBounds, implied_box
 from .engine_calls import solved_at_once
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
@@ -144,7 +144,11 @@ def certify(
             return certify_problem(problem, float(tolerance))
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
-        refuse_nonconvex(problem)
+        contradicts = claim == "infeasible" and problem.is_convex is False and (
+            problem.facts.proof_of_contradiction(PROGRAM_TOLERANCE) is not None
+        )
+        if not contradicts:
+            refuse_nonconvex(problem)
         # What a time limit cut short is not kept.
         proofs = ProgramProofs.of(problem) if max_seconds is None else ProgramProofs(problem)
         if claim in ("infeasible", "unbounded"):

@@ -46,12 +46,15 @@ class EngineRun(NamedTuple):
         What the engine says of its last one.
     stage : StageRecord
     seconds : float
+    contradicts : bool
+        Whether the constraints are seen to contradict, which has ended the run; nothing is proved.
     """
 
     solution: QPSolution
     says: Hint
     stage: StageRecord
     seconds: float
+    contradicts: bool
 
 
 def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
@@ -106,7 +109,7 @@ def run_engine(
         raise UnsuitableProblem(
             f"{engine.name} solves {engine.solves}, but P has nonzeros; take \"piqp\", or give P = None"
         )
-    clock, iterations, says = Clock(), 0, Hint.GAVE_UP
+    clock, iterations, says, contradicts = Clock(), 0, Hint.GAVE_UP, False
     best: QPSolution | None = None
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         for solution, point in islice(_answers(program, engine, is_verbose), points):
@@ -115,10 +118,12 @@ def run_engine(
                 best = solution
             if (best is not None and best.is_minimal(goal)) or is_over():
                 break
+            if says is Hint.INFEASIBLE and (contradicts := program.facts.sees_contradiction(goal, point.multipliers)):
+                break
     if best is None:
         nearest, nothing = np.clip(0.0, program.lower, program.upper), np.zeros(sum(program.matrices.sizes))
         best = QPSolution.of_rows(program, nearest, nothing)
-    return EngineRun(best, says, StageRecord(engine.name, engine.solves, iterations, 0.0), clock.read())
+    return EngineRun(best, says, StageRecord(engine.name, engine.solves, iterations, 0.0), clock.read(), contradicts)
 
 
 def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Iterator[Answered]:
@@ -163,8 +168,11 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
         empty, (m, p) = np.zeros(0), (prepared.statement.h.size, prepared.statement.b.size)
         multipliers = Multipliers(np.zeros(m), np.zeros(p), empty, empty)
         point = Point(empty, multipliers, 0, Hint.GAVE_UP)
+    if point.says is Hint.INFEASIBLE:
+        yield None, point._replace(multipliers=_contradiction(reduction, prepared, point))
     if not np.isfinite(np.concatenate([point.x, *point.multipliers])).all():
-        yield None, point
+        if point.says is not Hint.INFEASIBLE:
+            yield None, point
         return
     cases = polished(prepared.statement, point)
     first = [] if engine.ends_with_a_case or is_over() else list(islice(cases, 1))
@@ -183,6 +191,15 @@ def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolut
     x = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper)
     whole = reduction.outward(x, np.concatenate(back.multipliers))
     return QPSolution.of_rows(reduction.program, *whole) if np.isfinite(np.concatenate(whole)).all() else None
+
+
+def _contradiction(reduction: Reduction, prepared: Prepared, point: Point) -> Multipliers:
+    """Return the multipliers of an engine that calls a program infeasible, as some of the program's constraints."""
+    whole = np.concatenate(prepared.outward(point).multipliers)
+    for step in reversed(reduction.steps):
+        whole = step.multipliers(whole, None)
+    ends = np.cumsum(reduction.program.matrices.sizes)[:-1]
+    return Multipliers(*np.split(whole, ends))
 
 
 def _statement(program: QuadraticProgram) -> Statement:

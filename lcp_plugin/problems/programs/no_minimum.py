@@ -25,14 +25,23 @@ from ...core.matrix.matrix import largest_in_rows
 from ...core.representation import within
 from ...core.settings import Status
 from ...proofs.exact.linear_systems import solved_nearby
-from ...proofs.exact.rational import ZERO, Vector, common_denominator, products, rational, rounded_down, short
+from ...proofs.exact.rational import (
+    ZERO,
+    Vector,
+    common_denominator,
+    products,
+    rational,
+    rational_rows,
+    rounded_down,
+    short,
+)
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
 from ...proofs.no_solution.free_motion import falling_directions, is_at_rest, is_far_out, moved_unknowns
 from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction, LinearConstraints, exact_dot
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
 from .criterion import PROGRAM_TOLERANCE, SURE, constraint_tolerance
-from .program_matrices import as_csr
+from .program_matrices import as_csr, sums_and_terms
 from .reductions import FoldedRows
 
 if TYPE_CHECKING:
@@ -43,6 +52,7 @@ LARGEST_SOUGHT = 5000  # variables and rows of a program that is worth the linea
 MOST_NONZEROS = 1_000_000
 MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
 LARGEST_DENSE = 1500
+MOST_TOGETHER = 60  # multipliers that one exact system is solved for; 10 ms
 LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
 REACHED = 1e-6, 1e5  # of the unit of a linear program: sizes that it can tell from 0 and from ∞
@@ -273,7 +283,7 @@ def numbers(fractions: Any) -> FloatVector:
 
 
 def proof_of_no_minimum(
-    program: QuadraticProgram, *, exactly: bool = False, is_met: bool = False
+    program: QuadraticProgram, *, exactly: bool = False, is_met: bool = False, seen: FloatVector | None = None
 ) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that the convex program is infeasible or unbounded, or None where none was found.
 
@@ -287,6 +297,8 @@ def proof_of_no_minimum(
         more than 10 000 nonzeros.
     is_met : bool
         An x is known that violates no constraint by much: only a direction of endless descent is looked for.
+    seen : array, optional
+        Multipliers of the rows left by `FoldedRows` that contradict in doubles: looked at before linear programs.
 
     Notes
     -----
@@ -310,25 +322,45 @@ def proof_of_no_minimum(
     row = None if is_met else contradictory_row(rows.reduced)
     found: QPInfeasibility | QPUnboundedness | None = row
     if row is None or row.margin < DECISIVE:
+        if seen is not None and row is None:
+            refutation: QPInfeasibility | None = rows.proof(refuted(rows.reduced, seen))
+            if refutation is not None:
+                return refutation
         other = prove_unheld(rows.reduced) or _by_programs(rows.reduced, exactly, is_met)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
     if found is None or rows.reduced is program:
         return found
     # A bound that a row gives is rounded, the row is not.
-    proof: QPInfeasibility | QPUnboundedness | None = rows.proof(found)
-    return proof or prove_unheld(program) or _by_programs(program, exactly, is_met)
+    checked: QPInfeasibility | QPUnboundedness | None = rows.proof(found)
+    return checked or prove_unheld(program) or _by_programs(program, exactly, is_met)
+
+
+def proof_of_contradiction(program: QuadraticProgram, seen: FloatVector | None) -> QPInfeasibility | None:
+    """Return a proof that the constraints contradict one another, whatever the objective is; None for none found."""
+    rows = FoldedRows.of(program)
+    found: QPInfeasibility | None = rows.proof(contradictory_row(rows.reduced))
+    if found is None and seen is not None:
+        found = rows.proof(refuted(rows.reduced, seen))
+    if found is None and _is_sought(program):
+        found = prove_infeasible(program)
+    return found
 
 
 def _by_programs(
     program: QuadraticProgram, exactly: bool, is_met: bool
 ) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that linear programs find."""
-    entries = sum(program.matrices.entries)
-    if program.n + program.constraints.rows > LARGEST_SOUGHT or entries > MOST_NONZEROS:
+    if not _is_sought(program):
         return None
-    exactly = exactly or entries <= MANY_NONZEROS
+    exactly = exactly or sum(program.matrices.entries) <= MANY_NONZEROS
     contradiction = None if is_met else prove_infeasible(program, exactly=exactly)
     return contradiction or prove_unbounded(program, exactly=exactly)
+
+
+def _is_sought(program: QuadraticProgram) -> bool:
+    """Return whether a program is worth linear programs."""
+    is_small = program.n + program.constraints.rows <= LARGEST_SOUGHT
+    return is_small and sum(program.matrices.entries) <= MOST_NONZEROS
 
 
 def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
@@ -336,6 +368,24 @@ def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
     rows = program.constraints.within_bounds
     proofs = (with_bounds(program, {i: Fraction(sign)}) for i, sign in rows.contradictory_rows())
     return next((proof for proof in proofs if proof.verify()), None)
+
+
+def refuted(program: QuadraticProgram, y: FloatVector) -> QPInfeasibility | None:
+    """Return a proof of all x by multipliers of G and A near these; None where it needs more than one exact system."""
+    used = np.flatnonzero(y)
+    left, terms = sums_and_terms(program.matrices.rows, y)
+    bounds = np.where(left > 0.0, program.lower, program.upper)
+    zero, exact = np.flatnonzero(np.isinf(bounds) & (terms > 0.0)), rational(y[used])
+    if (left[zero] != 0.0).any():
+        if used.size > MOST_TOGETHER:
+            return None
+        columns = rational_rows(as_csr(program.matrices.rows)[used].T.tocsr()[zero])
+        solved = solved_nearby(columns, [ZERO] * zero.size, short(y[used], 1 << 50), [True] * used.size)
+        if solved is None:
+            return None
+        exact = solved
+    proof = with_bounds(program, {i: value for i, value in zip(used.tolist(), exact, strict=True) if value})
+    return proof if proof.is_exact and proof.excludes(PROGRAM_TOLERANCE) else None
 
 
 def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasibility:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar
@@ -30,9 +30,12 @@ from ...core.matrix.scaling import fitted_units
 from ...core.representation import REPR_UP_TO, bounds_repr, matrix_repr
 from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints
+from .contradictions import contradicting_multipliers, margin_in_doubles, with_few_digits
+from .criterion import PROGRAM_TOLERANCE
 from .kind import QUADRATIC_PROGRAM
-from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
-from .program_matrices import ProgramMatrices, as_csr, no_rows, vertically
+from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_contradiction, proof_of_no_minimum
+from .program_matrices import ProgramMatrices, as_csr, may_be_small, no_rows, vertically
+from .reductions import FoldedRows
 
 SYMMETRIC_TO = 1e-12
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
@@ -96,6 +99,7 @@ class QuadraticProgram:
     ranges: Any = field(default=None, repr=False)
     matrices: ProgramMatrices = field(init=False, repr=False)
 
+    @np.errstate(under="ignore")
     def __init__(
         self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
         b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
@@ -238,6 +242,7 @@ class QuadraticProgram:
         )
         return made
 
+    @np.errstate(under="ignore")
     def objective(self, x: ArrayLike) -> float:
         """Return ½ xᵀP x + cᵀx for x of shape (n,)."""
         point = checked_vector(x, "x", self.n)
@@ -307,7 +312,8 @@ class ProgramFacts:
         counts.
         """
         if "_proof" not in self.__dict__:
-            found = proof_of_no_minimum(self.program)
+            self.sees_contradiction(PROGRAM_TOLERANCE)
+            found = proof_of_no_minimum(self.program, seen=self.seen_multipliers)
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
@@ -324,6 +330,52 @@ class ProgramFacts:
             return None
         self.__dict__["_proof"] = proof
         return proof
+
+    def proof_of_contradiction(self, tolerance: float) -> QPInfeasibility | None:
+        """Return a proof that the constraints of a program, convex or not, contradict by more than a tolerance."""
+        self.sees_contradiction(tolerance)
+        found = self.accept_proof(proof_of_contradiction(self.program, self.seen_multipliers), tolerance)
+        return found if isinstance(found, QPInfeasibility) else None
+
+    def sees_contradiction(self, tolerance: float, multipliers: Sequence[FloatVector] = ()) -> bool:
+        """Return whether the constraints are seen to contradict by more than a tolerance, in doubles: no proof.
+
+        Not where a proof has been looked for: what is seen is worth no second look.
+
+        Parameters
+        ----------
+        multipliers : sequence of arrays
+            Of all constraints, as an engine hands them back that calls the program infeasible. Where they show nothing,
+            a small program is looked at by itself.
+        """
+        if self.seen_multipliers is None:
+            folded = FoldedRows.of(self.program)
+            reduced = folded.reduced
+            (m, p, n, _), matrices = reduced.matrices.sizes, reduced.matrices
+            right = np.concatenate([reduced.h, reduced.b])
+            given = np.concatenate(multipliers)[folded.left] if multipliers else np.full(m + p, np.nan)
+            limits = right, reduced.lower, reduced.upper
+            if np.isfinite(given).all() and (size := float(np.abs(given).max(initial=0.0))) > 0.0:
+                near = with_few_digits(given / size)
+                if margin_in_doubles(matrices.rows, *limits, near) > tolerance:
+                    self.__dict__["_seen"] = near
+            if self.seen_multipliers is None and may_be_small(n, m + p, matrices.stored):
+                rows = matrices.dense[1][0]
+                self.__dict__["_seen"] = contradicting_multipliers(rows, right, m, *limits[1:], tolerance)
+        return self.seen_multipliers is not None and "_proof" not in self.__dict__
+
+    @property
+    def contradicts_by_rounding(self) -> bool:
+        """Whether a proof is known of constraints that contradict beside their limits, but not beside coefficients.
+
+        A limit of −1e-17 in the place of 0: no x within the bounds meets it, and nothing of it counts.
+        """
+        return self.seen_multipliers is not None and isinstance(self.known_proof, QPInfeasibility)
+
+    @property
+    def seen_multipliers(self) -> FloatVector | None:
+        """Multipliers of the rows that are no bounds which contradict in doubles, where somebody has seen some."""
+        return self.__dict__.get("_seen")
 
     @property
     def known_proof(self) -> QPInfeasibility | QPUnboundedness | None:

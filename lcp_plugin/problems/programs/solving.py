@@ -46,7 +46,9 @@ SEEN = ("callback", "verbose", "error_bound", "z0", "tolerance_on", "absolute_to
 NEARLY = 1e-3  # residuals beyond that are not even inaccurately optimal
 SHORTEST = 0.1  # a limit of seconds that no small program reaches
 PIVOTS_AT_LAST = {InteriorPoint.name, "lemke"}  # these take long where there is no solution
+BY_ROWS = "constraints alone"
 BY_FACTOR = "factor of P"  # that meets a pivot of 0
+NOT_MET = "no x within the bounds meets them"
 NO_MINIMUM = "it came upon a proof that the program has no minimum"
 VECTORS = {"c", "h", "b", "lower", "upper"}
 
@@ -56,8 +58,8 @@ ADVICE = {
     Status.PRECISION_LIMIT: "the program's own residuals are small, but not within the tolerance: rescale the data",
     Status.INFEASIBLE: "the constraints contradict one another, and result.proof proves it: check the data",
     Status.STALLED: (
-        "the program's own residuals no longer fall, and no proof was found that it has no minimum: check the data "
-        "and their units"
+        "the program's own residuals no longer fall, and no proof was found, or looked for, that it has no minimum: "
+        "check the data and their units"
     ),
 }
 
@@ -174,6 +176,8 @@ class QuadraticProgramResult(Answer):
     def advice(self) -> str:
         """What the status means for this program, in a sentence."""
         words = [ADVICE.get(self.status, self.status.value), *self._of_which("x")]
+        if self.status is Status.PRECISION_LIMIT and self.program.facts.contradicts_by_rounding:
+            words.append("the constraints contradict one another by what is rounding beside their coefficients")
         if self.program.n <= LARGEST_CHECKED and self.program.is_convex is False and not self.has_no_solution:
             words.append(
                 "P has a negative eigenvalue, which is taken for rounding" if self.is_solved else
@@ -197,6 +201,7 @@ class QuadraticProgramResult(Answer):
         return [*super()._course(), *(stage_lines(self.stages) if has_run else [])]
 
 
+@np.errstate(under="ignore")
 def solve_program(
     program: QuadraticProgram, algorithm: Any = "auto", *, tolerance: float = 1e-9, **options: Any
 ) -> QuadraticProgramResult:
@@ -216,10 +221,28 @@ def solve_program(
     Raises
     ------
     UnsupportedModel
-        Where the program is not convex, or the named algorithm cannot run on a merely convex one.
+        Where the program is not convex, or the named algorithm cannot run on a merely convex one. A program whose
+        constraints are proved to contradict one another is INFEASIBLE whatever its objective is.
     UnknownAlgorithm, InvalidOption
         As `solve`.
     """
+    clock = Clock()
+    try:
+        return _solved(program, algorithm, tolerance, dict(options))
+    except UnsupportedModel:
+        if options.get("prove_infeasibility") is False or program.is_convex is not False:
+            raise
+        with time_limit(min(options.get("max_seconds") or math.inf, seconds_left())):
+            proof = program.facts.proof_of_contradiction(program_goal(tolerance))
+        if proof is None:
+            raise
+        return _without_minimum(program, proof, BY_ROWS, tolerance, clock.read())
+
+
+def _solved(
+    program: QuadraticProgram, algorithm: Any, tolerance: float, options: dict[str, Any]
+) -> QuadraticProgramResult:
+    """Return the answer to a convex program."""
     if (start := options.pop("z0", None)) is not None:
         try:
             options["guess"] = checked_vector(start, "z0", None)
@@ -239,12 +262,20 @@ def solve_program(
             found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
     if isinstance(found, EngineRun):
         history = _two_samples(by, found, clock.read()) if options.get("record") else ()
+        status = Status.STALLED if found.contradicts else Status.SOLVED
         return QuadraticProgramResult(
-            Status.SOLVED, found.solution, goal, f"auto: {by}", found.stage.iterations, clock.read(),
+            status, found.solution, goal, f"auto: {by}", found.stage.iterations, clock.read(),
             tolerance, (found.stage,), history,
         )
     if found is not None:
         return _without_minimum(program, found, by, tolerance, clock.read())
+    if is_one_call and prove_infeasibility and program.facts.contradicts_by_rounding:
+        x = np.clip(0.0, program.lower, program.upper)
+        nearest = QPSolution.of_rows(program, x, np.zeros(program.constraints.limit.size))
+        return QuadraticProgramResult(
+            Status.PRECISION_LIMIT, nearest, goal, f"auto: {BY_ROWS}", 0, clock.read(), tolerance,
+            (StageRecord(BY_ROWS, NOT_MET, 0, 0.0),),
+        )
     is_auto = isinstance(algorithm, str) and algorithm == "auto"
     may_ask = is_auto and prove_infeasibility and sp.issparse(program.P) and (
         program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None
@@ -292,7 +323,7 @@ def _solved_by_engine(
             run = run_engine(program, engine, goal, is_verbose=settings.verbose)
         except KeyboardInterrupt:
             return _interrupted(program, engine, goal, tolerance, clock.read())
-        is_optimal, proof = run.solution.is_minimal(goal), None
+        is_optimal, proof = not run.contradicts and run.solution.is_minimal(goal), None
         if settings.prove_infeasibility and not run.solution.is_sure(goal):
             proof = program.facts.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
     is_nearly = run.says is Hint.OPTIMAL and run.solution.is_minimal(max(goal, NEARLY))
@@ -399,18 +430,26 @@ def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -
 def _at_once(
     program: QuadraticProgram, goal: float, options: dict[str, Any]
 ) -> tuple[str, EngineRun | QPInfeasibility | QPUnboundedness | None]:
-    """Return the answer of the first engine that has one, a proof that there is none, or None; and who has it."""
+    """Return the answer of the first engine that has one, a proof that there is none, or None; and who has it.
+
+    Where no proof is wanted, a run without an answer where the constraints are seen to contradict.
+    """
     prove_infeasibility = options.get("prove_infeasibility", True)
     try:
         for engine in engines_for(program):
             run = run_engine(program, engine, goal)
-            if run.solution.is_minimal(goal):
+            if not run.contradicts and run.solution.is_minimal(goal):
                 return engine.name, run
             is_hint = run.says in (Hint.INFEASIBLE, Hint.UNBOUNDED)
             if prove_infeasibility and is_hint and (proof := program.facts.accepted_proof(goal)) is not None:
                 return engine.name, proof
+            if run.contradicts and not prove_infeasibility:
+                return engine.name, run
             if is_over():
                 break
+        if prove_infeasibility and program.facts.sees_contradiction(goal):
+            proof = program.facts.accepted_proof(goal)
+            return (BY_ROWS, proof) if proof is not None else ("", None)
     except KeyboardInterrupt:  # a run that ends at its start hands back what there is
         options["callback"] = lambda *_: True
     return "", None

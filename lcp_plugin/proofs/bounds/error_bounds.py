@@ -122,6 +122,7 @@ class ErrorBound:
         )
 
 
+@np.errstate(under="ignore")
 def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound:
     """Return a bound of |z − z*|, componentwise, for the one solution z*.
 

@@ -203,6 +203,7 @@ class _Evidence(Mapping[str, str]):
 CLAIMS = {name: claim for name, claim in vars(MatrixReport).items() if isinstance(claim, Claim)}
 
 
+@np.errstate(under="ignore")
 def analyze(M: Any) -> MatrixReport:
     """Return which classes a matrix, or the matrix of a problem, belongs to; each verdict is proved.
 

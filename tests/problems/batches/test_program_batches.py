@@ -27,8 +27,9 @@ from lcp_plugin import (
     solve_batch,
     strategies,
 )
+from lcp_plugin.problems.batches import program_batch
 from lcp_plugin.problems.batches.program_batch import ProgramBatchResult, ProgramBatchRun
-from lcp_plugin.problems.programs import solving
+from lcp_plugin.problems.programs import no_minimum, solving
 from lcp_plugin.problems.programs.no_minimum import QPInfeasibility, QPUnboundedness
 from lcp_plugin.strategies.programs import QPAnswer
 
@@ -224,6 +225,7 @@ def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytes
         raise AssertionError("the long way was taken")
 
     monkeypatch.setattr(solving, "_by_run", never)
+    monkeypatch.setattr(no_minimum, "linear_program", never)
     rng, (P, c, G, h) = np.random.default_rng(3), dense(40)
     A, b, y = rng.normal(size=(40, 2, 6)), rng.normal(size=(40, 2)), rng.random((40, 12))
     signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum("kij,ki->kj", A, np.ones((40, 2)))
@@ -233,11 +235,30 @@ def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytes
         answers = solve_batch(QuadraticProgramBatch(semidefinite * P, c, G, h, A, b, upper=np.r_[np.full(5, INF), 7.0]))
         assert set(answers.status) == {Status.INFEASIBLE}
         assert all(solution.proof.verify() and solution.status is Status.INFEASIBLE for solution in answers)
+        assert all(solution.proof.is_exact for solution in answers)
         assert np.isnan(answers.inequality).all()
     twice = QuadraticProgramBatch(np.eye(2), np.zeros(2), A=[[1.0, 2.0], [2.0, 4.0]], b=[[1.0, 3.0], [1.0, 2.0]])
     assert solve_batch(twice).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
     boxed = QuadraticProgramBatch(np.eye(2), np.zeros(2), [[1.0, 1.0]], [[-3.0], [-1.0]], lower=-1.0, upper=1.0)
     assert solve_batch(boxed).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
+
+
+def test_infeasible_programs_cost_little_where_no_proof_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a batch the engine's loop alone runs, and a look in doubles: STALLED at once, whatever lies beside them."""
+    def never(*given: Any, **options: Any) -> Any:
+        raise AssertionError("the long way was taken")
+
+    P, c, G, h = dense(20)
+    G[::2, 1], h[::2, 0], h[::2, 1] = -G[::2, 0], -1.0, 0.5
+    programs = [QuadraticProgram(*one) for one in zip(P, c, G, h, strict=True)]
+    one_by_one = [solve(program, prove_infeasibility=False).status for program in programs]
+    monkeypatch.setattr(program_batch, "solve_program", never)
+    for batch in (QuadraticProgramBatch(P, c, G, h), programs):
+        answers = solve_batch(batch, prove_infeasibility=False)
+        assert answers.status.tolist() == one_by_one == [Status.STALLED, Status.SOLVED] * 10
+        assert answers[0].proof is None
+        assert "looked for" in answers[0].advice
+        assert np.isfinite(answers[0].x).all()
 
 
 def test_rounding_in_the_symmetry_of_P_is_averaged_away() -> None:

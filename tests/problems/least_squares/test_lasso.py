@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.linalg import aslinearoperator
 
-from lcp_plugin import BoundedLeastSquares, QuadraticProgram, load_problem, solve, solve_batch
+from lcp_plugin import BoundedLeastSquares, QuadraticProgram, Status, load_problem, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.least_squares.certificate import duality_gap
 from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
@@ -180,6 +180,20 @@ def test_the_lcp_of_a_lasso_has_its_answer(form: str) -> None:
     solution = problem.origin.recover(solve(problem).require_solved())
     best = bounded_least_squares(A, b, **rest).cost
     assert abs(solution.cost - best) <= 1e-6 * best
+
+
+@pytest.mark.parametrize("lower", [-INF, 0.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_penalties_far_below_the_data_are_no_trouble(lower: float, seed: int) -> None:
+    """256 × 512, l1 = 1e-11: SOLVED after some points of engines, where A x fits b and where it cannot."""
+    rng = np.random.default_rng(seed)
+    A, x = rng.normal(size=(256, 512)), np.zeros(512)
+    x[:20] = rng.normal(size=20)
+    result = bounded_least_squares(A, A @ x, lower, l1=1e-11)
+    assert result.status is Status.SOLVED
+    assert result.nit <= 20
+    if lower < 0.0:
+        np.testing.assert_allclose(result.x, x, atol=1e-9)
 
 
 def test_a_lasso_goes_in_and_out_as_other_least_squares_do(tmp_path: Path) -> None:

@@ -1,0 +1,81 @@
+"""NumPy's floating point state is the caller's: whatever it says, no exception and no warning of NumPy's gets out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    LCPError,
+    NonlinearProblem,
+    QuadraticProgram,
+    all_solutions,
+    analyze,
+    certify,
+    derivative,
+    error_bound,
+    march,
+    prepare,
+    solve,
+    solve_batch,
+)
+
+SIZES = (5e-310, 1e-200, 1e200, 1.7e308)  # of the largest entries: subnormal to nearly infinite
+ONES = np.ones(3)
+Calls = dict[str, Callable[[], Any]]
+
+
+def scaled(values: Any, size: float) -> Any:
+    """Values whose largest is of a size."""
+    return values / np.abs(values).max() * size
+
+
+def calls(size: float) -> Calls:
+    """Every verb on data of a size."""
+    rng = np.random.default_rng(0)
+    plain, right, several = rng.normal(size=(6, 3)), rng.normal(size=6), scaled(rng.normal(size=(4, 3)), size)
+    A, b, P = scaled(plain, size), scaled(right, size), scaled(plain.T @ plain, size)
+    c, opposite = A[0].copy(), np.stack([A[0], -A[0]])
+    return {
+        "least squares": lambda: solve(BoundedLeastSquares(A, b, 0.0)),
+        "least squares, small A": lambda: solve(BoundedLeastSquares(plain, b, 0.0)),
+        "least squares, small b": lambda: solve(BoundedLeastSquares(A, right, 0.0)),
+        "lasso": lambda: solve(BoundedLeastSquares(A, b, l1=size)),
+        "sparse least squares": lambda: solve(BoundedLeastSquares(sp.csr_array(A), b, 0.0, 1.0)),
+        "LCP": lambda: solve(LCP(P, c)).explain(),
+        "npsor": lambda: solve(LCP(sp.csr_array(P), c), "npsor"),
+        "lemke": lambda: solve(LCP(P, c), "lemke"),
+        "interior point": lambda: solve(LCP(P, c), "interior_point"),
+        "program": lambda: solve(QuadraticProgram(P, c, A[:2], b[:2])).explain(),
+        "infeasible program": lambda: solve(QuadraticProgram(P, c, opposite, [-size, size / 2])),
+        "program by clarabel": lambda: solve(QuadraticProgram(P, c, A[:2], b[:2]), "clarabel"),
+        "batch of programs": lambda: solve_batch([QuadraticProgram(P, c)] * 3),
+        "batch of LCPs": lambda: solve_batch(LCP(P, ONES), several),
+        "certify": lambda: certify(QuadraticProgram(P, c), ONES),
+        "nonlinear": lambda: solve(NonlinearProblem(lambda x: P @ x / 4.0 + c), x0=np.zeros(3)),
+        "march": lambda: march(LCP(P, c), several),
+        "error bound": lambda: error_bound(LCP(P, c), ONES),
+        "analyze": lambda: analyze(LCP(P, c)),
+        "prepare": lambda: prepare(LCP(P, c)),
+        "derivative": lambda: derivative(solve(LCP(P, c))),
+        "all solutions": lambda: all_solutions(LCP(P, c)),
+    }
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", calls(1.0))
+def test_no_exception_of_numpy_gets_out(name: str, size: float) -> None:
+    """With np.errstate(all="raise") every verb answers, or refuses in words of its own; warnings are errors here."""
+    call = calls(size)[name]
+    for mode in ("raise", "warn"):
+        with np.errstate(all=mode):
+            with suppress(LCPError):
+                call()
+            assert set(np.geterr().values()) == {mode}

@@ -81,7 +81,8 @@ class JudgedAnswer:
 
     def to_content(self) -> dict[str, Any]:
         """Return everything as a dictionary that JSON can hold."""
-        said = {} if self.certification is None else vars(self.certification)
+        known = {} if self.certification is None else self.certification.__getstate__()
+        said = {name: value for name, value in known.items() if not name.startswith("_")}
         return {"solver": self.solver, "status": self.status, "seconds": self.seconds, **said, "verdict": self.verdict}
 
     def __str__(self) -> str:

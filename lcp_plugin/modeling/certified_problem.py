@@ -126,11 +126,14 @@ def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tol
         tolerance, size_of_objective(program, at),
     )
     if x is None:  # nothing can be said of an x that the program does not show
-        return replace(proved.certification(proofs, at, "", np.zeros(0, np.intp)), distance=None)
+        return replace(proved.certification(proofs, at, "", np.zeros(0, np.intp)), _distance=None)
     said = proved.certification(proofs, x, _dual_error(problem, reduced, x, tolerance), reduced.columns)
-    if said.distance is None:
-        return said
-    return replace(said, distance=math.nextafter(said.distance * math.sqrt(reduced.most_copies), math.inf))
+
+    def distance() -> float | None:
+        near = said.distance
+        return None if near is None else math.nextafter(near * math.sqrt(reduced.most_copies), math.inf)
+
+    return replace(said, _distance=distance)
 
 
 def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance: float) -> str:
@@ -139,7 +142,7 @@ def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance
     if any(dual is None for dual in duals.values()):
         return ""
     if (y := reduced.multipliers(duals, x, tolerance)) is not None:
-        wrong = multiplier_error(reduced.program, x, [y], tolerance)
+        wrong = multiplier_error(reduced.program, x, [y], tolerance, size_of_objective(reduced.program, x)[0])
         return f"the dual values are wrong: {wrong}" if wrong else ""
     size = max((float(np.abs(dense_value(dual)).max(initial=0.0)) for dual in duals.values()), default=0.0)
     for constraint in problem.constraints:

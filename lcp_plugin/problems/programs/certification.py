@@ -8,7 +8,7 @@ came with the answer and with those of a solution of our own; an upper bound fro
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, checked_vector, is_number
+from ...core.checks import FloatVector, checked_vector, is_number, restored
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
@@ -36,6 +36,7 @@ from .engine_calls import solved_at_once
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
+from .program_matrices import as_csr
 from .reductions import FoldedRows
 from .sharp_distances import sharp_distance
 from .solution import QPSolution
@@ -216,8 +217,6 @@ class Certification:
         Proved bounds of the optimal value, None where nothing is proved.
     gap : float or None
         A bound of the distance of f(x) from `lower`; None without an x or a lower bound.
-    distance : float or None
-        A proved bound of ‖x − x*‖₂, where the optimal x* is proved to be the only one.
     reason : str
         Why this is the verdict.
     """
@@ -228,8 +227,19 @@ class Certification:
     lower: float | None = None
     upper: float | None = None
     gap: float | None = None
-    distance: float | None = None
     reason: str = ""
+    _distance: Callable[[], float | None] | None = field(default=None, repr=False)
+
+    @cached_property
+    def distance(self) -> float | None:
+        """A proved bound of ‖x − x*‖₂, where the optimal x* is proved to be the only one; made when looked at."""
+        return None if self._distance is None else self._distance()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Take the distance along, not what it is made from."""
+        return {**self.__dict__, "distance": self.distance, "_distance": None}
+
+    __setstate__ = restored
 
     def __str__(self) -> str:
         numbers = (f"{name} {value:.3g}" for name in ("violation", "gap", "distance")
@@ -283,19 +293,24 @@ class ProgramProofs:
         return -np.inf if own is None else self.lower(own.x, own.inequality, own.equality, own.objective)
 
     def lower(
-        self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float, tolerance: float = ALMOST
+        self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float,
+        allowed: float | None = None,
     ) -> float:
-        """Return the lower bound by some multipliers, repaired where they prove less than the value to a tolerance."""
-        enough = value - tolerance * size_of_objective(self.program, x)[0]
+        """Return the lower bound by some multipliers, repaired where they prove less than the value but for a gap.
+
+        By default an allowed gap is 1e-9 beside the terms of the objective.
+        """
+        enough = value - (ALMOST * size_of_objective(self.program, x)[0] if allowed is None else allowed)
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
-    def upper(self, *near: FloatVector, exactly: bool = True) -> list[FeasiblePoint]:
+    def upper(self, *near: FloatVector, exactly: bool = True, by_own: bool = True) -> list[FeasiblePoint]:
         """Return points that are proved to be feasible, near those given and our own solution, or else any.
 
-        Rational arithmetic looks for one where doubles prove none, unless it is not to.
+        Rational arithmetic looks for one where doubles prove none, unless it is not to, and nobody for a solution of
+        our own that is not to be looked at.
         """
         found = [point for x in near if (point := self.points.near(x)) is not None]
-        if self.is_small or "own_solution" in self.__dict__:
+        if "own_solution" in self.__dict__ or (self.is_small and by_own):
             found += self._own_point
             near = near if self.own_solution is None else (*near, self.own_solution.x)
         if found or not exactly:
@@ -351,12 +366,12 @@ class ProgramProofs:
         points = self.upper()
         upper = min((point.value for point in points), default=math.inf)
         lower = self.own_lower
-        numbers = {"lower": _if_finite(lower), "upper": _if_finite(upper)}
+        unproved = Certification("unproved", claim, lower=_if_finite(lower), upper=_if_finite(upper), reason=NOTHING)
         if claim == "infeasible" and points:
-            return Certification("disproved", claim, **numbers, reason="a feasible point is proved")
+            return replace(unproved, verdict="disproved", reason="a feasible point is proved")
         if claim == "unbounded" and lower > -np.inf:
-            return Certification("disproved", claim, **numbers, reason=f"no feasible x is below {lower:.9g}")
-        return Certification("unproved", claim, **numbers, reason=NOTHING)
+            return replace(unproved, verdict="disproved", reason=f"no feasible x is below {lower:.9g}")
+        return unproved
 
     def of_answer(
         self, x: FloatVector, given: list[FloatVector] | None, tolerance: float
@@ -366,14 +381,15 @@ class ProgramProofs:
         size = size_of_objective(self.program, x)
         lower, complaint = -math.inf, ""
         if given is not None:
-            lower = self.lower(x, given[0], given[1], value[0], tolerance)
-            complaint = multiplier_error(self.program, x, given, tolerance)
-        found = Proved(value, violation, lower, self.upper(x, exactly=False), tolerance, size)
-        if self.is_small or not found.is_proved() or found.may_have_bought():
+            lower = self.lower(x, given[0], given[1], value[0], tolerance * size[0])
+            complaint = multiplier_error(self.program, x, given, tolerance, size[0])
+        found = Proved(value, violation, lower, self.upper(x, exactly=False, by_own=False), tolerance, size)
+        is_enough = found.is_proved() and not found.may_have_bought()
+        if not is_enough or (self.is_small and (given is None or complaint)):
             lower = max(lower, self.own_lower)
             if lower < value[0] and size[1] == 0.0 and (own := self.own_solution) is not None:  # nothing else will do
                 lower = max(lower, self.lower(x, own.inequality, own.equality, value[0]))
-            points = found.points or self.upper(x, exactly=not violation.is_missed)  # or it is disproved anyway
+            points = self.upper(x, exactly=False) or self.upper(x, exactly=not violation.is_missed)
             found = replace(found, lower=lower, points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
                 complaint = complaint or f"its violation of {violation.largest:.2g} may buy more than the tolerance"
@@ -422,9 +438,11 @@ class Violation:
         falls, rises = positive @ below + negative @ above, positive @ above + negative @ below
         mended = np.where(is_equality & (value < 0.0), rises, falls)
         size = np.where(is_equality, np.abs(value), value)
-        acting = np.concatenate([row_excuses(program, x), np.zeros(2 * program.n)])[finite]
-        allowed = np.maximum(tolerance * np.maximum(largest_terms(matrix, limit, x), acting), mended)
         least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
+        allowed = np.maximum(tolerance * largest_terms(matrix, limit, x), mended)
+        if (largest > allowed).any():
+            acting = np.concatenate([row_excuses(program, x), np.zeros(2 * program.n)])[finite]
+            allowed = np.maximum(allowed, tolerance * acting)
         return cls(
             float(least.max(initial=0.0)) / OUTWARD, float(largest.max(initial=0.0)),
             bool((largest <= allowed).all()), bool((least > allowed * OUTWARD).any()),
@@ -504,7 +522,6 @@ class Proved:
     ) -> Certification:
         """Return the verdict and its numbers; distances in some of the columns."""
         near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
-        near = proofs.sharpened(near, x, self.points, self.lower, columns)
         disproof, is_proved = self.disproof() or self._no_minimum(proofs), self.is_proved()
         size = float(np.abs(x).max(initial=0.0))
         disproof = disproof or self._error_of_x(size, far_in_columns, "x")
@@ -517,7 +534,8 @@ class Proved:
             reason += ", though the objective is proved to be optimal"
         return Certification(
             verdict, "optimal", self.violation.largest, _if_finite(self.lower), _if_finite(self.upper),
-            _if_finite(self.gap), _if_finite(near), reason,
+            _if_finite(self.gap), reason,
+            lambda: _if_finite(proofs.sharpened(near, x, self.points, self.lower, columns)),
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
@@ -577,7 +595,7 @@ def distances(
 
 def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
     """Return (uᵀQ u − √(uᵀQ u · gap)) / ‖Q u‖, rounded down; 0 where rounding hides it."""
-    P, A, penalty = sp.csr_array(proofs.program.P), sp.csr_array(proofs.program.A), proofs.bounds.curvature.penalty
+    P, A, penalty = proofs.program.matrices.sparse_P, as_csr(proofs.program.A), proofs.bounds.curvature.penalty
     bent = P @ u + penalty * (A.T @ (A @ u))
     terms = abs(P) @ np.abs(u) + penalty * (abs(A).T @ (abs(A) @ np.abs(u)))
     share = gamma(2 * u.size + A.shape[0] + 8)
@@ -593,14 +611,16 @@ def _if_finite(value: float) -> float | None:
 
 
 @np.errstate(all="ignore")  # what overflows is wrong
-def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float) -> str:
+def multiplier_error(
+    program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float, terms_of_objective: float
+) -> str:
     """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing.
 
     The terms of column j are c_j, p_jk x_k and c_ij y_i; what is small beside ACTS times the largest of the first two
     where x is off its bounds is right, too. A bound without a multiplier takes up what is left of the gradient.
     """
     rows, names, y = program.constraints, ("inequality", "equality", "lower", "upper"), np.concatenate(given)
-    P, of_rows = sp.csr_array(program.P), sp.csr_array(rows.matrix.T)
+    P, of_rows = program.matrices.sparse_P, sp.csr_array(rows.matrix.T)
     if y.size < rows.limit.size:
         left = program.P @ x + program.c + rows.matrix[: y.size].T @ y
         sides = (np.where(np.isfinite(bound), np.maximum(sign * left, 0.0), 0.0)
@@ -622,7 +642,7 @@ def multiplier_error(program: QuadraticProgram, x: FloatVector, given: list[Floa
         return f"the multiplier {names[k]}[{i - ends[k]}] = {y[i]:.3g} has the wrong sign"
     slack = np.where(is_finite & ~rows.is_equality, np.maximum(rows.limit - rows.matrix @ x, 0.0), 0.0)
     own = np.abs(y) * largest_terms(rows.matrix, rows.limit, x)
-    excess = np.abs(y * slack) - LOOSE * tolerance * np.maximum(size_of_objective(program, x)[0], own)
+    excess = np.abs(y * slack) - LOOSE * tolerance * np.maximum(terms_of_objective, own)
     given_size, worst = sum(part.size for part in given), int(np.argmax(excess))
     if excess.max(initial=0.0) > 0.0 and worst < given_size:
         return f"a multiplier {y[worst]:.3g} stands where there is {slack[worst]:.3g} of slack"

@@ -97,7 +97,7 @@ def with_few_digits(y: FloatVector) -> FloatVector:
         return y
     ratios = np.where(kept, y, 0.0) / np.abs(y[kept]).min()
     for denominator in DENOMINATORS:
-        whole = np.round(denominator * ratios)
+        whole: FloatVector = np.round(denominator * ratios)
         if (np.abs(whole - denominator * ratios) <= NEAR * np.abs(whole)).all():
             return whole
     clean: FloatVector = np.where(np.abs(y) > NEGLIGIBLE * np.abs(y).max(), y, 0.0)

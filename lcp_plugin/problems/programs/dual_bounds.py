@@ -108,7 +108,7 @@ class DualBounds:
         with np.errstate(all="ignore"):
             high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
             parts = [compensated_pair(matrix, x, offset) for matrix, offset in (
-                (sp.csr_array(program.P), None), (self._rows, -self._limit)
+                (program.matrices.sparse_P, None), (self._rows, -self._limit)
             )]
             # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
             factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])

@@ -221,7 +221,7 @@ def objective_bounds(
 ) -> tuple[float, float]:
     """Return doubles below and above ½ xᵀP x + linear · cᵀx, and above it for all points within the radius of x."""
     with np.errstate(all="ignore"):
-        high, low, blur = compensated_pair(sp.csr_array(program.P), x)
+        high, low, blur = compensated_pair(program.matrices.sparse_P, x)
         row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
         twice, error = compensated_product(row, np.concatenate([high, low, x]))
         error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
@@ -229,7 +229,7 @@ def objective_bounds(
         if radius is not None and radius.any():
             # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
             slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)
-            bent = 0.5 * (abs(sp.csr_array(program.P)) @ radius)
+            bent = 0.5 * (abs(program.matrices.sparse_P) @ radius)
             spread = product_above(sum_above(slope, bent), radius).sum() * (1.0 + 2.0**-30)
             highest = float(sum_above(highest, spread))
     return lowest, highest

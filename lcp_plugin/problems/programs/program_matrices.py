@@ -57,6 +57,11 @@ class ProgramMatrices:
         return vertically(as_csr(self.G), as_csr(self.A))
 
     @cached_property
+    def sparse_P(self) -> sp.csr_array:
+        """P as CSR."""
+        return as_csr(self.P)
+
+    @cached_property
     def constraints(self) -> sp.csr_array:
         """[G; A; −I; I]."""
         n = self.P.shape[0]
@@ -107,7 +112,7 @@ class ProgramMatrices:
     @cached_property
     def gradient(self) -> sp.csr_array:
         """[P Gᵀ Aᵀ]: the part of the Lagrangian's gradient that depends on x and the multipliers."""
-        return sp.csr_array(sp.hstack([as_csr(self.P), self.rows.T], format="csr"))
+        return sp.csr_array(sp.hstack([self.sparse_P, self.rows.T], format="csr"))
 
     @cached_property
     def magnitudes(self) -> Any:

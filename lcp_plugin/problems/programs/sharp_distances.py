@@ -112,7 +112,7 @@ def _bound(
 ) -> float:
     """Return a bound of ‖unit (x − x*)‖ by the residuals of x; rows are those of I in units, `missed` is |δ|."""
     matrix, is_equality = of_user
-    k, P = rows.shape[0], sp.csr_array(program.P)
+    k, P = rows.shape[0], program.matrices.sparse_P
     if k > program.n or is_over():  # these rows are not independent
         return math.inf
     multipliers, least = np.zeros(k), 1.0

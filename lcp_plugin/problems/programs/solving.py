@@ -256,26 +256,8 @@ def _solved(
     guess = options.pop("guess", None)
     is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock()
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
-    with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
-        by, found = _at_once(program, goal, options) if is_one_call else ("", None)
-        if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
-            found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
-    if isinstance(found, EngineRun):
-        history = _two_samples(by, found, clock.read()) if options.get("record") else ()
-        status = Status.STALLED if found.contradicts else Status.SOLVED
-        return QuadraticProgramResult(
-            status, found.solution, goal, f"auto: {by}", found.stage.iterations, clock.read(),
-            tolerance, (found.stage,), history,
-        )
-    if found is not None:
-        return _without_minimum(program, found, by, tolerance, clock.read())
-    if is_one_call and prove_infeasibility and program.facts.contradicts_by_rounding:
-        x = np.clip(0.0, program.lower, program.upper)
-        nearest = QPSolution.of_rows(program, x, np.zeros(program.constraints.limit.size))
-        return QuadraticProgramResult(
-            Status.PRECISION_LIMIT, nearest, goal, f"auto: {BY_ROWS}", 0, clock.read(), tolerance,
-            (StageRecord(BY_ROWS, NOT_MET, 0, 0.0),),
-        )
+    if is_one_call and (decided := _by_engines(program, tolerance, options, clock)) is not None:
+        return decided
     is_auto = isinstance(algorithm, str) and algorithm == "auto"
     may_ask = is_auto and prove_infeasibility and sp.issparse(program.P) and (
         program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None
@@ -301,6 +283,34 @@ def _solved(
     return QuadraticProgramResult(
         status, solution, goal, result.algorithm, result.iterations, clock.read(), tolerance, result.stages,
         result.history, result.setup_seconds, proof, _run=result,
+    )
+
+
+def _by_engines(
+    program: QuadraticProgram, tolerance: float, options: dict[str, Any], clock: Clock
+) -> QuadraticProgramResult | None:
+    """Return what engines, and proofs where these find no answer, decide; None where a run is to be begun."""
+    goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
+    with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
+        by, found = _at_once(program, goal, options)
+        if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
+            found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
+    if isinstance(found, EngineRun):
+        history = _two_samples(by, found, clock.read()) if options.get("record") else ()
+        status = Status.STALLED if found.contradicts else Status.SOLVED
+        return QuadraticProgramResult(
+            status, found.solution, goal, f"auto: {by}", found.stage.iterations, clock.read(), tolerance,
+            (found.stage,), history,
+        )
+    if found is not None:
+        return _without_minimum(program, found, by, tolerance, clock.read())
+    if not (prove_infeasibility and program.facts.contradicts_by_rounding):
+        return None
+    x = np.clip(0.0, program.lower, program.upper)
+    nearest = QPSolution.of_rows(program, x, np.zeros(program.constraints.limit.size))
+    return QuadraticProgramResult(
+        Status.PRECISION_LIMIT, nearest, goal, f"auto: {BY_ROWS}", 0, clock.read(), tolerance,
+        (StageRecord(BY_ROWS, NOT_MET, 0, 0.0),),
     )
 
 

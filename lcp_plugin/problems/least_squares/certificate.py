@@ -95,6 +95,12 @@ class Optimality:
         judged.value, judged.dual = _beside_cost(enclosures.problem, x, residual, duals, tolerance)
         return judged
 
+    @classmethod
+    def unjudged(cls, enclosures: Enclosures, x: FloatVector) -> Optimality:
+        """Return that of an x of which nothing is proved: no time is left."""
+        residual = enclosures.problem.product(x) - enclosures.problem.b
+        return cls(enclosures, x, (residual, np.full(residual.size, np.inf)), 1.0, residual)
+
     def meets(self, tolerance: float) -> bool:
         """Return whether x is SOLVED; an operator's asks for a small gap besides."""
         return bool(within(self.value, 0.0, tolerance))

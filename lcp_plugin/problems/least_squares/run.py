@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from ...core.checks import FloatVector
-from ...core.deadline import Clock, OutOfTimeError, time_limit
+from ...core.deadline import AT_LEAST, Clock, OutOfTimeError, time_limit
 from ...core.policy.stages import Progress
 from ...core.settings import Settings, Status
 from .certificate import Optimality, duality_gap
@@ -24,6 +24,7 @@ DENSE_PATIENCE = 0.05  # steps that a factor costs, ÷ the smaller dimension of 
 SPARSE_PATIENCE = 300  # steps that an interior point with sparse factors costs
 NARROWER = 0.05  # what is aimed at, ÷ what was reached where that was not enough
 MOST_STEPS_FOR_GAP = 300
+JUDGED = 2e-7  # seconds an entry, row and column, of the cheapest certificate: it is not made after the limit, if long
 
 
 @np.errstate(all="ignore")
@@ -42,9 +43,14 @@ def run_stages(
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     if status in (Status.MAX_SECONDS, Status.INTERRUPTED):
-        at_end = Optimality.of(run.enclosures, scaled.to_caller(run.nearest.x), tolerance=np.inf)  # nothing more costly
-        if run.best is None or at_end.is_better(run.best):
-            run.best = at_end
+        x = scaled.to_caller(run.nearest.x)
+        entries = problem.A.nnz if problem.is_sparse else problem.shape[0] * problem.shape[1] * problem.is_dense
+        if JUDGED * (entries + sum(problem.shape)) <= AT_LEAST:
+            at_end = Optimality.of(run.enclosures, x, tolerance=np.inf)  # nothing more costly
+            if run.best is None or at_end.is_better(run.best):
+                run.best = at_end
+        elif run.best is None:
+            run.best = Optimality.unjudged(run.enclosures, x)
     return cast(Optimality, run.best), status, run.steps
 
 

@@ -271,14 +271,15 @@ def test_a_vandermonde_matrix_is_solved() -> None:
 
 @pytest.mark.parametrize("lower", [0.0, -INF])
 def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
-    """Tridiagonal, 2·10⁵ unknowns: max_seconds=.2 is over by no more than what one certificate costs."""
+    """Tridiagonal, 2·10⁵ unknowns: after max_seconds=.2 no certificate is made, and nothing is said to be proved."""
     n = 200_000
     A = sp.diags_array([np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]).tocsr()
     b, began = np.random.default_rng(0).standard_normal(n), time.process_time()
     result = bounded_least_squares(A, b, lower, max_seconds=0.2)
     assert result.status is Status.MAX_SECONDS
     assert time.process_time() - began < 2.0
-    assert result.cost > 0.0
+    assert result.optimality == 1.0
+    np.testing.assert_allclose(result.cost, 0.5 * np.sum(np.square(A @ result.x - b)))
 
 
 def test_no_compiler_is_needed() -> None:

@@ -266,8 +266,8 @@ def last_resort(problem: LCP) -> Algorithm:
 
 
 def _suits_newton(problem: LCP) -> bool:
+    from ..core.matrix.symmetry import is_nearly_symmetric
     from ..proofs.verdicts import analyze
-    from ..systems.symmetry import is_nearly_symmetric
 
     if problem.is_dense and is_nearly_symmetric(problem.matrix):  # PIQP takes fewer dense factors
         return False
@@ -276,7 +276,7 @@ def _suits_newton(problem: LCP) -> bool:
 
 def _seems_monotone(problem: LCP) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
-    from ..systems.symmetry import is_nearly_symmetric
+    from ..core.matrix.symmetry import is_nearly_symmetric
 
     if problem.n == 0:
         return False

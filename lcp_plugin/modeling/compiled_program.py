@@ -15,8 +15,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import FloatVector, assembled
+from ..core.matrix.symmetry import is_its_mirror
 from ..problems.programs.program_matrices import ProgramMatrices
-from ..systems.symmetry import is_its_mirror
 
 RELEASES = ("1.8.", "1.9.")  # of cvxpy, which are known to compile to this
 ONES = -1  # cvxpy's id of the parameter that is 1

@@ -12,13 +12,12 @@ import scipy.sparse as sp
 from ..core.checks import BoolVector, FloatVector
 from ..core.matrix.matrix import Matrix
 from ..core.matrix.scaling import Exponents, scaled, scaling_of, times_power
-from ..core.matrix.symmetry import has_symmetric_entries
+from ..core.matrix.symmetry import has_symmetric_entries, is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .graph import bandwidth
 from .least_norm import pseudo_inverses
-from .symmetry import is_nearly_symmetric
 
 REFINEMENTS = 3
 RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block

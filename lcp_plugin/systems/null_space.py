@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
 from ..core.matrix.matrix import Matrix, fact
+from ..core.matrix.symmetry import is_nearly_symmetric
 from .definiteness import factorised, scaled_to
-from .symmetry import is_nearly_symmetric
 
 SHIFT = 1e-12  # beside a unit diagonal: what stands in the place of a pivot of 0
 LOOSE = 1e3  # pivots of 0 are n of these shifts, but for a direction that hardly moves the unknown

@@ -19,6 +19,7 @@ from campaigns.graded_matrices import run_case
 
 from lcp_plugin import LCP, Certificate, error_bound
 from lcp_plugin.core.errors import InvalidProblem, UnsuitableMatrix
+from lcp_plugin.core.matrix.symmetry import is_nearly_symmetric
 from lcp_plugin.methods.direct import _seems_monotone
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.verdicts import (
@@ -35,7 +36,6 @@ from lcp_plugin.proofs.verdicts.p_matrix import is_p_matrix_by_recursion, nonpos
 from lcp_plugin.systems.comparison import ComparisonMatrix
 from lcp_plugin.systems.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
 from lcp_plugin.systems.factors import factor_fits
-from lcp_plugin.systems.symmetry import is_nearly_symmetric
 
 CAMPAIGN = Path(__file__).parents[1] / "campaigns" / "matrix_verdicts.py"
 

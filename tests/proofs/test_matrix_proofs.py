@@ -16,7 +16,7 @@ from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.core.kernels.floats import UNIT
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.scaling import scaled
-from lcp_plugin.core.matrix.symmetry import is_symmetric_entrywise
+from lcp_plugin.core.matrix.symmetry import ROUNDED, is_symmetric_entrywise, is_symmetric_to_rounding, mismatch
 from lcp_plugin.core.rounding import lower_end, upper_end
 from lcp_plugin.proofs.exact.linear_systems import (
     exact_rows,
@@ -39,7 +39,7 @@ from lcp_plugin.systems.equilibration import scaling_exponents
 from lcp_plugin.systems.factors import positive_factor, sparse_lu
 from lcp_plugin.systems.graph import row_excess_signs, scale_spread
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection
-from lcp_plugin.systems.symmetry import ROUNDED, asymmetry, is_symmetric_to_rounding, mismatch
+from lcp_plugin.systems.symmetry import asymmetry
 
 # --- Small matrices in rational arithmetic ------------------------------------------------------------------
 

@@ -14,10 +14,10 @@ from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, in_driven_swe
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal
+from ...core.matrix.symmetry import is_nearly_symmetric
 from ...core.tuning import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_ROWS, DIRECT_UP_TO
 from ...systems.factors import factorise
 from ...systems.graph import bandwidth
-from ...systems.symmetry import is_nearly_symmetric
 from ..small.small_dense import ROUNDS_ONLY, is_short, solve_fused, steps
 from .active_set import LARGE_PATIENCE, NewtonState, classify
 

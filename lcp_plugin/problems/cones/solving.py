@@ -21,6 +21,7 @@ from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_
 from ...core.kernels.threads import threads_for
 from ...core.kind import Kind
 from ...core.matrix.structure import Components, connected_components
+from ...core.matrix.symmetry import is_symmetric_to_rounding
 from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.representation import in_words
@@ -460,8 +461,8 @@ class ConeResult(Result):
             pulls = np.hypot.reduce(np.abs(motion.tangential), axis=1)[motion.touches]
             angle = np.degrees(np.arctan2(pulls, motion.normal[motion.touches])).max()
             lines.append(f"the steepest impulse leans {angle:.3g}° from its normal")
-        asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
-        if asymmetry > 0.0:
+        if not is_symmetric_to_rounding(problem.W):
+            asymmetry = float(abs(problem.W - problem.W.T).max())
             lines.append(f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given")
         return lines
 

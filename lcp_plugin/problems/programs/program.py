@@ -27,8 +27,8 @@ from ...core.errors import InvalidProblem
 from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.scaling import fitted_units
+from ...core.matrix.symmetry import is_its_mirror, mismatch
 from ...core.representation import REPR_UP_TO, bounds_repr, matrix_repr
-from ...systems.symmetry import is_its_mirror, mismatch
 from .constraints import Constraints
 from .contradictions import contradicting_multipliers, margin_in_doubles, with_few_digits
 from .criterion import PROGRAM_TOLERANCE

@@ -26,9 +26,9 @@ from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
+from ...core.matrix.symmetry import is_nearly_symmetric
 from ...core.representation import within
 from ...core.settings import Status
-from ...systems.symmetry import is_nearly_symmetric
 from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
 from .free_motion import is_at_rest, is_far_out, moved_unknowns
 from .linear_constraints import Contradiction

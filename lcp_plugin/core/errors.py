@@ -33,6 +33,10 @@ class UnsupportedModel(LCPError, ValueError):
     """The model cannot be written as a complementarity problem or a quadratic program."""
 
 
+class NotSquare(UnsupportedModel):
+    """The model has rows or bounds that no unknown gives way to: a search over its solutions may take it."""
+
+
 class UnknownAlgorithm(LCPError, LookupError):
     """No algorithm of that name is registered."""
 

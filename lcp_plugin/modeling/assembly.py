@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..auto import solve_lcp
 from ..core.checks import FloatVector
-from ..core.errors import InvalidOption, UnsupportedModel
+from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.representation import in_words
 from ..core.solving.result import Result
@@ -222,7 +222,8 @@ class Assembly:
                 "; where one says how prices are scaled, as sum(p) == 1, drop a market that the others imply, or give "
                 "the equation a free multiplier, a variable in the rows of the pairs"
             )
-        raise UnsupportedModel(
+        has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
+        raise (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
             f"the model has {in_words(equations, 'equation')}{counted} and {in_words(free.size, 'unknown')} without a "
             f"complementarity ({names}); it needs as many equations as such unknowns{way_out}"
         )

@@ -16,7 +16,7 @@ from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 
-from ..core.errors import UnsupportedModel
+from ..core.errors import NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.result import Result
 from ._compat import (
@@ -169,7 +169,7 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
         if isinstance(constraint, Complements):
             builder.add_pair(constraint)
         elif not isinstance(constraint, (Equality, Zero)):
-            raise UnsupportedModel(
+            raise NotSquare(
                 f"the constraint {constraint} stands alone beside complementarities; make it part of a pair, as in "
                 f"complements({constraint}, F >= 0)"
             )
@@ -266,7 +266,12 @@ def _solve_model(
         return _best(problem, algorithm, verbose, warm_start, requires_grad, options)
     parameters = differentiable_parameters(problem) if requires_grad else []
     known = values_of_parameters(parameters) if requires_grad else {}
-    model = build_from(problem)
+    try:
+        model = build_from(problem)
+    except NotSquare as error:
+        if algorithm != "auto" or requires_grad:
+            raise
+        return _any(problem, error, bool(verbose), warm_start, options)
     start = model.start() if warm_start and "z0" not in options else None
     result = solve_from(model.problem, start, {"algorithm": algorithm, "verbose": verbose, **options})
     if verbose:
@@ -278,6 +283,18 @@ def _solve_model(
         answering = Differentiable(ModelDerivative(model, result, known), parameters, constraints)
     set_answering(problem, answering)
     return problem.value
+
+
+def _any(problem: Any, refusal: NotSquare, verbose: bool, warm_start: bool, options: dict[str, Any]) -> Any:
+    """Find any solution of a model with more rows and bounds than an LCP has, by a search for the best; or raise."""
+    from .best_equilibrium import solve_for_the_best
+
+    if any(isinstance(one, Complements) and "cone" in (one.first.kind, one.second.kind) for one in problem.constraints):
+        raise refusal
+    try:
+        return solve_for_the_best(problem, verbose, warm_start, options)
+    except UnsupportedModel as error:
+        raise refusal from error
 
 
 def _best(

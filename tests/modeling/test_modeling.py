@@ -282,7 +282,6 @@ def with_other_bounds(y: Any) -> Any:
 REFUSED: dict[str, tuple[Any, str]] = {
     "shapes": (lambda x: [complements(x >= 0, cp.sum(x) >= 0)], "same shape"),
     "not smooth": (lambda x: [complements(x >= 0, cp.abs(x) >= 0)], "not smooth"),
-    "lonely inequality": (lambda x: [pair_of(x), x <= 3], "stands alone"),
     "twice": (lambda x: [pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)], "no other pair"),
     "two equalities": (lambda x: [complements(x == 0, 2 * x == 1)], "two equalities"),
     "unpaired variable": (lambda x: [complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)], "1 unknown without"),
@@ -304,6 +303,35 @@ def test_models_beyond_complementarity_are_refused(case: str) -> None:
     x = cp.Variable(3)
     with pytest.raises(UnsupportedModel, match=pattern):
         model(*make(x))
+
+
+@pytest.mark.parametrize("goal", [lambda x: 0, lambda x: 0 * cp.sum(x)])
+def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal: Any) -> None:
+    """Minimize(0) beside what no LCP states: the search that any other objective gets; LCP.from_cvxpy refuses it."""
+    x, z, bounded = cp.Variable(2), cp.Variable(2), cp.Variable(nonneg=True)
+    rows = np.array([[2.0, 1.0], [1.0, 2.0]]) @ x + [-5.0, 1.0]
+    pair = complements(x >= 0, rows >= 0)
+    for more in ([z >= 0.2], [bounded <= 3.0], [x[0] + bounded <= 2.6]):
+        problem = cp.Problem(cp.Minimize(goal(x)), [pair, *more])
+        problem.solve(method="LCP")
+        assert problem.status == cp.OPTIMAL
+        np.testing.assert_allclose(x.value, [2.5, 0.0], atol=1e-7)
+        assert all(np.all(one.violation() <= 1e-7) for one in more)
+    excluded = cp.Problem(cp.Minimize(goal(x)), [pair, x[1] >= 0.2])
+    excluded.solve(method="LCP")
+    assert excluded.status == cp.INFEASIBLE
+    with pytest.raises(UnsupportedModel, match="stands alone"):
+        LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [pair, z >= 0.2]))
+
+
+def test_a_bounded_unknown_in_no_pair_is_taken() -> None:
+    """What the rows of a pair hold, and only its bounds say more of."""
+    x, y = cp.Variable(), cp.Variable(bounds=[1.0, 2.0])
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, 2 * x + y - 5 >= 0)])
+    problem.solve(method="LCP")
+    assert problem.status == cp.OPTIMAL
+    assert 1.0 - 1e-7 <= y.value <= 2.0 + 1e-7
+    assert 2 * x.value + y.value == pytest.approx(5.0)
 
 
 def test_an_objective_states_no_single_lcp() -> None:

@@ -142,7 +142,10 @@ class ConvexProgram:
     ----------
     problem : LCP
     statement : Statement
-        min ½ xᵀP x + cᵀx + Σ (upper − lower) v with R x + q + v ≥ 0, or ≤ 0, or = 0, as each row's bounds ask for.
+        min ½ xᵀP x + cᵀx + Σ (upper − lower) v with R x + q + v ≥ 0, or ≤ 0, or = 0, as each row's bounds ask for;
+        x, v and all vectors in `size`.
+    size : float
+        A power of two that the largest of costs and right-hand sides is near.
     unknowns, multipliers : array of int
         Which z are x, and which are multipliers of the rows, beside `anchor`.
     anchor : array, shape (n,)
@@ -151,6 +154,7 @@ class ConvexProgram:
 
     problem: LCP
     statement: Statement
+    size: float
     unknowns: Any
     multipliers: Any
     anchor: FloatVector
@@ -180,7 +184,9 @@ class ConvexProgram:
             P, R, c, multipliers = M[x][:, x], M[y][:, x], (q + M[:, y] @ a[y])[x], kept[y]
             P = 0.5 * (P + P.T)
         statement = _stated(P, c, R, q[y], lower[kept][y], upper[kept][y], lower[kept[x]], upper[kept[x]])
-        return cls(problem, statement, kept[x], multipliers, anchor)
+        size = float(power_of_two(_largest(statement.c, statement.h, statement.b)))
+        vectors = {name: getattr(statement, name) / size for name in ("c", "h", "b", "lower", "upper")}
+        return cls(problem, statement._replace(**vectors), size, kept[x], multipliers, anchor)
 
     def answer(self, engine: Engine, unit: FloatVector) -> tuple[FloatVector, int]:
         """Return z within its bounds, NaN where the engine has none in these units of x, and its steps."""
@@ -190,9 +196,9 @@ class ConvexProgram:
         nothing = np.zeros(given.h.size + 2 * given.c.size, np.bool_)
         prepared = Prepared.of(given, nothing, unit)
         point = prepared.outward(engine.answer(prepared.statement, Limits(seconds_left())))
-        z[self.unknowns] = point.x[: self.unknowns.size]
+        z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:
-            z[self.multipliers] = self.anchor[self.multipliers] + self._signed(point.multipliers)
+            z[self.multipliers] = self.anchor[self.multipliers] + self._signed(point.multipliers) * self.size
         return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
 
     def units(self) -> Iterator[FloatVector]:

@@ -3,6 +3,7 @@
 | M | direct methods, in this order |
 |---|---|
 | the diagonal positive and nothing else, M not dense and symmetric | newton, then as below |
+| dense, symmetric positive definite | newton, interior_point, feasibility, lemke, search |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | the same, full, diagonal not > 0: budget rows | some pivots of lemke, then as above |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
@@ -61,6 +62,8 @@ from .newton.semismooth_newton import Newton
 FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
 FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M is a dense one
 FEWEST_FACTORS = 10  # that an interior point makes as a rule, beside the one that condensing does
+NEWTON_FIRST = 8  # steps on a dense definite M: as many factors, of smaller blocks, as interior points take
+CLEARLY_DEFINITE = 1e-6  # of the largest pivot: interior points are better on what is nearly singular
 PIVOTS = 2.0
 GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
 
@@ -189,7 +192,8 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     left_out += ([] if prove_infeasibility else [check.algorithm]) + ([lemke.algorithm] if is_game(problem) else [])
     row = contradictory_row(problem) if prove_infeasibility else None
     is_contradictory = row is not None and row.excludes(EPSILON)
-    if not (is_kkt or is_contradictory) and condensing_passes(problem) < _passes_of_factors(problem, FEWEST_FACTORS):
+    passes = math.inf if is_kkt or is_contradictory else condensing_passes(problem)
+    if passes < math.inf and passes < _passes_of_factors(problem, FEWEST_FACTORS):
         yield Choice(Condensed(), "few rows have a bound: one factor eliminates the others")
     if is_contradictory:
         yield replace(check, because="one row contradicts its bounds by itself")
@@ -201,6 +205,8 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     if _seems_monotone(problem):
         order = [interior, check, newton, lemke]
         is_full = problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2
+        if _is_dense_and_definite(problem):
+            order = [replace(newton, turn=NEWTON_FIRST), interior, check, lemke]
         if is_full and not has_positive_diagonal(problem.matrix).all():
             few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)
             order = [Choice(few, "some pivots, before a factor of a dense M"), *order]
@@ -269,9 +275,22 @@ def _suits_newton(problem: LCP) -> bool:
     from ..core.matrix.symmetry import is_nearly_symmetric
     from ..proofs.verdicts import analyze
 
-    if problem.is_dense and is_nearly_symmetric(problem.matrix):  # PIQP takes fewer dense factors
+    if problem.is_dense and is_nearly_symmetric(problem.matrix):  # `_is_dense_and_definite` decides
         return False
     return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
+
+
+def _is_dense_and_definite(problem: LCP) -> bool:
+    """Return whether M is stored as an ndarray and clearly positive definite: newton's sets settle there."""
+    from ..systems.symmetry import is_nearly_symmetric
+
+    if not (problem.is_dense and is_nearly_symmetric(problem.matrix)):
+        return False
+    try:
+        pivots = np.linalg.cholesky(problem.M).diagonal() ** 2
+    except np.linalg.LinAlgError:
+        return False
+    return bool(pivots.min(initial=np.inf) > CLEARLY_DEFINITE * pivots.max(initial=0.0))
 
 
 def _seems_monotone(problem: LCP) -> bool:

@@ -162,11 +162,12 @@ class ConvexProgram:
     @classmethod
     def of(cls, problem: LCP) -> ConvexProgram:
         """Return the program of the rows that are not fixed: by signs where M has them, else that of the gap."""
-        if (rows := monotone_rows(problem.M)) is not None:
+        signs = signs_of(problem.matrix)
+        if signs is None and (rows := monotone_rows(problem.M)) is not None:
             M = scaled(problem.M, Exponents(rows, np.zeros_like(rows)))
             other = LCP(M, times_power(problem.q, rows), lower=problem.lower, upper=problem.upper)
             return replace(cls.of(other), problem=problem)
-        M, q, lower, upper, signs = problem.M, problem.q, problem.lower, problem.upper, signs_of(problem.matrix)
+        M, q, lower, upper = problem.M, problem.q, problem.lower, problem.upper
         anchor = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0))
         kept = np.flatnonzero(lower < upper)
         if kept.size < problem.n:

@@ -275,7 +275,11 @@ class FreeSystem:
         """
         if not self.rows.size or not self._cancels_beside(self._scale, factor):
             return False
-        rows = equilibrating_exponents(sp.csr_array(self.block), EQUILIBRATING_PASSES).row
+        diagonal = self.block.diagonal()
+        if is_nearly_symmetric(self.matrix) and bool((diagonal > 0.0).all()):
+            rows = unit_diagonal(diagonal).row
+        else:
+            rows = equilibrating_exponents(sp.csr_array(self.block), EQUILIBRATING_PASSES).row
         return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
 
     def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:

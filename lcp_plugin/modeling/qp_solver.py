@@ -40,6 +40,7 @@ SOLVE_OPTIONS = {"tolerance": 1e-9}
 BEGUN = "begun from the last answer; warm_start=False begins anew"
 MATRIX_KEYS = (settings.P, settings.F, settings.A)
 ORDINARY = (1e-100, 1e100)  # numbers whose products are doubles
+DIGITS = 0.005  # of which the last of three digits is at least a tenth
 MOST_NAMED = 5  # constraints that a contradiction lists
 SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
 
@@ -364,6 +365,12 @@ def _measured(own: Callable[..., Any], problem: Any, solution: Any, chain: Any, 
         measure(problem, claim)
 
 
+def _rounded_down(value: float) -> str:
+    """Return three digits of a lower bound that are no more than it."""
+    text = f"{value:.3g}"
+    return text if float(text) <= value else f"{value * (1.0 - DIGITS):.3g}"
+
+
 def _contradiction(problem: Any, proof: QPInfeasibility) -> str:
     """Return the user's constraints that contradict one another, the heaviest first, and by how much they do."""
     weights = []
@@ -382,7 +389,7 @@ def _contradiction(problem: Any, proof: QPInfeasibility) -> str:
     if not named:
         return ""
     what = "contradict one another" if len(weights) > 1 else "cannot hold"
-    return f"{named}{left} {what}: every point violates a constraint by {proof.least_violation:.3g} or more"
+    return f"{named}{left} {what}: every point violates a constraint by {_rounded_down(proof.least_violation)} or more"
 
 
 stand_before("unpack_results", _measured)

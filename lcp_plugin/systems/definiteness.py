@@ -63,15 +63,13 @@ def positive_definite_solver(P: Any) -> Solver | None:
     return lambda rhs: _column_like(scale, rhs) * solve(_column_like(scale, rhs) * rhs)
 
 
-def is_semidefinite_to_rounding(P: Any, rounding: float = 0.0) -> bool | None:
+def is_semidefinite_to_rounding(P: Any) -> bool | None:
     """Return whether P has no negative eigenvalue beyond rounding; None where n is too large to say.
 
     Parameters
     ----------
     P : ndarray or CSR array, shape (n, n)
         Exactly symmetric; each entry may be rounded once.
-    rounding : float
-        Another δ, of data that were rounded before, where it is larger than that of the notes.
 
     Notes
     -----
@@ -111,7 +109,7 @@ def is_semidefinite_to_rounding(P: Any, rounding: float = 0.0) -> bool | None:
     ):
         P = P.toarray() if filled.size == diagonal.size else P[filled].toarray()[:, filled]
         diagonal = diagonal[filled]
-    shift = max(_margin(diagonal.size, diagonal.size), rounding)
+    shift = _margin(diagonal.size, diagonal.size)
     if shift > LARGEST_SHIFT:
         return None
     unit = scaled_to(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))

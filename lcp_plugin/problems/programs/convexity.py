@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question of convexity alone
 LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
-ROUNDED = 1e-7  # beside √(p_ii p_jj): entries of single precision, or of seven digits
+ROUNDED = 1e-7  # of the largest entry: entries of single precision, or of seven digits
 CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
 
 
 def refuse_nonconvex(program: QuadraticProgram) -> None:
-    """Raise where P has an eigenvalue that is negative beyond 1e-7 of its rows, and of its largest entry.
+    """Raise where P has an eigenvalue that is negative beyond 1e-7 of its largest entry.
 
     One factorisation up to n = 5000; beyond, a look at each entry beside its diagonal ones.
 
@@ -58,13 +58,13 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
 
 
 def negative_curvature(P: Any, is_semidefinite: bool | None) -> float:
-    """Return how far the smallest eigenvalue of P is below 0, or a bound of it.
+    """Return how far the smallest eigenvalue of P is below 0, or a bound of it; 0 where that is rounding of its rows.
 
-    0 where the rows of P, each in its own unit, are semidefinite up to 1e-7: data of seven digits are. ∞ where P is
-    not, and not up to 1e-7 of its largest entry either. In between, rows that should be zero may hold rounding errors
-    of others; whether they act is a question to an answer.
+    ∞ where that is more than 1e-7 of its largest entry: P is clearly not semidefinite. In between the data may have
+    been rounded to seven digits, or rows that should be zero hold errors of others; whether it acts is a question to an
+    answer.
     """
-    if is_semidefinite is not False or is_semidefinite_to_rounding(P, ROUNDED) is not False:
+    if is_semidefinite is not False:
         return 0.0
     shift = ROUNDED * float(abs(P).max())
     if is_semidefinite_to_rounding(sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(P.shape[0]))) is False:

@@ -281,7 +281,8 @@ def measured(
     of_ahead = np.abs(ahead)
     gap = _inner(of_y, np.maximum(off - margin, 0.0) / one) + _inner(of_ahead, np.maximum(left - blur, 0.0))
     linear, hidden = _inner(cost, of_ahead), rounding * _inner(of_ahead, terms.product_size)
-    gap = gap + hidden * (hidden > linear)  # far along P d = 0 the rounding of P x hides any cost
+    # Far along P d = 0 the rounding of P x hides any cost, if there is one.
+    gap = gap + hidden * ((hidden > linear) & (linear > 0.0))
     for _, of, of_bound, bound in of_bounds:
         has = np.isfinite(bound)
         wrongs.append(_beside(np.where(has & (of >= 0.0), 0.0, of_bound), 0.0 if acting is None else acting.column))

@@ -8,7 +8,7 @@ all others are left out and the engine is asked again; those that its answer bre
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import chain, islice
 from typing import NamedTuple
 
@@ -16,6 +16,8 @@ import numpy as np
 
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, UnsuitableProblem
+from ...core.kernels.floats import NEGLIGIBLE
+from ...core.matrix.matrix import largest_in_rows
 from ...core.solving.result import StageRecord
 from ...engines import Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
 from ...engines.polish import polished
@@ -179,10 +181,26 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     steps = point.iterations
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])
-    for one in chain(first, [point], cases, at_zero):
+    for one in chain(first, [point], cases, at_zero, at_rest(prepared.statement, first or [point])):
         if (solution := _solution(reduction, prepared, one)) is not None:
             yield solution, one._replace(iterations=steps)
             steps = 0
+
+
+def at_rest(statement: Statement, points: Sequence[Point]) -> Iterator[Point]:
+    """Yield a point without what is rounding beside its equations, where no force is left: no multiplier is, either.
+
+    Of residuals that an equation defines, as cvxpy's t = A x − b where t = 0, nothing else is known.
+    """
+    for point in points[:1]:
+        A, b, x = as_csr(statement.A), statement.b, point.x
+        terms = np.maximum(np.abs(b), largest_in_rows(A, np.abs(A.data * x[A.indices])))
+        noise = np.zeros(x.size)
+        with np.errstate(all="ignore"):
+            np.maximum.at(noise, A.indices, NEGLIGIBLE * np.repeat(terms, np.diff(A.indptr)) / np.abs(A.data))
+        x = np.where(np.abs(x) <= noise, 0.0, x)
+        if not (statement.P @ x + statement.c).any():
+            yield point._replace(x=x, multipliers=Multipliers(*(np.zeros_like(one) for one in point.multipliers)))
 
 
 def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:

@@ -158,7 +158,7 @@ class ProgramMatrices:
 
     @cached_property
     def negative_curvature(self) -> float:
-        """How far P's smallest eigenvalue is below 0, or a bound of it; 0 where that is rounding beside its own rows.
+        """How far P's smallest eigenvalue is below 0, or a bound of it; 0 where that is rounding of its own rows.
 
         ∞ where P is clearly not semidefinite, 0 where it is too large to say.
         """

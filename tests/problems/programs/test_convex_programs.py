@@ -16,7 +16,18 @@ import pytest
 import scipy.sparse as sp
 from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
-from lcp_plugin import LCP, InvalidProblem, QPSolver, Status, UnsupportedModel, box, certify, complements, solve
+from lcp_plugin import (
+    LCP,
+    InvalidProblem,
+    QPSolver,
+    Status,
+    UnsupportedModel,
+    box,
+    certify,
+    complements,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior_point import InteriorPoint
@@ -630,6 +641,44 @@ def test_one_large_entry_hides_no_saddle(c: list[float]) -> None:
     result = solve(QuadraticProgram(P, c, lower=-np.ones(3), upper=np.ones(3)))
     assert not result.is_solved
     assert "not convex" in result.advice
+
+
+def test_an_optimum_of_0_is_an_optimum() -> None:
+    """Where P x cancels and nothing costs, nothing is hidden by the rounding of P x."""
+    result = solve(QuadraticProgram([[4, 2], [2, 1]], [0, 0], A=[[1, 1]], b=[-1]))
+    assert result.is_solved
+    np.testing.assert_allclose(result.x, [1, -2])
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        B = rng.standard_normal((3, 6))
+        assert solve(QuadraticProgram(B.T @ B, np.zeros(6), A=np.ones((1, 6)), b=[1])).is_solved
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+@pytest.mark.parametrize("rows", [3, 5])
+def test_an_exact_fit_is_optimal(rows: int, bounded: bool) -> None:
+    """All residuals of cvxpy's sum of squares are rounding, and so are the forces."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        A, x = rng.standard_normal((rows, 5)), cp.Variable(5)
+        b = A @ (np.abs(rng.standard_normal(5)) + 0.1)
+        problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), [x >= 0] if bounded else [])
+        problem.solve(solver=QPSolver)
+        assert problem.status == "optimal"
+        assert problem.value <= 1e-20
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "piqp", "daqp", "newton", "lemke"])
+@pytest.mark.parametrize(("P", "c", "bound"), [
+    ([[1e10 - 4, 2e10 + 2], [2e10 + 2, 4e10 - 1]], [0.2, -0.1], 1.0),
+    ([[1 - 4e-9, 2 + 2e-9], [2 + 2e-9, 4 - 1e-9]], [2e-10, -1e-10], 1e6),
+    ([[1 - 4e-12, 2 + 2e-12], [2 + 2e-12, 4 - 1e-12]], [2e-13, -1e-13], 1e6),
+])
+def test_a_curvature_that_is_rounding_beside_its_rows_may_act(P: Any, c: Any, bound: float, algorithm: str) -> None:
+    """Along (2, −1) these fall; what is stationary there is no minimum, by whatever method."""
+    program = QuadraticProgram(P, c, lower=[-bound] * 2, upper=[bound] * 2)
+    assert not solve(program, algorithm).is_solved
+    assert not solve_batch([program, program])[0].is_solved
 
 
 def test_data_of_single_precision_are_convex_enough() -> None:

@@ -41,6 +41,7 @@ from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
 from ..core.matrix.scaling import Exponents, scaled
+from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.policy.stages import Choice, Stage
 from ..core.splittings.projected_relaxation import PSOR
 from ..core.tuning import (
@@ -272,7 +273,6 @@ def last_resort(problem: LCP) -> Algorithm:
 
 
 def _suits_newton(problem: LCP) -> bool:
-    from ..core.matrix.symmetry import is_nearly_symmetric
     from ..proofs.verdicts import analyze
 
     if problem.is_dense and is_nearly_symmetric(problem.matrix):  # `_is_dense_and_definite` decides
@@ -282,8 +282,6 @@ def _suits_newton(problem: LCP) -> bool:
 
 def _is_dense_and_definite(problem: LCP) -> bool:
     """Return whether M is stored as an ndarray and clearly positive definite: newton's sets settle there."""
-    from ..systems.symmetry import is_nearly_symmetric
-
     if not (problem.is_dense and is_nearly_symmetric(problem.matrix)):
         return False
     try:
@@ -295,8 +293,6 @@ def _is_dense_and_definite(problem: LCP) -> bool:
 
 def _seems_monotone(problem: LCP) -> bool:
     """Return whether the interior point method has good prospects; proves nothing."""
-    from ..core.matrix.symmetry import is_nearly_symmetric
-
     if problem.n == 0:
         return False
     if is_of_convex_program(problem.origin):

@@ -363,6 +363,11 @@ MECHANISMS = (
     Mechanism("better left", "a reduced cost counted as a residual where that is less",
               {f"{PROGRAMS}.conversion:_is_better_left": differing(lambda old: lambda _, x, *__: x != x)},
               "problems/programs/conversion.py:_is_better_left"),
+    Mechanism("seen contradictions", "multipliers of engines and of least squares that a proof is made of",
+              {f"{PROGRAMS}.program:ProgramFacts.sees_contradiction": says(False)},
+              "problems/programs/contradictions.py problems/programs/program.py:ProgramFacts.sees_contradiction "
+              "problems/programs/no_minimum.py:refuted",
+              "problems/programs/test_contradictions.py::test_contradictions_on_graphs_take_no_linear_program"),
     Mechanism("unheld programs", "a factor of P asks for a proof before a run",
               {f"{PROGRAMS}.no_minimum:prove_unheld": says(None)}, "problems/programs/no_minimum.py:prove_unheld"),
     # --- least squares
@@ -377,6 +382,10 @@ MECHANISMS = (
               {f"{LEAST}.engine_points:on_its_face": Instead(lambda old: lambda point, A, b: point)},
               "problems/least_squares/engine_points.py:on_its_face",
               "problems/least_squares/test_least_squares.py::test_boxed_problems_as_by_scipy_bvls"),
+    Mechanism("small slopes", "faces of a lasso whose penalties are far below the data",
+              {f"{LEAST}.engine_points:_with_small_slopes": Instead(lambda old: lambda *_: iter(()))},
+              "problems/least_squares/engine_points.py:_with_small_slopes",
+              "problems/least_squares/test_lasso.py::test_penalties_far_below_the_data_are_no_trouble"),
     Mechanism("projected steps", "projected gradients and conjugate steps",
               {f"{LEAST}.run:projected_steps": only_start()},
               "problems/least_squares/steps.py:projected_steps problems/least_squares/steps.py:_conjugate_steps "

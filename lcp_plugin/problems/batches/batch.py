@@ -323,6 +323,8 @@ def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Se
 
 
 def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
+    if isinstance(q, str):
+        raise InvalidOption(f"an algorithm is named by algorithm={q!r}; what stands second are vectors")
     if not (q is None and lower is None and upper is None):
         raise InvalidOption(f"{what} bring q and their bounds; write {remedy} for others")
 

@@ -165,7 +165,7 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
             if not engine.options:
                 raise
             given = ", ".join(f"{name}={value!r}" for name, value in engine.options.items())
-            raise InvalidOption(f"{engine.name} does not take {given}: {str(error).splitlines()[0]}") from error
+            raise InvalidOption(f"{engine.name} does not take {given}: {_in_short(error)}") from error
     else:  # what is left to say is whether the rows hold
         empty, (m, p) = np.zeros(0), (prepared.statement.h.size, prepared.statement.b.size)
         multipliers = Multipliers(np.zeros(m), np.zeros(p), empty, empty)
@@ -185,6 +185,11 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
         if (solution := _solution(reduction, prepared, one)) is not None:
             yield solution, one._replace(iterations=steps)
             steps = 0
+
+
+def _in_short(error: Exception) -> str:
+    """Return the first sentence that another package has for an error; of a binding's list of signatures its head."""
+    return str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
 
 
 def at_rest(statement: Statement, points: Sequence[Point]) -> Iterator[Point]:

@@ -493,3 +493,11 @@ def test_answers_of_other_kinds_have_rows_too() -> None:
     assert [x.size for x in several.x] == [2, 1]
     unbounded = solve_batch([program.with_vectors(c=[0.0, 0.0]), program])
     assert unbounded.objective == pytest.approx([0.0, -2.25], abs=1e-12)
+
+
+def test_an_algorithm_in_the_place_of_vectors_is_told_where_it_goes() -> None:
+    """solve(p, "lemke") names it second, solve_batch by its keyword."""
+    program = QuadraticProgram(np.eye(2), [1, -1])
+    for many in ([program, program], [LCP(np.eye(2), [1, -1])]):
+        with pytest.raises(InvalidOption, match="algorithm='lemke'"):
+            solve_batch(many, "lemke")

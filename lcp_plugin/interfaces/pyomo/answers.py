@@ -26,7 +26,8 @@ from pyomo.contrib.solver.common.config import SolverConfig
 from pyomo.contrib.solver.common.factory import SolverFactory
 from pyomo.contrib.solver.common.results import Results, SolutionStatus, TerminationCondition
 from pyomo.contrib.solver.common.util import NoFeasibleSolutionError, NoOptimalSolutionError
-from pyomo.core import SortComponents, Suffix
+from pyomo.core import Constraint, Objective, SortComponents, Suffix
+from pyomo.core.expr.visitor import identify_variables
 from pyomo.core.staleflag import StaleFlagManager
 
 from ... import __version__
@@ -150,6 +151,7 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
     if found.x is not None and found.duals is not None:
         own = [(j, variable) for j, variable in enumerate(statement.variables) if j not in statement.added]
         values.update((variable, float(found.x[j])) for j, variable in own)
+        values.update((variable, _nearest_to_zero(variable)) for variable in _without_weight(model, values))
         duals.update(
             (row.stated if isinstance(row, Pair) else row, float(dual))
             for row, dual in zip(statement.rows, found.duals, strict=True) if row is not None
@@ -158,6 +160,20 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
         tolerance = Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance
         violated = _violated(statement, values, tolerance)
     return PyomoAnswer(statement, found, problem, values, duals, violated)
+
+
+def _without_weight(model: Any, values: ComponentMap) -> list[Any]:
+    """Return the variables that the model mentions and its file does not: all that they stand in is 0."""
+    found = ComponentMap()
+    for stated_one in model.component_data_objects((Objective, Constraint), active=True, descend_into=True):
+        if stated_one.expr is not None:
+            found.update((one, None) for one in identify_variables(stated_one.expr, include_fixed=False))
+    return [one for one in found if one not in values and one.value is None]
+
+
+def _nearest_to_zero(variable: Any) -> float:
+    lower, upper = variable.bounds
+    return float(max(0.0 if lower is None else lower, min(0.0, math.inf if upper is None else upper)))
 
 
 def _problem(statement: Statement) -> NLModel:

@@ -91,9 +91,7 @@ def basket(p: np.ndarray, income: float, share: np.ndarray, elasticity: float) -
     wanted, power = share > 0, 1 - 1 / elasticity
     x = cp.Variable(int(wanted.sum()))
     utility = np.sign(power) * share[wanted] ** (1 / elasticity) @ cp.power(x, power)
-    cp.Problem(cp.Maximize(utility), [p[wanted] @ x <= income]).solve(
-        solver="CLARABEL", tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10
-    )
+    cp.Problem(cp.Maximize(utility), [p[wanted] @ x <= income]).solve(solver="CLARABEL")
     bought = np.zeros(p.size)
     bought[wanted] = x.value
     return bought

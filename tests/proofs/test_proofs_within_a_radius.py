@@ -96,8 +96,10 @@ def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
 
 @pytest.mark.full
 def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
-    """None of 200 consistent programs with the same rows has a proof that counts."""
-    assert [seed for seed in range(200) if redundant_program("optimal", seed).facts.accepted_proof() is not None] == []
+    """None of 200 consistent programs with the same rows has a proof that counts; one rounded may fall for ever."""
+    proofs = [redundant_program("optimal", seed).facts.accepted_proof() for seed in range(200)]
+    assert [seed for seed, proof in enumerate(proofs) if proof is not None and proof.verdict == "infeasible"] == []
+    assert all(proof.is_exact for proof in proofs if proof is not None)
 
 
 @pytest.mark.parametrize("seed", range(6))

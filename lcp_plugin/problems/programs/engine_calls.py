@@ -29,7 +29,8 @@ from .program_matrices import as_csr, may_be_small
 from .reductions import FoldedRows, Reduction
 from .solution import QPSolution
 
-SHARPEST = 2  # points: as it came, and polished
+SHARPEST = 4  # points: as it came, and polished, each with its noise and without
+NOISE = 2.0**-44
 CALLS = 4  # of an engine for one program
 DENSE_AT_LAST = 1500  # unknowns and rows: an active set sees through numbers that steps between the bounds do not
 PROXIMAL = {"eps_prox": 1e-6, "eta_prox": 1e-12}  # of daqp, where P is nothing beside its prox: until x stands still
@@ -182,9 +183,20 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])
     for one in chain(first, [point], cases, at_zero, at_rest(prepared.statement, first or [point])):
-        if (solution := _solution(reduction, prepared, one)) is not None:
-            yield solution, one._replace(iterations=steps)
-            steps = 0
+        for near in chain([one], without_noise(one)):
+            if (solution := _solution(reduction, prepared, near)) is not None:
+                yield solution, one._replace(iterations=steps)
+                steps = 0
+
+
+def without_noise(point: Point) -> Iterator[Point]:
+    """Yield the point with 0 in place of x and multipliers that are rounding beside the largest, if any."""
+    x, y = point.x, np.concatenate(point.multipliers)
+    of_x, of_y = np.abs(x), np.abs(y)
+    in_x, in_y = of_x <= NOISE * of_x.max(initial=0.0), of_y <= NOISE * of_y.max(initial=0.0)
+    if x[in_x].any() or y[in_y].any():
+        kept = np.split(np.where(in_y, 0.0, y), np.cumsum([part.size for part in point.multipliers[:-1]]))
+        yield point._replace(x=np.where(in_x, 0.0, x), multipliers=Multipliers(*kept))
 
 
 def _in_short(error: Exception) -> str:

@@ -53,7 +53,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
     The status is judged by the program's own residuals, then values are measured on the problem as it was stated;
     infeasible and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.proof``; of an infeasible
-    problem the duals are the multipliers that prove it, and ``extra_stats.contradiction`` names the constraints.
+    problem the duals are the multipliers that prove it, and ``extra_stats.contradiction`` names the constraints, where
+    cvxpy passes them on (1.9 does, 1.6 does not).
 
     Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``,

@@ -166,7 +166,7 @@ def _by_nnls(A: FloatVector, b: FloatVector, *, is_asked: bool) -> FloatVector:
 
     try:
         z: FloatVector = nnls(A, b, maxiter=STEPS * A.shape[1])[0] if is_asked else np.full(A.shape[1], np.nan)
-    except (RuntimeError, ValueError):  # too many steps; what is not finite
+    except (RuntimeError, ValueError, np.linalg.LinAlgError):  # too many steps; what is not finite; what is singular
         return np.full(A.shape[1], np.nan)
     return z
 

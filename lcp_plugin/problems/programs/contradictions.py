@@ -59,7 +59,7 @@ def contradicting_multipliers(
         return None
     try:
         found = nnls(matrix, target, maxiter=STEPS * right.size)[0]
-    except RuntimeError:  # too many steps
+    except (RuntimeError, np.linalg.LinAlgError):  # too many steps; singular, in releases of scipy before 1.15
         return None
     found = np.where(found > NEGLIGIBLE * found.max(), found, 0.0) / lengths
     y = np.zeros(d.size)

@@ -119,7 +119,8 @@ def test_large_lassos_are_solved_without_doubling(form: Any, bounds: dict[str, A
     moved = np.clip(np.sign(result.x - slope) * np.maximum(np.abs(result.x - slope) - l1, 0.0), *whole.values())
     assert np.abs(result.x - moved).max() <= 1e-7 * np.abs(A.T @ b).max()
     assert 5 <= np.count_nonzero(result.x) <= 100
-    assert result.gap <= 1e-7 * result.cost  # of an operator no exact face is solved for
+    asked = 1e-7 if form is aslinearoperator else 1e-8  # no face of an operator is solved for
+    assert result.gap <= asked * result.cost
     assert abs(float(exact_cost(A[:2], b[:2], result.x, **{**rest, "weights": np.ones(2)})) - 0.5 * (
         np.sum((A[:2] @ result.x - b[:2]) ** 2)) - l1 * np.abs(result.x).sum()) <= 1e-9
 
@@ -137,7 +138,8 @@ def test_a_convex_solver_agrees() -> None:
     best = cp.Problem(cp.Minimize(fit + l1 @ cp.abs(x)), held).solve(solver="CLARABEL")
     assert abs(result.cost - best) <= 1e-6 * best
     np.testing.assert_allclose(result.x, x.value, atol=1e-4)
-    assert result.gap <= 1e-7 * result.cost  # of an operator no exact face is solved for
+    asked = 1e-7 if form is aslinearoperator else 1e-8  # no face of an operator is solved for
+    assert result.gap <= asked * result.cost
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1])

@@ -1,7 +1,7 @@
 """The algorithms by their names: a table of our classes, and those that installed packages offer.
 
 An algorithm is a class below :class:`Algorithm` with ``name``, its options as fields, ``needs``, ``solves``, ``cost``
-and ``reference``, which ``lcp-plugin list`` and README's table tell. Ours is a file in ``methods/`` and a line of
+and ``reference``, which ``lcp-plugin list`` and the manual's table tell. Ours is a file in ``methods/`` and a line of
 `REGISTRY`; a class without a line is a step of ``auto`` alone. Another package offers one as an entry point,
 ``name = "module:Class"`` in the group ``lcp_plugin.algorithms``: the name of the entry point must be the class's, and
 none of ours. ``examples/add_an_algorithm.py`` writes one. Convex programs have engines, too, other people's solvers, in

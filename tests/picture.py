@@ -1,4 +1,4 @@
-"""README's picture of the package: its subpackages, where they lie, and the arrows between them."""
+"""The pictures of the package: subpackages, where they lie, and arrows in the manual; storeys in the README."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ GROUPS = ("methods", "problems", "interfaces")  # folders of subpackages
 
 
 def _section() -> str:
-    return (ROOT / "README.md").read_text(encoding="utf-8").split("## How it is built")[1].split("\n## ")[0]
+    page = ROOT / "examples" / "manual" / "architecture.md"
+    return page.read_text(encoding="utf-8").split("# How it is built")[1].split("\n## ")[0]
 
 
 def _arrows(line: str) -> dict[str, set[str]]:
@@ -38,6 +39,8 @@ DRAWN = set(ARROWS)
 # A method of one file that imports the core alone need not be drawn.
 ARROWS |= {one.stem: set() for one in (PACKAGE / "methods").glob("*.py") if one.stem not in {*DRAWN, "__init__"}}
 PLACES = [PACKAGE / group for group in ("", *GROUPS)]
+_storeys = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+STOREYS = [_named(line) for line in _storeys[-1].splitlines()] if _storeys else []
 FOLDERS = {  # or the file of one that is one
     name: next((one for one in [*(place / name for place in PLACES), *(place / f"{name}.py" for place in PLACES)]
                 if one.exists()), PACKAGE / name)

@@ -1,6 +1,6 @@
 """Rows of M spread over the ranks of an MPI job.
 
-Once PETSc is there (see the README, "Several machines"), run a command or a script on so many ranks::
+Once PETSc is there (see `examples/manual/many_machines.md`), run a command or a script on so many ranks::
 
     mpiexec -n 2 lcp-plugin solve obstacle-2d --size 500 --backend petsc --out answer
     mpiexec -n 2 python membrane.py

@@ -1,4 +1,4 @@
-"""The README's section on several machines, and the page that it names, do what they say."""
+"""The manual's section on several machines, and the page that it names, do what they say."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from launch import run, run_code
 
 import lcp_plugin.ranks
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-SECTION = README.split("## Several machines")[1].split("\n## ")[0]
+PAGE = Path(__file__).parents[2].joinpath("examples", "manual", "many_machines.md").read_text(encoding="utf-8")
+SECTION = PAGE.split("## Several machines")[1].split("\n## ")[0]
 
 
 def test_the_script_of_the_page_runs() -> None:

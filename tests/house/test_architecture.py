@@ -1,4 +1,4 @@
-"""The picture in the README is the import graph, and importing the package loads nothing heavy."""
+"""The pictures in the README and the manual are the import graph, and importing the package loads nothing heavy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from fresh_process import printed_by
-from picture import ARROWS, DRAWN, FOLDERS, LINES, above, explained, subpackage_of
+from picture import ARROWS, DRAWN, FOLDERS, LINES, STOREYS, above, explained, subpackage_of
 
 import lcp_plugin
 from lcp_plugin import algorithms
@@ -98,7 +98,7 @@ def assert_has_no_circle(imports: dict[str, set[str]]) -> None:
 def test_arrows_stand_in_the_picture(file: Path) -> None:
     """A file imports from its own subpackage, from the core, and from where the arrows lead, in functions too."""
     subpackage = subpackage_of(file)
-    assert subpackage in ARROWS, f"README's picture and the table below it lack {subpackage}"
+    assert subpackage in ARROWS, f"the picture in architecture.md and the table below it lack {subpackage}"
     for target in IMPORTS[module_of(file)]:
         allowed = {subpackage, "core", *ARROWS[subpackage]}
         assert subpackage_of(MODULES[target]) in allowed, f"{module_of(file)} → {target}"
@@ -149,6 +149,15 @@ def test_the_package_offers_a_file_nothing_but_the_version() -> None:
 def test_the_house_has_few_floors() -> None:
     """The picture has at most 14 lines."""
     assert len(LINES) <= FLOORS
+
+
+def test_the_storeys_of_the_readme_hold() -> None:
+    """Each subpackage stands on one line of README's picture; none imports from a line below its own."""
+    storey = {name: k for k, names in enumerate(STOREYS) for name in names}
+    for k, names in enumerate(STOREYS):  # a folder stands for those of its subpackages that no line names
+        storey |= {name: k for name in names if not any(name in STOREYS[j] for j in range(k))}
+    assert set(storey) == set(ARROWS)
+    assert [(one, other) for one, targets in ARROWS.items() for other in targets if storey[other] > storey[one]] == []
 
 
 def test_picture_shows_every_subpackage() -> None:
@@ -236,14 +245,14 @@ def test_layers_ask_for_their_frameworks() -> None:
 
 
 def table_rows() -> dict[str, list[str]]:
-    """The README's algorithm table: name → cells."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## The algorithms")[1].split("\n## ")[0]
+    """The manual's table of algorithms: name → cells."""
+    text = (ROOT / "examples" / "manual" / "algorithms.md").read_text(encoding="utf-8")
     lines = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("| `")]
     return {cells[0].strip().strip("`"): [cell.strip() for cell in cells[1:]] for cells in lines}
 
 
-def test_readme_table_is_the_registry() -> None:
-    """A row of the README's algorithm table says what the class says; those of new files may come later."""
+def test_the_table_of_algorithms_is_the_registry() -> None:
+    """A row of the manual's table of algorithms says what the class says; those of new files may come later."""
     from dataclasses import fields
 
     rows = table_rows()

@@ -19,6 +19,7 @@ from manual import site
 from manual.contents import EXAMPLES, SUBJECTS, Example, Guide, examples, guides, is_member, subject_of
 from manual.docstrings import CODE, render, to_markdown
 from manual.formulas import HIGH, LOW, mathml, set_formulas
+from manual.pictures import LARGEST, PICTURES, shown
 from public_names import PUBLIC
 
 import lcp_plugin.ranks
@@ -116,14 +117,22 @@ def test_the_code_of_a_guide_prints_what_stands_below_it(guide: Guide) -> None:
 
 
 def test_guides_are_few_and_their_sentences_short() -> None:
-    """At most eight, each with a picture that an example draws; no sentence of more than 25 words."""
-    assert len(guides()) <= 8
+    """Each with a picture that an example draws; no sentence of more than 25 words."""
     drawn = {f"examples/{example.name}.png" for example in examples()}
     for guide in guides():
         assert guide.picture in drawn
         prose = re.sub(r"^[|!].*$", "", re.sub(r"^```.*?^```$", "", guide.source, flags=re.S | re.M), flags=re.M)
         for sentence in re.split(r"(?<=[.!?:;])\s+|\n\n|\n- ", prose):
             assert len(sentence.split()) <= 25, sentence
+
+
+def test_the_pictures_of_the_pages_are_small_and_are_those_of_examples() -> None:
+    """Each is kept beside the pages, of at most 100 kB, and an example draws it; no other one is kept."""
+    names = {example.name for example in examples()} | {"three_problems"}
+    for name in shown():
+        assert name in names
+        assert PICTURES.joinpath(f"{name}.png").stat().st_size <= LARGEST, name
+    assert {file.stem for file in PICTURES.glob("*.png")} == {*shown(), "three_problems"}
 
 
 @pytest.mark.full

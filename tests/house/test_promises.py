@@ -1,4 +1,4 @@
-"""The README's section "What is promised", line by line: each test quotes the words that it keeps."""
+"""The manual's page "What is promised", line by line: each test quotes the words that it keeps."""
 
 from __future__ import annotations
 
@@ -45,17 +45,16 @@ from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 TESTS = Path(__file__).parents[1]
-README = TESTS.parent.joinpath("README.md").read_text(encoding="utf-8")
+PAGE = TESTS.parent.joinpath("examples", "manual", "promises.md").read_text(encoding="utf-8")
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
 TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
 
 
 def promises() -> list[str]:
-    """The words in bold that begin each line of the section."""
-    section = README.split("## What is promised\n")[1].split("\n## ")[0]
-    found: list[str] = re.findall(r"^- \*\*(.*?)\*\*", section, re.M | re.S)
-    assert len(found) == section.count("\n- ")
+    """The words in bold that begin each line of the page."""
+    found: list[str] = re.findall(r"^- \*\*(.*?)\*\*", PAGE, re.M | re.S)
+    assert len(found) == PAGE.count("\n- ")
     return [" ".join(words.split()).rstrip(":,.") for words in found]
 
 
@@ -67,7 +66,7 @@ def quoted() -> list[str]:
 
 
 def test_every_promise_has_its_test_and_every_test_its_promise() -> None:
-    """The section and this file change together: the same words in both."""
+    """The page and this file change together: the same words in both."""
     assert len(promises()) >= 10
     assert {*promises()} == {*quoted()}
 

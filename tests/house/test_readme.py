@@ -17,7 +17,8 @@ from lcp_plugin.commands.cli import app
 
 ROOT = Path(__file__).parents[2]
 README = ROOT.joinpath("README.md").read_text(encoding="utf-8")
-LONGEST = 250
+MANUAL = ROOT / "examples" / "manual"
+LONGEST, WIDEST = 150, 100
 
 
 def blocks(language: str) -> list[str]:
@@ -84,7 +85,7 @@ def test_pages_open_without_extras(module: str) -> None:
 
 def test_the_example_of_an_algorithm_says_how_to_offer_it() -> None:
     """The TOML in the docstring that "Add an algorithm" leads to is the entry point that this package reads."""
-    assert "examples/add_an_algorithm.py" in README
+    assert "(../add_an_algorithm.py)" in MANUAL.joinpath("architecture.md").read_text(encoding="utf-8")
     told = ast.get_docstring(ast.parse(ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")))
     block = re.search(r"^ +(\[project.*?)\n\n", told or "", re.S | re.M)
     assert block is not None
@@ -93,8 +94,31 @@ def test_the_example_of_an_algorithm_says_how_to_offer_it() -> None:
 
 
 def test_it_stays_short() -> None:
-    """What is looked up stands where it is looked up: the README has at most 250 lines."""
+    """What is looked up stands in the manual: the README has at most 150 lines, none wider than 100 characters."""
     assert len(README.splitlines()) <= LONGEST
+    assert max(map(len, README.splitlines())) <= WIDEST
+
+
+def test_links_lead_to_files() -> None:
+    """Each link of the README and of the manual's pages leads to a file, and to a title of it."""
+    followed = 0
+    for file in (ROOT / "README.md", ROOT / "examples" / "README.md", *MANUAL.glob("*.md")):
+        for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", file.read_text(encoding="utf-8")):
+            name, _, title = link.partition("#")
+            target = file.parent / name if name else file
+            assert target.is_file(), f"{file.name} → {link}"
+            titles = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.M) if title else []
+            assert not title or title in {re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in titles}
+            followed += 1
+    assert followed > 20
+
+
+@pytest.mark.parametrize("file", [ROOT / "README.md", *sorted(MANUAL.glob("*.md"))], ids=lambda file: file.stem)
+def test_sentences_are_short(file: Path) -> None:
+    """No sentence of the README or of a page of the manual has more than 25 words; what is in tables is no sentence."""
+    prose = re.sub(r"^[|!].*$", "", re.sub(r"^```.*?^```$", "", file.read_text("utf-8"), flags=re.S | re.M), flags=re.M)
+    for sentence in re.split(r"(?<=[.!?:;])\s+|\n\n|\n- |\n\d\. ", prose):
+        assert len(sentence.split()) <= 25, sentence
 
 
 def test_every_kind_of_block_is_known() -> None:

@@ -1,6 +1,7 @@
 """Write the manual: ``python tests/manual FOLDER``; then open FOLDER/index.html, for which no network is needed.
 
 Pictures and outputs that FOLDER does not hold yet are made by running the examples, which takes a minute or two.
+``--keep`` puts those that pages of ``examples/manual`` show into ``examples/pictures``, made small.
 """
 
 from __future__ import annotations
@@ -12,12 +13,17 @@ from pathlib import Path
 sys.path[0] = str(Path(__file__).parents[1])
 sys.path.insert(1, str(Path(__file__).parents[2]))
 
+from manual.pictures import keep  # noqa: E402
 from manual.site import run_examples, write  # noqa: E402
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser("python tests/manual", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folder", type=Path, help="where the pages go")
-    folder = parser.parse_args().folder
+    parser.add_argument("--keep", action="store_true", help="commit the pictures of the pages: put them beside these")
+    given = parser.parse_args()
+    folder = given.folder
     for line in run_examples(folder):
+        print(line, flush=True)
+    for line in keep(folder) if given.keep else ():
         print(line, flush=True)
     print(f"{write(folder)} pages; open {folder / 'index.html'}")

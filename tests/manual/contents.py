@@ -1,4 +1,4 @@
-"""What the manual holds: guides, subjects by subpackage, pages of names and of help, and where each name is found."""
+"""What the manual holds: pages in Markdown, subjects, pages of names and of help, and where each name is found."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ import lcp_plugin
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-GUIDES = (  # files beside this one, in the order in which they are read
+GUIDES = (  # in examples/manual, in the order in which they are read
     "first_model", "which_algorithm", "what_is_proved", "contact", "options_in_time", "equilibria_and_leaders",
     "layers", "many_machines",
 )
+TO_LOOK_UP = ("solved", "algorithms", "promises", "speed", "limits", "architecture")  # tables, in examples/manual
 SUBJECTS = {  # subject: what it is about, and the subpackages whose names and pages it shows; the longest match counts
     "solve": ("Solve: problems, methods, what comes back", "core algorithms api auto methods problems"),
     "model": ("Model: in cvxpy, as a program, a game, an equation", "modeling problems.programs "
@@ -160,7 +161,7 @@ class Guide:
     @cached_property
     def source(self) -> str:
         """The file, in Markdown."""
-        return Path(__file__).with_name("guides").joinpath(f"{self.name}.md").read_text(encoding="utf-8")
+        return (EXAMPLES / "manual" / f"{self.name}.md").read_text(encoding="utf-8")
 
     @property
     def address(self) -> str:
@@ -174,18 +175,25 @@ class Guide:
 
     @property
     def body(self) -> str:
-        """What stands below the title."""
-        return self.source.partition("\n")[2]
+        """What stands below the title, its links leading to pages of the site."""
+        text = re.sub(r"\]\(\.\./pictures/(\w+\.png)\)", r"](examples/\1)", self.source.partition("\n")[2])
+        text = re.sub(r"\]\(\.\./(\w+)\.py\)", r"](examples/\1.html)", text)
+        return re.sub(r"\]\((\w+)\.md(#[\w-]+)?\)", r"](guide.\1.html)", text)
 
     @property
     def picture(self) -> str:
         """The first picture's file; a guide without one is none."""
-        return re.findall(r"^!\[.*\]\((\S+)\)$", self.source, re.M)[0]
+        return re.findall(r"^!\[.*\]\((\S+)\)$", self.body, re.M)[0]
 
 
 def guides() -> list[Guide]:
     """Return the guides in their order."""
     return [Guide(name) for name in GUIDES]
+
+
+def to_look_up() -> list[Guide]:
+    """Return the pages of tables in their order."""
+    return [Guide(name) for name in TO_LOOK_UP]
 
 
 @dataclass

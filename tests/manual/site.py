@@ -35,6 +35,7 @@ from .contents import (
     members_of,
     pages,
     subject_of,
+    to_look_up,
 )
 from .docstrings import render, summary
 
@@ -76,7 +77,8 @@ class Site:
     """All pages, and where each name stands."""
 
     def __init__(self) -> None:
-        self.package, self.pages, self.examples, self.guides = lcp_plugin, pages(), examples(), guides()
+        self.package, self.pages, self.examples = lcp_plugin, pages(), examples()
+        self.guides, self.to_look_up = guides(), to_look_up()
         self.addresses = {name: address for page in reversed(self.pages) for name, address in page.anchors()}
         self.templates = Environment(
             loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
@@ -125,9 +127,9 @@ class Site:
                 for name in ("start", "guide", "subject", "page", "example", "search")}
         yield "index.html", make["start"](up="", subject=None)
         yield "search.html", make["search"](up="", subject=None)
-        for k, guide in enumerate(self.guides):
+        for k, guide in enumerate(told := self.guides + self.to_look_up):
             yield guide.address, make["guide"](
-                up="", subject=None, guide=guide, text=self.docstring(guide.body), following=self.guides[k + 1 : k + 2]
+                up="", subject=None, guide=guide, text=self.docstring(guide.body), following=told[k + 1 : k + 2]
             )
         for subject in SUBJECTS:
             yield f"subject.{subject}.html", make["subject"](up="", subject=subject)

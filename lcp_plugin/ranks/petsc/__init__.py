@@ -10,5 +10,5 @@ try:
 except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library raises the latter
     raise InvalidOption(
         f"several ranks need mpi4py and petsc4py ({error}); install them with pip install 'lcp_plugin[petsc]' as the "
-        "README's section on several machines describes"
+        "examples/manual/many_machines.md describes"
     ) from None

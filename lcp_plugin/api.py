@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, overload
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from .auto import solve_lcp
 from .core.algorithm import Algorithm
+from .core.errors import UnknownAlgorithm
 from .core.lcp import LCP
 from .core.policy.policy import Policy
 from .core.solving.result import Result
@@ -161,6 +163,8 @@ def solve(
     >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
     ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
     """
+    if isinstance(algorithm, (np.ndarray, list, tuple)):
+        raise UnknownAlgorithm(f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…")
     if isinstance(problem, LCP):
         return solve_lcp(
             problem, algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, max_iterations=max_iterations,

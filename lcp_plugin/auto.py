@@ -370,10 +370,7 @@ def policy_for(
     if isinstance(algorithm, Engine):
         raise refusal_of_engine(algorithm.name)
     if not isinstance(algorithm, str):
-        start = "; a start is z0=…" if isinstance(algorithm, (np.ndarray, list, tuple)) else ""
-        raise UnknownAlgorithm(
-            f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}{start}"
-        )
+        raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
     return _single(create(algorithm, options), on_ranks, prove_infeasibility)
 
 

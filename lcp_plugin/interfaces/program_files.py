@@ -15,6 +15,7 @@ from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
 from ..core.kind import with_article
 from ..core.lcp import LCP
 from ..problems.cones.data import ConeProblem, FrictionalContact
+from ..problems.cones.files import LAYOUT as CONE_LAYOUT
 from ..problems.cones.files import problem_of as cone_problem_of
 from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
@@ -88,8 +89,16 @@ def load_problem(path: str | PathLike[str]) -> Any:
     if kind is FrictionalContact and checked_path(path).suffix.lower() in HDF5:
         return load_fclib(checked_path(path))
     if kind in (ConeProblem, FrictionalContact):
-        return cone_problem_of(read_npz(checked_path(path), OF_CONES), path)
+        return _cones_in(checked_path(path))
     return load_least_squares(path) if kind is BoundedLeastSquares else LCP.load(path)
+
+
+def _cones_in(source: Path) -> Any:
+    content = dict(read_npz(source, OF_CONES))
+    if content.keys() & {*MATRIX_KEYS}:
+        require_keys(source, content, MATRIX_KEYS, CONE_LAYOUT)
+        content["M"] = csr_in(source, content)
+    return cone_problem_of(content, source)
 
 
 def kind_in(path: str | PathLike[str]) -> Any:

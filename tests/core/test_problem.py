@@ -20,7 +20,16 @@ from drawn_scaling import scaled_lcps
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Certificate, InvalidProblem, LCPError, solve, strategies
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    Certificate,
+    ConeProblem,
+    InvalidProblem,
+    LCPError,
+    solve,
+    strategies,
+)
 from lcp_plugin.core import checks
 from lcp_plugin.core.matrix.matrix import Matrix, fact
 from lcp_plugin.problems.programs.conversion import QuadraticProgram
@@ -667,8 +676,10 @@ def test_a_problem_shows_what_its_users_want() -> None:
     (lambda: LCP(np.eye(2), [[1.0], [2.0]]), r"got shape \(2, 1\); write np.ravel\(q\)"),
     (lambda: LCP(np.eye(2), np.ones(2), lower=np.zeros((1, 2))), r"got shape \(1, 2\); write np.ravel\(lower\)"),
     (lambda: solve(LCP(np.eye(2), np.ones(2)), np.zeros(2)), "a start is z0=…"),
+    (lambda: solve(BoundedLeastSquares(np.eye(2), np.ones(2)), np.zeros(2)), "a start is z0=…"),
+    (lambda: solve(ConeProblem(np.eye(2), np.ones(2), [("second_order", 2)]), [0.0, 0.0]), "a start is z0=…"),
 ])
 def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(wrong: Any, words: str) -> None:
-    """The three that newcomers write first."""
+    """What newcomers write first, of every kind of problem."""
     with pytest.raises(LCPError, match=words):
         wrong()

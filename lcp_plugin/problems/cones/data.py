@@ -455,6 +455,19 @@ def _require_symmetry(W: Any) -> None:
         )
 
 
+def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:
+    """Return lower and upper bounds of a box, each of its rows; raise InvalidProblem where they have no such shape."""
+    need = f"lower and upper of {name} must be real numbers or vectors of the box's rows"
+    low, high = (np.atleast_1d(real_array(bound, need)) for bound in bounds)
+    lengths = {bound.size for bound in (low, high)} - {1} or {1}
+    if low.ndim > 1 or high.ndim > 1 or len(lengths) > 1:
+        remedy = "write np.ravel(lower), np.ravel(upper)" if low.size == high.size else "give both one length"
+        raise InvalidProblem(f"{need}, got shapes {low.shape} and {high.shape}; {remedy}")
+    (rows,) = lengths
+    low, high = (np.broadcast_to(bound, rows) for bound in (low, high))
+    return checked_limit(low, f"lower of {name}", rows), checked_limit(high, f"upper of {name}", rows)
+
+
 def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tuple[Any, ...]]:
     """Return the rows of each block, the bounds of the rows, and the cones as they were given."""
     if isinstance(cones, (str, bytes)) or not isinstance(cones, Sequence):
@@ -470,17 +483,11 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
                 f"cones[{number}] = {cone!r} has {len(cone) - 1} numbers behind its name; {NEED_CONES}"
             )
         if kind == "box":
-            try:
-                low, high = np.broadcast_arrays(
-                    *(np.atleast_1d(real_array(bound, f"bounds of cones[{number}] must be real")) for bound in cone[1:])
-                )
-            except ValueError as error:
-                raise InvalidProblem(f"lower and upper of cones[{number}] have different lengths: {error}") from error
+            low, high = _box(cone[1:], f"cones[{number}]")
             rows = low.size
-            low, high = checked_limit(low, "lower", rows), checked_limit(high, "upper", rows)
         else:
             rows = cone[1]
-            if not is_number(rows) or rows != int(rows) or rows < 0:
+            if not is_number(rows) or not 0 <= rows < np.inf or rows != int(rows):
                 raise InvalidProblem(f"cones[{number}] = {cone!r} must name a whole number of rows ≥ 0; {NEED_CONES}")
             rows = int(rows)
             is_half = kind == "nonnegative" or (kind == "second_order" and rows == 1)

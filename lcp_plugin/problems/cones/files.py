@@ -7,8 +7,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import scipy.sparse as sp
-
 from ...core.errors import InvalidProblem, UnreadableFile
 from .data import CONES, ConeProblem, FrictionalContact
 
@@ -27,18 +25,21 @@ def problem_of(content: Mapping[str, Any], source: str | PathLike[str]) -> Any:
     UnreadableFile
         Where they state none.
     """
-    name = "W" if "mu" in content or "friction" in content else "M"
     try:
-        M = content.get(name)
-        if M is None:
-            parts = [content[key] for key in ("data", "indices", "indptr", "shape")]
-            M = sp.csr_array(tuple(parts[:3]), shape=tuple(int(size) for size in parts[3]))
-            M.check_format(full_check=True)
-        if name == "W":
+        if "mu" in content or "friction" in content:
+            M = content["W"] if "W" in content else content["M"]
             q = content["b"] if "b" in content else content["q"]
             return FrictionalContact(M, q, content["mu"] if "mu" in content else content["friction"])
-        first, cones = 0, []
-        for kind, rows in zip(content["cone_kinds"].tolist(), content["cone_rows"].tolist(), strict=True):
+        M, first, cones = content["M"], 0, []
+        kinds, sizes = (_whole_numbers(content[name], name) for name in ("cone_kinds", "cone_rows"))
+        if kinds.shape != sizes.shape:
+            raise InvalidProblem(f"cone_kinds names {kinds.size} cones, and cone_rows has the rows of {sizes.size}")
+        if kinds.size and not 0 <= kinds.min() <= kinds.max() < len(CONES):
+            raise InvalidProblem(f"cone_kinds must be 0 to {len(CONES) - 1}, got {kinds.tolist()}")
+        for name in ("lower", "upper") if CONES.index("box") in kinds else ():
+            if content[name].shape != (sizes.sum(),):
+                raise InvalidProblem(f"{name} must have shape ({sizes.sum()},), got {content[name].shape}")
+        for kind, rows in zip(kinds.tolist(), sizes.tolist(), strict=True):
             own = slice(first, first + rows)
             word = CONES[kind]
             cones.append((word, content["lower"][own], content["upper"][own]) if word == "box" else (word, rows))
@@ -48,3 +49,10 @@ def problem_of(content: Mapping[str, Any], source: str | PathLike[str]) -> Any:
         raise UnreadableFile(f"{Path(source)} lacks the key {error}; {LAYOUT}") from error
     except (InvalidProblem, ValueError, IndexError, TypeError) as error:
         raise UnreadableFile(f"{Path(source)} states no problem over cones: {error}; {LAYOUT}") from error
+
+
+def _whole_numbers(values: Any, name: str) -> Any:
+    """Return a vector of whole numbers, or raise InvalidProblem."""
+    if values.ndim != 1 or values.dtype.kind not in "iu":
+        raise InvalidProblem(f"{name} must be a vector of whole numbers, got {values.tolist()!r}")
+    return values

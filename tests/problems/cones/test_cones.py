@@ -30,6 +30,7 @@ from lcp_plugin import (
     LCPError,
     Status,
     UnknownAlgorithm,
+    UnreadableFile,
     UnsuitableProblem,
     derivative,
     load_problem,
@@ -244,6 +245,40 @@ def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
             np.testing.assert_array_equal(solve(other).z, solve(problem).z)
     with pytest.raises(LCPError, match="npz"):
         contact.save(tmp_path / "p.nl")
+
+
+@pytest.mark.parametrize(("cone", "words"), [
+    (("box", np.zeros((2, 2)), np.ones((2, 2))), r"shapes \(2, 2\) and \(2, 2\); write np.ravel\(lower\)"),
+    (("box", np.zeros((4, 1)), np.ones(4)), r"shapes \(4, 1\) and \(4,\); write np.ravel\(lower\)"),
+    (("box", np.zeros(2), np.ones(3)), r"shapes \(2,\) and \(3,\); give both one length"),
+    (("box", None, 1.0), r"lower and upper of cones\[0\] must be real numbers or vectors of the box's rows, got None"),
+    (("box", np.full(4, np.nan), 1.0), r"lower of cones\[0\] must not hold NaN"),
+    (("second_order", np.inf), "must name a whole number of rows"),
+    (("free", np.nan), "must name a whole number of rows"),
+])
+def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) -> None:
+    """Never an exception of numpy's, nor a box of as many rows as both shapes make together."""
+    with pytest.raises(LCPError, match=words):
+        ConeProblem(np.eye(4), -np.ones(4), [cone])
+
+
+@pytest.mark.parametrize(("changed", "words"), [
+    ({"shape": [np.inf, 4]}, "shape must hold whole numbers"), ({"shape": [4.5, 4]}, "shape must hold whole numbers"),
+    ({"indices": [np.nan, 1, 2, 3]}, "indices must hold whole numbers"), ({"indices": [9, 1, 2, 3]}, "no valid CSR"),
+    ({"indptr": [0, 1, 2, 3, np.inf]}, "indptr must hold whole numbers"),
+    ({"cone_kinds": [-1, 1]}, r"cone_kinds must be 0 to 3, got \[-1, 1\]"), ({"cone_kinds": [4, 1]}, "must be 0 to 3"),
+    ({"cone_kinds": [3]}, "cone_kinds names 1 cones"), ({"cone_kinds": 3}, "must be a vector of whole numbers"),
+    ({"cone_rows": [np.inf, 1]}, "cone_rows must be a vector of whole numbers"), ({"cone_rows": [-3, 7]}, "rows ≥ 0"),
+    ({"cone_kinds": [2, 1], "lower": [0.0]}, "lower must have shape"), ({"data": None}, "lacks the keys"),
+])
+def test_a_damaged_file_over_cones_is_told_what_is_wrong(changed: Any, words: str, tmp_path: Path) -> None:
+    """Shapes, indices, kinds and rows that are no whole numbers, or none of a matrix; a kind of −1 counts from none."""
+    ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(tmp_path / "p.npz")
+    with np.load(tmp_path / "p.npz") as file:
+        content = {**file, **changed}
+    np.savez(tmp_path / "p.npz", **{name: np.array(value) for name, value in content.items() if value is not None})
+    with pytest.raises(UnreadableFile, match=words):
+        load_problem(tmp_path / "p.npz")
 
 
 def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:

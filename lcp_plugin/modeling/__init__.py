@@ -12,7 +12,8 @@
 - ``complements(cp.SOC(t, x), F)`` over second-order cones, F affine, with the slack of t in its first row; or with
   ``cp.SOC(s, y)``. Coulomb friction: ``complements(friction_cone(r, mu), W @ r + b)``, r of each contact its normal
   impulse, then the tangents; nothing but definitions may stand beside it.
-- ``complements(y, G == 0)``, or plainly ``G == 0`` in the list: a free variable and its equation.
+- ``complements(y, G == 0)``, or plainly ``G == 0`` in the list: a free variable and its equation. Where y has bounds of
+  its own, G == 0 is asked for between them alone, and a ``ModelWarning`` says so.
 - Bounds of a variable that equations define, as in ``w == M @ x + q`` with w nonneg, where the pairs imply them.
 
 Parameters may stand anywhere, and a second solve starts from the first. cvxpy keeps sparse constants by columns, so

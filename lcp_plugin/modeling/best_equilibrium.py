@@ -30,9 +30,11 @@ from .builder import (
     bounds_of_rows,
     by_rank,
     entry_name,
+    of_equality_between_bounds,
+    of_missing_bounds,
     sign_of_inequality,
     states_bounds,
-    warn_of_unbounded,
+    warn,
 )
 from .certified_problem import ReducedProblem
 from .constraint import Complements, complements
@@ -49,12 +51,15 @@ class StatedPair:
         self.pair = pair
         self.first, self.second = first, second = by_rank(pair)
         self.lower, self.upper = bounds_of_rows(first)
-        self.is_equation, self.sign = second.kind == "zero", np.ones(self.lower.size)
+        self.sign = np.ones(self.lower.size)
         has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
         is_bounded = bool((has_lower | has_upper).any())
-        if self.is_equation and is_bounded:
-            raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
-        self.is_unbounded = first.kind == second.kind == "value" and not is_bounded and not states_bounds(first)
+        self.is_equation = second.kind == "zero" and not is_bounded
+        self.remarks: list[str] = []
+        if second.kind == "zero" and is_bounded:
+            self.remarks.append(of_equality_between_bounds(pair, first))
+        if first.kind == second.kind == "value" and not is_bounded and not states_bounds(first):
+            self.remarks.append(of_missing_bounds(first))
         self.w = second.expression
         if second.kind == "nonnegative" and first.kind != "nonnegative":
             self.sign = sign_of_inequality(pair, self.lower, self.upper)
@@ -115,7 +120,7 @@ def stated_program(problem: Any) -> Statement:
     """
     pairs = [StatedPair(one) for one in problem.constraints if isinstance(one, Complements)]
     others = [one for one in problem.constraints if not isinstance(one, Complements)]
-    warn_of_unbounded([pair.first for pair in pairs if pair.is_unbounded])
+    warn([remark for pair in pairs for remark in pair.remarks])
     is_affine = all(side.is_affine() for pair in pairs for side in pair.sides)
     if is_affine and not _integers(problem.variables()) and cp.Problem(problem.objective, others).is_dcp():
         try:

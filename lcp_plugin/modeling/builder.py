@@ -56,7 +56,7 @@ class Builder(Assembly):
         self.cones: list[ConePair] = []
         self.friction: list[tuple[Any, int]] = []
         #: Variables that are paired as if they had bounds, and have none.
-        self.unbounded: list[Side] = []
+        self.remarks: list[str] = []
 
     def add_equation(self, constraint: Any) -> None:
         """Take in one equality, before the pairs: what it defines is better not the variable of a pair."""
@@ -129,12 +129,12 @@ class Builder(Assembly):
             sign = sign_of_inequality(pair, low, high)
         elif other.kind == "value" and side.kind == "nonnegative":
             sign = np.ones(columns.size)  # F ≥ 0 at a lower bound, F ≤ 0 at an upper one
-        if other.kind == "zero" and (np.isfinite(low) | np.isfinite(high)).any():
-            raise UnsupportedModel(f"{pair!r} pairs an equality with a bounded variable; pair it with a free one")
-        self.is_paired[columns] = True
         is_bounded = bool((np.isfinite(low) | np.isfinite(high)).any())
+        if other.kind == "zero" and is_bounded:
+            self.remarks.append(of_equality_between_bounds(pair, side))
+        self.is_paired[columns] = True
         if side.kind == other.kind == "value" and not is_bounded and not states_bounds(side):
-            self.unbounded.append(side)
+            self.remarks.append(of_missing_bounds(side))
         self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.rows.offset, side.expression))
 
     def _keep_pair(
@@ -367,14 +367,28 @@ def pair_residual(pair: Complements) -> FloatVector | None:
     return residual
 
 
-def warn_of_unbounded(sides: Sequence[Side]) -> None:
-    """Warn of sides that are paired as if they had bounds, and have none."""
-    for side in sides:
-        warnings.warn(
-            f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
-            "nonneg=True, or write F == 0 if that is what is meant",
-            ModelWarning, stacklevel=_level_of_caller(),
-        )
+def of_equality_between_bounds(pair: Complements, side: Side) -> str:
+    """Return that the equality of a pair holds between the bounds of its variable alone; refuse an inequality."""
+    if side.kind != "value":
+        raise UnsupportedModel(f"{pair!r} pairs an equality with an inequality; pair it with a variable")
+    return (
+        f"{pair!r} pairs an equality with a bounded variable: at a bound it need not hold, as in complements(x, F); "
+        "write G == 0 in the list, outside the pair, where it always has to"
+    )
+
+
+def of_missing_bounds(side: Side) -> str:
+    """Return that a side is paired as if it had bounds, and has none."""
+    return (
+        f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with nonneg=True, or "
+        "write F == 0 if that is what is meant"
+    )
+
+
+def warn(remarks: Sequence[str]) -> None:
+    """Warn the caller of a model that can be read, but may mean something else."""
+    for remark in remarks:
+        warnings.warn(remark, ModelWarning, stacklevel=_level_of_caller())
 
 
 def _level_of_caller() -> int:

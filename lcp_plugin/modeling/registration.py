@@ -30,7 +30,7 @@ from ._compat import (
     statistics,
 )
 from .assembly import solve_from
-from .builder import Builder, warn_of_unbounded
+from .builder import Builder, warn
 from .constraint import Complements, box, complements
 from .model import Model, ModelBatch, contradiction, solve_for
 from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
@@ -173,7 +173,7 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
                 f"the constraint {constraint} stands alone beside complementarities; make it part of a pair, as in "
                 f"complements({constraint}, F >= 0)"
             )
-    warn_of_unbounded(builder.unbounded)
+    warn(builder.remarks)
     return builder.finished()
 
 

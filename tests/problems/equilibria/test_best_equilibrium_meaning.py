@@ -70,8 +70,39 @@ def test_an_equality_opposite_an_inequality_is_refused() -> None:
     """It would leave the inequality without a partner."""
     x, y = cp.Variable(), cp.Variable()
     pairs = [complements(x >= 0, y - 3 == 0), complements(y, x + 2 == 0)]
-    with pytest.raises(UnsupportedModel, match="pairs an equality with a bounded variable"):
+    with pytest.raises(UnsupportedModel, match="pairs an equality with an inequality"):
         cp.Problem(cp.Minimize(cp.square(x) + y), pairs).solve(method="LCP")
+
+
+@pytest.mark.parametrize(("F", "z", "w"), [
+    (lambda z: z - 3, 1.0, -2.0), (lambda z: 3 - z, 0.0, 3.0), (lambda z: 2 * z - 1, 0.5, 0.0),
+    (lambda z: 0 * z, 0.0, 0.0),
+])
+@pytest.mark.parametrize("beside", ["nothing", "a pair and a row", "an objective"])
+def test_an_equality_opposite_bounds_is_a_pair_between_them(F: Any, z: float, w: float, beside: str) -> None:
+    """As PATH takes it: 0 ≤ z ≤ 1 with F == 0 is F ≥ 0 at 0, F ≤ 0 at 1 and 0 between; a warning says so."""
+    x, y = cp.Variable(2, bounds=[0, 1]), cp.Variable(nonneg=True)
+    pair = complements(x, F(x) == 0)
+    more = [complements(y, y - 1), y <= x[0] + 5] if beside == "a pair and a row" else []
+    objective = cp.sum_squares(x) if beside == "an objective" else 0
+    problem = cp.Problem(cp.Minimize(objective), [pair, *more])
+    with pytest.warns(ModelWarning, match="at a bound it need not hold") as said:
+        problem.solve(method="LCP")
+    assert problem.status == cp.OPTIMAL
+    assert len(said) == 1
+    assert pair.violation() < 1e-7
+    np.testing.assert_allclose([x.value, pair.dual_value], [[z, z], [w, w]], atol=1e-7)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_an_equality_that_says_nothing_is_taken_beside_no_objective(beside: bool) -> None:
+    """A free z with 0*z == 0 may have any value, alone and beside a pair that needs it."""
+    z, x = cp.Variable(2), cp.Variable(2)
+    more = [complements(x >= 0, x + z - 1 >= 0)] if beside else []
+    problem = cp.Problem(cp.Minimize(0), [complements(z, 0 * z == 0), *more])
+    problem.solve(method="LCP")
+    assert problem.status == cp.OPTIMAL
+    assert np.isfinite(z.value).all()
 
 
 def test_variables_that_pairs_alone_name_have_values() -> None:

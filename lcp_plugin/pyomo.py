@@ -38,7 +38,8 @@ convex or not: SCIP searches, where it is installed (``pip install 'lcp_plugin[g
 - Without an objective, bounds that a variable has of its own belong to its pair, stated there or not, as PATH and AMPL
   take them: at an upper one the row may be < 0. The message names such a bound where a variable stops at it.
 - Inequalities beside complementarities, and bounds of a variable that no pair holds, are looked at afterwards: where
-  one does not hold the answer is not optimal, and the message names it.
+  one does not hold the answer is not optimal, and the message names it. A variable that stands in such inequalities
+  alone gets the value nearest to its own that they allow, where they are linear.
 - A pair whose variable is fixed is looked at afterwards too, as that of a price which is the unit.
 - Refused in words: disjunctions, functions that are not smooth or that SCIP does not know; without complementarities
   integers, nonlinear rows beside an objective, objectives that are not convex.
@@ -51,7 +52,8 @@ convex or not: SCIP searches, where it is installed (``pip install 'lcp_plugin[g
 where ``model.write`` knows no complementarities. With an objective beside complementarities ``tolerance`` is that of
 the gap, 1e-6 unless given, and ``max_iterations`` limits the nodes; ``algorithm`` is refused; the message says whose
 the bound is. Values that the variables have are tried first. The newer interface of Pyomo knows the solver by the same
-name; in both it is ``"lcp-plugin"``, too.
+name; in both it is ``"lcp-plugin"``, too. So does the command: ``pyomo solve --solver=lcp_plugin model.py``. Models of
+``pyomo.kernel`` are programs: it has no complementarities.
 
 **Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
 and ``unbounded`` only with a proof; ``noSolution``: none found, none excluded; ``other``: no better in double precision
@@ -63,6 +65,9 @@ of a program; ``rc`` that of its variables. With an objective beside complementa
 
 from __future__ import annotations
 
+import shlex
+from ast import literal_eval
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
@@ -132,14 +137,21 @@ class LCPPlugin:
         """Return the version of lcp_plugin."""
         return tuple(int(part) for part in __version__.split(".")[:3])
 
-    def set_options(self, options: dict[str, Any]) -> None:
-        """Set options for all solves that follow."""
-        self.options.update(options)
+    def set_options(self, options: Mapping[str, Any] | str) -> None:
+        """Set options for all solves that follow, as names and values or as words: "tolerance=1e-10 threads=1"."""
+        given = _options_in(options) if isinstance(options, str) else options
+        self.options.update({name: value for name, value in given.items() if value is not None})
+
+    def config_block(self, init: bool = False) -> Any:
+        """Return what the command ``pyomo solve --solver=lcp_plugin`` may be asked for."""
+        from pyomo.scripting.solve_config import default_config_block
+
+        return default_config_block(self, init)[0]
 
     def solve(
         self, model: Any, *, tee: bool = False, load_solutions: bool = True, timelimit: float | None = None,
         options: dict[str, Any] | None = None, keepfiles: bool = False, symbolic_solver_labels: bool = False,
-        warmstart: bool = True, **unknown: Any,
+        warmstart: bool = True, file_determinism: Any = None, **unknown: Any,
     ) -> Any:
         """Solve a model and return Pyomo's SolverResults.
 
@@ -160,6 +172,8 @@ class LCPPlugin:
             Beside it the names of rows and columns.
         warmstart : bool
             Accepted for others' sake: a run always begins at the values of the variables.
+        file_determinism : int, optional
+            Accepted for others' sake: the same model always becomes the same file.
 
         Raises
         ------
@@ -175,6 +189,8 @@ class LCPPlugin:
         results = _results_of(answer)
         if load_solutions:
             answer.load(model)
+            if answer.has_point and hasattr(model, "solutions"):  # of a model that is not of pyomo.kernel
+                _keep(_solution_of(answer, model, results), model, results)
         elif answer.has_point:
             results.solution.insert(_solution_of(answer, model, results))
         return results
@@ -198,6 +214,20 @@ def _refuse(unknown: dict[str, Any]) -> None:
         known = ("tee", "load_solutions", "timelimit", "options", "keepfiles", "symbolic_solver_labels", "warmstart")
         raise InvalidOption(f"lcp_plugin takes no keyword {word!r} in Pyomo{did_you_mean(word, known)}; options of the "
                             'run go into options={"tolerance": 1e-10} or solver.options')
+
+
+def _options_in(words: str) -> dict[str, Any]:
+    """Return the options of a command line, numbers as numbers."""
+    options: dict[str, Any] = {}
+    for word in shlex.split(words.strip("\"' ")):
+        name, is_given, value = word.partition("=")
+        if not is_given:
+            raise InvalidOption(f"options must be written name=value, got {word!r}; for example tolerance=1e-10")
+        try:
+            options[name] = literal_eval(value)
+        except (ValueError, SyntaxError):
+            options[name] = value
+    return options
 
 
 def _results_of(answer: PyomoAnswer) -> Any:
@@ -234,6 +264,14 @@ def _solution_of(answer: PyomoAnswer, model: Any, results: Any) -> Any:
             solution.variable[symbols.getSymbol(variable)]["Rc"] = value
     results._smap, results._smap_id = symbols, id(symbols)
     return solution
+
+
+def _keep(solution: Any, model: Any, results: Any) -> None:
+    """Keep a solution that is loaded among those of the model, which ``pyomo solve`` writes into a file."""
+    model.solutions.clear()
+    model.solutions.add_symbol_map(results._smap)
+    model.solutions.add_solution(solution, results._smap_id)
+    results._smap_id = None
 
 
 try:

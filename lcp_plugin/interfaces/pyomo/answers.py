@@ -26,8 +26,8 @@ from pyomo.contrib.solver.common.config import SolverConfig
 from pyomo.contrib.solver.common.factory import SolverFactory
 from pyomo.contrib.solver.common.results import Results, SolutionStatus, TerminationCondition
 from pyomo.contrib.solver.common.util import NoFeasibleSolutionError, NoOptimalSolutionError
-from pyomo.core import Constraint, Objective, SortComponents, Suffix
-from pyomo.core.expr.visitor import identify_variables
+from pyomo.core import ConcreteModel, Constraint, ConstraintList, Objective, SortComponents, Suffix, VarList
+from pyomo.core.expr.visitor import identify_variables, replace_expressions
 from pyomo.core.staleflag import StaleFlagManager
 
 from ... import __version__
@@ -157,6 +157,7 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
             for row, dual in zip(statement.rows, found.duals, strict=True) if row is not None
         )
     if values and found.status not in NO_POINT:
+        values.update(_of_rows_beside(statement, values))
         tolerance = Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance
         violated = _violated(statement, values, tolerance)
     return PyomoAnswer(statement, found, problem, values, duals, violated)
@@ -169,6 +170,37 @@ def _without_weight(model: Any, values: ComponentMap) -> list[Any]:
         if stated_one.expr is not None:
             found.update((one, None) for one in identify_variables(stated_one.expr, include_fixed=False))
     return [one for one in found if one not in values and one.value is None]
+
+
+def _of_rows_beside(statement: Statement, values: ComponentMap) -> ComponentMap:
+    """Return the variables of inequalities beside the pairs that stand nowhere else: as near as these let them."""
+    known = {id(variable): value for variable, value in values.items()}
+    in_problem = {id(variable) for variable in statement.variables}
+    lone, rows = ComponentMap(), []
+    for row in (beside.row for beside in statement.beside if beside.row is not None):
+        others = [one for one in identify_variables(row.body, include_fixed=False) if id(one) not in in_problem]
+        rows += [row] if others else []
+        lone.update((one, _nearest_to_zero(one) if one.value is None else one.value) for one in others)
+    if not lone:
+        return lone
+    model = ConcreteModel()
+    model.x, model.rows = VarList(), ConstraintList()
+    unknowns = {id(one): model.x.add() for one in lone}
+    for one, start in lone.items():
+        unknowns[id(one)].setlb(one.lb)
+        unknowns[id(one)].setub(one.ub)
+        unknowns[id(one)].set_value(start, skip_validation=True)
+    for row in rows:
+        model.rows.add((row.lb, replace_expressions(row.body, {**known, **unknowns}), row.ub))
+    model.objective = Objective(expr=sum((unknowns[id(one)] - start) ** 2 for one, start in lone.items()))
+    try:
+        with TemporaryDirectory() as folder:
+            answer = answered(model, {}, Path(folder) / "model.nl")
+    except UnsupportedModel:  # rows that are not linear
+        return ComponentMap()
+    if answer.found.status is not Status.SOLVED:
+        return ComponentMap()
+    return ComponentMap((one, answer.values[unknowns[id(one)]]) for one in lone)
 
 
 def _nearest_to_zero(variable: Any) -> float:

@@ -58,11 +58,12 @@ SOME = 5  # names that a message lists
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """What holds beside the square problem: `excess()` ≤ a tolerance at the values found."""
+    """What holds beside the square problem: `excess()` ≤ a tolerance at the values found; its row, an inequality."""
 
     name: str
     excess: Callable[[], float]
     why: str = "stands beside the pairs, and no unknown gives way to it"
+    row: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ def stated(model: Any, path: Path) -> Statement:
     """
     if not hasattr(model, "component_data_objects"):
         raise UnsupportedModel(f"a Pyomo model or block is needed, got {type(model).__name__}; solve a model")
-    if not model.is_constructed():
+    if not getattr(model, "is_constructed", lambda: True)():  # pyomo.kernel has no abstract models
         raise UnsupportedModel("the model is abstract and holds no data yet; solve model.create_instance(…)")
     _require_known(model)
     in_order = SortComponents.deterministic
@@ -179,16 +180,18 @@ class _Draft:
         is_equation = row.lb == row.ub and row.lb is not None
         is_row = is_equation or self.takes_inequalities or hasattr(row, "_complementarity")
         if not is_row or (not self.takes_inequalities and cannot_vary(row.body)):
-            self.look_at(row.name, row.body, row.lb, row.ub)
+            self.look_at(row.name, row.body, row.lb, row.ub, row)
+        elif _is_of_kernel(row):
+            self.states[id(self.model.rows.add((row.lb, row.body, row.ub)))] = row
         else:
             self.given.append(row)
             self.states[id(row)] = row
 
-    def look_at(self, name: str, body: Any, lower: float | None, upper: float | None) -> None:
+    def look_at(self, name: str, body: Any, lower: float | None, upper: float | None, row: Any = None) -> None:
         """Remember bounds that are looked at afterwards."""
         least, most = -math.inf if lower is None else lower, math.inf if upper is None else upper
         if math.isfinite(least) or math.isfinite(most):
-            self.beside.append(Beside(name, lambda: _excess(body, least, most)))
+            self.beside.append(Beside(name, lambda: _excess(body, least, most), row=row))
 
     def pair(self, conditions: Sequence[Any], sides: Sequence[tuple[PairSide, PairSide]]) -> None:
         """Take the complementarities, first those that leave no choice of a partner."""
@@ -232,7 +235,9 @@ class _Draft:
         """Return the statement, through a file written by Pyomo."""
         if self.given:
             self.model.given = Reference(self.given, ctype=Constraint)
-        if objectives:
+        if objectives and _is_of_kernel(objectives[0]):
+            self.model.objective = Objective(expr=objectives[0].expr, sense=objectives[0].sense)
+        elif objectives:
             self.model.objective = Reference(list(objectives), ctype=Objective)
         content, variables, rows = self._through(path)
         if len(rows) > len(variables) and len(self.model.spare_rows):  # as that of a price which is the unit
@@ -327,6 +332,11 @@ class _Draft:
             least, most = self.held.get(id(variable), (-math.inf, math.inf))
             if j not in partners and (lower > least or upper < most):
                 self.look_at(variable.name, variable, lower, upper)
+
+
+def _is_of_kernel(component: Any) -> bool:
+    """Return whether a component is one of pyomo.kernel, which a reference of Pyomo's other models cannot hold."""
+    return not hasattr(component, "parent_component")
 
 
 def _is_implied(variable: Any, pair: Pair) -> bool:

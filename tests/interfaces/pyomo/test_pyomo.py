@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import signal
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyomo.environ as pe
+import pyomo.kernel as pmo
 import pytest
 from campaigns import random_pyomo_models as campaign
 from fresh_process import printed_by
@@ -800,3 +803,61 @@ def test_a_variable_of_weight_0_has_a_value_afterwards() -> None:
     found = pe.SolverFactory("lcp_plugin").solve(model)
     assert str(found.solver.termination_condition) == "optimal"
     assert [one.value for one in (model.x, model.y, model.z)] == pytest.approx([1.0, 1.0, 0.0])
+
+
+COMMANDS_MODEL = """
+import pyomo.environ as pe
+from pyomo.mpec import Complementarity, complements
+
+model = pe.ConcreteModel()
+model.x = pe.Var([1, 2], within=pe.NonNegativeReals)
+model.pair = Complementarity(expr=complements(model.x[1] >= 0, 2 * model.x[1] + model.x[2] >= 5))
+model.other = Complementarity(expr=complements(model.x[2] >= 0, model.x[1] + 2 * model.x[2] >= -1))
+"""
+
+
+def test_pyomos_command_solves_and_writes_the_answer(tmp_path: Path) -> None:
+    """``pyomo solve --solver=lcp_plugin``, with the options of Pyomo's own tests; the file holds the values."""
+    (tmp_path / "model.py").write_text(COMMANDS_MODEL)
+    options = ["--symbolic-solver-labels", "--file-determinism=2", "--solver-options=tolerance=1e-10 threads=1"]
+    wanted = ["solve", "--solver=lcp_plugin", "--results-format=json", *options, "model.py"]
+    printed = printed_by(
+        f"import os; os.chdir({str(tmp_path)!r})\nimport lcp_plugin.pyomo  # as its entry point does\n"
+        f"from pyomo.scripting.pyomo_main import main\nprint('ended with', main({wanted!r}).errorcode)"
+    )
+    assert "ended with 0" in printed
+    (solution,) = json.loads((tmp_path / "results.json").read_text())["Solution"][1:]
+    assert solution["Variable"]["x[1]"]["Value"] == pytest.approx(2.5, abs=1e-9)
+
+
+def test_pyomos_command_finds_the_solver_by_its_entry_point() -> None:
+    """Pyomo imports what stands under pyomo.command before it reads its arguments."""
+    project = tomllib.loads((Path(lcp_plugin.__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    assert project["entry-points"]["pyomo.command"] == {"lcp_plugin": lcp_plugin.pyomo.__name__}
+
+
+def test_a_block_of_the_kernel_is_solved_as_the_same_model() -> None:
+    """Values and multipliers of a program in pyomo.kernel are those of the program in pyomo.environ."""
+    answers = []
+    for kernel in (False, True):
+        m = pmo.block() if kernel else pe.ConcreteModel()
+        m.x, m.y = (pmo.variable(lb=0), pmo.variable(lb=0)) if kernel else (pe.Var(bounds=(0, None)), pe.Var())
+        m.goal = (pmo.objective if kernel else pe.Objective)(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
+        m.row = (pmo.constraint if kernel else pe.Constraint)(expr=m.x + m.y <= 2)
+        m.dual = pmo.suffix(direction=pmo.suffix.IMPORT) if kernel else pe.Suffix(direction=pe.Suffix.IMPORT)
+        pe.assert_optimal_termination(SOLVER.solve(m, file_determinism=2))
+        answers.append([m.x.value, m.y.value, m.dual[m.row]])
+    np.testing.assert_allclose(answers, [[0.5, 1.5, -1.0]] * 2, atol=1e-8)
+
+
+def test_a_variable_of_a_lone_inequality_gives_way_to_it() -> None:
+    """It stands beside the pairs, in no other row: the nearest value is taken, with what the pairs found held fast."""
+    m = pe.ConcreteModel()
+    m.x, m.z, m.t = pe.Var(initialize=7), pe.Var(), pe.Var(bounds=(None, 4), initialize=3)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.x >= 1))
+    m.below, m.sum = pe.Constraint(expr=m.z >= 2), pe.Constraint(expr=m.x + m.t + m.z <= 5)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    np.testing.assert_allclose([m.x.value, m.z.value, m.t.value], [1.0, 2.0, 2.0], atol=1e-6)
+    m.below.deactivate()
+    m.above = pe.Constraint(expr=m.t >= m.x + 4)
+    assert "above does not hold" in SOLVER.solve(m).solver.message

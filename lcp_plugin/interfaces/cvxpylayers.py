@@ -26,8 +26,7 @@ except ImportError:
 from ..auto import asked_of_solve
 from ..core.checks import FloatVector
 from ..core.errors import LCPError, NotConverged, UnsupportedModel
-from ..modeling.program_derivative import in_words_of_programs
-from ..problems.programs.conversion import conditions
+from ..modeling.program_derivative import conditions, in_words_of_programs
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import solve_program
 from ..problems.sensitivity import Derivative

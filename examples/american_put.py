@@ -22,6 +22,7 @@ import typer
 
 from lcp_plugin import LCP, gallery, march
 from lcp_plugin.evidence.drawing import STYLE
+from lcp_plugin.evidence.free_boundary import free_boundary
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
 SIZE, STEPS = 901, 150
@@ -42,8 +43,8 @@ def main(out: Path = Path()) -> None:
     march_back = march(LCP(M, edge, lower=lower), np.broadcast_to(edge, (STEPS, SIZE)), propagator=-1.0, z0=lower)
     steps = [step.require_solved() for step in march_back]
     value, seconds = steps[-1].z, sum(step.seconds for step in steps)
-    exercised = [(step.z == lower) & (lower > 0) for step in steps]  # exactly at the bound, no tolerance needed
-    boundary = [STRIKE, *(spot[1:-1][where].max() for where in exercised)]
+    edges = [free_boundary(step, coordinates=x[1:-1]).positions for step in steps]
+    boundary = [STRIKE, *(STRIKE * np.exp(edge[edge < 0].max()) for edge in edges)]
     print(f"{STEPS} steps with {SIZE} unknowns each: {seconds:.2g} s")
 
     some = np.array([70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0, 140.0])

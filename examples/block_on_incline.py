@@ -52,7 +52,7 @@ def main(out: Path = Path()) -> None:
         worst = max(worst, abs(found[:, 0] - expected).max())
         left.plot(degrees, expected, color=colour, linewidth=1.6)
         left.plot(degrees, found[:, 0], "o", color=colour, markersize=3)
-        left.annotate(f"μ = {friction:g}", (np.degrees(np.arctan(friction)), 0.0), (4, 8), color=colour,
+        left.annotate(f"μ = {friction:g}", (np.degrees(np.arctan(friction)), 0.0), (-2, 8), color=colour, ha="right",
                       textcoords="offset points")
         right.plot(degrees, 100 * found[:, 1], color=colour, linewidth=1.6)
         slides = degrees[found[:, 0] > 1e-9]

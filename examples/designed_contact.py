@@ -25,8 +25,9 @@ import scipy.sparse as sp
 import typer
 from scipy.optimize import minimize
 
-from lcp_plugin import LCP, derivative, prepare, solve
+from lcp_plugin import LCP, Certificate, derivative, prepare, solve
 from lcp_plugin.evidence.drawing import STYLE
+from lcp_plugin.evidence.free_boundary import free_boundary
 
 SIZE, EVALUATIONS = 200, 24  # nodes along each side; solves, each with its gradient
 FLOOR, PRESSURE, BETA = -1.0, 5.0, 1e-6
@@ -100,7 +101,8 @@ def main(out: Path = Path()) -> None:
         axes.set(title=title, xticks=[-1, 0, 1], yticks=[-1, 0, 1], xlabel="x", ylabel="y")
         axes.grid(visible=False)
     left.contour(nodes, nodes, heart.reshape(shape), levels=[0.5], colors="white", linewidths=1)
-    left.contour(nodes, nodes, touches.reshape(shape), levels=[0.5], colors="#D55E00", linewidths=2)
+    answer = Certificate.of(membrane.problem.with_q(membrane.area * load), membrane.height)
+    free_boundary(answer, coordinates=(nodes, nodes)).draw(left, color="#D55E00", linewidth=2)
     left.text(0, 0, "touches", color="#D55E00", ha="center", fontsize=11)
     left.text(0, 0.72, "wanted", color="white", ha="center", fontsize=9)
     right.semilogy(membrane.history, ".-", color="#0072B2", linewidth=1.5)

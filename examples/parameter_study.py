@@ -24,6 +24,7 @@ import typer
 
 from lcp_plugin import LCP, prepare, solve, solve_batch
 from lcp_plugin.evidence.drawing import STYLE
+from lcp_plugin.evidence.free_boundary import free_boundary
 
 SIZE = 49  # nodes along each side, the edge not counted
 TWISTS = np.linspace(0.05, 5.0, 100)
@@ -49,7 +50,8 @@ def main(out: Path = Path()) -> None:
               f"{sum(one.work for one in results):7.0f} passes over M")
 
     torque = np.array([2 * h**2 * one.z.sum() for one in warm])
-    plastic = np.array([np.mean(one.z == problem.upper) for one in warm])
+    whole = np.ptp(nodes) ** 2
+    plastic = np.array([free_boundary(one, coordinates=(nodes, nodes)).area / whole for one in warm])
     elastic, fully_plastic = 0.1406 * 2**4 * TWISTS, 8 / 3
     print(f"check: the first torque differs from the elastic one by {abs(torque[0] / elastic[0] - 1):.2%}, "
           f"the last from the fully plastic one by {abs(torque[-1] / fully_plastic - 1):.2%}")
@@ -65,8 +67,7 @@ def main(out: Path = Path()) -> None:
     left.legend(loc="center right", bbox_to_anchor=(1, 0.55))
     for twist, colour in zip((1.0, 1.5, 2.5, 5.0), ("#E9C46A", "#E69F00", "#D55E00", "#7F2704"), strict=True):
         k = np.argmin(abs(TWISTS - twist))
-        edge = (warm[k].z == problem.upper).reshape(SIZE, SIZE)
-        right.contour(nodes, nodes, edge, levels=[0.5], colors=colour, linewidths=2)
+        free_boundary(warm[k], coordinates=(nodes, nodes)).draw(right, color=colour, linewidth=2)
         right.plot([], [], color=colour, linewidth=2, label=f"α = {twist:g}")
     right.set(aspect="equal", xlim=(-1, 1), ylim=(-1, 1), xticks=[-1, 0, 1], yticks=[-1, 0, 1], xlabel="x", ylabel="y")
     right.set_title("The plastic zones grow from the sides")

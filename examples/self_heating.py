@@ -22,8 +22,9 @@ import numpy as np
 import scipy.sparse as sp
 import typer
 
-from lcp_plugin import box, complements
+from lcp_plugin import LCP, Certificate, box, complements
 from lcp_plugin.evidence.drawing import HEIGHTS, STYLE
+from lcp_plugin.evidence.free_boundary import free_boundary
 
 HEAT, LIMIT, SIZE = 12.0, 1.2, 99
 
@@ -40,18 +41,20 @@ def main(out: Path = Path()) -> None:
           f"integral by {abs(-offset / slope - exact):.1e}")
 
     line, eye = laplacian(SIZE), sp.eye_array(SIZE)
-    u, cooled, story = heap((sp.kron(line, eye) + sp.kron(eye, line)) * (SIZE + 1.0) ** 2)
+    A, x = (sp.kron(line, eye) + sp.kron(eye, line)) * (SIZE + 1.0) ** 2, np.arange(1, SIZE + 1) / (SIZE + 1)
+    u, cooled, story = heap(A)
     print(story)
     print(f"cooling takes away {cooled.sum() / (HEAT * np.exp(u)).sum():.0%} of the heat, from "
           f"{np.mean(u >= LIMIT):.0%} of the area")
 
+    frozen = LCP(A, -HEAT * np.exp(u), lower=-np.inf, upper=np.full(u.size, LIMIT))  # the heat as it is at the answer
+    edge = free_boundary(Certificate.of(frozen, u), coordinates=(x, x))
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 4.1), layout="constrained")
-    x = np.arange(1, SIZE + 1) / (SIZE + 1)
     for axes, values, title in ((left, u, "Temperature"), (right, cooled, "Heat that is taken away")):
         picture = axes.pcolormesh(x, x, values.reshape(SIZE, SIZE), cmap=HEIGHTS, shading="nearest", rasterized=True)
         figure.colorbar(picture, ax=axes, shrink=0.85).outline.set_visible(False)
-        axes.contour(x, x, (u >= LIMIT).reshape(SIZE, SIZE), levels=[0.5], colors="white", linewidths=1.2)
+        edge.draw(axes, color="white", linewidth=1.2)
         axes.set(title=title, aspect="equal", xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
         axes.grid(visible=False)
     figure.savefig(out / "self_heating.png", dpi=150)

@@ -267,8 +267,8 @@ def study(
     out: Annotated[str | None, typer.Option(help="The file of raw results: study.csv.")] = None,
     save: Annotated[
         list[str] | None,
-        typer.Option(help="VIEW=FILE: iterations, work, seconds, residual, error, results, profile, profile-seconds, "
-                     "curves or curves-work, as .tex, .md, .csv, .pdf, .svg or .png."),
+        typer.Option(help="VIEW=FILE: iterations, work, seconds, residual, error, radius, results, profile, "
+                     "profile-seconds, curves, curves-work or curves-seconds, as .tex, .md, .csv, .pdf, .svg or .png."),
     ] = None,
 ) -> bool:
     """Measure methods on families of problems, resumably, into one CSV; save tables and figures of it."""

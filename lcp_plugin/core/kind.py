@@ -15,9 +15,9 @@ from typing import Any
 from .errors import InvalidOption, did_you_mean
 
 FUNCTIONS = (
-    "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "derivative", "certify", "Certificate.of",
-    "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate", "error_against_time",
-    "study",
+    "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "trace", "derivative", "certify",
+    "Certificate.of", "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate",
+    "error_against_time", "study",
 )
 STORES = ("save", "pickle")
 LANGUAGES = ("cvxpy", "Pyomo", "AMPL", "qpsolvers")

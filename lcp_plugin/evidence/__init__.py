@@ -1,7 +1,8 @@
 """Evidence: studies, pictures, tables, the report. Heavy; only the commands import it.
 
 ``lcp-plugin study`` measures methods on families of problems, yours and ours, into one CSV that a second run goes on
-from, and saves tables (LaTeX, Markdown, CSV) and pictures (PDF, SVG, PNG) of it. In Python: `study`.
+from, and saves tables (LaTeX, Markdown, CSV) and pictures (PDF, SVG, PNG) of it: iterations, passes, seconds, and the
+spectral radius that papers print (``--save radius=table.tex``). In Python: `study`.
 
 ``lcp-plugin report`` writes one page, ``index.html``, which needs no other file and no network, and the same figures as
 CSV and JSON. Scenes and your own files stand in it side by side, each with the paper's methods at its settings and at

@@ -23,7 +23,7 @@ AXIS_LABELS = {
     BOUND: "proved bound of the error ‖z − z*‖∞",
     RESIDUAL: "relative residual",
 }
-AXES = {"seconds": "time [s], set-up included", "work": "work [passes over M]"}
+AXES = {"iterations": "iterations", "work": "work [passes over M]", "seconds": "time [s], set-up included"}
 LEAST = {"work": 1.0, "seconds": 1e-9}
 """Less is not resolved: a run whose start is the answer counts one pass."""
 
@@ -113,10 +113,11 @@ class Curve:
         return f"{self.iterations:>7} iterations {self.work:>9.1f} passes {self.seconds:>9.3g} s"
 
     def line(self, against: str) -> Line:
-        """Return what a figure shows of it: errors against seconds with their spread, or against passes."""
-        _, work, seconds, low, high, error, _ = map(np.array, zip(*self.points, strict=True))
-        if against == "work":
-            return Line(self.label, self.family, np.maximum(work, 1.0), error, self.is_solved)
+        """Return what a figure shows of it: errors against seconds with their spread, passes or iterations."""
+        iterations, work, seconds, low, high, error, _ = map(np.array, zip(*self.points, strict=True))
+        if against != "seconds":
+            taken = work if against == "work" else iterations
+            return Line(self.label, self.family, np.maximum(taken, 1.0), error, self.is_solved)
         return Line(self.label, self.family, seconds, error, self.is_solved, (low, high))
 
 
@@ -207,8 +208,8 @@ class Report(Exported):
 
         Parameters
         ----------
-        against : {"seconds", "work"}
-            Seconds with their spread and the references, or passes over M, the same on every machine.
+        against : {"seconds", "work", "iterations"}
+            Seconds with their spread and the references; passes over M, the same on every machine; or iterations.
         width : float, optional
             Of the figure, inches; by default that of a journal's column.
 
@@ -224,7 +225,7 @@ class Report(Exported):
     def panel(self, against: str = "seconds") -> Panel:
         """Return what `plot` draws, as a part of a figure."""
         if not isinstance(against, str) or against not in AXES:
-            raise InvalidOption(f"against must be 'seconds' or 'work', got {against!r}")
+            raise InvalidOption(f"against must be 'seconds', 'work' or 'iterations', got {against!r}")
         timed = against == "seconds"
         marks = [(one.label, one.seconds, one.error) for one in self.references] if timed else []
         level = self.tolerance if self.error_kind == RESIDUAL else None

@@ -14,6 +14,7 @@ from ..core.representation import in_words
 from ..core.solving.result import Result
 from ..gallery.scene import Scene
 from .drawing import HEIGHTS, check_format, heights_as_colours, require_matplotlib, save, styled
+from .free_boundary import contact_level, free_boundary
 
 FINEST_SURFACE = 70  # nodes along an axis
 FEW = 60  # values, which are drawn larger
@@ -65,29 +66,37 @@ def _field(scene: Any, answer: Certificate) -> dict[str, Any]:
     """Return z over the grid as a map shows it: values, contact set, coordinates and names."""
     z, active = scene.picture(answer.z), scene.picture(is_at_bound(answer.problem, answer.z))
     names = {"unknown": scene.unknown, "active_means": scene.active_means}
-    return field_of(z, active, scene.axis_labels, scene.coordinates) | names
+    level = scene.picture(contact_level(answer.problem, answer.z, answer.w))
+    return field_of(z, active, scene.axis_labels, scene.coordinates, level) | names
 
 
-def field_of(z: Any, active: Any, labels: Sequence[str], coordinates: Sequence[Any] | None = None) -> dict[str, Any]:
-    """Return values over a grid of two or more axes, and which of them rest on a bound, as a map shows them."""
+def field_of(
+    z: Any, active: Any, labels: Sequence[str], coordinates: Sequence[Any] | None = None, level: Any = None
+) -> dict[str, Any]:
+    """Return values over a grid of two or more axes, and which of them rest on a bound, as a map shows them.
+
+    The level is that of `contact_level`; without it the edge of the set runs midway between nodes.
+    """
+    level = 0.5 - active.astype(float) if level is None else level
     axes = coordinates or tuple(np.arange(size, dtype=float) for size in z.shape)
     while z.ndim > 2:  # the middle slice of what cannot be drawn whole
-        z, active, labels, axes = z[z.shape[0] // 2], active[active.shape[0] // 2], labels[1:], axes[1:]
+        middle = z.shape[0] // 2
+        z, active, level, labels, axes = z[middle], active[middle], level[middle], labels[1:], axes[1:]
     return {
         "z": z, "active": active, "x": axes[1], "y": axes[0], "x_label": labels[1], "y_label": labels[0],
-        "unknown": "z", "active_means": "at a bound",
+        "unknown": "z", "active_means": "at a bound", "level": level,
     }
 
 
 def draw_map(axes: Any, field: dict[str, Any]) -> None:
     """Draw the field from above, its contact set dotted."""
-    x, y, z, active = (field[name] for name in ("x", "y", "z", "active"))
+    x, y, z, active, level = (field[name] for name in ("x", "y", "z", "active", "level"))
     image = axes.pcolormesh(x, y, z, shading="nearest", cmap=HEIGHTS, rasterized=True)
     axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=field["unknown"]).outline.set_visible(False)
     if 0.0 < active.mean() < 1.0 and min(z.shape) > 1:
-        axes.contourf(x, y, active, levels=[0.5, 1.5], colors="none", hatches=["....."])
+        axes.contourf(x, y, level, levels=[min(level.min(), -1.0), 0.0], colors="none", hatches=["....."])
         for shade, width in (("#ffffff", 2.4), (ACTIVE, 1.3)):
-            axes.contour(x, y, active, levels=[0.5], colors=shade, linewidths=width)
+            axes.contour(x, y, level, levels=[0.0], colors=shade, linewidths=width)
         axes.set_title(f"dotted: {field['active_means']}", color=ACTIVE, fontsize=8.5)
     axes.grid(False)
     is_square = 0.5 * np.ptp(x) <= np.ptp(y) <= 2.0 * np.ptp(x)
@@ -171,8 +180,9 @@ def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
     """Draw where the contact set that begins at the lower end of the axis ends, step by step."""
     x, edges = scene.coordinates[0], []
     for result in march:
-        free = np.flatnonzero(~is_at_bound(result.certificate.problem, result.z))
-        edges.append(x[free[0] - 1] if free.size and free[0] > 0 else np.nan)
+        found = free_boundary(result, coordinates=x).positions
+        is_at = is_at_bound(result.certificate.problem, result.z)
+        edges.append(found[0] if found.size and is_at[0] else np.nan)
     steps = np.arange(1, len(march) + 1)
     axes.plot(steps, edges, color=ACTIVE, linewidth=1.8)
     bottom = np.nanmin(edges) if np.isfinite(edges).any() else 0.0

@@ -23,6 +23,7 @@ from ..problems.equilibria.result import EquilibriumResult
 from ..problems.many.answers import AnswerSequence
 from ..problems.march import March
 from .drawing import COLOURS, HEIGHTS, require_matplotlib, save, styled
+from .free_boundary import contact_level
 from .pictures import ACTIVE, FREE, MOST_DOTS, draw_line, draw_map, draw_residuals, field_of
 
 LABELS = ("layer", "row", "column")
@@ -198,7 +199,8 @@ def labels_of(shape: Sequence[int]) -> tuple[str, ...]:
 
 def _draw_x(axes: Any, *, answer: Answer, shape: Sequence[int] | None) -> None:
     lower, upper = _bounds(answer)
-    _draw_values(axes, answer.x, lower, upper, checked_shape(shape, len(answer.x)), _unknown(answer))
+    level = contact_level(answer.certificate.problem, answer.z, answer.w) if isinstance(answer, Result) else None
+    _draw_values(axes, answer.x, lower, upper, checked_shape(shape, len(answer.x)), _unknown(answer), level)
 
 
 def _draw_cones(axes: Any, *, answer: Any, shape: Sequence[int] | None) -> None:
@@ -230,12 +232,15 @@ def _draw_cones(axes: Any, *, answer: Any, shape: Sequence[int] | None) -> None:
 
 
 def _draw_values(
-    axes: Any, x: FloatVector, lower: FloatVector, upper: FloatVector, shape: tuple[int, ...] | None, unknown: str
+    axes: Any, x: FloatVector, lower: FloatVector, upper: FloatVector, shape: tuple[int, ...] | None, unknown: str,
+    level: FloatVector | None = None,
 ) -> None:
     """Draw values as a map where they have two axes of more than one node, else by their index."""
     active = (x <= lower) | (x >= upper)
     if shape is not None and len(shape) > 1 and min(shape[-2:]) > 1:
-        draw_map(axes, field_of(x.reshape(shape), active.reshape(shape), labels_of(shape)) | {"unknown": unknown})
+        edge = None if level is None else level.reshape(shape)
+        field = field_of(x.reshape(shape), active.reshape(shape), labels_of(shape), level=edge)
+        draw_map(axes, field | {"unknown": unknown})
         return
     axes.locator_params(axis="x", integer=True)
     draw_line(axes, {

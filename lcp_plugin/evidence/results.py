@@ -22,18 +22,18 @@ from .exporting import AnyPath, Table, csv_text, number, save_tables, write_text
 
 VALUES = {
     "iterations": "iterations", "work": "work [passes over M]", "seconds": "time [s], set-up included",
-    "residual": "relative residual", "error": "error ‖z − z*‖∞",
+    "residual": "relative residual", "error": "error ‖z − z*‖∞", "radius": "spectral radius of the bound T",
 }
 RESULTS = {
     "work": "work", "seconds": "seconds", "seconds_low": "25 %", "seconds_high": "75 %", "residual": "residual",
     "error": "error",
 }
 GROWING = ("iterations", "work", "seconds")
-VIEWS = (*VALUES, "results", "profile", "profile-seconds", "curves", "curves-work")
+VIEWS = (*VALUES, "results", "profile", "profile-seconds", "curves", "curves-work", "curves-seconds")
 COLUMNS = (
     "problem", "size", "n", "nonzeros", "method", "family", "status", "iterations", "work", "seconds", "seconds_low",
     "seconds_high", "setup_seconds", "residual", "error", "error_kind", "tolerance", "repeats", "note", "machine",
-    "key", "points",
+    "radius", "key", "points",
 )
 RATIOS = (1.0, 2.0, 5.0, math.inf)
 LEAST_SIZES, FITS = 3, 1.2  # behind an exponent: sizes, and the largest factor between a value and its fit
@@ -61,6 +61,8 @@ class Row:
         Label of the method, status, note, and what was measured.
     machine : str
         Processor, system, threads and versions.
+    radius : float
+        `Guarantee.spectral_radius`; NaN where there is none.
     """
 
     problem: str
@@ -72,9 +74,12 @@ class Row:
     repeats: int
     curve: Curve
     machine: str = ""
+    radius: float = math.nan
 
     def value(self, name: str) -> float | None:
         """Return one of `VALUES`, None where the method gave no answer or there is no such error."""
+        if name == "radius":
+            return None if math.isnan(self.radius) else self.radius
         if not self.curve.is_solved or (name == "error" and self.error_kind == RESIDUAL):
             return None
         last = self.curve.last
@@ -82,7 +87,9 @@ class Row:
 
     def shown(self, name: str) -> Any:
         """Return the value, or in words how the run ended."""
-        return self.value(name) if self.curve.is_solved else self.curve.status.replace("_", " ").lower()
+        if self.curve.is_solved or name == "radius":
+            return self.value(name)
+        return self.curve.status.replace("_", " ").lower()
 
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> Row:
@@ -100,7 +107,7 @@ class Row:
         size = None if content["size"] in ("", None) else int(content["size"])
         return cls(content["problem"], size, int(content["n"] or 0), int(content["nonzeros"] or 0),
                    content["error_kind"], float(content["tolerance"]), int(content["repeats"]), curve,
-                   content["machine"])
+                   content["machine"], number(content["radius"] or None))
 
 
 @dataclass(frozen=True)
@@ -217,8 +224,8 @@ class Study:
         Parameters
         ----------
         view : str
-            A value against n with fitted exponents; "profile" or "profile-seconds"; "curves" or "curves-work", error
-            against time or work, where the study kept its curves.
+            A value against n with fitted exponents; "profile" or "profile-seconds"; "curves", "curves-work" or
+            "curves-seconds", error against iterations, work or time, where the study kept its curves.
 
         Raises
         ------
@@ -233,7 +240,7 @@ class Study:
         if view.startswith("curves"):
             if all(len(row.curve.points) <= 2 for row in self.rows):
                 raise InvalidOption("this study kept no curves; write study(…, curves=True)")
-            against = "work" if view.endswith("work") else "seconds"
+            against = view.partition("-")[2] or "iterations"
             panels = [report.panel(against) for report in self.reports() if report.curves]
         else:
             panels = [self._panel(problem, view) for problem in self.problems]

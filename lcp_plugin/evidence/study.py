@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..core.kind import kind_of, refusal
 from ..core.lcp import LCP
@@ -19,12 +20,15 @@ from ..gallery import parse
 from ..gallery.parameters import parameters_of
 from ..gallery.scene import Scene, builder_of
 from ..interfaces.files.files import checked_path
+from ..proofs.guarantees.radius import spectral_radius
 from .collecting import Part, Progress, collect, data_of, machine
 from .contestants import Contestant, as_scene_of, contestants, error_line, own_source
 from .curves import Curve
 from .error_against_time import Bench, checked_numbers, title_of
 from .exporting import AnyPath, finite_content
 from .results import COLUMNS, ResultsFile, Row, Study, name_of
+
+RADIUS_UP_TO = 3000  # unknowns: of more it would take longer than the runs
 
 
 def study(
@@ -184,10 +188,11 @@ class _Plan:
     def measured(self, label: str, size: int | None, one: Contestant, say: Any) -> dict[str, Any]:
         """Return the row of a cell, whatever somebody's code does."""
         n = nonzeros = 0
-        kind = ""
+        kind, radius = "", math.nan
         try:
             scene = self.scene(label, size)
             n, nonzeros = scene.n, scene.problem.nonzeros
+            radius = _radius(scene.problem, one.algorithm)
             bench = self.bench(label, size)
             kind = bench.yardstick.kind
             (curve,) = bench.curves([one], self.repeats, say)
@@ -202,8 +207,20 @@ class _Plan:
             label, "" if size is None else size, n, nonzeros, one.label, one.family, curve.status,
             last.iteration if has else "", *map(_blank, (last.work, last.seconds, last.seconds_low, last.seconds_high,
             curve.setup_seconds, last.residual, last.error)), kind, self.limits["tolerance"], self.repeats, curve.note,
-            self.machine, "", points if self.curves and has else "",
+            self.machine, _blank(radius), "", points if self.curves and has else "",
         ), strict=True))
+
+
+def _radius(problem: Any, algorithm: Any) -> float:
+    """Return the spectral radius that bounds a splitting's errors; NaN of any other method."""
+    if not isinstance(problem, LCP) or not isinstance(algorithm, Algorithm) or problem.n > RADIUS_UP_TO:
+        return math.nan
+    try:
+        facts = algorithm.facts(problem)
+    except (UnsuitableMatrix, UnsuitableProblem):
+        return math.nan
+    found = None if facts is None else spectral_radius(problem, facts)
+    return math.nan if found is None else found
 
 
 def _blank(value: float) -> float | str:

@@ -26,7 +26,8 @@ except ImportError:
 from ..auto import asked_of_solve
 from ..core.checks import FloatVector
 from ..core.errors import LCPError, NotConverged, UnsupportedModel
-from ..modeling.program_derivative import conditions, in_words_of_programs
+from ..modeling.program_derivative import in_words_of_programs
+from ..problems.programs.conversion import conditions
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import solve_program
 from ..problems.sensitivity import Derivative

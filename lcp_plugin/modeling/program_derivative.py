@@ -20,7 +20,7 @@ from cvxpy import settings
 from ..core.checks import FloatVector
 from ..core.errors import UnsuitableProblem, UnsupportedModel
 from ..core.lcp import LCP
-from ..problems.programs.program import QuadraticProgram
+from ..problems.programs.conversion import conditions
 from ._compat import dense, leaf_value
 from .model_derivative import Changes
 from .qp_solver import SAME, ProgramEntries, SolverAnswer
@@ -226,16 +226,6 @@ class ProgramDerivative:
             parts.append((P.row % n, P.col, P.data * x[P.row // n]))
         row, column, values = (np.concatenate(part) for part in zip(*parts, strict=True))
         return sp.csr_array(sp.coo_array((values, (row, column)), shape=(z.size, program.q.shape[1])))
-
-
-def conditions(program: QuadraticProgram) -> LCP:
-    """Return the optimality conditions of (x, inequality, equality); rows without a limit have no multiplier."""
-    limits, free = np.concatenate([program.h, program.b]), np.full(program.n, np.inf)
-    is_limit, none = np.isfinite(limits), np.full(program.b.size, np.inf)
-    lower = np.concatenate([-free, np.zeros(program.h.size), -none])
-    upper = np.concatenate([free, np.where(is_limit[: program.h.size], np.inf, 0.0), none])
-    q = np.concatenate([program.c, np.where(is_limit, limits, 0.0)])
-    return LCP(program.matrices.kkt, q, lower=lower, upper=upper)
 
 
 def _agree(own: Any, theirs: Any, tolerance: float) -> bool:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.sparse as sp
 
+from ..core.checks import BoolVector, FloatVector
 from ..core.errors import UnsuitableMatrix
+from ..core.lcp import LCP
 from ..core.settings import Status
-from ..systems.free_systems import FreeSystem
+from ..systems.factors import factor_fits
+from ..systems.free_systems import CONSISTENT, FreeSystem
 from .bounds.active_rows import estimated_error, free_rows
 from .bounds.error_bounds import ErrorBound, error_bound
 
@@ -18,6 +22,8 @@ if TYPE_CHECKING:
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 STIFF_SPREAD = 1e6
 FAR = 1e-2  # part of ‖z‖∞
+SHIFT, STEPS = 1e-8, 4  # of the largest entry; steps of inverse iteration: 10⁻⁸ beside 10⁻⁶ of it is forgotten
+STILL = 2.0**-44  # of the entries of a row: what rounding makes of a change that leaves it as it is
 BOUND_UP_TO, BOUND_PASSES = 1000, 100.0  # unknowns; passes over M that a run has cost: a bound costs less than either
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
@@ -90,15 +96,46 @@ def _nearness_to_singular(result: Result) -> str:
         return ""
     system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
     if system.is_singular and (same := system.determined_slack) is not None:
-        shared = int((~system.determined).sum())
-        return (f"z is one of several answers: w = M z + q is the same for all of them in {int(same.sum())} of "
-                f"{same.size} rows, and {shared} entries of z are not determined: in contact problems, how contacts "
-                "share a load")
+        return _of_several(same, ~system.determined)
+    if (motions := _motions(problem, system)) is not None:
+        moved = np.abs(problem.csr[:, system.rows] @ motions).max(axis=1)
+        sizes = np.asarray(abs(problem.csr[:, system.rows]).sum(axis=1)).ravel()
+        return _of_several(moved <= STILL * sizes, np.abs(motions).max(axis=1) > CONSISTENT)
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     wrong = ": z may be wrong in every digit" if error > size else ""
     return (f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
             f"residual of {residual:.0e} goes with an error of z {known}, beside a largest |z_i| of {size:.0e}{wrong}"
             f"{_advised(result)}")
+
+
+def _of_several(same: BoolVector, loose: BoolVector) -> str:
+    return (f"z is one of several answers: w = M z + q is the same for all of them in {int(same.sum())} of {same.size} "
+            f"rows, and {int(loose.sum())} entries of z are not determined: in contact problems, how contacts share a "
+            "load; in networks, how flows split among paths")
+
+
+@np.errstate(all="ignore")
+def _motions(problem: LCP, system: FreeSystem) -> FloatVector | None:
+    """Return some changes of the free unknowns, of size 1, that leave their rows as they are; None where none is seen.
+
+    Inverse iteration from random vectors, shape (|F|, 3): what all motions have in common, one of these shows.
+    """
+    from scipy.sparse.linalg import splu
+
+    block = sp.csc_array(problem.csr[system.rows][:, system.rows])
+    shift = SHIFT * abs(block).max()
+    if not shift > 0.0 or not factor_fits(sp.csr_array(block)):
+        return None
+    try:
+        factor = splu(block + shift * sp.eye_array(block.shape[0], format="csc"))
+    except RuntimeError:
+        return None
+    motions = np.random.default_rng(0).standard_normal((block.shape[0], 3))
+    for _ in range(STEPS):
+        motions = factor.solve(motions)
+        motions /= np.abs(motions).max(axis=0)
+    is_still = np.abs(block @ motions) <= STILL * np.asarray(abs(block).sum(axis=1)).reshape(-1, 1)
+    return motions if is_still.all() and np.isfinite(motions).all() else None
 
 
 def _advised(result: Result) -> str:

@@ -22,6 +22,7 @@ from families import BOUNDED, DIRECT
 from lcp_plugin import (
     LCP,
     NotConverged,
+    QuadraticProgram,
     Result,
     Status,
     UnsuitableMatrix,
@@ -771,3 +772,39 @@ def test_what_cannot_be_divided_knows_the_time_that_is_left(monkeypatch: pytest.
     with time_limit(0.0):
         assert solve_exactly([[2, 1], [1, 3]], [1, 0]) is None
     assert solve_exactly([[2, 1], [1, 3]], [1, 0]) is not None
+
+
+@pytest.mark.parametrize("count", [20, 200])
+def test_flows_that_split_freely_are_no_wrong_digits(count: int) -> None:
+    """A chain of pairs of arcs of one cost: all flows of a pair together, and w, are the same in all answers."""
+    arcs, nodes = 2 * count, count
+    ends = np.arange(arcs) // 2
+    A = sp.csr_array((np.ones(arcs), (ends, np.arange(arcs))), shape=(nodes, arcs))
+    inner = np.arange(arcs)[ends + 1 < nodes]
+    A = A - sp.csr_array((np.ones(inner.size), (ends[inner] + 1, inner)), shape=(nodes, arcs))
+    costs, supply = np.repeat(np.random.default_rng(0).uniform(1.0, 2.0, nodes), 2), np.zeros(nodes)
+    supply[0] = 3.0
+    M = sp.block_array([[None, -A.T], [A, None]], format="csr")
+    problem = LCP(M, np.concatenate([costs, -supply]), lower=np.repeat([0.0, -np.inf], [arcs, nodes]))
+    # a start that uses both arcs of each pair, whose rows are then singular
+    start = np.concatenate([np.full(arcs, 1.5), np.cumsum(costs[::2][::-1])[::-1]])
+    result = solve(problem, "newton", z0=start)
+    assert result.is_solved
+    words = result.explain()
+    assert f"w = M z + q is the same for all of them in {problem.n} of {problem.n} rows" in words
+    assert "wrong in every digit" not in words
+
+
+def test_a_nearly_singular_system_is_not_said_to_have_several_answers() -> None:
+    """Its answer is unique, 10¹² times as far as its residual may tell: of more unknowns than a dense inverse takes."""
+    M = sp.block_diag([[[1.0, -1.0 + 2.0**-40], [-1.0 + 2.0**-40, 1.0]], sp.eye_array(600) * 2.0], format="csr")
+    result = solve(LCP(M, -np.ones(602)), "newton")
+    assert result.is_solved
+    assert "several answers" not in result.explain()
+
+
+def test_a_program_says_what_was_asked_of_its_residuals() -> None:
+    """tolerance=1e-12 means 10⁻⁹ for a program, which its explanation says."""
+    program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[1.0])
+    assert "1e-09 of the others: what tolerance=1e-12 means" in solve(program, tolerance=1e-12).explain()
+    assert "1e-07 of the first, 1e-06 of the others" in solve(program).explain()

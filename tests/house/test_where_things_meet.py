@@ -42,6 +42,7 @@ from lcp_plugin import (
     prepare,
     solve,
     solve_batch,
+    trace,
 )
 from lcp_plugin.commands import ampl
 from lcp_plugin.commands.cli import app
@@ -137,6 +138,15 @@ def by_march(sample: Sample, folder: Path) -> None:
     assert done.status[-1].name in repr(done)
     assert "of 3 steps" in str(done)
     assert done.seconds > 0.0
+
+
+def by_trace(sample: Sample, folder: Path) -> None:
+    name = {"LCP": "q", "QuadraticProgram": "c", "BoundedLeastSquares": "b"}[sample.kind]
+    path = trace(sample.problem, {name: 0.0}, 0, 1)
+    assert path.status in sample.ends
+    assert path.status.name in repr(path)
+    if path.is_solved and sample.x is not None:
+        assert np.allclose(path.at(0.5).x, sample.x, atol=1e-6)
 
 
 def by_marches(sample: Sample, folder: Path) -> None:
@@ -365,7 +375,8 @@ def by_command_report(sample: Sample, folder: Path) -> None:
 
 TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "solve": by_solve, "solve_batch": by_batch, "solve_many": by_many, "prepare": by_prepare, "march": by_march,
-    "march_many": by_marches, "derivative": by_derivative, "certify": by_certify, "Certificate.of": by_certificate,
+    "march_many": by_marches, "trace": by_trace, "derivative": by_derivative, "certify": by_certify,
+    "Certificate.of": by_certificate,
     "error_bound": by_bound, "analyze": by_analyze, "all_solutions": by_all_solutions,
     "convergence_guarantee": by_guarantee,
     "cross_validate": by_cross_validation, "error_against_time": by_curves, "study": by_study,
@@ -377,7 +388,8 @@ TRIALS: dict[str, Callable[[Sample, Path], None]] = {
 REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "solve_batch": lambda p, _: solve_batch([p]), "solve_many": lambda p, _: solve_many(p, [[1.0, 1.0]]),
     "prepare": lambda p, _: prepare(p), "march": lambda p, _: march(p, [[1.0, 1.0]]),
-    "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]), "derivative": lambda _, answer: derivative(answer()),
+    "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]), "trace": lambda p, _: trace(p, {"q": 1}, 0, 1),
+    "derivative": lambda _, answer: derivative(answer()),
     "certify": lambda p, answer: certify(p, answer().x), "Certificate.of": lambda p, _: Certificate.of(p, [1.0, 1.0]),
     "error_bound": lambda p, _: error_bound(p, [1.0, 1.0]), "all_solutions": lambda p, _: all_solutions(p),
     "analyze": lambda p, _: analyze(p),

@@ -18,6 +18,7 @@ from ...proofs.exact.rational import exact_slack
 from ...proofs.exact.simplex import Effort
 from ...proofs.no_solution.infeasibility import Case, NoSolution
 from .explorer import Explorer, Face, Point, extreme_points
+from .outlines import whole_tree
 
 __all__ = [
     "Effort", "GaveUp", "NoSolution", "Solution", "Solutions", "all_solutions", "explore", "is_searchable", "search",
@@ -149,6 +150,8 @@ def explore(
     looked at that it leaves open, or closes with what does not hold.
     """
     _require_small(problem)
+    if tree is None and not first_only:
+        tree = whole_tree(problem)
     explorer = Explorer(problem, effort, first_only=first_only, tree=tree)
     for _ in explorer.run():
         yield None

@@ -78,7 +78,7 @@ class Explorer:
         """Close the case, record its face, or split it, unless that is done; return the branches to look at."""
         if case.branches:
             return list(case.branches)
-        if case.y is not None and Choices(self.problem, dict(self.path)).closed_by(dict(enumerate(case.y))) is not None:
+        if case.y is not None and Choices(self.problem, dict(self.path)).excluded_by(dict(enumerate(case.y))):
             return []
         case.y = yield from self.simplex.infeasibility_proof()
         if case.y is not None:

@@ -26,8 +26,11 @@ FARTHEST = 2.0**-16  # moved for that, beside the largest multiplier
 
 
 @kernel
-def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-def]
+def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-untyped-def]
     """Look at the cases; return FOUND, EXCLUDED or GAVE_UP, how many, the tableau entries computed, and `least`.
+
+    Not only for the first solution, it splits cases with a solution until all rows have made their choice, and leaves
+    these open, as it does with what it does not come to.
 
     Where they are all excluded, no z has a smaller relative residual than `least`, as doubles say.
 
@@ -37,6 +40,8 @@ def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-d
     q, lower, upper : arrays, shape (n,)
     limit : float
         Entries of the tableau after which no case is begun.
+    first : bool
+        Whether to end with the first solution.
     tree : array of int, shape (cases, 4), to be filled
         The row that splits a case, −1 in a leaf; its parent; the choice of the parent's row; whether it is closed.
     y : array, shape (cases, n + 1), to be filled
@@ -122,7 +127,7 @@ def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-d
                 if abs(entry) > best and value[x] != end and (not is_last or column < 0 or x < other[column]):
                     column, best = j, SMALLEST_PIVOT if is_last else abs(entry)
             if column < 0:
-                _close(table, basic, other, bounds, value, row, sign, unit, y[case])
+                _close(M, table, basic, other, bounds, value, row, sign, unit, y[case])
                 tree[case, IS_CLOSED] = 1
                 least = min(least, y[case, n] / (reference * _weight(M, lower, upper, bounds, scale, y[case])))
                 break
@@ -135,12 +140,16 @@ def look_at(M, q, lower, upper, limit, tree, y, z):  # type: ignore[no-untyped-d
                 return GAVE_UP, seen, spent, 0.0
         if row >= 0:
             continue
-        i = _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed)
+        i = _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed, first)
         spent += n * n
+        if i < 0 and not first:
+            continue
         if i < 0:
             for j in range(n):
                 z[j] = min(max(value[j], lower[j]), upper[j])
             return FOUND, seen, spent, 0.0
+        if count + 3 > tree.shape[0] and not first:
+            continue
         if count + 3 > tree.shape[0]:
             return GAVE_UP, seen, spent, 0.0
         tree[case, ROW] = i
@@ -162,7 +171,7 @@ def look_at_all(M, q, lower, upper, items, limit, most, found, seen, spent, leas
         k = items[p]
         found[p], seen[p], spent[p], least[p] = look_at(
             M[k if M.shape[0] > 1 else 0], q[k if q.shape[0] > 1 else 0], lower[k if lower.shape[0] > 1 else 0],
-            upper[k if upper.shape[0] > 1 else 0], limit, tree, y, z[p],
+            upper[k if upper.shape[0] > 1 else 0], limit, True, tree, y, z[p],
         )
 
 
@@ -217,27 +226,37 @@ def _renewed(table, origin, basic, other, n):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _close(table, basic, other, bounds, value, row, sign, unit, y):  # type: ignore[no-untyped-def]
+def _close(M, table, basic, other, bounds, value, row, sign, unit, y):  # type: ignore[no-untyped-def]
     """Write the multipliers of the row whose basic variable cannot reach its bound; sign +1: the lower one.
 
     Their products with the columns of other basic z_j are zero, in doubles about zero, and need a sign: a little of
-    the rows of these z_j is added, as little as leaves all other signs and most of the contradiction.
+    the rows of these z_j is added, as little as leaves all other signs and most of the contradiction. Where all terms
+    of the product are zero it is none, and to add would take a sign from a row that has no part in the contradiction.
     """
     n = basic.size
     added = np.zeros(n)
     x, cost = basic[row], 0.0
     contradiction = sign * ((bounds[0, x] if sign > 0.0 else bounds[1, x]) - value[x])
     largest = 1.0 if x >= n else 0.0
+    for j in range(n):
+        if other[j] >= n:
+            largest = max(largest, abs(table[row, j]))
+    for i in range(n):
+        y[i] = 0.0
+    if x >= n:
+        y[x - n] = sign
+    for j in range(n):
+        if other[j] >= n and abs(table[row, j]) > SMALLEST_PIVOT * largest:
+            y[other[j] - n] = -sign * table[row, j]
     for k in range(n):
-        x = basic[k]
-        if x < n and k != row and (bounds[0, x] == -np.inf) != (bounds[1, x] == np.inf):
+        x, is_rounded = basic[k], False
+        for i in range(n):
+            is_rounded |= x < n and y[i] != 0.0 and M[i, x] != 0.0
+        if is_rounded and k != row and (bounds[0, x] == -np.inf) != (bounds[1, x] == np.inf):
             way = 1.0 if bounds[1, x] == np.inf else -1.0
             cost += way * (value[x] - (bounds[0, x] if way > 0.0 else bounds[1, x]))
             for j in range(n):
                 added[j] += way * table[k, j]
-    for j in range(n):
-        if other[j] >= n:
-            largest = max(largest, abs(table[row, j]))
     step = FARTHEST * largest
     if cost > 0.0:
         step = min(step, MARGIN_GIVEN * contradiction / cost)
@@ -246,17 +265,12 @@ def _close(table, basic, other, bounds, value, row, sign, unit, y):  # type: ign
         has_sign = bounds[0, x] == -np.inf or bounds[1, x] == np.inf
         if has_sign and abs(entry) > SMALLEST_PIVOT * largest and entry * added[j] < 0.0:
             step = min(step, 0.5 * abs(entry / added[j]))
-    for i in range(n):
-        y[i] = 0.0
     y[n] = contradiction - step * cost
-    if basic[row] >= n:
-        y[basic[row] - n] = sign * unit[basic[row] - n]
     for j in range(n):
-        x = other[j]
-        entry = sign * table[row, j]
-        if x >= n:
-            entry = (entry if abs(entry) > SMALLEST_PIVOT * largest else 0.0) + step * added[j]
-            y[x - n] = -entry * unit[x - n]
+        if other[j] >= n:
+            y[other[j] - n] -= step * added[j]
+    for i in range(n):
+        y[i] *= unit[i]
 
 
 @inlined
@@ -275,8 +289,11 @@ def _weight(M, lower, upper, bounds, scale, y):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed):  # type: ignore[no-untyped-def]
-    """Return a row that the point violates, one with the fewest choices left first; −1 where it solves the problem."""
+def _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed, first):  # type: ignore[no-untyped-def]
+    """Return a row that the point violates, one with the fewest choices left first; −1 where it solves the problem.
+
+    Not only for the first solution, some row that is not decided; −1 where there is none.
+    """
     n = basic.size
     for j in range(n):
         x = other[j]
@@ -289,7 +306,7 @@ def _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, a
                 low += entry * (bounds[0, x] if entry > 0.0 else bounds[1, x])
                 high += entry * (bounds[1, x] if entry > 0.0 else bounds[0, x])
         reach[0, basic[k]], reach[1, basic[k]] = low, high
-    found, worst, single = -1, 0.0, -1
+    found, worst, single, some = -1, 0.0, -1, -1
     for i in range(n):
         if is_decided[i]:
             continue
@@ -303,4 +320,7 @@ def _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, a
             found, worst = i, gap * abs(w)
         if left <= 1 and single < 0:
             single = i
+        some = i if some < 0 else some
+    if not first:
+        return single if single >= 0 else found if found >= 0 else some
     return single if found >= 0 and single >= 0 else found

@@ -18,7 +18,8 @@ from ...core.matrix.structure import IntVector, connected_components
 from ...core.rounding import read_only_views
 from ...core.settings import Settings
 from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
-from ...methods.search.stages import FIRST_ENTRIES, MOST_CASES
+from ...methods.search.outlines import MOST_CASES
+from ...methods.search.stages import FIRST_ENTRIES
 from ...methods.small.small_dense import Answers, run_phases
 from ..many.chunks import in_chunks
 

@@ -4,7 +4,7 @@ from ...core.kind import LANGUAGES, Kind
 
 BOUNDED_LEAST_SQUARES = Kind(
     "bounded least squares problem", "BoundedLeastSquares",
-    ("solve", "solve_batch", "pickle", *LANGUAGES, "lcp-plugin solve"),
+    ("solve", "solve_batch", "trace", "pickle", *LANGUAGES, "lcp-plugin solve"),
     "LCP(AᵀA, −Aᵀb, lower=…, upper=…) states it as an LCP",
     {
         "z0=": "a start is called x0 here",

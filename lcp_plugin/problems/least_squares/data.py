@@ -157,6 +157,39 @@ class BoundedLeastSquares:
         made.lower, made.upper = read_only(lower), read_only(upper)  # 1e20 in these units is a bound
         return made
 
+    def with_vectors(
+        self, b: ArrayLike | None = None, lower: ArrayLike | None = None, upper: ArrayLike | None = None,
+        l1: ArrayLike | None = None,
+    ) -> BoundedLeastSquares:
+        """Return the problem with other vectors, which shares all that depends on A, weights and ridge alone.
+
+        Parameters
+        ----------
+        b, lower, upper, l1 : arrays, shapes (m,), (n,), (n,), (n,), optional
+            The present ones by default.
+
+        Raises
+        ------
+        InvalidProblem, InvalidOption
+            As the class.
+
+        Examples
+        --------
+        >>> BoundedLeastSquares([[1, 0], [0, 1]], [3, -0.5]).with_vectors(b=[1, 2]).b
+        array([1., 2.])
+        """
+        made, (m, n) = copy(self), self.shape
+        for name in ("far_units", "nearest_to_zero", "scaled"):
+            made.__dict__.pop(name, None)
+        made.b = self.b if b is None else checked_vector(b, "b", m)
+        made.lower = self.lower if lower is None else checked_limit(lower, "lower", n)
+        made.upper = self.upper if upper is None else checked_limit(upper, "upper", n)
+        check_order(made.lower, made.upper)
+        made.l1 = self.l1 if l1 is None else _checked_penalty(l1, n)
+        _ = self.column_scales, self.root_weights  # shared from now on
+        made.__dict__.update(column_scales=self.column_scales, root_weights=self.root_weights)
+        return made
+
     @property
     def is_cheap_to_copy(self) -> bool:
         """Whether A has entries, and so few places for them that dense copies cost little."""

@@ -150,6 +150,16 @@ def optimality_conditions(program: QuadraticProgram, *, puts_in: bool = False) -
     return problem
 
 
+def conditions(program: QuadraticProgram) -> LCP:
+    """Return the optimality conditions of (x, inequality, equality); rows without a limit have no multiplier."""
+    limits, free = np.concatenate([program.h, program.b]), np.full(program.n, np.inf)
+    is_limit, none = np.isfinite(limits), np.full(program.b.size, np.inf)
+    lower = np.concatenate([-free, np.zeros(program.h.size), -none])
+    upper = np.concatenate([free, np.where(is_limit[: program.h.size], np.inf, 0.0), none])
+    q = np.concatenate([program.c, np.where(is_limit, limits, 0.0)])
+    return LCP(program.matrices.kkt, q, lower=lower, upper=upper)
+
+
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
     """Return a quadratic program whose optimality conditions, or whose minimum, are the problem.
 

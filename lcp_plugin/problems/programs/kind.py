@@ -4,7 +4,7 @@ from ...core.kind import LANGUAGES, Kind
 
 QUADRATIC_PROGRAM = Kind(
     "quadratic program", "QuadraticProgram",
-    ("solve", "solve_batch", "solve_many", "prepare", "certify", "pickle", *LANGUAGES, "lcp-plugin solve",
+    ("solve", "solve_batch", "solve_many", "prepare", "trace", "certify", "pickle", *LANGUAGES, "lcp-plugin solve",
      "lcp-plugin certify"),
     "LCP.from_qp(program.P, program.c, …) makes an LCP of it",
     {

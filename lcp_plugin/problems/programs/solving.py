@@ -34,7 +34,7 @@ from ...methods.search.stages import FeasibilityCheck
 from ...systems.null_space import null_space_by_rows
 from .conversion import QPOrigin, optimality_conditions
 from .convexity import LARGEST_CHECKED, refuse_nonconvex
-from .criterion import program_goal
+from .criterion import constraint_tolerance, program_goal
 from .engine_calls import EngineRun, engines_for, run_engine
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers, prove_unheld
@@ -191,9 +191,11 @@ class QuadraticProgramResult(Answer):
         return {**super()._numbers(), **residuals, "goal": self.goal, "setup_seconds": self.setup_seconds}
 
     def reached(self) -> str:
-        """Return the residuals, or what proves that there are none."""
+        """Return the residuals and what was asked of them, or what proves that there are none."""
         if self.proof is None:
-            return str(self.solution)
+            least = constraint_tolerance(self.goal)
+            return (f"{self.solution}\nasked for        {least:.0e} of the first, {self.goal:.0e} of the others: what "
+                    f"tolerance={self.tolerance:g} means for a program")
         return f"{self.proof}\n{self.contradiction}" if self.contradiction else str(self.proof)
 
     def _course(self) -> list[str]:

@@ -56,7 +56,8 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     Returns
     -------
     Guarantee
-        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy.
+        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy; `spectral_radius` and
+        `jacobi_radius` when asked.
 
     Raises
     ------
@@ -75,6 +76,8 @@ def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **o
     >>> guarantee = convergence_guarantee(LCP([[4, -1], [-1, 4]], [-3, 5]), "npsor")
     >>> guarantee.verdict, round(guarantee.rate, 3)
     ('guaranteed', 0.648)
+    >>> round(guarantee.spectral_radius, 3), round(guarantee.jacobi_radius, 3)
+    (0.662, 0.25)
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("convergence_guarantee", problem))
@@ -98,7 +101,8 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is None:
         return _of_a_direct_method(problem, algorithm)
-    return _full(problem, facts, {field.name for field in fields(algorithm)})
+    found = _full(problem, facts, {field.name for field in fields(algorithm)})
+    return replace(found, facts=facts, problem=problem)
 
 
 def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:

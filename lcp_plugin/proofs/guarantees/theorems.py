@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
 from .convergence import Contraction, numbers, scaled
+from .radius import jacobi_spectral_radius, spectral_radius
 
 PAPER = "Kumar, Deepmala, Das"
 PAPER_TITLE = "More on projected type iteration method and linear complementarity problem"
@@ -52,6 +54,8 @@ class Guarantee:
     speaks_of : {"z", "x"}
         The rate of a modulus method is one of its x, z = lower + max(x, 0):
         ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v with x* = z* − lower − Ω⁻¹w*.
+    facts, problem : IterationFacts and LCP, or None
+        Of what `spectral_radius` speaks; None where it is no splitting.
     """
 
     verdict: str
@@ -61,6 +65,23 @@ class Guarantee:
     remedy: str = ""
     paper: str = ""
     speaks_of: str = "z"
+    facts: IterationFacts | None = field(default=None, repr=False)
+    problem: LCP | None = field(default=None, repr=False)
+
+    @cached_property
+    def spectral_radius(self) -> float | None:
+        """ρ(T) of the matrix T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without a proof, computed when asked.
+
+        None of methods that are no splitting, of a symmetric sweep, and where T is too large to form.
+        """
+        if self.facts is None or self.problem is None:
+            return None
+        return spectral_radius(self.problem, self.facts)
+
+    @cached_property
+    def jacobi_radius(self) -> float | None:
+        """ρ(|J|), J = D⁻¹(L + U); below 1 on H₊-matrices alone."""
+        return None if self.problem is None else jacobi_spectral_radius(self.problem)
 
     @property
     def is_guaranteed(self) -> bool:

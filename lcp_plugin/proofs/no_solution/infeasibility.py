@@ -172,12 +172,13 @@ class Case:
 
     row: int = -1
     branches: dict[str, Case] = field(default_factory=dict)
-    y: list[Fraction] | None = None
+    y: Sequence[Rational] | None = None
 
     def rescaled(self, factors: Sequence[Fraction]) -> Case:
         """Return the case of a problem in other units of z."""
         branches = {choice: branch.rescaled(factors) for choice, branch in self.branches.items()}
-        return Case(self.row, branches, None if self.y is None else rescaled_multipliers(self.y, factors))
+        y = None if self.y is None else rescaled_multipliers([Fraction(value) for value in self.y], factors)
+        return Case(self.row, branches, y)
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,8 +145,8 @@ class Contradiction:
         By row; none is 0.
     rows : IntegerMatrix, optional
         M, where it is known in integers.
-    product, left : dict of int to Fraction
-        Mᵀy where it is not 0, and what of it is on open sides.
+    left : dict of int to Fraction
+        What of Mᵀy is not 0 and on open sides.
     plain : Fraction
         c but for what is left.
     """
@@ -154,16 +154,24 @@ class Contradiction:
     sides: Sides
     y: Mapping[int, Fraction]
     rows: InitVar[IntegerMatrix | None] = None
-    product: dict[int, Fraction] = field(init=False)
     plain: Fraction = field(init=False)
     left: dict[int, Fraction] = field(init=False)
+    _integers: dict[int, int] = field(init=False)  # the product is these times the unit
+    _unit: Fraction = field(init=False)
 
     def __post_init__(self, rows: IntegerMatrix | None) -> None:
-        found = self._combined(rows) if self.has_signs else ({}, ZERO, {})
-        for name, value in zip(("product", "plain", "left"), found, strict=True):
+        found = self._combined(rows) if self.has_signs else (ZERO, {}, {}, ZERO)
+        for name, value in zip(("plain", "left", "_integers", "_unit"), found, strict=True):
             object.__setattr__(self, name, value)
 
-    def _combined(self, rows: IntegerMatrix | None) -> tuple[dict[int, Fraction], Fraction, dict[int, Fraction]]:
+    @cached_property
+    def product(self) -> dict[int, Fraction]:
+        """The entries of Mᵀy that are not 0."""
+        return {j: self._unit * value for j, value in self._integers.items()}
+
+    def _combined(
+        self, rows: IntegerMatrix | None
+    ) -> tuple[Fraction, dict[int, Fraction], dict[int, int], Fraction]:
         numbers, (whole, denominator) = list(self.y), common_denominator(list(self.y.values()))
         matrix = rows or IntegerMatrix.of(self.sides.matrix, numbers)
         unit = power_of_two(matrix.exponent) / denominator
@@ -171,9 +179,9 @@ class Contradiction:
         bounds = {j: self.sides.bounds(j)[value > 0] for j, value in product.items()}
         closed = [j for j, bound in bounds.items() if math.isfinite(bound)]
         highest = unit * exact_dot([product[j] for j in closed], [bounds[j] for j in closed])
-        exact = {j: unit * value for j, value in product.items()}
         plain = -exact_dot(whole, self.sides.q[numbers].tolist()) / denominator - highest
-        return exact, plain, {j: value for j, value in exact.items() if math.isinf(bounds[j])}
+        left = {j: unit * value for j, value in product.items() if math.isinf(bounds[j])}
+        return plain, left, product, unit
 
     @cached_property
     def radius(self) -> float:

@@ -251,6 +251,11 @@ class Choices(NamedTuple):
         rows = integer_matrix(self.problem.matrix) if self.problem.n <= FEW else None
         return Contradiction(self, {i: Fraction(value) for i, value in y.items() if value}, rows)
 
+    def excluded_by(self, y: Mapping[int, Rational]) -> bool:
+        """Return whether a Farkas vector closes the case, for all z."""
+        found = self.contradiction(y)
+        return not found.left and found.holds(1.0)
+
     def closed_by(self, y: Mapping[int, Rational]) -> Closing | None:
         """Return what a Farkas vector closes the case with, for all z; None where it does not."""
         found = self.contradiction(y)

@@ -11,9 +11,12 @@ import pytest
 from campaigns.search import random_problem
 
 from lcp_plugin import LCP, InvalidOption, Status, solve, solve_batch
-from lcp_plugin.methods.search import NoSolution, explore, search
-from lcp_plugin.methods.search.stages import FIRST_ENTRIES, outline
+from lcp_plugin.methods.search import NoSolution, all_solutions, explore, search
+from lcp_plugin.methods.search.outlines import outline, whole_tree
+from lcp_plugin.methods.search.stages import FIRST_ENTRIES
 from lcp_plugin.proofs.exact.simplex import Effort
+from lcp_plugin.proofs.no_solution.infeasibility import Case
+from lcp_plugin.proofs.no_solution.proof import Choices
 
 PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION)
 
@@ -194,3 +197,17 @@ def test_beyond_the_exact_search_what_doubles_exclude_is_proved_or_left_open() -
         q[:2] = -1.0, 1.0 - gap
         result = solve(LCP(M, q))
         assert not result.has_no_solution or result.infeasibility.verify()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_all_cases_of_a_game_but_its_equilibria_are_closed_in_doubles(seed: int) -> None:
+    """Of 8 × 8 normal payoffs; each Farkas vector holds exactly, and what is left open are the solutions."""
+    rng = np.random.default_rng(seed)
+    problem = LCP.from_game(rng.standard_normal((8, 8)), rng.standard_normal((8, 8)))
+
+    def open_leaves(case: Case, path: dict[int, str]) -> int:
+        if case.branches:
+            return sum(open_leaves(branch, {**path, case.row: choice}) for choice, branch in case.branches.items())
+        return 1 if case.y is None else int(not Choices(problem, path).excluded_by(dict(enumerate(case.y))))
+
+    assert open_leaves(whole_tree(problem), {}) == len(all_solutions(problem))

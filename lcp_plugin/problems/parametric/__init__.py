@@ -1,0 +1,14 @@
+"""Problems that depend on parameters: one parameter, and the exact path of the solution along it.
+
+z(θ) of a linear complementarity problem whose q and bounds are affine in θ is piecewise affine. So are x and the
+multipliers of a quadratic program, and x of a least squares problem with a penalty.
+
+| file | what is in it |
+|---|---|
+| `tracing` | :func:`lcp_plugin.trace` |
+| `path` | what it returns |
+| `families` | which data of a kind may move, its complementarity problem at θ, and the way back |
+| `staircases` | that problem, rows with a kink included, affine in θ |
+| `following` | from breakpoint to breakpoint; ties, segments of solutions, turns |
+| `free_block` | the inverse of the block of free rows, changed by one row at a time |
+"""

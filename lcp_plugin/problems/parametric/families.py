@@ -1,0 +1,424 @@
+"""Families of problems of each kind that `trace` takes: data affine in θ, what is followed, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.certificates.residuals import Certificate
+from ...core.checks import BoolVector, FloatVector, checked_vector, is_number, read_only
+from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
+from ...core.kind import kind_of, refusal
+from ...core.lcp import LCP
+from ...core.settings import Settings, Status
+from ...kinds import solve_any
+from ..least_squares.certificate import Optimality
+from ..least_squares.data import BoundedLeastSquares
+from ..least_squares.enclosures import Enclosures
+from ..programs.conversion import conditions
+from ..programs.convexity import refuse_nonconvex
+from ..programs.criterion import program_goal
+from ..programs.program import QuadraticProgram
+from ..programs.solution import QPSolution
+from .staircases import Columns, GramColumns, Staircases
+
+LARGEST = 6000  # rows, of which a dense inverse is kept
+NEARLY = 100.0  # times the goal: what is called a limit of precision
+BOUNDS = ("lower", "upper")
+
+
+@dataclass(frozen=True, eq=False)
+class PathPoint:
+    """The solution at one value of the parameter.
+
+    Attributes
+    ----------
+    parameter : float
+    problem : LCP, QuadraticProgram or BoundedLeastSquares
+        With its data at that value.
+    x : ndarray, shape (n,)
+        z of an LCP.
+    w : ndarray, shape (n,), or None
+        M z + q of an LCP.
+    solution : QPSolution or None
+        Of a program: x with the multipliers of all rows and bounds, and their residuals.
+    status : Status
+        As the kind's criterion says on the data at that value.
+    objective : float or None
+        In the kind's terms; None for an LCP.
+    """
+
+    parameter: float
+    problem: Any = field(repr=False)
+    x: FloatVector
+    w: FloatVector | None = field(repr=False)
+    solution: QPSolution | None = field(repr=False)
+    _family: Family = field(repr=False)
+
+    @property
+    def z(self) -> FloatVector:
+        """X, by the name that it has in an LCP."""
+        return self.x
+
+    @cached_property
+    def objective(self) -> float | None:
+        """What is minimised, at x."""
+        return self._family.objective(self)
+
+    @cached_property
+    def status(self) -> Status:
+        """What the kind's criterion says."""
+        return self._family.judge(self)
+
+    @property
+    def is_solved(self) -> bool:
+        """True where the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The residuals of an LCP's z.
+
+        Raises
+        ------
+        InvalidProblem
+            For another kind: see `solution` and `status`.
+        """
+        return Certificate.of(self.problem, self.x)
+
+
+class Family:
+    """Problems whose vectors are those of `problem` plus θ times a direction.
+
+    Parameters
+    ----------
+    problem : LCP, QuadraticProgram or BoundedLeastSquares
+    along : mapping from str to number or array
+        What moves, and its change for θ + 1.
+    start, stop : float
+        The values of θ that the path is for.
+    tolerance : float
+
+    Attributes
+    ----------
+    MOVES : tuple of str
+        What may move.
+    FIXED : dict
+        What else there is, and what to write.
+    """
+
+    MOVES: ClassVar[tuple[str, ...]] = ()
+    FIXED: ClassVar[dict[str, str]] = {}
+
+    def __init__(self, problem: Any, along: Mapping[str, Any], start: float, stop: float, tolerance: float) -> None:
+        self.problem, self.settings = problem, Settings(tolerance=tolerance)
+        self.ends = (start, stop)
+        self.directions = {name: self._checked(name, change) for name, change in along.items()}
+
+    def _checked(self, name: str, change: Any) -> FloatVector:
+        if name in self.FIXED:
+            raise InvalidOption(f"trace moves vectors of {type(self.problem).__name__}, not {name}: {self.FIXED[name]}")
+        if name not in self.MOVES:
+            raise InvalidOption(
+                f"along={{{name!r}: …}} names nothing that moves in {type(self.problem).__name__}"
+                f"{did_you_mean(name, self.MOVES)}; {', '.join(self.MOVES)} may move"
+            )
+        now: FloatVector = getattr(self.problem, name)
+        step = np.full(now.shape, float(change)) if is_number(change) else checked_vector(change, name, now.size)
+        moved = ~np.isfinite(now) & (step != 0.0)
+        if moved.any() and is_number(change):
+            step = np.where(np.isfinite(now), step, 0.0)  # one number moves all bounds that there are
+        elif moved.any():
+            i = int(np.flatnonzero(moved)[0])
+            raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; let along[{name!r}][{i}] be 0")
+        return read_only(step)
+
+    def pair(self, name: str) -> FloatVector:
+        """Return a vector of the problem as (constant, slope), shape (2, size)."""
+        now = getattr(self.problem, name)
+        return np.array([now, self.directions.get(name, np.zeros(now.size))])
+
+    def moved(self, theta: float) -> dict[str, FloatVector]:
+        """Return the vectors that move, at θ."""
+        return {name: getattr(self.problem, name) + theta * step for name, step in self.directions.items()}
+
+    def at(self, theta: float) -> Any:
+        """Return the problem at θ."""
+        raise NotImplementedError
+
+    def solved(self, theta: float) -> Any:
+        """Return the answer of `solve` at θ."""
+        return solve_any(self.at(theta), "auto", {"tolerance": self.settings.tolerance})
+
+    def staircases(self) -> Staircases:
+        """Return what is followed."""
+        raise NotImplementedError
+
+    def followed(self, result: Any, theta: float) -> FloatVector:
+        """Return the unknowns of what is followed, of an answer of `solve` at θ."""
+        raise NotImplementedError
+
+    def point(self, theta: float, z: FloatVector) -> PathPoint:
+        """Return the solution that the followed unknowns are at θ."""
+        raise NotImplementedError
+
+    def x_of(self, z: FloatVector) -> FloatVector:
+        """Return the kind's unknowns of the followed ones, along the last axis."""
+        return z
+
+    def objective(self, point: PathPoint) -> float | None:
+        """Return what is minimised."""
+        return None
+
+    def slope_of_objective(self, point: PathPoint, change: FloatVector) -> float | None:
+        """Return how the objective changes with θ where x changes so."""
+        return None
+
+    def slope_of_slack(self, change: FloatVector) -> FloatVector | None:
+        """Return how w of an LCP changes with θ where z changes so."""
+        return None
+
+    def step(self, name: str) -> FloatVector:
+        """Return how a vector changes with θ."""
+        return np.asarray(self.pair(name)[1])
+
+    def judge(self, point: PathPoint) -> Status:
+        """Return what the kind's criterion says of a point."""
+        raise NotImplementedError
+
+    def case_of(self, steps: Any) -> Any:
+        """Return −1 at the lower bound, 0 between, 1 at the upper one."""
+        return np.asarray(steps) - 1
+
+
+class ComplementarityFamily(Family):
+    """q and bounds of an LCP."""
+
+    MOVES = ("q", *BOUNDS)
+    FIXED: ClassVar[dict[str, str]] = {"M": "z is not piecewise affine in M; solve_batch takes a list of problems"}
+
+    def at(self, theta: float) -> LCP:
+        """Return the problem at θ."""
+        moved = self.moved(theta)
+        bounds = {name: moved[name] for name in BOUNDS if name in moved}
+        problem: LCP = self.problem.with_q(moved.get("q", self.problem.q), **bounds)
+        return problem
+
+    def staircases(self) -> Staircases:
+        """Return what is followed."""
+        return Staircases.of_bounds(Columns(self.problem.M), *map(self.pair, self.MOVES))
+
+    def followed(self, result: Any, theta: float) -> FloatVector:
+        """Return z."""
+        return np.asarray(result.z)
+
+    def point(self, theta: float, z: FloatVector) -> PathPoint:
+        """Return z at θ, with w."""
+        problem = self.at(theta)
+        z = np.clip(z, problem.lower, problem.upper)
+        return PathPoint(theta, problem, read_only(z), read_only(problem.slack(z)), None, self)
+
+    def slope_of_slack(self, change: FloatVector) -> FloatVector:
+        """Return how w changes with θ where z changes so."""
+        return read_only(self.problem.M @ change + self.step("q"))
+
+    def judge(self, point: PathPoint) -> Status:
+        """Return what the certificate says of z."""
+        if point.certificate.is_solved(self.settings):
+            return Status.SOLVED
+        return Status.PRECISION_LIMIT if point.certificate.is_limited_by_rounding else Status.STALLED
+
+
+class ProgramFamily(Family):
+    """c, h, b and bounds of a convex quadratic program, by its optimality conditions."""
+
+    MOVES = ("c", "h", "b", *BOUNDS)
+    FIXED: ClassVar[dict[str, str]] = {
+        "P": "x is not piecewise affine in P; where θ multiplies the whole quadratic term, divide the objective by it "
+             "and move c",
+        **{name: f"x is not piecewise affine in {name}; solve_batch takes a list of programs" for name in "GA"},
+    }
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        refuse_nonconvex(self.problem)
+        self.conditions = conditions(self.problem)
+
+    def at(self, theta: float) -> QuadraticProgram:
+        """Return the problem at θ."""
+        problem: QuadraticProgram = self.problem.with_vectors(**self.moved(theta))
+        return problem
+
+    def _of_rows(self) -> list[FloatVector]:
+        """Return (q, lower, upper) of the conditions, as (constant, slope) each."""
+        names = "c", "h", "b", *BOUNDS
+        c, h, b, lower, upper = map(self.pair, names)
+        has_limit, of_rows = np.isfinite(h[0]), np.zeros((2, h.shape[1] + b.shape[1]))
+        least, most = of_rows.copy(), of_rows.copy()
+        least[0, h.shape[1] :], most[0] = -np.inf, np.inf
+        most[0, : h.shape[1]][~has_limit] = 0.0
+        h[0] = np.where(has_limit, h[0], 0.0)
+        return [np.concatenate(parts, axis=1) for parts in ((c, h, b), (lower, least), (upper, most))]
+
+    def staircases(self) -> Staircases:
+        """Return what is followed."""
+        return Staircases.of_bounds(Columns(self.conditions.M), *self._of_rows())
+
+    def followed(self, result: Any, theta: float) -> FloatVector:
+        """Return x and the multipliers of rows."""
+        found = result.solution
+        return np.concatenate([found.x, found.inequality, found.equality])
+
+    def point(self, theta: float, z: FloatVector) -> PathPoint:
+        """Return x at θ, with the multipliers."""
+        problem, n = self.at(theta), self.problem.n
+        x = np.clip(z[:n], problem.lower, problem.upper)
+        y = z[n:].copy()
+        y[: problem.h.size] = np.maximum(y[: problem.h.size], 0.0)
+        left = problem.P @ x + problem.c + problem.matrices.rows.T @ y
+        at_lower = np.where((x == problem.lower) & (left > 0.0), left, 0.0)
+        at_upper = np.where((x == problem.upper) & (left < 0.0), -left, 0.0)
+        solution = QPSolution.of_rows(problem, x, np.concatenate([y, at_lower, at_upper]))
+        return PathPoint(theta, problem, solution.x, None, solution, self)
+
+    def x_of(self, z: FloatVector) -> FloatVector:
+        """Return x."""
+        return z[..., : self.problem.n]
+
+    def objective(self, point: PathPoint) -> float:
+        """Return ½ xᵀP x + cᵀx."""
+        return float(point.problem.objective(point.x))
+
+    def slope_of_objective(self, point: PathPoint, change: FloatVector) -> float:
+        """Return how the objective changes with θ where x changes so."""
+        gradient = point.problem.P @ point.x + point.problem.c
+        return float(gradient @ change + self.step("c") @ point.x)
+
+    def judge(self, point: PathPoint) -> Status:
+        """Return what the program's criterion says."""
+        goal, solution = program_goal(self.settings.tolerance), point.solution
+        assert solution is not None
+        if solution.is_minimal(goal):
+            return Status.SOLVED
+        return Status.PRECISION_LIMIT if solution.is_minimal(NEARLY * goal) else Status.STALLED
+
+
+class LeastSquaresFamily(Family):
+    """b, l1 and bounds of least squares, by the normal equations."""
+
+    MOVES = ("b", "l1", *BOUNDS)
+    FIXED: ClassVar[dict[str, str]] = {
+        name: f"x is not piecewise affine in {name}; solve_batch takes a list of problems"
+        for name in ("A", "weights", "ridge")
+    }
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        problem = self.problem
+        if not problem.has_entries:
+            raise UnsuitableProblem("trace needs the entries of A, no LinearOperator; give an array or a sparse array")
+        ends = [self.moved(theta) for theta in self.ends]
+        l1, lower, upper = ([one.get(name, getattr(problem, name)) for one in ends] for name in ("l1", *BOUNDS))
+        if (low := np.minimum(*l1)).min(initial=0.0) < 0.0:
+            j = int(np.argmin(low))
+            raise InvalidOption(f"l1 must be ≥ 0, but l1[{j}] = {low[j]} at one end; trace to where it is 0")
+        has_penalty = np.maximum(*l1) > 0.0
+        self._negative: BoolVector = has_penalty & (np.maximum(*upper) <= 0.0)
+        positive = has_penalty & (np.minimum(*lower) >= 0.0) & ~self._negative
+        self._has_kink = has_penalty & ~positive & ~self._negative
+        crossing = self._has_kink & ((np.maximum(*lower) > 0.0) | (np.minimum(*upper) < 0.0))
+        if crossing.any():
+            j = int(np.flatnonzero(crossing)[0])
+            raise UnsuitableProblem(
+                f"a bound of x[{j}], which has a penalty, changes its sign on the way; trace up to there, then on"
+            )
+
+    def at(self, theta: float) -> BoundedLeastSquares:
+        """Return the problem at θ."""
+        moved = self.moved(theta)
+        if "l1" in moved:
+            moved["l1"] = np.maximum(moved["l1"], 0.0)
+        problem: BoundedLeastSquares = self.problem.with_vectors(**moved)
+        return problem
+
+    def staircases(self) -> Staircases:
+        """Return what is followed."""
+        problem, root = self.problem, self.problem.root_weights
+        b, l1, lower, upper = map(self.pair, self.MOVES)
+        A = problem.A
+        if problem.weights is not None:
+            A = sp.csr_array(sp.diags_array(root) @ A) if problem.is_sparse else root[:, np.newaxis] * A
+        q = -np.array([problem.transposed(problem.weighted(part)) for part in b])
+        q += np.where(self._has_kink, 0.0, np.where(self._negative, -l1, l1))
+        return Staircases.of_penalty(GramColumns(A, problem.ridge), q, lower, upper, l1, self._has_kink)
+
+    def followed(self, result: Any, theta: float) -> FloatVector:
+        """Return x."""
+        return np.asarray(result.x)
+
+    def point(self, theta: float, z: FloatVector) -> PathPoint:
+        """Return x at θ."""
+        problem = self.at(theta)
+        return PathPoint(theta, problem, read_only(np.clip(z, problem.lower, problem.upper)), None, None, self)
+
+    def objective(self, point: PathPoint) -> float:
+        """Return the cost."""
+        problem = point.problem
+        return float(problem.cost(point.x, problem.product(point.x) - problem.b))
+
+    def slope_of_objective(self, point: PathPoint, change: FloatVector) -> float:
+        """Return how the cost changes with θ where x changes so."""
+        problem, x = point.problem, point.x
+        residual = problem.weighted(problem.product(x) - problem.b)
+        gradient = problem.transposed(residual) + problem.ridge * x
+        kink = problem.l1 * np.where(x == 0.0, np.sign(change), np.sign(x))
+        return float((gradient + kink) @ change - residual @ self.step("b") + self.step("l1") @ np.abs(x))
+
+    def judge(self, point: PathPoint) -> Status:
+        """Return what the certificate says."""
+        tolerance = self.settings.tolerance
+        with np.errstate(all="ignore"):
+            found = Optimality.of(Enclosures(point.problem), point.x, tolerance=tolerance)
+        if found.meets(tolerance):
+            return Status.SOLVED
+        is_near = found.is_at_rounding_level or found.meets(NEARLY * tolerance)
+        return Status.PRECISION_LIMIT if is_near else Status.STALLED
+
+    def case_of(self, steps: Any) -> Any:
+        """Return −1 at the lower bound, 0 between, 1 at the upper one, 2 at 0, where the penalty holds it."""
+        of_kinks = np.array([-1, 0, 2, 0, 1])
+        return np.where(self._has_kink, of_kinks[steps], np.asarray(steps) - 1)
+
+
+FAMILIES: dict[type, type[Family]] = {
+    LCP: ComplementarityFamily, QuadraticProgram: ProgramFamily, BoundedLeastSquares: LeastSquaresFamily,
+}
+
+
+def family_of(problem: Any, along: Mapping[str, Any], start: float, stop: float, tolerance: float) -> Family:
+    """Return the family of a problem.
+
+    Raises
+    ------
+    InvalidOption
+        Where its kind has none, or it is too large.
+    """
+    kind = kind_of(problem)
+    if kind is None or "trace" not in kind.ways:
+        raise InvalidOption(refusal("trace", problem))
+    if isinstance(problem, LCP):
+        problem.matrix.require_all_rows()
+    family = FAMILIES[type(problem)](problem, along, start, stop, tolerance)
+    rows = problem.shape[1] if isinstance(problem, BoundedLeastSquares) else 0
+    rows = family.conditions.n if isinstance(family, ProgramFamily) else rows or getattr(problem, "n", 0)
+    if rows > LARGEST and not isinstance(problem, BoundedLeastSquares):
+        raise UnsuitableProblem(
+            f"trace keeps a dense inverse for up to {LARGEST} rows, and this problem has {rows}; "
+            "solve_batch(problem, Q) solves at given values"
+        )
+    return family

@@ -1,0 +1,415 @@
+"""Following the solution of a parametric complementarity problem from breakpoint to breakpoint.
+
+Between two breakpoints each row stays on its step: z of the free rows solves M_FF z_F = …, affine in t. Where the first
+row comes to the end of its step it changes to the next one, F by that row, the inverse of M_FF by a matrix of rank one.
+Which way t goes on is the way in which the row moves into its new step: always forward where M is monotone, back where
+a solution of another M turns.
+
+Where the new M_FF is singular, the solution at this t is a segment: the null vector leads along it at constant t to
+where another row changes, as a pivot of the simplex method does. Where nothing changes for ever the path ends.
+
+Rows that come to their ends at once are told apart by q + ε r, r at random, ε > 0 smaller than everything: among them
+that changes first whose ε-term is the smallest (Cottle, Pang, Stone, The Linear Complementarity Problem, §4.9), so that
+no cycle is possible; r is such that the start is not degenerate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from ...core.checks import FloatVector
+from ...core.matrix.structure import IntVector
+from .free_block import FreeBlock
+from .staircases import Staircases
+
+Pair = tuple[FloatVector, FloatVector]
+Change = tuple[int, int]  # a row, and whether it goes to the next step or to the one before
+
+ROUNDING = 1e-12  # of a z or a w beside its terms, of which a rate below is 0
+RIGHT = 1e3  # times that: what a start may be off its step
+REFINED_TO = 1e-13  # of the terms of a free row
+AT_ONE_PLACE = 20  # changes per row without moving on, and 100 besides, after which a path is given up
+STEPS = 200  # changes per row, and 10 000 besides, after which it is given up
+
+
+class End(Enum):
+    """Why a path ended."""
+
+    STOP = "the parameter reached its last value"
+    RAY = "no solution goes on from here"
+    TURNED = "the solution turned back to the start"
+    LOST = "rows change without the parameter moving on"
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One piece of the path, z = z[0] + t z[1], begin ≤ t ≤ end.
+
+    Attributes
+    ----------
+    jumps : bool
+        Whether the path has turned back and come by again since the line before.
+    slides : bool
+        Whether a segment of solutions at `begin` leads to it.
+    """
+
+    begin: float
+    end: float
+    z: FloatVector
+    steps: IntVector
+    jumps: bool = False
+    slides: bool = False
+
+
+class SingularError(Exception):
+    """Solutions at one t are a line without end."""
+
+
+class Follower:
+    """A point that moves along the path of solutions.
+
+    Parameters
+    ----------
+    problem : Staircases
+    steps : ndarray of int, shape (n,)
+        Where each row is at t; made regular first where M_FF is singular.
+    t : float
+    z : ndarray, shape (n,)
+        The solution there.
+
+    Raises
+    ------
+    SingularError
+        Where the solutions at t are a line without end.
+    """
+
+    def __init__(self, problem: Staircases, steps: IntVector, t: float, z: FloatVector) -> None:
+        self.problem, self.steps, self.t, self.n = problem, steps.astype(np.int64), t, problem.n
+        self._every = np.arange(self.n)
+        self._sizes = problem.columns.sizes
+        self.at_rest = np.zeros((2, self.n))  # what q and the rows that are not free give to w
+        self._lower, self._upper = np.zeros((2, 2, self.n))
+        self._place(self._every)
+        self.block = FreeBlock(problem.columns, np.flatnonzero(self.steps % 2))
+        self._begin_at_rest()
+        self.changes = 0
+        self._offset: FloatVector | None = None  # r
+        if self.block.is_singular:
+            w = self.at_rest[0] + t * self.at_rest[1] + z[self.free] @ problem.columns.many(self.free)
+            self._slide(None, z, w, None)
+
+    # --- where rows are -----------------------------------------------------------------------------------
+
+    def _place(self, rows: IntVector) -> None:
+        """Set the ends of the steps of these rows: of z on odd ones, of −w on even ones."""
+        corners, levels, steps = self.problem.corners, self.problem.levels, self.steps[rows]
+        k, is_free = steps // 2, steps % 2 == 1
+        above = np.minimum(k + 1, corners.shape[1] - 1)
+        self._lower[:, rows] = np.where(is_free, corners[:, k, rows], -levels[:, k, rows])
+        self._upper[:, rows] = np.where(is_free, corners[:, above, rows], -levels[:, k + 1, rows])
+
+    def _begin_at_rest(self) -> None:
+        """Compute what q and the rows at rest give to w, from nothing."""
+        fixed = np.flatnonzero(self.steps % 2 == 0)
+        values = self.problem.corners[:, self.steps[fixed] // 2, fixed]
+        chosen = values.any(axis=0)
+        self.at_rest = self.problem.q.copy()
+        if chosen.any():
+            self.at_rest += values[:, chosen] @ self.problem.columns.many(fixed[chosen])
+
+    def _rest(self, row: int, sign: float) -> None:
+        value = self.problem.corners[:, self.steps[row] // 2, row]
+        if value.any():
+            self.at_rest += sign * np.outer(value, self.problem.columns.one(row))
+
+    @property
+    def free(self) -> IntVector:
+        """The rows on odd steps."""
+        return np.flatnonzero(self.steps % 2)
+
+    def _change(self, row: int, way: int) -> bool:
+        """Let a row go to its next step, forwards or backwards; return whether it is free now."""
+        self.changes += 1
+        was_free = self.steps[row] % 2 == 1
+        if not was_free:
+            self._rest(row, -1.0)
+        self.steps[row] += way
+        if was_free:
+            self._rest(row, 1.0)
+        self._place(np.array([row]))
+        return not was_free
+
+    # --- lines --------------------------------------------------------------------------------------------
+
+    def _settle(self) -> tuple[FloatVector, FloatVector]:
+        """Return z and w of the present steps, shape (2, n) each, with one correction where rounding calls for it."""
+        problem, block, rows = self.problem, self.block, self.block.rows
+        z = np.where(self.steps % 2 == 0, problem.corners[:, self.steps // 2, self._every], 0.0)
+        if not rows.size:
+            return z, self.at_rest.copy()
+        level = problem.levels[:, (self.steps[rows] + 1) // 2, rows]
+        known = self.at_rest[:, rows] - level
+        free = -known @ block.inverse.T
+        w = self.at_rest + free @ block.columns
+        terms = self._sizes[rows] * np.abs(free).sum(axis=1, keepdims=True) + np.abs(known)
+        for attempt in range(4):
+            wrong = w[:, rows] - level
+            if not (np.abs(wrong) > REFINED_TO * terms).any():
+                break
+            if attempt == 2 and not block.renew():
+                break
+            correction = -wrong @ block.inverse.T
+            free += correction
+            w += correction @ block.columns
+        z[:, rows], w[:, rows] = free, level
+        return z, w
+
+    def _gaps(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
+        """Return how far each row is from the lower and from the upper end of its step."""
+        coordinate = np.where(self.steps % 2 == 1, z, -w)
+        return coordinate - self._lower, self._upper - coordinate
+
+    def _blur(self, z: FloatVector, known: FloatVector) -> FloatVector:
+        """Return how far the coordinates that belong to z, shape (n,), are known."""
+        size = np.abs(z[self.block.rows])
+        of_w = self._sizes * size.sum() + np.abs(known)
+        of_z = size.max(initial=0.0)
+        return np.asarray(ROUNDING * np.where(self.steps % 2 == 1, of_z, of_w))
+
+    def _first_end(self, now: Pair, rates: Pair, blur: FloatVector, slow: FloatVector) -> tuple[float, list[Change]]:
+        """Return how far it is to the first end of a step, and which rows come to theirs there, and which way.
+
+        Parameters
+        ----------
+        now, rates : pairs of ndarray, shape (n,)
+            Distances from the lower and from the upper ends, and how fast they grow.
+        blur, slow : ndarray, shape (n,)
+            How far distances and rates are known.
+        """
+        reached, found = np.inf, []
+        for gap, rate, way in zip(now, rates, (-1, 1), strict=True):
+            moving = np.flatnonzero(rate < -slow)
+            speed = -rate[moving]
+            ahead = np.maximum(gap[moving], 0.0) / speed
+            reached = min(reached, float((ahead + blur[moving] / speed).min(initial=np.inf)))
+            found.append((moving, ahead, way))
+        if reached == np.inf:
+            return np.inf, []
+        least = min(float(ahead.min(initial=np.inf)) for _, ahead, _ in found)
+        tied = [(int(row), way) for moving, ahead, way in found for row in moving[ahead <= reached]]
+        return least, tied
+
+    def _orders(self, z: FloatVector, w: FloatVector) -> Pair:
+        """Return the ε-terms of z and w at constant t, shape (n,) each; z and w are those of the present line."""
+        rows, block = self.block.rows, self.block
+        if self._offset is None:
+            self._offset = self._drawn_offset(z, w)
+        of_z, of_w = np.zeros(self.n), self._offset.copy()
+        if rows.size:
+            of_z[rows] = -block.inverse.dot(self._offset[rows])
+            of_w += of_z[rows] @ block.columns
+            of_w[rows] = 0.0
+        return of_z, of_w
+
+    def _drawn_offset(self, z: FloatVector, w: FloatVector) -> FloatVector:
+        """Return an r that moves each coordinate from the nearer end of its step."""
+        below, above = (gap[0] + self.t * gap[1] for gap in self._gaps(z, w))
+        random = np.random.default_rng(0).uniform(0.5, 1.0, self.n)
+        ahead = np.where(below <= above, random, -random)
+        is_free, rows = self.steps % 2 == 1, self.block.rows
+        offset = np.where(is_free, 0.0, -ahead * self._sizes)
+        return offset - (ahead[rows] @ self.block.columns if rows.size else 0.0)
+
+    def solution(self) -> FloatVector:
+        """Return z at t, shape (n,)."""
+        z, _ = self._settle()
+        return np.asarray(z[0] + self.t * z[1])
+
+    def is_right(self) -> bool:
+        """Return whether each row is on its step at t, up to rounding."""
+        z, w = (one[0] + self.t * one[1] for one in self._settle())
+        return not (self.outside(z, w) > RIGHT * self._blur_of(z, w)).any()
+
+    def outside(self, z: FloatVector, w: FloatVector) -> FloatVector:
+        """Return how far each row is off its step at t, shape (n,)."""
+        now = self._coordinates(z, w)
+        lower, upper = (end[0] + self.t * end[1] for end in (self._lower, self._upper))
+        return np.asarray(np.maximum(lower - now, now - upper))
+
+    # --- the path -----------------------------------------------------------------------------------------
+
+    def lines(self, stop: float) -> Iterator[Line | End]:
+        """Yield the lines up to stop, and at last why there are no more."""
+        start, furthest, forward, jumps, slides = self.t, self.t, 1.0, False, False
+        stuck, budget = 0, STEPS * self.n + 10_000
+        changed: Change | None = None
+        while True:
+            z, w = self._settle()
+            gaps, slow = self._gaps(z, w), self._blur(z[1], self.at_rest[1])
+            if changed is not None:
+                rate = gaps[0 if changed[1] > 0 else 1][1, changed[0]]
+                forward = np.sign(rate) if abs(rate) > slow[changed[0]] else forward
+            at, w_at = z[0] + self.t * z[1], w[0] + self.t * w[1]
+            blur = self._blur(at, self.at_rest[0] + self.t * self.at_rest[1])
+            rates = gaps[0][1] * forward, gaps[1][1] * forward
+            length, tied = self._first_end(
+                (gaps[0][0] + self.t * gaps[0][1], gaps[1][0] + self.t * gaps[1][1]), rates, blur, slow)
+            goal = stop if forward > 0.0 else start
+            is_last = not tied or length >= forward * (goal - self.t)
+            t = goal if is_last else self.t + forward * length
+            if t > furthest:
+                yield Line(furthest, t, z, self.steps.copy(), jumps, slides and not jumps)
+                furthest, jumps, slides = t, False, False
+            jumps = jumps or forward < 0.0
+            if is_last:
+                self.t = t
+                yield End.STOP if forward > 0.0 else End.TURNED
+                return
+            stuck = stuck + 1 if length <= ROUNDING * max(abs(t), stop - start) else 0
+            if stuck > AT_ONE_PLACE * self.n + 100 or self.changes > budget:
+                yield End.LOST
+                return
+            changed, orders, order = tied[0], None, 0.0
+            if len(tied) > 1 or self._offset is not None:
+                orders = self._orders(z, w)
+                changed, order = self._first_of(tied, self._coordinates(*orders), rates)
+                order *= forward
+            at, w_at = at + (t - self.t) * z[1], w_at + (t - self.t) * w[1]
+            self.t = t
+            is_free = self._change(*changed)
+            if not (self.block.enter if is_free else self.block.leave)(changed[0]):
+                orders = self._orders(z, w) if orders is None else orders
+                moved = orders[0] + order * z[1], orders[1] + order * w[1], order
+                slides = True
+                try:
+                    changed = self._slide(changed, at, w_at, moved)
+                except SingularError:
+                    yield End.RAY
+                    return
+
+    def _coordinates(self, z: FloatVector, w: FloatVector) -> FloatVector:
+        """Return z of the free rows, and −w of the others."""
+        return np.where(self.steps % 2 == 1, z, -w)
+
+    @staticmethod
+    def _first_of(
+        tied: list[Change], orders: FloatVector, rates: Pair, shifts: Pair | None = None
+    ) -> tuple[Change, float]:
+        """Return which of the tied rows changes first, and the ε-term of how far that is."""
+        best, least = tied[0], np.inf
+        for row, way in tied:
+            side = 0 if way < 0 else 1
+            gap = -way * orders[row] - (0.0 if shifts is None else -way * shifts[side][row])
+            term = gap / -rates[side][row]
+            if term < least:
+                best, least = (row, way), term
+        return best, float(least)
+
+    def _slide(
+        self, last: Change | None, z: FloatVector, w: FloatVector, orders: tuple[FloatVector, FloatVector, float] | None
+    ) -> Change:
+        """Move along the solutions at this t until the block of free rows is regular; return the last change.
+
+        Parameters
+        ----------
+        last : (int, int) or None
+            The change that made the block singular, which the block has not followed; None at the start.
+        z, w : ndarray, shape (n,)
+        orders : (ndarray, ndarray, float), optional
+            The ε-terms of z, w and t.
+        """
+        held = self._lower[0] + self.t * self._lower[1], self._upper[0] + self.t * self._upper[1]
+        dz, dw = self._null_direction() if last is None else self._response(*last)
+        for _ in range(4 * self.n + 10):
+            held = self._lower[0] + self.t * self._lower[1], self._upper[0] + self.t * self._upper[1]
+            now, blur = self._coordinates(z, w), self._blur_of(z, w)
+            slow = self._blur_of(dz, None)
+            for sign in (1.0, -1.0) if last is None else (1.0,):
+                rate = sign * self._coordinates(dz, dw)
+                length, tied = self._first_end((now - held[0], held[1] - now), (rate, -rate), blur, slow)
+                if tied:
+                    break
+            else:
+                raise SingularError
+            change, step = tied[0], 0.0
+            if orders is not None:
+                of_t = orders[2]
+                shifts = self._lower[1] * of_t, self._upper[1] * of_t
+                change, step = self._first_of(tied, self._coordinates(*orders[:2]), (rate, -rate), shifts)
+                orders = orders[0] + step * sign * dz, orders[1] + step * sign * dw, of_t
+            z, w = z + length * sign * dz, w + length * sign * dw
+            self._change(*change)
+            last = change
+            self.block = FreeBlock(self.problem.columns, self.free)
+            if not self.block.is_singular:
+                return change
+            dz, dw = self._null_direction()
+            own = dz[change[0]] if self.steps[change[0]] % 2 else -dw[change[0]]
+            if own * change[1] < 0.0:
+                dz, dw = -dz, -dw
+        raise SingularError
+
+    def _response(self, row: int, way: int) -> Pair:
+        """Return how z and w move at constant t where a row does that has changed, and its block is singular."""
+        block, dz = self.block, np.zeros(self.n)
+        if self.steps[row] % 2:
+            column, answer = block.response(row)
+            dz[block.rows], dz[row] = answer * way, way
+            return dz, answer * way @ block.columns + column * way
+        answer = block.inverse[:, block.place(row)] * -way
+        dz[block.rows], dz[row] = answer, 0.0
+        return dz, answer @ block.columns
+
+    def _null_direction(self) -> Pair:
+        """Return a z, and its M z, for which M_FF z_F is 0."""
+        block, dz = self.block, np.zeros(self.n)
+        size = np.sqrt(self._sizes[block.rows])
+        *_, across = np.linalg.svd(block.block / size / size[:, np.newaxis])
+        dz[block.rows] = across[-1] / size
+        dw = dz[block.rows] @ block.columns
+        dw[block.rows] = 0.0
+        return dz, dw
+
+    def _blur_of(self, z: FloatVector, w: FloatVector | None) -> FloatVector:
+        size = np.abs(z)
+        of_w = self._sizes * size.sum() + (0.0 if w is None else np.abs(w))
+        return np.asarray(ROUNDING * np.where(self.steps % 2 == 1, size.max(initial=0.0), of_w))
+
+
+def follower_from(problem: Staircases, t: float, z: FloatVector, w: FloatVector) -> Follower:
+    """Return a follower at the solution at t that (z, w) is near.
+
+    Where z is not exact, or its steps were mistaken, q is changed so that the steps are right, and the way back to q is
+    followed.
+
+    Raises
+    ------
+    SingularError
+        Where the solutions at t are a line without end, or that way ends.
+    """
+    follower = Follower(problem, problem.steps_of(t, z, w), t, z)
+    for _ in range(3):
+        found_z, found_w = (one[0] + t * one[1] for one in follower._settle())
+        now = follower._coordinates(found_z, found_w)
+        lower, upper = (end[0] + t * end[1] for end in (follower._lower, follower._upper))
+        outside = follower.outside(found_z, found_w)
+        if not (outside > RIGHT * follower._blur_of(found_z, found_w)).any():
+            return follower
+        wrong = outside > 0.0
+        margin = np.where(wrong, np.minimum(outside, 0.5 * (upper - lower)), 0.0)
+        wanted = np.where(wrong, np.clip(now, lower + margin, upper - margin), now)
+        is_free, rows = follower.steps % 2 == 1, follower.free
+        shift = np.where(is_free, 0.0, now - wanted)  # of w
+        if rows.size:
+            shift -= (wanted - now)[rows] @ problem.columns.many(rows)
+        homotopy = problem.at(t).with_offsets(shift, -shift)
+        guide = Follower(homotopy, follower.steps, 0.0, np.where(is_free, wanted, found_z))
+        end = [line for line in guide.lines(1.0) if isinstance(line, End)][-1]
+        if end is not End.STOP:
+            raise SingularError
+        follower = Follower(problem, guide.steps, t, found_z)
+    return follower

@@ -1,0 +1,295 @@
+"""The path of a solution over one parameter: pieces, values, derivatives, and what was certified of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.checks import FloatVector, is_number
+from ...core.errors import InvalidOption, LCPError, NotConverged
+from ...core.representation import in_words
+from ...core.settings import PROVEN, Status
+from .families import Family, PathPoint
+
+SHOWN = 8  # breakpoints in a paragraph
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One piece of a path: x = x0 + θ x1 for θ from begin to end.
+
+    Attributes
+    ----------
+    begin, end : float
+        In the order in which the path is traced.
+    x0, x1 : ndarray, shape (n,)
+    case : ndarray of int, shape (n,)
+        −1 at the lower bound, 0 between, 1 at the upper one, 2 at 0 where a penalty holds it there. Of a program x
+        first, then the rows of G: −1 where a row is slack, 0 where it acts; then those of A.
+    z0, z1 : ndarray
+        The same with the multipliers of rows behind x; x of other kinds.
+    """
+
+    begin: float
+    end: float
+    x0: FloatVector = field(repr=False)
+    x1: FloatVector = field(repr=False)
+    case: Any = field(repr=False)
+    z0: FloatVector = field(repr=False)
+    z1: FloatVector = field(repr=False)
+
+    def z_at(self, theta: float) -> FloatVector:
+        """Return x with the multipliers of rows at θ."""
+        return self.z0 + theta * self.z1
+
+
+@dataclass(frozen=True, eq=False)
+class Slope:
+    """How the solution changes with the parameter.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+    w : ndarray, shape (n,), or None
+        Of an LCP.
+    multipliers : ndarray or None
+        Of the rows of G and A of a program.
+    objective : float or None
+    """
+
+    x: FloatVector
+    w: FloatVector | None = None
+    multipliers: FloatVector | None = None
+    objective: float | None = None
+
+
+class Path:
+    """The solution of a family of problems along one parameter; what `trace` returns.
+
+    Attributes
+    ----------
+    pieces : list of Piece
+        In the order of the trace; the solution is affine on each.
+    start, stop : float
+        Where it was to begin and to end.
+    reached : float
+        How far it came.
+    status : Status
+        SOLVED where it came to stop and every end of a piece is SOLVED by the criterion of its kind; then the points
+        between are, too, which are means of those. Else that of the worst end, or of the problem just beyond `reached`.
+    jumps : list of float
+        Where the solution jumps, as that of a matrix that is not monotone may.
+    segments : list of float
+        Where a whole segment of solutions leads from one piece to the next, as between two vertices of a linear program
+        that are both best.
+    beyond : result or None
+        What `solve` says just beyond `reached`, with its proof, where the path ends before stop.
+    seconds : float
+        Of the trace, its certificates included.
+    """
+
+    def __init__(
+        self, family: Family, start: float, stop: float, pieces: list[Piece], jumps: list[float],
+        segments: list[float], beyond: Any, reached: float, starts: int,
+    ) -> None:
+        self.family, self.start, self.stop, self.reached = family, start, stop, reached
+        self.pieces, self.jumps, self.segments = pieces, jumps, segments
+        self.beyond, self.starts = beyond, starts
+        self.seconds = 0.0
+        self._toward = 1.0 if stop >= start else -1.0
+        self._begins = np.array([self._toward * piece.begin for piece in pieces])
+
+    @property
+    def problem(self) -> Any:
+        """The problem at θ = 0."""
+        return self.family.problem
+
+    @cached_property
+    def breakpoints(self) -> FloatVector:
+        """Where pieces begin and end, from start to `reached`, the ends included."""
+        if not self.pieces:
+            return np.zeros(0)
+        return np.array([self.pieces[0].begin, *(piece.end for piece in self.pieces)])
+
+    @cached_property
+    def points(self) -> list[PathPoint]:
+        """The solutions at the breakpoints; where pieces do not join, the one before and the one behind."""
+        found: list[PathPoint] = []
+        apart = {*self.jumps, *self.segments}
+        for k, piece in enumerate(self.pieces):
+            before = self.pieces[k - 1] if k else None
+            if before is None or piece.begin != before.end or piece.begin in apart:
+                found.append(self.family.point(piece.begin, piece.z_at(piece.begin)))
+            found.append(self.family.point(piece.end, piece.z_at(piece.end)))
+        return found
+
+    @cached_property
+    def status(self) -> Status:
+        """SOLVED, or why not."""
+        every = [point.status for point in self.points]
+        wrong = [status for status in every if status is not Status.SOLVED]
+        if self.beyond is not None:
+            return Status(self.beyond.status) if not self.beyond.is_solved else Status.STALLED
+        if not wrong:
+            return Status.SOLVED
+        return Status.STALLED if Status.STALLED in wrong else Status.PRECISION_LIMIT
+
+    @property
+    def is_solved(self) -> bool:
+        """True where the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @property
+    def has_no_solution(self) -> bool:
+        """True where a proof says that there is no solution just beyond `reached`."""
+        return self.status in PROVEN
+
+    @property
+    def proof(self) -> Any:
+        """What proves that there is no solution just beyond `reached`; None where nothing does."""
+        return None if self.beyond is None else self.beyond.proof
+
+    def require_solved(self) -> Path:
+        """Return this path, or raise NotConverged with `explain` where it is not solved."""
+        if not self.is_solved:
+            raise NotConverged(self.explain())
+        return self
+
+    # --- values -------------------------------------------------------------------------------------------
+
+    def at(self, theta: float) -> PathPoint:
+        """Return the solution at θ: x, multipliers, objective, status; behind a jump where there is one.
+
+        Raises
+        ------
+        InvalidOption
+            Where θ is outside of what was traced.
+        """
+        piece = self.piece_at(theta)
+        return self.family.point(float(theta), piece.z_at(float(theta)))
+
+    def x(self, thetas: ArrayLike) -> FloatVector:
+        """Return x at many values, shape (k, n)."""
+        values = np.atleast_1d(np.asarray(thetas, dtype=np.float64))
+        made: FloatVector = np.empty((values.size, self.pieces[0].x0.size if self.pieces else 0))
+        for k, theta in enumerate(values):
+            piece = self.piece_at(theta)
+            made[k] = piece.x0 + theta * piece.x1
+        return made
+
+    def objective(self, thetas: ArrayLike) -> FloatVector:
+        """Return the objective at many values, shape (k,); NaN for an LCP, which has none."""
+        every = [self.at(theta).objective for theta in np.atleast_1d(np.asarray(thetas, dtype=np.float64))]
+        return np.array([np.nan if value is None else value for value in every])
+
+    def derivative(self, theta: float, *, side: str = "ahead") -> Slope:
+        """Return how the solution at θ changes with θ.
+
+        Parameters
+        ----------
+        theta : float
+        side : {"ahead", "behind"}
+            At a breakpoint: of the piece that begins there, as the path is traced, or of the one that ends there.
+        """
+        if side not in ("ahead", "behind"):
+            raise InvalidOption(f'side must be "ahead" or "behind", got {side!r}')
+        theta = float(theta)
+        piece = self.piece_at(theta, is_behind=side == "behind")
+        point, family = self.family.point(theta, piece.z_at(theta)), self.family
+        rates = piece.z1[piece.x1.size :]
+        w = family.slope_of_slack(piece.x1)
+        return Slope(piece.x1, w, rates if rates.size else None, family.slope_of_objective(point, piece.x1))
+
+    def piece_at(self, theta: float, *, is_behind: bool = False) -> Piece:
+        """Return the piece that θ lies on; where two meet the later one, or the earlier one."""
+        if not is_number(theta):
+            raise InvalidOption(f"θ must be a number, got {theta!r}")
+        along = self._toward * float(theta)
+        low, high = self._toward * self.start, self._toward * self.reached
+        slack = 1e-12 * max(abs(low), abs(high))
+        if not self.pieces or not low - slack <= along <= high + slack:
+            there = f"from {self.start:.9g} to {self.reached:.9g}" if self.pieces else "nowhere"
+            raise InvalidOption(f"θ = {theta!r} is not on the path, which goes {there}")
+        side = "left" if is_behind else "right"
+        return self.pieces[max(int(np.searchsorted(self._begins, along, side=side)) - 1, 0)]  # type: ignore[call-overload]
+
+    # --- words, tables, pictures --------------------------------------------------------------------------
+
+    def explain(self) -> str:
+        """Return in a few lines what was traced, and how well."""
+        count = len(self.pieces)
+        if self.is_solved:
+            first = f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {in_words(count, 'piece')}, "
+            first += "each end is certified, and what lies between is a mean of both."
+        elif self.beyond is not None and not self.pieces:
+            first = f"{self.status.name}: there is no path from {self.start:.6g}: {self.beyond.advice}."
+        elif self.beyond is not None:
+            first = (
+                f"{self.status.name}: the path ends at {self.reached:.9g}, before {self.stop:.6g}; just beyond: "
+                f"{self.beyond.advice}."
+            )
+        else:
+            worst = next(point for point in self.points if point.status is self.status)
+            first = f"{self.status.name}: the solution at {worst.parameter:.9g} is not within the tolerance."
+        lines = [first]
+        if count:
+            inner = self.breakpoints[1:-1]
+            shown = ", ".join(f"{value:.6g}" for value in inner[:SHOWN])
+            rest = f", and {inner.size - SHOWN} more" if inner.size > SHOWN else ""
+            lines.append(f"breakpoints: {shown or 'none'}{rest}")
+        lines += [f"the solution jumps at {value:.9g}" for value in self.jumps]
+        if self.segments:
+            shown = ", ".join(f"{value:.6g}" for value in self.segments[:SHOWN])
+            lines.append(f"at {shown} all points between two solutions are solutions")
+        begun = in_words(self.starts, "solve")
+        lines.append(f"{begun} to begin with, then one change a breakpoint; {self.seconds:.3g} s")
+        return "\n".join(lines)
+
+    def to_dataframe(self, thetas: ArrayLike | None = None) -> Any:
+        """Return a pandas DataFrame: θ, objective and x at the breakpoints, or at given values.
+
+        Raises
+        ------
+        LCPError
+            Where pandas is missing.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise LCPError("to_dataframe needs pandas: pip install pandas; path.x(thetas) has the numbers") from error
+        values = self.breakpoints if thetas is None else np.atleast_1d(np.asarray(thetas, dtype=np.float64))
+        x = self.x(values)
+        columns: dict[str, Any] = {"parameter": values, "objective": self.objective(values)}
+        columns |= {f"x[{j}]": x[:, j] for j in range(x.shape[1])}
+        return pd.DataFrame(columns)
+
+    def plot(self, *, axes: Any = None, rows: Sequence[int] | None = None) -> Any:
+        """Return matplotlib's axes with x over θ, and below it the objective and how many rows act.
+
+        Parameters
+        ----------
+        axes : Axes, optional
+            To draw x into alone.
+        rows : sequence of int, optional
+            Which unknowns to draw; the forty that change most by default.
+        """
+        from ...evidence.path_plots import plot_path
+
+        return plot_path(self, axes=axes, rows=rows)
+
+    def __len__(self) -> int:
+        return len(self.pieces)
+
+    def __repr__(self) -> str:
+        return (
+            f"Path({self.status.name}, {in_words(len(self.pieces), 'piece')}, "
+            f"{self.start:.6g} to {self.reached:.6g}, {self.seconds:.3g} s)"
+        )
+
+    def __str__(self) -> str:
+        return self.explain()

@@ -1,0 +1,169 @@
+"""A parametric complementarity problem: rows that are staircases, all of whose numbers are affine in one parameter.
+
+Of z and w = M z + q, row i is on a staircase that falls to the right: at z = p₀ any w ≥ v₁, w = v₁ for p₀ ≤ z ≤ p₁, at
+p₁ any w from v₁ down to v₂, w = v₂ for p₁ ≤ z ≤ p₂, at p₂ any w ≤ v₂. Bounds are a staircase with p₀ = lower,
+p₁ = upper, v₁ = 0; a penalty λ|z| within bounds is one with p = (lower, 0, upper) and v = (λ, −λ).
+
+Step 2k of a staircase is its piece at z = p_k, step 2k + 1 that at w = v_{k+1}; a row is free on odd ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ...core.checks import FloatVector
+from ...core.matrix.structure import IntVector
+
+FIXED_LEVELS = 4  # of w: +∞, two values, −∞
+CORNERS = 3  # of z
+
+
+class Columns:
+    """The columns of M, each made when it is asked for.
+
+    Parameters
+    ----------
+    M : ndarray or sparse array, shape (n, n)
+
+    Attributes
+    ----------
+    sizes : ndarray, shape (n,)
+        The largest |m_ij| of each row.
+    """
+
+    def __init__(self, M: Any) -> None:
+        self.n = M.shape[0]
+        self._columns: Any = sp.csc_array(M) if sp.issparse(M) else np.ascontiguousarray(M.T)
+        of_rows = abs(M).max(axis=1).toarray().ravel() if sp.issparse(M) else np.abs(M).max(axis=1, initial=0.0)
+        self.sizes: FloatVector = np.maximum(np.asarray(of_rows, dtype=np.float64), np.finfo(np.float64).tiny)
+
+    def many(self, numbers: Any) -> FloatVector:
+        """Return some columns as rows of an array, shape (k, n)."""
+        chosen = self._columns[:, numbers].T.toarray() if sp.issparse(self._columns) else self._columns[numbers]
+        return np.asarray(chosen)
+
+    def one(self, j: int) -> FloatVector:
+        """Return column j, shape (n,)."""
+        return np.asarray(self.many([j])[0] if sp.issparse(self._columns) else self._columns[j])
+
+
+class GramColumns(Columns):
+    """The columns of AᵀA + ridge I, which is never made as a whole.
+
+    Parameters
+    ----------
+    A : ndarray or sparse array, shape (m, n)
+    ridge : float
+    """
+
+    def __init__(self, A: Any, ridge: float) -> None:
+        self.n, self._ridge = A.shape[1], ridge
+        self._A, self._transpose = A, (sp.csr_array(A.T) if sp.issparse(A) else np.ascontiguousarray(A.T))
+        squares = np.asarray(abs(A).power(2).sum(axis=0)).ravel() if sp.issparse(A) else np.einsum("ij,ij->j", A, A)
+        lengths = np.sqrt(squares)
+        self.sizes = np.maximum(lengths * lengths.max(initial=0.0) + ridge, np.finfo(np.float64).tiny)
+
+    def many(self, numbers: Any) -> FloatVector:
+        """Return some columns as rows of an array, shape (k, n)."""
+        chosen = self._transpose[numbers]
+        made = (chosen @ self._A).toarray() if sp.issparse(chosen) else chosen @ self._A
+        made[np.arange(len(numbers)), numbers] += self._ridge
+        return np.asarray(made)
+
+    def one(self, j: int) -> FloatVector:
+        """Return column j, shape (n,)."""
+        if sp.issparse(self._A):
+            return np.asarray(self.many([j])[0])
+        column: FloatVector = np.asarray(self._transpose @ self._transpose[j])
+        column[j] += self._ridge
+        return column
+
+
+@dataclass(frozen=True, eq=False)
+class Staircases:
+    """The problem at parameter t: constants and slopes, along the first axis of each array.
+
+    Attributes
+    ----------
+    columns : Columns
+    q : ndarray, shape (2, n)
+    corners : ndarray, shape (2, 3, n)
+        The p of each row, ±∞ where there is none.
+    levels : ndarray, shape (2, 4, n)
+        +∞, v₁, v₂, −∞ of each row; v₂ = −∞ where a row has two corners.
+    """
+
+    columns: Columns
+    q: FloatVector
+    corners: FloatVector
+    levels: FloatVector
+
+    @classmethod
+    def of_bounds(cls, columns: Columns, q: FloatVector, lower: FloatVector, upper: FloatVector) -> Staircases:
+        """Return that of q, lower and upper, shape (2, n) each."""
+        n = columns.n
+        corners, levels = np.zeros((2, CORNERS, n)), np.zeros((2, FIXED_LEVELS, n))
+        corners[:, 0], corners[:, 1], corners[0, 2] = lower, upper, np.inf
+        levels[0, 0], levels[0, 2:] = np.inf, -np.inf
+        return cls(columns, q, corners, levels)
+
+    @classmethod
+    def of_penalty(
+        cls, columns: Columns, q: FloatVector, lower: FloatVector, upper: FloatVector, penalty: FloatVector,
+        has_kink: NDArray[np.bool_],
+    ) -> Staircases:
+        """Return that of bounds and of penalty · |z| in rows with a kink at 0; in others a penalty is part of q."""
+        made = cls.of_bounds(columns, q, lower, upper)
+        corners, levels = made.corners, made.levels
+        corners[:, 2, has_kink], corners[:, 1, has_kink] = upper[:, has_kink], 0.0
+        levels[:, 1, has_kink], levels[:, 2, has_kink] = penalty[:, has_kink], -penalty[:, has_kink]
+        return made
+
+    @property
+    def n(self) -> int:
+        """The number of rows."""
+        return int(self.columns.n)
+
+    def at(self, t: float) -> Staircases:
+        """Return the problem at t, with slopes 0."""
+        return Staircases(self.columns, *(_held(one, t) for one in (self.q, self.corners, self.levels)))
+
+    def with_offsets(self, constant: FloatVector, slope: FloatVector) -> Staircases:
+        """Return the problem with these added to q."""
+        return Staircases(self.columns, self.q + np.array([constant, slope]), self.corners, self.levels)
+
+    def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
+        """Return the step of each row that (z, w) misses least at t, shape (n,); a corner is on the even one."""
+        held, size = self.at(t), self.columns.sizes
+        corners, levels, scaled = held.corners[0], held.levels[0] / size, w / size
+        best, steps = np.full(self.n, np.inf), np.zeros(self.n, dtype=np.int64)
+        with np.errstate(invalid="ignore"):
+            for step in range(2 * CORNERS - 1):
+                k = step // 2
+                if step % 2 == 0:
+                    outside = np.maximum(np.maximum(levels[k + 1] - scaled, scaled - levels[k]), 0.0)
+                    miss = np.maximum(np.abs(z - corners[k]), outside)
+                else:
+                    outside = np.maximum(np.maximum(corners[k] - z, z - corners[k + 1]), 0.0)
+                    miss = np.maximum(np.abs(scaled - levels[k + 1]), outside)
+                miss = np.where(np.isfinite(miss), miss, np.inf)
+                order = 1.0 if step % 2 == 0 else 1.0 + 1e-9
+                is_better = order * miss < best
+                steps[is_better], best[is_better] = step, miss[is_better]
+        return steps
+
+    @cached_property
+    def moves_corners(self) -> bool:
+        """Whether a row may rest where z is not 0."""
+        finite = np.where(np.isfinite(self.corners[0]), self.corners[0], 0.0)
+        return bool(finite.any() or self.corners[1].any())
+
+
+def _held(parts: FloatVector, t: float) -> FloatVector:
+    return np.stack([parts[0] + t * parts[1], np.zeros_like(parts[0])])

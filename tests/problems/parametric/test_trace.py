@@ -1,0 +1,370 @@
+"""trace(): every piece of a path is right, and what cannot go on says so."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from exact import exact_solution
+
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    InvalidOption,
+    NotConverged,
+    QuadraticProgram,
+    Status,
+    UnsuitableProblem,
+    UnsupportedModel,
+    solve,
+    trace,
+)
+from lcp_plugin.problems.parametric.path import Path
+
+INF = np.inf
+
+
+def assert_pieces_join(path: Path) -> None:
+    """Each piece begins where the one before ends, in place and, but for jumps, in value."""
+    for one, other in itertools.pairwise(path.pieces):
+        if other.begin in (*path.jumps, *path.segments):
+            continue
+        assert one.end == other.begin
+        size = 1e-9 * (1.0 + np.abs(one.z_at(one.end)).max())
+        assert np.abs(path.family.x_of(one.z_at(one.end) - other.z_at(one.end))).max() <= size
+
+
+def random_lcp(rng: np.random.Generator, n: int, rank: int, skew: float) -> tuple[LCP, np.ndarray]:
+    """Return a monotone LCP with a solution at θ = 0 and at θ = 1, and the direction of q."""
+    B, K = rng.standard_normal((n, rank)), rng.standard_normal((n, n))
+    M = B @ B.T / n + skew * (K - K.T) / np.sqrt(n)
+    lower = np.where(rng.random(n) < 0.8, -rng.integers(0, 2, n).astype(float), -INF)
+    upper = np.where(rng.random(n) < 0.4, rng.integers(1, 3, n).astype(float), INF)
+    ends = []
+    for _ in range(2):
+        z = np.clip(np.round(2.0 * rng.standard_normal(n)), lower, upper)
+        w = np.where(z == lower, rng.random(n), np.where(z == upper, -rng.random(n), 0.0))
+        ends.append(w - M @ z)
+    return LCP(M, ends[0], lower=lower, upper=upper), ends[1] - ends[0]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_small_paths_are_exact(seed: int) -> None:
+    """At n ≤ 5 the solution by exact enumeration lies on the path, at breakpoints, middles and elsewhere."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    B = rng.integers(-2, 3, (n, n)).astype(float)
+    K = rng.integers(-2, 3, (n, n)).astype(float)
+    M = B @ B.T + np.eye(n) + (K - K.T)
+    problem = LCP(M, rng.integers(-4, 5, n), lower=-rng.integers(0, 2, n), upper=rng.integers(1, 4, n))
+    dq = rng.integers(-4, 5, n).astype(float)
+    path = trace(problem, {"q": dq}, -4, 4).require_solved()
+    assert_pieces_join(path)
+    middles = 0.5 * (path.breakpoints[1:] + path.breakpoints[:-1])
+    for theta in (*path.breakpoints, *middles, *rng.uniform(-4.0, 4.0, 5)):
+        exact = [float(value) for value in exact_solution(problem.with_q(problem.q + theta * dq)).z]
+        assert np.abs(path.at(theta).z - exact).max() <= 1e-12 * (1.0 + np.abs(exact).max())
+    cases = [tuple(piece.case.tolist()) for piece in path.pieces]
+    slopes = [tuple(np.round(piece.x1, 9)) for piece in path.pieces]
+    assert all(one != other for one, other in itertools.pairwise(zip(cases, slopes, strict=True)))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_monotone_paths_meet_solves(seed: int) -> None:
+    """Between two solvable ends the path of a monotone LCP is solved everywhere, singular M included."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(5, 60))
+    problem, dq = random_lcp(rng, n, int(rng.integers(1, n + 1)), float(seed % 2))
+    path = trace(problem, {"q": dq}, 0.0, 1.0).require_solved()
+    assert_pieces_join(path)
+    for theta in rng.random(5):
+        point, answer = path.at(theta), solve(problem.with_q(problem.q + theta * dq)).require_solved()
+        assert point.is_solved
+        # Of several solutions of a monotone problem (M + Mᵀ) z is the same.
+        symmetric = problem.M + problem.M.T
+        assert np.abs(symmetric @ (point.z - answer.z)).max() <= 1e-6 * (1.0 + np.abs(answer.z).max())
+
+
+def test_a_path_back_is_the_path() -> None:
+    """From stop to start the same breakpoints are met in the other order."""
+    problem, dq = random_lcp(np.random.default_rng(3), 20, 20, 1.0)
+    there, back = trace(problem, {"q": dq}, 0, 1), trace(problem, {"q": dq}, 1, 0)
+    assert np.allclose(there.breakpoints, back.breakpoints[::-1], rtol=0, atol=1e-12)
+    assert np.allclose(there.x([0.1, 0.7]), back.x([0.1, 0.7]), rtol=0, atol=1e-11)
+
+
+def test_bounds_move() -> None:
+    """Bounds may move as q does."""
+    path = trace(LCP(np.eye(2), [-1, -1], upper=[1, 4]), {"upper": [1, -1], "q": [-1, 0]}, 0, 4)
+    for theta in (0.0, 0.5, 2.0, 3.5):
+        wanted = np.clip([1 + theta, 1], 0, [1 + theta, 4 - theta])
+        assert np.allclose(path.at(theta).z, wanted, rtol=0, atol=1e-14)
+    assert path.breakpoints.tolist() == [0.0, 3.0, 4.0]
+
+
+# --- programs -------------------------------------------------------------------------------------------------
+
+
+def cheapest(S: Any, mean: Any, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the portfolio of least ½ xᵀS x − tolerance · meanᵀx, Σ x = 1, x ≥ 0, by trying every set of assets."""
+    n, best, least = mean.size, np.zeros(mean.size), INF
+    for size in range(1, n + 1):
+        for assets in itertools.combinations(range(n), size):
+            own = list(assets)
+            system = np.block([[S[np.ix_(own, own)], -np.ones((size, 1))], [np.ones((1, size)), np.zeros((1, 1))]])
+            found = np.linalg.solve(system, np.append(tolerance * mean[own], 1.0))[:size]
+            value = 0.5 * found @ S[np.ix_(own, own)] @ found - tolerance * mean[own] @ found
+            if found.min() >= 0.0 and value < least:
+                least, best = value, np.zeros(n)
+                best[own] = found
+    return best, least
+
+
+def test_frontier_is_that_of_all_sets_of_assets() -> None:
+    """An efficient frontier is the least of all sets of assets at every risk tolerance, corners at breakpoints."""
+    rng = np.random.default_rng(7)
+    factors, mean = rng.standard_normal((6, 12)), rng.random(6)
+    S = factors @ factors.T / 12
+    program = QuadraticProgram(S, np.zeros(6), A=np.ones((1, 6)), b=[1], lower=0)
+    path = trace(program, {"c": -mean}, 0.0, 20.0).require_solved()
+    assert len(path) > 3
+    for theta in (*path.breakpoints, *rng.uniform(0.0, 5.0, 20)):
+        best, least = cheapest(S, mean, theta)
+        point = path.at(theta)
+        assert np.abs(point.x - best).max() <= 1e-10
+        assert point.objective == pytest.approx(least, abs=1e-12)
+        assert point.solution.is_optimal(1e-9)
+
+
+def test_objective_has_the_derivative_that_is_said() -> None:
+    """The slope of an objective is that of a difference, on a piece."""
+    rng = np.random.default_rng(1)
+    program = QuadraticProgram(np.diag([1.0, 2, 3]), [-1, -2, -3], G=[[1, 1, 1]], h=[0.5], lower=0)
+    A, b = rng.standard_normal((8, 3)), rng.standard_normal(8)
+    cases = [
+        (program, {"h": [1.0], "c": [0.1, 0, 0.2]}, 0.31),
+        (BoundedLeastSquares(A, b, lower=-INF, ridge=0.1), {"l1": 1, "b": np.ones(8)}, 0.31),
+    ]
+    for problem, along, theta in cases:
+        path = trace(problem, along, 0, 1).require_solved()
+        above, below = (path.at(theta + step).objective for step in (1e-5, -1e-5))
+        assert path.derivative(theta).objective == pytest.approx((above - below) / 2e-5, rel=1e-6)
+
+
+def test_multipliers_are_affine_too() -> None:
+    """What a limit is worth is affine between breakpoints: half of two ends at the middle."""
+    program = QuadraticProgram(np.eye(2), [-3, -1], G=[[1, 1]], h=[0], lower=0)
+    path = trace(program, {"h": [1]}, 0, 5).require_solved()
+    for piece in path.pieces:
+        ends, middle = [path.at(theta) for theta in (piece.begin, piece.end)], path.at(0.5 * (piece.begin + piece.end))
+        mean = 0.5 * (ends[0].solution.inequality + ends[1].solution.inequality)
+        assert np.allclose(middle.solution.inequality, mean, rtol=0, atol=1e-13)
+    assert path.at(1.0).solution.inequality == pytest.approx([2.0])
+    assert path.derivative(1.0).multipliers == pytest.approx([-1.0])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_linear_programs_move_along_faces(seed: int) -> None:
+    """Of a linear program, M of which is singular everywhere, the path follows values of right-hand sides and costs."""
+    rng = np.random.default_rng(seed)
+    n, m = 8, 5
+    G, h = rng.integers(-2, 4, (m, n)).astype(float), rng.integers(3, 9, m).astype(float)
+    program = QuadraticProgram(None, -rng.integers(0, 4, n), G=G, h=h, lower=0, upper=3)
+    name = "c" if seed % 2 else "h"
+    change = rng.integers(-2, 3, n if name == "c" else m).astype(float)
+    path = trace(program, {name: change}, 0, 1).require_solved()
+    for theta in rng.random(5):
+        answer = solve(program.with_vectors(**{name: getattr(program, name) + theta * change})).require_solved()
+        assert path.at(theta).objective == pytest.approx(answer.objective, abs=1e-7)
+        assert path.at(theta).is_solved
+
+
+def test_all_of_a_segment_solves() -> None:
+    """Where the best vertex changes both are best, and so is what lies between."""
+    program = QuadraticProgram(None, [0, 1], A=[[1, 1]], b=[1], lower=0)
+    path = trace(program, {"c": [1, 0]}, 0, 2).require_solved()
+    assert path.segments == pytest.approx([1.0])
+    assert [piece.x0.tolist() for piece in path.pieces] == [[1.0, 0.0], [0.0, 1.0]]
+    assert "at 1 all points between two solutions are solutions" in path.explain()
+
+
+def test_infeasible_from_somewhere_on_comes_with_the_proof() -> None:
+    """A path ends where the program has no point any more, exactly there, and what is beyond is proved."""
+    path = trace(QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[0], lower=0, upper=1), {"b": [1]}, 0, 5)
+    assert path.status is Status.INFEASIBLE
+    assert path.reached == pytest.approx(2.0, abs=1e-12)
+    assert path.proof.verify()
+    assert "ends at 2" in path.explain()
+    assert path.at(2.0).x == pytest.approx([1.0, 1.0])
+    with pytest.raises(InvalidOption, match="not on the path"):
+        path.at(2.5)
+    with pytest.raises(NotConverged, match="INFEASIBLE"):
+        path.require_solved()
+
+
+def test_unbounded_from_somewhere_on_comes_with_the_proof() -> None:
+    """A path ends where the objective begins to fall without end."""
+    path = trace(QuadraticProgram(None, [1], lower=0), {"c": [-1]}, 0, 2)
+    assert path.status is Status.UNBOUNDED
+    assert path.reached == pytest.approx(1.0, abs=1e-12)
+
+
+def test_no_solution_at_the_start() -> None:
+    """Without a solution at the start there is no path, and the status is that of the start."""
+    path = trace(QuadraticProgram(np.eye(1), [0], lower=1, upper=2, A=[[1]], b=[3]), {"c": [1]}, 0, 1)
+    assert path.status is Status.INFEASIBLE
+    assert not path.pieces
+    assert path.breakpoints.size == 0
+
+
+def test_a_solution_that_jumps_is_said_to() -> None:
+    """Where M is not monotone a path turns back; beyond the turn the solution has jumped, and is right again."""
+    path = trace(LCP([[-1]], [2], upper=1), {"q": [-1]}, 0, 3)
+    assert path.jumps == pytest.approx([2.0])
+    assert path.at(1.9).z == pytest.approx([0.0])
+    assert path.at(2.1).z == pytest.approx([1.0])
+    assert path.is_solved
+    assert "jumps at 2" in path.explain()
+
+
+# --- least squares --------------------------------------------------------------------------------------------
+
+
+def lasso(seed: int, m: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return A and b of a lasso with few columns that matter."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((m, n)) @ (np.eye(n) + rng.standard_normal((n, n)) / np.sqrt(n))
+    return A, A[:, :4] @ [2.0, -1.0, 1.0, 3.0] + rng.standard_normal(m)
+
+
+@pytest.mark.parametrize("shape", [(30, 10), (20, 40), (60, 60)])
+def test_lasso_path_meets_solves(shape: tuple[int, int]) -> None:
+    """Every value of a penalty has the x that a solve has; wide problems too."""
+    A, b = lasso(1, *shape)
+    most = np.abs(A.T @ b).max()
+    path = trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-3 * most).require_solved()
+    assert_pieces_join(path)
+    assert not path.at(most).x.any()
+    for share in (0.9, 0.5, 0.1, 0.01):
+        answer = solve(BoundedLeastSquares(A, b, lower=-INF, l1=share * most)).require_solved()
+        assert np.abs(path.at(share * most).x - answer.x).max() <= 1e-6 * np.abs(answer.x).max()
+        assert path.at(share * most).objective == pytest.approx(answer.cost, rel=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_lasso_path_is_that_of_lars(seed: int) -> None:
+    """Breakpoints and values are those of scikit-learn's lars_path."""
+    linear_model = pytest.importorskip("sklearn.linear_model")
+    A, b = lasso(seed, *((40, 15), (25, 50))[seed % 2])
+    most = np.abs(A.T @ b).max()
+    theirs, _, x = linear_model.lars_path(A, b, method="lasso", alpha_min=1e-3 * most / b.size)
+    path = trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-3 * most).require_solved()
+    assert np.allclose(path.breakpoints, theirs * b.size, rtol=0, atol=1e-9 * most)
+    assert np.allclose(path.x(np.clip(theirs * b.size, 1e-3 * most, most)), x.T, rtol=0, atol=1e-7)
+
+
+def test_equal_columns_share_nothing_and_break_nothing() -> None:
+    """Columns that are equal make the Gram matrix singular; the path has the least cost all the same."""
+    A, b = lasso(2, 30, 8)
+    twice = np.hstack([A, A])
+    most = np.abs(A.T @ b).max()
+    path = trace(BoundedLeastSquares(twice, b, lower=-INF), {"l1": 1}, most, 1e-2 * most).require_solved()
+    alone = trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-2 * most)
+    for theta in most * np.array([0.8, 0.3, 0.05]):
+        assert path.at(theta).objective == pytest.approx(alone.at(theta).objective, rel=1e-12)
+
+
+def test_penalties_within_bounds_weights_and_a_ridge() -> None:
+    """Bounds on both sides of 0, on one side, columns without a penalty, weights and a ridge, sparse and dense."""
+    rng = np.random.default_rng(5)
+    A, b = lasso(5, 25, 6)
+    lower, upper = np.array([-INF, -0.5, 0.0, -2.0, -INF, -1.0]), np.array([INF, 0.5, INF, 0.0, INF, 1.0])
+    weights, change = rng.random(25), np.array([1.0, 1, 1, 1, 0, 2])
+    for matrix in (A, sp.csr_array(A)):
+        problem = BoundedLeastSquares(matrix, b, lower, upper, weights=weights, ridge=0.3)
+        path = trace(problem, {"l1": change}, 20.0, 0.0).require_solved()
+        for theta in (15.0, 5.0, 1.0, 0.1, 0.0):
+            answer = solve(problem.with_vectors(l1=theta * change)).require_solved()
+            assert np.abs(path.at(theta).x - answer.x).max() <= 1e-6
+    assert set(np.unique(path.pieces[0].case)) <= {-1, 0, 1, 2}
+
+
+def test_right_hand_sides_move() -> None:
+    """From one b to another, for nonnegative least squares."""
+    A, b = lasso(6, 20, 8)
+    problem = BoundedLeastSquares(A, b)
+    path = trace(problem, {"b": -2 * b}, 0, 1).require_solved()
+    for theta in (0.2, 0.5, 0.9):
+        answer = solve(problem.with_vectors(b=(1 - 2 * theta) * b)).require_solved()
+        assert np.abs(path.at(theta).x - answer.x).max() <= 1e-7
+
+
+# --- words ----------------------------------------------------------------------------------------------------
+
+
+REFUSED = [
+    (LCP(np.eye(2), [1, 1]), {"M": 1}, 0, 1, InvalidOption, "not M: z is not piecewise affine in M"),
+    (LCP(np.eye(2), [1, 1]), {"Q": 1}, 0, 1, InvalidOption, "did you mean 'q'"),
+    (LCP(np.eye(2), [1, 1]), {}, 0, 1, InvalidOption, "along must say what moves"),
+    (LCP(np.eye(2), [1, 1]), {"q": 1}, 0, INF, InvalidOption, "stop must be a finite number, got inf"),
+    (LCP(np.eye(2), [1, 1]), {"upper": [1, 0]}, 0, 1, InvalidOption, r"upper\[0\] is inf and cannot move"),
+    (QuadraticProgram([[1]], [1]), {"P": 1}, 0, 1, InvalidOption, "divide the objective by it"),
+    (QuadraticProgram([[-1]], [1], lower=0, upper=1), {"c": 1}, 0, 1, UnsupportedModel, "not convex"),
+    (BoundedLeastSquares([[1.0]], [1]), {"l1": 1}, 1, -1, InvalidOption, r"l1\[0\] = -1.0 at one end"),
+    (BoundedLeastSquares([[1.0]], [1], lower=-1, l1=1), {"lower": 1}, 0, 2, UnsuitableProblem, "changes its sign"),
+    (BoundedLeastSquares(sp.linalg.aslinearoperator(np.eye(1)), [1]), {"b": 1}, 0, 1, UnsuitableProblem, "LinearOp"),
+    ([1], {"q": 1}, 0, 1, InvalidOption, "trace needs an LCP, QuadraticProgram or BoundedLeastSquares, got list"),
+]
+
+
+@pytest.mark.parametrize(
+    ("problem", "along", "start", "stop", "error", "words"), REFUSED, ids=[case[-1] for case in REFUSED]
+)
+def test_what_cannot_be_traced_is_refused_in_words(
+    problem: Any, along: Any, start: float, stop: float, error: type[Exception], words: str
+) -> None:
+    """Each refusal says what was given and what to write."""
+    with pytest.raises(error, match=words):
+        trace(problem, along, start, stop)
+
+
+def test_a_path_is_shown_in_words_tables_and_pictures() -> None:
+    """explain, repr, to_dataframe and plot show what was traced."""
+    pytest.importorskip("matplotlib").use("agg")
+    path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 0, 6)
+    assert repr(path).startswith("Path(SOLVED, 2 pieces, 0 to 6")
+    assert "breakpoints: 3.5" in path.explain()
+    assert len(path.plot().figure.axes) == 2
+    assert path.plot(rows=[1]).get_ylabel() == "x, 1 of 2"
+    program = trace(QuadraticProgram(np.eye(2), [0, 0], lower=0), {"c": [-1, 1]}, 1, -1)
+    assert len(program.plot().figure.axes) == 3
+    with pytest.raises(InvalidOption, match="from 0 to 1"):
+        path.plot(rows=[2])
+
+
+def test_table_of_a_path() -> None:
+    """A row a breakpoint, or a value given."""
+    pytest.importorskip("pandas")
+    path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 0, 6)
+    assert path.to_dataframe()["x[0]"].tolist() == pytest.approx([2.5, 2.5, 5 / 3])
+    assert path.to_dataframe([1.0, 2.0]).shape == (2, 4)
+
+
+def test_one_value_is_a_path_of_one_piece() -> None:
+    """A path from a value to itself is the solution there."""
+    path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 2, 2).require_solved()
+    assert path.at(2).z == pytest.approx([2.5, 0.0])
+
+
+def test_nothing_given_is_modified() -> None:
+    """Data and directions stay as they are."""
+    A, b = lasso(0, 10, 4)
+    kept = A.copy(), b.copy()
+    step = np.ones(4)
+    trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": step}, 5, 0)
+    assert np.array_equal(A, kept[0])
+    assert np.array_equal(b, kept[1])
+    assert np.array_equal(step, np.ones(4))

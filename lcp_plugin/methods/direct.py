@@ -3,7 +3,6 @@
 | M | direct methods, in this order |
 |---|---|
 | the diagonal positive and nothing else, M not dense and symmetric | newton, then as below |
-| dense, symmetric positive definite | newton, interior_point, feasibility, lemke, search |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | the same, full, diagonal not > 0: budget rows | some pivots of lemke, then as above |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
@@ -63,8 +62,6 @@ from .newton.semismooth_newton import Newton
 FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
 FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M is a dense one
 FEWEST_FACTORS = 10  # that an interior point makes as a rule, beside the one that condensing does
-NEWTON_FIRST = 8  # steps on a dense definite M: as many factors, of smaller blocks, as interior points take
-CLEARLY_DEFINITE = 1e-6  # of the largest pivot: interior points are better on what is nearly singular
 PIVOTS = 2.0
 GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
 
@@ -206,8 +203,6 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     if _seems_monotone(problem):
         order = [interior, check, newton, lemke]
         is_full = problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2
-        if _is_dense_and_definite(problem):
-            order = [replace(newton, turn=NEWTON_FIRST), interior, check, lemke]
         if is_full and not has_positive_diagonal(problem.matrix).all():
             few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)
             order = [Choice(few, "some pivots, before a factor of a dense M"), *order]
@@ -275,20 +270,9 @@ def last_resort(problem: LCP) -> Algorithm:
 def _suits_newton(problem: LCP) -> bool:
     from ..proofs.verdicts import analyze
 
-    if problem.is_dense and is_nearly_symmetric(problem.matrix):  # `_is_dense_and_definite` decides
+    if problem.is_dense and is_nearly_symmetric(problem.matrix):  # interior_point descends there
         return False
     return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
-
-
-def _is_dense_and_definite(problem: LCP) -> bool:
-    """Return whether M is stored as an ndarray and clearly positive definite: newton's sets settle there."""
-    if not (problem.is_dense and is_nearly_symmetric(problem.matrix)):
-        return False
-    try:
-        pivots = np.linalg.cholesky(problem.M).diagonal() ** 2
-    except np.linalg.LinAlgError:
-        return False
-    return bool(pivots.min(initial=np.inf) > CLEARLY_DEFINITE * pivots.max(initial=0.0))
 
 
 def _seems_monotone(problem: LCP) -> bool:

@@ -228,7 +228,7 @@ def no_point(old: Any) -> Any:
 
 
 def is_late(choice: Any) -> bool:
-    return choice.because.startswith(("sweeps until", "from a point nearby"))
+    return choice.because.startswith(("another start for Newton", "sweeps until"))
 
 
 MECHANISMS = (
@@ -318,6 +318,8 @@ MECHANISMS = (
     Mechanism("single precision", "coarse grids in single precision",
               {"systems.hierarchy.levels:carries_single": says(False)}, "systems/hierarchy/levels.py:carries_single"),
     # --- interior points
+    Mechanism("descents", "active sets of falling objective where a dense program has bounds only",
+              {f"{INTERIOR}:ConvexProgram.descents": nothing()}, "methods/primal"),
     Mechanism("cases", "the linear system of the case that an engine's point of an LCP shows",
               {f"{INTERIOR}:_cases": nothing()}, "methods/interior_point.py:_cases"),
     Mechanism("signs", "the program of a saddle point problem rather than that of its gap",
@@ -402,9 +404,6 @@ MECHANISMS = (
     Mechanism("cone loop", "small problems over cones in one compiled loop",
               {f"{CONES}.solving:_is_for_the_loop": says(False)},
               "problems/cones/small.py problems/cones/small_kernels.py"),
-    Mechanism("cone programs", "a fixed point over convex programs at the end of auto's chain",
-              {f"{CONES}.solving:ConeAuto._stages": without("fixed_point")},
-              claim="problems/cones/test_cones.py::test_towers_that_get_heavier_upwards_stand"),
     Mechanism("late stages", "more sweeps and other starts at the end",
               {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))},
               claim="problems/cones/test_cones.py::test_groups_of_contacts_are_right_each"),
@@ -415,9 +414,6 @@ MECHANISMS = (
               {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "seed", 0))}),
     Mechanism("cone proofs", "a conic program looks for a proof that there is no answer",
               {f"{CONES}.solving:ConeAuto._stages": without("infeasibility")}, "problems/cones/infeasibility.py"),
-    Mechanism("cone floor", "small problems at the limit of rounding end where the compiled loop has left them",
-              {f"{CONES}.solving:_at_rounding_level": says(None)}, "problems/cones/solving.py:_at_rounding_level",
-              "problems/cones/test_cones.py::test_what_rounding_limits_ends_after_one_look"),
     Mechanism("components of cones", "components that a common run leaves open, each alone",
               {f"{CONES}.solving:_solved_apart": Instead(lambda old: lambda together, *_: together)},
               "problems/cones/solving.py:_solved_apart problems/cones/solving.py:_open_components"),

@@ -18,7 +18,7 @@ from .free_boundary import contact_level, free_boundary
 
 FINEST_SURFACE = 70  # nodes along an axis
 FEW = 60  # values, which are drawn larger
-MOST_DOTS, BINS = 2000, 100  # values that are drawn one by one; of more the least and the largest of each bin
+MOST_DOTS, BINS = 2000, 60  # values that are drawn one by one; of more a histogram of so many bins
 ACTIVE, FREE = "#D55E00", "#0072B2"
 ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
 
@@ -139,7 +139,7 @@ def _line(scene: Scene | None, answer: Certificate) -> dict[str, Any]:
 def draw_line(axes: Any, line: dict[str, Any]) -> None:
     """Draw z, what rests on a bound in orange; grey is where z must not go."""
     if line["kind"] == "dots" and line["z"].size > MOST_DOTS:
-        _draw_bands(axes, line)
+        _draw_histogram(axes, line)
         return
     x, z, active = line["x"], line["z"], line["active"].astype(bool)
     for name, end in (("lower", min), ("upper", max)):
@@ -159,21 +159,13 @@ def draw_line(axes: Any, line: dict[str, Any]) -> None:
     axes.set(xlabel=line["x_label"], ylabel=line["unknown"])
 
 
-def _draw_bands(axes: Any, line: dict[str, Any]) -> None:
-    """Draw the least and the largest value of each bin of the index, of those at a bound in orange."""
+def _draw_histogram(axes: Any, line: dict[str, Any]) -> None:
+    """Draw how often each value occurs, of those at a bound in orange; their places are not known here."""
     z, active = line["z"], line["active"].astype(bool)
-    starts = np.linspace(0, z.size, BINS, endpoint=False).astype(np.intp)
-    x = line["x"][starts]
-    for chosen, colour in ((~active, FREE), (active, ACTIVE)):
-        low = np.minimum.reduceat(np.where(chosen, z, np.inf), starts)
-        high = np.maximum.reduceat(np.where(chosen, z, -np.inf), starts)
-        low, high = (np.where(low <= high, end, np.nan) for end in (low, high))
-        axes.fill_between(x, low, high, color=colour, alpha=0.3, linewidth=0)
-        for end in (low, high):
-            axes.plot(x, end, color=colour, linewidth=0.8)
-    many = f"least and largest of each {-(-z.size // BINS)}"
-    axes.set_title(f"{many}; orange: {line['active_means']}" if active.any() else many, fontsize=8.5)
-    axes.set(xlabel=line["x_label"], ylabel=line["unknown"])
+    axes.hist([z[~active], z[active]], bins=BINS, stacked=True, color=[FREE, ACTIVE])
+    share = f"; orange: {line['active_means']}, {np.mean(active):.0%}" if active.any() else ""
+    axes.set_title(f"{z.size} values{share}\nin their places: plot(shape=…) or plot(mesh=…)", fontsize=8.5)
+    axes.set(xlabel=line["unknown"], ylabel="how many", yscale="log" if z.size > MOST_DOTS else "linear")
 
 
 def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:

@@ -23,7 +23,7 @@ from ..problems.equilibria.result import EquilibriumResult
 from ..problems.many.answers import AnswerSequence
 from ..problems.march import March
 from .drawing import COLOURS, HEIGHTS, require_matplotlib, save, styled
-from .free_boundary import contact_level
+from .free_boundary import contact_level, free_boundary
 from .pictures import ACTIVE, FREE, MOST_DOTS, draw_line, draw_map, draw_residuals, field_of
 
 LABELS = ("layer", "row", "column")
@@ -34,12 +34,13 @@ BARS = 30
 
 def plot_answer(
     answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None, rows: Any = None, over: Any = None,
+    mesh: Any = None, component: int | str = "norm",
 ) -> Any:
     """Return matplotlib's axes with a picture of an answer.
 
-    - z or x by its index, or as a map over a grid, what rests on a bound in orange or dotted. Of more than 2000 values
-      without a grid the least and the largest of each bin. A run that was recorded has a second panel, how its
-      residual fell, and a search for the best equilibrium one, how the proved bound rose.
+    - z or x by its index, or as a map over a grid or a mesh, what rests on a bound in orange or dotted. Of more than
+      2000 values without either a histogram. A run that was recorded has a second panel, how its residual fell, and a
+      search for the best equilibrium one, how the proved bound rose.
     - Contact with friction: the tangential impulses in their cones, ÷ μ r_N, with open contacts counted beside them.
     - A march: some of its steps. A batch: how many problems took how many iterations, a colour a status.
 
@@ -56,13 +57,19 @@ def plot_answer(
         The rows to draw, as those that may touch; by default all. z and w of an LCP have a panel each then.
     over : array, shape (n,) or (n, 2), optional
         Coordinates of all rows, or of those to draw alone: (n,) gives curves, (n, 2) points in the plane, coloured.
+        What rests on a bound is marked in orange.
+    mesh : (points, cells), optional
+        Of unknowns at the points of a mesh: points (p, 2), cells (k, 3) of triangles or (k, 4) of quadrilaterals, the
+        numbers of their corners in turn. Several unknowns a point stand together: ``z.reshape(p, -1)``.
+    component : int or "norm", optional
+        Which unknown of each point of the mesh, or the Euclidean norm of all.
 
     Raises
     ------
     LCPError
         Where matplotlib is missing.
     InvalidOption
-        Where the shape does not hold as many unknowns, or goes with a batch.
+        Where the shape or the mesh does not hold as many unknowns, or goes with a batch.
     UnsuitableProblem
         Where there is no x to draw.
     """
@@ -71,6 +78,8 @@ def plot_answer(
     require_matplotlib()
     if rows is not None or over is not None:
         return _plot_rows(answer, axes, shape, rows, over, _shown_by_pyplot)
+    if mesh is not None:
+        return _plot_mesh(answer, axes, mesh, component, _shown_by_pyplot)
     return _plotted(answer, axes, shape, _shown_by_pyplot)
 
 
@@ -86,21 +95,79 @@ def _plot_rows(
     n = answer.z.size
     chosen, points = checked_rows(rows, over, n)
     values = {"z": answer.z[chosen], "w": answer.w[chosen]}
+    lower, upper = _bounds(answer)
+    active = ((answer.z <= lower) | (answer.z >= upper))[chosen]
     with _style_of(axes):
         every = _axes_for(new, len(values)) if axes is None else [axes]
         for one, (name, numbers) in zip(every, values.items(), strict=False):
             one.set_title(name)
             if points.ndim == 1:
                 order = np.argsort(points, kind="stable")
-                one.plot(points[order], numbers[order], marker=".")
+                one.plot(points[order], numbers[order], marker=".", color=FREE)
+                if active.any():
+                    one.plot(points[active], numbers[active], ".", color=ACTIVE)
                 one.set(xlabel="row" if over is None else "coordinate", ylabel=name)
             else:
                 drawn = one.scatter(points[:, 0], points[:, 1], c=numbers, s=12)
+                if active.any():
+                    one.scatter(*points[active].T, s=26, facecolors="none", edgecolors=ACTIVE, linewidths=0.9)
                 one.set(aspect="equal", xlabel="first coordinate", ylabel="second coordinate")
                 one.figure.colorbar(drawn, ax=one, label=name)
         if axes is None:
             every[0].figure.suptitle(_headline(answer), fontsize=10, x=0.01, ha="left")
     return every[0]
+
+
+def _plot_mesh(answer: Any, axes: Any, mesh: Any, component: int | str, new: Callable[..., Any]) -> Any:
+    """Draw the unknowns of a mesh as colours, with the free boundary, or what rests on a bound, in orange."""
+    if not isinstance(answer, Answer) or answer.x is None:
+        raise InvalidOption(f"mesh goes with one answer that has an x, got {type(answer).__name__}; of a batch or a "
+                            "march: answers[k].plot(mesh=…)")
+    points, triangles, count = _checked_mesh(mesh, len(answer.x))
+    values = np.asarray(answer.x).reshape(-1, count)
+    if component != "norm" and component not in range(count):
+        raise InvalidOption(f"component must be 'norm' or a whole number from 0 to {count - 1}, got {component!r}")
+    alone = int(component) if component != "norm" else 0 if count == 1 else None
+    shown = values[:, alone] if alone is not None else np.linalg.norm(values, axis=1)
+    lower, upper = _bounds(answer)
+    active = ((answer.x <= lower) | (answer.x >= upper)).reshape(-1, count).any(axis=1)
+    beside = _panel_beside(answer)
+    with _style_of(axes):
+        every = _axes_for(new, 1 if beside is None else 2) if axes is None else [axes]
+        one, name = every[0], _unknown(answer)
+        drawn = one.tripcolor(*points.T, triangles, shown, shading="gouraud", cmap=HEIGHTS, rasterized=True)
+        label = name if count == 1 else f"‖{name}‖ of a point" if alone is None else f"{name}, component {alone}"
+        one.figure.colorbar(drawn, ax=one, shrink=0.85, pad=0.02, label=label).outline.set_visible(False)
+        if count == 1 and isinstance(answer, Result):
+            free_boundary(answer, mesh=(points, triangles)).draw(one, color=ACTIVE, linewidth=1.5)
+        if active.any():
+            one.plot(*points[active].T, ".", color=ACTIVE, markersize=2.5)
+            one.set_title("orange: at a bound", color=ACTIVE, fontsize=8.5)
+        one.set(aspect="equal", xlabel="x", ylabel="y")
+        one.grid(visible=False)
+        if axes is None:
+            if beside is not None:
+                beside(every[1])
+            one.figure.suptitle(_headline(answer), fontsize=10, x=0.01, ha="left")
+    return one
+
+
+def _checked_mesh(mesh: Any, n: int) -> tuple[FloatVector, Any, int]:
+    """Return points, triangles and the number of unknowns a point, or raise InvalidOption."""
+    need = f"mesh must be (points, cells) of shapes (p, 2) and (k, 3) or (k, 4), p a divisor of the {n} unknowns"
+    try:
+        points, cells = np.asarray(mesh[0], dtype=float), np.asarray(mesh[1])
+    except (TypeError, ValueError, IndexError, KeyError):
+        raise InvalidOption(f"{need}, got {type(mesh).__name__}") from None
+    fits = points.ndim == 2 and cells.ndim == 2 and points.shape[1] == 2 and cells.shape[1] in (3, 4)
+    if not fits or not len(points) or n % len(points) or not np.issubdtype(cells.dtype, np.integer):
+        raise InvalidOption(f"{need}, got {points.shape} and {cells.dtype} numbers {cells.shape}; transpose what is "
+                            "stored by columns")
+    if cells.size and (cells.min() < 0 or cells.max() >= len(points)):
+        raise InvalidOption(f"cells must hold numbers of points, from 0 to {len(points) - 1}, got {cells.max()}")
+    if cells.shape[1] == 4:
+        cells = np.concatenate([cells[:, :3], cells[:, [0, 2, 3]]])
+    return points, cells, n // len(points)
 
 
 def checked_rows(rows: Any, over: Any, n: int) -> tuple[Any, FloatVector]:

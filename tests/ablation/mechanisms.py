@@ -228,7 +228,7 @@ def no_point(old: Any) -> Any:
 
 
 def is_late(choice: Any) -> bool:
-    return choice.because.startswith(("another start for Newton", "sweeps until"))
+    return choice.because.startswith(("sweeps until", "from a point nearby"))
 
 
 MECHANISMS = (
@@ -404,6 +404,9 @@ MECHANISMS = (
     Mechanism("cone loop", "small problems over cones in one compiled loop",
               {f"{CONES}.solving:_is_for_the_loop": says(False)},
               "problems/cones/small.py problems/cones/small_kernels.py"),
+    Mechanism("cone programs", "a fixed point over convex programs at the end of auto's chain",
+              {f"{CONES}.solving:ConeAuto._stages": without("fixed_point")},
+              claim="problems/cones/test_cones.py::test_towers_that_get_heavier_upwards_stand"),
     Mechanism("late stages", "more sweeps and other starts at the end",
               {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))},
               claim="problems/cones/test_cones.py::test_groups_of_contacts_are_right_each"),
@@ -414,6 +417,9 @@ MECHANISMS = (
               {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "seed", 0))}),
     Mechanism("cone proofs", "a conic program looks for a proof that there is no answer",
               {f"{CONES}.solving:ConeAuto._stages": without("infeasibility")}, "problems/cones/infeasibility.py"),
+    Mechanism("cone floor", "small problems at the limit of rounding end where the compiled loop has left them",
+              {f"{CONES}.solving:_at_rounding_level": says(None)}, "problems/cones/solving.py:_at_rounding_level",
+              "problems/cones/test_cones.py::test_what_rounding_limits_ends_after_one_look"),
     Mechanism("components of cones", "components that a common run leaves open, each alone",
               {f"{CONES}.solving:_solved_apart": Instead(lambda old: lambda together, *_: together)},
               "problems/cones/solving.py:_solved_apart problems/cones/solving.py:_open_components"),

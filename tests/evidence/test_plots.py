@@ -119,13 +119,46 @@ def test_a_march_over_a_grid_shows_slices() -> None:
 
 
 def test_long_vectors_are_no_solid_block() -> None:
-    """Without a grid 90 000 values are bands of the least and the largest of each bin: a hundred, not one a value."""
+    """Without a grid 90 000 values are a histogram of free and held ones, which says how to draw them in place."""
     result = solve(gallery.obstacle_2d(size=300).problem)
     axes = result.plot()
-    assert all(len(line.get_xdata()) <= 100 for line in axes.lines)
-    low = np.nanmin([np.nanmin(line.get_ydata()) for line in axes.lines])
-    high = np.nanmax([np.nanmax(line.get_ydata()) for line in axes.lines])
-    assert (low, high) == (result.z.min(), result.z.max())
+    assert sum(patch.get_height() for patch in axes.patches) == result.z.size
+    assert "plot(shape=…) or plot(mesh=…)" in axes.get_title(loc="left")
+    edges = [patch.get_x() for patch in axes.patches]
+    assert min(edges) == pytest.approx(result.z.min())
+
+
+def quads(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The nodes of a square grid and its cells, in the order of obstacle_2d's unknowns."""
+    points = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2).astype(float)
+    corner = (np.arange(size - 1)[:, None] * size + np.arange(size - 1)).ravel()
+    return points, np.stack([corner, corner + 1, corner + size + 1, corner + size], axis=1)
+
+
+def test_a_mesh_shows_the_values_of_its_points() -> None:
+    """Of triangles and quadrilaterals; of several unknowns a point one of them, or the norm of all."""
+    result = solve(gallery.obstacle_2d(size=12).problem)
+    points, cells = quads(12)
+    for given in (cells, np.concatenate([cells[:, :3], cells[:, [0, 2, 3]]])):
+        axes = result.plot(mesh=(points, given))
+        assert axes.collections[0].get_array().tolist() == result.z.tolist()
+        assert len(axes.lines[0].get_xdata()) == np.count_nonzero(result.z == result.certificate.problem.lower)
+    axes = result.plot(mesh=quads(6), component=1)
+    assert axes.collections[0].get_array().tolist() == result.z.reshape(36, 4)[:, 1].tolist()
+    axes = result.plot(mesh=quads(6))
+    np.testing.assert_allclose(axes.collections[0].get_array(), np.linalg.norm(result.z.reshape(36, 4), axis=1))
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    ({"mesh": quads(5)}, "a divisor of the 144 unknowns"), ({"mesh": 3}, "got int"),
+    ({"mesh": (quads(12)[0].T, quads(12)[1])}, "transpose what is stored by columns"),
+    ({"mesh": (quads(12)[0], quads(12)[1] + 1)}, "numbers of points, from 0 to 143, got 144"),
+    ({"mesh": quads(6), "component": 4}, "component must be 'norm' or a whole number from 0 to 3, got 4"),
+])
+def test_what_a_mesh_must_be(given: dict[str, Any], words: str) -> None:
+    """Points, and cells of their numbers; anything else is refused in words."""
+    with pytest.raises(InvalidOption, match=words):
+        solve(gallery.obstacle_2d(size=12).problem).plot(**given)
 
 
 def test_a_search_shows_its_bound() -> None:

@@ -275,8 +275,9 @@ class MixedRun(BatchLoop):
             return  # a start or an algorithm of the caller's
         for group in groups_of(self.problems):
             found = solve_small([self.problems[k] for k in group.tolist()], self.settings, self._in_chunks)
-            items = group[found.items]
-            self.compiled.update((k, (found, place)) for place, k in enumerate(items.tolist()))
+            places = np.flatnonzero(found.is_proved)
+            items = group[places]
+            self.compiled.update((k, (found, place)) for k, place in zip(items.tolist(), places.tolist(), strict=True))
             self.status[items], self.is_open[items] = Status.SOLVED, False
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:

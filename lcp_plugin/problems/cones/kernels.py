@@ -52,6 +52,26 @@ def _project(x, first, end, mu):  # type: ignore[no-untyped-def]
 
 
 @helper
+def _shifted(k, starts, slope, friction, z, w, scale, x):  # type: ignore[no-untyped-def]
+    """Write x_T, of x = z − ŵ / scale, of one block; return ‖x_T‖ and x_N + μ‖x_T‖, > 0 outside the polar cone.
+
+    With friction that is z_N − w_N / scale + μ (‖x_T‖ − ‖w_T‖ / scale), and the norms of a fast slide nearly cancel:
+    ‖a‖ − ‖b‖ = (a − b)ᵀ(a + b) / (‖a‖ + ‖b‖).
+    """
+    first, end, slip = starts[k], starts[k + 1], 0.0
+    for i in range(first, end):
+        x[i] = z[i] - w[i] / scale[k]
+    tangent = _tangent(x, first, end)
+    if not friction:
+        return tangent, x[first] + slope[k] * tangent
+    length = tangent + _tangent(w, first, end) / scale[k]
+    if length > 0.0:
+        for i in range(first + 1, end):
+            slip += z[i] * ((x[i] - w[i] / scale[k]) / length)
+    return tangent, x[first] + slope[k] * slip
+
+
+@helper
 def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # type: ignore[no-untyped-def]
     """Write R = z − P(z − ŵ / scale) of one block into `found`; return where the projection lies."""
     first, end = starts[k], starts[k + 1]
@@ -60,16 +80,23 @@ def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # 
         below, above = z[first] - upper[first], z[first] - lower[first]
         found[first] = min(max(step, below), above)
         return WITHIN if below < step < above else OUT
-    for i in range(first, end):
-        found[i] = z[i] - w[i] / scale[k]
-    if friction:
-        found[first] -= slope[k] * _tangent(w, first, end) / scale[k]
-    case = _project(found, first, end, slope[k])
-    for i in range(first, end):
-        found[i] = w[i] / scale[k] if case == WITHIN else z[i] - found[i]
-    if case == WITHIN and friction:
-        found[first] += slope[k] * _tangent(w, first, end) / scale[k]
-    return case
+    mu = slope[k]
+    tangent, above = _shifted(k, starts, slope, friction, z, w, scale, found)
+    if above <= 0.0:
+        for i in range(first, end):
+            found[i] = z[i]
+        return OUT
+    on_axis = above / (1.0 + mu * mu)
+    if tangent <= mu * on_axis:
+        for i in range(first, end):
+            found[i] = w[i] / scale[k]
+        if friction:
+            found[first] += mu * _tangent(w, first, end) / scale[k]
+        return WITHIN
+    found[first] = z[first] - on_axis
+    for i in range(first + 1, end):
+        found[i] = z[i] - mu * on_axis * (found[i] / tangent)
+    return ON
 
 
 @kernel
@@ -107,8 +134,9 @@ def block_bounds(  # type: ignore[no-untyped-def]
     wide = _tangent(slip, first - 1, end)
     stretch = 1.0 + mu if friction else 1.0
     is_inner = case == WITHIN and own < 0.5 * (mu * z[first] - _tangent(z, first, end)) / (1.0 + mu)
-    terms = (0.0 if is_inner else here) + stretch * (_tangent(w, first - 1, end) + wide) / scale[k]
-    off = OUTWARD * (stretch * wide / scale[k] + 8.0 * (size + 10.0) * UNIT * (1.0 + mu) * terms) + 4.0 * TINY
+    pushed = abs(w[first]) if friction and case != WITHIN else stretch * _tangent(w, first - 1, end)
+    terms = (0.0 if is_inner else here) + (pushed + stretch * wide) / scale[k]
+    off = OUTWARD * (stretch * wide / scale[k] + 4.0 * (size + 8.0) * UNIT * (1.0 + mu) * terms) + 4.0 * TINY
     if not (own < np.inf and off < np.inf):
         return 0.0, np.inf
     needed = 0.0 if friction else OUTWARD * (_tangent(w, first, end) + wide)

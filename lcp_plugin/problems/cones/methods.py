@@ -30,10 +30,10 @@ PROGRAMS = 5  # convex ones without
 NEAR, LAST_STEPS = 1e-5, 30  # the residual from where Newton's steps follow the central path, and how many do
 MOST_STEPS, NO_GAIN = 80, 12  # of the central path, and those without a new best
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d, in the systems of Newton's steps
-SPREAD = 0.3
+SPREAD = 1.0
 ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
 EXACT = 2.0**-46  # the relative residual that a last linear system hardly makes smaller
-HARDER = 100.0  # times the proximal term where a system is singular
+HARDER, EASIER = 100.0, 0.01  # times the proximal term: of a singular system, and after a full step with no GAIN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,11 +123,11 @@ class Newton(ConeAlgorithm):
             z = problem.projected(z + spread * np.random.default_rng(self.seed).standard_normal(z.size))
         system = NewtonSystem(problem)
         w, R, shares, size = system.measured(z)
-        sizes, best, since = [size], size, 0
+        sizes, best, since, most = [size], size, 0, self.proximal
         yield Step(z, residual=float(shares.max(initial=0.0)))
         while since < PATIENCE and math.isfinite(size):
-            proximal = min(self.proximal, 0.1 * float(shares.max(initial=0.0)))
-            work, step = system.step(z, w, R, max(proximal, LEAST_PROXIMAL))
+            proximal = max(min(most, 0.1 * float(shares.max(initial=0.0))), LEAST_PROXIMAL)
+            work, step = system.step(z, w, R, proximal)
             if step is None:
                 return
             length, allowed = 1.0, max(sizes[-MEMORY:])
@@ -138,6 +138,10 @@ class Newton(ConeAlgorithm):
                 if size <= (1.0 - DECREASE * length) * allowed:
                     break
                 length *= 0.5
+            if length < 1.0 or size >= sizes[-1]:
+                most = self.proximal
+            elif size > GAIN * sizes[-1]:
+                most = EASIER * proximal  # the term itself keeps the step short
             z = new
             sizes.append(size)
             best, since = (size, 0) if size < GAIN * best else (best, since + 1)
@@ -226,17 +230,17 @@ class FixedPoint(ConeAlgorithm):
     is_monotone = False
 
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then a step a program; end where five in a row gain nothing."""
+        """Yield the start, then a step a program until five gain nothing, then Newton's from the best."""
         engine = ConvexProgram(problem)
-        z, residual = z0, relative_residual(problem, z0)
-        best, since = residual, 0
-        yield Step(z, residual=residual)
+        z, best, least, since = z0, z0, relative_residual(problem, z0), 0
+        yield Step(z, residual=least)
         while since < PROGRAMS and (found := engine.minimised(z)) is not None:
             z, residual = found, relative_residual(problem, found)
-            best, since = (residual, 0) if residual < GAIN * best else (best, since + 1)
+            best, least, since = (z, residual, 0) if residual < GAIN * least else (best, least, since + 1)
             yield Step(z, residual=residual, work=20.0)
             if engine.is_final:
                 return
+        yield from islice(Newton().iterates(problem, best), LAST_STEPS)
 
 
 class ConvexProgram:

@@ -15,34 +15,35 @@ from ...core.certificates.criterion import within
 from ...core.checks import FloatVector, read_only
 from ...core.settings import Settings
 from .data import Blocks
-from .methods import DECREASE, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL, SHORTEST, SPREAD
+from .methods import DECREASE, EASIER, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL, SHORTEST
 
 LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
 ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
 FIRST_ROUNDS = 3
 NEWTON_STEPS = 20
-CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER)
+CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER, EASIER)
+SPREAD = 0.3  # of the mean of |z_i|: as far as starts are moved at random
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
 
 
 class LoopAnswers(NamedTuple):
-    """Points that are proved to be answers.
+    """What the loop has reached, an item a row.
 
     Attributes
     ----------
-    items : array of int
-        Which of the problems they answer.
-    z : list of ndarray
-    made : list of pairs
+    z : array, shape (B, n)
+    made : array, shape (B, 2)
         Sweeps, and steps of Newton's method.
-    residual : list of float
-        Upper bounds of their relative residuals.
+    residual : array, shape (B,)
+        Upper bounds of their relative residuals; ∞ where there is none.
+    is_proved : array of bool, shape (B,)
+        Whether z is proved to be an answer.
     """
 
-    items: NDArray[np.int64]
-    z: list[FloatVector]
-    made: list[list[int]]
-    residual: list[float]
+    z: NDArray[np.float64]
+    made: NDArray[np.int64]
+    residual: FloatVector
+    is_proved: NDArray[np.bool_]
 
 
 def groups_of(problems: Sequence[object]) -> list[NDArray[np.int64]]:
@@ -58,7 +59,7 @@ def solve_small(
     problems: Sequence[Blocks], settings: Settings,
     in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None, *, start: FloatVector | None = None,
 ) -> LoopAnswers:
-    """Return the answers to problems of one group, as far as the loop finds and proves them.
+    """Return what the loop makes of problems of one group.
 
     Parameters
     ----------
@@ -78,8 +79,7 @@ def solve_small(
     z = np.array(origins if start is None else start[np.newaxis])
     rounds = ROUNDS if first.n <= ALL_ROUNDS_UP_TO else ROUNDS[:FIRST_ROUNDS]
     rounds = rounds if start is None else np.concatenate([[0], rounds])
-    made, proved = np.empty((count, 2), np.int64), np.empty((count, 2))
-    made[:, 1] = -1
+    made, proved = np.zeros((count, 2), np.int64), np.full((count, 2), np.inf)
 
     def solve_chunk(begin: int, end: int) -> None:
         solve_each(
@@ -91,8 +91,8 @@ def solve_small(
         solve_chunk(0, count)
     else:
         in_chunks(solve_chunk, count)
-    items = np.flatnonzero((made[:, 1] >= 0) & within(proved[:, 0], proved[:, 1], settings.tolerance))
-    return LoopAnswers(items, list(z[items]), made[items].tolist(), proved[items, 0].tolist())
+    residual, terms = proved.T
+    return LoopAnswers(z, made, residual, within(residual, terms, settings.tolerance))
 
 
 _ARRAYS: tuple[Callable[[Blocks], Any], ...] = (

@@ -9,7 +9,7 @@ from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
 from ...methods.small.kernels.small_systems import eliminate, substitute
 from .kernels import OUTWARD, block_bounds, block_derivative, measure, own_terms, project, sweep_once
-from .methods import EXACT, LEAST_PROXIMAL
+from .methods import EXACT, GAIN, LEAST_PROXIMAL
 
 LAST_STEPS = 2  # where the system is singular and a proximal term left in it
 SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale of an LCP
@@ -174,15 +174,16 @@ def _newton(  # type: ignore[no-untyped-def]
     constants, z, w, R, start, sizes, x, way, by_z, by_w, J, place, step
 ):
     """Take Newton's steps, with a nonmonotone line search, to the goal; return the largest residual and how many."""
-    proximal, halvings, decrease, least_proximal, harder = constants
+    proximal, halvings, decrease, least_proximal, harder, easier = constants
     largest, size = measure(
         starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
     )
     sizes[:] = size
+    widest = proximal
     for made in range(most_steps):
         if largest <= goal or not size < np.inf:
             return largest, made
-        epsilon = max(min(proximal, 0.1 * largest), least_proximal)
+        epsilon = max(min(widest, 0.1 * largest), least_proximal)
         while epsilon <= 1.0 and not _newton_step(
             starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w,
             J, place, step,
@@ -191,7 +192,7 @@ def _newton(  # type: ignore[no-untyped-def]
         if epsilon > 1.0:
             return largest, made
         _copy(z, start)
-        length, allowed = 1.0, size
+        length, allowed, before = 1.0, size, size
         for earlier in sizes:
             allowed = max(allowed, earlier)
         for _ in range(halvings):
@@ -203,6 +204,10 @@ def _newton(  # type: ignore[no-untyped-def]
             if size <= (1.0 - decrease * length) * allowed:
                 break
             length *= 0.5
+        if length < 1.0 or size >= before:
+            widest = proximal
+        elif size > GAIN * before:
+            widest = easier * epsilon  # the term itself keeps the step short
         sizes[made % sizes.size] = size
     return largest, most_steps
 
@@ -218,9 +223,9 @@ def solve_each(  # type: ignore[no-untyped-def]
     second run of Newton's method begins at a point moved at random, by `away` times the mean of its |z_i|, the same for
     each item. `constants` are those of Newton's method: proximal term, halvings, decrease, least proximal term, factor
     where a system is singular.
-    `made` gets how many sweeps and Newton's steps an item took, and −1 for these where M shows several units or the
-    goal was not reached. Cases that are found end with their linear system, where that costs less than the run did.
-    `proved` gets bounds of the relative residual and of the term residual.
+    `made` gets how many sweeps and Newton's steps an item took, `proved` bounds of the relative residual and of the
+    term residual: ∞ where M shows several units or the goal was not reached. Cases that are found end with their linear
+    system, where that costs less than the run did.
     """
     blocks, n, m = starts.size - 1, offsets.shape[1], 1
     for k in range(blocks):
@@ -234,7 +239,7 @@ def solve_each(  # type: ignore[no-untyped-def]
     w, R, slip, start, swept = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     J = np.empty((n + 4, n + 1))
     for number in range(item, end_item):
-        made[number, 0], made[number, 1] = 0, -1
+        made[number], proved[number] = 0, np.inf
         slope, lower, upper = slopes[number], lowers[number], uppers[number]
         q, z, origin = offsets[number], points[number], origins[number]
         if not _gather(matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale):
@@ -275,6 +280,7 @@ def solve_each(  # type: ignore[no-untyped-def]
                 constants, z, w, R, start, sizes, x, y, by_z, by_w, J, place, step,
             )
             newton_steps += taken
+        made[number, 1] = newton_steps
         if largest <= goal:
             pays = newton_steps > 0 or 3 * made[number, 0] >= n  # a last system costs less than the run did
             for _ in range(LAST_STEPS):
@@ -289,7 +295,7 @@ def solve_each(  # type: ignore[no-untyped-def]
                     epsilon = max(2.0 * epsilon, LEAST_PROXIMAL)
                 if epsilon > LEAST_PROXIMAL:
                     break
-                newton_steps += 1
+                made[number, 1] += 1
                 for i in range(n):
                     z[i] += step[i]
                 before_it, largest = largest, measure(
@@ -298,7 +304,6 @@ def solve_each(  # type: ignore[no-untyped-def]
                 if not largest < before_it:
                     _copy(start, z)
                     break
-            made[number, 1] = newton_steps
             _put_back(starts, weights, origin, z)
             project(starts, slope, lower, upper, z)
             _product(indptr, indices, data, q, z, w, slip)

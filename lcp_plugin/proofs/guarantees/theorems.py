@@ -54,8 +54,8 @@ class Guarantee:
     speaks_of : {"z", "x"}
         The rate of a modulus method is one of its x, z = lower + max(x, 0):
         ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v with x* = z* − lower − Ω⁻¹w*.
-    facts : IterationFacts or None
-        Of what `spectral_radius` speaks, with `problem`; None where it is no splitting.
+    facts, problem : IterationFacts and LCP, or None
+        Of what `spectral_radius` speaks; None where it is no splitting.
     """
 
     verdict: str

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from benchmarks.contact import tower as boxes
 from cone_families import (
     cancelled_diagonals,
     exact_relative_residual,
@@ -20,6 +21,7 @@ from cone_families import (
     wall,
 )
 from published_problems import errors_of_contact
+from scipy.linalg import block_diag
 
 from lcp_plugin import (
     LCP,
@@ -37,9 +39,12 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
+from lcp_plugin.core.settings import Settings
+from lcp_plugin.core.solving.judge import End
 from lcp_plugin.problems.cones.certificate import criterion_of
 from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
 from lcp_plugin.problems.cones.methods import METHODS, Newton
+from lcp_plugin.problems.cones.solving import ConeJudge
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 BAD: dict[str, tuple[Any, str]] = {
@@ -570,3 +575,57 @@ def test_a_limit_of_1e20_is_none() -> None:
     assert problem.lower.tolist() == [-np.inf, -np.inf]
     assert problem.upper.tolist() == [0.0, np.inf]
     np.testing.assert_allclose(solve(problem).z, [-10.0 / 3.0, 11.0 / 3.0], rtol=1e-9)
+
+
+def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
+    """μ‖u_T‖ = 27 nearly cancels in R, whose reference is 2e-5: SOLVED all the same, by few steps."""
+    W = np.array([[3.128, -2.472], [-2.472, 3.872]])
+    for algorithm in ("auto", "newton", "npgs", "interior_point", "fixed_point"):
+        result = solve(FrictionalContact(W, [-9.81e-5, -55.0], 0.5, dimension=2), algorithm).require_solved()
+        assert result.iterations <= 30
+        assert exact_relative_residual(result.problem, result.z) <= 1e-8
+
+
+@pytest.mark.parametrize("masses", [2.0 ** np.arange(19), 2.0 ** np.arange(20), [1.0, 1e2, 1e4, 1e6]])
+def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
+    """Four contacts a box in space carry what is above; no start at random takes part."""
+    count = len(masses)
+    J = boxes(count, np.random.default_rng(0))[0].reshape(12 * count, -1)
+    mass = np.outer(masses, [1.0, 1.0, 1.0, 0.02, 0.02, 0.03]).ravel()
+    pull = np.tile([0.0, 0.0, -0.0981, 0.0, 0.0, 0.0], count)
+    result = solve(FrictionalContact((J / mass) @ J.T, J @ pull, 0.5)).require_solved()
+    carried, weights = result.motion.normal.reshape(count, 4).sum(axis=1), 0.0981 * np.cumsum(masses[::-1])[::-1]
+    np.testing.assert_allclose(carried, weights, rtol=1e-5)
+    assert "from a point nearby" not in result.explain()
+
+
+def test_what_rounding_limits_ends_after_one_look() -> None:
+    """The slack at 0 leaves the dual cone by 1e-8 of its size: alone and beside another group, no restarts."""
+    M, q = np.array([[5.0, 5.0], [5.0, 10.0]]), [1.0, -1.0 - 1e-8]
+    alone = solve(ConeProblem(M, q, [("second_order", 2)]))
+    both = block_diag(M, np.eye(3)), [*q, 0.0, -2.0, 0.0], [("second_order", 2), ("second_order", 3)]
+    beside = solve(ConeProblem(*both))
+    for result in (alone, beside):
+        assert result.status is Status.PRECISION_LIMIT
+        assert result.iterations <= 20
+        np.testing.assert_allclose(result.z[:2], 4e-10, rtol=1e-5)
+
+
+def test_a_tiny_normal_entry_is_no_limit() -> None:
+    """W = diag(1e-12, 1, 1): a contact and a cone."""
+    W, b = np.diag([1e-12, 1.0, 1.0]), [-1.0, 0.3, 0.4]
+    for problem in (FrictionalContact(W, b, 0.5), ConeProblem(W, b, [("second_order", 3)])):
+        solve(problem).require_solved()
+
+
+@pytest.mark.parametrize(("W", "friction", "is_advised"), [
+    (np.eye(3), 0.5, False), (np.eye(3), 4.0, True), (np.diag([1.0, 1.0, 0.0]), 0.5, True),
+    (np.diag([1.0, 1.0, 0.0]), 0.0, False),
+])
+def test_less_friction_is_advised_where_it_may_help(W: Any, friction: float, is_advised: bool) -> None:
+    """Where there is much, or W is singular; a definite W with little has an answer, and another start may find it."""
+    problem = FrictionalContact(W, [-1.0, 3.0, 4.0], friction)
+    judge = ConeJudge(problem, Settings())
+    z = np.array([0.5, 0.0, 0.0])
+    assert judge.verdict(judge.certificate_of(z), End.STALLED, is_chain=True) is Status.STALLED
+    assert ("less friction" in judge.words[Status.STALLED]) == is_advised

@@ -27,11 +27,13 @@ def trace(problem: Any, along: Any, start: float, stop: float, *, tolerance: flo
 
     Parameters
     ----------
-    problem : LCP, QuadraticProgram or BoundedLeastSquares
+    problem : LCP, QuadraticProgram or BoundedLeastSquares, or a problem of cvxpy
         Its data are those at θ = 0.
-    along : mapping
+    along : mapping, or a cvxpy Parameter
         What moves, and how much for θ + 1: ``{"q": dq}`` and bounds of an LCP; c, h, b and bounds of a program; b, l1
-        and bounds of least squares. A number moves all entries alike.
+        and bounds of least squares. A number moves all entries alike. Of a problem of cvxpy a scalar Parameter, whose
+        value θ is, or ``{parameter: direction}``, added to its present value; then ``path.at(θ)[x]`` is the value of a
+        variable.
     start, stop : float
         Either may be the larger one.
     tolerance : float
@@ -48,7 +50,7 @@ def trace(problem: Any, along: Any, start: float, stop: float, *, tolerance: flo
     InvalidOption
         Where something else is to move, or θ is not finite.
     UnsupportedModel
-        Where a program is not convex.
+        Where a program is not convex, or the parameter of a cvxpy problem stands in its matrices.
 
     Notes
     -----
@@ -84,11 +86,19 @@ def trace(problem: Any, along: Any, start: float, stop: float, *, tolerance: flo
     for name, value in (("start", start), ("stop", stop)):
         if not is_number(value) or not np.isfinite(value):
             raise InvalidOption(f"{name} must be a finite number, got {value!r}")
+    if type(problem).__module__.startswith(("cvxpy.", "lcp_plugin.modeling.")):
+        from ...modeling.parametric_models import trace_model
+
+        return trace_model(problem, along, float(start), float(stop), tolerance)
+    return trace_stated(problem, along, float(start), float(stop), tolerance)
+
+
+def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance: float) -> Path:
+    """Return the path of a problem of ours."""
     clock = Clock()
     if not isinstance(along, Mapping) or not along:
         raise InvalidOption(f'along must say what moves, as {{"q": direction}}, got {along!r}')
-    family = family_of(problem, along, float(start), float(stop), tolerance)
-    return traced(family, float(start), float(stop), clock)
+    return traced(family_of(problem, along, start, stop, tolerance), start, stop, clock)
 
 
 def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:

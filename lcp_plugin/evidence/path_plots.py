@@ -45,7 +45,7 @@ def plot_path(path: Path, *, axes: Any = None, rows: Sequence[int] | None = None
     import matplotlib.pyplot as plt
 
     with styled():
-        has_objective = path.points[0].objective is not None
+        has_objective = not np.isnan(path.objective(path.start)).any()
         heights = [2.4, 1.0, 1.0] if has_objective else [2.4, 1.0]
         figure, every = plt.subplots(
             len(heights), 1, figsize=(7.2, 1.6 + 1.35 * sum(heights)), sharex=True, height_ratios=heights,

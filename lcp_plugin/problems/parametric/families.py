@@ -25,6 +25,7 @@ from ..programs.convexity import refuse_nonconvex
 from ..programs.criterion import program_goal
 from ..programs.program import QuadraticProgram
 from ..programs.solution import QPSolution
+from .stacked_lasso import surely_optimal
 from .staircases import Columns, GramColumns, Staircases
 
 LARGEST = 6000  # rows, of which a dense inverse is kept
@@ -190,6 +191,10 @@ class Family:
     def judge(self, point: PathPoint) -> Status:
         """Return what the kind's criterion says of a point."""
         raise NotImplementedError
+
+    def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
+        """Return what the kind's criterion says of many points."""
+        return [self.judge(self.point(float(theta), one)) for theta, one in zip(thetas, z, strict=True)]
 
     def case_of(self, steps: Any) -> Any:
         """Return −1 at the lower bound, 0 between, 1 at the upper one."""
@@ -388,6 +393,16 @@ class LeastSquaresFamily(Family):
             return Status.SOLVED
         is_near = found.is_at_rounding_level or found.meets(NEARLY * tolerance)
         return Status.PRECISION_LIMIT if is_near else Status.STALLED
+
+    def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
+        """Return what the certificate says of many points: of those that are not surely optimal one by one."""
+        b, l1, lower, upper = (pair[0] + np.outer(thetas, pair[1]) for pair in map(self.pair, self.MOVES))
+        x = np.clip(np.array(z), lower, upper)
+        sure = surely_optimal(self.problem, x, b, np.maximum(l1, 0.0), lower, upper, self.settings.tolerance)
+        return [
+            Status.SOLVED if is_sure else self.judge(self.point(float(theta), one))
+            for is_sure, theta, one in zip(sure, thetas, z, strict=True)
+        ]
 
     def case_of(self, steps: Any) -> Any:
         """Return −1 at the lower bound, 0 between, 1 at the upper one, 2 at 0, where the penalty holds it."""

@@ -117,27 +117,37 @@ class Path:
         return np.array([self.pieces[0].begin, *(piece.end for piece in self.pieces)])
 
     @cached_property
-    def points(self) -> list[PathPoint]:
-        """The solutions at the breakpoints; where pieces do not join, the one before and the one behind."""
-        found: list[PathPoint] = []
+    def ends(self) -> tuple[FloatVector, list[FloatVector]]:
+        """The ends of all pieces, once where they join: θ, and the unknowns that were followed."""
+        thetas, found = [], []
         apart = {*self.jumps, *self.segments}
         for k, piece in enumerate(self.pieces):
-            before = self.pieces[k - 1] if k else None
-            if before is None or piece.begin != before.end or piece.begin in apart:
-                found.append(self.family.point(piece.begin, piece.z_at(piece.begin)))
-            found.append(self.family.point(piece.end, piece.z_at(piece.end)))
-        return found
+            if not k or piece.begin != self.pieces[k - 1].end or piece.begin in apart:
+                thetas.append(piece.begin)
+                found.append(piece.z_at(piece.begin))
+            thetas.append(piece.end)
+            found.append(piece.z_at(piece.end))
+        return np.array(thetas), found
+
+    @cached_property
+    def statuses(self) -> list[Status]:
+        """What the criterion says of each of `ends`."""
+        return self.family.judge_all(*self.ends) if self.pieces else []
+
+    @property
+    def points(self) -> list[PathPoint]:
+        """The solutions at the breakpoints; where pieces do not join, the one before and the one behind."""
+        return [self.family.point(float(theta), z) for theta, z in zip(*self.ends, strict=True)]
 
     @cached_property
     def status(self) -> Status:
         """SOLVED, or why not."""
-        every = [point.status for point in self.points]
-        wrong = [status for status in every if status is not Status.SOLVED]
         if self.beyond is not None:
             return Status(self.beyond.status) if not self.beyond.is_solved else Status.STALLED
-        if not wrong:
-            return Status.SOLVED
-        return Status.STALLED if Status.STALLED in wrong else Status.PRECISION_LIMIT
+        for status in (Status.STALLED, Status.PRECISION_LIMIT):
+            if status in self.statuses:
+                return status
+        return Status.SOLVED
 
     @property
     def is_solved(self) -> bool:
@@ -234,8 +244,8 @@ class Path:
                 f"{self.beyond.advice}."
             )
         else:
-            worst = next(point for point in self.points if point.status is self.status)
-            first = f"{self.status.name}: the solution at {worst.parameter:.9g} is not within the tolerance."
+            worst = self.ends[0][self.statuses.index(self.status)]
+            first = f"{self.status.name}: the solution at {worst:.9g} is not within the tolerance."
         lines = [first]
         if count:
             inner = self.breakpoints[1:-1]

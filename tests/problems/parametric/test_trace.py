@@ -23,6 +23,7 @@ from lcp_plugin import (
     trace,
 )
 from lcp_plugin.problems.parametric.path import Path
+from lcp_plugin.problems.parametric.stacked_lasso import surely_optimal
 
 INF = np.inf
 
@@ -368,3 +369,25 @@ def test_nothing_given_is_modified() -> None:
     assert np.array_equal(A, kept[0])
     assert np.array_equal(b, kept[1])
     assert np.array_equal(step, np.ones(4))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_surely_optimal_is_solved(seed: int) -> None:
+    """The certificate of many lassos at once accepts nothing that the one of each refuses, and most of a path."""
+    A, b = lasso(seed, 30, 12)
+    rng = np.random.default_rng(seed)
+    lower = np.where(rng.random(12) < 0.3, -0.5, -INF)
+    problem = BoundedLeastSquares(A, b, lower, weights=rng.random(30), ridge=0.1 * (seed % 2))
+    path = trace(problem, {"l1": 1}, 30.0, 0.5).require_solved()
+    thetas, z = path.ends
+    x, k = np.array(z), len(z)
+    stacked = [np.tile(one, (k, 1)) for one in (b, lower, problem.upper)]
+    accepted = []
+    for change in (0.0, 1e-9, 1e-6, 1e-4, 1e-2):
+        moved = np.clip(x + change * rng.standard_normal(x.shape), stacked[1], stacked[2])
+        sure = surely_optimal(problem, moved, stacked[0], np.outer(thetas, np.ones(12)), *stacked[1:], 1e-8)
+        accepted.append(sure.mean())
+        for one in np.flatnonzero(sure):
+            assert path.family.judge(path.family.point(float(thetas[one]), moved[one])) is Status.SOLVED
+    assert accepted[0] >= 0.9
+    assert accepted[-1] == 0.0

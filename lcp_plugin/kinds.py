@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 from .auto import solve_lcp
 from .core.errors import InvalidOption, did_you_mean
 from .core.kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind, kind_of, refusal, with_article
+from .core.settings import Status
 from .problems.cones import CONE_PROBLEM, FRICTIONAL_CONTACT
 from .problems.equilibria import EQUILIBRIUM_PROGRAM
 from .problems.least_squares import BOUNDED_LEAST_SQUARES
 from .problems.nonlinear import NONLINEAR_PROBLEM
 from .problems.programs.kind import QUADRATIC_PROGRAM
 
+NO_TIME = 1e-9  # seconds: a run ends at its start
 KINDS = (
     LINEAR_COMPLEMENTARITY_PROBLEM, NONLINEAR_PROBLEM, QUADRATIC_PROGRAM, EQUILIBRIUM_PROGRAM, BOUNDED_LEAST_SQUARES,
     CONE_PROBLEM, FRICTIONAL_CONTACT,
@@ -67,7 +70,11 @@ def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
     kind = kind_of(problem)
     if kind is None:
         raise InvalidOption(refusal("solve", problem))
-    options = options_of(kind)
+    is_ended = False
+    try:
+        options = options_of(kind)
+    except KeyboardInterrupt:  # in the import of what solves it, which begins anew
+        is_ended, options = True, options_of(kind)
     if "z0" in wishes and "x0" in (options or {}) and "x0" not in wishes:  # the same, of an unknown that is called x
         wishes = {"x0" if name == "z0" else name: wish for name, wish in wishes.items()}
     if options is None or "algorithm" in options or algorithm != "auto":
@@ -80,4 +87,7 @@ def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
         if default is inspect.Parameter.empty and name not in wishes:
             article = with_article(kind.word)
             raise InvalidOption(f"solve needs {name} for {article}: write solve(problem, {name}=…)")
-    return solver_of(kind)(problem, **wishes)
+    if not is_ended:
+        return solver_of(kind)(problem, **wishes)
+    result = solver_of(kind)(problem, **{**wishes, "max_seconds": NO_TIME})
+    return replace(result, status=Status.INTERRUPTED) if result.status is Status.MAX_SECONDS else result

@@ -15,7 +15,6 @@ from ...proofs.exact.rational import integers
 from ...proofs.no_solution.infeasibility import Case
 from ...proofs.no_solution.proof import LOWER, SLACKLESS, UPPER
 from ..small.small_dense import as_dense
-from . import kernels
 
 MOST_CASES = 4096  # for one solution
 MOST_OF_ALL = 2**16
@@ -66,6 +65,8 @@ def outline(problem: LCP, most_entries: float) -> Outline:
     >>> found.tree is not None, round(found.least_residual, 3) > 0.0
     (True, True)
     """
+    from . import kernels  # numba, which a program that engines solve does without
+
     (found, cases, entries, least), nodes, y, z = _looked_at(problem, most_entries, MOST_CASES, first=True)
     if found == kernels.FOUND and np.isfinite(z).all():
         return Outline(z, 0.0, cases, entries, nodes[:0], y[:0])
@@ -85,12 +86,16 @@ def whole_tree(problem: LCP) -> Case:
     >>> tree.branches["lower"].y is not None, tree.branches["zero"].y is None
     (True, True)
     """
+    from . import kernels
+
     _, nodes, y, _ = _looked_at(problem, MOST_ENTRIES, MOST_OF_ALL, first=False)
     count = int(np.count_nonzero(nodes[:, kernels.PARENT] != UNUSED))
     return _tree(nodes[:count].tolist(), y)
 
 
 def _looked_at(problem: LCP, most_entries: float, most_cases: int, *, first: bool) -> tuple[Any, ...]:
+    from . import kernels
+
     n = problem.n
     most = min(most_cases, 3 ** (n + 1))  # more than there are
     nodes, y, z = np.full((most, 4), UNUSED), np.empty((most, n + 1)), np.empty(n)

@@ -118,15 +118,18 @@ def _solved(
 ) -> ConeResult:
     """Return the answer where all components share a run; by auto sweeps only, where there are several."""
     start = problem.nearest_to_zero if z0 is None else z0
-    was_tried = False
+    was_tried = is_ended = False
     if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock):
-        found = solve_small([problem], settings, start=z0)
-        known = None if found.is_proved[0] else _at_rounding_level(problem, found.z[0], settings)
-        was_tried = not found.is_proved[0] and known is None
-        if not was_tried:
-            result = result_of(problem, found, 0, settings, clock.read(), known)
-            if result.iterations <= settings.max_iterations:
-                return result
+        try:
+            found = solve_small([problem], settings, start=z0)
+            known = None if found.is_proved[0] else _at_rounding_level(problem, found.z[0], settings)
+            was_tried = not found.is_proved[0] and known is None
+            if not was_tried:
+                result = result_of(problem, found, 0, settings, clock.read(), known)
+                if result.iterations <= settings.max_iterations:
+                    return result
+        except KeyboardInterrupt:
+            is_ended = True
     with np.errstate(), threads_for(settings.threads):
         policy = _policy(problem, algorithm, settings, is_warm=z0 is not None, was_tried=was_tried)
         if algorithm == "auto" and connected_components(problem.block_norms.matrix) is not None:
@@ -135,7 +138,7 @@ def _solved(
         run = Run(judge.scaling, policy, settings, callback, clock, judge)
         judge.products = lambda: run.state.work
         try:
-            reason = run.drive(start, policy.first(problem))  # type: ignore[arg-type]
+            reason = End.INTERRUPTED if is_ended else run.drive(start, policy.first(problem))  # type: ignore[arg-type]
         except KeyboardInterrupt:
             reason = End.INTERRUPTED
         return ConeResult.of(problem, run.judged(start, reason))

@@ -231,6 +231,8 @@ def solve_program(
     clock = Clock()
     try:
         return _solved(program, algorithm, tolerance, dict(options))
+    except KeyboardInterrupt:  # before the run, which has a point to hand back, or in an engine's call
+        return _interrupted(program, algorithm, tolerance, clock.read())
     except UnsupportedModel:
         if options.get("prove_infeasibility") is False or program.is_convex is not False:
             raise
@@ -331,10 +333,7 @@ def _solved_by_engine(
     engine = _engine(algorithm, {**options, **_steps(algorithm, wishes)})
     clock, goal = Clock(), program_goal(tolerance)
     with time_limit(min(settings.max_seconds, seconds_left())):
-        try:
-            run = run_engine(program, engine, goal, is_verbose=settings.verbose)
-        except KeyboardInterrupt:
-            return _interrupted(program, engine, goal, tolerance, clock.read())
+        run = run_engine(program, engine, goal, is_verbose=settings.verbose)
         is_optimal, proof = not run.contradicts and run.solution.is_minimal(goal), None
         if settings.prove_infeasibility and not run.solution.is_sure(goal):
             proof = program.facts.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
@@ -382,11 +381,12 @@ def _steps(algorithm: Any, wishes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _interrupted(
-    program: QuadraticProgram, engine: Engine, goal: float, tolerance: float, seconds: float
+    program: QuadraticProgram, algorithm: Any, tolerance: float, seconds: float
 ) -> QuadraticProgramResult:
     """Return the result of a run that Ctrl-C has ended: there is nothing of it."""
     solution = QPSolution.without_multipliers(program, np.clip(0.0, program.lower, program.upper))
-    return QuadraticProgramResult(Status.INTERRUPTED, solution, goal, engine.name, 0, seconds, tolerance)
+    name = algorithm if isinstance(algorithm, str) else algorithm.name
+    return QuadraticProgramResult(Status.INTERRUPTED, solution, program_goal(tolerance), name, 0, seconds, tolerance)
 
 
 def _contradicts_by_rounding(program: QuadraticProgram) -> bool:

@@ -32,6 +32,8 @@ CHECKS = [
     ("error_against_time", rf"with the same [1-9]\d* hottest points a linear solve differs by {NUMBER}", 1e-8),
     ("paper_study", f"a loop in NumPy takes as many sweeps up to {NUMBER}", 1.0),
     ("add_an_algorithm", f"the largest error on random problems with exact answers is {NUMBER}", 1e-6),
+    ("model_predictive_control", f"plans differ from a conic solver's by {NUMBER} m/s²", 1e-4),
+    ("model_predictive_control", f"where no limit acts, inputs differ from −K x by {NUMBER} m/s²", 1e-12),
     ("parameter_study", f"the first torque differs from the elastic one by {NUMBER}, ", 0.005),
     ("parameter_study", f"the last from the fully plastic one by {NUMBER}", 0.01),
     ("lasso_path", f"twenty solves differ from the path by at most {NUMBER}, ", 1e-6),

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from manual import site
-from manual.contents import EXAMPLES, SUBJECTS, Example, Guide, examples, guides, is_member, subject_of
+from manual.contents import EXAMPLES, SUBJECTS, TRADES, Example, Guide, examples, guides, is_member, subject_of
 from manual.docstrings import CODE, render, to_markdown
 from manual.formulas import HIGH, LOW, mathml, set_formulas
 from manual.pictures import LARGEST, PICTURES, shown
@@ -27,6 +27,7 @@ import lcp_plugin.ranks
 PICTURE = EXAMPLES / "pictures" / "three_problems.png"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.S | re.M)
+ONE_SCREEN = 60  # lines
 NOT_SHOWN = re.compile(r"[_{}^\s]")
 
 
@@ -116,14 +117,21 @@ def test_the_code_of_a_guide_prints_what_stands_below_it(guide: Guide) -> None:
         assert found.getvalue() == printed
 
 
-def test_guides_are_few_and_their_sentences_short() -> None:
-    """Each with a picture that an example draws; no sentence of more than 25 words."""
+def test_every_guide_has_a_picture_that_an_example_draws() -> None:
+    """The start page of the manual shows the first one."""
     drawn = {f"examples/{example.name}.png" for example in examples()}
     for guide in guides():
         assert guide.picture in drawn
-        prose = re.sub(r"^[|!].*$", "", re.sub(r"^```.*?^```$", "", guide.source, flags=re.S | re.M), flags=re.M)
-        for sentence in re.split(r"(?<=[.!?:;])\s+|\n\n|\n- ", prose):
-            assert len(sentence.split()) <= 25, sentence
+
+
+@pytest.mark.parametrize("name", TRADES)
+def test_a_trade_is_told_on_one_screen(name: str) -> None:
+    """Words, code that prints, a picture, what was checked and the time, in this order and in at most 60 lines."""
+    screen = Guide(name).source.partition("\n## ")[0]
+    places = [screen.find(part) for part in ("```python", "```text", "![", "**Checked.**", "**Time.** On ")]
+    assert -1 not in places
+    assert places == sorted(places)
+    assert len(screen.splitlines()) <= ONE_SCREEN
 
 
 def test_the_pictures_of_the_pages_are_small_and_are_those_of_examples() -> None:

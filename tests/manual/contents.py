@@ -17,10 +17,10 @@ import lcp_plugin
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-GUIDES = (  # in examples/manual, in the order in which they are read
-    "first_model", "which_algorithm", "what_is_proved", "contact", "options_in_time", "equilibria_and_leaders",
-    "layers", "many_machines",
+TRADES = (  # in examples/manual: the problem, its code and picture, what was checked and the time, on one screen
+    "options", "contact", "equilibria", "obstacle", "data", "control", "games", "which_algorithm",
 )
+GUIDES = ("first_model", *TRADES, "what_is_proved", "layers", "many_machines")  # in the order in which they are read
 TO_LOOK_UP = ("solved", "algorithms", "promises", "speed", "limits", "architecture")  # tables, in examples/manual
 SUBJECTS = {  # subject: what it is about, and the subpackages whose names and pages it shows; the longest match counts
     "solve": ("Solve: problems, methods, what comes back", "core algorithms api auto methods problems"),

@@ -339,9 +339,9 @@ def as_stated(limits: NDArray[Any]) -> FloatVector:
     return np.where(np.abs(limits) >= INFINITE_LIMIT, np.copysign(np.inf, limits), limits)
 
 
-def checked_right_side(values: Any, name: str, length: int | None) -> FloatVector:
+def checked_right_side(values: Any, name: str, length: int | None, *, may_be_number: bool = False) -> FloatVector:
     """Return the right-hand side of rows ≤ it, where 1e20 and beyond stands for ∞: the row says nothing."""
-    right = checked_vector(values, name, length, allow_plus_infinity=True)
+    right = checked_vector(values, name, length, allow_plus_infinity=True, may_be_number=may_be_number)
     return read_only(np.where(right >= INFINITE_LIMIT, np.inf, right))
 
 

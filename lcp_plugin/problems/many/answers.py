@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import index
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
@@ -66,18 +66,29 @@ class AnswerSequence(Results[T]):
         counted = Counter(f"no {self.ITEM}" if one is None else one.name for one in self.status)
         return ", ".join(f"{count} {name}" for name, count in counted.most_common()) or "none"
 
+    @property
+    def advice(self) -> str:
+        """What the status means of the first that is not SOLVED, in a sentence; of all where all are."""
+        shown = self._shown()
+        if shown < 0 or self.all_solved:
+            return Status.SOLVED.value
+        return f"{self.ITEM} {shown}: {self._said(shown, lambda one: str(getattr(one, 'advice', one)))}"
+
     def explain(self) -> str:
         """Return how many there are of each status, and the story of the first that is not SOLVED, or of the last."""
-        shown = next((k for k, status in enumerate(self.status) if status is not Status.SOLVED), len(self) - 1)
+        shown = self._shown()
         lines = [f"{len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s"]
         if shown >= 0:
-            lines.append(f"{self.ITEM} {shown}: {self._described(shown)}")
+            lines.append(f"{self.ITEM} {shown}: {self._said(shown, str)}")
         return "\n".join(lines)
 
-    def _described(self, k: int) -> str:
-        """Return the story of item k, or what is wrong with it."""
+    def _shown(self) -> int:
+        return next((k for k, status in enumerate(self.status) if status is not Status.SOLVED), len(self) - 1)
+
+    def _said(self, k: int, words: Callable[[T], str]) -> str:
+        """Return words of item k, or what is wrong with it."""
         try:
-            return str(self.at(k))
+            return words(self.at(k))
         except LCPError as error:
             return f"no {self.ITEM}: {error}"
 

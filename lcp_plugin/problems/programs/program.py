@@ -203,7 +203,7 @@ class QuadraticProgram:
         Parameters
         ----------
         c, h, b, lower, upper : arrays, shapes (n,), (m,), (p,), (n,), (n,), optional
-            The present ones by default.
+            The present ones by default. A number stands for a vector of one.
 
         Raises
         ------
@@ -223,9 +223,9 @@ class QuadraticProgram:
         )
         check_order(below, above)
         made = self.with_matrices(
-            self.matrices, self.c if c is None else checked_vector(c, "c", n),
-            self.h if h is None else checked_right_side(h, "h", self.h.size),
-            self.b if b is None else checked_vector(b, "b", self.b.size), below, above,
+            self.matrices, self.c if c is None else checked_vector(c, "c", n, may_be_number=n == 1),
+            self.h if h is None else checked_right_side(h, "h", self.h.size, may_be_number=self.h.size == 1),
+            self.b if b is None else checked_vector(b, "b", self.b.size, may_be_number=self.b.size == 1), below, above,
         )
         made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges)
         return made

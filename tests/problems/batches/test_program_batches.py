@@ -501,3 +501,12 @@ def test_an_algorithm_in_the_place_of_vectors_is_told_where_it_goes() -> None:
     for many in ([program, program], [LCP(np.eye(2), [1, -1])]):
         with pytest.raises(InvalidOption, match="algorithm='lemke'"):
             solve_batch(many, "lemke")
+
+
+def test_a_number_stands_for_a_vector_of_one() -> None:
+    """A right-hand side of one row is written as a number; a wrong length is told by the advice of the batch."""
+    program = QuadraticProgram(np.eye(2), [-1.0, 0.0], A=[[1.0, 1.0]], b=[1.0], G=[[1.0, 0.0]], h=[3.0])
+    answers = solve_batch(program, [{"b": 1}, {"b": 2, "h": 1}, {"b": [1, 2]}])
+    np.testing.assert_allclose(answers.x[:2], [[1.0, 0.0], [1.0, 1.0]], atol=1e-9)
+    assert answers.advice == "program 2: no program: b must be a vector of length 1, got shape (2,)"
+    assert solve_batch(program, [{"b": 1}]).advice == solve(program).status.value

@@ -26,7 +26,6 @@ PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper t
 # Up to where one compiled call is quicker than libraries called step by step.
 COMPILED_UP_TO = 256  # rows of a dense M
 COMPILED_SPARSE_UP_TO = 128  # rows of a sparse one, treated as dense
-PIVOTED_AT_ONCE_UP_TO = 160  # rows of a dense M with a positive diagonal: beyond, an interior point is less than a path
 
 # Up to where a sparse matrix is quicker shown to be definite as a dense one.
 CHOLESKY_UP_TO = 150  # rows, whatever is in them

@@ -5,6 +5,7 @@
 | the diagonal positive and nothing else, M not dense and symmetric | newton, then as below |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | the same, full, diagonal not > 0: budget rows | some pivots of lemke, then as above |
+| M + Mᵀ is PSD, full, diagonal > 0, M not symmetric in any units | lemke, interior_point, feasibility, newton, search |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | a bimatrix game | lemke, and what any other has |
 | any other: frictional contact | lemke, interior_point, feasibility, newton, search |
@@ -206,6 +207,8 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
         if is_full and not has_positive_diagonal(problem.matrix).all():
             few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)
             order = [Choice(few, "some pivots, before a factor of a dense M"), *order]
+        elif is_full and not is_nearly_symmetric(problem.matrix) and monotone_rows(problem.M) is None:
+            order = [replace(lemke, turn=PIVOTS), interior, check, newton]
     else:
         interior = replace(interior, because="M is not shown to be monotone, but interior points may do")
         may_be_p = bool(has_positive_diagonal(problem.matrix).all())

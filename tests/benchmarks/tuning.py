@@ -284,13 +284,6 @@ def _scattered(n: int) -> LCP:
     return LCP(M, rng.normal(size=n))
 
 
-def _path_or_interior_point(repeats: int) -> str:
-    """Return what a compiled path costs beside an interior point where M has a positive diagonal."""
-    problem = _dense(tuning.PIVOTED_AT_ONCE_UP_TO)
-    seconds = medians({name: partial(_solved_afresh, problem, name) for name in ("lemke", "interior_point")}, repeats)
-    return f"lemke takes {seconds['lemke'] / seconds['interior_point']:.1f} times as long as interior_point there"
-
-
 def _sharp_bound(repeats: int) -> str:
     problem = _grid(316)
     z = solve(problem, "multigrid").z
@@ -333,7 +326,6 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
     "COMPILED_UP_TO": partial(_compiled, _dense, "COMPILED_UP_TO"),
     "COMPILED_SPARSE_UP_TO": partial(_compiled, _scattered, "COMPILED_SPARSE_UP_TO"),
-    "PIVOTED_AT_ONCE_UP_TO": _path_or_interior_point,
     "DIRECT_UP_TO": _factor_or_multigrid, "LINEAR_PROGRAM_UP_TO": _program,
     "FACTOR_OPERATIONS_UP_TO": _operations, "DENSE_OPERATIONS": _dense_speed, "SPARSE_OPERATIONS": _sparse_speed,
     "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,

@@ -18,7 +18,6 @@ from ....core.kernels.compilation import IN_ANY_ORDER, helper, inlined, kernel
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL, SURELY_RIGHT
 from ....core.kernels.rows import residual_of_row, wrong_part
-from ....core.tuning import PIVOTED_AT_ONCE_UP_TO
 from .small_systems import solve_free
 from .tableau import follow_path
 from .workspace import AT_LOWER, AT_UPPER, BETWEEN, FOUND, KEPT, LOWER, SCALE, SIDE, STATE, UPPER, Q, W, Z
@@ -140,7 +139,7 @@ def _begin(  # type: ignore[no-untyped-def]
     wants_rounds = rounds and (may_sweep or not is_cold or not pivots)
     whole[STATE, MADE], whole[STATE, FEWEST], whole[STATE, IDLE] = 0, n + 1, 0
     whole[STATE, TO_THE_END] = not pivots
-    whole[STATE, LAST] = PIVOT if pivots and (n <= PIVOTED_AT_ONCE_UP_TO or not may_sweep) else OVER
+    whole[STATE, LAST] = PIVOT if pivots else OVER
     return SWEEP if wants_sweeps else ROUND if wants_rounds else PIVOT
 
 

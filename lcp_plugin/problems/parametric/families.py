@@ -17,6 +17,8 @@ from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status
 from ...kinds import solve_any
+from ...systems.definiteness import is_semidefinite_to_rounding
+from ..batches.batch import solve_batch
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares
 from ..least_squares.enclosures import Enclosures
@@ -139,6 +141,11 @@ class Family:
             raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; let along[{name!r}][{i}] be 0")
         return read_only(step)
 
+    @property
+    def is_monotone(self) -> bool:
+        """Whether the solutions at each θ are known to be one convex set: those of convex problems are."""
+        return True
+
     def pair(self, name: str) -> FloatVector:
         """Return a vector of the problem as (constant, slope), shape (2, size)."""
         now = getattr(self.problem, name)
@@ -207,6 +214,12 @@ class ComplementarityFamily(Family):
     MOVES = ("q", *BOUNDS)
     FIXED: ClassVar[dict[str, str]] = {"M": "z is not piecewise affine in M; solve_batch takes a list of problems"}
 
+    @cached_property
+    def is_monotone(self) -> bool:
+        """Whether M is known to be, to rounding: one factorisation."""
+        M = self.problem.M
+        return is_semidefinite_to_rounding(M + M.T) is True
+
     def at(self, theta: float) -> LCP:
         """Return the problem at θ."""
         moved = self.moved(theta)
@@ -227,6 +240,20 @@ class ComplementarityFamily(Family):
         problem = self.at(theta)
         z = np.clip(z, problem.lower, problem.upper)
         return PathPoint(theta, problem, read_only(z), read_only(problem.slack(z)), None, self)
+
+    def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
+        """Return what the certificate says of many points: those that a batch leaves as they are, it has judged."""
+        if self.directions.keys() - {"q"}:
+            return super().judge_all(thetas, z)
+        start = np.clip(np.array(z), self.problem.lower, self.problem.upper)
+        q = self.problem.q + np.outer(thetas, self.step("q"))
+        tolerance = self.settings.tolerance
+        batch = solve_batch(self.problem, q, z0=start, tolerance=tolerance, max_iterations=1, threads=1)
+        return [
+            Status.SOLVED if status is Status.SOLVED and np.array_equal(one, begun)
+            else self.judge(self.point(float(theta), begun))
+            for status, one, begun, theta in zip(batch.status, batch.z, start, thetas, strict=True)
+        ]
 
     def slope_of_slack(self, change: FloatVector) -> FloatVector:
         """Return how w changes with θ where z changes so."""

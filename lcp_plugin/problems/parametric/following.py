@@ -31,7 +31,11 @@ Change = tuple[int, int]  # a row, and whether it goes to the next step or to th
 
 ROUNDING = 1e-12  # of a z or a w beside its terms, of which a rate below is 0
 RIGHT = 1e3  # times that: what a start may be off its step
+PARKED = 1e-10  # of its terms: the w of a row without bounds that rests
+NULL = 1e-12  # singular values, beside the largest
 REFINED_TO = 1e-13  # of the terms of a free row
+LOST = 1e5  # times that: what a row may be off its step on a path
+AT_GOAL = 1e-10  # of the way: a breakpoint so near the last value is none
 AT_ONE_PLACE = 20  # changes per row without moving on, and 100 besides, after which a path is given up
 STEPS = 200  # changes per row, and 10 000 besides, after which it is given up
 
@@ -42,7 +46,7 @@ class End(Enum):
     STOP = "the parameter reached its last value"
     RAY = "no solution goes on from here"
     TURNED = "the solution turned back to the start"
-    LOST = "rows change without the parameter moving on"
+    LOST = "rounding decides which row changes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +102,9 @@ class Follower:
         self._begin_at_rest()
         self.changes = 0
         self._offset: FloatVector | None = None  # r
+        self.parked: list[int] = []
         if self.block.is_singular:
-            w = self.at_rest[0] + t * self.at_rest[1] + z[self.free] @ problem.columns.many(self.free)
-            self._slide(None, z, w, None)
+            self._make_regular(z.copy())
 
     # --- where rows are -----------------------------------------------------------------------------------
 
@@ -242,8 +246,15 @@ class Follower:
 
     # --- the path -----------------------------------------------------------------------------------------
 
-    def lines(self, stop: float) -> Iterator[Line | End]:
-        """Yield the lines up to stop, and at last why there are no more."""
+    def lines(self, stop: float, *, is_monotone: bool) -> Iterator[Line | End]:
+        """Yield the lines up to stop, and at last why there are no more.
+
+        Parameters
+        ----------
+        stop : float
+        is_monotone : bool
+            Whether M is: then no path turns back, and where rounding says that one does it is lost.
+        """
         start, furthest, forward, jumps, slides = self.t, self.t, 1.0, False, False
         stuck, budget = 0, STEPS * self.n + 10_000
         changed: Change | None = None
@@ -255,14 +266,18 @@ class Follower:
                 forward = np.sign(rate) if abs(rate) > slow[changed[0]] else forward
             at, w_at = z[0] + self.t * z[1], w[0] + self.t * w[1]
             blur = self._blur(at, self.at_rest[0] + self.t * self.at_rest[1])
+            if (is_monotone and forward < 0.0) or (self.outside(at, w_at) > LOST * blur).any():
+                yield End.LOST
+                return
             rates = gaps[0][1] * forward, gaps[1][1] * forward
             length, tied = self._first_end(
                 (gaps[0][0] + self.t * gaps[0][1], gaps[1][0] + self.t * gaps[1][1]), rates, blur, slow)
             goal = stop if forward > 0.0 else start
-            is_last = not tied or length >= forward * (goal - self.t)
+            beside = AT_GOAL * max(abs(goal), stop - start) if forward > 0.0 else 0.0
+            is_last = not tied or length >= forward * (goal - self.t) - beside
             t = goal if is_last else self.t + forward * length
             if t > furthest:
-                yield Line(furthest, t, z, self.steps.copy(), jumps, slides and not jumps)
+                yield Line(furthest, t, z, self._shown_steps(), jumps, slides and not jumps)
                 furthest, jumps, slides = t, False, False
             jumps = jumps or forward < 0.0
             if is_last:
@@ -309,41 +324,103 @@ class Follower:
                 best, least = (row, way), term
         return best, float(least)
 
+    def _make_regular(self, z: FloatVector) -> None:
+        """Move along the solutions at t, from z on, until the free rows determine them.
+
+        A direction without end leads to nothing but rows without bounds: one of them stays where it is, at a corner
+        that its staircase, w = 0 for any z, is given there.
+        """
+        problem = self.problem
+        for _ in range(self.n + 1):
+            rows = self.free
+            columns = problem.columns.many(rows)
+            basis = _null_space(columns[:, rows].T, np.sqrt(self._sizes[rows]))
+            if not len(basis):
+                break
+            while len(basis):
+                dz = np.zeros(self.n)
+                dz[rows] = basis[-1]
+                dw = basis[-1] @ columns
+                dw[rows] = 0.0
+                row = self._slid_to_an_end(z, dz, dw)
+                if self.steps[row] % 2:
+                    break
+                place = int(np.flatnonzero(rows == row)[0])
+                most = int(np.argmax(np.abs(basis[:, place])))
+                if basis[most, place] == 0.0:
+                    raise SingularError
+                basis -= np.outer(basis[:, place] / basis[most, place], basis[most])
+                basis = np.delete(basis, most, axis=0)
+        self.block = FreeBlock(problem.columns, self.free)
+        if self.block.is_singular:
+            raise SingularError
+
+    def _slid_to_an_end(self, z: FloatVector, dz: FloatVector, dw: FloatVector) -> int:
+        """Move z in place along dz to where a row changes, and change it; return the row."""
+        free = self.free
+        w = self.at_rest[0] + self.t * self.at_rest[1] + (z[free] @ self.problem.columns.many(free) if free.size else 0)
+        lower, upper = (end[0] + self.t * end[1] for end in (self._lower, self._upper))
+        now, blur, slow = self._coordinates(z, w), self._blur_of(z, w), self._blur_of(dz, None)
+        for sign in (1.0, -1.0):
+            rate = sign * self._coordinates(dz, dw)
+            length, tied = self._first_end((now - lower, upper - now), (rate, -rate), blur, slow)
+            if tied:
+                z += sign * length * dz
+                self._change(*tied[0])
+                return tied[0][0]
+        has_none = self.steps % 2 == 1
+        has_none &= (lower == -np.inf) & (upper == np.inf)
+        row = int(np.argmax(np.where(has_none, np.abs(dz), 0.0)))
+        if not has_none[row] or dz[row] == 0.0:
+            raise SingularError
+        self._park(row, z)
+        return row
+
+    def _park(self, row: int, z: FloatVector) -> None:
+        """Let a row without bounds rest where it is, as long as its w is 0 up to rounding."""
+        corners, levels = self.problem.corners, self.problem.levels
+        corners[:, :, row], corners[0, :, row] = 0.0, (-np.inf, z[row], np.inf)
+        near = PARKED * float(self._sizes[row] * np.abs(z).sum() + np.abs(self.at_rest[:, row]).sum())
+        levels[:, :, row], levels[0, :, row] = 0.0, (np.inf, near, -near, -np.inf)
+        self.parked.append(row)
+        self.steps[row] = 2
+        self._rest(row, 1.0)
+        self._place(np.array([row]))
+
+    def _shown_steps(self) -> IntVector:
+        """Return the steps, those of rows without bounds 1."""
+        steps = self.steps.copy()
+        steps[self.parked] = 1
+        return steps
+
     def _slide(
-        self, last: Change | None, z: FloatVector, w: FloatVector, orders: tuple[FloatVector, FloatVector, float] | None
+        self, last: Change, z: FloatVector, w: FloatVector, orders: tuple[FloatVector, FloatVector, float]
     ) -> Change:
         """Move along the solutions at this t until the block of free rows is regular; return the last change.
 
         Parameters
         ----------
-        last : (int, int) or None
-            The change that made the block singular, which the block has not followed; None at the start.
+        last : (int, int)
+            The change that made the block singular, which the block has not followed.
         z, w : ndarray, shape (n,)
-        orders : (ndarray, ndarray, float), optional
+        orders : (ndarray, ndarray, float)
             The ε-terms of z, w and t.
         """
-        held = self._lower[0] + self.t * self._lower[1], self._upper[0] + self.t * self._upper[1]
-        dz, dw = self._null_direction() if last is None else self._response(*last)
+        dz, dw = self._response(*last)
         for _ in range(4 * self.n + 10):
             held = self._lower[0] + self.t * self._lower[1], self._upper[0] + self.t * self._upper[1]
             now, blur = self._coordinates(z, w), self._blur_of(z, w)
             slow = self._blur_of(dz, None)
-            for sign in (1.0, -1.0) if last is None else (1.0,):
-                rate = sign * self._coordinates(dz, dw)
-                length, tied = self._first_end((now - held[0], held[1] - now), (rate, -rate), blur, slow)
-                if tied:
-                    break
-            else:
+            rate = self._coordinates(dz, dw)
+            length, tied = self._first_end((now - held[0], held[1] - now), (rate, -rate), blur, slow)
+            if not tied:
                 raise SingularError
-            change, step = tied[0], 0.0
-            if orders is not None:
-                of_t = orders[2]
-                shifts = self._lower[1] * of_t, self._upper[1] * of_t
-                change, step = self._first_of(tied, self._coordinates(*orders[:2]), (rate, -rate), shifts)
-                orders = orders[0] + step * sign * dz, orders[1] + step * sign * dw, of_t
-            z, w = z + length * sign * dz, w + length * sign * dw
+            of_t = orders[2]
+            shifts = self._lower[1] * of_t, self._upper[1] * of_t
+            change, step = self._first_of(tied, self._coordinates(*orders[:2]), (rate, -rate), shifts)
+            orders = orders[0] + step * dz, orders[1] + step * dw, of_t
+            z, w = z + length * dz, w + length * dw
             self._change(*change)
-            last = change
             self.block = FreeBlock(self.problem.columns, self.free)
             if not self.block.is_singular:
                 return change
@@ -380,6 +457,14 @@ class Follower:
         return np.asarray(ROUNDING * np.where(self.steps % 2 == 1, size.max(initial=0.0), of_w))
 
 
+def _null_space(block: FloatVector, sizes: FloatVector) -> FloatVector:
+    """Return a basis of the z with M_FF z = 0, a row each, where |m_ij| is about sizes_i sizes_j."""
+    if not block.size:
+        return np.zeros((0, sizes.size))
+    _, values, across = np.linalg.svd(block / sizes / sizes[:, np.newaxis])
+    return np.asarray(across[values <= NULL * values.max(initial=0.0)] / sizes)
+
+
 def follower_from(problem: Staircases, t: float, z: FloatVector, w: FloatVector) -> Follower:
     """Return a follower at the solution at t that (z, w) is near.
 
@@ -407,9 +492,14 @@ def follower_from(problem: Staircases, t: float, z: FloatVector, w: FloatVector)
         if rows.size:
             shift -= (wanted - now)[rows] @ problem.columns.many(rows)
         homotopy = problem.at(t).with_offsets(shift, -shift)
+        parked = follower.parked
         guide = Follower(homotopy, follower.steps, 0.0, np.where(is_free, wanted, found_z))
-        end = [line for line in guide.lines(1.0) if isinstance(line, End)][-1]
+        end = [line for line in guide.lines(1.0, is_monotone=False) if isinstance(line, End)][-1]
         if end is not End.STOP:
             raise SingularError
+        for row in guide.parked:
+            for mine, others in ((problem.corners, homotopy.corners), (problem.levels, homotopy.levels)):
+                mine[:, :, row] = others[:, :, row]
         follower = Follower(problem, guide.steps, t, found_z)
+        follower.parked += [*parked, *guide.parked]
     return follower

@@ -136,7 +136,7 @@ class Staircases:
 
     def with_offsets(self, constant: FloatVector, slope: FloatVector) -> Staircases:
         """Return the problem with these added to q."""
-        return Staircases(self.columns, self.q + np.array([constant, slope]), self.corners, self.levels)
+        return Staircases(self.columns, self.q + np.array([constant, slope]), self.corners.copy(), self.levels.copy())
 
     def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
         """Return the step of each row that (z, w) misses least at t, shape (n,); a corner is on the even one."""

@@ -16,6 +16,7 @@ from .path import Path, Piece
 from .staircases import Staircases
 
 BEYOND = (1e-7, 1e-5, 1e-3)  # of the way from start to stop: where a path that has ended is looked for again
+SAME = 1e-4  # what a solution may move on the shortest of these
 MOST_RESTARTS = 50
 
 
@@ -121,10 +122,11 @@ def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
                     break
             if follower is None:
                 break
-            if pieces:
-                jumps.append(toward * reached)
+            if pieces and _is_apart(pieces[-1].z_at(toward * reached), follower.solution()):
+                # All solutions of a monotone problem are one convex set.
+                (segments if family.is_monotone else jumps).append(toward * reached)
             why, reached = None, t
-            for line in follower.lines(end):
+            for line in follower.lines(end, is_monotone=family.is_monotone):
                 if isinstance(line, End):
                     why = line
                     break
@@ -142,6 +144,11 @@ def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
     _ = path.status
     path.seconds = clock.read()
     return path
+
+
+def _is_apart(one: FloatVector, other: FloatVector) -> bool:
+    """Return whether two solutions, just before and just behind a value of θ, are not the same."""
+    return bool(np.abs(one - other).max(initial=0.0) > SAME * (1.0 + np.abs(one).max(initial=0.0)))
 
 
 def _begun(

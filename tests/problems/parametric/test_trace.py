@@ -303,6 +303,17 @@ def test_right_hand_sides_move() -> None:
         assert np.abs(path.at(theta).x - answer.x).max() <= 1e-7
 
 
+def test_what_nothing_determines_rests() -> None:
+    """An unknown that stands in no row stays where it is, also beside one that depends on it."""
+    M = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    path = trace(LCP(M, [1, 1, 0], lower=-INF), {"q": [1, 1, 0]}, 0, 3).require_solved()
+    assert path.x([0.0, 1.0, 3.0])[:, :2].sum(axis=1) == pytest.approx([-1.0, -2.0, -4.0])
+    assert not path.jumps
+    ended = trace(LCP(M, [1, 1, 0], lower=-INF), {"q": [1, 1, 1]}, 0, 3)
+    assert ended.status is Status.INFEASIBLE
+    assert ended.reached == pytest.approx(0.0, abs=1e-9)
+
+
 # --- words ----------------------------------------------------------------------------------------------------
 
 

@@ -165,7 +165,7 @@ def _draw_histogram(axes: Any, line: dict[str, Any]) -> None:
     axes.hist([z[~active], z[active]], bins=BINS, stacked=True, color=[FREE, ACTIVE])
     share = f"; orange: {line['active_means']}, {np.mean(active):.0%}" if active.any() else ""
     axes.set_title(f"{z.size} values{share}\nin their places: plot(shape=…) or plot(mesh=…)", fontsize=8.5)
-    axes.set(xlabel=line["unknown"], ylabel="how many", yscale="log" if z.size > MOST_DOTS else "linear")
+    axes.set(xlabel=line["unknown"], ylabel="how many")
 
 
 def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:

@@ -15,8 +15,8 @@ from typing import Any
 from .errors import InvalidOption, did_you_mean
 
 FUNCTIONS = (
-    "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "trace", "derivative", "certify",
-    "Certificate.of", "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate",
+    "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "trace", "regions", "derivative",
+    "certify", "Certificate.of", "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate",
     "error_against_time", "study",
 )
 STORES = ("save", "pickle")

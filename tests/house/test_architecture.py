@@ -33,6 +33,7 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     "problems.many.answers": ({"evidence"}, "plot() of many answers"),
     "problems.parametric.path": ({"evidence"}, "plot() of a path"),
     "problems.parametric.tracing": ({"modeling"}, "trace takes a cvxpy problem as well"),
+    "problems.parametric.regions": ({"evidence"}, "plot() of regions"),
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),
     "problems.programs.certification": ({"modeling"}, "certify takes a cvxpy problem as well"),
     "problems.equilibria.branch_and_bound": ({"scip"}, "SCIP is asked where it is installed, in expressions"),

@@ -43,6 +43,7 @@ CHECKS = [
     ("option_greeks", f"vega by {NUMBER}, ", 1e-4),
     ("option_greeks", f"rho by {NUMBER}, relatively", 1e-4),
     ("option_greeks", f"backwards they are the same at the money to {NUMBER}", 1e-8),
+    ("explicit_controller", f"along four drives the forces differ from daqp's by {NUMBER}", 1e-9),
     ("designed_contact", f"in a random direction the gradient differs from a difference by {NUMBER}, ", 1e-6),
     ("learn_friction", f"without noise the coefficients differ from the planted ones by {NUMBER}, ", 1e-9),
     ("learn_friction", f"10 mm of noise by {NUMBER}", 0.01),

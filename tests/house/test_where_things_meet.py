@@ -7,6 +7,7 @@ import pickle
 import signal
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from lcp_plugin import (
     Status,
     UnsuitableMatrix,
     UnsuitableProblem,
+    UnsupportedModel,
     all_solutions,
     analyze,
     certify,
@@ -40,6 +42,7 @@ from lcp_plugin import (
     load_problem,
     march,
     prepare,
+    regions,
     solve,
     solve_batch,
     trace,
@@ -147,6 +150,16 @@ def by_trace(sample: Sample, folder: Path) -> None:
     assert path.status.name in repr(path)
     if path.is_solved and sample.x is not None:
         assert np.allclose(path.at(0.5).x, sample.x, atol=1e-6)
+
+
+def by_regions(sample: Sample, folder: Path) -> None:
+    name = "q" if sample.kind == "LCP" else "c"
+    change = np.zeros((getattr(sample.problem, name).size, 1))
+    found = None
+    with suppress(UnsuitableProblem, UnsupportedModel):  # no solution, more than one, or not convex
+        found = regions(sample.problem, {name: change}, ([-1.0], [1.0]))
+    if found is not None and found.is_solved and sample.x is not None:
+        assert np.allclose(found.x_at([0.5]), sample.x, atol=1e-6)
 
 
 def by_marches(sample: Sample, folder: Path) -> None:
@@ -375,8 +388,8 @@ def by_command_report(sample: Sample, folder: Path) -> None:
 
 TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "solve": by_solve, "solve_batch": by_batch, "solve_many": by_many, "prepare": by_prepare, "march": by_march,
-    "march_many": by_marches, "trace": by_trace, "derivative": by_derivative, "certify": by_certify,
-    "Certificate.of": by_certificate,
+    "march_many": by_marches, "trace": by_trace, "regions": by_regions, "derivative": by_derivative,
+    "certify": by_certify, "Certificate.of": by_certificate,
     "error_bound": by_bound, "analyze": by_analyze, "all_solutions": by_all_solutions,
     "convergence_guarantee": by_guarantee,
     "cross_validate": by_cross_validation, "error_against_time": by_curves, "study": by_study,
@@ -389,6 +402,7 @@ REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "solve_batch": lambda p, _: solve_batch([p]), "solve_many": lambda p, _: solve_many(p, [[1.0, 1.0]]),
     "prepare": lambda p, _: prepare(p), "march": lambda p, _: march(p, [[1.0, 1.0]]),
     "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]), "trace": lambda p, _: trace(p, {"q": 1}, 0, 1),
+    "regions": lambda p, _: regions(p, {"q": [[1.0]]}, ([0.0], [1.0])),
     "derivative": lambda _, answer: derivative(answer()),
     "certify": lambda p, answer: certify(p, answer().x), "Certificate.of": lambda p, _: Certificate.of(p, [1.0, 1.0]),
     "error_bound": lambda p, _: error_bound(p, [1.0, 1.0]), "all_solutions": lambda p, _: all_solutions(p),

@@ -4,8 +4,8 @@ from ...core.kind import LANGUAGES, Kind
 
 QUADRATIC_PROGRAM = Kind(
     "quadratic program", "QuadraticProgram",
-    ("solve", "solve_batch", "solve_many", "prepare", "trace", "certify", "pickle", *LANGUAGES, "lcp-plugin solve",
-     "lcp-plugin certify"),
+    ("solve", "solve_batch", "solve_many", "prepare", "trace", "regions", "certify", "pickle", *LANGUAGES,
+     "lcp-plugin solve", "lcp-plugin certify"),
     "LCP.from_qp(program.P, program.c, …) makes an LCP of it",
     {
         "x0=": "z0=result.z goes on from an earlier result",

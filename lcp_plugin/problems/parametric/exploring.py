@@ -1,0 +1,362 @@
+"""regions(): the solution of a program over a box of parameters, an affine law on each of finitely many polyhedra.
+
+A case says which unknowns of the optimality conditions are free. Where it stays, z is affine in θ, and it stays as long
+as free unknowns keep their bounds and w of the others its sign: a polyhedron. Behind a facet one unknown changes its
+case. So from any region all of them are reached, facet by facet (Bemporad, Morari, Dua, Pistikopoulos 2002; Tøndel,
+Johansen, Bemporad 2003); what one change does not give, as at a degenerate facet, a solve just behind it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf
+from scipy.optimize import linprog
+from scipy.spatial import HalfspaceIntersection, QhullError
+
+from ...core.checks import FloatVector
+from ...core.deadline import Clock
+from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
+from ...core.kind import refusal
+from ...core.lcp import LCP
+from ...kinds import solve_any
+from ..programs.conversion import conditions
+from ..programs.convexity import refuse_nonconvex
+from ..programs.program import QuadraticProgram
+from .regions import Region, Regions
+
+BEHIND = 1e-7  # a facet, of the box's width: where the next region is looked for
+CLEARLY_BEHIND = 1e-5  # where a solve is asked, whose tolerance reaches behind a facet
+FLAT = 1e-9  # inner radius, of the box's width: of what is no region
+SINGULAR = 1e-13  # pivot beside the largest
+MOST_PARAMETERS = 6
+Case = np.ndarray[Any, np.dtype[np.int8]]
+
+
+def regions(
+    problem: Any, parameters: Mapping[str, Any], within: Any, *, tolerance: float = 1e-8, max_regions: int = 100_000
+) -> Regions:
+    """Return the solution for every θ in a box: polyhedra, and on each x = F θ + g. Explicit model predictive control.
+
+    Data(θ) = data + change · θ. The problem is strictly convex, or M a P-matrix: x is unique.
+
+    Parameters
+    ----------
+    problem : QuadraticProgram or LCP
+        Its data are those at θ = 0.
+    parameters : mapping
+        What depends on θ, and how: c, h, b, lower, upper of a program, q, lower, upper of an LCP, each with its change
+        by θ, shape (its size, p); for p = 1 (its size,).
+    within : (low, high)
+        Corners of the box, shape (p,) each, p up to 6.
+    tolerance : float
+        Of the certificates, as in `solve`.
+    max_regions : int
+        Where the search ends.
+
+    Returns
+    -------
+    Regions
+        With `coverage`: the share of the convex hull of all regions that they fill, 1 where none is missing.
+
+    Raises
+    ------
+    InvalidOption
+        Where something else is to move, or shapes do not fit.
+    UnsuitableProblem
+        Where x is not unique, or nothing in the box is feasible.
+    UnsupportedModel
+        Where a program is not convex.
+
+    Notes
+    -----
+    Cost: a dense factor of the free block and a small linear program a region; regions grow fast with the number of
+    rows. M is held dense.
+
+    References
+    ----------
+    Bemporad, Morari, Dua, Pistikopoulos, Automatica 38, 2002, doi:10.1016/S0005-1098(01)00174-1.
+
+    Examples
+    --------
+    x is as near to θ as |x| ≤ 1 allows: three regions on a line.
+
+    >>> from lcp_plugin import QuadraticProgram, regions
+    >>> found = regions(QuadraticProgram([[1.0]], [0.0], lower=-1, upper=1), {"c": [-1.0]}, ([-3.0], [3.0]))
+    >>> len(found), found.coverage
+    (3, 1.0)
+    >>> found.x_at([[-2.0], [0.5]])
+    array([[-1. ],
+           [ 0.5]])
+    """
+    clock = Clock()
+    family = _Family(problem, parameters, within, tolerance)
+    found, missed = family.explored(int(max_regions))
+    if not found:
+        raise UnsuitableProblem("no θ in the box was found where the problem has a unique solution; solve it at one "
+                                "corner and see its explain()")
+    answer = Regions(family.problem, family.changes, family.low, family.high, found, missed, tolerance)
+    _ = answer.status
+    answer.seconds = clock.read()
+    return answer
+
+
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """z = Z [θ, 1] of a case, and the rows a θ ≤ b of the polyhedron on which it holds, with what leaves there."""
+
+    case: Case
+    z: FloatVector
+    rows: FloatVector
+    limits: FloatVector
+    leaves: np.ndarray[Any, Any]
+    becomes: Case
+
+
+class _Family:
+    """A problem whose vectors are affine in several parameters; θ inside is scaled to the unit box."""
+
+    def __init__(self, problem: Any, parameters: Any, within: Any, tolerance: float) -> None:
+        if isinstance(problem, QuadraticProgram):
+            refuse_nonconvex(problem)
+            names: tuple[str, ...] = ("c", "h", "b", "lower", "upper")
+        elif isinstance(problem, LCP):
+            names = ("q", "lower", "upper")
+        else:
+            raise InvalidOption(refusal("regions", problem))
+        self.problem, self.tolerance = problem, tolerance
+        self.low, self.high = _box(within)
+        self.p = self.low.size
+        self.changes = _changes(problem, parameters, names, self.p)
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Make M, and q, lower and upper as columns [change by scaled θ, at its 0]."""
+        problem, width = self.problem, self.high - self.low
+
+        def affine(name: str) -> FloatVector:
+            now, change = getattr(problem, name), self.changes.get(name)
+            change = np.zeros((now.size, self.p)) if change is None else change
+            return np.column_stack([change * width, now + change @ self.low])
+
+        if isinstance(problem, LCP):
+            self.M, self.is_strict = np.asarray(problem.csr.toarray()), False
+            self.q, self.lower, self.upper = map(affine, ("q", "lower", "upper"))
+            return
+        plain, n = conditions(problem), problem.n
+        self.is_strict = _is_definite(problem)
+        self.M = plain.csr.toarray()
+        c, h, b = map(affine, ("c", "h", "b"))
+        h[~np.isfinite(problem.h)] = 0.0
+        rest = np.zeros((plain.n - n, self.p + 1))
+        self.q = np.concatenate([c, h, b])
+        least, most = rest.copy(), rest.copy()
+        least[:, -1], most[:, -1] = plain.lower[n:], plain.upper[n:]
+        self.lower, self.upper = np.concatenate([affine("lower"), least]), np.concatenate([affine("upper"), most])
+
+    def solved(self, theta: FloatVector) -> Case | None:
+        """Return the case of the answer of `solve`; None where there is none."""
+        at = self.low + theta * (self.high - self.low)
+        moved = {name: getattr(self.problem, name) + change @ at for name, change in self.changes.items()}
+        if isinstance(self.problem, LCP):
+            bounds = {name: moved[name] for name in ("lower", "upper") if name in moved}
+            problem = self.problem.with_q(moved.get("q", self.problem.q), **bounds)
+        else:
+            problem = self.problem.with_vectors(**moved)
+        result = solve_any(problem, "auto", {"prove_infeasibility": False})
+        if not result.is_solved:
+            return None
+        z = result.z if isinstance(self.problem, LCP) else np.concatenate(
+            [result.x, result.solution.inequality, result.solution.equality])
+        here = np.append(theta, 1.0)
+        lower, upper = self.lower @ here, self.upper @ here
+        near = 1e-7 * np.maximum(1.0, np.abs(z).max(initial=0.0))
+        case = np.zeros(z.size, dtype=np.int8)
+        case[z <= lower + near * (lower > -np.inf)] = -1
+        case[(z >= upper - near * (upper < np.inf)) & (case == 0)] = 1
+        return case
+
+    def law(self, case: Case) -> _Law | None:
+        """Return the law of a case, None where its block of M is singular."""
+        free, held = np.flatnonzero(case == 0), np.flatnonzero(case)
+        z = np.zeros((case.size, self.p + 1))
+        z[held] = np.where((case[held] < 0)[:, None], self.lower[held], self.upper[held])
+        if free.size:
+            right = -self.q[free] - self.M[np.ix_(free, held)] @ z[held]
+            factor, order, _ = dgetrf(self.M[np.ix_(free, free)])
+            pivots = np.abs(np.diag(factor))
+            if not pivots.min() > SINGULAR * pivots.max():
+                return None
+            z[free] = dgetrs(factor, order, right)[0]
+        w = self.M[held] @ z + self.q[held]
+        sides = [(self.lower[free] - z[free], free, -1), (z[free] - self.upper[free], free, 1)]
+        is_single = (self.lower[held] == self.upper[held]).all(axis=1)  # its w may have either sign
+        signed = np.where((case[held] < 0)[:, None], -w, w)[~is_single]
+        sides.append((signed, held[~is_single], 0))
+        table = np.concatenate([side for side, _, _ in sides])
+        leaves = np.concatenate([unknowns for _, unknowns, _ in sides])
+        becomes = np.concatenate([np.full(unknowns.size, to, dtype=np.int8) for _, unknowns, to in sides])
+        known = np.isfinite(table).all(axis=1)
+        return _Law(case, z, table[known, :-1], -table[known, -1], leaves[known], becomes[known])
+
+    def polyhedron(self, law: _Law) -> Region | None:
+        """Return the region of a law inside the unit box without rows that do not count; None where it is flat."""
+        lengths = np.linalg.norm(law.rows, axis=1)
+        sizes = np.abs(law.limits) + lengths
+        flat = lengths <= 1e-12 * np.where(sizes > 0.0, np.maximum(sizes, np.abs(law.z).max(initial=0.0)), 1.0)
+        size = 1e-9 * (1.0 + np.abs(law.z).max(initial=0.0))
+        if (law.limits[flat] < -size).any():
+            return None
+        if not self.is_strict and (law.limits[flat & (law.becomes == 0) & (law.leaves < self.problem.n)] <= size).any():
+            raise UnsuitableProblem("x is not unique: an unknown at its bound could leave it at no cost; add a small "
+                                    "quadratic term to the objective")
+        rows = law.rows[~flat] / lengths[~flat, None]
+        limits = law.limits[~flat] / lengths[~flat]
+        eye = np.eye(self.p)
+        rows, limits = np.concatenate([rows, eye, -eye]), np.concatenate([limits, np.ones(self.p), np.zeros(self.p)])
+        leaves = np.concatenate([law.leaves[~flat], np.full(2 * self.p, -1)])
+        becomes = np.concatenate([law.becomes[~flat], np.zeros(2 * self.p, dtype=np.int8)])
+        inside = _centre(rows, limits)
+        if inside is None:
+            return None
+        facets, vertices = _facets(rows, limits, inside)
+        if not facets:
+            return None
+        return Region(rows[[k for k, _ in facets]], limits[[k for k, _ in facets]], vertices, inside, law.case, law.z,
+                      tuple((int(leaves[k]), int(becomes[k]), middle) for k, middle in facets))
+
+    def explored(self, most: int) -> tuple[list[Region], int]:
+        """Return all regions that are reached, and behind how many facets neither one nor a border was found."""
+        found: dict[bytes, Region] = {}
+        missed: list[FloatVector] = []
+        waiting = list(self._first())
+        for region in waiting:
+            found[region.case.tobytes()] = region
+        while waiting and len(found) < most:
+            region = waiting.pop()
+            for (unknown, to, middle), row in zip(region.facets, region.rows, strict=True):
+                if unknown < 0:
+                    continue
+                point = middle + BEHIND * row
+                other = region.case.copy()
+                other[unknown] = to
+                beside = found.get(other.tobytes())
+                if beside is not None and beside.holds(point):
+                    continue
+                if any(one.holds(point) for one in found.values()):
+                    continue
+                beside = self._region(other)
+                if beside is None or not beside.holds(point):
+                    further = middle + CLEARLY_BEHIND * row
+                    case = self.solved(further)
+                    if case is None:  # nothing is feasible there
+                        continue
+                    beside = self._region(case)
+                    if beside is None or not (beside.holds(point) or beside.holds(further)):
+                        missed.append(further)
+                        continue
+                if beside.case.tobytes() not in found:
+                    found[beside.case.tobytes()] = beside
+                    waiting.append(beside)
+        every = list(found.values())
+        return every, sum(not any(one.holds(point) for one in every) for point in missed) + len(waiting)
+
+    def _first(self) -> Iterator[Region]:
+        """Yield a region to begin in: of the middle of the box, else of points drawn in it."""
+        random = np.random.default_rng(0)
+        for point in [np.full(self.p, 0.5) + 1e-3 * random.standard_normal(self.p), *random.random((64, self.p))]:
+            case = self.solved(point)
+            if case is not None and (region := self._region(case)) is not None:
+                yield region
+                return
+
+    def _region(self, case: Case) -> Region | None:
+        law = self.law(case)
+        return None if law is None else self.polyhedron(law)
+
+
+def _is_definite(program: QuadraticProgram) -> bool:
+    """Return whether P is positive definite, as it seems in doubles."""
+    P = program.P.toarray() if hasattr(program.P, "toarray") else np.asarray(program.P)
+    return bool(program.n) and dpotrf(P)[1] == 0
+
+
+def _centre(rows: FloatVector, limits: FloatVector) -> FloatVector | None:
+    """Return the centre of the largest ball inside; None where there is none of a radius that counts."""
+    p = rows.shape[1]
+    found = linprog(np.append(np.zeros(p), -1.0), np.column_stack([rows, np.ones(len(rows))]), limits,
+                    bounds=[(None, None)] * p + [(None, 1.0)], method="highs")
+    if found.x is None or found.x[-1] <= FLAT:
+        return None
+    centre: FloatVector = found.x[:-1]
+    return centre
+
+
+def _facets(
+    rows: FloatVector, limits: FloatVector, inside: FloatVector
+) -> tuple[list[tuple[int, FloatVector]], FloatVector]:
+    """Return the rows that bound the polyhedron, each with the middle of its facet, and all vertices."""
+    if rows.shape[1] == 1:
+        ends = limits / rows[:, 0]
+        high, low = np.where(rows[:, 0] > 0, ends, np.inf).argmin(), np.where(rows[:, 0] < 0, ends, -np.inf).argmax()
+        facets = [(int(k), ends[[k]]) for k in (low, high)]
+        return facets, np.array([ends[[low]], ends[[high]]])
+    try:
+        hull = HalfspaceIntersection(np.column_stack([rows, -limits]), inside)
+    except QhullError:
+        return [], np.empty((0, rows.shape[1]))
+    vertices = hull.intersections
+    touching: dict[int, list[int]] = {}
+    for k, tied in enumerate(hull.dual_facets):
+        for row in tied:
+            touching.setdefault(int(row), []).append(k)
+    facets = []
+    for row, own in sorted(touching.items()):
+        corners = vertices[own]
+        if len(own) >= rows.shape[1] and np.ptp(corners, axis=0).max() > FLAT:
+            facets.append((row, corners.mean(axis=0)))
+    return facets, vertices
+
+
+def _box(within: Any) -> tuple[FloatVector, FloatVector]:
+    """Return the corners of the box, or raise InvalidOption."""
+    try:
+        low, high = (np.atleast_1d(np.asarray(end, dtype=float)) for end in within)
+        fits = low.shape == high.shape and low.ndim == 1 and bool(np.all(low < high))
+    except (TypeError, ValueError):
+        fits = False
+    if not fits or not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise InvalidOption(f"within must be (low, high), the corners of a box of finite numbers, low < high, got "
+                            f"{within!r}")
+    if low.size > MOST_PARAMETERS:
+        raise InvalidOption(f"regions takes up to {MOST_PARAMETERS} parameters, got {low.size}; trace follows one of "
+                            "them")
+    return low, high
+
+
+def _changes(problem: Any, parameters: Any, names: tuple[str, ...], p: int) -> dict[str, FloatVector]:
+    """Return the change of each vector by θ, shape (size, p), or raise InvalidOption."""
+    if not isinstance(parameters, Mapping) or not parameters:
+        raise InvalidOption(f'parameters must say what depends on θ, as {{"{names[0]}": change}}, got {parameters!r}')
+    found = {}
+    for name, given in parameters.items():
+        if name not in names:
+            raise InvalidOption(f"parameters={{{name!r}: …}} names nothing that moves in {type(problem).__name__}"
+                                f"{did_you_mean(name, names)}; {', '.join(names)} may move")
+        now = getattr(problem, name)
+        try:
+            change = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            change = np.empty(0)
+        change = change[:, None] if change.ndim == 1 and p == 1 else change
+        if change.shape != (now.size, p) or not np.isfinite(change).all():
+            raise InvalidOption(f"parameters[{name!r}] must be finite numbers of shape ({now.size}, {p}): the change "
+                                f"of {name} by each of the {p} parameters, got shape {np.shape(given)}")
+        if (stuck := ~np.isfinite(now) & change.any(axis=1)).any():
+            i = int(np.flatnonzero(stuck)[0])
+            raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; let row {i} of its change be 0")
+        found[str(name)] = change
+    return found

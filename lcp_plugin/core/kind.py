@@ -139,7 +139,7 @@ def _remedy(way: str, given: Any, takes_programs: bool) -> str:
     if type(given).__module__.startswith("cvxpy."):
         return 'write problem.solve(method="LCP"), or LCP.from_cvxpy(problem)'
     is_list = isinstance(given, (list, tuple)) and bool(given) and kind_of(given[0]) is not None
-    if is_list or type(given).__name__ == "QuadraticProgramBatch":
+    if is_list or type(given).__name__ in ("QuadraticProgramBatch", "FrictionalContactBatch"):
         return "solve_batch takes many"
     if isinstance(given, type) or callable(given):
         return "give an object: LCP(M, q), or NonlinearProblem(F) of a function F"

@@ -24,6 +24,7 @@ from ...methods.banded import Banded
 from ...systems.factors import bands
 from ..cones.small import groups_of, solve_small
 from ..cones.solving import result_of as result_of_small
+from ..cones.stacked_contacts import FrictionalContactBatch
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
@@ -31,6 +32,7 @@ from ..programs.solving import QuadraticProgramResult, prepare_program, programs
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun, CallersOwn
+from .contact_batch import ContactBatchResult, ContactBatchRun
 from .program_batch import ProgramBatchResult, ProgramBatchRun
 
 P = TypeVar("P", LCP, QuadraticProgram)
@@ -93,6 +95,12 @@ def solve_batch(
 ) -> ProgramBatchResult: ...
 @overload
 def solve_batch(
+    M: FrictionalContactBatch, *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8, max_iterations: int | None = None, max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0, prove_infeasibility: bool = True, threads: int | None = None,
+) -> ContactBatchResult: ...
+@overload
+def solve_batch(
     M: QuadraticProgram, q: Sequence[Mapping[str, ArrayLike]], *, algorithm: str | Algorithm = "auto",
     tolerance: float = 1e-8, max_iterations: int | None = None, max_seconds: float | None = None,
     prove_infeasibility: bool = True, threads: int | None = None,
@@ -136,7 +144,7 @@ def solve_batch(
     Parameters
     ----------
     M : array, shape (B, n, n) or (n, n), a sparse array or an LCP for all, a sequence of problems, a program and its
-        vectors, or a QuadraticProgramBatch
+        vectors, a QuadraticProgramBatch, or a FrictionalContactBatch
         With one LCP and a q of shape (B, n), all share what is known of its matrix, as after :func:`prepare`; its
         bounds hold where no others are given. One program takes a sequence of mappings in the place of q, as
         ``[{"b": b}, …]``: what ``program.with_vectors`` takes.
@@ -159,7 +167,7 @@ def solve_batch(
 
     Returns
     -------
-    BatchResult, ProgramBatchResult for programs of one shape, or AnswerList for other problems
+    BatchResult, ProgramBatchResult for programs of one shape, ContactBatchResult, or AnswerList for other problems
         All have x, status, objective and iterations, a row an item, and ``explain()``, and are sequences of the results
         of :func:`lcp_plugin.solve`; to look at one that was refused raises why. Each problem is judged by its own
         certificate. NaN in one, or no solution of it, harms no other: what the compiled loop leaves open is solved one
@@ -205,10 +213,15 @@ def solve_batch(
             "threads": 1,
         }
         return ProgramBatchRun(programs, algorithm, of_each, threads=checked, limit=limit).run()
-    items: Items
     asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, max_iterations=max_iterations,
                  absolute_tolerance=absolute_tolerance, prove_infeasibility=prove_infeasibility)
     defaults = solve_batch.__kwdefaults__ or {}
+    if isinstance(M, FrictionalContactBatch):
+        _refuse_data("contacts", "FrictionalContactBatch(W, b, friction)", q, lower, upper)
+        del asked["z0"]
+        wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
+        return ContactBatchRun(M, wishes, z0, threads=checked, limit=limit).run()
+    items: Items
     if (kind := kind_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
         write = {LCP: "problem, Q", QuadraticProgram: 'program, [{"b": b}, …]'}.get(type(M), "[problem]")
         raise InvalidProblem(f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})")

@@ -298,7 +298,8 @@ class FrictionalContact(Blocks):
 
     ``result.motion`` has impulses and velocities contact by contact. Steps in time whose contacts change begin with
     the impulses of the step before, ``solve(FrictionalContact(W, b, friction), z0=r)``, 0 for new contacts; those of
-    one W are a :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
+    one W are a :func:`lcp_plugin.march`; many small worlds at once a :class:`lcp_plugin.FrictionalContactBatch`.
+    :func:`lcp_plugin.load_problem` reads fclib's files.
 
     Examples
     --------

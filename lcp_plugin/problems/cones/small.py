@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...core.certificates.criterion import within
 from ...core.checks import FloatVector, read_only
 from ...core.settings import Settings
-from .data import Blocks
+from .data import Blocks, Starts
 from .methods import DECREASE, EASIER, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL, SHORTEST
 
 LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
@@ -70,21 +70,42 @@ def solve_small(
     start : array, shape (n,), optional
         A point in K near the answer, of one problem.
     """
+    first = problems[0]
+    arrays = tuple(_stacked([getter(problem) for problem in problems]) for getter in _ARRAYS)
+    z = np.array(arrays[-2] if start is None else start[np.newaxis])
+    return run_loop(first.arrays[0], arrays, z, settings, in_chunks, has_friction=first.has_friction,
+                    is_warm=start is not None)
+
+
+def run_loop(
+    starts: Starts, arrays: tuple[Any, ...], z: NDArray[np.float64], settings: Settings,
+    in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None, *, has_friction: bool, is_warm: bool,
+) -> LoopAnswers:
+    """Return what the loop makes of problems of the same blocks, from the rows of z, shape (B, n), which it overwrites.
+
+    Parameters
+    ----------
+    starts : array of int, shape (k + 1,)
+        As of :class:`Blocks`.
+    arrays : tuple
+        M, (B, n, n), q, lower, upper and z°, (B, n) each, and slope, (B, k): contiguous, read-only.
+    z, settings, in_chunks
+        As of :func:`solve_small`.
+    has_friction, is_warm : bool
+        Whether the slack of a cone is û, and whether Newton's steps come before sweeps.
+    """
     from .small_kernels import solve_each
 
-    count, first = len(problems), problems[0]
-    M, q, lower, upper, origins, slopes = (
-        _stacked([getter(problem) for problem in problems]) for getter in _ARRAYS
-    )
-    z = np.array(origins if start is None else start[np.newaxis])
-    rounds = ROUNDS if first.n <= ALL_ROUNDS_UP_TO else ROUNDS[:FIRST_ROUNDS]
-    rounds = rounds if start is None else np.concatenate([[0], rounds])
+    M, q, lower, upper, origins, slopes = arrays
+    count, n = z.shape
+    rounds = ROUNDS if n <= ALL_ROUNDS_UP_TO else ROUNDS[:FIRST_ROUNDS]
+    rounds = np.concatenate([[0], rounds]) if is_warm else rounds
     made, proved = np.zeros((count, 2), np.int64), np.full((count, 2), np.inf)
 
     def solve_chunk(begin: int, end: int) -> None:
         solve_each(
-            begin, end, first.arrays[0], float(first.has_friction), slopes, lower, upper, M, q, origins,
-            CLOSER * settings.tolerance, read_only(rounds), NEWTON_STEPS, MEMORY, CONSTANTS, SPREAD, z, made, proved,
+            begin, end, starts, float(has_friction), slopes, lower, upper, M, q, origins, CLOSER * settings.tolerance,
+            read_only(rounds), NEWTON_STEPS, MEMORY, CONSTANTS, SPREAD, z, made, proved,
         )
 
     if in_chunks is None:

@@ -429,6 +429,14 @@ class ConeJudge(Judge):
         return z if answered is None else np.where(answered, self.problem.nearest_to_zero, z)
 
 
+def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
+    """Return impulses r and velocities u, shape (…, k, d) each, as a motion; `given` are those without impulses."""
+    still = STICKS * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]
+    with np.errstate(over="ignore", under="ignore"):
+        touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
+    return ContactMotion(r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, touches & (speeds <= still), after)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ConeResult(Result):
     """The answer to a problem over cones; attributes as of :class:`Result`, and these.
@@ -464,13 +472,10 @@ class ConeResult(Result):
         if not isinstance(problem, FrictionalContact):
             raise InvalidOption(f"motion is of a FrictionalContact, got {type(problem).__name__}; read z and w")
         r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
-        still = STICKS * float(np.abs(problem.q).max(initial=0.0))
-        with np.errstate(over="ignore", under="ignore"):
-            touches, speeds = r[:, 0] > 0.0, np.hypot.reduce(np.abs(u[:, 1:]), axis=1)
         bodies, after = problem.bodies, None
         if bodies is not None and bodies.velocities is not None:
             after = bodies.velocities + bodies.by_impulse @ self.z
-        return ContactMotion(r[:, 0], r[:, 1:], u[:, 0], u[:, 1:], touches, touches & (speeds <= still), after)
+        return motion_of(r, u, problem.q, after)
 
     def _effort(self) -> str:
         return (

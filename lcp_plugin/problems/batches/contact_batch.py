@@ -1,0 +1,158 @@
+"""The run of many worlds with contact and friction: one compiled loop over arrays, one by one what that leaves open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.checks import read_only, real_array
+from ...core.errors import InvalidOption
+from ...core.settings import Status
+from ..cones.methods import SWEEPS_A_STEP
+from ..cones.small import LARGEST, LoopAnswers, run_loop
+from ..cones.solving import ConeResult, motion_of, result_of, solve_cones
+from ..cones.stacked_contacts import FrictionalContactBatch
+from .batch_run import BatchAnswers, BatchLoop
+
+
+class ContactBatchRun(BatchLoop):
+    """The answers as they come, in tables with a row a world.
+
+    Parameters
+    ----------
+    worlds : FrictionalContactBatch
+    wishes, threads, limit
+        As in `BatchLoop`; an algorithm is one of the contacts' own.
+    z0 : array, shape (B, n) or (n,), optional
+        Warm starts.
+    """
+
+    def __init__(
+        self, worlds: FrictionalContactBatch, wishes: dict[str, Any], z0: ArrayLike | None, *, threads: int,
+        limit: float,
+    ) -> None:
+        self.named = {name: wish for name, wish in wishes.items() if name == "algorithm"}
+        others = {name: wish for name, wish in wishes.items() if name != "algorithm"}
+        super().__init__(len(worlds), "auto", others, worlds.errors, threads=threads, limit=limit)
+        self.worlds, self.is_warm = worlds, z0 is not None
+        self.start = np.zeros(worlds.b.shape) if z0 is None else _checked_starts(z0, worlds)
+        self.z, self.iterations = self.start.copy(), np.zeros(len(worlds), np.int64)
+        self.z[[*self.errors]] = np.nan
+        self.found: LoopAnswers | None = None
+        self.results: dict[int, ConeResult] = {}
+
+    def run(self) -> ContactBatchResult:
+        """Solve all, and gather what was found."""
+        self._solve_all()
+        self.status[self.is_open] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
+        self.seconds = self.clock.read()
+        return ContactBatchResult(self)
+
+    def _solve_compiled(self) -> None:
+        worlds, count = self.worlds, len(self.worlds)
+        if self.named or self.wishes.keys() - {"tolerance", "prove_infeasibility"} or not 0 < worlds.n <= LARGEST:
+            return
+        starts = read_only(np.arange(0, worlds.n + 1, worlds.dimension, dtype=np.int64))
+        none = np.full(worlds.b.shape, np.inf)
+        origins = np.zeros(worlds.b.shape)
+        arrays = (worlds.W, worlds.b, *map(read_only, (-none, none, origins)), worlds.friction)
+        z = self.start.copy()
+        self.found = found = run_loop(
+            starts, arrays, z, self.settings, self._in_chunks, has_friction=True, is_warm=self.is_warm
+        )
+        items = np.flatnonzero(found.is_proved & self.is_open) if count else np.zeros(0, np.int64)
+        self.z[items], self.residual[items] = z[items], found.residual[items]
+        self.iterations[items] = found.made[items, 0] // SWEEPS_A_STEP + found.made[items, 1]
+        self.status[items], self.is_open[items] = Status.SOLVED, False
+
+    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
+        problem = self.worlds[k]
+        start = self.start[k, :problem.n] if self.is_warm else None
+        found = self.results[k] = solve_cones(problem, z0=start, **self.named, **wishes)
+        self.z[k], self.z[k, :problem.n] = 0.0, found.z
+        self.residual[k], self.iterations[k] = found.certificate.relative_residual, found.iterations
+        self.status[k], self.is_open[k] = found.status, False
+        self.is_interrupted |= found.status is Status.INTERRUPTED
+
+    def result_of(self, k: int) -> ConeResult:
+        """Return the result of world k, which has no error; one that was not begun has what its start has."""
+        if k in self.results:
+            return self.results[k]
+        problem, found = self.worlds[k], self.found
+        if found is not None and self.status[k] is Status.SOLVED:
+            own = found._replace(z=found.z[:, :problem.n])
+            return result_of(problem, own, k, self.settings, self.seconds / len(self.worlds))
+        start = self.start[k, :problem.n] if self.is_warm else None
+        begun = solve_cones(problem, z0=start, **self.named, **self.wishes, max_seconds=0.0)
+        self.results[k] = replace(begun, status=self.status[k])
+        return self.results[k]
+
+
+def _checked_starts(z0: ArrayLike, worlds: FrictionalContactBatch) -> Any:
+    """Return the starts, shape (B, n); contacts that are not there have 0."""
+    need = f"z0 must have shape ({len(worlds)}, {worlds.n}) or ({worlds.n},)"
+    given = real_array(z0, need)
+    if given.shape not in (worlds.b.shape, (worlds.n,)) or not np.isfinite(given).all():
+        raise InvalidOption(f"{need}, and be finite, got shape {given.shape}")
+    starts = np.array(np.broadcast_to(given, worlds.b.shape))
+    starts[np.arange(worlds.n) >= worlds.dimension * worlds.contacts[:, np.newaxis]] = 0.0
+    return starts
+
+
+class ContactBatchResult(BatchAnswers[ConeResult]):
+    """The answers to many worlds.
+
+    Parameters
+    ----------
+    run : ContactBatchRun
+        At its end.
+
+    Attributes
+    ----------
+    z : array, shape (B, d k)
+        Impulses, 0 where a world has no contact; NaN where it is no problem.
+    status : array of Status, shape (B,)
+        None where the world is no problem.
+    relative_residual : array, shape (B,)
+        Upper bounds; NaN where a world is no problem, or was not begun.
+    iterations : array of int, shape (B,)
+    seconds : float
+        Seconds of the whole batch, compilation excluded.
+    errors : dict
+        What is wrong with world k, an InvalidProblem, where something is; ``batch[k]`` raises it.
+    worlds : FrictionalContactBatch
+        The problems.
+
+    Notes
+    -----
+    ``batch[k]`` is the result that :func:`lcp_plugin.solve` gives for world k, its `seconds` a share of the batch's.
+    """
+
+    def __init__(self, run: ContactBatchRun) -> None:
+        super().__init__(run, run.result_of, run.z, run.iterations)
+        self.z, self.relative_residual, self.iterations, self.worlds = run.z, run.residual, run.iterations, run.worlds
+
+    @property
+    def x(self) -> Any:
+        """The same as z."""
+        return self.z
+
+    @property
+    def objective(self) -> Any:
+        """NaN for each, shape (B,): nothing is minimised."""
+        return np.full(len(self), np.nan)
+
+    @cached_property
+    def w(self) -> Any:
+        """Velocities after the impulses, shape (B, d k); 1 where a world has no contact."""
+        return np.einsum("bij,bj->bi", self.worlds.W, self.z) + self.worlds.b
+
+    @property
+    def motion(self) -> Any:
+        """Impulses and velocities contact by contact, a ContactMotion with an axis in front."""
+        shape = len(self), self.worlds.n // self.worlds.dimension, self.worlds.dimension
+        return motion_of(self.z.reshape(shape), self.w.reshape(shape), self.worlds.b)

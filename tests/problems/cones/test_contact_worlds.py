@@ -1,0 +1,136 @@
+"""Many worlds with contact and friction in arrays: answers, warm starts, worlds of different size, what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from cone_families import exact_relative_residual, planted_contacts
+
+from lcp_plugin import (
+    FrictionalContact,
+    FrictionalContactBatch,
+    InvalidOption,
+    InvalidProblem,
+    Status,
+    derivative,
+    solve,
+    solve_batch,
+)
+
+ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
+
+
+def arrays(count: int, k: int = 4, seed: int = 0) -> tuple[Any, Any, Any]:
+    made = [planted_contacts(k, 2, 10.0, np.random.default_rng([seed, i]), most=1.0)[0] for i in range(count)]
+    return tuple(np.array([getattr(one, name) for one in made]) for name in ("W", "b", "friction"))  # type: ignore[return-value]
+
+
+def never_one_by_one(*_: Any, **__: Any) -> Any:
+    raise AssertionError("solved by itself")
+
+
+@pytest.mark.parametrize("is_warm", [False, True])
+def test_worlds_are_answered_as_each_by_itself(is_warm: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bits of solve, on any number of threads, no item by itself; residuals hold with 60 digits."""
+    W, b, friction = arrays(100)
+    z0 = solve_batch(FrictionalContactBatch(W, 1.01 * b, friction)).z if is_warm else None
+    worlds = FrictionalContactBatch(W, b, friction)
+    with monkeypatch.context() as patch:
+        patch.setattr("lcp_plugin.problems.batches.contact_batch.solve_cones", never_one_by_one)
+        batch, other = (solve_batch(worlds, z0=z0, threads=threads) for threads in (1, 2))
+    assert batch.all_solved
+    assert batch.z.tobytes() == other.z.tobytes()
+    for i in range(0, 100, 7):
+        alone = solve(FrictionalContact(W[i], b[i], friction[i]), z0=None if z0 is None else z0[i])
+        if not is_warm:
+            assert alone.z.tobytes() == batch.z[i].tobytes() == batch[i].z.tobytes()
+            assert alone.iterations == batch.iterations[i] == batch[i].iterations
+        assert batch[i].certificate.relative_residual <= 1e-8
+        assert exact_relative_residual(alone.problem, batch.z[i]) <= batch.relative_residual[i] <= 1e-8
+        np.testing.assert_allclose(batch.w[i], batch[i].w, atol=1e-12)
+        assert batch.motion.sticks[i].tolist() == batch[i].motion.sticks.tolist()
+    assert "100 problems: 100 SOLVED" in batch.explain()
+
+
+def test_warm_starts_save_steps() -> None:
+    """Of a batch moved a little."""
+    W, b, friction = arrays(60, seed=1)
+    before = solve_batch(FrictionalContactBatch(W, b, friction))
+    worlds = FrictionalContactBatch(W, 1.0001 * b, friction)
+    assert solve_batch(worlds, z0=before.z).iterations.sum() < solve_batch(worlds).iterations.sum()
+
+
+def test_worlds_have_as_many_contacts_as_they_have() -> None:
+    """Behind a world's last contact anything may stand; its result has its own contacts only."""
+    W, b, friction = arrays(12, seed=2)
+    counts = np.arange(12) % 5
+    for i, count in enumerate(counts):
+        W[i, 3 * count:], b[i, 3 * count:], friction[i, count:] = np.nan, np.nan, -1.0
+    batch = solve_batch(FrictionalContactBatch(W, b.reshape(12, 4, 3), friction, contacts=counts)).require_solved()
+    for i, count in enumerate(counts):
+        own = slice(3 * count)
+        alone = solve(FrictionalContact(W[i, own, own], b[i, own], friction[i, :count], dimension=3))
+        assert not batch.z[i, 3 * count:].any()
+        assert batch[i].z.size == 3 * count
+        np.testing.assert_allclose(batch.z[i, :3 * count], alone.z, atol=1e-7)
+
+
+def test_one_world_harms_no_other() -> None:
+    """NaN, a W that is not symmetric, no answer, mixed units: each is said of its own world."""
+    W, b = np.stack([np.eye(3)] * 5), np.tile([-1.0, 3.0, 4.0], (5, 1))
+    W[0, 0, 0], W[1, 0, 1], W[2] = np.nan, 1.0, np.diag([0.0, 1.0, 1.0])
+    batch = solve_batch(FrictionalContactBatch(W, b, [[0.5], [0.5], [0.0], [-1.0], [0.5]]))
+    assert sorted(batch.errors) == [0, 1, 3]
+    assert [batch.status[k] for k in (2, 4)] == [Status.INFEASIBLE, Status.SOLVED]
+    assert np.isnan(batch.z[[0, 1, 3]]).all()
+    with pytest.raises(InvalidProblem, match=r"friction\[0\] = -1"):
+        _ = batch[3]
+    np.testing.assert_allclose(batch.z[4], [1.0, -0.3, -0.4], atol=1e-8)
+
+
+def test_in_the_plane_by_a_method_and_within_a_time() -> None:
+    """One W for all, two rows a contact; a named method solves each; no time leaves the start."""
+    W, b = np.array([[3.128, -2.472], [-2.472, 3.872]]), np.array([[-9.81e-5, -55.0], [-1.0, 0.1]])
+    worlds = FrictionalContactBatch(W, b, 0.5, dimension=2)
+    found, named = solve_batch(worlds), solve_batch(worlds, algorithm="newton")
+    late = solve_batch(worlds, max_seconds=0.0)
+    np.testing.assert_allclose(found.require_solved().z, named.require_solved().z, rtol=1e-6, atol=1e-12)
+    assert named[1].algorithm == "newton"
+    assert {*late.status} == {Status.MAX_SECONDS}
+    assert not late[0].z.any()
+
+
+TWO = np.zeros((2, 6))
+REFUSED: dict[str, tuple[Any, str]] = {
+    "W of another size": (lambda: FrictionalContactBatch(np.eye(4), TWO, 0.5), r"W must have shape \(B, 6, 6\)"),
+    "b a number": (lambda: FrictionalContactBatch(np.eye(3), 1.0, 0.5), r"b must have shape \(B, d k\)"),
+    "four coefficients": (lambda: FrictionalContactBatch(np.eye(6), TWO, np.ones(4)), r"shape \(2,\) or \(B, 2\), got"),
+    "lengths that differ": (lambda: FrictionalContactBatch(np.zeros((3, 6, 6)), TWO, 0.5), "W 3, b 2"),
+    "too many contacts": (lambda: FrictionalContactBatch(np.eye(6), TWO, 0.5, contacts=[1, 3]), "from 0 to 2"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_wrong_arrays_are_refused_in_words(name: str) -> None:
+    """With what they must be."""
+    make, words = REFUSED[name]
+    with pytest.raises(InvalidProblem, match=words):
+        make()
+
+
+def test_what_no_batch_of_worlds_takes_is_refused_in_words() -> None:
+    """A start of another shape, vectors beside the worlds, a derivative of all at once, one solve."""
+    worlds = FrictionalContactBatch(*ONE)
+    with pytest.raises(InvalidOption, match=r"z0 must have shape \(1, 3\) or \(3,\)"):
+        solve_batch(worlds, z0=np.zeros(6))
+    with pytest.raises(InvalidOption, match=r"FrictionalContactBatch\(W, b, friction\)"):
+        solve_batch(worlds, np.zeros(3))
+    with pytest.raises(InvalidOption, match=r"derivative\(batch\[k\]\)"):
+        derivative(solve_batch(worlds))  # type: ignore[call-overload]
+    with pytest.raises(InvalidOption, match="solve_batch takes many"):
+        solve(worlds)  # type: ignore[call-overload]
+    assert repr(worlds) == "FrictionalContactBatch(1 worlds of up to 1 contacts in space)"
+    assert len(list(worlds)) == len(solve_batch(worlds)) == 1
+    assert len(solve_batch(FrictionalContactBatch(np.eye(3), np.zeros((0, 3)), 0.5))) == 0

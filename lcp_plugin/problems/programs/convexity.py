@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
+from ...core.kernels.floats import TINY
+from ...core.matrix.matrix import largest_in_rows
 from ...systems.definiteness import is_semidefinite_to_rounding
 
 if TYPE_CHECKING:
@@ -69,23 +72,35 @@ def negative_curvature(P: Any, is_semidefinite: bool | None) -> float:
     shift = ROUNDED * float(abs(P).max())
     if is_semidefinite_to_rounding(sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(P.shape[0]))) is False:
         return math.inf
-    return shift if P.shape[0] > LARGEST_MEASURED else max(-smallest_eigenvalue(P), 0.0)
+    if P.shape[0] > LARGEST_MEASURED:
+        return shift
+    return max(-smallest_eigenvalue(P), TINY)  # which in doubles may be 0 beside the largest entry
 
 
 def bends(program: QuadraticProgram, x: FloatVector, tolerance: float) -> bool:
     """Return whether negative curvature acts at x: a stationary x is then no minimiser of a convex program.
 
-    It acts where −λ, P's smallest eigenvalue, changes the gradient over the size of x, λ max(1, ‖x‖∞), by more than
-    the tolerance beside the smallest max(|c_j|, |(P x)_j|) above that, of x_j off their bounds if there are any.
+    It does not where P + E is positive semidefinite for a diagonal E ≥ 0 so small that x minimises a convex program
+    close by: each e_j changes no component of the gradient at x by more than the tolerance beside its own terms,
+    e_j |x_j| ≤ tolerance · max(|c_j|, |(P x)_j|), and is at most 1e-7 of the largest entry of its connected component;
+    or, between bounds, all of them change the objective by no more than the tolerance of its terms at x. This holds in
+    whatever units x_j are, and no force elsewhere excuses anything.
     """
-    if not (curvature := program.matrices.negative_curvature):
+    if not program.matrices.negative_curvature:
         return False
-    change = curvature * max(1.0, float(np.abs(x).max()))
+    P = sp.csr_array(program.P)
+    _, component = connected_components(P, directed=False)
+    largest = np.zeros(component.size)
+    np.maximum.at(largest, component, largest_in_rows(P))
+    farthest = np.maximum(np.abs(program.lower), np.abs(program.upper))
     with np.errstate(all="ignore"):
-        forces = np.maximum(np.abs(program.c), np.abs(program.P @ x))
-        acts, is_free = forces > change, (x > program.lower) & (x < program.upper)
-        least = forces[acts & is_free if (acts & is_free).any() else acts].min(initial=np.inf)
-    return not (acts.any() and change <= tolerance * least)
+        pull = P @ x
+        forces = np.maximum(np.abs(program.c), np.abs(pull))
+        by_gradient = np.where(forces > 0.0, tolerance * forces / np.abs(x), tolerance * np.abs(P.diagonal()))
+        by_objective = tolerance * (np.abs(program.c * x).sum() + abs(x @ pull)) / (x.size * farthest**2)
+    by_gradient = np.minimum(by_gradient, ROUNDED * largest[component])
+    allowed = np.fmax(by_gradient, np.where(farthest > 0.0, by_objective, 0.0))
+    return is_semidefinite_to_rounding(sp.csr_array(P + sp.diags_array(allowed))) is False
 
 
 def smallest_eigenvalue(P: Any) -> float:

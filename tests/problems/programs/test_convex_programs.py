@@ -993,6 +993,32 @@ def test_a_proof_beats_what_holds_relative_to_x(size: float) -> None:
     assert near.status == "infeasible"
 
 
+@pytest.mark.parametrize("seed", range(40))
+def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
+    """A block [[1, 2], [2, 1]] beside entries up to 1e12 larger, columns in units of 1e-6 to 1e6, a force of 1e6."""
+    random = np.random.default_rng(seed)
+    units, A = 10.0 ** random.integers(-6, 7, 4), random.standard_normal((4, 4))
+    P = A.T @ A
+    P[2:, 2:] = [[1.0, 2.0], [2.0, 1.0]]
+    P[:2, 2:] *= 10.0 ** random.integers(-9, 1)
+    P[2:, :2] = P[:2, 2:].T
+    P[0, 0] *= 10.0 ** random.integers(0, 13)
+    c = random.standard_normal(4) * (random.random(4) < 0.6)
+    c[0] *= 1e6 if seed % 3 == 0 else 1.0
+    program = QuadraticProgram(P * np.outer(units, units), c * units, lower=-1.0 / units, upper=1.0 / units)
+    try:
+        result = solve(program)
+    except UnsupportedModel:
+        return
+    if result.is_solved:
+        x = np.repeat((result.x * units)[None], 81, axis=0)
+        x[:, 2:] = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 9)] * 2), axis=-1).reshape(-1, 2)
+        values = 0.5 * np.einsum("ki,ij,kj->k", x, P, x) + x @ c
+        own = result.x * units
+        terms = 0.5 * np.abs(own) @ np.abs(P) @ np.abs(own) + np.abs(c) @ np.abs(own)
+        assert values.min() >= 0.5 * own @ P @ own + c @ own - 1e-5 * terms
+
+
 @pytest.mark.parametrize("size", [1.0, 1e6, 1e9])
 def test_nothing_is_optimal_beside_a_direction_of_descent(size: float) -> None:
     """Along a direction of endless descent and no multipliers have a dual residual below the proof's margin."""

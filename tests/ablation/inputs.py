@@ -19,6 +19,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import (
     LCP,
+    BoundedLeastSquares,
     EquilibriumProgram,
     FrictionalContact,
     QuadraticProgram,
@@ -28,6 +29,7 @@ from lcp_plugin import (
     march,
     solve,
     solve_batch,
+    trace,
 )
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
@@ -329,6 +331,57 @@ def batches() -> Iterator[Input]:
     for n, count, is_shared in ((6, 300, False), (20, 100, True), (60, 30, False)):
         state = partial(planted, count, n, SEED, symmetric=n != 20, shared=is_shared)
         yield Input("batches", f"{count} of {n}", state, _solved_together, judge)
+
+
+def paths() -> Iterator[Input]:
+    """Paths of random families, of a lasso and of linear programs, judged at values between breakpoints."""
+    from campaigns.paths import random_family
+
+    rng = np.random.default_rng(SEED)
+
+    def judge(stated: Any, path: Any) -> str:
+        if not path.is_solved:
+            return OPEN
+        problem, along = stated[:2]
+        for piece in path.pieces[:: max(len(path) // SHARE, 1)]:
+            theta = 0.3 * piece.begin + 0.7 * piece.end
+            moved = {name: getattr(problem, name) + theta * np.asarray(step) for name, step in along.items()}
+            point, there = path.at(theta), problem.with_q(**moved) if "q" in moved else problem.with_vectors(**moved)
+            if isinstance(problem, LCP) and residual(there, point.z) > ALIKE:
+                return FALSE
+            value = None if isinstance(problem, LCP) else solve(there).objective
+            if value is not None and abs(point.objective - value) > ALIKE * (1.0 + abs(value)):
+                return FALSE
+        return SOLVED
+
+    def lasso(m: int, n: int) -> Any:
+        A = rng.standard_normal((m, n))
+        b = A[:, :4].sum(axis=1) + rng.standard_normal(m)
+        most = float(np.abs(A.T @ b).max())
+        return BoundedLeastSquares(A, b, lower=-np.inf), {"l1": 1.0}, most, 1e-2 * most
+
+    def linear(case: int) -> Any:
+        drawn = np.random.default_rng([SEED, case])
+        G, h = drawn.integers(-2, 4, (12, 20)).astype(float), drawn.integers(3, 9, 12).astype(float)
+        program = QuadraticProgram(None, -drawn.integers(0, 4, 20), G=G, h=h, lower=0, upper=3)
+        return program, {"c": drawn.integers(-2, 3, 20).astype(float)}, 0.0, 1.0
+
+    def family(case: int) -> Any:
+        problem, dq = random_family(np.random.default_rng([SEED, case]), 150)
+        return problem, {"q": dq}, 0.0, 1.0
+
+    stated = {f"lasso {m} × {n}": partial(lasso, m, n) for m, n in ((100, 60), (80, 300))}
+    stated |= {f"linear {case}": partial(linear, case) for case in range(4)}
+    def membrane() -> Any:
+        n = 700
+        M = np.linalg.inv(np.eye(n) + 0.1 * np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / n)
+        M = M @ M.T
+        return LCP(M, -M @ rng.uniform(-0.2, 1.0, n)), {"q": M @ rng.uniform(-1.0, 1.0, n)}, 0.0, 0.2
+
+    stated["many free rows"] = membrane
+    stated |= {f"family {case}": partial(family, case) for case in range(16)}
+    for name, state in stated.items():
+        yield Input("paths", name, state, lambda one: trace(*one), judge)
 
 
 def batches_of_programs() -> Iterator[Input]:
@@ -868,7 +921,7 @@ SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "applications": partial(applications, full=False), "collection": collection, "published LCPs": published_lcps,
     "small LCPs": small_lcps, "plain structures": plain_structures, "contacts": contacts, "unheld": unheld_structures,
     "applications, larger": partial(applications, full=True), "obstacles": obstacles,
-    "marches": marches, "batches": batches,
+    "marches": marches, "paths": paths, "batches": batches,
     "batches of programs": batches_of_programs, "published programs": published_programs,
     "planted programs": planted_programs, "shapes of programs": partial(shapes, full=False),
     "shapes of programs, larger": partial(shapes, full=True), "programs again": programs_again,

@@ -15,6 +15,7 @@ from .switching import Instead, Patch
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
 DIRECT, LEAST, CONES, EQUILIBRIA = "methods.direct", "problems.least_squares", "problems.cones", "problems.equilibria"
 INTERIOR, NEWTON, PROGRAMS = "methods.interior_point", "methods.newton.semismooth_newton", "problems.programs"
+PARAMETRIC = "problems.parametric"
 CALLS = f"{PROGRAMS}.engine_calls"
 NONLINEAR = "problems/nonlinear/test_nonlinear.py"
 STEPS, BOUNDS = "problems.nonlinear.josephy_newton:_NewtonRun", f"{PROGRAMS}.dual_bounds:DualBounds"
@@ -114,6 +115,37 @@ def yielding(is_kept: Callable[[int, Any], bool], *, to_the_end: bool = True) ->
         return generator
 
     return Instead(lambda old: made(old, None), made)
+
+
+def renewed_with(block: Any, row: int) -> bool:
+    """Factorise the block of free rows with one more."""
+    return _renewed(block, np.append(block.rows, row))
+
+
+def renewed_without(block: Any, row: int) -> bool:
+    """Factorise the block of free rows without one."""
+    return _renewed(block, block.rows[block.rows != row])
+
+
+def _renewed(block: Any, rows: Any) -> bool:
+    made = type(block)(block._source, rows)
+    if made.is_singular:
+        return False
+    block.__dict__.update(made.__dict__)
+    return True
+
+
+def ends() -> Instead:
+    """The path ends there."""
+    from lcp_plugin.problems.parametric.following import SingularError
+
+    def off(old: Any) -> Any:
+        def ended(*_: Any) -> Any:
+            raise SingularError
+
+        return ended
+
+    return Instead(off)
 
 
 def without(*names: str) -> Instead:
@@ -491,6 +523,22 @@ MECHANISMS = (
     Mechanism("march loop", "steps of banded marches in one compiled loop",
               {"problems.march:_fused": nothing()},
               "problems/march/__init__.py:_fused methods/banded/march_kernels.py"),
+    # --- paths
+    Mechanism("changes of an inverse", "the inverse of the free rows is changed by one row at a breakpoint",
+              {f"{PARAMETRIC}.free_block:FreeBlock.enter": Instead(lambda old: renewed_with),
+               f"{PARAMETRIC}.free_block:FreeBlock.leave": Instead(lambda old: renewed_without)},
+              "problems/parametric/free_block.py:FreeBlock.enter problems/parametric/free_block.py:FreeBlock.leave",
+              "problems/parametric/test_trace.py::test_a_change_costs_less_than_a_factor"),
+    Mechanism("segments of solutions", "a path goes along a segment of solutions at one value",
+              {f"{PARAMETRIC}.following:Follower._slide": ends()}, "problems/parametric/following.py:Follower._slide",
+              "problems/parametric/test_trace.py::test_linear_programs_move_along_faces"),
+    Mechanism("rows at rest", "unknowns that nothing determines rest where they are",
+              {f"{PARAMETRIC}.following:Follower._park": ends()}, "problems/parametric/following.py:Follower._park",
+              "problems/parametric/test_trace.py::test_what_nothing_determines_rests"),
+    Mechanism("lassos together", "breakpoints of least squares are certified together",
+              {f"{PARAMETRIC}.families:surely_optimal":
+               differing(lambda old: lambda problem, x, *_: np.zeros(len(x), dtype=bool))},
+              "problems/parametric/stacked_lasso.py"),
     Mechanism("batch loop", "small problems of a batch in one compiled loop",
               {"problems.batches.batch_run:BatchRun._solve_compiled": skipped()},
               "problems/batches/batch_run.py:BatchRun._solve_compiled "

@@ -8,9 +8,8 @@ a solution of another M turns.
 Where the new M_FF is singular, the solution at this t is a segment: the null vector leads along it at constant t to
 where another row changes, as a pivot of the simplex method does. Where nothing changes for ever the path ends.
 
-Rows that come to their ends at once are told apart by q + ε r, r at random, ε > 0 smaller than everything: among them
-that changes first whose ε-term is the smallest (Cottle, Pang, Stone, The Linear Complementarity Problem, §4.9), so that
-no cycle is possible; r is such that the start is not degenerate.
+Of rows that come to their ends at once that one changes which moves fastest; the others follow at the same t. Should
+they change in a circle, or rounding decide, the path is lost, and is begun again by a solve just beyond.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ NULL = 1e-12  # singular values, beside the largest
 REFINED_TO = 1e-13  # of the terms of a free row
 LOST = 1e5  # times that: what a row may be off its step on a path
 AT_GOAL = 1e-10  # of the way: a breakpoint so near the last value is none
-AT_ONE_PLACE = 20  # changes per row without moving on, and 100 besides, after which a path is given up
+AT_ONE_PLACE = 2  # changes per row without moving on, and 100 besides, after which a path is given up
 STEPS = 200  # changes per row, and 10 000 besides, after which it is given up
 
 
@@ -101,7 +100,6 @@ class Follower:
         self.block = FreeBlock(problem.columns, np.flatnonzero(self.steps % 2))
         self._begin_at_rest()
         self.changes = 0
-        self._offset: FloatVector | None = None  # r
         self.parked: list[int] = []
         if self.block.is_singular:
             self._make_regular(z.copy())
@@ -184,8 +182,8 @@ class Follower:
         of_z = size.max(initial=0.0)
         return np.asarray(ROUNDING * np.where(self.steps % 2 == 1, of_z, of_w))
 
-    def _first_end(self, now: Pair, rates: Pair, blur: FloatVector, slow: FloatVector) -> tuple[float, list[Change]]:
-        """Return how far it is to the first end of a step, and which rows come to theirs there, and which way.
+    def _first_end(self, now: Pair, rates: Pair, blur: FloatVector, slow: FloatVector) -> tuple[float, Change | None]:
+        """Return how far it is to the first end of a step, and which row changes there, and which way; None for ever.
 
         Parameters
         ----------
@@ -200,33 +198,17 @@ class Follower:
             speed = -rate[moving]
             ahead = np.maximum(gap[moving], 0.0) / speed
             reached = min(reached, float((ahead + blur[moving] / speed).min(initial=np.inf)))
-            found.append((moving, ahead, way))
+            found.append((moving, ahead, speed, way))
         if reached == np.inf:
-            return np.inf, []
-        least = min(float(ahead.min(initial=np.inf)) for _, ahead, _ in found)
-        tied = [(int(row), way) for moving, ahead, way in found for row in moving[ahead <= reached]]
-        return least, tied
-
-    def _orders(self, z: FloatVector, w: FloatVector) -> Pair:
-        """Return the ε-terms of z and w at constant t, shape (n,) each; z and w are those of the present line."""
-        rows, block = self.block.rows, self.block
-        if self._offset is None:
-            self._offset = self._drawn_offset(z, w)
-        of_z, of_w = np.zeros(self.n), self._offset.copy()
-        if rows.size:
-            of_z[rows] = -block.inverse.dot(self._offset[rows])
-            of_w += of_z[rows] @ block.columns
-            of_w[rows] = 0.0
-        return of_z, of_w
-
-    def _drawn_offset(self, z: FloatVector, w: FloatVector) -> FloatVector:
-        """Return an r that moves each coordinate from the nearer end of its step."""
-        below, above = (gap[0] + self.t * gap[1] for gap in self._gaps(z, w))
-        random = np.random.default_rng(0).uniform(0.5, 1.0, self.n)
-        ahead = np.where(below <= above, random, -random)
-        is_free, rows = self.steps % 2 == 1, self.block.rows
-        offset = np.where(is_free, 0.0, -ahead * self._sizes)
-        return offset - (ahead[rows] @ self.block.columns if rows.size else 0.0)
+            return np.inf, None
+        least = min(float(ahead.min(initial=np.inf)) for _, ahead, _, _ in found)
+        best, fastest = None, 0.0
+        for moving, ahead, speed, way in found:
+            tied = np.where(ahead <= reached, speed, 0.0)
+            if tied.size and tied.max() > fastest:
+                k = int(np.argmax(tied))
+                best, fastest = (int(moving[k]), way), float(tied[k])
+        return least, best
 
     def solution(self) -> FloatVector:
         """Return z at t, shape (n,)."""
@@ -270,11 +252,11 @@ class Follower:
                 yield End.LOST
                 return
             rates = gaps[0][1] * forward, gaps[1][1] * forward
-            length, tied = self._first_end(
+            length, change = self._first_end(
                 (gaps[0][0] + self.t * gaps[0][1], gaps[1][0] + self.t * gaps[1][1]), rates, blur, slow)
             goal = stop if forward > 0.0 else start
             beside = AT_GOAL * max(abs(goal), stop - start) if forward > 0.0 else 0.0
-            is_last = not tied or length >= forward * (goal - self.t) - beside
+            is_last = change is None or length >= forward * (goal - self.t) - beside
             t = goal if is_last else self.t + forward * length
             if t > furthest:
                 yield Line(furthest, t, z, self._shown_steps(), jumps, slides and not jumps)
@@ -288,20 +270,15 @@ class Follower:
             if stuck > AT_ONE_PLACE * self.n + 100 or self.changes > budget:
                 yield End.LOST
                 return
-            changed, orders, order = tied[0], None, 0.0
-            if len(tied) > 1 or self._offset is not None:
-                orders = self._orders(z, w)
-                changed, order = self._first_of(tied, self._coordinates(*orders), rates)
-                order *= forward
+            assert change is not None
+            changed = change
             at, w_at = at + (t - self.t) * z[1], w_at + (t - self.t) * w[1]
             self.t = t
             is_free = self._change(*changed)
             if not (self.block.enter if is_free else self.block.leave)(changed[0]):
-                orders = self._orders(z, w) if orders is None else orders
-                moved = orders[0] + order * z[1], orders[1] + order * w[1], order
                 slides = True
                 try:
-                    changed = self._slide(changed, at, w_at, moved)
+                    changed = self._slide(changed, at, w_at)
                 except SingularError:
                     yield End.RAY
                     return
@@ -309,20 +286,6 @@ class Follower:
     def _coordinates(self, z: FloatVector, w: FloatVector) -> FloatVector:
         """Return z of the free rows, and −w of the others."""
         return np.where(self.steps % 2 == 1, z, -w)
-
-    @staticmethod
-    def _first_of(
-        tied: list[Change], orders: FloatVector, rates: Pair, shifts: Pair | None = None
-    ) -> tuple[Change, float]:
-        """Return which of the tied rows changes first, and the ε-term of how far that is."""
-        best, least = tied[0], np.inf
-        for row, way in tied:
-            side = 0 if way < 0 else 1
-            gap = -way * orders[row] - (0.0 if shifts is None else -way * shifts[side][row])
-            term = gap / -rates[side][row]
-            if term < least:
-                best, least = (row, way), term
-        return best, float(least)
 
     def _make_regular(self, z: FloatVector) -> None:
         """Move along the solutions at t, from z on, until the free rows determine them.
@@ -363,11 +326,11 @@ class Follower:
         now, blur, slow = self._coordinates(z, w), self._blur_of(z, w), self._blur_of(dz, None)
         for sign in (1.0, -1.0):
             rate = sign * self._coordinates(dz, dw)
-            length, tied = self._first_end((now - lower, upper - now), (rate, -rate), blur, slow)
-            if tied:
+            length, change = self._first_end((now - lower, upper - now), (rate, -rate), blur, slow)
+            if change is not None:
                 z += sign * length * dz
-                self._change(*tied[0])
-                return tied[0][0]
+                self._change(*change)
+                return change[0]
         has_none = self.steps % 2 == 1
         has_none &= (lower == -np.inf) & (upper == np.inf)
         row = int(np.argmax(np.where(has_none, np.abs(dz), 0.0)))
@@ -393,9 +356,7 @@ class Follower:
         steps[self.parked] = 1
         return steps
 
-    def _slide(
-        self, last: Change, z: FloatVector, w: FloatVector, orders: tuple[FloatVector, FloatVector, float]
-    ) -> Change:
+    def _slide(self, last: Change, z: FloatVector, w: FloatVector) -> Change:
         """Move along the solutions at this t until the block of free rows is regular; return the last change.
 
         Parameters
@@ -403,8 +364,6 @@ class Follower:
         last : (int, int)
             The change that made the block singular, which the block has not followed.
         z, w : ndarray, shape (n,)
-        orders : (ndarray, ndarray, float)
-            The ε-terms of z, w and t.
         """
         dz, dw = self._response(*last)
         for _ in range(4 * self.n + 10):
@@ -412,13 +371,9 @@ class Follower:
             now, blur = self._coordinates(z, w), self._blur_of(z, w)
             slow = self._blur_of(dz, None)
             rate = self._coordinates(dz, dw)
-            length, tied = self._first_end((now - held[0], held[1] - now), (rate, -rate), blur, slow)
-            if not tied:
+            length, change = self._first_end((now - held[0], held[1] - now), (rate, -rate), blur, slow)
+            if change is None:
                 raise SingularError
-            of_t = orders[2]
-            shifts = self._lower[1] * of_t, self._upper[1] * of_t
-            change, step = self._first_of(tied, self._coordinates(*orders[:2]), (rate, -rate), shifts)
-            orders = orders[0] + step * dz, orders[1] + step * dw, of_t
             z, w = z + length * dz, w + length * dw
             self._change(*change)
             self.block = FreeBlock(self.problem.columns, self.free)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from timeit import repeat
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,10 @@ from lcp_plugin import (
     solve,
     trace,
 )
+from lcp_plugin.problems.parametric.free_block import FreeBlock
 from lcp_plugin.problems.parametric.path import Path
 from lcp_plugin.problems.parametric.stacked_lasso import surely_optimal
+from lcp_plugin.problems.parametric.staircases import Columns
 
 INF = np.inf
 
@@ -312,6 +315,22 @@ def test_what_nothing_determines_rests() -> None:
     ended = trace(LCP(M, [1, 1, 0], lower=-INF), {"q": [1, 1, 1]}, 0, 3)
     assert ended.status is Status.INFEASIBLE
     assert ended.reached == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_change_costs_less_than_a_factor() -> None:
+    """Among 400 free rows one more, and one less, are a small part of a factorisation, and give the same inverse."""
+    rng = np.random.default_rng(0)
+    B = rng.standard_normal((401, 401))
+    block = FreeBlock(Columns(B @ B.T + 401 * np.eye(401)), np.arange(400))
+
+    def changed() -> None:
+        assert block.enter(400)
+        assert block.leave(400)
+
+    one, whole = (min(repeat(work, number=1, repeat=5)) for work in (changed, block.renew))
+    assert one < 0.5 * whole
+    changed()
+    assert np.allclose(block.inverse @ block.block, np.eye(400), rtol=0, atol=1e-10)
 
 
 # --- words ----------------------------------------------------------------------------------------------------

@@ -222,10 +222,19 @@ class ConvexProgram:
             yield Step(np.clip(z, self.problem.lower, self.problem.upper), work=1.0 + work)
 
     def units(self) -> Iterator[FloatVector]:
-        """Yield units of x: one for all, in which costs are as large as coefficients, and fitted ones, if others."""
+        """Yield units of x: one for all, in which costs are as large as coefficients; then others, if they differ.
+
+        First those in which the diagonal of P is 1, the best for a definite P up to a factor n (van der Sluis); then
+        fitted ones.
+        """
         P, c, G, h, A, b, *_ = self.statement
         sizes = (_largest(c, h, b), _largest(P, G, A))
         yield np.full(c.size, power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0)
+        diagonal: FloatVector = P.diagonal()[: self.unknowns.size]
+        if diagonal.size == c.size and diagonal.min(initial=np.inf) > 0.0:
+            own = np.exp2(-np.rint(0.5 * np.log2(diagonal)))
+            if own.max() > own.min():
+                yield own * power_of_two(_largest(c * own, h, b))
         fitted = fitted_units(sp.csr_array(sp.vstack([*map(sp.csr_array, (G, A, P))])), np.concatenate([h, b, c]))
         if (fitted != fitted[:1]).any():
             yield fitted

@@ -224,3 +224,15 @@ def test_few_equations_hide_no_error() -> None:
     b = A @ x + 0.1 * rng.standard_normal(300)
     P = A.T @ A
     assert solve(LCP(0.5 * (P + P.T), -A.T @ b), "interior_point").status is Status.SOLVED
+
+
+def test_a_kernel_in_other_units_takes_no_more_than_its_own_times_six() -> None:
+    """Support vectors whose rows are in units of 2^-20 to 2^20: P in units of a unit diagonal; 35 to 180 × before."""
+    from applications.table import Case
+
+    case = Case("support_vectors", {"samples": 120})
+    (own, z), (rows, other) = case.run("auto", "own"), case.run("auto", "rows")
+    assert own.is_solved
+    assert rows.is_solved
+    np.testing.assert_allclose(other, z, atol=1e-9)
+    assert rows.work <= 6.0 * own.work

@@ -19,6 +19,7 @@ from manual import site
 from manual.contents import EXAMPLES, SUBJECTS, TRADES, Example, Guide, examples, guides, is_member, subject_of
 from manual.docstrings import CODE, render, to_markdown
 from manual.formulas import HIGH, LOW, mathml, set_formulas
+from manual.notebooks import NAMES, NOTEBOOKS, cells_of, notebook
 from manual.pictures import LARGEST, PICTURES, shown
 from public_names import PUBLIC
 
@@ -141,6 +142,32 @@ def test_the_pictures_of_the_pages_are_small_and_are_those_of_examples() -> None
         assert name in names
         assert PICTURES.joinpath(f"{name}.png").stat().st_size <= LARGEST, name
     assert {file.stem for file in PICTURES.glob("*.png")} == {*shown(), "three_problems"}
+
+
+def test_the_notebooks_are_those_of_the_examples_without_outputs() -> None:
+    """Each is what its script makes, which `python tests/manual FOLDER --keep` writes; none is left over."""
+    assert sorted(file.stem for file in NOTEBOOKS.iterdir()) == sorted(NAMES)
+    for name in NAMES:
+        kept = NOTEBOOKS.joinpath(f"{name}.ipynb").read_text(encoding="utf-8")
+        assert kept == notebook(name)
+        assert all(not cell.get("outputs") for cell in json.loads(kept)["cells"])
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", NAMES)
+def test_a_notebook_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its cells, one after the other, print the checks of the example and leave its figure."""
+    import matplotlib.pyplot as plt
+
+    plt.switch_backend("agg")
+    namespace: dict[str, object] = {"__name__": "notebook"}
+    with plt.rc_context():
+        for kind, text in cells_of(name):
+            if kind == "code":
+                exec(compile(text, name, "exec", dont_inherit=True), namespace)
+    assert "check: " in capsys.readouterr().out
+    assert len(plt.get_fignums()) == 1
+    plt.close("all")
 
 
 @pytest.mark.full

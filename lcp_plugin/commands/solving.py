@@ -25,7 +25,7 @@ from ..problems.cones.data import FrictionalContact
 from ..problems.cones.methods import METHODS
 from ..problems.programs.program import QuadraticProgram
 from .target import read_target
-from .terminal import LINE, show_search, show_step
+from .terminal import LINE, fitted, show_search, show_step
 
 OWN_FLAGS = ("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "threads", "algorithm")
 WORDS = {"none": None, "true": True, "false": False}
@@ -192,7 +192,7 @@ def _tell(
     content: dict[str, Any], story: str, as_json: bool, plot: Path | None, saved: Callable[[], list[Path]]
 ) -> None:
     """Print the answer, save it and its picture, and say where they are."""
-    typer.echo(json.dumps(content, indent=2) if as_json else story)
+    typer.echo(json.dumps(content, indent=2) if as_json else fitted(story))
     if files := [*([] if plot is None else [plot]), *saved()]:
         typer.echo(f"saved {', '.join(map(str, files))}", err=as_json)
 

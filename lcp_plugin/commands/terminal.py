@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Iterable
 from contextlib import suppress
@@ -121,6 +123,20 @@ class PartsLine:
         elif self._said < done < total:
             self._said = done
             sys.stderr.write(f"[{done + 1}/{total}] {label}\n")
+
+
+def fitted(text: str) -> str:
+    """Return a text in lines that fit the terminal, or COLUMNS; as it is where the output goes elsewhere."""
+    if not (sys.stdout.isatty() or "COLUMNS" in os.environ):
+        return text
+    columns = shutil.get_terminal_size().columns
+    return "\n".join(part for line in text.splitlines() for part in _parts(line, columns))
+
+
+def _parts(line: str, columns: int) -> list[str]:
+    """Return the parts of a line; what follows the first is indented by two more."""
+    indent = " " * (len(line) - len(line.lstrip()) + 2)
+    return textwrap.wrap(line, columns, subsequent_indent=indent) or [""]
 
 
 def console(width: int) -> Any:

@@ -21,30 +21,29 @@ TARGETS = ("residual", "error")
 
 
 class Status(Enum):
-    """Why a run ended, in words; `advice` of a result says more of the case at hand."""
+    """Why a run ended, and what to do next, in words; `advice` of a result says more of the case at hand."""
 
     SOLVED = "the residual is within the tolerance, rounding included, as proved on your data"
     PRECISION_LIMIT = (
         "the residual is above the tolerance, but no larger than rounding in double precision explains; "
-        "a smaller one cannot be measured: accept z, or rescale the data"
+        "next: accept z, or rescale the data"
     )
-    MAX_ITERATIONS = "the iteration limit came first: raise max_iterations"
-    MAX_SECONDS = "the time limit came first: raise max_seconds"
-    STALLED = "the residual has stopped falling, falls too slowly for max_iterations, or no method is left to try"
+    MAX_ITERATIONS = "the iteration limit came first; next: raise max_iterations"
+    MAX_SECONDS = "the time limit came first; next: raise max_seconds"
+    STALLED = "not solved, and nothing is proved: the residual no longer falls, or too slowly for max_iterations"
     DIVERGED = "the iterates ran away: the residual grew by a factor of 10⁸, or is not finite"
     INFEASIBLE = (
-        "no z within its bounds gives w = M z + q the signs it needs, even with errors as large as the tolerance; "
-        "result.proof proves it: check the data"
+        "there is no solution, even with errors as large as the tolerance; next: check the data; result.proof proves it"
     )
     NO_SOLUTION = (
-        "the linear constraints can be met, complementarity cannot: every case was excluded exactly, by more than the "
-        "tolerance, and result.proof proves it"
+        "there is no solution: the inequalities can hold, complementarity cannot; every case was excluded exactly, by "
+        "more than the tolerance; next: check the data; result.proof proves it"
     )
     UNBOUNDED = (
-        "the objective falls without end along a direction from a feasible point, and result.proof proves it: bound "
-        "the unknowns where it falls"
+        "there is no best x: the objective falls without end; next: bound the unknowns where it falls; result.proof "
+        "proves it"
     )
-    INTERRUPTED = "stopped from outside (Ctrl-C or the callback); z is the best iterate so far"
+    INTERRUPTED = "stopped from outside (Ctrl-C or the callback); next: go on from z, the best iterate so far"
 
 
 PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED)  # by a proof whose margin exceeds the tolerance

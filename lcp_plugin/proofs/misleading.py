@@ -41,8 +41,9 @@ def _uncovered(result: Result) -> str:
     guarantee = result.guarantee
     if guarantee.is_guaranteed or not guarantee.remedy:
         return ""
-    return (f"nothing proves that {result.algorithm} converges on this matrix ({guarantee.theorem}); "
-            f"what to do: {guarantee.remedy}")
+    unproven = f"nothing proves that {result.algorithm} converges on this matrix ({guarantee.theorem})"
+    is_said = all('algorithm="auto"' in said for said in (guarantee.remedy, result.advice))
+    return unproven if is_said else f"{unproven}; what to do: {guarantee.remedy}"
 
 
 def _stiffness(result: Result) -> str:
@@ -109,9 +110,9 @@ def _nearness_to_singular(result: Result) -> str:
 
 
 def _of_several(same: BoolVector, loose: BoolVector) -> str:
-    return (f"z is one of several answers: w = M z + q is the same for all of them in {int(same.sum())} of {same.size} "
-            f"rows, and {int(loose.sum())} entries of z are not determined: in contact problems, how contacts share a "
-            "load; in networks, how flows split among paths")
+    what = "as how contacts share a load, or flows split among paths"
+    known = f"; w is the same for all of them in {int(same.sum())} of {same.size} rows" if same.any() else ""
+    return f"z is one of several answers: {int(loose.sum())} entries of z are not determined, {what}{known}"
 
 
 @np.errstate(all="ignore")

@@ -15,14 +15,15 @@ from ..matrix.row_signs import why_not_monotone
 from ..matrix.row_sums import has_positive_diagonal
 from ..policy.stages import Stage
 from ..settings import Status
+from .answer import NEXT
 
 ROUNDING = 4.0 * EPSILON
 MOST_DIGITS = 308.0  # of a double
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 EXCLUDED = "no solution was found, and a search of all cases in double precision saw none"
-FAR_OUT = "no start leads to a solution within that size: check the data"
-OVERFLOWS = "M z + q overflows already at the point of the bounds nearest to 0: divide M and q by the same large number"
+FAR_OUT = "no start leads to a solution within that size; next: check the data"
+OVERFLOWS = "M z + q overflows already at the point of the bounds nearest to 0; next: divide M and q by the same number"
 TRIED = "auto has tried what suits this M"
 ELSEWHERE = "another start z0 may lead elsewhere"
 
@@ -52,10 +53,10 @@ def advice_of_run(
     --------
     >>> from lcp_plugin.algorithms import create
     >>> said = advice_of_run(LCP([[2.0]], [1.0]), create("npsor", {"scaling": None}), (), 1e-8, {})
-    >>> said[Status.DIVERGED].partition("; ")[2]
+    >>> said[Status.DIVERGED].partition("; next: ")[2]
     'try scaling="auto", which is enough where M is an H₊-matrix, or algorithm="auto"'
     >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", (), 1e-8, {})[Status.MAX_ITERATIONS]
-    'the iteration limit came first: raise max_iterations, or go on from z0=result.z'
+    'the iteration limit came first; next: raise max_iterations, or go on from z0=result.z'
     """
     said = {status: words.get(status, status.value) for status in (*LIMITS, *WITHOUT_END)}
     other = _other_call(problem, chosen) if isinstance(chosen, Algorithm) else ""
@@ -65,7 +66,7 @@ def advice_of_run(
     for status in LIMITS:
         said[status] += ", or go on from z0=result.z" * goes_on + f", or try {other}" * bool(other)
     is_far_out = any(stage.has_no_solution_nearby for stage in stages)
-    end = FAR_OUT if is_far_out else f"try {other}" if other else _elsewhere(left_out)
+    end = FAR_OUT if is_far_out else f"next: try {other}" if other else _elsewhere(left_out)
     end = beyond_doubles(problem) or "; ".join(filter(None, (why_not_monotone(problem.matrix), end)))
     for status in WITHOUT_END:
         said[status] = EXCLUDED if is_excluded else f"{said[status]}; {end}"
@@ -75,7 +76,7 @@ def advice_of_run(
 def _elsewhere(left_out: Sequence[str]) -> str:
     """Return what is left to do where auto has come to its end, and what it did not try."""
     but_not = f", but not {', nor '.join(left_out)}" if left_out else ""
-    return f"{TRIED}{but_not}: {ELSEWHERE}"
+    return f"{TRIED}{but_not}; next: {ELSEWHERE}"
 
 
 def advice_beside_a_wrong_row(words: Mapping[Status, str], row: str) -> dict[Status, str]:
@@ -84,8 +85,8 @@ def advice_beside_a_wrong_row(words: Mapping[Status, str], row: str) -> dict[Sta
     units = "state rows and unknowns in units in which the entries of M are of one size"
     said = {status: f"{wrong}; {words[status]}" for status in LIMITS}
     for status in WITHOUT_END:
-        _, _, end = words[status].partition("; ")
-        said[status] = "; ".join((wrong, units, end)) if end else f"{wrong}; {units}"
+        _, _, end = words[status].partition(NEXT)
+        said[status] = f"{wrong}{NEXT}{'; '.join(filter(None, (units, end)))}"
     return {**words, **said}
 
 
@@ -101,8 +102,8 @@ def beyond_doubles(problem: LCP) -> str:
     Examples
     --------
     >>> print(beyond_doubles(LCP([[1e-200]], [-1e200])))
-    row 0 has |q| = 1e+200 beside entries of M up to 1e-200, so that |z| is at least 1e+400, beyond the largest double:
-    state the unknowns in a larger unit; divide M by 1e-200, q by 1e+200, and z is in units of 1e+200/1e-200
+    row 0 has |q| = 1e+200 beside entries of M up to 1e-200, so that |z| is at least 1e+400, beyond the largest double;
+    next: state the unknowns in a larger unit; divide M by 1e-200, q by 1e+200, and z is in units of 1e+200/1e-200
     >>> beyond_doubles(LCP([[1e-200]], [1e200])), beyond_doubles(LCP([[1e-200]], [-1e200], upper=1.0))
     ('', '')
     """
@@ -117,8 +118,8 @@ def beyond_doubles(problem: LCP) -> str:
     q, m = f"{abs(problem.q[i]):.3g}", f"{largest[i]:.3g}"
     return (
         f"row {problem.own_rows.start + i} has |q| = {q} beside entries of M up to {m}, so that |z| is at least "
-        f"1e+{exponents[i]:.0f}, beyond the largest double: state the unknowns in a larger unit; divide M by {m}, q by "
-        f"{q}, and z is in units of {q}/{m}"
+        f"1e+{exponents[i]:.0f}, beyond the largest double; next: state the unknowns in a larger unit; divide M by "
+        f"{m}, q by {q}, and z is in units of {q}/{m}"
     )
 
 

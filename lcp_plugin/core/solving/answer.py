@@ -12,6 +12,8 @@ from ..errors import NotConverged
 from ..representation import in_words, within
 from ..settings import PROVEN, Status
 
+NEXT = "; next: "  # between what happened and what to do
+
 
 class Answer:
     """The answer to a problem of any kind: all results have these attributes, and further ones of their own.
@@ -79,7 +81,7 @@ class Answer:
 
     @property
     def advice(self) -> str:
-        """What the status means for this run, in a sentence."""
+        """What the status means for this run, and behind ``next:`` what to do."""
         return self.status.value
 
     def _of_which(self, what: str) -> list[str]:
@@ -93,8 +95,15 @@ class Answer:
 
     @np.errstate(under="ignore")
     def explain(self) -> str:
-        """Return in a few lines how the problem was solved, and how well."""
-        return "\n".join([f"{self.status.name}: {self.advice}.", self.reached(), *self._course()])
+        """Return what happened, how sure that is and what to do next, a line each; then why, and what ran."""
+        return "\n".join([*self._verdict(), *self._course()])
+
+    def _verdict(self) -> list[str]:
+        """Return what happened, how sure that is, what to do next, and what else is known, a line each."""
+        happened, _, to_do = self.advice.partition(NEXT)
+        what, *why = happened.split("; ")
+        sure, *more = self.reached().splitlines()
+        return [f"{self.status.name}: {what}", sure, *([f"next: {to_do}"] if to_do else []), *why, *more]
 
     def _course(self) -> list[str]:
         """Return what ran, what it took, and where it began if somebody else chose that."""
@@ -114,8 +123,8 @@ class Answer:
         """
         if not self.is_solved:
             raise NotConverged(
-                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: {self.reached()}; "
-                f"{self.advice}"
+                f"{self.status.name} after {self.iterations} iterations of {self.algorithm}: "
+                f"{'; '.join([*self.reached().splitlines(), self.advice])}"
             )
         return self
 

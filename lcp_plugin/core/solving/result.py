@@ -13,7 +13,7 @@ from ..checks import FloatVector, restored
 from ..representation import in_words
 from ..settings import Status
 from .advice import advice_on_given_rows
-from .answer import Answer
+from .answer import NEXT, Answer
 
 if TYPE_CHECKING:
     from ...proofs.bounds.error_bounds import ErrorBound
@@ -174,12 +174,15 @@ class Result(Answer):
 
     @property
     def advice(self) -> str:
-        """What the status means for this run, in a sentence."""
+        """What the status means for this run, and behind ``next:`` what to do."""
         advice = self._advice.get(self.status, self.status.value)
         if self.is_solved or self.has_no_solution:
-            return "; ".join([advice, *self._of_which("z"), *(self._sign() if self.has_no_solution else [])])
+            happened, begins, to_do = advice.partition(NEXT)
+            known = [happened, *self._of_which("z"), *(self._sign() if self.has_no_solution else [])]
+            return "; ".join(known) + begins + to_do
         remarks = [stage.remark for stage in self.stages if stage.remark]
-        return "; ".join([*self._small_contradiction(), advice, *remarks, *self._sign()])
+        happened, begins, to_do = advice.partition(NEXT)
+        return "; ".join([*self._small_contradiction(), happened, *remarks, *self._sign()]) + begins + to_do
 
     def _sign(self) -> list[str]:
         """Return what the diagonal of M says where it is negative throughout; of an LCP."""
@@ -201,20 +204,15 @@ class Result(Answer):
         return [said] if said else []
 
     def explain(self) -> str:
-        """Return in a few lines how the problem was solved, and how well."""
+        """Return what happened, how sure that is and what to do next, a line each; then why, and what ran."""
         from ...proofs.misleading import what_may_mislead
 
-        lines = [
-            f"{self.status.name}: {self.advice}.",
-            self.reached(),
-            *self._course(),
-        ]
-        lines += stage_lines(self.stages)
+        lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
         if self.is_solved:
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
             lines += [*(f"the stored doubles are {small}" for small in self._small_contradiction()), *self._sign()]
             lines += self._given_rows()
-        if self.infeasibility is not None:
+        if self.infeasibility is not None and not self.has_no_solution:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
@@ -228,19 +226,19 @@ class Result(Answer):
         )
 
     def reached(self) -> str:
-        """Return what was reached beside what was asked for."""
-        residual, beside = f"relative residual {self.residual:.3e}", self._beside
-        asked_on_error = self.tolerance_on == "error"
-        if self.error_bound is None:
-            what = "a relative error of " if asked_on_error else ""
-            residual += beside and f" ({beside})"
-            return f"{residual}, asked for {what}{self.tolerance:.3e}{self._or_absolute}"
-        asked_for = "" if asked_on_error else f"asked for {self.tolerance:.3e}{self._or_absolute}"
-        notes = "; ".join(filter(None, (beside, asked_for)))
-        residual += notes and f" ({notes})"
-        asked = f" (asked for {self.tolerance:.3e})" if asked_on_error else ""
-        bound, *proven = str(self.error_bound).splitlines()
-        return "\n".join([f"{residual}; {bound}{asked}", *proven])
+        """Return what was reached beside what was asked for, or what proves that there is no solution."""
+        if self.has_no_solution:
+            return str(self.infeasibility)
+        residual, asked = f"relative residual {self.residual:.3e}", f"tolerance {self.tolerance:g}"
+        bound, *proven = str(self.error_bound or "").splitlines() or [""]
+        if self.tolerance_on == "error":
+            known = f"{bound} ({asked})" if bound else f"no bound of the error ({asked})"
+            told = [known, residual]
+        else:
+            told = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
+        if beside := self._beside:
+            told[-1 if self.tolerance_on == "error" else 0] += f" ({beside})"
+        return "\n".join(["; ".join(told), *proven])
 
     @property
     def _beside(self) -> str:
@@ -250,7 +248,7 @@ class Result(Answer):
             return ""
         if not 0.0 < self.certificate.references[0].max(initial=0.0) < math.inf:
             return ""
-        return f"that of {'the point of the bounds nearest to 0' if problem.nearest_to_zero.any() else 'z = 0'} is 1"
+        return f"1 at {'the point of the bounds nearest to 0' if problem.nearest_to_zero.any() else 'z = 0'}"
 
     @property
     def _or_absolute(self) -> str:

@@ -344,17 +344,17 @@ class ConeJudge(Judge):
     """Measures by blocks; see :class:`Judge`."""
 
     words = {  # noqa: RUF012 - read only
-        Status.STALLED: "no method reduces the residual further; try another start z0",
+        Status.STALLED: "no method reduces the residual further; next: try another start z0",
         Status.INFEASIBLE: (
             "no z in the cones has an M z + q in their duals, even with errors as large as the tolerance; "
-            "result.proof proves it: check the data"
+            "next: check the data; result.proof proves it"
         ),
     }
     words_of_contacts = {  # noqa: RUF012 - read only
         **words,
         Status.INFEASIBLE: (
             "no impulses keep every contact from closing further, even with errors as large as the tolerance; "
-            "result.proof proves it: check the data"
+            "next: check the data; result.proof proves it"
         ),
     }
 
@@ -407,8 +407,8 @@ class ConeJudge(Judge):
         status = super().verdict(certificate, end, is_chain=is_chain)
         if status is Status.STALLED and self._may_lack_an_answer(certificate.worst_index):
             self.words = {**self.words, status: (
-                "no method reduces the residual further: with that much friction, or where W is singular, a solution "
-                "need not exist, nor be found where it does; try another start z0, or less friction"
+                "no method reduces the residual further; with that much friction, or where W is singular, a solution "
+                "need not exist, nor be found where it does; next: try another start z0, or less friction"
             )}
         return status
 
@@ -484,8 +484,8 @@ class ConeResult(Result):
         )
 
     def explain(self) -> str:
-        """Return the story of the run in a few lines."""
-        lines = [f"{self.status.name}: {self.advice}.", self.reached(), *self._course(), *stage_lines(self.stages)]
+        """Return what happened, how sure that is and what to do next, a line each; then why, and what ran."""
+        lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
         if self.infeasibility is not None:
             lines.append(str(self.infeasibility))
         if isinstance(self.problem, FrictionalContact):

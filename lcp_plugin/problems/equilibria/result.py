@@ -11,7 +11,7 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.kind import Kind
 from ...core.settings import Status
-from ...core.solving.answer import Answer
+from ...core.solving.answer import NEXT, Answer
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness
 from ..programs.program import QuadraticProgram
 from . import EQUILIBRIUM_PROGRAM
@@ -26,27 +26,28 @@ MOST_NAMES = 3
 GLOBAL = "pip install 'lcp_plugin[global]'"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
-    Status.INFEASIBLE: "the linear constraints contradict one another, and result.proof proves it: check the data",
+    Status.INFEASIBLE: "the linear constraints contradict one another; next: check the data; result.proof proves it",
     Status.NO_SOLUTION: (
-        "every way to make the pairs complementary is infeasible, and result.proof proves it: check the pairs and the "
-        "constraints beside them"
+        "every way to make the pairs complementary is infeasible; next: check the pairs and the constraints beside "
+        "them; result.proof proves it"
     ),
-    Status.MAX_ITERATIONS: "the limit of nodes came first: raise it",
-    Status.MAX_SECONDS: "max_seconds came first: raise it",
+    Status.MAX_ITERATIONS: "the limit of nodes came first; next: raise max_nodes",
+    Status.MAX_SECONDS: "the time limit came first; next: raise max_seconds",
     Status.STALLED: (
-        "some way to make the pairs complementary could be neither solved nor proved infeasible: bound the unknowns, "
-        "or rescale the data"
+        "some way to make the pairs complementary could be neither solved nor proved infeasible; next: bound the "
+        "unknowns, or rescale the data"
     ),
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
 SAID = {
     "infeasible": "SCIP, in floating point, finds no solution, and nothing proves that there is none, which INFEASIBLE "
-                  "would say: check the data",
-    "unbounded": "SCIP, in floating point, says that the objective falls without end, and nothing proves it: bound the "
-                 "variables",
-    "inforunbd": "SCIP, in floating point, says that there is no solution, or none that is least: bound the variables",
-    CONTRADICTED: "x is better than SCIP's bound, which is not believed therefore: rescale the data",
+                  "would say; next: check the data",
+    "unbounded": "SCIP, in floating point, says that the objective falls without end, and nothing proves it; next: "
+                 "bound the variables",
+    "inforunbd": "SCIP, in floating point, says that there is no solution, or none that is least; next: bound "
+                 "the variables",
+    CONTRADICTED: "x is better than SCIP's bound, which is not believed therefore; next: rescale the data",
 }
 FALLS = ("unbounded", "inforunbd")
 
@@ -234,7 +235,7 @@ class EquilibriumResult(Answer):
 
     @property
     def advice(self) -> str:
-        """What the status means for this search, in a sentence."""
+        """What the status means for this search, and behind ``next:`` what to do."""
         advice = ADVICE.get(self.status, self.status.value)
         if self.is_solved and self.bound_by == "SCIP":
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
@@ -243,19 +244,20 @@ class EquilibriumResult(Answer):
             what = "SCIP's point could not be confirmed" if self.x is None else "the value exceeds SCIP's bound"
             if self.outside.bound == -math.inf:
                 what = f"SCIP ended without an answer, with the words {self.outside.status!r}"
-            advice = SAID.get(self.outside.status, f"{what}: bound the unknowns, or rescale the data")
+            advice = SAID.get(self.outside.status, f"{what}; next: bound the unknowns, or rescale the data")
         elif self.status is Status.STALLED and not self.problem.is_provable:
             advice = (
                 "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
-                f"installed, or does not load: {GLOBAL}; for a local way leave out the objective and differentiate "
-                "the followers: requires_grad=True in cvxpy, derivative(result)"
+                f"installed, or does not load; next: {GLOBAL}; for a local way leave out the objective and "
+                "differentiate the followers: requires_grad=True in cvxpy, derivative(result)"
             )
         elif self.status not in LIMITS:
             return advice
         found = "no solution was found so far" if self.x is None else "x is the best solution found so far"
         if self.status in LIMITS and self.lower_bound > -math.inf:
             found += ", lower_bound holds" if self.bound_by == "proof" else ""
-        return f"{advice}; {found}{self._unbounded_words()}"
+        happened, begins, to_do = advice.partition(NEXT)
+        return f"{happened}; {found}{self._unbounded_words()}{begins}{to_do}"
 
     def _unbounded_words(self) -> str:
         """Return which variables an upper bound would help, where the gap is wide."""
@@ -280,7 +282,7 @@ class EquilibriumResult(Answer):
         """Return the value and the bound."""
         if self.has_no_solution:
             return "no least objective" if self.status is Status.UNBOUNDED else "no solution"
-        bound = f"bound {self.lower_bound:.9g}" if self.lower_bound > -math.inf else "no bound"
+        bound = f"none below {self.lower_bound:.9g}" if self.lower_bound > -math.inf else "no bound"
         bound += f" ({BY_SCIP})" if self.bound_by == "SCIP" else ""
         if self.x is None:
             return f"no solution found, {bound}"

@@ -14,7 +14,7 @@ from ...core.checks import FloatVector, read_only, restored
 from ...core.deadline import Clock
 from ...core.kind import Kind
 from ...core.settings import Settings, Status
-from ...core.solving.answer import Answer
+from ...core.solving.answer import NEXT, Answer
 from . import BOUNDED_LEAST_SQUARES
 from .data import BoundedLeastSquares
 
@@ -213,33 +213,35 @@ class LeastSquaresResult(Answer):
 
     @property
     def advice(self) -> str:
-        """What the status means, in a sentence."""
+        """What the status means, and behind ``next:`` what to do."""
         if not np.isfinite(self.fun).all():
-            return "A x is not finite: let the operator's products be finite doubles"
+            return "A x is not finite; next: let the operator's products be finite doubles"
         remark = "" if self.is_proved else OF_OPERATORS.get(self.status, "")
-        return ADVICE.get(self.status, self.status.value) + remark
+        happened, begins, to_do = ADVICE.get(self.status, self.status.value).partition(NEXT)
+        return happened + remark + begins + to_do
 
     def _numbers(self) -> dict[str, float]:
         return {**super()._numbers(), "optimality": self.optimality, "tolerance": self.tolerance}
 
     def reached(self) -> str:
         """Return the optimality beside what was asked for."""
-        return f"optimality {self.optimality:.1e} (tolerance {self.tolerance:.1e}), cost {self.cost:.9g}"
+        above = f", at most {self.gap:.1e} above the least" if self.is_solved else ""
+        return f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}{above}"
 
 
 ADVICE = {
-    Status.SOLVED: "optimality is within the tolerance; result.gap bounds by how much the cost exceeds the least one",
+    Status.SOLVED: "the gradient at x within its bounds is 0 within the tolerance",
     Status.PRECISION_LIMIT: (
         "the gradient is no larger than rounding in double precision explains, but no lower bound of the cost was "
-        "found near it, as for a large sparse A that fits b exactly; accept x, which result.gap bounds"
+        "found near it, as for a large sparse A that fits b exactly; next: accept x, which result.gap bounds"
     ),
     Status.STALLED: (
         "the gradient no longer falls: A is too ill-conditioned for steps, and its factor would fill in too much or "
-        "cannot be had; a ridge > 0 helps"
+        "cannot be had; next: add a ridge > 0"
     ),
-    Status.MAX_ITERATIONS: "the iteration limit came first: raise max_iterations, or go on from x0=result.x",
-    Status.MAX_SECONDS: "the time limit came first: raise max_seconds, or go on from x0=result.x",
-    Status.INTERRUPTED: "stopped by Ctrl-C; x is the best point so far",
+    Status.MAX_ITERATIONS: "the iteration limit came first; next: raise max_iterations, or go on from x0=result.x",
+    Status.MAX_SECONDS: "the time limit came first; next: raise max_seconds, or go on from x0=result.x",
+    Status.INTERRUPTED: "stopped by Ctrl-C; next: go on from x, the best point so far",
 }
 OF_OPERATORS = {
     Status.PRECISION_LIMIT: "; of an operator SOLVED asks for a gap below √tolerance · cost at the start, too",

@@ -175,16 +175,16 @@ class NonlinearJudge(Judge):
         Status.SOLVED: "the residual is within the tolerance, as measured on F",
         Status.PRECISION_LIMIT: (
             "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at "
-            "points nearby: accept z, or scale F"
+            "points nearby; next: accept z, or scale F"
         ),
         Status.STALLED: (
-            "no step reduces the residual further: z is a stationary point that is no solution, or F has none, is not "
-            "smooth here, or its jacobian is wrong; try another start x0"
+            "no step reduces the residual further; z is a stationary point that is no solution, or F has none, is not "
+            "smooth here, or its jacobian is wrong; next: try another start x0"
         ),
-        Status.DIVERGED: "the residual left every reasonable range; try another start x0, or bounds that keep it near",
-        Status.MAX_ITERATIONS: "the iteration limit came first: raise max_iterations, or go on from x0=result.z",
-        Status.MAX_SECONDS: "the time limit came first: raise max_seconds, or go on from x0=result.z",
-        Status.INTERRUPTED: "stopped from outside (Ctrl-C or the callback); z is the best iterate so far",
+        Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
+        Status.MAX_ITERATIONS: "the iteration limit came first; next: raise max_iterations, or go on from x0=result.z",
+        Status.MAX_SECONDS: "the time limit came first; next: raise max_seconds, or go on from x0=result.z",
+        Status.INTERRUPTED: Status.INTERRUPTED.value,
     }
 
     def __init__(self, points: Linearisations, reference: Reference, start: Linearisation, settings: Settings) -> None:

@@ -25,7 +25,7 @@ from ...core.errors import (
 )
 from ...core.kind import Kind
 from ...core.settings import OF_SOLVE, Status, checked_callback
-from ...core.solving.answer import Answer
+from ...core.solving.answer import NEXT, Answer
 from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ...core.solving.run_log import say
 from ...engines import ENGINES, Engine, Hint, engine_class
@@ -54,12 +54,12 @@ VECTORS = {"c", "h", "b", "lower", "upper"}
 
 
 ADVICE = {
-    Status.SOLVED: "optimal: the program's own residuals are within the tolerance",
-    Status.PRECISION_LIMIT: "the program's own residuals are small, but not within the tolerance: rescale the data",
-    Status.INFEASIBLE: "the constraints contradict one another, and result.proof proves it: check the data",
+    Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
+    Status.PRECISION_LIMIT: "the residuals are small, but not within the tolerance; next: rescale the data",
+    Status.INFEASIBLE: "no x meets all constraints; next: check the data; result.proof proves it",
     Status.STALLED: (
-        "the program's own residuals no longer fall, and no proof was found, or looked for, that it has no minimum: "
-        "check the data and their units"
+        "the program's own residuals no longer fall, and no proof was found, or looked for, that it has no minimum; "
+        "next: check the data and their units"
     ),
 }
 
@@ -174,8 +174,9 @@ class QuadraticProgramResult(Answer):
 
     @property
     def advice(self) -> str:
-        """What the status means for this program, in a sentence."""
-        words = [ADVICE.get(self.status, self.status.value), *self._of_which("x")]
+        """What the status means for this program, and behind ``next:`` what to do."""
+        happened, begins, to_do = ADVICE.get(self.status, self.status.value).partition(NEXT)
+        words = [happened, *self._of_which("x")]
         if self.status is Status.PRECISION_LIMIT and self.program.facts.contradicts_by_rounding:
             words.append("the constraints contradict one another by what is rounding beside their coefficients")
         if self.program.n <= LARGEST_CHECKED and self.program.is_convex is False and not self.has_no_solution:
@@ -183,7 +184,7 @@ class QuadraticProgramResult(Answer):
                 "P has a negative eigenvalue, which is taken for rounding" if self.is_solved else
                 "P has a negative eigenvalue, and if it is no rounding error the program is not convex"
             )
-        return "; ".join(words)
+        return "; ".join(words) + begins + to_do
 
     def _numbers(self) -> dict[str, float]:
         names = ("primal_residual", "dual_residual", "duality_gap")
@@ -193,9 +194,12 @@ class QuadraticProgramResult(Answer):
     def reached(self) -> str:
         """Return the residuals and what was asked of them, or what proves that there are none."""
         if self.proof is None:
-            least = constraint_tolerance(self.goal)
-            return (f"{self.solution}\nasked for        {least:.0e} of the first, {self.goal:.0e} of the others: what "
-                    f"tolerance={self.tolerance:g} means for a program")
+            found, least = self.solution, constraint_tolerance(self.goal)
+            return (
+                f"objective {self.objective:.9g}; constraints are violated by {found.primal_residual:.1e} (tolerance "
+                f"{least:.0e}), {found.dual_residual:.1e} of the gradient is left, the duality gap is "
+                f"{found.duality_gap:.1e} (tolerance {self.goal:.0e}), each beside its terms"
+            )
         return f"{self.proof}\n{self.contradiction}" if self.contradiction else str(self.proof)
 
     def _course(self) -> list[str]:

@@ -32,11 +32,11 @@ ADVICE = {
     Status.SOLVED: "the error is proved to be within the tolerance",
     Status.PRECISION_LIMIT: (
         "the error is not proved to be within the tolerance, and the residual is no larger than rounding in double "
-        "precision explains: accept z with the bound it has, or rescale the data"
+        "precision explains; next: accept z with the bound it has, or rescale the data"
     ),
     Status.STALLED: (
         "the error is not proved to be within the tolerance, and the residual no longer falls enough to change that; "
-        "raise the tolerance, or try another algorithm or a better start z0"
+        "next: raise the tolerance, or try another algorithm or a better start z0"
     ),
 }
 

@@ -211,7 +211,7 @@ def test_half_a_second_keeps_the_best_point() -> None:
     assert result.x is not None
     assert result.problem.excess(result.x) <= 1e-7
     assert result.lower_bound <= result.value
-    assert "max_seconds came first: raise it" in result.explain()
+    assert "next: raise max_seconds" in result.explain()
 
 
 def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -305,7 +305,7 @@ def test_what_falls_for_ever_is_told_and_which_bounds_are_missing(tmp_path: Path
     toll = Toll()
     problem, result = toll.solved(cp.square(toll.toll))
     assert (problem.status, result.status, result.bound_by) == (cp.settings.USER_LIMIT, Status.STALLED, None)
-    assert "the objective falls without end, and nothing proves it: bound the variables" in result.advice
+    assert "the objective falls without end, and nothing proves it; " in result.advice
     assert "toll, flow[0], flow[1] have no upper bound; give them one" in result.advice
     assert np.isfinite(result.x).all()
     bounded = Toll(most=20.0)

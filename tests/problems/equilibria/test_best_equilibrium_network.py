@@ -123,7 +123,7 @@ def test_half_a_second_and_ctrl_c_end_scip_with_a_point() -> None:
     problem = markets()
     result = minimize_over_solutions(problem, max_seconds=0.5)
     assert (result.status, result.x is None) == (Status.MAX_SECONDS, False)
-    assert "max_seconds came first: raise it" in result.advice
+    assert "next: raise max_seconds" in result.advice
     before, runs = signal.getsignal(signal.SIGINT), []
 
     def stop(search: Any) -> bool:
@@ -169,7 +169,7 @@ def test_what_falls_for_ever_without_being_convex_is_said() -> None:
     problem.solve(method="LCP")
     result = problem.solver_stats.extra_stats
     assert (problem.status, result.status) == (cp.settings.USER_LIMIT, Status.STALLED)
-    assert "the objective falls without end, and nothing proves it: bound the variables" in result.advice
+    assert "the objective falls without end, and nothing proves it; " in result.advice
     bounded = cp.Problem(problem.objective, [*rows, x <= 4])  # what is advised
     assert bounded.solve(method="LCP") == pytest.approx(24.0, abs=1e-5)
 

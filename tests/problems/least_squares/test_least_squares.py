@@ -580,11 +580,11 @@ def test_advice_names_what_is_wrong_with_an_operator() -> None:
     adjoint = {"rmatvec": lambda y: A.T @ y, "dtype": float}
     nan = bounded_least_squares(LinearOperator(A.shape, matvec=lambda x: np.full(300, np.nan), **adjoint), b)
     assert nan.status is Status.STALLED
-    assert nan.advice == "A x is not finite: let the operator's products be finite doubles"
+    assert nan.advice == "A x is not finite; next: let the operator's products be finite doubles"
     single = LinearOperator(A.shape, matvec=lambda x: (A @ x).astype(np.float32), **adjoint)
     result = bounded_least_squares(single, b, tolerance=1e-12)
     assert result.status is Status.STALLED
-    assert result.advice.endswith("16 digits of doubles")
+    assert "16 digits of doubles; next: " in result.advice
 
 
 def test_the_callers_data_stay_as_they_are() -> None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from .auto import solve_lcp
 from .core.algorithm import Algorithm
 from .core.errors import UnknownAlgorithm
+from .core.kind import kind_of
 from .core.lcp import LCP
 from .core.policy.policy import Policy
 from .core.solving.result import Result
@@ -163,7 +164,7 @@ def solve(
     >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
     ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
     """
-    if isinstance(algorithm, (np.ndarray, list, tuple)):
+    if isinstance(algorithm, (np.ndarray, list, tuple)) and kind_of(problem) is not None:
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…")
     if isinstance(problem, LCP):
         return solve_lcp(

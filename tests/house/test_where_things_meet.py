@@ -165,6 +165,8 @@ def by_regions(sample: Sample, folder: Path) -> None:
 def by_marches(sample: Sample, folder: Path) -> None:
     for done in march_many(sample.problem, np.stack([[sample.problem.q] * 2] * 2), 0.0):
         confirm(done[0], sample)
+    for done in march_many([sample.problem] * 2, np.stack([sample.problem.q] * 2), [0.0, 0.0]):
+        confirm(done[0], sample)
 
 
 def by_derivative(sample: Sample, folder: Path) -> None:

@@ -69,7 +69,7 @@ with compiling():  # which takes most of a second
     loaded_whole("numba")
     from numba import config, float32, float64, njit, types, uintp, vectorize
     from numba.core import event
-    from numba.extending import lower_builtin, type_callable
+    from numba.extending import lower_builtin, overload, type_callable
 
     # Its tables of what it knows to compile are filled by its first compilation, and what Ctrl-C leaves half filled
     # stays so. It imports the module of what it compiles.
@@ -77,5 +77,6 @@ with compiling():  # which takes most of a second
     to_its_end(partial(njit("void()"), _nothing))
 
 __all__ = [
-    "config", "event", "float32", "float64", "lower_builtin", "njit", "type_callable", "types", "uintp", "vectorize",
+    "config", "event", "float32", "float64", "lower_builtin", "njit", "overload", "type_callable", "types", "uintp",
+    "vectorize",
 ]

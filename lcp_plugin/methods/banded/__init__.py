@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -182,17 +182,18 @@ class Banded(Algorithm):
         return found
 
     def fused_marches(
-        self, problem: LCP, forcing: FloatVector, propagator: Any, lower: FloatVector, upper: FloatVector,
-        z: FloatVector, kept: IntVector, tolerance: float, max_iterations: int,
+        self, problems: Sequence[LCP], forcing: FloatVector, propagators: Sequence[Any], lower: FloatVector,
+        upper: FloatVector, z: FloatVector, kept: IntVector, tolerance: float, max_iterations: int,
     ) -> FusedMarches:
         """Return the first steps of some marches, as many as have converged in all of them.
 
         Parameters
         ----------
-        problem : LCP
-            Gives M, tridiagonal, with no positive entry off the diagonal.
+        problems : sequence of LCP
+            Give M, tridiagonal, with no positive entry off the diagonal: one for all, or that of each on one pattern.
         forcing : array, shape (k, n, m), or (k, n, 1) for all marches, k = 1 for all steps
-        propagator : CSR array, shape (n, n)
+        propagators : sequence of CSR arrays, shape (n, n)
+            One for all, or that of each on one pattern.
         lower, upper, z : arrays, shape (n, m)
             Bounds, and the states before the first step; there are at most `march_kernels.MARCHES`.
         kept : array of int, shape (k,)
@@ -205,22 +206,29 @@ class Banded(Algorithm):
         def filled(rows: FloatVector) -> FloatVector:
             return np.ascontiguousarray(rows[..., np.minimum(np.arange(MARCHES), rows.shape[-1] - 1)])
 
-        band, M, (n, m) = self._bands(problem), problem.csr, z.shape
+        first, C, (n, m) = problems[0], propagators[0], z.shape
+        are_one = len(problems) == len(propagators) == 1
+
+        def values(each: Iterable[FloatVector]) -> FloatVector:
+            return next(iter(each)) if are_one else filled(np.stack(list(each), axis=-1))
+
         answers, rounds = np.empty((m, kept.max(initial=-1) + 1, n)), np.empty((len(kept), MARCHES), np.int64)
         ends, states = np.empty((*rounds.shape, 2)), np.empty((3, n, MARCHES))
         lower, upper = filled(lower), filled(upper)
         states[0] = filled(z)
-        whole = [A.astype(np.int64) for A in (M.indptr, M.indices, propagator.indptr, propagator.indices)]
+        whole = [A.astype(np.int64) for A in (first.csr.indptr, first.csr.indices, C.indptr, C.indices)]
         steps = march_all(
-            band.entries, problem.residual_scale, *whole[:2], M.data, *whole[2:], propagator.data,
+            *values(self._bands(one).entries for one in problems), values(one.residual_scale for one in problems),
+            *whole[:2], values(one.csr.data for one in problems), *whole[2:], values(one.data for one in propagators),
             forcing if forcing.shape[-1] == 1 else filled(forcing), lower, upper, np.clip(0.0, lower, upper),
             tolerance, max_iterations, kept, states, answers, rounds, ends,
         )
         answers.flags.writeable = False  # they are judged
+        costs = _costs(self._bands(first), first)
 
         def solve_of(march: int, step: int, z: FloatVector) -> FusedSolve:
             count, (largest, least) = int(rounds[step, march]), ends[step, march].tolist()
-            work = _work(_costs(band, problem), count, 0)
+            work = _work(costs, count, 0)
             part = self.name, count, work
             return FusedSolve(z, ratio_upwards(largest, least), 0.0, work, (part,))  # rows are right to rounding
 

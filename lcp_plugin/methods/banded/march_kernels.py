@@ -1,7 +1,10 @@
-"""Many marches with one tridiagonal M, side by side: the inner loops go over the marches, several at a time.
+"""Many marches with tridiagonal M, side by side: the inner loops go over the marches, several at a time.
+
+One M serves all of them, and what is made of it is a number a row; or each has its own on one pattern, and then it is
+a row of numbers, one a march. The kernel is compiled for either from the same lines: `of_march` reads both.
 
 As in :mod:`~lcp_plugin.methods.banded.kernels`, with M's off-diagonal entries ≤ 0, but a round starts from a guess:
-Brennan and Schwartz's sweep with one factor of M for all marches, right where the rows at bounds come first, as in a
+Brennan and Schwartz's sweep with a factor of the whole M, right where the rows at bounds come first, as in a
 put (*The valuation of American put options*, J. Finance 32 (1977), doi:10.2307/2326779). Where a march has found that
 wrong, from the sides that its last step found: from one step to the next few rows change.
 
@@ -16,9 +19,12 @@ between them join by one division. Each row is joined once: O(n).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...core.kernels.compilation import helper, inlined, kernel
+from ...core.kernels.compiler import overload, types
 from ...core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, split_sum, with_term
 from ...core.kernels.floats import TINY, UNIT
 from ...core.kernels.rows import residual_of_row
@@ -34,12 +40,22 @@ NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular 
 EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
 
 
+def of_march(value: Any, m: int) -> Any:
+    """Return the value of march m: an entry of an array, or the number that is that of all."""
+    return value[m] if np.ndim(value) else value
+
+
+@overload(of_march, inline="always")
+def _of_march(value, m):  # type: ignore[no-untyped-def]
+    return (lambda value, m: value[m]) if isinstance(value, types.Array) else (lambda value, m: value)
+
+
 @helper
 def _row_sum(indptr, indices, data, i, x, m):  # type: ignore[no-untyped-def]
     """Return the sum of row i of M x of march m, as `with_term` makes it; what underflow takes is in its last part."""
     total = errors = size = 0.0
     for k in range(indptr[i], indptr[i + 1]):
-        a, b = data[k], x[indices[k], m]
+        a, b = of_march(data[k], m), x[indices[k], m]
         h = a * b
         size += UNDERFLOW if (abs(h) < MAY_UNDERFLOW) & (b != 0.0) else 0.0
         total, errors, size = with_term(total, errors, size, h, a, b)
@@ -54,23 +70,29 @@ def _largest_reference(indptr, indices, data, nearest, q, lower, upper, scale, r
         total, errors, size = _row_sum(indptr, indices, data, i, nearest, m)
         s, f = split_sum(total, q[i, m])
         w, slip = of_terms(s, errors + f, size + abs(f), indptr[i + 1] - indptr[i] + 1)
-        least[m], _ = row_ends(w, slip, scale[i], nearest[i, m], lower[i, m], upper[i, m])
+        least[m], _ = row_ends(w, slip, of_march(scale[i], m), nearest[i, m], lower[i, m], upper[i, m])
 
 
 @helper
-def _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):  # type: ignore[no-untyped-def]
-    """Fill the factor of M from its last row to its first, and M z°; return whether reciprocals are rounded once."""
-    n, marches = nearest.shape
-    is_ordinary, pivot = True, 1.0
-    for i in range(n - 1, -1, -1):
-        is_ordinary &= 1.0 / ORDINARY < scale[i] < ORDINARY
-        ratios[i] = -bands[2, i] / pivot
-        pivot = bands[1, i] + ratios[i] * bands[0, min(i + 1, n - 1)]  # the last row has no entry on its right
-        inverse_pivots[i] = 1.0 / pivot
+def _factor(below, centre, above, ratios, inverse_pivots):  # type: ignore[no-untyped-def]
+    """Fill the factor of each M from its last row to its first; shapes (n, number of matrices)."""
+    n, matrices = centre.shape
+    for m in range(matrices):
+        pivot = 1.0
+        for i in range(n - 1, -1, -1):
+            ratios[i, m] = -above[i, m] / pivot
+            pivot = centre[i, m] + ratios[i, m] * below[min(i + 1, n - 1), m]  # the last row has no entry on its right
+            inverse_pivots[i, m] = 1.0 / pivot
+
+
+@helper
+def _multiply(below, centre, above, x, y):  # type: ignore[no-untyped-def]
+    """Fill y with M x."""
+    n, marches = x.shape
+    for i in range(n):
+        a, d, c, before, after = below[i], centre[i], above[i], max(i - 1, 0), min(i + 1, n - 1)
         for m in range(marches):
-            left, right = nearest[max(i - 1, 0), m], nearest[min(i + 1, n - 1), m]
-            of_nearest[i, m] = bands[0, i] * left + bands[1, i] * nearest[i, m] + bands[2, i] * right
-    return is_ordinary
+            y[i, m] = of_march(a, m) * x[before, m] + of_march(d, m) * x[i, m] + of_march(c, m) * x[after, m]
 
 
 @helper
@@ -84,7 +106,7 @@ def _next_offset(propagator_indptr, propagator_indices, propagator_data, forcing
         for k in range(propagator_indptr[i], propagator_indptr[i + 1]):
             c, j = propagator_data[k], propagator_indices[k]
             for m in range(marches):
-                total[m] += c * z[j, m]
+                total[m] += of_march(c, m) * z[j, m]
         if is_common:
             for m in range(marches):
                 q[i, m] = forcing[i, 0] + total[m]
@@ -93,7 +115,7 @@ def _next_offset(propagator_indptr, propagator_indices, propagator_data, forcing
                 q[i, m] = forcing[i, m] + total[m]
         ratio, after = ratios[i], min(i + 1, n - 1)
         for m in range(marches):
-            y[i, m] = ratio * y[after, m] - q[i, m]
+            y[i, m] = of_march(ratio, m) * y[after, m] - q[i, m]
 
 
 @helper
@@ -106,14 +128,14 @@ def _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, larges
         unit, row = inverse_scale[i], float(i)
         for m in range(marches):
             x = nearest[i, m]
-            r = abs(residual_of_row((of_nearest[i, m] + q[i, m]) * unit, x, lower[i, m], upper[i, m]))
+            r = abs(residual_of_row((of_nearest[i, m] + q[i, m]) * of_march(unit, m), x, lower[i, m], upper[i, m]))
             rows[m] = row if r > largest[m] else rows[m]
             largest[m] = r if r > largest[m] else largest[m]
 
 
 @helper
 def _eliminate(  # type: ignore[no-untyped-def]
-    bands, inverse_pivots, y, q, lower, upper, trust, state, x, slope, guess, here, factor
+    below, centre, above, inverse_pivots, y, q, lower, upper, trust, state, x, slope, guess, here, factor
 ):
     """Fill x with the bounds that state says and, elsewhere, with what the rows from the first on make of w = 0.
 
@@ -123,18 +145,17 @@ def _eliminate(  # type: ignore[no-untyped-def]
     for m in range(marches):
         guess[m] = here[m] = factor[m] = 0.0
     for i in range(n):
-        below, inverse = bands[0, i], inverse_pivots[i]
+        a, d, c, inverse = below[i], centre[i], above[i], inverse_pivots[i]
         for m in range(marches):
-            value, low, high = (y[i, m] - below * guess[m]) * inverse, lower[i, m], upper[i, m]
+            value, low, high = (y[i, m] - of_march(a, m) * guess[m]) * of_march(inverse, m), lower[i, m], upper[i, m]
             guess[m] = min(max(value, low), high)
             side = 1.0 if value >= high else 0.0
             side = -1.0 if value <= low else side
             state[i, m] = side if trust[m] > 0.0 else state[i, m]
-        a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
         for m in range(marches):
             low, high, side = lower[i, m], upper[i, m], state[i, m]
-            pivot = d - a * factor[m]
-            value, share = (a * here[m] - q[i, m]) / pivot, c / pivot
+            pivot = of_march(d, m) + of_march(a, m) * factor[m]
+            value, share = (-of_march(a, m) * here[m] - q[i, m]) / pivot, -of_march(c, m) / pivot
             held = low if side < 0.0 else high
             x[i, m] = here[m] = value if side == 0.0 else held
             slope[i, m] = factor[m] = share if side == 0.0 else 0.0
@@ -142,7 +163,7 @@ def _eliminate(  # type: ignore[no-untyped-def]
 
 @helper
 def _substitute_and_measure(  # type: ignore[no-untyped-def]
-    bands, q, lower, upper, inverse_scale, slope, x, z, state, here, sizes, wrong, most
+    below, centre, above, q, lower, upper, inverse_scale, largest_unit, slope, x, z, state, here, sizes, wrong, most
 ):
     """Fill x with the solution, z with x taken into bounds, and measure: each row once its neighbours are known.
 
@@ -153,7 +174,6 @@ def _substitute_and_measure(  # type: ignore[no-untyped-def]
     reached.
     """
     n, marches = x.shape
-    largest_unit = 0.0
     for m in range(marches):
         here[m] = wrong[m] = most[m] = sizes[m] = 0.0
     for i in range(n - 1, -2, -1):
@@ -165,22 +185,20 @@ def _substitute_and_measure(  # type: ignore[no-untyped-def]
         if i == n - 1:
             continue
         row, before, after = i + 1, max(i, 0), min(i + 2, n - 1)
-        a, d, c, inverse = bands[0, row], bands[1, row], bands[2, row], inverse_scale[row]
-        unit = inverse * WIDER
-        largest_unit = max(largest_unit, unit)
+        a, d, c, inverse = below[row], centre[row], above[row], inverse_scale[row]
         for m in range(marches):
             own, low, high = z[row, m], lower[row, m], upper[row, m]
-            first = fused(d, own, q[row, m])
-            second = fused(c, z[after, m], first)
-            w = fused(a, z[before, m], second)
+            first = fused(of_march(d, m), own, q[row, m])
+            second = fused(of_march(c, m), z[after, m], first)
+            w = fused(of_march(a, m), z[before, m], second)
             size = abs(first) + abs(second) + abs(w)
             sizes[m] += size
             down, up = w if own > low else 0.0, -w if own < high else 0.0
-            residual = fused(size, LOST, down if down > up else up) * unit
+            residual = fused(size, LOST, down if down > up else up) * (of_march(inverse, m) * WIDER)
             most[m] = residual if residual > most[m] else most[m]
-            step, above, beyond = w * inverse, x[row, m] - low, x[row, m] - high
+            step, over, beyond = w * of_march(inverse, m), x[row, m] - low, x[row, m] - high
             side = 1.0 if beyond >= step else 0.0
-            side = -1.0 if (above <= step) | (low == high) else side
+            side = -1.0 if (over <= step) | (low == high) else side
             wrong[m] += 0.0 if side == state[row, m] else 1.0
             state[row, m] = side
     for m in range(marches):
@@ -200,17 +218,18 @@ def _are_small(most, least, tolerance, ends):  # type: ignore[no-untyped-def]
 
 @kernel
 def march_all(  # type: ignore[no-untyped-def]
-    bands, scale, indptr, indices, data, propagator_indptr, propagator_indices, propagator_data, forcing, lower, upper,
-    nearest, tolerance, most_rounds, kept, states, Z, rounds, ends
+    below, centre, above, scale, indptr, indices, data, propagator_indptr, propagator_indices, propagator_data, forcing,
+    lower, upper, nearest, tolerance, most_rounds, kept, states, Z, rounds, ends
 ):
     """March all along together; return how many steps converged for each of them.
 
     Parameters
     ----------
-    bands, scale, indptr, indices, data
-        M: its three diagonals, its residual scale, and its entries by rows.
+    below, centre, above, scale, indptr, indices, data
+        M: its three diagonals, its residual scale, and its entries by rows. Where each march has its own on the one
+        pattern, arrays of values have a last axis of length MARCHES for it.
     propagator_indptr, propagator_indices, propagator_data
-        C by rows: C z of each step is added to the q of the next.
+        C by rows: C z of each step is added to the q of the next. Its values may have that axis, too.
     forcing : array, shape (k, n, MARCHES), or (k, n, 1) for all marches, k = 1 for all steps
     lower, upper, nearest : arrays, shape (n, MARCHES)
         Bounds, and the point between them that is nearest to 0.
@@ -230,9 +249,14 @@ def march_all(  # type: ignore[no-untyped-def]
     state, of_nearest, workspace = np.zeros((n, marches)), np.empty((n, marches)), np.empty((3, marches))
     rows, no_trust = np.zeros(marches), np.zeros(marches)
     least, most, wrong, inverse_scale = np.empty(marches), np.empty(marches), np.empty(marches), 1.0 / scale
-    ratios, inverse_pivots, trust = np.zeros(n), np.empty(n), np.ones(marches)
-    if not _factor(bands, scale, nearest, ratios, inverse_pivots, of_nearest):
+    trust, largest_unit = np.ones(marches), inverse_scale.max() * WIDER
+    if not 1.0 / ORDINARY < scale.min() <= scale.max() < ORDINARY:
         return 0
+    by_row = n, centre.size // n
+    factor, inverse_pivot = np.empty(by_row), np.empty(by_row)
+    _factor(below.reshape(by_row), centre.reshape(by_row), above.reshape(by_row), factor, inverse_pivot)
+    ratios, inverse_pivots = factor.reshape(centre.shape), inverse_pivot.reshape(centre.shape)
+    _multiply(below, centre, above, nearest, of_nearest)
     for k in range(kept.size):
         z, answer = states[k % 3], states[(k + 1) % 3]
         _next_offset(
@@ -245,11 +269,12 @@ def march_all(  # type: ignore[no-untyped-def]
             for m in range(marches):
                 rounds[k, m] += 1 if wrong[m] > 0.0 else 0
             _eliminate(
-                bands, inverse_pivots, y, q, lower, upper, no_trust if round_ else trust, state, x, slope, workspace[0],
-                workspace[1], workspace[2],
+                below, centre, above, inverse_pivots, y, q, lower, upper, no_trust if round_ else trust, state, x,
+                slope, workspace[0], workspace[1], workspace[2],
             )
             _substitute_and_measure(
-                bands, q, lower, upper, inverse_scale, slope, x, answer, state, workspace[0], workspace[1], wrong, most
+                below, centre, above, q, lower, upper, inverse_scale, largest_unit, slope, x, answer, state,
+                workspace[0], workspace[1], wrong, most,
             )
             if not wrong.any():
                 break

@@ -179,7 +179,7 @@ def march_one(
         raise InvalidOption(refusal("march", problem))
     if isinstance(problem, LCP):
         problem.matrix.require_all_rows()
-    offsets, rows = checked_forcing(forcing, problem.n), _checked_propagator(propagator, problem.n)
+    offsets, rows = checked_forcing(forcing, problem.n), checked_propagator(propagator, problem.n)
     if given := [name for name in ("lower", "upper") if name in wishes]:
         raise InvalidOption(
             f"march has no option {given[0]!r}: the bounds are the problem's, problem.with_q(problem.q, {given[0]}=…); "
@@ -337,7 +337,8 @@ def checked_forcing(
     return offsets
 
 
-def _checked_propagator(propagator: Any, n: int) -> sp.csr_array:
+def checked_propagator(propagator: Any, n: int) -> sp.csr_array:
+    """Return the propagator as a finite matrix by rows; a number stands for a multiple of the identity."""
     need = f"propagator must be a number or a finite array of shape ({n}, {n})"
     if is_number(propagator):
         propagator = float(propagator) * sp.eye_array(n)

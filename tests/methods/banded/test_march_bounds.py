@@ -66,18 +66,34 @@ def exact_residual(problem: LCP, M: list[list[Fraction]], q: np.ndarray, bounds:
     return largest
 
 
-@pytest.mark.parametrize("kind", [
-    "ordinary", "nearly singular", "rows in other units", "large", "small", "nearly subnormal", "degenerate",
-])
-def test_the_residual_of_each_step_is_bounded(kind: str) -> None:
-    """No step of a march has a larger exact relative residual than the compiled loop says, nor far below it."""
+KINDS = "ordinary", "nearly singular", "rows in other units", "large", "small", "nearly subnormal", "degenerate"
+
+
+def of_each(rng: np.random.Generator, given: Marches) -> tuple[list[LCP], list[sp.csr_array]]:
+    """For each march an M and a propagator of its own on the pattern of these."""
+    shares = rng.uniform(1.0, 2.0, (2, MARCHES))
+    problems = [LCP(sp.csr_array(given.problem.csr * share), given.problem.q) for share in shares[0]]
+    return problems, [sp.csr_array(given.propagator * share) for share in shares[1]]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("own", [False, True])
+def test_the_residual_of_each_step_is_bounded(kind: str, own: bool) -> None:
+    """No step of a march has a larger exact relative residual than the compiled loop says, nor far below it.
+
+    With one M for all marches, and one for each.
+    """
     rng, checked, sharp = np.random.default_rng(58), 0, 0
     for _ in range(5):
-        given = problem, forcing, propagator, lower, upper, states = drawn(rng, kind)
-        M, claim = exact_rows(problem.csr), 1e-6
-        found = Banded().fused_marches(*given, np.arange(STEPS), claim, 100)
+        given, claim = drawn(rng, kind), 1e-6
+        _, forcing, _, lower, upper, states = given
+        problems, propagators = of_each(rng, given) if own else ([given.problem], [given.propagator])
+        found = Banded().fused_marches(
+            problems, forcing, propagators, lower, upper, states, np.arange(STEPS), claim, 100
+        )
         for j in range(MARCHES):
-            before, bounds = states[:, j], np.array([lower[:, j], upper[:, j]])
+            problem, propagator = problems[j * own], propagators[j * own]
+            M, before, bounds = exact_rows(problem.csr), states[:, j], np.array([lower[:, j], upper[:, j]])
             nearest = np.clip(0.0, *bounds)
             for k, z in enumerate(found.answers[j, : found.steps]):
                 q = forcing[k, :, j] + propagator @ before
@@ -90,3 +106,21 @@ def test_the_residual_of_each_step_is_bounded(kind: str) -> None:
                 checked, sharp, before = checked + 1, sharp + (said <= 1e-14), z
     assert checked == 5 * MARCHES * STEPS
     assert sharp >= 0.5 * checked
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_matrices_of_their_own_are_those_alone(kind: str) -> None:
+    """16 marches with M and propagator of their own on one pattern have the bits of each by itself."""
+    rng, checked = np.random.default_rng(73), 0
+    for _ in range(5):
+        given = drawn(rng, kind)
+        problems, propagators = of_each(rng, given)
+        _, forcing, _, *states = given
+        rest = np.arange(STEPS), 1e-6, 100
+        whole = Banded().fused_marches(problems, forcing, propagators, *states, *rest)
+        for j, (one, C) in enumerate(zip(problems, propagators, strict=True)):
+            of_march = (rows[..., j : j + 1] for rows in states)
+            alone = Banded().fused_marches([one], forcing[..., j : j + 1], [C], *of_march, *rest)
+            assert np.array_equal(whole.answers[j, : whole.steps], alone.answers[0, : whole.steps])
+            checked += whole.steps
+    assert checked == 5 * MARCHES * STEPS

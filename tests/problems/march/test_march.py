@@ -447,6 +447,90 @@ def test_contacts_on_either_side_are_those_one_by_one(side: float, count: int) -
         assert all(result.certificate.relative_residual < 1e-8 for result in ours)
 
 
+def volatilities(n: int, k: int, count: int) -> tuple[list[LCP], np.ndarray, list[sp.csr_array]]:
+    """American puts of one strike, each with a volatility of its own: problems, payoff, Crank–Nicolson propagators."""
+    x = np.linspace(-1.0, 1.0, n)
+    payoff = np.maximum(1.0 - np.exp(x), 0.0)
+    halves = [sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (s**2 * n**2 / 8 / k)
+              for s in np.linspace(0.15, 0.4, count)]
+    problems = [LCP(sp.csr_array(sp.eye_array(n) + A), np.zeros(n), lower=payoff) for A in halves]
+    return problems, payoff, [sp.csr_array(A - sp.eye_array(n)) for A in halves]
+
+
+@pytest.mark.parametrize("keep_every", [1, 9])
+def test_marches_whose_matrices_differ_are_those_one_by_one(keep_every: int) -> None:
+    """Bit for bit, on any number of threads: M, bounds and propagators of their own, or one propagator for all."""
+    problems, payoff, propagators = volatilities(120, 100, 41)
+    forcing = np.zeros((100, 120))
+    alone = [march([one], forcing, [C], z0=payoff)[0] for one, C in zip(problems, propagators, strict=True)]
+    for threads in (1, 2, 3):
+        found = march(problems, forcing, propagators, z0=payoff, threads=threads, keep_every=keep_every)
+        for ours, theirs in zip(found, alone, strict=True):
+            assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
+            assert all(np.array_equal(ours.z[k], theirs.z[k]) for k in (0, 1, 50, 98, 99))
+            assert np.array_equal(ours[50].w, theirs[50].w)
+            assert (ours[50].status, ours[50].algorithm) == (theirs[50].status, theirs[50].algorithm)
+            assert ours[50].certificate.relative_residual <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
+    for one, C, ours in zip(problems, propagators, found, strict=True):
+        np.testing.assert_allclose(ours.z[-1], march(one, forcing, C, z0=payoff).z[-1], rtol=0, atol=1e-9)
+    implicit = march(problems, forcing, z0=np.stack([payoff] * 41))
+    assert np.array_equal(implicit[7].z[-1], march(problems[7], forcing, z0=payoff).z[-1])
+
+
+def test_matrices_of_any_kind_are_marched_one_by_one() -> None:
+    """Patterns that differ, wide bands, dense ones, several propagators of one M: each march is that alone."""
+    rng, n = np.random.default_rng(4), 25
+    problems, _, propagators = volatilities(n, 10, 3)
+    tied = LCP(sp.csr_array(problems[0].csr + sp.diags_array([1.0, 1.0], offsets=[-4, 4], shape=(n, n))), np.zeros(n))
+    full = LCP(problems[1].csr.toarray() + 0.01, np.zeros(n), lower=-1.0)
+    several = [problems[0], tied, problems[1], full, problems[2], LCP(2.0 * np.eye(n), np.zeros(n))]
+    forcing, states = rng.normal(size=(5, n)), rng.normal(size=(6, n))
+    for one, z0, ours in zip(several, states, march(several, forcing, z0=states), strict=True):
+        theirs = march(one, forcing, z0=z0)
+        assert ours.all_solved
+        np.testing.assert_allclose(ours.z[-1], theirs.z[-1], rtol=0, atol=1e-7)
+    for given in (propagators, [C.toarray() for C in propagators], np.stack([C.toarray() for C in propagators])):
+        for C, ours in zip(propagators, march(problems[0], forcing, given), strict=True):
+            assert np.array_equal(ours.z[-1], march(problems[0], forcing, C).z[-1])
+    for c, ours in zip((-1.0, -0.5), march(problems[0], forcing, [-1.0, -0.5]), strict=True):
+        assert np.array_equal(ours.z[-1], march(problems[0], forcing, c).z[-1])
+
+
+def test_what_marches_of_several_matrices_refuse() -> None:
+    """Other sizes, other numbers of marches, what is no LCP: in words, before the first step."""
+    one, two = LCP(np.eye(3), np.zeros(3)), LCP(np.eye(2), np.zeros(2))
+    forcing = np.zeros((2, 3))
+    with pytest.raises(InvalidProblem, match="must have one size, got n = 3, and 2 of problem 1; march along those"):
+        march([one, two], forcing)
+    with pytest.raises(InvalidProblem, match="must be equally long, got problem 2, propagator 3"):
+        march([one, one], forcing, [np.eye(3)] * 3)
+    with pytest.raises(InvalidProblem, match="must be equally long, got problem 2, z0 3"):
+        march([one, one], forcing, z0=np.zeros((3, 3)))
+    with pytest.raises(InvalidOption, match="march_many needs an LCP, got ndarray"):
+        march([one, np.eye(3)], forcing)
+    assert march([], forcing) == []
+
+
+def test_the_vega_of_marches_of_several_matrices_is_a_difference() -> None:
+    """The derivative of each by its volatility is the central difference of two marches with others."""
+    n, k, sigma, step = 120, 40, np.array([0.2, 0.3, 0.4]), 1e-4
+    x, forcing = np.linspace(-1.5, 1.5, n), np.zeros((k, n))
+    payoff = np.maximum(1.0 - np.exp(x), 0.0)
+    A = sp.diags_array([-0.5, 1.0, -0.5], offsets=[-1, 0, 1], shape=(n, n)) / (x[1] - x[0]) ** 2 / k
+    still = (1.0 + 0.05 / k) * sp.eye_array(n)
+
+    def prices(sigma: np.ndarray) -> list[Any]:
+        problems = [LCP(sp.csr_array(still + s**2 * A), np.zeros(n), lower=payoff) for s in sigma]
+        return march(problems, forcing, z0=payoff)
+
+    above, below = prices(sigma + step), prices(sigma - step)
+    for s, one, up, down in zip(sigma, prices(sigma), above, below, strict=True):
+        vega, difference = derivative(one).jvp(dM=2 * s * A, only_last=True), (up.z[-1] - down.z[-1]) / (2 * step)
+        assert vega.max() > 0.1
+        np.testing.assert_allclose(vega, difference, rtol=0, atol=2e-3)
+        assert abs(vega - difference).mean() < 1e-4
+
+
 def test_what_a_march_says_of_its_answers_and_bounds() -> None:
     """Its z says how many there are; bounds as options are refused with both ways to state them."""
     rod = LCP([[3, -1], [-1, 3]], [0, 0])

@@ -36,7 +36,6 @@ from ...proofs.bounds.row_inequality import distance_above
 from ...proofs.bounds.solution_bounds import block_error_bound
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
-from ..batches.batch import AnswerList
 from ..batches.batch_run import BatchResult
 from ..batches.contact_batch import ContactBatchResult
 from ..cones.derivative import ConeDerivative
@@ -123,7 +122,7 @@ def derivative(
                 "no derivative leads through a march over cones; write derivative(done[k]) for that of step k by its q"
             )
         return MarchDerivative(result, Derivative)
-    if isinstance(result, (AnswerList, ContactBatchResult)):
+    if isinstance(result, ContactBatchResult):
         raise InvalidOption("these are differentiated one by one; write derivative(batch[k]) for item k")
     if not isinstance(result, Result):
         raise InvalidOption(refusal("derivative", result))

@@ -11,7 +11,8 @@ exactly where f and m are constant: the discrete z is a parabola whose vertex is
     φ_i = 1/2 − w_i / f_i  at the bound,     φ_j = 1/2 + m_j g_j / f_j  elsewhere
 
 is linear in both, is −1/2 deep in the contact, and 0 at that place where the boundary lies outside the last node that
-touches (inside it, within a tenth of h). On a grid or on triangles the boundary is the contour φ = 0.
+touches (inside it, within a tenth of h). Where no force presses, as of a string on a flat roof, z alone is known: −1/2
+where it rests, 1/2 beside. On a grid or on triangles the boundary is the contour φ = 0.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from ..core.matrix.matrix import largest_in_rows
 from ..core.solving.result import Result
 
 FAR = 1.5  # the level of a node that no bound is near to
+NO_FORCE = 1e-12  # of the terms of its row
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +118,10 @@ def contact_level(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
         force = sign * (M @ np.where(known, bound, z) + problem.q)
         touches, gap = known & (z == bound), sign * (z - np.where(known, bound, z))
         force = np.where(touches, np.maximum(force, sign * w), force)
-        pulls = np.where(force > 0.0, force, 1.0)
-        pressed = np.clip(0.5 - sign * w / pulls, -0.5, 0.5)
-        free = np.where(force > 0.0, np.minimum(0.5 + coupling * gap / pulls, FAR), FAR)
+        presses = force > NO_FORCE * (abs(M) @ np.abs(np.where(known, bound, z)) + np.abs(problem.q))
+        pulls = np.where(presses, force, 1.0)
+        pressed = np.where(presses, np.clip(0.5 - sign * w / pulls, -0.5, 0.5), -0.5)
+        free = np.where(presses, np.minimum(0.5 + coupling * gap / pulls, FAR), 0.5)
         level = np.where(known, np.minimum(level, np.where(touches, pressed, free)), level)
     return level
 
@@ -187,8 +190,9 @@ def _nodes(n: int, coordinates: Any, shape: Any, mesh: Any) -> tuple[FloatVector
         return points, triangles
     if shape is None and (coordinates is None or np.ndim(coordinates[0]) == 0):
         line = np.arange(n, dtype=float) if coordinates is None else np.asarray(coordinates, dtype=float)
-        if line.shape != (n,):
-            raise InvalidOption(f"coordinates must be {n} numbers, or (rows, columns) of a grid, got {line.shape}")
+        if line.shape != (n,) or not np.isfinite(line).all():
+            raise InvalidOption(f"coordinates must be {n} numbers, finite, or (rows, columns) of a grid, got "
+                                f"{line.shape}")
         return line, np.empty((0, 3), dtype=np.intp)
     rows, columns = (np.arange(size) for size in shape) if coordinates is None else map(np.asarray, coordinates)
     if len(rows) * len(columns) != n:

@@ -28,8 +28,6 @@ from .error_against_time import Bench, checked_numbers, title_of
 from .exporting import AnyPath, finite_content
 from .results import COLUMNS, ResultsFile, Row, Study, name_of
 
-RADIUS_UP_TO = 3000  # unknowns: of more it would take longer than the runs
-
 
 def study(
     problems: Any, methods: Any = None, sizes: Sequence[int] | None = None, *, repeats: int = 3,
@@ -213,7 +211,7 @@ class _Plan:
 
 def _radius(problem: Any, algorithm: Any) -> float:
     """Return the spectral radius that bounds a splitting's errors; NaN of any other method."""
-    if not isinstance(problem, LCP) or not isinstance(algorithm, Algorithm) or problem.n > RADIUS_UP_TO:
+    if not isinstance(problem, LCP) or not isinstance(algorithm, Algorithm):
         return math.nan
     try:
         facts = algorithm.facts(problem)

@@ -74,6 +74,18 @@ def test_nodes_of_triangles_and_a_grid_agree() -> None:
     assert np.array_equal(free_boundary(result, shape=(30, 30)).level, grid.level)
 
 
+def test_where_no_force_presses_the_nodes_that_rest_are_known() -> None:
+    """A string over a flat roof is pressed at its two corners alone, and rests between them."""
+    n = 200
+    x = np.linspace(0, 1, n)
+    roof = np.where(abs(x - 0.5) < 0.1, 1.0, -1.0)
+    result = solve(LCP(second_difference(n), np.zeros(n), lower=roof))
+    found = free_boundary(result, coordinates=x)
+    rests = x[result.z == roof]
+    np.testing.assert_allclose(found.positions, [rests[0], rests[-1]], atol=1.0 / n)
+    assert (found.level[result.z == roof][1:-1] < 0.0).all()
+
+
 def test_an_answer_that_touches_nowhere_has_no_boundary() -> None:
     """Of a free answer, and of one that rests on its bounds everywhere."""
     free = free_boundary(solve(LCP(second_difference(5), -np.ones(5))))
@@ -88,7 +100,7 @@ def test_a_wrong_number_of_nodes_is_refused() -> None:
     """Each message says how many are needed."""
     result = solve(LCP(second_difference(6), -np.ones(6)))
     for wrong, words in (
-        ({"coordinates": [1.0, 2.0]}, "6 numbers"), ({"shape": (2, 2)}, "6 unknowns"),
+        ({"coordinates": [1.0, 2.0]}, "6 numbers, finite"), ({"shape": (2, 2)}, "6 unknowns"),
         ({"mesh": (np.zeros((2, 6)), np.zeros((1, 3), dtype=int))}, r"\(6, 2\)"),
     ):
         with pytest.raises(InvalidOption, match=words):

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import qr
 from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf
 from scipy.optimize import linprog
 from scipy.spatial import HalfspaceIntersection, QhullError
@@ -32,6 +33,9 @@ BEHIND = 1e-7  # a facet, of the box's width: where the next region is looked fo
 CLEARLY_BEHIND = 1e-5  # where a solve is asked, whose tolerance reaches behind a facet
 FLAT = 1e-9  # inner radius, of the box's width: of what is no region
 SINGULAR = 1e-13  # pivot beside the largest
+CROSSED = 1e-9  # of what vectors are scaled to
+ROUNDED = 1e-15  # of a row of the law: what is left where terms cancel
+EVENINGS = 8
 MOST_PARAMETERS = 6
 Case = np.ndarray[Any, np.dtype[np.int8]]
 
@@ -93,12 +97,15 @@ def regions(
            [ 0.5]])
     """
     clock = Clock()
+    if not isinstance(max_regions, int) or max_regions < 1:
+        raise InvalidOption(f"max_regions must be a whole number ≥ 1, got {max_regions!r}")
     family = _Family(problem, parameters, within, tolerance)
-    found, missed = family.explored(int(max_regions))
+    found, missed = family.explored(max_regions)
     if not found:
-        raise UnsuitableProblem("no θ in the box was found where the problem has a unique solution; solve it at one "
-                                "corner and see its explain()")
-    answer = Regions(family.problem, family.changes, family.low, family.high, found, missed, tolerance)
+        raise UnsuitableProblem("no θ in the box was found where the problem has a solution that is unique, with its "
+                                "multipliers; solve it at one corner and see its explain()")
+    answer = Regions(family.problem, family.changes, (family.low, family.high), found, missed, tolerance,
+                     (family.kept, family.unit))
     _ = answer.status
     answer.seconds = clock.read()
     return answer
@@ -117,7 +124,10 @@ class _Law:
 
 
 class _Family:
-    """A problem whose vectors are affine in several parameters; θ inside is scaled to the unit box."""
+    """A problem whose vectors are affine in several parameters.
+
+    Inside, θ is scaled to the unit box, and the conditions to D M D z + D q with rows alike and vectors near 1.
+    """
 
     def __init__(self, problem: Any, parameters: Any, within: Any, tolerance: float) -> None:
         if isinstance(problem, QuadraticProgram):
@@ -136,29 +146,45 @@ class _Family:
     def _lay_out(self) -> None:
         """Make M, and q, lower and upper as columns [change by scaled θ, at its 0]."""
         problem, width = self.problem, self.high - self.low
+        is_lcp = isinstance(problem, LCP)
 
         def affine(name: str) -> FloatVector:
             now, change = getattr(problem, name), self.changes.get(name)
             change = np.zeros((now.size, self.p)) if change is None else change
             return np.column_stack([change * width, now + change @ self.low])
 
-        if isinstance(problem, LCP):
-            self.M, self.is_strict = np.asarray(problem.csr.toarray()), False
-            self.q, self.lower, self.upper = map(affine, ("q", "lower", "upper"))
-            return
-        plain, n = conditions(problem), problem.n
-        self.is_strict = _is_definite(problem)
-        self.M = plain.csr.toarray()
-        c, h, b = map(affine, ("c", "h", "b"))
-        h[~np.isfinite(problem.h)] = 0.0
-        rest = np.zeros((plain.n - n, self.p + 1))
-        self.q = np.concatenate([c, h, b])
-        least, most = rest.copy(), rest.copy()
-        least[:, -1], most[:, -1] = plain.lower[n:], plain.upper[n:]
-        self.lower, self.upper = np.concatenate([affine("lower"), least]), np.concatenate([affine("upper"), most])
+        if is_lcp:
+            self.M, self.is_strict = np.array(problem.csr.toarray()), _is_p_matrix(problem)
+            q, lower, upper = map(affine, ("q", "lower", "upper"))
+            self.kept = np.arange(problem.n)
+        else:
+            plain, n = conditions(problem), problem.n
+            self.M, self.is_strict = plain.csr.toarray(), _is_definite(problem)
+            c, h, b = map(affine, ("c", "h", "b"))
+            h[~np.isfinite(problem.h)] = 0.0
+            self.kept = np.concatenate([np.arange(n + problem.h.size), n + problem.h.size + _independent(problem, b)])
+            rest = np.zeros((plain.n - n, self.p + 1))
+            least, most = rest.copy(), rest.copy()
+            least[:, -1], most[:, -1] = plain.lower[n:], plain.upper[n:]
+            q = np.concatenate([c, h, b])
+            lower, upper = np.concatenate([affine("lower"), least]), np.concatenate([affine("upper"), most])
+            self.M = self.M[np.ix_(self.kept, self.kept)]
+            q, lower, upper = (side[self.kept] for side in (q, lower, upper))
+        D = np.ones(len(q))
+        for _ in range(EVENINGS):  # Ruiz: rows and columns alike
+            largest = np.abs(D[:, None] * self.M * D).max(axis=1, initial=0.0)
+            D *= np.exp2(-np.rint(0.5 * np.log2(np.where(largest > 0.0, largest, 1.0))))
+        self.M = D[:, None] * self.M * D
+        q, lower, upper = D[:, None] * q, lower / D[:, None], upper / D[:, None]
+        known = [np.abs(side[np.isfinite(side)]).max(initial=0.0) for side in (q, lower, upper)]
+        size = float(np.exp2(np.rint(np.log2(max(known))))) if max(known) > 0.0 else 1.0
+        self.q, self.lower, self.upper, self.unit = q / size, lower / size, upper / size, D * size
 
     def solved(self, theta: FloatVector) -> Case | None:
-        """Return the case of the answer of `solve`; None where there is none."""
+        """Return the case of an answer at θ, an active set's where there is one; None where there is no answer."""
+        here = np.append(theta, 1.0)
+        if (self.lower @ here > self.upper @ here + CROSSED).any():
+            return None
         at = self.low + theta * (self.high - self.low)
         moved = {name: getattr(self.problem, name) + change @ at for name, change in self.changes.items()}
         if isinstance(self.problem, LCP):
@@ -166,17 +192,19 @@ class _Family:
             problem = self.problem.with_q(moved.get("q", self.problem.q), **bounds)
         else:
             problem = self.problem.with_vectors(**moved)
-        result = solve_any(problem, "auto", {"prove_infeasibility": False})
-        if not result.is_solved:
+        is_lcp = isinstance(self.problem, LCP)
+        for algorithm in ("auto",) if is_lcp else ("daqp", "auto"):  # whose active rows are independent
+            result = solve_any(problem, algorithm, {"prove_infeasibility": False})
+            if result.is_solved:
+                break
+        else:
             return None
-        z = result.z if isinstance(self.problem, LCP) else np.concatenate(
-            [result.x, result.solution.inequality, result.solution.equality])
-        here = np.append(theta, 1.0)
-        lower, upper = self.lower @ here, self.upper @ here
-        near = 1e-7 * np.maximum(1.0, np.abs(z).max(initial=0.0))
+        z = result.z if is_lcp else np.concatenate([result.x, result.solution.inequality, result.solution.equality])
+        z = z[self.kept] / self.unit
+        w = self.M @ z + self.q @ here
         case = np.zeros(z.size, dtype=np.int8)
-        case[z <= lower + near * (lower > -np.inf)] = -1
-        case[(z >= upper - near * (upper < np.inf)) & (case == 0)] = 1
+        case[z - self.lower @ here <= np.maximum(w, 0.0)] = -1
+        case[(self.upper @ here - z <= np.maximum(-w, 0.0)) & (case == 0)] = 1
         return case
 
     def law(self, case: Case) -> _Law | None:
@@ -196,23 +224,28 @@ class _Family:
         is_single = (self.lower[held] == self.upper[held]).all(axis=1)  # its w may have either sign
         signed = np.where((case[held] < 0)[:, None], -w, w)[~is_single]
         sides.append((signed, held[~is_single], 0))
+        moving = (self.lower[held, :-1] != self.upper[held, :-1]).any(axis=1)
+        sides.append(((self.lower[held] - self.upper[held])[moving], np.full(np.count_nonzero(moving), -1), 0))
         table = np.concatenate([side for side, _, _ in sides])
         leaves = np.concatenate([unknowns for _, unknowns, _ in sides])
         becomes = np.concatenate([np.full(unknowns.size, to, dtype=np.int8) for _, unknowns, to in sides])
         known = np.isfinite(table).all(axis=1)
+        with np.errstate(invalid="ignore"):
+            z = np.where(np.abs(z) <= ROUNDED * np.abs(z).max(axis=1, keepdims=True, initial=0.0), 0.0, z)
         return _Law(case, z, table[known, :-1], -table[known, -1], leaves[known], becomes[known])
 
     def polyhedron(self, law: _Law) -> Region | None:
         """Return the region of a law inside the unit box without rows that do not count; None where it is flat."""
         lengths = np.linalg.norm(law.rows, axis=1)
-        sizes = np.abs(law.limits) + lengths
-        flat = lengths <= 1e-12 * np.where(sizes > 0.0, np.maximum(sizes, np.abs(law.z).max(initial=0.0)), 1.0)
-        size = 1e-9 * (1.0 + np.abs(law.z).max(initial=0.0))
+        size = CROSSED * max(1.0, np.abs(law.z).max(initial=0.0))
+        flat = lengths <= 1e-3 * size
         if (law.limits[flat] < -size).any():
             return None
-        if not self.is_strict and (law.limits[flat & (law.becomes == 0) & (law.leaves < self.problem.n)] <= size).any():
-            raise UnsuitableProblem("x is not unique: an unknown at its bound could leave it at no cost; add a small "
-                                    "quadratic term to the objective")
+        idle = flat & (law.becomes == 0) & (law.leaves >= 0) & (law.leaves < self.problem.n) & (law.limits <= size)
+        if not self.is_strict and idle.any():
+            more = "" if isinstance(self.problem, LCP) else "; add a small quadratic term to the objective"
+            raise UnsuitableProblem(f"the solution is not unique: an unknown at its bound could leave it at no cost"
+                                    f"{more}")
         rows = law.rows[~flat] / lengths[~flat, None]
         limits = law.limits[~flat] / lengths[~flat]
         eye = np.eye(self.p)
@@ -225,7 +258,8 @@ class _Family:
         facets, vertices = _facets(rows, limits, inside)
         if not facets:
             return None
-        return Region(rows[[k for k, _ in facets]], limits[[k for k, _ in facets]], vertices, inside, law.case, law.z,
+        kept = [k for k, _ in facets]
+        return Region(rows[kept], limits[kept], vertices, inside, law.case, self.unit[:, None] * law.z,
                       tuple((int(leaves[k]), int(becomes[k]), middle) for k, middle in facets))
 
     def explored(self, most: int) -> tuple[list[Region], int]:
@@ -241,6 +275,8 @@ class _Family:
                 if unknown < 0:
                     continue
                 point = middle + BEHIND * row
+                if point.min() < 0.0 or point.max() > 1.0:
+                    continue  # where a case ends at the box
                 other = region.case.copy()
                 other[unknown] = to
                 beside = found.get(other.tobytes())
@@ -258,11 +294,11 @@ class _Family:
                     if beside is None or not (beside.holds(point) or beside.holds(further)):
                         missed.append(further)
                         continue
-                if beside.case.tobytes() not in found:
+                if beside.case.tobytes() not in found and len(found) < most:
                     found[beside.case.tobytes()] = beside
                     waiting.append(beside)
         every = list(found.values())
-        return every, sum(not any(one.holds(point) for one in every) for point in missed) + len(waiting)
+        return every, sum(not any(one.holds(point) for one in every) for point in missed) + (len(found) >= most)
 
     def _first(self) -> Iterator[Region]:
         """Yield a region to begin in: of the middle of the box, else of points drawn in it."""
@@ -282,6 +318,37 @@ def _is_definite(program: QuadraticProgram) -> bool:
     """Return whether P is positive definite, as it seems in doubles."""
     P = program.P.toarray() if hasattr(program.P, "toarray") else np.asarray(program.P)
     return bool(program.n) and dpotrf(P)[1] == 0
+
+
+def _is_p_matrix(problem: LCP) -> bool:
+    """Return whether M is proved to be a P-matrix, so that z is unique; raise where it is proved to be none."""
+    from ...proofs.verdicts import analyze
+
+    verdict = analyze(problem).is_p_matrix
+    if verdict is False:
+        raise UnsuitableProblem("M is no P-matrix, so that z is not unique for some q; all_solutions(problem) lists "
+                                "those of one q, trace follows one of them")
+    return bool(verdict)
+
+
+def _independent(program: QuadraticProgram, b: FloatVector) -> Any:
+    """Return the numbers of equations that do not follow from others."""
+    A = program.A.toarray() if hasattr(program.A, "toarray") else np.asarray(program.A)
+    if not len(A):
+        return np.arange(0)
+    whole = np.column_stack([A, b])
+    lengths = np.linalg.norm(A, axis=1)
+    even = whole / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    ranks, orders = [], []
+    for rows in (even[:, : program.n], even):
+        R, order = qr(rows.T, mode="r", pivoting=True)
+        pivots = np.abs(np.diag(R[: min(rows.shape)]))
+        ranks.append(int((pivots > 1e-12 * max(pivots.max(initial=0.0), 1e-300)).sum()))
+        orders.append(order)
+    if ranks[1] > ranks[0]:
+        raise UnsuitableProblem("equations depend on each other, and their right-hand sides do not for every θ; leave "
+                                "out what follows from others")
+    return np.sort(orders[0][: ranks[0]])
 
 
 def _centre(rows: FloatVector, limits: FloatVector) -> FloatVector | None:

@@ -17,10 +17,13 @@ from ...core.errors import InvalidOption
 from ...core.representation import in_words
 from ...core.settings import Settings, Status
 from ...interfaces.files.files import checked_path, write_whole
+from ...kinds import solve_any
 
 NEAR = 1e-9  # how far outside a region, of the box's width, a point still counts as in it
 NEIGHBOURS = 6  # centres of regions that are looked at first
 JUDGED = 12  # vertices of a region near which its law is certified
+SAME = 1e-9  # of an unknown or of its unit: a law and an answer
+OVER = 1e-6  # of the volume
 INWARD = 1e-6  # of the way from a vertex to the centre: there signs are not left to rounding
 
 
@@ -71,6 +74,11 @@ class Regions(Sequence[Region]):
     ----------
     problem : QuadraticProgram or LCP
         At θ = 0.
+    kept : ndarray of int
+        Which unknowns of the optimality conditions the regions speak of: all, but for multipliers of equations that
+        follow from others.
+    unit : ndarray
+        What each of these is measured in, by the data.
     changes : dict
         The change of each vector by θ.
     low, high : ndarray, shape (p,)
@@ -82,10 +90,10 @@ class Regions(Sequence[Region]):
     """
 
     def __init__(
-        self, problem: Any, changes: dict[str, FloatVector], low: FloatVector, high: FloatVector, found: list[Region],
-        missed: int, tolerance: float,
+        self, problem: Any, changes: dict[str, FloatVector], box: tuple[FloatVector, FloatVector], found: list[Region],
+        missed: int, tolerance: float, unknowns: tuple[Any, FloatVector],
     ) -> None:
-        self.problem, self.changes, self.low, self.high = problem, changes, low, high
+        self.problem, self.changes, (self.low, self.high), (self.kept, self.unit) = problem, changes, box, unknowns
         self._all, self.missed, self.tolerance, self.seconds = found, missed, tolerance, 0.0
 
     def __len__(self) -> int:
@@ -135,14 +143,29 @@ class Regions(Sequence[Region]):
             for corner in region.vertices[:JUDGED]:
                 vertex = corner + INWARD * (region.centre - corner)
                 family.problem = self.at(vertex * (self.high - self.low) + self.low)
-                status = family.judge(family.point(0.0, region.z @ np.append(vertex, 1.0)))
+                status = self._judged(family, region.z @ np.append(vertex, 1.0))
                 worst = status if status is not Status.SOLVED and worst is not Status.STALLED else worst
         return worst
 
+    def _judged(self, family: Any, z: FloatVector) -> Status:
+        """Return what the criterion says of z, or of the answer of `solve` that it is but for rounding."""
+        size = self.problem.n if not hasattr(self.problem, "P") else family.conditions.n
+        every = np.zeros(size)
+        every[self.kept] = z
+        status: Status = family.judge(family.point(0.0, every))
+        if status is Status.SOLVED:
+            return status
+        result = solve_any(family.problem, "auto", {"tolerance": self.tolerance})
+        if not result.is_solved:
+            return status
+        x = every[: self.n]  # where terms cancel, what is left of them has no size to stand beside
+        is_same = np.abs(result.x - x) <= SAME * np.maximum(self.unit[: self.n], np.abs(x))
+        return Status.SOLVED if is_same.all() else status
+
     @property
     def is_solved(self) -> bool:
-        """True where every law is certified and no region is missing."""
-        return self.status is Status.SOLVED and not self.missed
+        """True where every law is certified, no region is missing and none lies over another."""
+        return self.status is Status.SOLVED and not self.missed and self.coverage <= 1.0 + OVER
 
     def at(self, theta: ArrayLike) -> Any:
         """Return the problem at θ, shape (p,)."""
@@ -155,9 +178,14 @@ class Regions(Sequence[Region]):
 
     def locate(self, theta: ArrayLike) -> Any:
         """Return the number of the region of each θ, shape (p,) or (count, p); −1 where there is none."""
-        given = np.asarray(theta, dtype=float)
-        if given.ndim not in (1, 2) or given.shape[-1] != self.low.size:
-            raise InvalidOption(f"θ must have shape ({self.low.size},) or (count, {self.low.size}), got {given.shape}")
+        p = self.low.size
+        try:
+            given = np.asarray(theta, dtype=float)
+        except (TypeError, ValueError):
+            raise InvalidOption(f"θ must be numbers of shape ({p},) or (count, {p}), got {theta!r}") from None
+        if given.ndim not in (1, 2) or given.shape[-1] != p or not np.isfinite(given).all():
+            more = ", as [[0.5], [0.6]] for two values of one parameter" if p == 1 else ""
+            raise InvalidOption(f"θ must have shape ({p},) or (count, {p}){more}, and be finite, got {theta!r}")
         points = (np.atleast_2d(given) - self.low) / (self.high - self.low)
         found = np.full(len(points), -1)
         tree, rows, limits = self._index
@@ -207,7 +235,10 @@ class Regions(Sequence[Region]):
         if self.missed:
             lines.append(f"Behind {in_words(self.missed, 'facet')} nothing was found: x may not be unique there, or "
                          "max_regions= ended the search.")
-        lines.append(f"They fill {self.coverage:.6%} of their convex hull; outside it nothing in the box is feasible.")
+        outside = "" if self.missed else "; outside it nothing in the box is feasible"
+        lines.append(f"They fill {self.coverage:.6%} of their convex hull{outside}.")
+        if self.coverage > 1.0 + OVER:
+            lines.append("Some lie over others: the solution is not unique there.")
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -72,7 +72,8 @@ class Guarantee:
     def spectral_radius(self) -> float | None:
         """ρ(T) of the matrix T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without a proof, computed when asked.
 
-        None of methods that are no splitting, of a symmetric sweep, and where T is too large to form.
+        Not that of the iteration matrix itself, which may be less. None of methods that are no splitting, of a
+        symmetric sweep, and of more than 1000 unknowns.
         """
         if self.facts is None or self.problem is None:
             return None

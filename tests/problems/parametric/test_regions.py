@@ -145,3 +145,73 @@ def test_where_x_is_not_unique_it_says_so() -> None:
         found.x_at([1.0, 2.0])
     with pytest.raises(InvalidOption, match=r"saved as \.npz or \.c"):
         found.save("law.txt")
+
+
+ORDINARY = {  # what a fresh reader tried: program, what moves, box, how many regions
+    "a row at 0 where x cancels": (QuadraticProgram([[5.0]], [-2.0], G=[[1.0]], h=[0.0]), {"c": [2.0]}, (-3, 3), 2),
+    "a case that ends at the box": (QuadraticProgram([[1.0]], [0.0], lower=-1, upper=1), {"c": [-1.0]}, (-1, 3), 2),
+    "bounds that cross": (QuadraticProgram([[1.0]], [0.0], lower=0, upper=1), {"upper": [1.0]}, (-2, 2), 1),
+    "a row twice": (
+        QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1], [2, 2]], h=[-1, -2]), {"c": np.eye(2)}, (-2, 2), 2),
+    "an equation twice": (
+        QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1], [1, 1]], b=[1, 1]), {"c": [1, 0]}, (-1, 1), 1),
+    "an equation 0 = 0": (
+        QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1], [0, 0]], b=[1, 0]), {"c": [1, 0]}, (-1, 1), 1),
+    "the identity, a row that rests": (LCP(np.eye(2), [0, 0]), {"q": [[1.0], [0.0]]}, (-1, 1), 2),
+}
+
+
+@pytest.mark.parametrize("name", ORDINARY)
+def test_ordinary_data_have_their_regions(name: str) -> None:
+    """All are found and certified, none is missing."""
+    problem, changes, (low, high), count = ORDINARY[name]
+    p = np.atleast_2d(np.array(next(iter(changes.values())), dtype=float).T).shape[0]
+    found = regions(problem, changes, (np.full(p, float(low)), np.full(p, float(high))))
+    assert found.is_solved
+    assert found.coverage == 1.0
+    assert len(found) == count
+
+
+@pytest.mark.parametrize("unit", [1e6, 1e-6])
+def test_units_change_no_region(unit: float) -> None:
+    """In other units of x, or all costs times 1e9, has as many regions."""
+    program, changes = double_integrator(3)
+    box = [-5.0, -5.0], [5.0, 5.0]
+    P, G = (np.asarray(sp.csr_array(one).toarray()) for one in (program.P, program.G))
+    other = QuadraticProgram(P / unit**2, program.c / unit, G=G / unit, h=program.h, lower=program.lower * unit,
+                             upper=program.upper * unit)
+    found = regions(other, {"c": changes["c"] / unit, "h": changes["h"]}, box)
+    own = regions(program, changes, box)
+    assert found.is_solved
+    assert len(found) == len(own)
+    costly = QuadraticProgram(P * 1e9, program.c, G=G, h=program.h, lower=program.lower, upper=program.upper)
+    assert len(regions(costly, {"c": changes["c"] * 1e9, "h": changes["h"]}, box)) == len(own)
+
+
+def test_more_than_one_solution_is_no_law() -> None:
+    """A matrix that is no P-matrix is refused; equations that contradict each other for some θ as well."""
+    with pytest.raises(UnsuitableProblem, match="no P-matrix"):
+        regions(LCP([[1.0, 3.0], [3.0, 1.0]], [-1.0, -1.0]), {"q": np.eye(2)}, ([-2.0, -2.0], [2.0, 2.0]))
+    twice = QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1], [1, 1]], b=[1, 1])
+    with pytest.raises(UnsuitableProblem, match="depend on each other"):
+        regions(twice, {"b": [1.0, 0.0]}, ([-1.0], [1.0]))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_integer_programs_have_the_x_of_daqp(seed: int) -> None:
+    """Rows and costs of small whole numbers, which meet in corners: solved, and right at every drawn θ."""
+    random = np.random.default_rng(seed)
+    n, m, p = 3, 3, 1 + seed % 3
+    B = random.integers(-2, 3, (n, n))
+    program = QuadraticProgram(
+        (B @ B.T + np.eye(n)).astype(float), random.integers(-2, 3, n).astype(float),
+        G=random.integers(-2, 3, (m, n)).astype(float), h=random.integers(0, 4, m).astype(float), lower=-2.0, upper=2.0,
+    )
+    changes = {"c": random.integers(-2, 3, (n, p)).astype(float), "h": random.integers(-1, 2, (m, p)).astype(float)}
+    found = regions(program, changes, (np.full(p, -2.0), np.full(p, 2.0)))
+    assert found.is_solved
+    for theta in random.uniform(-2, 2, (30, p)):
+        expected, x = by_daqp(found.at(theta)), found.x_at(theta)
+        assert (expected is None) == bool(np.isnan(x).any())
+        if expected is not None:
+            np.testing.assert_allclose(x, expected, atol=1e-6)

@@ -72,7 +72,10 @@ class PositiveFactor:
     superlu: Any = None
 
 
-def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, int] | None = None) -> Factor | None:
+def factorise(
+    matrix: Any, *, is_symmetric: bool = False, has_symmetric_pattern: bool = False,
+    bandwidth: tuple[int, int] | None = None,
+) -> Factor | None:
     """Return a factor of a square matrix, or None where a pivot is exactly zero or the entries overflow.
 
     Parameters
@@ -82,6 +85,8 @@ def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, 
     is_symmetric : bool
         The matrix is symmetric up to rounding: Cholesky is tried first where it is dense, and a sparse one is
         ordered by the pattern of A + Aᵀ, as others are where most of their pattern is symmetric.
+    has_symmetric_pattern : bool
+        Of a sparse matrix: its entries come in pairs across the diagonal. The work is estimated, by equal columns.
     bandwidth : (int, int), optional
         Numbers of sub- and superdiagonals of a sparse matrix, where they are known.
     """
@@ -93,7 +98,7 @@ def factorise(matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, 
         return _dense(matrix.toarray(), is_symmetric)
     if bandwidth is not None and sum(bandwidth) <= BANDED_UP_TO:
         return _banded_lu(matrix, *bandwidth)
-    return _sparse_lu(matrix, is_symmetric)
+    return _sparse_lu(matrix, is_symmetric, has_symmetric_pattern)
 
 
 def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
@@ -163,10 +168,10 @@ def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
     )
 
 
-def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
+def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool, has_symmetric_pattern: bool) -> Factor | None:
     if not np.isfinite(matrix.data).all():
         return None
-    in_one_order = is_symmetric or _suits_one_order(matrix)
+    in_one_order = is_symmetric or _suits_one_order(matrix, has_symmetric_pattern)
     options = {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER if in_one_order else {"permc_spec": "COLAMD"}
     try:
         factor = sparse_lu(matrix.T, **options)  # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose
@@ -176,16 +181,19 @@ def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
     def solver(trans: str) -> Callable[[Any], Any]:
         return lambda right: factor.solve(right, trans=trans)
 
-    return Factor("sparse LU", solver("T"), solver("N"), sparse_work(factor), float(factor.nnz))
+    work = 0.25 * factor.nnz**2 / matrix.shape[0] if has_symmetric_pattern else sparse_work(factor)
+    return Factor("sparse LU", solver("T"), solver("N"), work, float(factor.nnz))
 
 
-def _suits_one_order(matrix: sp.csr_array) -> bool:
+def _suits_one_order(matrix: sp.csr_array, has_symmetric_pattern: bool) -> bool:
     """Return whether rows and columns do best in one order, as those of grids with a wind: half the fill, or less.
 
     The diagonal is large enough to be kept as pivots, and most entries have one on the other side of it.
     """
     if not bool((np.abs(matrix.diagonal()) >= SYMMETRIC_PIVOT * largest_in_rows(matrix)).all()):
         return False
+    if has_symmetric_pattern:
+        return True
     pattern = sp.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
     return bool(pattern.multiply(pattern.T).nnz >= SYMMETRIC_SHARE * matrix.nnz)
 

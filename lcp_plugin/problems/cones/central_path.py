@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
+from ...core.rounding import read_only_views
 from ...systems.factors import factor_fits, factorise
 from .data import Blocks
 
@@ -59,10 +60,13 @@ class CentralPath:
         by_z = np.einsum("kia,ka,kab,kb->kib", G, scale, H, scale)
         if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
             return None
-        newton_rows(self.problem.starts, by_z, self.identity, M.indptr, M.indices, M.data,
-                    np.zeros(len(x)), self.entries)
-        J = sp.csr_array((self.entries, M.indices, M.indptr), shape=M.shape)
-        factor = factorise(J) if factor_fits(J) else None
+        indptr, indices = np.empty_like(M.indptr), np.empty_like(M.indices)
+        newton_rows(
+            self.problem.starts, by_z, self.identity, *read_only_views(M.indptr, M.indices, M.data), np.zeros(len(x)),
+            np.arange(x.size), indptr, indices, self.entries,
+        )
+        J = sp.csr_array((self.entries, indices, indptr), shape=M.shape)
+        factor = factorise(J, has_symmetric_pattern=True) if factor_fits(J) else None
         if factor is None:
             return None
 

@@ -138,7 +138,7 @@ class Blocks:
         """
         with np.errstate(all="ignore"):
             sizes = np.minimum(self.norms(self.q), np.finfo(np.float64).max)
-        return LCP(_norms_of_blocks(self), sizes, lower=-np.inf, upper=np.inf)
+        return LCP(_closed(self)[1], sizes, lower=-np.inf, upper=np.inf)
 
     @property
     def scale(self) -> FloatVector:
@@ -164,7 +164,7 @@ class Blocks:
 
     def projected(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, shape (n,)."""
-        return z - self.residual(z, np.zeros(self.n))[0]
+        return z - self.residual(z, np.zeros(self.n), np.ones(self.slope.size))[0]
 
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:
         """Return the problem of some blocks alone, shape (k,): whole components, which no other block meets."""
@@ -414,21 +414,33 @@ def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:
 
 
 @fact
-def _norms_of_blocks(problem: Blocks) -> Matrix:
-    """Return the matrix of the LCP of block norms."""
-    M, of_row, k = sp.coo_array(problem.rows.csr), problem.block_of_row, problem.slope.size
-    with np.errstate(all="ignore"):
-        pairs, where = np.unique(of_row[M.row] * k + of_row[M.col], return_inverse=True)
-        largest = np.zeros(pairs.size)
-        np.maximum.at(largest, where, np.abs(M.data))
-        squares = np.bincount(where, weights=(M.data / largest[where]) ** 2, minlength=pairs.size)
-        norms = np.minimum(largest * np.sqrt(squares), np.finfo(np.float64).max)
-    rows, columns = pairs // k, pairs % k
-    is_own = rows == columns
-    norms[is_own] /= np.sqrt(problem.sizes[rows[is_own]])
-    single = is_own & (problem.sizes[rows] == 1)
-    norms[single] = problem.rows.diagonal[problem.starts[rows[single]]]
-    return Matrix(sp.csr_array((norms, (rows, columns)), shape=(k, k)))
+def closed_matrix(problem: Blocks) -> Any:
+    """Return M as CSR with one pattern for the rows of a block, the block's own columns in it."""
+    return _closed(problem)[0]
+
+
+@fact
+def _closed(problem: Blocks) -> tuple[Any, Matrix]:
+    """Return the closed matrix, and that of the LCP of block norms."""
+    from .kernels import count_blocks, fill_blocks
+
+    M, n, k = problem.rows.csr, problem.n, problem.slope.size
+    index = M.indices.dtype
+    starts, of_row, indptr, indices, data = read_only_views(
+        problem.starts, problem.block_of_row, M.indptr, M.indices, M.data
+    )
+    begins, closed_indptr = np.empty(k + 1, index), np.empty(n + 1, index)
+    count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
+    others, norms = np.empty(begins[-1], index), np.empty(begins[-1])
+    closed_indices, closed = np.empty(closed_indptr[-1], index), np.empty(closed_indptr[-1])
+    fill_blocks(
+        starts, of_row, indptr, indices, data, *read_only_views(begins), others, norms,
+        *read_only_views(closed_indptr), closed_indices, closed,
+    )
+    return (
+        sp.csr_array((closed, closed_indices, closed_indptr), shape=(n, n)),
+        Matrix(sp.csr_array((norms, others, begins), shape=(k, k))),
+    )
 
 
 def dimension_of(given: int | None, friction: FloatVector, rows: int) -> int:

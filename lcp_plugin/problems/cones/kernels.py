@@ -18,6 +18,7 @@ OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: at the apex or a bound, in
 LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for one block
 TURN = 0.5  # radians a step of Newton turns at the most
 ACCURATE = 1e-14
+LARGEST = float(np.finfo(np.float64).max)
 FIRST = np.int64(0)  # row of a block by itself; numba compiles a function anew for a 0 of Python's
 
 
@@ -267,20 +268,117 @@ def derivatives(starts, slope, friction, lower, upper, z, w, scale, by_z, by_w):
 
 
 @kernel
-def newton_rows(starts, by_z, by_w, indptr, indices, data, proximal, found):  # type: ignore[no-untyped-def]
-    """Write the entries of by_z + by_w (M + diag(proximal)) into `found`; rows of a block have one pattern."""
+def newton_rows(  # type: ignore[no-untyped-def]
+    starts, by_z, by_w, indptr, indices, data, proximal, place, found_indptr, found_indices, found
+):
+    """Write by_z + by_w (M + diag(proximal)) as CSR, of the rows and columns that have a place ≥ 0 in it.
+
+    Rows of a block have one pattern, and places or none.
+    """
+    found_indptr[0] = 0
     for k in range(starts.size - 1):
         first, end = starts[k], starts[k + 1]
-        size, length = end - first, indptr[first + 1] - indptr[first]
-        for place in range(length):
-            column = indices[indptr[first] + place]
+        if place[first] < 0:
+            continue
+        size, begin, length, filled = end - first, found_indptr[place[first]], indptr[first + 1] - indptr[first], 0
+        for p in range(length):
+            filled += place[indices[indptr[first] + p]] >= 0
+        for i in range(size):
+            found_indptr[place[first] + i + 1] = begin + (i + 1) * filled
+        at = begin
+        for p in range(length):
+            column = indices[indptr[first] + p]
+            if place[column] < 0:
+                continue
             for i in range(size):
                 total = 0.0
                 for j in range(size):
-                    total += by_w[k, i, j] * data[indptr[first + j] + place]
+                    total += by_w[k, i, j] * data[indptr[first + j] + p]
                 if first <= column < end:
                     total += by_z[k, i, column - first] + by_w[k, i, column - first] * proximal[k]
-                found[indptr[first + i] + place] = total
+                found_indices[at + i * filled] = place[column]
+                found[at + i * filled] = total
+            at += 1
+
+
+@kernel
+def block_products(starts, blocks, is_transposed, v, found):  # type: ignore[no-untyped-def]
+    """Write the product of each block, or of its transpose, with its rows of v into `found`."""
+    for k in range(starts.size - 1):
+        first, size = starts[k], starts[k + 1] - starts[k]
+        for i in range(size):
+            found[first + i] = 0.0
+            for j in range(size):
+                found[first + i] += (blocks[k, j, i] if is_transposed else blocks[k, i, j]) * v[first + j]
+
+
+@kernel
+def count_blocks(starts, of_row, indptr, indices, begins, closed_indptr):  # type: ignore[no-untyped-def]
+    """Write where the list of blocks of each row of blocks begins, of those with an entry and its own; and each row."""
+    seen = np.full(starts.size - 1, -1)
+    begins[0], closed_indptr[0] = 0, 0
+    for k in range(starts.size - 1):
+        seen[k], count, length = k, 1, starts[k + 1] - starts[k]
+        for p in range(indptr[starts[k]], indptr[starts[k + 1]]):
+            other = of_row[indices[p]]
+            if seen[other] != k:
+                seen[other], count, length = k, count + 1, length + starts[other + 1] - starts[other]
+        begins[k + 1] = begins[k] + count
+        for i in range(starts[k], starts[k + 1]):
+            closed_indptr[i + 1] = closed_indptr[i] + length
+
+
+@kernel
+def fill_blocks(  # type: ignore[no-untyped-def]
+    starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed
+):
+    """Write M with all entries of its blocks, zeros where it has none, as CSR; and which `others`, and their norms.
+
+    `begins` and `closed_indptr` are those of :func:`count_blocks`. The norms are Frobenius', on the diagonal over √m of
+    m rows; of one row there, the entry itself.
+    """
+    blocks = starts.size - 1
+    seen, offset = np.full(blocks, -1), np.empty(blocks, np.int64)
+    for k in range(blocks):
+        first, end, begin, filled = starts[k], starts[k + 1], begins[k], begins[k] + 1
+        others[begin], seen[k] = k, k
+        for p in range(indptr[first], indptr[end]):
+            other = of_row[indices[p]]
+            if seen[other] != k:
+                seen[other], at = k, filled
+                filled += 1
+                while at > begin and others[at - 1] > other:  # a sorted list stays one
+                    others[at] = others[at - 1]
+                    at -= 1
+                others[at] = other
+        length = 0
+        for at in range(begin, filled):
+            offset[others[at]] = length
+            length += starts[others[at] + 1] - starts[others[at]]
+        for i in range(first, end):
+            row = closed_indptr[i]
+            for at in range(begin, filled):
+                for j in range(starts[others[at]], starts[others[at] + 1]):
+                    closed_indices[row], closed[row] = j, 0.0
+                    row += 1
+            for p in range(indptr[i], indptr[i + 1]):
+                other = of_row[indices[p]]
+                closed[closed_indptr[i] + offset[other] + indices[p] - starts[other]] = data[p]
+        for at in range(begin, filled):
+            other, largest, total = others[at], 0.0, 0.0
+            width = starts[other + 1] - starts[other]
+            for i in range(first, end):
+                for p in range(closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width):
+                    largest = max(largest, abs(closed[p]))
+            if largest > 0.0:
+                for i in range(first, end):
+                    for p in range(closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width):
+                        total += (closed[p] / largest) ** 2
+            norms[at] = min(largest * np.sqrt(total), LARGEST)
+            if other == k:
+                norms[at] /= np.sqrt(end - first)
+                if end - first == 1:
+                    norms[at] = closed[closed_indptr[first] + offset[k]]
 
 
 @helper
@@ -439,3 +537,11 @@ def measure(  # type: ignore[no-untyped-def]
         own = np.sqrt(own) * weights[k]
         largest, total = (max(largest, own) if own == own else np.inf), total + own * own
     return largest, np.sqrt(total)
+
+
+@kernel
+def measured(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+):
+    """Write w and R; return the largest ‖R_k‖ times weights, and their norm."""
+    return measure(starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R)

@@ -15,10 +15,11 @@ from ...core.algorithm import Algorithm, Step, check_positive
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix.matrix import fact
+from ...core.rounding import read_only_views
 from ...systems.factors import factor_fits, factorise
 from .central_path import CentralPath
-from .certificate import relative_residual, weighted
-from .data import Blocks
+from .certificate import criterion_of, relative_residual
+from .data import Blocks, closed_matrix
 
 SWEEPS_A_STEP = 10
 MEMORY = 5  # residuals that a step of Newton may rise to the largest of
@@ -122,18 +123,18 @@ class Newton(ConeAlgorithm):
             spread = SPREAD * float(np.abs(z).mean())
             z = problem.projected(z + spread * np.random.default_rng(self.seed).standard_normal(z.size))
         system = NewtonSystem(problem)
-        w, R, shares, size = system.measured(z)
+        w, R, largest, size = system.measured(z)
         sizes, best, since, most = [size], size, 0, self.proximal
-        yield Step(z, residual=float(shares.max(initial=0.0)))
+        yield Step(z, residual=largest)
         while since < PATIENCE and math.isfinite(size):
-            proximal = max(min(most, 0.1 * float(shares.max(initial=0.0))), LEAST_PROXIMAL)
+            proximal = max(min(most, 0.1 * largest), LEAST_PROXIMAL)
             work, step = system.step(z, w, R, proximal)
             if step is None:
                 return
             length, allowed = 1.0, max(sizes[-MEMORY:])
             for _ in range(SHORTEST):
                 new = z + length * step
-                w, R, shares, size = system.measured(new)
+                w, R, largest, size = system.measured(new)
                 work += 1.0
                 if size <= (1.0 - DECREASE * length) * allowed:
                     break
@@ -145,7 +146,7 @@ class Newton(ConeAlgorithm):
             z = new
             sizes.append(size)
             best, since = (size, 0) if size < GAIN * best else (best, since + 1)
-            yield Step(z, residual=float(shares.max(initial=0.0)), work=work)
+            yield Step(z, residual=largest, work=work)
 
 
 class NewtonSystem:
@@ -155,15 +156,19 @@ class NewtonSystem:
         self.problem, self.M = problem, closed_matrix(problem)
         m, k = int(problem.sizes.max(initial=1)), problem.slope.size
         self.by_z, self.by_w = np.empty((k, m, m)), np.empty((k, m, m))
-        self.entries = np.empty(self.M.nnz)
+        self.entries, self.indices = np.empty(self.M.nnz), np.empty(self.M.nnz, self.M.indices.dtype)
+        self.known = (
+            *problem.arrays,
+            *read_only_views(self.M.indptr, self.M.indices, self.M.data, problem.q, problem.scale),
+            read_only_views(criterion_of(problem).weights)[0],
+        )
 
-    @np.errstate(over="ignore")  # sweeps without an answer go far
-    def measured(self, z: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector, float]:
-        """Return w, R, ‖R_k‖ beside the references, and their Euclidean norm."""
-        w = self.problem.slack(z)
-        R = self.problem.residual(z, w)[0]
-        shares = weighted(self.problem, R)
-        return w, R, shares, float(np.linalg.norm(shares))
+    def measured(self, z: FloatVector) -> tuple[FloatVector, FloatVector, float, float]:
+        """Return w, R, the largest ‖R_k‖ beside its reference, and their Euclidean norm."""
+        from .kernels import measured
+
+        w, R = np.empty(z.size), np.empty(z.size)
+        return w, R, *measured(*self.known, *read_only_views(z), w, R)
 
     def step(
         self, z: FloatVector, w: FloatVector, R: FloatVector, proximal: float
@@ -177,7 +182,7 @@ class NewtonSystem:
             held = -R  # open blocks: z_k + s_k is the apex, or the bound
             held[rows] = 0.0
             by_held = self.times(self.M @ held) if held.any() else held
-            factor = factorise(J)
+            factor = factorise(J, has_symmetric_pattern=True)
             if factor is not None:
                 right = (-R - by_held)[rows]
                 found = factor.solve(right)
@@ -194,23 +199,24 @@ class NewtonSystem:
         from .kernels import derivatives, newton_rows
 
         problem, M = self.problem, self.M
-        derivatives(*problem.arrays, z, w, problem.scale, self.by_z, self.by_w)
+        derivatives(*problem.arrays, *read_only_views(z, w, problem.scale), self.by_z, self.by_w)
         is_free: Any = self.by_w.any(axis=(1, 2))
         rows = np.flatnonzero(is_free[problem.block_of_row])
+        place, indptr = np.full(problem.n, -1), np.empty(rows.size + 1, M.indptr.dtype)
+        place[rows] = np.arange(rows.size)
         newton_rows(
-            problem.starts, self.by_z, self.by_w, M.indptr, M.indices, M.data, proximal * problem.scale, self.entries
+            problem.starts, self.by_z, self.by_w, *self.known[5:8], proximal * problem.scale, place, indptr,
+            self.indices, self.entries,
         )
-        return sp.csr_array((self.entries, M.indices, M.indptr), shape=M.shape)[rows][:, rows], rows
+        entries, indices = self.entries[:indptr[-1]], self.indices[:indptr[-1]]
+        return sp.csr_array((entries, indices, indptr), shape=(rows.size, rows.size)), rows
 
     def times(self, v: FloatVector, *, transposed: bool = False) -> FloatVector:
         """Return R_w v, or R_wᵀ v, at the point of the latest rows."""
-        problem, found = self.problem, np.zeros(v.size)
-        for i in range(self.by_w.shape[1]):
-            has_row = problem.sizes > i
-            for j in range(self.by_w.shape[1]):
-                both = has_row & (problem.sizes > j)
-                entries = self.by_w[both, j, i] if transposed else self.by_w[both, i, j]
-                found[problem.starts[:-1][both] + i] += entries * v[problem.starts[:-1][both] + j]
+        from .kernels import block_products
+
+        found = np.empty(v.size)
+        block_products(self.problem.starts, self.by_w, transposed, *read_only_views(v), found)
         return found
 
 
@@ -358,18 +364,3 @@ def diagonal_blocks(problem: Blocks) -> tuple[Any, FloatVector]:
     with np.errstate(all="ignore"):
         sizes = np.sqrt((blocks**2).sum(axis=(1, 2)))
     return blocks, np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 0.0)
-
-
-@fact
-def closed_matrix(problem: Blocks) -> Any:
-    """Return M as CSR with one pattern for the rows of a block, the block's own columns in it."""
-    M, k, n = problem.rows.csr, problem.slope.size, problem.n
-    of_row = sp.csr_array((np.ones(n), problem.block_of_row, np.arange(n + 1)), shape=(n, k))
-    stored = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=(n, n))
-    blocks = of_row.T @ stored @ of_row + sp.eye_array(k)
-    closed = sp.csr_array(of_row @ blocks @ of_row.T)
-    closed.sort_indices()
-    places = np.repeat(np.arange(n), np.diff(closed.indptr)) * n + closed.indices
-    data = np.zeros(closed.nnz)
-    data[np.searchsorted(places, np.repeat(np.arange(n), np.diff(M.indptr)) * n + M.indices)] = M.data
-    return sp.csr_array((data, closed.indices, closed.indptr), shape=(n, n))

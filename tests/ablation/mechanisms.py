@@ -451,6 +451,8 @@ MECHANISMS = (
     Mechanism("cone interior", "an interior point along the central path of contacts",
               {f"{CONES}.solving:ConeAuto._stages": without("interior_point")},
               "problems/cones/methods.py:InteriorPoint problems/cones/central_path.py"),
+    Mechanism("cone warm path", "an interior point begun near the start that is given",
+              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "is_warm", 0))}),
     Mechanism("cone restarts", "Newton from starts moved at random",
               {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "seed", 0))}),
     Mechanism("cone proofs", "a conic program looks for a proof that there is no answer",

@@ -20,7 +20,7 @@ from .methods import DECREASE, EASIER, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL,
 LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
 ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
 FIRST_ROUNDS = 3
-NEWTON_STEPS = 20
+NEWTON_STEPS = 50
 CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER, EASIER)
 SPREAD = 0.3  # of the mean of |z_i|: as far as starts are moved at random
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed

@@ -325,13 +325,14 @@ class ConeAuto(Policy):
         middle = Choice(InteriorPoint(), "from the middle of the impulses that make the same motion Newton converges")
         if is_warm and not was_tried:
             yield Choice(Newton(), "a start that is given is near: Newton's steps from there come first")
-            if self._problem.has_friction:
-                yield middle
+        if is_warm and self._problem.has_friction:
+            yield Choice(InteriorPoint(is_warm=True), "the path from near a given start is short", from_start=True)
+            yield middle
         if not was_tried:
             yield Choice(NPGS(), SWEEPS, from_start=is_warm)
             yield Choice(Newton(), FOLLOWS)
         self._newton_steps = LONG
-        if self._problem.has_friction and (was_tried or not is_warm):
+        if self._problem.has_friction and not is_warm:
             yield middle
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")

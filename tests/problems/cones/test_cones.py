@@ -43,7 +43,7 @@ from lcp_plugin.core.settings import Settings
 from lcp_plugin.core.solving.judge import End
 from lcp_plugin.problems.cones.certificate import criterion_of
 from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
-from lcp_plugin.problems.cones.methods import METHODS, Newton
+from lcp_plugin.problems.cones.methods import METHODS, InteriorPoint, Newton
 from lcp_plugin.problems.cones.solving import ConeJudge
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
@@ -108,6 +108,16 @@ def test_an_interior_point_solves_what_many_contacts_determine_many_times(edge: 
     assert np.abs(result.motion.body_velocities).max() <= 1e-8
     floor = result.motion.normal[:4 * edge].sum()
     assert floor == pytest.approx(weight, rel=1e-6)
+
+
+def test_a_path_from_near_the_answer_is_shorter() -> None:
+    """Begun with the impulses of a wall under a little less weight, an interior point takes fewer steps."""
+    problem, _ = wall(3, 3)
+    lighter = problem.with_q(0.98 * problem.b)
+    start = solve(lighter, "interior_point").z
+    near = solve(problem, InteriorPoint(is_warm=True), z0=start)
+    assert near.is_solved, near
+    assert near.iterations < solve(problem, "interior_point").iterations
 
 
 def test_an_interior_point_takes_contacts_only() -> None:

@@ -20,7 +20,7 @@ from .methods import DECREASE, EASIER, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL,
 LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
 ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
 FIRST_ROUNDS = 3
-NEWTON_STEPS = 50
+NEWTON_STEPS, LONG_STEPS = 20, 50  # of a run: where all rounds follow, and where the first do
 CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER, EASIER)
 SPREAD = 0.3  # of the mean of |z_i|: as far as starts are moved at random
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
@@ -98,14 +98,14 @@ def run_loop(
 
     M, q, lower, upper, origins, slopes = arrays
     count, n = z.shape
-    rounds = ROUNDS if n <= ALL_ROUNDS_UP_TO else ROUNDS[:FIRST_ROUNDS]
+    rounds, steps = (ROUNDS, NEWTON_STEPS) if n <= ALL_ROUNDS_UP_TO else (ROUNDS[:FIRST_ROUNDS], LONG_STEPS)
     rounds = np.concatenate([[0], rounds]) if is_warm else rounds
     made, proved = np.zeros((count, 2), np.int64), np.full((count, 2), np.inf)
 
     def solve_chunk(begin: int, end: int) -> None:
         solve_each(
             begin, end, starts, float(has_friction), slopes, lower, upper, M, q, origins, CLOSER * settings.tolerance,
-            read_only(rounds), NEWTON_STEPS, MEMORY, CONSTANTS, SPREAD, z, made, proved,
+            read_only(rounds), steps, MEMORY, CONSTANTS, SPREAD, z, made, proved,
         )
 
     if in_chunks is None:

@@ -23,6 +23,7 @@ from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
     Certificate,
+    FrictionalContactBatch,
     InvalidOption,
     LCPError,
     NonlinearProblem,
@@ -114,6 +115,12 @@ def by_batch(sample: Sample, folder: Path) -> None:
         P, c, G, h, A, b, lower, upper = sample.program
         stack = QuadraticProgramBatch(P, np.stack([c, c]), G, h, A, b, lower=lower, upper=upper)
         batches.append(solve_batch(stack))
+    if sample.kind == "FrictionalContact":
+        one = sample.problem
+        worlds = FrictionalContactBatch(one.W, np.stack([one.b] * 2), one.friction, dimension=one.dimension)
+        batches.append(solve_batch(worlds))
+        if batches[-1].all_solved:
+            assert derivative(batches[-1]).vjp(np.ones(one.n)).q.shape == (2, one.n)
     for batch in batches:
         assert len(batch) == len(list(batch.status)) == 2
         assert batch.all_solved == batch.is_solved == (batch.status[0] is Status.SOLVED)

@@ -126,6 +126,8 @@ class ContactBatchResult(BatchAnswers[ConeResult]):
         What is wrong with world k, an InvalidProblem, where something is; ``batch[k]`` raises it.
     worlds : FrictionalContactBatch
         The problems.
+    threads : int
+        How many took part, and will in its derivative.
 
     Notes
     -----
@@ -134,7 +136,8 @@ class ContactBatchResult(BatchAnswers[ConeResult]):
 
     def __init__(self, run: ContactBatchRun) -> None:
         super().__init__(run, run.result_of, run.z, run.iterations)
-        self.z, self.relative_residual, self.iterations, self.worlds = run.z, run.residual, run.iterations, run.worlds
+        self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
+        self.worlds, self.threads = run.worlds, run.threads
 
     @property
     def x(self) -> Any:

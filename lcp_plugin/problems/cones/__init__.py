@@ -3,7 +3,8 @@
 `data` states the problems and checks them, `stacked_contacts` many worlds in arrays, `certificate` judges an answer,
 `methods` has the iterations, `kernels` their loops and `central_path` the steps of the interior point, `small` solves
 small problems, one or many, in the loop of `small_kernels`, `infeasibility` proves that there is no answer, `solving`
-chains them, `derivative` differentiates an answer, `files` reads and writes.
+chains them, `derivative` differentiates an answer, `derivative_kernels` those of many small worlds, `files` reads and
+writes.
 """
 
 from ...core.kind import Kind

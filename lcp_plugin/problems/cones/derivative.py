@@ -24,13 +24,14 @@ from ...core.matrix.matrix import Matrix
 from ...systems.free_systems import FreeSystem
 from .certificate import weighted
 from .data import Blocks
-from .methods import LEAST_PROXIMAL, NewtonSystem
+from .methods import EXACT, NewtonSystem
 
 REFINEMENTS = 5  # steps of Newton towards the answer before it is differentiated
+REFINING = 1e-8  # of d, their proximal term: rounding moves no impulses that the motion leaves undetermined
 BY_HAND = "; of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du"
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
 ROUNDING = 1e-12  # of a block's terms: z and w/d that are smaller are both 0
-PIECES, EXACT = 20, 1e-12  # most that are tried for a direction, and the change of dz that tells that one is right
+PIECES, ALIKE = 20, 1e-12  # most that are tried for a direction, and the change of dz that tells that one is right
 
 
 class ConeGradient(NamedTuple):
@@ -60,21 +61,29 @@ class ConeDerivative:
         self._take_element_at(self.z, self.w)
 
     def _take_element_at(self, z: FloatVector, w: FloatVector) -> None:
-        """Take the generalised derivative at z and w, the answer or a point nearby."""
+        """Take the generalised derivative at z and w, the answer or a point nearby; what sticks has w = 0.
+
+        Its rounding has a direction, that of ‖w_T‖, on which gradients by least norm would depend.
+        """
+        problem = self.problem
+        if problem.has_friction:
+            w = np.where((problem.residual(z, w)[1] == 1)[problem.block_of_row], 0.0, w)
         self._point = z, w
         self._J, self.free = self._system.rows(z, w, 0.0)
 
     def _refined(self, z: FloatVector) -> FloatVector:
         problem = self.problem
         R = problem.residual(z, problem.slack(z))[0]
+        largest = weighted(problem, R).max(initial=0.0)
         for _ in range(REFINEMENTS):
-            _, step = self._system.step(z, problem.slack(z), R, LEAST_PROXIMAL)
+            _, step = self._system.step(z, problem.slack(z), R, REFINING) if largest > EXACT else (0.0, None)
             if step is None:
                 break
-            new = problem.residual(z + step, problem.slack(z + step))[0]
-            if not weighted(problem, new).max(initial=0.0) < weighted(problem, R).max(initial=0.0):
+            R, before = problem.residual(z + step, problem.slack(z + step))[0], largest
+            largest = weighted(problem, R).max(initial=0.0)
+            if not largest < before:
                 break
-            z, R = z + step, new
+            z = z + step
         return z
 
     @cached_property
@@ -82,9 +91,14 @@ class ConeDerivative:
         return FreeSystem(Matrix(self._J), np.ones(self.free.size, np.bool_), by_factor=True)
 
     @property
+    def is_singular(self) -> bool:
+        """Whether several z make one motion, as far as rounding tells: dz is the least of several then."""
+        return self._block.is_singular
+
+    @property
     def is_unique(self) -> bool | None:
         """False where blocks are degenerate or several z answer the problem; else None: nothing is proved."""
-        return False if self.degenerate.size or self._block.is_singular else None
+        return False if self.degenerate.size or self.is_singular else None
 
     @cached_property
     def degenerate(self) -> NDArray[np.intp]:
@@ -152,7 +166,7 @@ class ConeDerivative:
                 if change is not None:
                     of_bound[is_there] = np.asarray(change)[is_there]
             last, dz = dz, self._towards(dz - of_bound, self.dw(dz, dq=dq, dM=dM))._change(*changes)
-            if np.abs(dz - last).max(initial=0.0) <= EXACT * np.abs(dz).max(initial=0.0):
+            if np.abs(dz - last).max(initial=0.0) <= ALIKE * np.abs(dz).max(initial=0.0):
                 break
         return dz
 

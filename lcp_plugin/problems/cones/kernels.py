@@ -23,7 +23,7 @@ FIRST = np.int64(0)  # row of a block by itself; numba compiles a function anew 
 
 
 @helper
-def _tangent(x, first, end):  # type: ignore[no-untyped-def]
+def tangent_of(x, first, end):  # type: ignore[no-untyped-def]
     """Return ‖x_T‖ of a block, without overflow."""
     largest = 0.0
     for i in range(first + 1, end):
@@ -39,7 +39,7 @@ def _tangent(x, first, end):  # type: ignore[no-untyped-def]
 @helper
 def _project(x, first, end, mu):  # type: ignore[no-untyped-def]
     """Overwrite a block of x with its projection on the cone; return where that lies."""
-    normal, tangent = x[first], _tangent(x, first, end)
+    normal, tangent = x[first], tangent_of(x, first, end)
     if tangent <= mu * normal:
         return WITHIN
     if mu * tangent <= -normal:
@@ -62,10 +62,10 @@ def _shifted(k, starts, slope, friction, z, w, scale, x):  # type: ignore[no-unt
     first, end, slip = starts[k], starts[k + 1], 0.0
     for i in range(first, end):
         x[i] = z[i] - w[i] / scale[k]
-    tangent = _tangent(x, first, end)
+    tangent = tangent_of(x, first, end)
     if not friction:
         return tangent, x[first] + slope[k] * tangent
-    length = tangent + _tangent(w, first, end) / scale[k]
+    length = tangent + tangent_of(w, first, end) / scale[k]
     if length > 0.0:
         for i in range(first + 1, end):
             slip += z[i] * ((x[i] - w[i] / scale[k]) / length)
@@ -73,7 +73,7 @@ def _shifted(k, starts, slope, friction, z, w, scale, x):  # type: ignore[no-unt
 
 
 @helper
-def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # type: ignore[no-untyped-def]
+def block_residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # type: ignore[no-untyped-def]
     """Write R = z − P(z − ŵ / scale) of one block into `found`; return where the projection lies."""
     first, end = starts[k], starts[k + 1]
     if end - first == 1:
@@ -92,7 +92,7 @@ def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # 
         for i in range(first, end):
             found[i] = w[i] / scale[k]
         if friction:
-            found[first] += mu * _tangent(w, first, end) / scale[k]
+            found[first] += mu * tangent_of(w, first, end) / scale[k]
         return WITHIN
     found[first] = z[first] - on_axis
     for i in range(first + 1, end):
@@ -104,7 +104,7 @@ def _residual(k, starts, slope, friction, lower, upper, z, w, scale, found):  # 
 def residuals(starts, slope, friction, lower, upper, z, w, scale, found, cases):  # type: ignore[no-untyped-def]
     """Write R = z − P(z − ŵ / scale) block by block into `found`, and into `cases` where the projections lie."""
     for k in range(slope.size):
-        cases[k] = _residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
+        cases[k] = block_residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
 
 
 @helper
@@ -130,17 +130,17 @@ def block_bounds(  # type: ignore[no-untyped-def]
     size, mu = end - first, slope[k]
     if size == 1:
         return row_ends(w[first], slip[first], scale[k], z[first], lower[first], upper[first])
-    case = _residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
-    here, own = _tangent(z, first - 1, end), _tangent(found, first - 1, end)
-    wide = _tangent(slip, first - 1, end)
+    case = block_residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
+    here, own = tangent_of(z, first - 1, end), tangent_of(found, first - 1, end)
+    wide = tangent_of(slip, first - 1, end)
     stretch = 1.0 + mu if friction else 1.0
-    is_inner = case == WITHIN and own < 0.5 * (mu * z[first] - _tangent(z, first, end)) / (1.0 + mu)
-    pushed = abs(w[first]) if friction and case != WITHIN else stretch * _tangent(w, first - 1, end)
+    is_inner = case == WITHIN and own < 0.5 * (mu * z[first] - tangent_of(z, first, end)) / (1.0 + mu)
+    pushed = abs(w[first]) if friction and case != WITHIN else stretch * tangent_of(w, first - 1, end)
     terms = (0.0 if is_inner else here) + (pushed + stretch * wide) / scale[k]
     off = OUTWARD * (stretch * wide / scale[k] + 4.0 * (size + 8.0) * UNIT * (1.0 + mu) * terms) + 4.0 * TINY
     if not (own < np.inf and off < np.inf):
         return 0.0, np.inf
-    needed = 0.0 if friction else OUTWARD * (_tangent(w, first, end) + wide)
+    needed = 0.0 if friction else OUTWARD * (tangent_of(w, first, end) + wide)
     is_open = here == 0.0 and w[first] - slip[first] >= OUTWARD * needed
     return max(own / OUTWARD - off, 0.0), 0.0 if is_open else OUTWARD * (own + off)
 
@@ -168,7 +168,7 @@ def own_terms(  # type: ignore[no-untyped-def]
     """
     for k in range(slope.size):
         first, end = starts[k], starts[k + 1]
-        case = _residual(k, starts, slope, friction, lower, upper, z, w, scale, R)
+        case = block_residual(k, starts, slope, friction, lower, upper, z, w, scale, R)
         for i in range(first, end):
             near[i] = z[i]
             if case == OUT:
@@ -176,7 +176,7 @@ def own_terms(  # type: ignore[no-untyped-def]
             elif case == ON:
                 near[i] += R[i] - w[i] / scale[k]
         if case == ON:
-            near[first] -= friction * slope[k] * _tangent(w, first, end) / scale[k]
+            near[first] -= friction * slope[k] * tangent_of(w, first, end) / scale[k]
             _project(near, first, end, slope[k])
     for i in range(q.size):
         slack[i], terms[i] = q[i], abs(q[i])
@@ -186,16 +186,16 @@ def own_terms(  # type: ignore[no-untyped-def]
     longest[:], most[:] = 0.0, 0.0
     for k in range(slope.size):
         first, end, part = starts[k], starts[k + 1], labels[k]
-        case = _residual(k, starts, slope, friction, lower, upper, near, slack, scale, R)
-        wrong[k] = scale[k] * _tangent(R, first - 1, end)
-        longest[part] = max(longest[part], _tangent(near, first - 1, end))
+        case = block_residual(k, starts, slope, friction, lower, upper, near, slack, scale, R)
+        wrong[k] = scale[k] * tangent_of(R, first - 1, end)
+        longest[part] = max(longest[part], tangent_of(near, first - 1, end))
         if case != OUT or wrong[k] > 0.0:
-            most[part] = max(most[part], _tangent(terms, first - 1, end))
+            most[part] = max(most[part], tangent_of(terms, first - 1, end))
     for k in range(slope.size):
         first, end, part = starts[k], starts[k + 1], labels[k]
-        own = _tangent(terms, first - 1, end)
+        own = tangent_of(terms, first - 1, end)
         is_negligible = own <= NEGLIGIBLE * min(scale[k] * longest[part], most[part])
-        if wrong[k] == 0.0 or (is_negligible and _tangent(q, first - 1, end) == 0.0):
+        if wrong[k] == 0.0 or (is_negligible and tangent_of(q, first - 1, end) == 0.0):
             wrong[k] = 0.0
         else:
             wrong[k] = (wrong[k] / own) ** 2 if wrong[k] < np.inf and own < np.inf else np.inf
@@ -224,13 +224,13 @@ def block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, w
         is_free = z[first] - upper[first] < step < z[first] - lower[first]
         by_z[0, 0], by_w[0, 0] = (0.0, 1.0 / scale[k]) if is_free else (1.0, 0.0)
         return
-    slip = _tangent(w, first, end)
+    slip = tangent_of(w, first, end)
     for i in range(size):
         x[i] = z[first + i] - w[first + i] / scale[k]
         by_z[i, i] = 1.0
     if friction:
         x[0] -= mu * slip / scale[k]
-    tangent = _tangent(x, FIRST, size)
+    tangent = tangent_of(x, FIRST, size)
     if mu * tangent <= -x[0] and not tangent <= mu * x[0]:
         return
     if mu == 0.0:  # a half-line: tangents are held at 0
@@ -449,7 +449,7 @@ def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-un
             for j in range(size):
                 w[i] += A[i, j] * x[j]
         if friction:
-            w[0] += mu * _tangent(w, FIRST, size)
+            w[0] += mu * tangent_of(w, FIRST, size)
         for i in range(size):
             w[i], x[i] = x[i], x[i] - step * w[i]
         _project(x, FIRST, size, mu)
@@ -531,7 +531,7 @@ def measure(  # type: ignore[no-untyped-def]
             w[i] = q[i]
             for p in range(indptr[i], indptr[i + 1]):
                 w[i] += data[p] * z[indices[p]]
-        _residual(k, starts, slope, friction, lower, upper, z, w, scale, R)
+        block_residual(k, starts, slope, friction, lower, upper, z, w, scale, R)
         for i in range(starts[k], starts[k + 1]):
             own += R[i] * R[i]
         own = np.sqrt(own) * weights[k]

@@ -16,7 +16,7 @@ SMALLEST_SCALE = 1e-10  # of the largest entry of a row: as the residual scale o
 
 
 @helper
-def _copy(x, y):  # type: ignore[no-untyped-def]
+def copy(x, y):  # type: ignore[no-untyped-def]
     """Write x into y: as y[:] = x, whose check of shapes takes two seconds to compile."""
     for i in range(x.size):
         y[i] = x[i]
@@ -32,7 +32,7 @@ def _put_back(starts, weights, origin, z):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
+def gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
     """Write M as CSR, its diagonal blocks, the norms of its blocks, 1/‖M_kk‖, and d; return whether M is in one unit.
 
     The rows of a block have one pattern. `norms` are the entries of the LCP of block norms, but for signs.
@@ -74,7 +74,7 @@ def _gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  #
 
 
 @helper
-def _label(norms, labels):  # type: ignore[no-untyped-def]
+def label(norms, labels):  # type: ignore[no-untyped-def]
     """Give each block the number of the first block in its connected component."""
     for k in range(labels.size):
         labels[k] = k
@@ -89,7 +89,7 @@ def _label(norms, labels):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _product(indptr, indices, data, q, z, w, slip):  # type: ignore[no-untyped-def]
+def product(indptr, indices, data, q, z, w, slip):  # type: ignore[no-untyped-def]
     """Write w = M z + q, and how far rounding has taken it from that."""
     for i in range(q.size):
         w[i] = total = q[i]
@@ -102,7 +102,7 @@ def _product(indptr, indices, data, q, z, w, slip):  # type: ignore[no-untyped-d
 
 
 @helper
-def _references(  # type: ignore[no-untyped-def]
+def references(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, z, w, slip, scale, labels, R, least, most, reference, weights
 ):
     """Write the lower bound of each block's reference ‖R_P(z°)‖, and 1 over the upper one; return whether it is known.
@@ -123,7 +123,7 @@ def _references(  # type: ignore[no-untyped-def]
 
 
 @helper
-def _newton_step(  # type: ignore[no-untyped-def]
+def newton_step(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J, place,
     step
 ):
@@ -184,14 +184,14 @@ def _newton(  # type: ignore[no-untyped-def]
         if largest <= goal or not size < np.inf:
             return largest, made
         epsilon = max(min(widest, 0.1 * largest), least_proximal)
-        while epsilon <= 1.0 and not _newton_step(
+        while epsilon <= 1.0 and not newton_step(
             starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w,
             J, place, step,
         ):
             epsilon *= harder
         if epsilon > 1.0:
             return largest, made
-        _copy(z, start)
+        copy(z, start)
         length, allowed, before = 1.0, size, size
         for earlier in sizes:
             allowed = max(allowed, earlier)
@@ -242,12 +242,12 @@ def solve_each(  # type: ignore[no-untyped-def]
         made[number], proved[number] = 0, np.inf
         slope, lower, upper = slopes[number], lowers[number], uppers[number]
         q, z, origin = offsets[number], points[number], origins[number]
-        if not _gather(matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale):
+        if not gather(matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale):
             continue
-        _label(norms, labels)
-        _copy(origin, swept)
-        _product(indptr, indices, data, q, swept, w, slip)
-        if not _references(
+        label(norms, labels)
+        copy(origin, swept)
+        product(indptr, indices, data, q, swept, w, slip)
+        if not references(
             starts, slope, friction, lower, upper, swept, w, slip, scale, labels, R, least, most, reference, weights
         ):
             continue
@@ -256,17 +256,17 @@ def solve_each(  # type: ignore[no-untyped-def]
             starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
         )[0]
         random, newton_steps = 1, 0
-        _copy(z, swept)
+        copy(z, swept)
         for turn in range(rounds.size):
             if largest <= goal:
                 break
-            _copy(swept, z)
+            copy(swept, z)
             for _ in range(rounds[turn]):
                 sweep_once(
                     starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, y, before
                 )
             made[number, 0] += rounds[turn]
-            _copy(z, swept)
+            copy(z, swept)
             if turn % 2:
                 total = 0.0
                 for i in range(n):
@@ -286,9 +286,9 @@ def solve_each(  # type: ignore[no-untyped-def]
             for _ in range(LAST_STEPS):
                 if largest <= EXACT or not pays:
                     break
-                _copy(z, start)
+                copy(z, start)
                 epsilon = 0.0
-                while epsilon <= LEAST_PROXIMAL and not _newton_step(
+                while epsilon <= LEAST_PROXIMAL and not newton_step(
                     starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, y, by_z,
                     by_w, J, place, step,
                 ):
@@ -302,11 +302,11 @@ def solve_each(  # type: ignore[no-untyped-def]
                     starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
                 )[0]
                 if not largest < before_it:
-                    _copy(start, z)
+                    copy(start, z)
                     break
             _put_back(starts, weights, origin, z)
             project(starts, slope, lower, upper, z)
-            _product(indptr, indices, data, q, z, w, slip)
+            product(indptr, indices, data, q, z, w, slip)
             own_terms(
                 starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, start, step, R,
                 swept, least, most, weights,

@@ -44,6 +44,7 @@ from ..contact import ContactGradient, Contacts
 from ..march import March
 from ..march.march_derivative import MarchDerivative
 from .batch_derivative import CHANGES, BatchDerivative
+from .contact_batch_derivative import ContactBatchDerivative
 from .free_solutions import one_sided, solution, words_on_singular
 
 
@@ -72,16 +73,18 @@ def derivative(result: Result) -> Derivative: ...
 @overload
 def derivative(result: BatchResult) -> BatchDerivative: ...
 @overload
+def derivative(result: ContactBatchResult) -> ContactBatchDerivative: ...
+@overload
 def derivative(result: March) -> MarchDerivative: ...
 @np.errstate(under="ignore")
 def derivative(
-    result: Result | BatchResult | March
-) -> Derivative | BatchDerivative | MarchDerivative | ConeDerivative:
+    result: Result | BatchResult | ContactBatchResult | March
+) -> Derivative | BatchDerivative | ContactBatchDerivative | MarchDerivative | ConeDerivative:
     """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
     Parameters
     ----------
-    result : Result or BatchResult or March
+    result : Result or BatchResult or ContactBatchResult or March
         SOLVED, of an LCP; or of a NonlinearProblem, where dq is a change of F. What its run has built (the hierarchy
         of M) serves again, and M is read where it lies: do not change its entries between the solve and this.
         That of ``LCP.from_contacts`` knows changes of friction, velocities, gaps and mass by these names; over cones
@@ -89,17 +92,16 @@ def derivative(
 
     Returns
     -------
-    Derivative or BatchDerivative or MarchDerivative
-        Nothing is computed before it is asked for. ``BatchDerivative.errors`` says why a problem of a
-        batch has none.
+    Derivative or BatchDerivative or ContactBatchDerivative or MarchDerivative
+        Nothing is computed before it is asked for. ``errors`` of that of a batch says why a problem has none.
 
     Raises
     ------
     UnsuitableProblem
         Where a Result is not SOLVED, or a march was not solved to its end.
     InvalidOption
-        Where it is none of these, or a march over cones: write ``derivative(done[k])`` for each step. Of a batch over
-        cones likewise: ``derivative(batch[k])``.
+        Where it is none of these, or a march over cones: write ``derivative(done[k])`` for each step. Of a list of
+        problems over cones likewise: ``derivative(answers[k])``.
 
     Examples
     --------
@@ -123,7 +125,7 @@ def derivative(
             )
         return MarchDerivative(result, Derivative)
     if isinstance(result, ContactBatchResult):
-        raise InvalidOption("these are differentiated one by one; write derivative(batch[k]) for item k")
+        return ContactBatchDerivative(result, derivative)
     if not isinstance(result, Result):
         raise InvalidOption(refusal("derivative", result))
     if not result.is_solved:

@@ -14,7 +14,6 @@ from lcp_plugin import (
     InvalidOption,
     InvalidProblem,
     Status,
-    derivative,
     solve,
     solve_batch,
 )
@@ -121,14 +120,12 @@ def test_wrong_arrays_are_refused_in_words(name: str) -> None:
 
 
 def test_what_no_batch_of_worlds_takes_is_refused_in_words() -> None:
-    """A start of another shape, vectors beside the worlds, a derivative of all at once, one solve."""
+    """A start of another shape, vectors beside the worlds, one solve."""
     worlds = FrictionalContactBatch(*ONE)
     with pytest.raises(InvalidOption, match=r"z0 must have shape \(1, 3\) or \(3,\)"):
         solve_batch(worlds, z0=np.zeros(6))
     with pytest.raises(InvalidOption, match=r"FrictionalContactBatch\(W, b, friction\)"):
         solve_batch(worlds, np.zeros(3))
-    with pytest.raises(InvalidOption, match=r"derivative\(batch\[k\]\)"):
-        derivative(solve_batch(worlds))  # type: ignore[call-overload]
     with pytest.raises(InvalidOption, match="solve_batch takes many"):
         solve(worlds)  # type: ignore[call-overload]
     assert repr(worlds) == "FrictionalContactBatch(1 worlds of up to 1 contacts in space)"

@@ -1,0 +1,164 @@
+"""Derivatives of many worlds with contact at once: those of differences, and of each world by itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lcp_plugin import (
+    FrictionalContactBatch,
+    InvalidOption,
+    InvalidProblem,
+    Status,
+    UnsuitableProblem,
+    derivative,
+    solve_batch,
+)
+from lcp_plugin.problems.sensitivity.contact_batch_derivative import ContactBatchDerivative
+
+STEP = 1e-6
+
+
+def drawn(count: int, rng: np.random.Generator, *, compliance: float = 0.05, k: int = 4) -> tuple[Any, Any, Any]:
+    """W, b and friction of one body at k contacts: singular without compliance."""
+    J = rng.standard_normal((count, 3 * k, 6))
+    b = (J @ rng.standard_normal((count, 6, 1)))[:, :, 0]
+    return J @ J.swapaxes(1, 2) + compliance * np.eye(3 * k), b, rng.uniform(0.1, 0.9, (count, k))
+
+
+def derived(*data: Any, **wishes: Any) -> ContactBatchDerivative:
+    return derivative(solve_batch(FrictionalContactBatch(*data), **wishes))
+
+
+def close(a: Any, b: Any, tolerance: float) -> bool:
+    return bool(np.abs(a - b).max(initial=0.0) <= tolerance * max(np.abs(b).max(initial=0.0), 1e-6))
+
+
+@pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.full)])
+def test_gradients_are_those_of_differences(count: int) -> None:
+    """By W, b and friction, forwards and backwards, of every world whose contacts stay what they are."""
+    rng = np.random.default_rng(count)
+    W, b, mu = drawn(count, rng)
+    db, dmu, dW = rng.standard_normal(b.shape), rng.standard_normal(mu.shape), rng.standard_normal(W.shape)
+    dW += dW.swapaxes(1, 2)
+    found = derived(W, b, mu)
+    sides = [derived(W + h * dW, b + h * db, mu + h * dmu, z0=found.z, tolerance=1e-10) for h in (STEP, -STEP)]
+    expected, dz = (sides[0].z - sides[1].z) / (2.0 * STEP), found.jvp(dM=dW, dq=db, dfriction=dmu)
+    g, gw = rng.standard_normal((2, *b.shape))
+    gradient = found.vjp(g, gw)
+    total = (gradient.q * db).sum(1) + (gradient.M * dW).sum((1, 2)) + (gradient.friction * dmu).sum(1)
+    np.testing.assert_allclose(
+        total, (g * dz).sum(1) + (gw * found.dw(dz, dM=dW, dq=db)).sum(1), rtol=1e-8, atol=1e-8
+    )
+    wrong = np.abs(dz - expected).max(1) / np.maximum(np.abs(expected).max(1), 1.0)
+    assert not found.errors
+    assert (wrong > 1e-4).sum() <= 1 + count // 500  # some change their case, or are near that, within the step
+    assert np.median(wrong) < 1e-7
+
+
+@pytest.mark.parametrize("compliance", [0.05, 0.0])
+def test_each_world_has_the_derivative_that_it_has_by_itself(compliance: float) -> None:
+    """Where several impulses make one motion, too; degenerate contacts are named, whose gradient is one of several."""
+    rng = np.random.default_rng(5)
+    W, b, mu = drawn(80, rng, compliance=compliance)
+    found, other = derived(W, b, mu, threads=1), derived(W, b, mu, threads=2)
+    g, gw = rng.standard_normal((2, *b.shape))
+    gradient, same = found.vjp(g, gw), other.vjp(g, gw)
+    assert gradient.q.tobytes() == same.q.tobytes()
+    dz = found.jvp(dq=b, dM=W, dfriction=0.1)
+    for k in range(0, 80, 2):
+        one = found[k]
+        assert np.flatnonzero(found.degenerate[k]).tolist() == one.degenerate.tolist()
+        assert found.is_singular[k] == one.is_singular
+        expected = one.jvp(dq=b[k], dM=W[k], dfriction=0.1)
+        assert np.abs(expected).max(initial=0.0) > 1e6 or close(dz[k], expected, 1e-7)  # large: in doubt
+        if one.degenerate.size == 0:
+            own = one.vjp(g[k], gw[k])
+            assert close(gradient.q[k], own.q, 1e-8)
+            assert close(gradient.friction[k], own.friction, 1e-8)
+            assert close(gradient.M[k], own.M.toarray(), 1e-7)
+    assert found.is_singular.any() == (compliance == 0.0)
+    assert ("several impulses" in found.advice) == (compliance == 0.0)
+
+
+def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
+    """By the pseudo-inverse of D⁻¹W, whatever direction the rounding of velocities has; the motion's is unique."""
+    rng = np.random.default_rng(0)
+    J = rng.standard_normal((40, 12, 6))
+    W, r = J @ J.swapaxes(1, 2), np.tile([1.0, 0.1, -0.1], 4)
+    found, g = derived(W, -W @ r, 5.0), rng.standard_normal((40, 12))
+    assert found.is_singular.all()
+    sticks = found.batch.motion.sticks.all(axis=1) & ~found.degenerate.any(axis=1)
+    assert sticks.sum() >= 10
+    gradient = found.vjp(g)
+    for k in np.flatnonzero(sticks):
+        d = np.repeat(found.batch.worlds[k].scale, 3)
+        assert close(gradient.q[k], -np.linalg.pinv(W[k] / d[:, np.newaxis], rcond=1e-12).T @ g[k] / d, 1e-8)
+        assert close(found[k].vjp(g[k]).q, gradient.q[k], 1e-8)
+    assert np.abs(found.dw(found.jvp(dq=W @ r), dq=W @ r)[sticks]).max() < 1e-10
+
+
+def test_worlds_of_different_size() -> None:
+    """Behind a world's last contact nothing moves, whatever stands there in the data and in the changes."""
+    rng = np.random.default_rng(2)
+    W, b, mu = drawn(15, rng)
+    counts = np.arange(15) % 5
+    g, gw, dq = (rng.standard_normal((15, 12)) for _ in range(3))
+    for k, count in enumerate(counts):
+        for rows in (b, g, gw, dq):
+            rows[k, 3 * count:] = np.nan
+    found = derivative(solve_batch(FrictionalContactBatch(W, b, mu, contacts=counts)))
+    gradient, dz = found.vjp(g, gw), found.jvp(dq=dq, dfriction=1.0)
+    for k, count in enumerate(counts):
+        own, one = slice(3 * count), found[k]
+        assert not gradient.q[k, 3 * count:].any()
+        assert not gradient.friction[k, count:].any()
+        assert not gradient.M[k, :, 3 * count:].any()
+        assert not dz[k, 3 * count:].any()
+        assert close(dz[k, own], one.jvp(dq=dq[k, own], dfriction=1.0), 1e-9)
+        assert close(gradient.q[k, own], one.vjp(g[k, own], gw[k, own]).q, 1e-9)
+
+
+def test_what_the_loop_leaves_and_what_has_no_derivative() -> None:
+    """Mixed units go one by one; NaN and no solution are errors of their own worlds, 0 where nobody asks."""
+    scale = np.array([1.0, 1.0, 1.0, 1e7, 1e7, 1e7])
+    coupled = np.eye(6) + 0.3 * np.fliplr(np.eye(6))
+    W, b = np.stack([np.eye(6)] * 4), np.tile([-1.0, 3.0, 4.0, -1.0, 0.1, 0.0], (4, 1))
+    W[0], W[1, 0, 0] = coupled * scale * scale[:, np.newaxis], np.nan
+    b[0], W[2, :3, :3] = b[0] * scale, np.diag([0.0, 1.0, 1.0])
+    batch = solve_batch(FrictionalContactBatch(W, b, [[0.5, 0.5], [0.5, 0.5], [0.0, 0.0], [0.5, 0.5]]))
+    found = derivative(batch)
+    assert batch.status[2] is Status.INFEASIBLE
+    assert sorted(found.errors) == [1, 2]
+    assert isinstance(found.errors[1], InvalidProblem)
+    with pytest.raises(UnsuitableProblem, match="INFEASIBLE"):
+        _ = found[2]
+    asked = np.zeros((4, 6))
+    asked[[0, 1], 0] = 1.0
+    gradient = found.vjp(asked)
+    assert np.isnan(gradient.q[1]).all()
+    assert not gradient.q[2].any()
+    assert close(gradient.q[0], found[0].vjp(asked[0]).q, 1e-9)
+    assert np.isnan(found.jvp(dq=asked)[[1, 2]]).all()
+    assert "2 of 4 worlds (1, 2) have no derivative" in found.advice
+    assert found.vjp(np.zeros(6)).q.shape == (4, 6)
+    assert derived(np.eye(3), np.zeros((0, 3)), 0.5).vjp(np.zeros(3)).M.shape == (0, 3, 3)
+
+
+REFUSED: dict[str, tuple[Any, type[Exception], str]] = {
+    "g too long": (lambda found: found.vjp(np.zeros(4)), InvalidProblem, r"g must have shape \(B, n\) or \(n,\), here"),
+    "dM of one row": (lambda found: found.jvp(dM=np.zeros(3)), InvalidProblem, r"dM must have shape \(B, n, n\)"),
+    "dfriction of two": (lambda found: found.jvp(dfriction=[1.0, 2.0]), InvalidProblem, r"dfriction must have shape"),
+    "not finite": (lambda found: found.jvp(dq=[np.nan, 0.0, 0.0]), InvalidProblem, r"dq\[0, 0\] = nan"),
+    "another name": (lambda found: found.jvp(dmass=1.0), InvalidOption, "takes no dmass here"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_wrong_changes_are_refused_in_words(name: str) -> None:
+    """With what they must be."""
+    ask, error, words = REFUSED[name]
+    with pytest.raises(error, match=words):
+        ask(derived(np.eye(3), np.array([-1.0, 3.0, 4.0]), 0.5))

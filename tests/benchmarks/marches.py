@@ -7,7 +7,8 @@ answers beside the largest entry. Then American puts in one price: the gradient 
 through the steps, beside the march; and 41 strikes at once beside one after the other. At last 500 strikes × 2000
 prices × 500 steps beside what one would write for them with numpy, Brennan and Schwartz's loop over the prices with all
 strikes in its inner operations (it is right for a put and judges nothing), and beside LAPACK's `solve_banded`, once a
-step without bounds: wall-clock seconds, the processor's of one thread, and what each keeps in memory.
+step without bounds: wall-clock seconds, the processor's of one thread, and what each keeps in memory. The same loop
+beside 500 puts with a volatility each, whose matrices differ: prices, and vegas by the derivative of each march.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import statistics
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, cast
 
 import marches
 import numpy as np
@@ -54,6 +55,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
         yield f"{_line(f'{name}, n = {n}, march', together, by_march)}   ÷ solve {ratio:.2f}, change {change:.0e}"
     yield from _puts(*((60, 20, 5) if quick else (1000, 500, 41)))
     yield from _strikes(*((60, 20, 20) if quick else (2000, 500, 500)))
+    yield from _volatilities(*((60, 20, 20) if quick else (901, 150, 500)))
 
 
 def _puts(n: int, steps: int, count: int) -> Iterator[str]:
@@ -134,6 +136,55 @@ def _strikes(n: int, steps: int, count: int) -> Iterator[str]:
     same = all(np.array_equal(a.z[-1], b.z[-1]) for a, b in zip(one, two, strict=True))
     solved = sum(status.name == "SOLVED" for done in one for status in done.status)
     yield f"{solved} of {count * steps} steps SOLVED, change {change:.0e}, the same bits on two threads: {same}"
+
+
+def _volatilities(n: int, steps: int, count: int) -> Iterator[str]:
+    x, sigma = np.linspace(-1.5, 1.5, n), np.linspace(0.15, 0.45, count)
+    dt, rate, h = 1.0 / steps, 0.05, x[1] - x[0]
+    floor, forcing = np.maximum(1.0 - np.exp(x), 0.0), np.broadcast_to(np.zeros(n), (steps, n))
+    below, above = (-dt * (sigma**2 / h**2 + sign * (sigma**2 / 2 - rate) / h) / 2 for sign in (1, -1))
+    by_sigma = [-dt * (2 * sigma / h**2 + sign * sigma / h) / 2 for sign in (1, -1)]
+    centre = 1.0 + rate * dt - below - above
+
+    def matrix(a: float, b: float, c: float) -> sp.csr_array:
+        return sp.csr_array(sp.diags_array([a, b, c], offsets=[-1, 0, 1], shape=(n, n)))
+
+    def by_numpy() -> FloatVector:
+        pivots, bound = np.repeat(centre[None], n, axis=0), floor[:, None]
+        V = np.repeat(bound, count, axis=1)
+        for i in range(n - 2, -1, -1):
+            pivots[i] -= above * below / pivots[i + 1]
+        ratios, inverse = above / pivots, 1.0 / pivots
+        for _ in range(steps):
+            for i in range(n - 2, -1, -1):
+                V[i] -= ratios[i + 1] * V[i + 1]
+            np.maximum(V[0] * inverse[0], bound[0], out=V[0])
+            for i in range(1, n):
+                np.maximum((V[i] - below * V[i - 1]) * inverse[i], bound[i], out=V[i])
+        return V.T
+
+    def by_march(keep_every: int) -> list[March]:
+        each = zip(below, centre, above, strict=True)
+        problems = [LCP(matrix(*one), np.zeros(n), lower=floor) for one in each]
+        return cast("list[March]", march(problems, forcing, z0=floor, threads=1, keep_every=keep_every))
+
+    def vega(one: March, a: float, c: float) -> FloatVector:
+        return derivative(one).jvp(dM=matrix(a, -a - c, c), only_last=True)
+
+    march([LCP(matrix(a, 3.0, c), np.zeros(n), lower=floor) for a, c in ((-0.9, -0.9), (-0.8, -0.8))], forcing[:2])
+    taken, answers = {}, {}
+    for name, way in {"numpy's loop": by_numpy, "prices": lambda: by_march(steps), "kept": lambda: by_march(1)}.items():
+        began = time.process_time()
+        answers[name] = way()
+        taken[name] = time.process_time() - began
+    vega(answers["kept"][0], 0.0, 0.0)  # compile
+    began = time.process_time()
+    for one, a, c in zip(answers["kept"], *by_sigma, strict=True):
+        vega(one, a, c)
+    both, by_loop = taken["kept"] + time.process_time() - began, taken["numpy's loop"]
+    change = max(abs(one.z[-1] - V).max() for one, V in zip(answers["prices"], answers["numpy's loop"], strict=True))
+    yield (f"{count} volatilities × {n} × {steps}: numpy's loop {by_loop:.2f} s, prices ÷ it "
+           f"{taken['prices'] / by_loop:.2f}, prices and vegas ÷ it {both / by_loop:.2f}, change {change:.0e}")
 
 
 def _line(what: str, results: list[Result], seconds: list[float]) -> str:

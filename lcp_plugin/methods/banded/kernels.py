@@ -245,7 +245,7 @@ def _begin(is_direct, lower, upper, memory, halves):  # type: ignore[no-untyped-
 @helper
 def add_product(indptr, indices, data, x, y):  # type: ignore[no-untyped-def]
     """Add A x to y."""
-    for i in range(y.size):
+    for i in range(y.size if data.size > 0 else 0):
         total = 0.0
         for k in range(indptr[i], indptr[i + 1]):
             total += data[k] * x[indices[k]]

@@ -117,9 +117,9 @@ def _is_nondegenerate(z, w, scale, lower, upper, change, size, spread, state):  
 
 @kernel
 def settle(  # type: ignore[no-untyped-def]
-    band, indptr, indices, data, scale, Q, lower, upper, Z, sides, is_plain
+    band, indptr, indices, data, scale, propagator, states, Q, lower, upper, Z, sides, is_plain
 ):
-    """Make each row of Z exact to rounding, and find the sides of its rows.
+    """Make Q of the forcing, each row of Z exact to rounding, and find the sides of its rows.
 
     Parameters
     ----------
@@ -127,8 +127,12 @@ def settle(  # type: ignore[no-untyped-def]
         M by its diagonals, how many are below the main one, whether `substitute` will do, and its weights.
     indptr, indices, data, scale
         M by rows, and its residual scale.
+    propagator : tuple
+        A matrix by rows.
+    states : array, shape (k + 1, n)
+        What each step began with, and the last answer.
     Q, Z : arrays, shape (k, n)
-        Offsets and solutions; the latter are written to.
+        The forcing, which becomes offsets, and the solutions; both are written to.
     sides : array of int8, shape (k, n)
         −1 at the lower bound, 0 between, 1 at the upper one; ∓2 where w = 0 as well.
     is_plain : array of bool, shape (k,)
@@ -139,6 +143,7 @@ def settle(  # type: ignore[no-untyped-def]
     change, size, spread, rows = np.empty(n), np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
     for k in range(Z.shape[0]):
         z, state, is_settled, is_plain[k] = Z[k], sides[k], False, False
+        add_product(propagator[0], propagator[1], propagator[2], states[k], Q[k])
         for i in range(n):
             change[i], state[i] = 0.0, KINK
         for _step in range(STEPS):

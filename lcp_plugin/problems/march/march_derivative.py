@@ -42,28 +42,19 @@ class Sums(NamedTuple):
 
 
 class Band(NamedTuple):
-    """What the compiled loops take of a narrow band: M, the propagator, both transposed; where their entries are."""
+    """What the compiled loops take of a narrow band: the matrix by its diagonals and by rows, and the propagator."""
 
     band: Any
-    transposed: Any
     rows: Any
     propagator: Any
-    transposed_propagator: Any
-    of_matrix: Any
-    of_propagator: Any
 
     @classmethod
     def of(cls, matrix: Matrix, propagator: sp.csr_array) -> Band | None:
         """Return it, None where the band is not narrow."""
-        if sum(bandwidth(matrix) or (matrix.n, matrix.n)) > BANDED_UP_TO:
+        if sum(bandwidth(matrix) or (matrix.n, matrix.n)) > BANDED_UP_TO or (band := bands(matrix)) is None:
             return None
-        found = [band for band in map(bands, (matrix, Matrix(sp.csr_array(matrix.csr.T)))) if band is not None]
-        if len(found) < 2:
-            return None
-        band, back = ((band.entries, band.below, band.is_tridiagonal_z, band.weights) for band in found)
-        across = _by_rows(sp.csr_array(propagator.T))
-        places = _places(matrix.csr), _places(propagator)
-        return cls(band, back, _by_rows(matrix.csr), _by_rows(propagator), across, *places)
+        given = band.entries, band.below, band.is_tridiagonal_z, band.weights
+        return cls(given, _by_rows(matrix.csr), _by_rows(propagator))
 
 
 def _by_rows(A: sp.csr_array) -> Any:
@@ -83,16 +74,18 @@ class CompiledSteps:
     def __init__(self, whole: MarchDerivative, first: int, states: FloatVector) -> None:
         self.whole, self.march, self.band, self.first, self.states = whole, whole.march, whole.band, first, states
         march, count = whole.march, len(states) - 1
-        self.q = np.add(march.forcing[first : first + count], (march.propagator @ states[:-1].T).T, order="C")
+        self.q = np.array(march.forcing[first : first + count], order="C")
         self.z, self.sides = states[1:].copy(), np.zeros((count, states.shape[1]), np.int8)
         self._of_step: tuple[int, Derivative] | None = None
         self.is_plain = np.zeros(count, np.bool_)
-        if self.band is not None:
+        if self.band is None:
+            self.q += (march.propagator @ states[:-1].T).T
+        else:
             from .kernels import settle
 
             problem = march.problem
-            settle(self.band.band, *self.band.rows, problem.residual_scale, self.q, problem.lower, problem.upper,
-                   self.z, self.sides, self.is_plain)
+            settle(self.band.band, *self.band.rows, problem.residual_scale, self.band.propagator, self.states, self.q,
+                   problem.lower, problem.upper, self.z, self.sides, self.is_plain)
 
     def __len__(self) -> int:
         return len(self.z)
@@ -130,15 +123,14 @@ class CompiledSteps:
 
     def vjp(self, g: FloatVector, sums: Sums, by_q: FloatVector) -> None:
         """Add what these steps have to the sums, and write their gradients by q where there is an array for them."""
-        k, march = len(self) - 1, self.march
+        k, march, transposed = len(self) - 1, self.march, self.whole.transposed
         while k >= 0:
-            if self.band is not None:
+            if self.band is not None and transposed is not None:
                 from .kernels import adjoints
 
                 k = adjoints(
-                    self.band.transposed, self.band.transposed_propagator, g, self.band.of_matrix,
-                    self.band.of_propagator, self.states, self.z, self.sides, self.is_plain, k, sums.after, by_q,
-                    sums.lower, sums.upper, sums.M, sums.propagator,
+                    transposed.band, transposed.propagator, g, *self.whole.places, self.states, self.z, self.sides,
+                    self.is_plain, k, sums.after, by_q, sums.lower, sums.upper, sums.M, sums.propagator,
                 )
             if k >= 0:
                 found = self.at(k).vjp(sums.after + g[k] if len(g) else sums.after)
@@ -376,6 +368,16 @@ class MarchDerivative:
     def band(self) -> Band | None:
         """What the compiled loops take, where M is a narrow band."""
         return Band.of(self.march.problem.matrix, self.march.propagator)
+
+    @cached_property
+    def transposed(self) -> Band | None:
+        """What the compiled loop backwards takes: of the transposed matrices."""
+        return Band.of(Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T))
+
+    @cached_property
+    def places(self) -> Any:
+        """The row and the column of each entry of M, and of the propagator."""
+        return _places(self.march.problem.csr), _places(self.march.propagator)
 
 
 def _matrix(given: Any, name: str, n: int) -> sp.csr_array:

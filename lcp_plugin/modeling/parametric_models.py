@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnsupportedModel
 from ..core.lcp import LCP
-from ..problems.parametric.families import PathPoint
-from ..problems.parametric.path import Path
+from ..problems.parametric.families import PathPoint, Piece
+from ..problems.parametric.path import Path, Slope
 from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
-from ._compat import dense, leaf_value, name_of
+from ._compat import UnsolvableModel, dense, leaf_value, name_of
 from .qp_solver import ProgramEntries, QPSolver, quadratic_program
 from .registration import build_from, is_complementarity_problem
 
@@ -55,12 +55,38 @@ class ModelPoint:
 
     def __getitem__(self, variable: cp.Variable) -> Any:
         """Return the value of a variable, in its shape."""
-        if variable.id not in self._values:
-            raise UnsupportedModel(f"{name_of(variable)} is no variable of the problem; ask for one of its own")
-        return self._values[variable.id]
+        return _of_variable(self._values, variable)
 
     def __repr__(self) -> str:
         return f"ModelPoint({self.parameter:.9g}, {self.status.name}, objective {self.objective:.9g})"
+
+
+class ModelSlope:
+    """How the solution of a cvxpy problem changes with the parameter; ``slope[x]`` is that of a variable.
+
+    Attributes
+    ----------
+    inner : Slope
+        Of the LCP or program behind it, with the multipliers.
+    objective : float or None
+        Of the problem as it was stated; None for complementarity, which has none.
+    """
+
+    def __init__(self, inner: Slope, values: dict[int, Any], objective: float | None) -> None:
+        self.inner, self._values, self.objective = inner, values, objective
+
+    def __getitem__(self, variable: cp.Variable) -> Any:
+        """Return how a variable changes, in its shape."""
+        return _of_variable(self._values, variable)
+
+    def __repr__(self) -> str:
+        return f"ModelSlope(objective {self.objective})"
+
+
+def _of_variable(values: dict[int, Any], variable: cp.Variable) -> Any:
+    if variable.id not in values:
+        raise UnsupportedModel(f"{name_of(variable)} is no variable of the problem; ask for one of its own")
+    return values[variable.id]
 
 
 class ModelPath(Path):
@@ -84,10 +110,15 @@ class ModelPath(Path):
     def at(self, theta: float) -> ModelPoint:  # type: ignore[override]
         """Return the solution at θ; ``path.at(θ)[x]`` is the value of a variable."""
         inner = super().at(theta)
+        values, objective = self._stated(theta, self.piece_at(theta))
+        return ModelPoint(float(theta), inner, values, objective)
+
+    def _stated(self, theta: float, piece: Piece) -> tuple[dict[int, Any], float]:
+        """Return the variables at θ on a piece, and the objective as it was stated."""
         variables = self._problem.variables()
         before = [one.value for one in variables]
         with self._moved.to(float(theta)):
-            values = self._back(self.piece_at(theta).z_at(float(theta)))
+            values = self._back(piece.z_at(float(theta)))
             try:
                 for variable in variables:
                     variable.save_value(values[variable.id])
@@ -95,7 +126,25 @@ class ModelPath(Path):
             finally:
                 for variable, value in zip(variables, before, strict=True):
                     variable.save_value(value)
-        return ModelPoint(float(theta), inner, values, objective)
+        return values, objective
+
+    def derivative(self, theta: float, *, side: str = "ahead") -> ModelSlope:  # type: ignore[override]
+        """Return how the solution at θ changes with θ; ``path.derivative(θ)[x]`` is that of a variable.
+
+        Variables are affine on a piece. The objective as it was stated is ± that of the program and a term affine in θ.
+        """
+        inner = super().derivative(theta, side=side)
+        piece = self.piece_at(theta, is_behind=side == "behind")
+        ends = (piece.begin, piece.end) if piece.end != piece.begin else (self.start, self.start)
+        (first, one), (last, other) = (self._stated(end, piece) for end in ends)
+        length = ends[1] - ends[0]
+        rates = {key: (last[key] - value) / length if length else np.zeros_like(value) for key, value in first.items()}
+        if inner.objective is None or not length:
+            return ModelSlope(inner, rates, inner.objective)
+        sign = -1.0 if isinstance(self._problem.objective, cp.Maximize) else 1.0
+        own = [sign * (self.family.point(end, piece.z_at(end)).objective or 0.0) for end in ends]
+        offset = ((other - own[1]) - (one - own[0])) / length
+        return ModelSlope(inner, rates, sign * inner.objective + offset)
 
     def value(self, variable: cp.Variable, thetas: ArrayLike) -> Any:
         """Return the values of a variable at many θ, shape (k, *its shape)."""
@@ -139,7 +188,10 @@ class Moved:
         before = {one: one.value for one in self._lines}
         try:
             for one, (base, step) in self._lines.items():
-                one.value = base + theta * step
+                try:
+                    one.value = base + theta * step
+                except ValueError as error:
+                    raise InvalidOption(f"{name_of(one)} cannot be what it is at {theta:.6g}: {error}") from error
             yield
         finally:
             for one, value in before.items():
@@ -174,7 +226,14 @@ def _pairs(problem: Any) -> tuple[LCP, Back]:
 
 
 def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
-    data, chain, inverse = problem.get_problem_data(QPSolver)
+    try:
+        data, chain, inverse = problem.get_problem_data(QPSolver)
+    except UnsolvableModel:
+        problem.get_problem_data(QPSolver, ignore_dpp=True)  # with the parameters as numbers: else that is said
+        raise UnsupportedModel(
+            "a parameter stands in an expression that bends, as cp.square(parameter); let a parameter of its own be "
+            "the value of that expression"
+        ) from None
     program = quadratic_program(data)
     entries = ProgramEntries.of(problem, program, data, chain, inverse).variables
     if entries is None:

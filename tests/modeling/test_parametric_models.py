@@ -77,3 +77,29 @@ def test_what_is_not_affine_is_refused_in_words() -> None:
         trace(plain, "v", 1, 2)
     with pytest.raises(UnsupportedModel, match="no variable of the problem"):
         trace(cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= p]), p, 1, 2).at(1.5)[cp.Variable()]
+
+
+def test_derivatives_are_those_of_the_problem_as_it_was_stated() -> None:
+    """Signs of Maximize, constants that move, and variables in their shapes."""
+    x, y, g = cp.Variable(), cp.Variable(2), cp.Parameter(value=1.0)
+    path = trace(cp.Problem(cp.Maximize(g * x - x**2), [x <= 1, x >= 0]), g, 0.0, 4.0)
+    assert path.derivative(1.0).objective == pytest.approx(0.5)
+    assert path.derivative(1.0)[x] == pytest.approx(0.5)
+    assert path.derivative(3.0).objective == pytest.approx(1.0)
+    assert path.derivative(2.0, side="behind")[x] == pytest.approx(0.5)
+    constant = trace(cp.Problem(cp.Minimize(x**2 + 2 * g), [x >= 1]), g, 0.0, 4.0)
+    assert constant.derivative(1.0).objective == pytest.approx(2.0)
+    assert constant.derivative(1.0)[x] == pytest.approx(0.0, abs=1e-12)
+    shaped = trace(cp.Problem(cp.Minimize(cp.sum_squares(y - np.array([1, 2]))), [cp.sum(y) <= g]), g, 0.0, 2.0)
+    assert shaped.derivative(1.0)[y] == pytest.approx([0.5, 0.5])
+    with pytest.raises(UnsupportedModel, match="no variable"):
+        shaped.derivative(1.0)[x]
+
+
+def test_parameters_that_bend_or_may_not_move_are_said() -> None:
+    """A parameter within a square, and a nonnegative one below zero, are refused in words."""
+    y, h, positive = cp.Variable(2), cp.Parameter(value=1.0), cp.Parameter(nonneg=True)
+    with pytest.raises(UnsupportedModel, match="stands in an expression that bends"):
+        trace(cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= cp.square(h)]), h, 0.0, 1.0)
+    with pytest.raises(InvalidOption, match="cannot be what it is at -1"):
+        trace(cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= positive]), positive, -1.0, 1.0)

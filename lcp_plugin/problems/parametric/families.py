@@ -31,8 +31,39 @@ from .stacked_lasso import surely_optimal
 from .staircases import Columns, GramColumns, Staircases
 
 LARGEST = 6000  # rows, of which a dense inverse is kept
+MET = 1e-12  # of their terms: by how much bounds that meet may seem to cross
 NEARLY = 100.0  # times the goal: what is called a limit of precision
 BOUNDS = ("lower", "upper")
+INWARD = (1e-6, 1e-3, 1.0)  # of the way from an end of a piece to its middle, the first that will do
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One piece of a path: x = x0 + θ x1 for θ from begin to end.
+
+    Attributes
+    ----------
+    begin, end : float
+        In the order in which the path is traced.
+    x0, x1 : ndarray, shape (n,)
+    case : ndarray of int, shape (n,)
+        −1 at the lower bound, 0 between, 1 at the upper one, 2 at 0 where a penalty holds it there. Of a program x
+        first, then the rows of G: −1 where a row is slack, 0 where it acts; then those of A.
+    z0, z1 : ndarray
+        The same with the multipliers of rows behind x; x of other kinds.
+    """
+
+    begin: float
+    end: float
+    x0: FloatVector = field(repr=False)
+    x1: FloatVector = field(repr=False)
+    case: Any = field(repr=False)
+    z0: FloatVector = field(repr=False)
+    z1: FloatVector = field(repr=False)
+
+    def z_at(self, theta: float) -> FloatVector:
+        """Return x with the multipliers of rows at θ."""
+        return self.z0 + theta * self.z1
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +82,8 @@ class PathPoint:
     solution : QPSolution or None
         Of a program: x with the multipliers of all rows and bounds, and their residuals.
     status : Status
-        As the kind's criterion says on the data at that value.
+        As the kind's criterion says on the data at that value; where numbers vanish there that rounding leaves, just
+        inside the piece (see `Path.status`).
     objective : float or None
         In the kind's terms; None for an LCP.
     """
@@ -62,6 +94,7 @@ class PathPoint:
     w: FloatVector | None = field(repr=False)
     solution: QPSolution | None = field(repr=False)
     _family: Family = field(repr=False)
+    _piece: Piece | None = field(default=None, repr=False)
 
     @property
     def z(self) -> FloatVector:
@@ -75,8 +108,11 @@ class PathPoint:
 
     @cached_property
     def status(self) -> Status:
-        """What the kind's criterion says."""
-        return self._family.judge(self)
+        """What the kind's criterion says, or says just inside the piece."""
+        status = self._family.judge(self)
+        if status is Status.SOLVED or self._piece is None:
+            return status
+        return Status.SOLVED if self._family.is_solved_beside(self.parameter, self._piece) else status
 
     @property
     def is_solved(self) -> bool:
@@ -93,6 +129,51 @@ class PathPoint:
             For another kind: see `solution` and `status`.
         """
         return Certificate.of(self.problem, self.x)
+
+
+@dataclass(frozen=True, eq=False)
+class CrossedBounds:
+    """What is said beyond a θ where a lower bound exceeds the upper one: there is no solution, as two numbers prove.
+
+    Attributes
+    ----------
+    row : int
+    is_at_start : bool
+        Whether they have crossed there already.
+    at, toward : float
+        From where on, and up to where.
+    lower, upper : ndarray, shape (2,)
+        Constant and slope of both bounds.
+    """
+
+    row: int
+    is_at_start: bool
+    at: float
+    toward: float
+    lower: FloatVector
+    upper: FloatVector
+    status: ClassVar[Status] = Status.INFEASIBLE
+    is_solved: ClassVar[bool] = False
+    has_no_solution: ClassVar[bool] = True
+    x: ClassVar[None] = None
+
+    @property
+    def proof(self) -> CrossedBounds:
+        """What is to be verified: these bounds."""
+        return self
+
+    def verify(self) -> bool:
+        """Return whether the bounds are in the wrong order at the far end."""
+        return bool(self.lower @ [1.0, self.toward] > self.upper @ [1.0, self.toward])
+
+    @property
+    def advice(self) -> str:
+        """What is wrong, in words."""
+        low, high = (one @ [1.0, self.toward] for one in (self.lower, self.upper))
+        return (
+            f"lower[{self.row}] exceeds upper[{self.row}], at {self.toward:.6g} it is {low:.6g} and the upper one "
+            f"{high:.6g}"
+        )
 
 
 class Family:
@@ -153,7 +234,34 @@ class Family:
 
     def moved(self, theta: float) -> dict[str, FloatVector]:
         """Return the vectors that move, at θ."""
-        return {name: getattr(self.problem, name) + theta * step for name, step in self.directions.items()}
+        moved = {name: getattr(self.problem, name) + theta * step for name, step in self.directions.items()}
+        if moved.keys() & set(BOUNDS):  # which may cross by rounding, where they meet
+            lower, upper = (moved.get(name, getattr(self.problem, name)) for name in BOUNDS)
+            size = sum(np.abs(self.pair(name)).T @ [1.0, abs(theta)] for name in BOUNDS)
+            crossed = (lower > upper) & (lower - upper <= MET * np.where(np.isfinite(size), size, 0.0))
+            for name, other in zip(BOUNDS, (upper, lower), strict=True):
+                if name in moved:
+                    moved[name] = np.where(crossed, other, moved[name])
+                    break
+        return moved
+
+    def crossing(self) -> CrossedBounds | None:
+        """Return where bounds cross first on the way from start to stop, or None."""
+        if not self.directions.keys() & set(BOUNDS):
+            return None
+        start, stop = self.ends
+        lower, upper = map(self.pair, BOUNDS)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ends = np.array([[1.0, theta] for theta in self.ends]) @ (upper - lower)
+            size = np.abs([[1.0, theta] for theta in self.ends]) @ (np.abs(lower) + np.abs(upper))
+            ends[np.abs(ends) <= MET * size] = 0.0
+            share = np.where(ends[0] < 0.0, 0.0, np.where(ends[1] < 0.0, ends[0] / (ends[0] - ends[1]), np.inf))
+        if not np.isfinite(share).any():
+            return None
+        row = int(np.argmin(share))
+        at = start + float(share[row]) * (stop - start)
+        toward = stop if stop != start else at
+        return CrossedBounds(row, bool(ends[0, row] < 0.0), at, toward, lower[:, row], upper[:, row])
 
     def at(self, theta: float) -> Any:
         """Return the problem at θ."""
@@ -202,6 +310,22 @@ class Family:
     def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
         """Return what the kind's criterion says of many points."""
         return [self.judge(self.point(float(theta), one)) for theta, one in zip(thetas, z, strict=True)]
+
+    def is_solved_beside(self, theta: float, piece: Piece) -> bool:
+        """Return whether θ is right on a piece where the criterion, of data that cancel there, sees rounding alone.
+
+        Just inside the piece the criterion must say SOLVED, and at θ each row be where its step is, to rounding of the
+        terms of z(θ) and w(θ).
+        """
+        middle, reach = 0.5 * (piece.begin + piece.end), max(abs(piece.begin), abs(piece.end))
+        if theta == middle or not self._stairs.hold(theta, piece.z0, piece.z1, reach):
+            return False
+        inside = (theta + share * (middle - theta) for share in INWARD)
+        return any(self.judge(self.point(near, piece.z_at(near))) is Status.SOLVED for near in inside)
+
+    @cached_property
+    def _stairs(self) -> Staircases:
+        return self.staircases()
 
     def case_of(self, steps: Any) -> Any:
         """Return −1 at the lower bound, 0 between, 1 at the upper one."""

@@ -30,11 +30,13 @@ Change = tuple[int, int]  # a row, and whether it goes to the next step or to th
 
 ROUNDING = 1e-12  # of a z or a w beside its terms, of which a rate below is 0
 RIGHT = 1e3  # times that: what a start may be off its step
+NOISE = 1e-13  # of the largest z: what may be left of one that is 0; and of the terms of a row that it stands in
 PARKED = 1e-10  # of its terms: the w of a row without bounds that rests
 NULL = 1e-12  # singular values, beside the largest
 REFINED_TO = 1e-13  # of the terms of a free row
 LOST = 1e5  # times that: what a row may be off its step on a path
 AT_GOAL = 1e-10  # of the way: a breakpoint so near the last value is none
+SHORT = 1e-14  # of the way, or of the parameter: a piece of rounding alone, which the next one takes in
 AT_ONE_PLACE = 2  # changes per row without moving on, and 100 besides, after which a path is given up
 STEPS = 200  # changes per row, and 10 000 besides, after which it is given up
 
@@ -167,8 +169,20 @@ class Follower:
             correction = -wrong @ block.inverse.T
             free += correction
             w += correction @ block.columns
+        if (quiet := self._without_noise(free, known)) is not None:
+            free, w = quiet, self.at_rest + quiet @ block.columns
         z[:, rows], w[:, rows] = free, level
         return z, w
+
+    def _without_noise(self, free: FloatVector, known: FloatVector) -> FloatVector | None:
+        """Return z of the free rows with rounding alone made 0; None where there is none, or a row is made of it."""
+        size = np.abs(free)
+        is_noise = (size > 0.0) & (size <= NOISE * size.max(axis=1, keepdims=True))
+        if not is_noise.any():
+            return None
+        quiet, across = np.where(is_noise, 0.0, free), self.block.block.T
+        terms = np.abs(known) + np.abs(quiet) @ np.abs(across)
+        return quiet if (np.abs(known + quiet @ across) <= NOISE * terms).all() else None
 
     def _gaps(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return how far each row is from the lower and from the upper end of its step."""
@@ -258,7 +272,7 @@ class Follower:
             beside = AT_GOAL * max(abs(goal), stop - start) if forward > 0.0 else 0.0
             is_last = change is None or length >= forward * (goal - self.t) - beside
             t = goal if is_last else self.t + forward * length
-            if t > furthest:
+            if t - furthest > SHORT * max(abs(t), stop - start):
                 yield Line(furthest, t, z, self._shown_steps(), jumps, slides and not jumps)
                 furthest, jumps, slides = t, False, False
             jumps = jumps or forward < 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,38 +14,10 @@ from ...core.checks import FloatVector, is_number
 from ...core.errors import InvalidOption, LCPError, NotConverged
 from ...core.representation import in_words
 from ...core.settings import PROVEN, Status
-from .families import Family, PathPoint
+from .families import Family, PathPoint, Piece
 
 SHOWN = 8  # breakpoints in a paragraph
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """One piece of a path: x = x0 + θ x1 for θ from begin to end.
-
-    Attributes
-    ----------
-    begin, end : float
-        In the order in which the path is traced.
-    x0, x1 : ndarray, shape (n,)
-    case : ndarray of int, shape (n,)
-        −1 at the lower bound, 0 between, 1 at the upper one, 2 at 0 where a penalty holds it there. Of a program x
-        first, then the rows of G: −1 where a row is slack, 0 where it acts; then those of A.
-    z0, z1 : ndarray
-        The same with the multipliers of rows behind x; x of other kinds.
-    """
-
-    begin: float
-    end: float
-    x0: FloatVector = field(repr=False)
-    x1: FloatVector = field(repr=False)
-    case: Any = field(repr=False)
-    z0: FloatVector = field(repr=False)
-    z1: FloatVector = field(repr=False)
-
-    def z_at(self, theta: float) -> FloatVector:
-        """Return x with the multipliers of rows at θ."""
-        return self.z0 + theta * self.z1
+JOINED = 1e-9  # beside the unknowns there: by how much two pieces that join may differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +52,10 @@ class Path:
     reached : float
         How far it came.
     status : Status
-        SOLVED where it came to stop and every end of a piece is SOLVED by the criterion of its kind; then the points
-        between are, too, which are means of those. Else that of the worst end, or of the problem just beyond `reached`.
+        SOLVED where it came to stop and every end of a piece is SOLVED; then the points between are, too, which are
+        means of those. Else that of the worst end, or of the problem just beyond `reached`. An end is SOLVED by the
+        criterion of its kind; or, as numbers that vanish there are left to rounding, by the criterion just inside the
+        piece and, at the end, within rounding of the terms that cancel.
     jumps : list of float
         Where the solution jumps, as that of a matrix that is not monotone may.
     segments : list of float
@@ -117,27 +91,36 @@ class Path:
         return np.array([self.pieces[0].begin, *(piece.end for piece in self.pieces)])
 
     @cached_property
+    def _judged(self) -> list[tuple[float, Piece]]:
+        """The ends of all pieces, once where they join, and the piece of each."""
+        found: list[tuple[float, Piece]] = []
+        for k, piece in enumerate(self.pieces):
+            if not k or not _join(self.pieces[k - 1], piece):
+                found.append((piece.begin, piece))
+            found.append((piece.end, piece))
+        return found
+
+    @cached_property
     def ends(self) -> tuple[FloatVector, list[FloatVector]]:
         """The ends of all pieces, once where they join: θ, and the unknowns that were followed."""
-        thetas, found = [], []
-        apart = {*self.jumps, *self.segments}
-        for k, piece in enumerate(self.pieces):
-            if not k or piece.begin != self.pieces[k - 1].end or piece.begin in apart:
-                thetas.append(piece.begin)
-                found.append(piece.z_at(piece.begin))
-            thetas.append(piece.end)
-            found.append(piece.z_at(piece.end))
-        return np.array(thetas), found
+        return np.array([theta for theta, _ in self._judged]), [piece.z_at(theta) for theta, piece in self._judged]
 
     @cached_property
     def statuses(self) -> list[Status]:
-        """What the criterion says of each of `ends`."""
-        return self.family.judge_all(*self.ends) if self.pieces else []
+        """What is said of each of `ends`."""
+        found = self.family.judge_all(*self.ends) if self.pieces else []
+        return [
+            status if status is Status.SOLVED or not self.family.is_solved_beside(theta, piece) else Status.SOLVED
+            for status, (theta, piece) in zip(found, self._judged, strict=True)
+        ]
 
     @property
     def points(self) -> list[PathPoint]:
         """The solutions at the breakpoints; where pieces do not join, the one before and the one behind."""
-        return [self.family.point(float(theta), z) for theta, z in zip(*self.ends, strict=True)]
+        return [self._point(theta, piece) for theta, piece in self._judged]
+
+    def _point(self, theta: float, piece: Piece) -> PathPoint:
+        return replace(self.family.point(theta, piece.z_at(theta)), _piece=piece)
 
     @cached_property
     def status(self) -> Status:
@@ -147,7 +130,7 @@ class Path:
         for status in (Status.STALLED, Status.PRECISION_LIMIT):
             if status in self.statuses:
                 return status
-        return Status.SOLVED
+        return Status.SOLVED if self.reached == self.stop else Status.STALLED
 
     @property
     def is_solved(self) -> bool:
@@ -180,8 +163,7 @@ class Path:
         InvalidOption
             Where θ is outside of what was traced.
         """
-        piece = self.piece_at(theta)
-        return self.family.point(float(theta), piece.z_at(float(theta)))
+        return self._point(float(theta), self.piece_at(theta))
 
     def x(self, thetas: ArrayLike) -> FloatVector:
         """Return x at many values, shape (k, n)."""
@@ -243,6 +225,8 @@ class Path:
                 f"{self.status.name}: the path ends at {self.reached:.9g}, before {self.stop:.6g}; just beyond: "
                 f"{self.beyond.advice}."
             )
+        elif self.reached != self.stop and all(status is Status.SOLVED for status in self.statuses):
+            first = f"STALLED: {self.reached:.9g} was reached on the way to {self.stop:.6g}, then the path was lost."
         else:
             worst = self.ends[0][self.statuses.index(self.status)]
             first = f"{self.status.name}: the solution at {worst:.9g} is not within the tolerance."
@@ -303,3 +287,12 @@ class Path:
 
     def __str__(self) -> str:
         return self.explain()
+
+
+def _join(one: Piece, other: Piece) -> bool:
+    """Return whether a piece begins where the one before ends, in θ and in the unknowns."""
+    if one.end != other.begin:
+        return False
+    here = one.z_at(one.end)
+    off = np.abs(here - other.z_at(other.begin)).max(initial=0.0)
+    return bool(off <= JOINED * np.abs(here).max(initial=0.0))

@@ -22,6 +22,7 @@ from ...core.matrix.structure import IntVector
 
 FIXED_LEVELS = 4  # of w: +∞, two values, −∞
 CORNERS = 3  # of z
+HELD = 1e-10  # beside its terms: how far a row may be off its staircase
 
 
 class Columns:
@@ -138,6 +139,25 @@ class Staircases:
         """Return the problem with these added to q."""
         return Staircases(self.columns, self.q + np.array([constant, slope]), self.corners.copy(), self.levels.copy())
 
+    def hold(self, t: float, constant: FloatVector, slope: FloatVector, reach: float) -> bool:
+        """Return whether z = constant + t slope is on all staircases at t, to rounding of the terms for |t| ≤ reach."""
+        z, size = constant + t * slope, np.abs(constant) + reach * np.abs(slope)
+        moving = np.flatnonzero(size)
+        columns = self.columns.many(moving)
+        parts = self.q, self.corners, self.levels
+        q, corners, levels = (one[0] + t * one[1] for one in parts)
+        of_q, of_corners, of_levels = (_size(one, reach) for one in parts)
+        w, of_w = q + z[moving] @ columns, of_q + size[moving] @ np.abs(columns)
+        off_z, off_w = HELD * (size.max(initial=0.0) + of_corners), HELD * (of_w + of_levels)
+        on = np.zeros(self.n, dtype=bool)
+        for k in range(CORNERS):
+            below, above = w >= levels[k + 1] - off_w[k + 1], w <= levels[k] + off_w[k]
+            on |= (np.abs(z - corners[k]) <= off_z[k]) & below & above
+        for k in range(CORNERS - 1):
+            between = (z >= corners[k] - off_z[k]) & (z <= corners[k + 1] + off_z[k + 1])
+            on |= between & (np.abs(w - levels[k + 1]) <= off_w[k + 1])
+        return bool(on.all())
+
     def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
         """Return the step of each row that (z, w) misses least at t, shape (n,); a corner is on the even one."""
         held, size = self.at(t), self.columns.sizes
@@ -163,6 +183,12 @@ class Staircases:
         """Whether a row may rest where z is not 0."""
         finite = np.where(np.isfinite(self.corners[0]), self.corners[0], 0.0)
         return bool(finite.any() or self.corners[1].any())
+
+
+def _size(parts: FloatVector, reach: float) -> FloatVector:
+    """Return |constant| + reach |slope|, 0 for no bound at all."""
+    size: FloatVector = np.abs(parts[0]) + reach * np.abs(parts[1])
+    return np.where(np.isfinite(size), size, 0.0)
 
 
 def _held(parts: FloatVector, t: float) -> FloatVector:

@@ -10,9 +10,9 @@ import numpy as np
 from ...core.checks import FloatVector, is_number
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption
-from .families import Family, family_of
+from .families import Family, Piece, family_of
 from .following import End, Follower, Line, SingularError, follower_from
-from .path import Path, Piece
+from .path import Path
 from .staircases import Staircases
 
 BEYOND = (1e-7, 1e-5, 1e-3)  # of the way from start to stop: where a path that has ended is looked for again
@@ -106,14 +106,15 @@ def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
     """Return the path of a family, certified."""
     toward = 1.0 if stop >= start else -1.0
     problem = _turned(family.staircases(), toward)
-    end, t = toward * stop, toward * start
+    crossed = family.crossing()
+    end, t = toward * (stop if crossed is None else crossed.at), toward * start
     pieces: list[Piece] = []
     jumps: list[float] = []
     segments: list[float] = []
-    beyond, starts, reached = None, 0, toward * start
+    beyond, starts, reached = crossed, 0, toward * start
     follower: Follower | None = None
     with np.errstate(invalid="ignore", over="ignore", under="ignore", divide="ignore"):
-        for attempt in range(MOST_RESTARTS):
+        for attempt in range(0 if crossed is not None and crossed.is_at_start else MOST_RESTARTS):
             for share in BEYOND if attempt else (0.0,):
                 t = min(reached + share * max(end - toward * start, abs(reached)), end)
                 follower, beyond, asked = _begun(family, problem, t, toward, is_first=not attempt)
@@ -134,11 +135,10 @@ def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
                 reached = line.end
                 jumps += [toward * line.begin] if line.jumps else []
                 segments += [toward * line.begin] if line.slides else []
-            if why is End.STOP:
+            if why is End.STOP or reached == end:
+                beyond = crossed
                 break
-            if reached == end:
-                break
-    if start == stop and follower is not None:
+    if toward * start == end and follower is not None:
         pieces.append(_still(family, follower, toward))
     path = Path(family, start, stop, pieces, jumps, segments, beyond, toward * reached, starts)
     _ = path.status

@@ -67,6 +67,8 @@ CHECKS = [
     ("spinning_disc", rf"v / \(R ω\) differs from 0.653 by {NUMBER}", 0.03),
     ("tower_of_ten", f"the weights above them by {NUMBER} N, ", 1e-9),
     ("tower_of_ten", f"the speeds from the closed form by {NUMBER} m/s", 1e-9),
+    ("poured_discs", f"floor and walls carry the weight up to {NUMBER}, ", 1e-6),
+    ("poured_discs", f"discs overlap by {NUMBER} of their radius", 1e-6),
 ]
 NAMES = list(dict.fromkeys(name for name, *_ in CHECKS))
 

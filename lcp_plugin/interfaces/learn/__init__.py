@@ -43,6 +43,9 @@ scipy array or a dense tensor. ``torch.compile`` leaves the layer beside its gra
 ``fullgraph=True``, and ``torch.func`` within what is compiled, are out. In JAX compile what is differentiated often:
 ``jax.grad`` alone costs several times as much as within ``jax.jit``.
 
+**Contact with friction.** ``contact_layer(W, b, friction)`` gives the impulses of many worlds, with the gradients of
+:class:`~lcp_plugin.problems.sensitivity.contact_batch_derivative.ContactBatchDerivative`. JAX has them backwards only.
+
 **Double precision**, on the CPU: single precision is refused in words, as a certificate of what was rounded certifies
 another problem. Convert before and after the layer (``q.double()``, ``z.float()``); gradients pass through that.
 """

@@ -12,8 +12,10 @@ import numpy as np
 
 from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ...problems.batches.batch import solve_batch
+from ...problems.cones.stacked_contacts import FrictionalContactBatch
 from ...problems.sensitivity import derivative
 from ...problems.sensitivity.batch_derivative import BatchDerivative
+from ...problems.sensitivity.contact_batch_derivative import ContactBatchDerivative
 
 
 @dataclass(eq=False)
@@ -26,13 +28,13 @@ class Wishes:
         What :func:`lcp_plugin.solve_batch` takes.
     M : sparse array, shape (n, n), or None
         Where it is a constant of the layer.
-    found : BatchDerivative or None
+    found : BatchDerivative or ContactBatchDerivative or None
         Where PyTorch takes the derivative, whatever transforms the call; JAX begins again at z.
     """
 
     options: Mapping[str, Any]
     M: Any = None
-    found: BatchDerivative | None = None
+    found: BatchDerivative | ContactBatchDerivative | None = None
 
 
 def common_axes(
@@ -129,6 +131,43 @@ def tangents(found: BatchDerivative, axes: tuple[int, ...], *moved: Any) -> tupl
         return (found.jvp(dq=change, dlower=lower, dupper=upper),)
 
     return _derived(ask, 1, found, axes, *moved)
+
+
+def contacts_solved(wishes: Wishes, W: Any, b: Any, friction: Any, z0: Any = None) -> ContactBatchDerivative:
+    """Return the derivative of all worlds with contact.
+
+    Parameters
+    ----------
+    wishes : Wishes
+        Its options are those of FrictionalContactBatch and of solve_batch.
+    W, b, friction, z0 : array, shapes (B, n, n), (B, n), (B, k), (B, n)
+
+    Raises
+    ------
+    InvalidProblem
+        For numbers and shapes that are no problem.
+    NotConverged
+        Where a world is not solved.
+    """
+    of_worlds = {name: wishes.options[name] for name in ("contacts", "dimension")}
+    others = {name: wish for name, wish in wishes.options.items() if name not in of_worlds}
+    worlds = FrictionalContactBatch(W, b, friction, **of_worlds)
+    found: ContactBatchDerivative = derivative(solve_batch(worlds, z0=z0, **others))
+    if found.errors:
+        is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
+        raise _first(found.errors, (len(found),), InvalidProblem if is_none else NotConverged)
+    return found
+
+
+def contact_gradients(found: ContactBatchDerivative, _: tuple[int, ...], g: Any) -> tuple[Any, ...]:
+    """Return the gradients by W, b and friction, from that by the impulses, shape (B, n)."""
+    gradient = found.vjp(g)
+    return gradient.M, gradient.q, gradient.friction
+
+
+def contact_tangents(found: ContactBatchDerivative, _: tuple[int, ...], dW: Any, db: Any, dfriction: Any) -> tuple[Any]:
+    """Return (dz,), the change of the impulses."""
+    return (found.jvp(dM=dW, dq=db, dfriction=dfriction),)
 
 
 def no_second_derivative(remedy: str) -> UnsupportedModel:

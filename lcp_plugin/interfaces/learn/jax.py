@@ -23,9 +23,18 @@ from jax.interpreters import ad, batching, mlir
 from ...core.algorithm import Algorithm
 from ...core.checks import check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
-from .batches import Wishes, common_axes, gradients, no_second_derivative, solved, tangents
+from .batches import (
+    Wishes,
+    common_axes,
+    contact_gradients,
+    contacts_solved,
+    gradients,
+    no_second_derivative,
+    solved,
+    tangents,
+)
 
-__all__ = ["lcp_layer"]
+__all__ = ["contact_layer", "lcp_layer"]
 
 
 def lcp_layer(
@@ -90,6 +99,92 @@ def lcp_layer(
         data.insert(0, _with_axes(M, len(axes) + 2))
     z: jax.Array = _solution.bind(*data, wishes=wishes)[0]
     return z
+
+
+def contact_layer(
+    W: Any, b: Any, friction: Any, *, dimension: int | None = None, tolerance: float = 1e-8,
+    max_seconds: float | None = None, threads: int | None = None,
+) -> jax.Array:
+    """Return the impulses z of worlds with contact and friction, differentiable by W, b and friction.
+
+    Parameters
+    ----------
+    W, b, friction : array, shapes (…, n, n), (…, n) and (…, k)
+        As of :class:`lcp_plugin.FrictionalContactBatch`, float64; axes in front are those of worlds, and broadcast.
+    dimension : int, optional
+        d, 3 by default where the rows are a multiple of 3.
+    tolerance, max_seconds, threads
+        As in :func:`lcp_plugin.solve_batch`.
+
+    Returns
+    -------
+    array, shape (…, n)
+        The velocities are W z + b.
+
+    Raises
+    ------
+    InvalidOption
+        Where JAX has not been told to calculate in double precision.
+    InvalidProblem, NotConverged
+        As of `lcp_layer`.
+
+    Notes
+    -----
+    Derivatives go backwards: ``jax.grad``, ``jax.vjp``, ``jax.jacrev``, under ``jit`` and ``vmap`` as well.
+
+    Examples
+    --------
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> b, friction = jnp.array([-1.0, 3.0, 4.0]), jnp.array([0.5])
+    >>> jax.grad(lambda mu: contact_layer(jnp.eye(3), b, mu) @ jnp.array([0.0, 3.0, 4.0]))(friction).round(6).tolist()
+    [-5.0]
+    """
+    if not jax.config.jax_enable_x64:
+        raise InvalidOption(
+            'contact_layer works in double precision; begin with jax.config.update("jax_enable_x64", True)'
+        )
+    W, b, friction = _array(W, "W"), _array(b, "b"), _array(friction, "friction")
+    axes = np.broadcast_shapes(W.shape[:-2], b.shape[:-1], friction.shape[:-1])
+    own = (W, W.shape[-2:]), (b, b.shape[-1:]), (friction, friction.shape[-1:])
+    options = {
+        "contacts": None, "dimension": dimension, "tolerance": tolerance, "max_seconds": max_seconds,
+        "threads": threads,
+    }
+    z: jax.Array = _impulses(*(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own), Wishes(options))
+    return z
+
+
+def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:
+    """Call a function of arrays with one axis for all worlds, whatever axes stand in front of b's last."""
+    def call(*data: Any) -> Any:
+        axes = data[1].shape[:-1]
+        stacked = [np.asarray(one).reshape(-1, *one.shape[len(axes):]) for one in data]
+        return jax.tree.map(lambda one: one.reshape(*axes, *one.shape[1:]), function(*stacked))
+
+    return jax.pure_callback(call, like, *data, vmap_method="broadcast_all")
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(3,))
+def _impulses(W: Any, b: Any, friction: Any, wishes: Wishes) -> Any:
+    like = jax.ShapeDtypeStruct(b.shape, np.float64)
+    return _called(lambda *data: np.array(contacts_solved(wishes, *data).batch.z), like, W, b, friction)
+
+
+def _impulses_forward(W: Any, b: Any, friction: Any, wishes: Wishes) -> tuple[Any, Any]:
+    z = _impulses(W, b, friction, wishes)
+    return z, (W, b, friction, z)
+
+
+def _impulses_backward(wishes: Wishes, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
+    def differentiate(W: Any, b: Any, friction: Any, z: Any, g: Any) -> tuple[Any, ...]:
+        return contact_gradients(contacts_solved(wishes, W, b, friction, z), (), g)  # it begins at its solution
+
+    like = tuple(jax.ShapeDtypeStruct(one.shape, np.float64) for one in kept[:3])
+    by: tuple[Any, ...] = _called(differentiate, like, *kept, g)
+    return by
+
+
+_impulses.defvjp(_impulses_forward, _impulses_backward)
 
 
 def _array(values: Any, name: str) -> Any:

@@ -20,9 +20,20 @@ except ImportError:
 from ...core.algorithm import Algorithm
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
-from .batches import Wishes, common_axes, gradients, is_one, no_second_derivative, solved, tangents
+from .batches import (
+    Wishes,
+    common_axes,
+    contact_gradients,
+    contact_tangents,
+    contacts_solved,
+    gradients,
+    is_one,
+    no_second_derivative,
+    solved,
+    tangents,
+)
 
-__all__ = ["lcp_layer"]
+__all__ = ["contact_layer", "lcp_layer"]
 
 
 def lcp_layer(
@@ -90,6 +101,101 @@ def _layer(M: Any, q: Any, lower: Any, upper: Any, options: dict[str, Any]) -> A
     if is_stack:
         M = M.reshape(M.shape[-2:]) if is_one(M) else M.expand(*axes, *M.shape[-2:])
     return _Solution.apply(M, q, lower, upper, wishes)
+
+
+def contact_layer(
+    W: Any, b: Any, friction: Any, *, contacts: Any = None, dimension: int | None = None, z0: Any = None,
+    tolerance: float = 1e-8, max_seconds: float | None = None, threads: int | None = None,
+) -> torch.Tensor:
+    """Return the impulses z of many worlds with contact and friction, differentiable by W, b and friction.
+
+    Parameters
+    ----------
+    W : tensor, shape (B, n, n) or (n, n)
+        As of :class:`lcp_plugin.FrictionalContactBatch`, float64, on the CPU, like the others; read where it lies.
+    b : tensor, shape (B, n)
+    friction : tensor, shape (B, k), (k,) or (), or number
+    contacts, dimension
+        As of :class:`lcp_plugin.FrictionalContactBatch`.
+    z0 : tensor, shape (B, n), optional
+        Warm starts, constants.
+    tolerance, max_seconds, threads
+        As in :func:`lcp_plugin.solve_batch`.
+
+    Returns
+    -------
+    tensor, shape (B, n)
+        The velocities are W z + b.
+
+    Raises
+    ------
+    InvalidProblem
+        For tensors of another type, place or shape, and numbers that are no problem.
+    NotConverged
+        Where a world is not solved; it says which.
+
+    Notes
+    -----
+    ``backward()`` and forward mode; a second derivative is refused, ``torch.func.vmap`` by torch. Where contacts are
+    degenerate the gradient is one of several, see ``help(lcp_plugin.derivative)``.
+
+    Examples
+    --------
+    >>> b = torch.tensor([[-1.0, 3.0, 4.0]], dtype=torch.float64)
+    >>> friction = torch.tensor([0.5], dtype=torch.float64, requires_grad=True)
+    >>> z = contact_layer(torch.eye(3, dtype=torch.float64), b, friction)
+    >>> (z[0, 1] * 3.0 + z[0, 2] * 4.0).backward()
+    >>> round(friction.grad.item(), 6)
+    -5.0
+    """
+    W, b, friction = _tensor(W, "W"), _tensor(b, "b"), _tensor(friction, "friction")
+    start = None if z0 is None else _numpy(_tensor(z0, "z0"))
+    if b.ndim != 2 or W.ndim not in (2, 3):
+        raise InvalidProblem(
+            f"W must have shape (B, n, n) or (n, n), and b (B, n), got {tuple(W.shape)} and {tuple(b.shape)}"
+        )
+    options = {
+        "contacts": contacts, "dimension": dimension, "tolerance": tolerance, "max_seconds": max_seconds,
+        "threads": threads,
+    }
+    if W.ndim == 2:
+        W = W.expand(len(b), *W.shape)
+    if friction.ndim == 1:
+        friction = friction.expand(len(b), *friction.shape)
+    return _Impulses.apply(W, b, friction, start, Wishes(options))
+
+
+class _Impulses(torch.autograd.Function):  # type: ignore[misc]
+    """z of many worlds with contact."""
+
+    @staticmethod
+    def forward(W: Any, b: Any, friction: Any, start: Any, run: Wishes) -> Any:
+        """Solve."""
+        run.found = contacts_solved(run, _numpy(W), _numpy(b), _numpy(friction), start)
+        return torch.from_numpy(run.found.batch.z.copy())
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], z: Any) -> None:
+        """Keep what the derivatives ask."""
+        *given, _, ctx.run = inputs
+        ctx.has_one_friction = inputs[2].ndim == 0
+        ctx.save_for_backward(*given, z)
+        ctx.save_for_forward(*given, z)
+
+    @staticmethod
+    def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
+        """Return the gradients by all arguments."""
+        *_, z = ctx.saved_tensors  # torch refuses where one was changed in place
+        by_W, by_b, by_friction = _Derivative.apply(contact_gradients, ctx.run, None, z, g)
+        return by_W, by_b, by_friction.sum() if ctx.has_one_friction else by_friction, None, None
+
+    @staticmethod
+    def jvp(ctx: Any, dW: Any, db: Any, dfriction: Any, *_: Any) -> Any:
+        """Return the change of z."""
+        *given, z = ctx.saved_tensors
+        pairs = zip((dW, db, dfriction), given, strict=True)
+        moved = [torch.zeros_like(one) if by is None else by for by, one in pairs]
+        return _Derivative.apply(contact_tangents, ctx.run, None, z, *moved)[0]
 
 
 class _Solution(torch.autograd.Function):  # type: ignore[misc]

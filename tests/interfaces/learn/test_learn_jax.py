@@ -19,6 +19,7 @@ from jax.test_util import check_grads  # noqa: E402
 import lcp_plugin.interfaces.learn.jax as layers  # noqa: E402
 from lcp_plugin import (  # noqa: E402
     LCP,
+    FrictionalContactBatch,
     InvalidOption,
     InvalidProblem,
     NotConverged,
@@ -27,8 +28,9 @@ from lcp_plugin import (  # noqa: E402
     derivative,
     gallery,
     solve,
+    solve_batch,
 )
-from lcp_plugin.interfaces.learn.jax import lcp_layer  # noqa: E402
+from lcp_plugin.interfaces.learn.jax import contact_layer, lcp_layer  # noqa: E402
 
 INF = np.inf
 
@@ -258,3 +260,25 @@ def test_what_is_refused(call: Callable[[], Any], said: str) -> None:
     """Other shapes and numbers that are no problem, in words."""
     with pytest.raises(InvalidProblem, match=said):
         call()
+
+
+def worlds(count: int) -> Any:
+    """W, b and friction of one body at two contacts."""
+    rng = np.random.default_rng(3)
+    J = rng.standard_normal((count, 6, 6))
+    b = (J @ rng.standard_normal((count, 6, 1)))[:, :, 0]
+    return J @ J.swapaxes(1, 2) + 0.1 * np.eye(6), b, rng.uniform(0.2, 0.8, (count, 2))
+
+
+def test_contact_has_the_gradients_of_its_derivative() -> None:
+    """Compiled, mapped and at once."""
+    W, b, friction = worlds(6)
+    gradient = derivative(solve_batch(FrictionalContactBatch(W, b, friction))).vjp(np.ones(6))
+
+    def loss(W: Any, b: Any, friction: Any) -> Any:
+        return contact_layer(W, b, friction).sum()
+
+    ways = jax.grad(loss, (0, 1, 2)), jax.jit(jax.grad(loss, (0, 1, 2))), jax.vmap(jax.grad(loss, (0, 1, 2)))
+    for way in ways:
+        for found, expected in zip(way(W, b, friction), (gradient.M, gradient.q, gradient.friction), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)

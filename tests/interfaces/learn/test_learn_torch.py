@@ -28,7 +28,7 @@ from lcp_plugin import (  # noqa: E402
     solve,
     solve_batch,
 )
-from lcp_plugin.interfaces.learn.torch import lcp_layer  # noqa: E402
+from lcp_plugin.interfaces.learn.torch import contact_layer, lcp_layer  # noqa: E402
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:Sparse (CSR|invariant):UserWarning"),  # PyTorch, of each CSR tensor
@@ -345,3 +345,35 @@ def test_constants_may_be_arrays_and_numbers() -> None:
     q = torch.tensor([-5.0, 1.0], dtype=torch.float64, requires_grad=True)
     answers = [lcp_layer(M, q, [0, 0], np.inf) for M in ([[2, 1], [1, 2]], sp.csr_array([[2.0, 1.0], [1.0, 2.0]]))]
     assert [z.tolist() for z in answers] == [[2.5, 0.0]] * 2
+
+
+def worlds(count: int) -> Any:
+    """W, b and friction of one body at two contacts."""
+    rng = np.random.default_rng(3)
+    J = rng.standard_normal((count, 6, 6))
+    b = (J @ rng.standard_normal((count, 6, 1)))[:, :, 0]
+    return J @ J.swapaxes(1, 2) + 0.1 * np.eye(6), b, rng.uniform(0.2, 0.8, (count, 2))
+
+
+def test_contact_has_the_gradients_of_differences() -> None:
+    """By W, which stays symmetric, b and friction, one number of it as well; forwards and backwards."""
+    W, b, friction = leaves(*worlds(6))
+
+    def layer(A: Any, b: Any, friction: Any) -> Any:
+        return contact_layer(A + A.mT, b, friction, tolerance=1e-12)
+
+    assert torch.autograd.gradcheck(layer, (0.5 * W.detach().requires_grad_(), b, friction), atol=1e-4)
+    one = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda mu: contact_layer(W[0].detach(), b.detach(), mu), (one,), atol=1e-4)
+    dz = torch.func.jvp(lambda b: contact_layer(W.detach(), b, friction.detach()), (b.detach(),), (b.detach(),))[1]
+    assert torch.allclose(dz, contact_layer(W, b, friction), atol=1e-8)  # z is homogeneous in b
+
+
+def test_contact_that_is_no_problem_is_named() -> None:
+    """The world, or the shape."""
+    W, b, friction = map(torch.tensor, worlds(3))
+    b[1, 0] = np.nan
+    with pytest.raises(InvalidProblem, match=r"problem \(1,\) of the batch"):
+        contact_layer(W, b, friction)
+    with pytest.raises(InvalidProblem, match=r"and b \(B, n\), got"):
+        contact_layer(W, b[0], friction)

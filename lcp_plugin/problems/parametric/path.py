@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -219,11 +220,11 @@ class Path:
             first = f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {in_words(count, 'piece')}, "
             first += "each end is certified, and what lies between is a mean of both."
         elif self.beyond is not None and not self.pieces:
-            first = f"{self.status.name}: there is no path from {self.start:.6g}: {self.beyond.advice}."
+            first = f"{self.status.name}: there is no path from {self.start:.6g}: {self._why}."
         elif self.beyond is not None:
             first = (
                 f"{self.status.name}: the path ends at {self.reached:.9g}, before {self.stop:.6g}; just beyond: "
-                f"{self.beyond.advice}."
+                f"{self._why}."
             )
         elif self.reached != self.stop and all(status is Status.SOLVED for status in self.statuses):
             first = f"STALLED: {self.reached:.9g} was reached on the way to {self.stop:.6g}, then the path was lost."
@@ -238,11 +239,25 @@ class Path:
             lines.append(f"breakpoints: {shown or 'none'}{rest}")
         lines += [f"the solution jumps at {value:.9g}" for value in self.jumps]
         if self.segments:
-            shown = ", ".join(f"{value:.6g}" for value in self.segments[:SHOWN])
-            lines.append(f"at {shown} all points between two solutions are solutions")
+            joints = {piece.begin: (one, piece) for one, piece in itertools.pairwise(self.pieces)}
+            moving = [value for value in self.segments if value not in joints or _differ_in_x(*joints[value])]
+            resting = [value for value in self.segments if value not in moving]
+            for values, words in (
+                (moving, "all points between two solutions are solutions"),
+                (resting, "the multipliers jump, and all between two of them are right; x does not"),
+            ):
+                if values:
+                    lines.append(f"at {', '.join(f'{value:.6g}' for value in values[:SHOWN])} {words}")
         begun = in_words(self.starts, "solve")
         lines.append(f"{begun} to begin with, then one change a breakpoint; {self.seconds:.3g} s")
         return "\n".join(lines)
+
+    @property
+    def _why(self) -> str:
+        """What keeps the path from going on, in words."""
+        if self.beyond.is_solved:
+            return "it has a solution, which determines no way on, a singular case; solve_batch solves at given values"
+        return str(self.beyond.advice)
 
     def to_dataframe(self, thetas: ArrayLike | None = None) -> Any:
         """Return a pandas DataFrame: θ, objective and x at the breakpoints, or at given values.
@@ -287,6 +302,12 @@ class Path:
 
     def __str__(self) -> str:
         return self.explain()
+
+
+def _differ_in_x(one: Piece, other: Piece) -> bool:
+    """Return whether x is another one behind the end of a piece."""
+    here, there = (piece.x0 + other.begin * piece.x1 for piece in (one, other))
+    return bool(np.abs(here - there).max(initial=0.0) > JOINED * (1.0 + np.abs(here).max(initial=0.0)))
 
 
 def _join(one: Piece, other: Piece) -> bool:

@@ -22,6 +22,8 @@ from ...core.matrix.structure import IntVector
 
 FIXED_LEVELS = 4  # of w: +∞, two values, −∞
 CORNERS = 3  # of z
+ALIKE = 1e3  # rows and columns whose sizes differ no more are left in their units
+EQUILIBRATED = 8  # passes
 HELD = 1e-10  # beside its terms: how far a row may be off its staircase
 
 
@@ -44,6 +46,19 @@ class Columns:
         of_rows = abs(M).max(axis=1).toarray().ravel() if sp.issparse(M) else np.abs(M).max(axis=1, initial=0.0)
         self.sizes: FloatVector = np.maximum(np.asarray(of_rows, dtype=np.float64), np.finfo(np.float64).tiny)
 
+    def units(self) -> FloatVector:
+        """Return powers of two d for which the rows and columns of D M D are of about one size; 1 where they are."""
+        size, units = abs(self._columns), np.ones(self.n)
+        if not _differ(_largest(size)):
+            return units
+        for _ in range(EQUILIBRATED):
+            units /= np.sqrt(_largest(units[:, np.newaxis] * size * units))
+        return _powers(units)
+
+    def measured(self, units: FloatVector) -> Columns:
+        """Return the columns of D M D."""
+        return Columns((units[:, np.newaxis] * self._columns * units).T)
+
     def many(self, numbers: Any) -> FloatVector:
         """Return some columns as rows of an array, shape (k, n)."""
         chosen = self._columns[:, numbers].T.toarray() if sp.issparse(self._columns) else self._columns[numbers]
@@ -60,21 +75,33 @@ class GramColumns(Columns):
     Parameters
     ----------
     A : ndarray or sparse array, shape (m, n)
-    ridge : float
+    ridge : float or ndarray, shape (n,)
     """
 
-    def __init__(self, A: Any, ridge: float) -> None:
-        self.n, self._ridge = A.shape[1], ridge
+    def __init__(self, A: Any, ridge: float | FloatVector) -> None:
+        self.n, self._ridge = A.shape[1], np.broadcast_to(np.asarray(ridge), A.shape[1:])
         self._A, self._transpose = A, (sp.csr_array(A.T) if sp.issparse(A) else np.ascontiguousarray(A.T))
         squares = np.asarray(abs(A).power(2).sum(axis=0)).ravel() if sp.issparse(A) else np.einsum("ij,ij->j", A, A)
-        lengths = np.sqrt(squares)
-        self.sizes = np.maximum(lengths * lengths.max(initial=0.0) + ridge, np.finfo(np.float64).tiny)
+        self._lengths = np.sqrt(squares)
+        sizes = self._lengths * self._lengths.max(initial=0.0) + self._ridge
+        self.sizes = np.maximum(sizes, np.finfo(np.float64).tiny)
+
+    def units(self) -> FloatVector:
+        """Return powers of two d for which the diagonal of D M D is about 1; 1 where that of M is of one size."""
+        size = np.hypot(self._lengths, np.sqrt(self._ridge))
+        size = np.where(size > 0.0, size, 1.0)
+        return _powers(1.0 / size) if _differ(size) else np.ones(self.n)
+
+    def measured(self, units: FloatVector) -> Columns:
+        """Return the columns of D M D."""
+        A = sp.csr_array(self._A @ sp.diags_array(units)) if sp.issparse(self._A) else self._A * units
+        return GramColumns(A, self._ridge * units * units)
 
     def many(self, numbers: Any) -> FloatVector:
         """Return some columns as rows of an array, shape (k, n)."""
         chosen = self._transpose[numbers]
         made = (chosen @ self._A).toarray() if sp.issparse(chosen) else chosen @ self._A
-        made[np.arange(len(numbers)), numbers] += self._ridge
+        made[np.arange(len(numbers)), numbers] += self._ridge[numbers]
         return np.asarray(made)
 
     def one(self, j: int) -> FloatVector:
@@ -82,7 +109,7 @@ class GramColumns(Columns):
         if sp.issparse(self._A):
             return np.asarray(self.many([j])[0])
         column: FloatVector = np.asarray(self._transpose @ self._transpose[j])
-        column[j] += self._ridge
+        column[j] += self._ridge[j]
         return column
 
 
@@ -125,6 +152,14 @@ class Staircases:
         corners[:, 2, has_kink], corners[:, 1, has_kink] = upper[:, has_kink], 0.0
         levels[:, 1, has_kink], levels[:, 2, has_kink] = penalty[:, has_kink], -penalty[:, has_kink]
         return made
+
+    def measured(self, units: FloatVector) -> Staircases:
+        """Return the problem of z / d and d w, whose matrix is D M D."""
+        if (units == 1.0).all():
+            return self
+        return Staircases(
+            self.columns.measured(units), self.q * units, self.corners / units, self.levels * units
+        )
 
     @property
     def n(self) -> int:
@@ -183,6 +218,21 @@ class Staircases:
         """Whether a row may rest where z is not 0."""
         finite = np.where(np.isfinite(self.corners[0]), self.corners[0], 0.0)
         return bool(finite.any() or self.corners[1].any())
+
+
+def _largest(size: Any) -> FloatVector:
+    """Return the largest entry of row and column j, for each j; 1 where both are 0."""
+    found = np.maximum(*(one.toarray().ravel() if sp.issparse(one) else one for one in (size.max(0), size.max(1))))
+    return np.where(found > 0.0, found, 1.0)
+
+
+def _differ(sizes: FloatVector) -> bool:
+    return bool(sizes.max(initial=1.0) > ALIKE * sizes.min(initial=1.0))
+
+
+def _powers(units: FloatVector) -> FloatVector:
+    """Return the nearest powers of two, which round nothing."""
+    return np.exp2(np.rint(np.log2(units)))
 
 
 def _size(parts: FloatVector, reach: float) -> FloatVector:

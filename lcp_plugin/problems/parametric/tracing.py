@@ -105,7 +105,9 @@ def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance:
 def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
     """Return the path of a family, certified."""
     toward = 1.0 if stop >= start else -1.0
-    problem = _turned(family.staircases(), toward)
+    stated = family.staircases()
+    units = stated.columns.units()
+    problem = _turned(stated.measured(units), toward)
     crossed = family.crossing()
     end, t = toward * (stop if crossed is None else crossed.at), toward * start
     pieces: list[Piece] = []
@@ -117,13 +119,13 @@ def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
         for attempt in range(0 if crossed is not None and crossed.is_at_start else MOST_RESTARTS):
             for share in BEYOND if attempt else (0.0,):
                 t = min(reached + share * max(end - toward * start, abs(reached)), end)
-                follower, beyond, asked = _begun(family, problem, t, toward, is_first=not attempt)
+                follower, beyond, asked = _begun(family, problem, t, toward, units, is_first=not attempt)
                 starts += asked
                 if follower is not None or beyond.has_no_solution or t == end:
                     break
             if follower is None:
                 break
-            if pieces and _is_apart(pieces[-1].z_at(toward * reached), follower.solution()):
+            if pieces and _is_apart(pieces[-1].z_at(toward * reached), units * follower.solution()):
                 # All solutions of a monotone problem are one convex set.
                 (segments if family.is_monotone else jumps).append(toward * reached)
             why, reached = None, t
@@ -131,7 +133,7 @@ def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
                 if isinstance(line, End):
                     why = line
                     break
-                pieces.append(_piece(family, line, toward))
+                pieces.append(_piece(family, line, toward, units))
                 reached = line.end
                 jumps += [toward * line.begin] if line.jumps else []
                 segments += [toward * line.begin] if line.slides else []
@@ -139,7 +141,7 @@ def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
                 beyond = crossed
                 break
     if toward * start == end and follower is not None:
-        pieces.append(_still(family, follower, toward))
+        pieces.append(_still(family, follower, toward, units))
     path = Path(family, start, stop, pieces, jumps, segments, beyond, toward * reached, starts)
     _ = path.status
     path.seconds = clock.read()
@@ -152,7 +154,7 @@ def _is_apart(one: FloatVector, other: FloatVector) -> bool:
 
 
 def _begun(
-    family: Family, problem: Staircases, t: float, toward: float, *, is_first: bool
+    family: Family, problem: Staircases, t: float, toward: float, units: FloatVector, *, is_first: bool
 ) -> tuple[Follower | None, Any, int]:
     """Return a follower at t, or what `solve` says where there is no solution; and how often it was asked."""
     if is_first and (follower := _at_rest(problem, t)) is not None:
@@ -160,7 +162,7 @@ def _begun(
     result = family.solved(toward * t)
     if result.has_no_solution or result.x is None:
         return None, result, 1
-    z = family.followed(result, toward * t)
+    z = family.followed(result, toward * t) / units
     q = problem.q[0] + t * problem.q[1]
     moving = np.flatnonzero(z)
     w = q + (z[moving] @ problem.columns.many(moving) if moving.size else 0.0)
@@ -192,15 +194,15 @@ def _turned(problem: Staircases, toward: float) -> Staircases:
     )
 
 
-def _piece(family: Family, line: Line, toward: float) -> Piece:
-    z0, z1 = line.z[0], toward * line.z[1]
+def _piece(family: Family, line: Line, toward: float, units: FloatVector) -> Piece:
+    z0, z1 = units * line.z[0], toward * units * line.z[1]
     return Piece(
         toward * line.begin, toward * line.end, family.x_of(z0), family.x_of(z1), family.case_of(line.steps), z0, z1,
     )
 
 
-def _still(family: Family, follower: Follower, toward: float) -> Piece:
+def _still(family: Family, follower: Follower, toward: float, units: FloatVector) -> Piece:
     """Return the piece of a path of length 0."""
     z: FloatVector = follower.solution()
     line = Line(follower.t, follower.t, np.array([z, np.zeros_like(z)]), follower.steps)
-    return _piece(family, line, toward)
+    return _piece(family, line, toward, units)

@@ -502,3 +502,31 @@ def test_a_path_ends_where_bounds_cross(problem: Any, along: Any) -> None:
     beyond = trace(problem, along, -1.5, -2.0)
     assert beyond.status is Status.INFEASIBLE
     assert not beyond.pieces
+
+
+@pytest.mark.parametrize("size", [1.0, 1e7, 1e9, 1e12])
+def test_units_of_cost_and_of_columns_end_no_path(size: float) -> None:
+    """Pivots are judged in units that rows and columns share: costs and columns of any size have their paths."""
+    rng = np.random.default_rng(0)
+    B = rng.standard_normal((7, 7))
+    units = np.where(np.arange(7) % 2, size, 1.0)
+    M, q, dq = B @ B.T / 7 + np.eye(7), *(3.0 * rng.standard_normal((2, 7)))
+    rows = {"G": rng.standard_normal((3, 7)), "h": np.ones(3), "A": np.ones((1, 7)), "b": [1.0], "lower": 0}
+    trace(QuadraticProgram(size * np.eye(2), [0, 0], A=[[1, 1]], b=[1]), {"b": 1}, 0, 2).require_solved()
+    trace(QuadraticProgram(size * M, size * q, **rows), {"c": size * dq}, 0, 1).require_solved()
+    path = trace(LCP(M * np.outer(units, units), q * units), {"q": dq * units}, -1, 1).require_solved()
+    plain = trace(LCP(M, q), {"q": dq}, -1, 1).require_solved()
+    assert path.breakpoints == pytest.approx(plain.breakpoints, abs=1e-9)
+    assert np.allclose(path.x([-0.3, 0.6]) * units, plain.x([-0.3, 0.6]), rtol=0, atol=1e-9)
+    squares = BoundedLeastSquares(rng.standard_normal((9, 7)) * units, rng.standard_normal(9), lower=-INF)
+    trace(squares, {"l1": units}, 5, 0.01).require_solved()
+    trace(squares.with_vectors(lower=np.zeros(7)), {"b": rng.standard_normal(9)}, -1, 1).require_solved()
+
+
+def test_where_multipliers_alone_jump_x_is_not_said_to() -> None:
+    """Two limits that meet share a multiplier in any way; x is the same, and the words say so."""
+    program = QuadraticProgram([[1.0]], [-2.0], G=[[1.0], [1.0]], h=[0.0, 1.0])
+    path = trace(program, {"h": [1.0, 0.0]}, 0.0, 1.5).require_solved()
+    assert path.segments == pytest.approx([1.0])
+    assert "at 1 the multipliers jump" in path.explain()
+    assert "all points between two solutions" not in path.explain()

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from cone_families import planted_contacts, wall
 from scipy.spatial import cKDTree
 
-from lcp_plugin import LCP, FrictionalContact, load_problem, solve, solve_batch
+from lcp_plugin import LCP, FrictionalContact, FrictionalContactBatch, derivative, load_problem, solve, solve_batch
 from lcp_plugin.core.errors import UnreadableFile
 from lcp_plugin.problems.cones.methods import NPGS
 from lcp_plugin.problems.contact import contact_data
@@ -285,4 +285,26 @@ def _batch(count: int) -> str:
             assert found.all_solved
     cones, four, eight = (min(own[1:]) for own in seconds)
     return (f"{count} problems of 4 contacts: {1e6 * cones / count:.0f} µs each, {cones / four:.1f} times pyramids of "
-            f"4 edges, {cones / eight:.1f} of 8")
+            f"4 edges, {cones / eight:.1f} of 8\n{_worlds(W, b.reshape(count, -1), mu)}")
+
+
+def _worlds(W: Any, b: Any, mu: Any) -> str:
+    """Return what a warm solve of worlds in arrays costs and their gradient, on one thread and on two, medians of five.
+
+    Turns alternate, so that what else runs strikes both alike.
+    """
+    worlds, moved = FrictionalContactBatch(W, b, mu), FrictionalContactBatch(W, 1.001 * b, mu)
+    start = solve_batch(worlds).require_solved().z
+    seconds: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
+    for _ in range(6):  # the first loads
+        for threads, own in seconds.items():
+            began = time.perf_counter()
+            batch = solve_batch(moved, z0=start, threads=threads)
+            solved = time.perf_counter()
+            assert derivative(batch).vjp(batch.z).M.shape == W.shape
+            own.append((solved - began, time.perf_counter() - solved))
+    told = []
+    for threads, own in seconds.items():
+        solve_ms, gradient_ms = 1e3 * np.median(own[1:], axis=0)
+        told.append(f"{threads} thread(s) {solve_ms:.0f} ms, gradient {gradient_ms:.0f} ms")
+    return f"{len(W)} worlds in arrays, warm: {'; '.join(told)}"

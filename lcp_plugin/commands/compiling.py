@@ -75,7 +75,9 @@ def compile_part(part: str) -> None:
         steps = derivative(march(sparse, np.zeros((2, sparse.n)), algorithm=part))
         steps.vjp(np.ones(sparse.n))
         steps.jvp(dz0=np.ones(sparse.n))
-        march_many(gallery.build("american_put", size=20).problem, np.zeros((2, 1, 20)))
+        put = gallery.build("american_put", size=20).problem
+        march_many(put, np.zeros((2, 1, 20)))
+        march_many([put, LCP(2.0 * put.csr, put.q)], np.zeros((1, 20)))  # with an M each
     else:
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)

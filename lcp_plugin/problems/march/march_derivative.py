@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, finite_vector, is_number, real_array, rectangular_matrix
+from ...core.checks import FloatVector, finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.kind import changes_by_name
 from ...core.lcp import LCP
@@ -58,7 +58,7 @@ class Band(NamedTuple):
 
 
 def _by_rows(A: sp.csr_array) -> Any:
-    return A.indptr.astype(np.int64), A.indices.astype(np.int64), A.data
+    return A.indptr.astype(np.int64), A.indices.astype(np.int64), read_only(A.data)  # one signature of a loop
 
 
 def _places(A: sp.csr_array) -> Any:

@@ -206,6 +206,7 @@ def march_many(
         of_march = of_march.with_q(of_march.q, **own) if own else of_march
         if not marches:  # what all share is checked once
             done = march_one(of_march, offset[:0], C, z0=start, algorithm=algorithm, keep_every=keep_every, **wishes)
+            propagators[0] = done.propagator  # a shared one is one object
         else:
             of_march.matrix.require_all_rows()
             state = of_march.nearest_to_zero if start is None else checked_vector(start, "z0", n)

@@ -16,6 +16,7 @@ from exact import LOWER, UPPER, exact_rows, solve_fractions
 from exact_derivatives import distance, exact, piece_at, product
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, derivative, march, solve
+from lcp_plugin.methods.banded import Banded
 from lcp_plugin.problems.march import March, propagator_remark
 from lcp_plugin.problems.march.march_derivative import MarchDerivative
 from lcp_plugin.problems.march.march_many import march_many
@@ -475,6 +476,25 @@ def test_marches_whose_matrices_differ_are_those_one_by_one(keep_every: int) -> 
         np.testing.assert_allclose(ours.z[-1], march(one, forcing, C, z0=payoff).z[-1], rtol=0, atol=1e-9)
     implicit = march(problems, forcing, z0=np.stack([payoff] * 41))
     assert np.array_equal(implicit[7].z[-1], march(problems[7], forcing, z0=payoff).z[-1])
+
+
+def test_the_compiled_loop_takes_a_shared_matrix_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Marches of one M and one propagator share its factor, whoever made the list; others have their own."""
+    given = []
+
+    def observed(self: Banded, problems: Any, forcing: Any, propagators: Any, *rest: Any) -> Any:
+        given.append((len(problems), len(propagators)))
+        return taken(self, problems, forcing, propagators, *rest)
+
+    taken = Banded.fused_marches
+    monkeypatch.setattr(Banded, "fused_marches", observed)
+    problems, payoff, propagators = volatilities(60, 5, 3)
+    forcing = np.zeros((5, 60))
+    march(problems[0], forcing, z0=np.stack([payoff] * 3))
+    march([problems[0]] * 3, forcing, propagators[0], z0=payoff)
+    march(problems, forcing, z0=payoff)
+    march(problems[0], forcing, propagators, z0=payoff)
+    assert given == [(1, 1), (1, 1), (3, 3), (3, 3)]
 
 
 def test_matrices_of_any_kind_are_marched_one_by_one() -> None:

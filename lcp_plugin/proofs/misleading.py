@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from ..core.checks import BoolVector, FloatVector
 from ..core.errors import UnsuitableMatrix
 from ..core.lcp import LCP
+from ..core.representation import in_words
 from ..core.settings import Status
 from ..systems.factors import factor_fits
 from ..systems.free_systems import CONSISTENT, FreeSystem
@@ -25,6 +26,7 @@ FAR = 1e-2  # part of ‖z‖∞
 SHIFT, STEPS = 1e-8, 4  # of the largest entry; steps of inverse iteration: 10⁻⁸ beside 10⁻⁶ of it is forgotten
 STILL = 2.0**-44  # of the entries of a row: what rounding makes of a change that leaves it as it is
 BOUND_UP_TO, BOUND_PASSES = 1000, 100.0  # unknowns; passes over M that a run has cost: a bound costs less than either
+AT_REST_UP_TO = 1000  # unknowns
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 
@@ -94,7 +96,7 @@ def _nearness_to_singular(result: Result) -> str:
     residual, size = result.certificate.scaled_residual, float(np.abs(result.z).max(initial=0.0))
     error = estimated_error(problem, result.z, result.w, residual)
     if error is None or not error > FAR * size:
-        return ""
+        return _at_rest(result)
     system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
     if system.is_singular and (same := system.determined_slack) is not None:
         return _of_several(same, ~system.determined)
@@ -109,9 +111,23 @@ def _nearness_to_singular(result: Result) -> str:
             f"{_advised(result)}")
 
 
+def _at_rest(result: Result) -> str:
+    """Return what to say where rows at a bound without a force make the system with them singular."""
+    problem, z, w = result.certificate.problem, result.z, result.w
+    rests = (w == 0.0) & ((z == problem.lower) | (z == problem.upper)) & (problem.lower < problem.upper)
+    if problem.n > AT_REST_UP_TO or not rests.any():
+        return ""
+    rows = np.flatnonzero(rests | free_rows(problem, z, w))
+    if not FreeSystem(problem.matrix, np.isin(np.arange(problem.n), rows)).is_singular:
+        return ""
+    return (f"z may be one of several answers: {in_words(int(rests.sum()), 'row')} at a bound without a force, and the "
+            "system with them is singular")
+
+
 def _of_several(same: BoolVector, loose: BoolVector) -> str:
-    what = "as how contacts share a load, or flows split among paths"
-    known = f"; w is the same for all of them in {int(same.sum())} of {same.size} rows" if same.any() else ""
+    what = "as the shares of contacts in a load, or of paths in a flow"
+    rows = "" if same.all() else f" in {int(same.sum())} of {same.size} rows"
+    known = f"; w is the same for all of them{rows}" if same.any() else ""
     return f"z is one of several answers: {int(loose.sum())} entries of z are not determined, {what}{known}"
 
 

@@ -152,9 +152,15 @@ class ConeCertificate(Certificate):
 
     @cached_property
     def dissipation(self) -> float:
-        """−rᵀu of contacts: the work that friction takes, in J; zᵀw of others is its complementarity."""
+        """−rᵀu of contacts, what friction would take at the last velocities; of others −zᵀw, their complementarity."""
         with np.errstate(all="ignore"):
             return float(-(self.point @ self.velocity))
+
+    @cached_property
+    def lost_energy(self) -> float:
+        """−rᵀ(b + u)/2, the kinetic energy that impact and friction take: impulses r change velocities b to u."""
+        with np.errstate(all="ignore"):
+            return float(-0.5 * (self.point @ (self.cones.q + self.velocity)))
 
     def __str__(self) -> str:
         lines: list[tuple[str, Any]] = [

@@ -500,12 +500,14 @@ class ConeResult(Result):
         lines = [
             f"{in_words(problem.slope.size, 'contact')}: {int((~motion.touches).sum())} open, "
             f"{int(motion.sticks.sum())} stick, {int(slides.sum())} slide; friction and impact take "
-            f"{self.certificate.dissipation + 0.0:.3g} J"  # type: ignore[attr-defined]
+            f"{self.certificate.lost_energy + 0.0:.4g} J in SI units"  # type: ignore[attr-defined]
         ]
         if motion.touches.any():
             pulls = np.hypot.reduce(np.abs(motion.tangential), axis=1)[motion.touches]
             angle = np.degrees(np.arctan2(pulls, motion.normal[motion.touches])).max()
-            lines.append(f"the steepest impulse leans {angle:.3g}° from its normal")
+            edge = np.degrees(np.arctan(problem.friction.max()))
+            limit = ", the limit of friction" if slides.any() and abs(angle - edge) <= 1e-6 * edge else ""
+            lines.append(f"the steepest impulse leans {angle:.3g}° from its normal{limit}")
         if not is_symmetric_to_rounding(problem.W):
             asymmetry = float(abs(problem.W - problem.W.T).max())
             lines.append(f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given")

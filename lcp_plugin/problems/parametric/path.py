@@ -218,7 +218,7 @@ class Path:
         count = len(self.pieces)
         if self.is_solved:
             first = f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {in_words(count, 'piece')}, "
-            first += "each end is certified, and what lies between is a mean of both."
+            first += "each end is certified; between breakpoints all is linear in the parameter."
         elif self.beyond is not None and not self.pieces:
             first = f"{self.status.name}: there is no path from {self.start:.6g}: {self._why}."
         elif self.beyond is not None:

@@ -225,20 +225,25 @@ class Regions(Sequence[Region]):
     def explain(self) -> str:
         """Return in words what was found, how sure it is, and what next."""
         p = self.low.size
-        lines = [f"{in_words(len(self), 'region')} of {in_words(p, 'parameter')}, in {self.seconds:.2g} s. On each, x "
-                 "is affine in θ."]
+        state = self.status.name if self.is_solved or self.status is not Status.SOLVED else "not complete"
+        lines = [f"{state}: {in_words(len(self), 'region')} of {in_words(p, 'parameter')}, on each x is affine in θ; "
+                 f"{self.seconds:.2g} s"]
         if self.is_solved:
-            lines.append("Every law is certified beside vertices of its region, and right between them.")
+            lines.append("every law is certified next to the vertices of its region, and so between them: it is affine")
         elif self.status is not Status.SOLVED:
-            lines.append(f"A law is not certified beside some vertex: {self.status.name}. Scale the parameters, or "
+            lines.append(f"a law is not certified beside some vertex: {self.status.name}. Scale the parameters, or "
                          "raise tolerance=.")
         if self.missed:
-            lines.append(f"Behind {in_words(self.missed, 'facet')} nothing was found: x may not be unique there, or "
-                         "max_regions= ended the search.")
-        outside = "" if self.missed else "; outside it nothing in the box is feasible"
-        lines.append(f"They fill {self.coverage:.6%} of their convex hull{outside}.")
+            lines.append(f"behind {in_words(self.missed, 'facet')} nothing was found: x may not be unique there, or "
+                         "max_regions= ended the search")
+        filled = sum(region.volume for region in self._all)
+        if self.is_solved and abs(filled - 1.0) <= OVER:
+            lines.append("they cover the whole box")
+        else:
+            outside = "" if self.missed else "; outside of that nothing in the box is feasible"
+            lines.append(f"they cover {filled:.1%} of the box, and {self.coverage:.4%} of their convex hull{outside}")
         if self.coverage > 1.0 + OVER:
-            lines.append("Some lie over others: the solution is not unique there.")
+            lines.append("some lie over others: the solution is not unique there")
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -356,8 +356,8 @@ def test_batches_mix_kinds() -> None:
 def test_a_result_tells_of_its_contacts() -> None:
     """How many are open, stick and slide, what they dissipate, how steep the impulses are."""
     told = solve(FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5)).explain()
-    assert "2 contacts: 1 open, 0 stick, 1 slide; friction and impact take 2.25 J" in told
-    assert "leans 26.6°" in told
+    assert "2 contacts: 1 open, 0 stick, 1 slide; friction and impact take 2.875 J in SI units" in told  # ½·26 − ½·4.5²
+    assert "leans 26.6° from its normal, the limit of friction" in told
 
 
 def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:

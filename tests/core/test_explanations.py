@@ -41,7 +41,7 @@ BLOCK = FrictionalContact((np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0
 RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
     "solved": (lambda: solve(OBSTACLE), Status.SOLVED, "relative residual", ""),
     "limit": (lambda: solve(OBSTACLE, "psor", max_iterations=5), Status.MAX_ITERATIONS, "relative residual",
-              "next: raise max_iterations, or go on from z0=result.z"),
+              'next: try algorithm="auto", or raise max_iterations, or go on from z0=result.z'),
     "infeasible": (lambda: solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, -1.0])), Status.INFEASIBLE,
                    "no z within its bounds gives w the signs it needs: row", "next: check the data"),
     "no solution": (lambda: solve(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, -1.0])), Status.NO_SOLUTION,
@@ -100,4 +100,4 @@ def test_a_terminal_of_80_columns_shows_all_of_it(tmp_path: Any, monkeypatch: py
     timeless = [re.sub(r"[\d.e+-]+ s\b", "", " ".join(text.split())) for text in (whole, fitted)]
     assert timeless[0] == timeless[1]
     assert max(map(len, fitted.splitlines())) <= 80 < max(map(len, whole.splitlines()))
-    assert "next: raise max_iterations" in whole
+    assert "or raise max_iterations" in whole

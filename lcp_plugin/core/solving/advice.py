@@ -64,7 +64,8 @@ def advice_of_run(
     reached = stages[-1].z if stages and isinstance(chosen, Algorithm) else None
     goes_on = reached is None or chosen.uses_start(problem, reached)
     for status in LIMITS:
-        said[status] += ", or go on from z0=result.z" * goes_on + f", or try {other}" * bool(other)
+        said[status] += ", or go on from z0=result.z" * goes_on
+        said[status] = said[status].replace("; next: ", f"; next: try {other}, or ") if other else said[status]
     is_far_out = any(stage.has_no_solution_nearby for stage in stages)
     end = FAR_OUT if is_far_out else f"next: try {other}" if other else _elsewhere(left_out)
     end = beyond_doubles(problem) or "; ".join(filter(None, (why_not_monotone(problem.matrix), end)))

@@ -52,6 +52,7 @@ LARGEST_SOUGHT = 5000  # variables and rows of a program that is worth the linea
 MOST_NONZEROS = 1_000_000
 MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
 LARGEST_DENSE = 1500
+MOST_NAMED = 4  # constraints in a sentence
 MOST_TOGETHER = 60  # multipliers that one exact system is solved for; 10 ms
 LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
@@ -134,7 +135,19 @@ class QPInfeasibility:
 
     def __str__(self) -> str:
         how = f"multipliers checked exactly{within(self.radius, 'x')}"
-        return f"infeasible: {len(self._found.y)} of its constraints contradict one another ({how})"
+        return f"infeasible: {len(self._found.y)} of its constraints contradict one another, {self._named()} ({how})"
+
+    def _named(self) -> str:
+        """Return the constraints of the largest multipliers by name."""
+        program, heaviest = self.program, sorted(self._found.y.items(), key=lambda pair: (-abs(pair[1]), pair[0]))
+        rows = ("row {} of G", program.h.size), ("row {} of A", program.b.size)
+        parts = *rows, ("lower[{}]", program.n), ("upper[{}]", program.n)
+        starts = np.cumsum([0, *(size for _, size in parts)])
+        names = []
+        for k, _ in heaviest[:MOST_NAMED]:
+            part = int(np.searchsorted(starts, k, side="right")) - 1
+            names.append(parts[part][0].format(k - starts[part]))
+        return ", ".join(names) + (f" and {len(heaviest) - MOST_NAMED} more" if len(heaviest) > MOST_NAMED else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,7 +327,7 @@ def proof_of_no_minimum(
     >>> from lcp_plugin import QuadraticProgram
     >>> program = QuadraticProgram([[0.0]], [1.0], G=[[1.0], [-1.0]], h=[0.0, -1.0])
     >>> print(proof_of_no_minimum(program))
-    infeasible: 2 of its constraints contradict one another (multipliers checked exactly)
+    infeasible: 2 of its constraints contradict one another, row 0 of G, row 1 of G (multipliers checked exactly)
     >>> print(proof_of_no_minimum(QuadraticProgram([[0.0]], [1.0], upper=1.0)))
     unbounded: the objective falls without end along a direction from a feasible point (checked exactly)
     """

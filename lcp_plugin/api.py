@@ -167,12 +167,17 @@ def solve(
     if isinstance(algorithm, (np.ndarray, list, tuple)) and kind_of(problem) is not None:
         raise UnknownAlgorithm(f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…")
     if isinstance(problem, LCP):
-        return solve_lcp(
-            problem, algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on, max_iterations=max_iterations,
-            max_seconds=max_seconds, absolute_tolerance=absolute_tolerance, record=record, callback=callback,
-            error_bound=error_bound, prove_infeasibility=prove_infeasibility, threads=threads, verbose=verbose,
-            **options,
-        )
+        try:
+            return solve_lcp(
+                problem, algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on,
+                max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance,
+                record=record, callback=callback, error_bound=error_bound, prove_infeasibility=prove_infeasibility,
+                threads=threads, verbose=verbose, **options,
+            )
+        except RuntimeError as error:
+            if isinstance(error.__cause__, KeyboardInterrupt):  # which Python 3.11 wraps where a class is being made
+                raise error.__cause__ from None
+            raise
     given, defaults = locals(), solve.__kwdefaults__ or {}
     wishes = {name: given[name] for name in defaults if given[name] is not defaults[name]}
     from .kinds import solve_any  # which loads every kind

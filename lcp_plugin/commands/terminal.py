@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 import textwrap
@@ -126,8 +125,8 @@ class PartsLine:
 
 
 def fitted(text: str) -> str:
-    """Return a text in lines that fit the terminal, or COLUMNS; as it is where the output goes elsewhere."""
-    if not (sys.stdout.isatty() or "COLUMNS" in os.environ):
+    """Return a text in lines that fit the terminal; as it is where the output goes elsewhere."""
+    if not sys.stdout.isatty():
         return text
     columns = shutil.get_terminal_size().columns
     return "\n".join(part for line in text.splitlines() for part in _parts(line, columns))

@@ -18,7 +18,7 @@ import lcp_plugin
 ROOT = Path(__file__).parents[2]
 TOLD = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))
 BUILD, PROJECT = TOLD["build-system"], TOLD["project"]
-SMALL = 1_260_000  # bytes: nothing but code, which grew by the search for the best solution, SCIP's interface, cones
+SMALL = 1_300_000  # bytes: nothing but code, which grew by the search for the best solution, SCIP's interface, cones
 
 
 @pytest.fixture(scope="module")

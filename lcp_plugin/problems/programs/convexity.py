@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
@@ -88,6 +87,8 @@ def bends(program: QuadraticProgram, x: FloatVector, tolerance: float) -> bool:
     """
     if not program.matrices.negative_curvature:
         return False
+    from scipy.sparse.csgraph import connected_components
+
     P = sp.csr_array(program.P)
     _, component = connected_components(P, directed=False)
     largest = np.zeros(component.size)

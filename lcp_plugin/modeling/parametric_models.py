@@ -17,7 +17,7 @@ from ..problems.parametric.families import PathPoint, Piece
 from ..problems.parametric.path import Path, Slope
 from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
-from ._compat import UnsolvableModel, dense, leaf_value, name_of
+from ._compat import dense, leaf_value, name_of
 from .qp_solver import ProgramEntries, QPSolver, quadratic_program
 from .registration import build_from, is_complementarity_problem
 
@@ -226,14 +226,8 @@ def _pairs(problem: Any) -> tuple[LCP, Back]:
 
 
 def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
-    try:
-        data, chain, inverse = problem.get_problem_data(QPSolver)
-    except UnsolvableModel:
-        problem.get_problem_data(QPSolver, ignore_dpp=True)  # with the parameters as numbers: else that is said
-        raise UnsupportedModel(
-            "a parameter stands in an expression that bends, as cp.square(parameter); let a parameter of its own be "
-            "the value of that expression"
-        ) from None
+    # With parameters as numbers: what cvxpy keeps of the value before is not that of an expression which bends.
+    data, chain, inverse = problem.get_problem_data(QPSolver, ignore_dpp=True)
     program = quadratic_program(data)
     entries = ProgramEntries.of(problem, program, data, chain, inverse).variables
     if entries is None:

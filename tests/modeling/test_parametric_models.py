@@ -99,7 +99,7 @@ def test_derivatives_are_those_of_the_problem_as_it_was_stated() -> None:
 def test_parameters_that_bend_or_may_not_move_are_said() -> None:
     """A parameter within a square, and a nonnegative one below zero, are refused in words."""
     y, h, positive = cp.Variable(2), cp.Parameter(value=1.0), cp.Parameter(nonneg=True)
-    with pytest.raises(UnsupportedModel, match="stands in an expression that bends"):
+    with pytest.raises(UnsupportedModel, match="make the expression that bends a parameter of its own"):
         trace(cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= cp.square(h)]), h, 0.0, 1.0)
     with pytest.raises(InvalidOption, match="cannot be what it is at -1"):
         trace(cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= positive]), positive, -1.0, 1.0)

@@ -144,7 +144,7 @@ def test_what_the_guard_refuses_is_said_with_its_row() -> None:
     for status in (Status.STALLED, Status.MAX_ITERATIONS, Status.MAX_SECONDS):
         begin = "the residual is small enough, but a row is wrong beside its own terms q_i and m_ij z_j: w["
         assert words[status].startswith(begin)
-        assert words[status].endswith('try algorithm="auto"')
+        assert 'try algorithm="auto"' in words[status]
         assert "raise the tolerance" not in words[status]
     assert "units" in words[Status.STALLED]
     assert "raise max_iterations" in words[Status.MAX_ITERATIONS]

@@ -33,8 +33,8 @@ BEHIND = 1e-7  # a facet, of the box's width: where the next region is looked fo
 CLEARLY_BEHIND = 1e-5  # where a solve is asked, whose tolerance reaches behind a facet
 FLAT = 1e-9  # inner radius, of the box's width: of what is no region
 SINGULAR = 1e-13  # pivot beside the largest
-CROSSED = 1e-9  # of what vectors are scaled to
-ROUNDED = 1e-15  # of a row of the law: what is left where terms cancel
+CROSSED = 1e-9  # of the terms of its own row
+ROUNDED = 1e-15  # of the terms of an unknown: what is left where they cancel
 EVENINGS = 8
 MOST_PARAMETERS = 6
 Case = np.ndarray[Any, np.dtype[np.int8]]
@@ -105,7 +105,7 @@ def regions(
         raise UnsuitableProblem("no θ in the box was found where the problem has a solution that is unique, with its "
                                 "multipliers; solve it at one corner and see its explain()")
     answer = Regions(family.problem, family.changes, (family.low, family.high), found, missed, tolerance,
-                     (family.kept, family.unit))
+                     family.kept)
     _ = answer.status
     answer.seconds = clock.read()
     return answer
@@ -113,12 +113,13 @@ def regions(
 
 @dataclass(frozen=True, eq=False)
 class _Law:
-    """z = Z [θ, 1] of a case, and the rows a θ ≤ b of the polyhedron on which it holds, with what leaves there."""
+    """z = Z [θ, 1] of a case, and rows a θ ≤ b of where it holds, with their terms and what leaves there."""
 
     case: Case
     z: FloatVector
     rows: FloatVector
     limits: FloatVector
+    sizes: FloatVector
     leaves: np.ndarray[Any, Any]
     becomes: Case
 
@@ -126,7 +127,8 @@ class _Law:
 class _Family:
     """A problem whose vectors are affine in several parameters.
 
-    Inside, θ is scaled to the unit box, and the conditions to D M D z + D q with rows alike and vectors near 1.
+    Inside, θ is scaled to the unit box, and the conditions to D M D z + D q with rows alike. What is rounding is told
+    beside the terms of its own row alone: a limit of 1e19 that nobody reaches excuses nothing.
     """
 
     def __init__(self, problem: Any, parameters: Any, within: Any, tolerance: float) -> None:
@@ -176,14 +178,13 @@ class _Family:
             D *= np.exp2(-np.rint(0.5 * np.log2(np.where(largest > 0.0, largest, 1.0))))
         self.M = D[:, None] * self.M * D
         q, lower, upper = D[:, None] * q, lower / D[:, None], upper / D[:, None]
-        known = [np.abs(side[np.isfinite(side)]).max(initial=0.0) for side in (q, lower, upper)]
-        size = float(np.exp2(np.rint(np.log2(max(known))))) if max(known) > 0.0 else 1.0
-        self.q, self.lower, self.upper, self.unit = q / size, lower / size, upper / size, D * size
+        self.q, self.lower, self.upper, self.unit = q, lower, upper, D
 
     def solved(self, theta: FloatVector) -> Case | None:
         """Return the case of an answer at θ, an active set's where there is one; None where there is no answer."""
         here = np.append(theta, 1.0)
-        if (self.lower @ here > self.upper @ here + CROSSED).any():
+        lower, upper = self.lower @ here, self.upper @ here
+        if (lower > upper + CROSSED * np.abs(upper)).any():
             return None
         at = self.low + theta * (self.high - self.low)
         moved = {name: getattr(self.problem, name) + change @ at for name, change in self.changes.items()}
@@ -203,8 +204,8 @@ class _Family:
         z = z[self.kept] / self.unit
         w = self.M @ z + self.q @ here
         case = np.zeros(z.size, dtype=np.int8)
-        case[z - self.lower @ here <= np.maximum(w, 0.0)] = -1
-        case[(self.upper @ here - z <= np.maximum(-w, 0.0)) & (case == 0)] = 1
+        case[z - lower <= np.maximum(w, 0.0)] = -1
+        case[(upper - z <= np.maximum(-w, 0.0)) & (case == 0)] = 1
         return case
 
     def law(self, case: Case) -> _Law | None:
@@ -212,46 +213,53 @@ class _Family:
         free, held = np.flatnonzero(case == 0), np.flatnonzero(case)
         z = np.zeros((case.size, self.p + 1))
         z[held] = np.where((case[held] < 0)[:, None], self.lower[held], self.upper[held])
+        terms = np.abs(z).sum(axis=1)  # of each z before anything cancels, anywhere in the unit box
         if free.size:
-            right = -self.q[free] - self.M[np.ix_(free, held)] @ z[held]
+            beside = self.M[np.ix_(free, held)]
+            right = -self.q[free] - beside @ z[held]
             factor, order, _ = dgetrf(self.M[np.ix_(free, free)])
             pivots = np.abs(np.diag(factor))
             if not pivots.min() > SINGULAR * pivots.max():
                 return None
-            z[free] = dgetrs(factor, order, right)[0]
+            solved = dgetrs(factor, order, np.column_stack([right, np.eye(free.size)]))[0]
+            z[free] = solved[:, : self.p + 1]
+            acts = np.abs(self.q[free]).sum(axis=1) + np.abs(beside) @ terms[held]
+            terms[free] = np.abs(solved[:, self.p + 1 :]) @ acts
         w = self.M[held] @ z + self.q[held]
-        sides = [(self.lower[free] - z[free], free, -1), (z[free] - self.upper[free], free, 1)]
+        of_w = np.abs(self.M[held]) @ terms + np.abs(self.q[held]).sum(axis=1)
+        low, high = (np.abs(side).sum(axis=1) for side in (self.lower, self.upper))
+        sides = [(self.lower[free] - z[free], low[free] + terms[free], free, -1),
+                 (z[free] - self.upper[free], high[free] + terms[free], free, 1)]
         is_single = (self.lower[held] == self.upper[held]).all(axis=1)  # its w may have either sign
         signed = np.where((case[held] < 0)[:, None], -w, w)[~is_single]
-        sides.append((signed, held[~is_single], 0))
+        sides.append((signed, of_w[~is_single], held[~is_single], 0))
         moving = (self.lower[held, :-1] != self.upper[held, :-1]).any(axis=1)
-        sides.append(((self.lower[held] - self.upper[held])[moving], np.full(np.count_nonzero(moving), -1), 0))
-        table = np.concatenate([side for side, _, _ in sides])
-        leaves = np.concatenate([unknowns for _, unknowns, _ in sides])
-        becomes = np.concatenate([np.full(unknowns.size, to, dtype=np.int8) for _, unknowns, to in sides])
+        apart = (self.lower[held] - self.upper[held])[moving]
+        sides.append((apart, (low + high)[held][moving], np.full(len(apart), -1), 0))
+        table, sizes, leaves = (np.concatenate([side[k] for side in sides]) for k in range(3))
+        becomes = np.concatenate([np.full(unknowns.size, to, dtype=np.int8) for _, _, unknowns, to in sides])
         known = np.isfinite(table).all(axis=1)
-        with np.errstate(invalid="ignore"):
-            z = np.where(np.abs(z) <= ROUNDED * np.abs(z).max(axis=1, keepdims=True, initial=0.0), 0.0, z)
-        return _Law(case, z, table[known, :-1], -table[known, -1], leaves[known], becomes[known])
+        z = np.where(np.abs(z) <= ROUNDED * terms[:, None], 0.0, z)
+        return _Law(case, z, table[known, :-1], -table[known, -1], sizes[known], leaves[known], becomes[known])
 
     def polyhedron(self, law: _Law) -> Region | None:
         """Return the region of a law inside the unit box without rows that do not count; None where it is flat."""
         lengths = np.linalg.norm(law.rows, axis=1)
-        size = CROSSED * max(1.0, np.abs(law.z).max(initial=0.0))
+        size = CROSSED * law.sizes
         flat = lengths <= 1e-3 * size
-        if (law.limits[flat] < -size).any():
+        if (law.limits < -size)[flat].any():
             return None
         idle = flat & (law.becomes == 0) & (law.leaves >= 0) & (law.leaves < self.problem.n) & (law.limits <= size)
         if not self.is_strict and idle.any():
             more = "" if isinstance(self.problem, LCP) else "; add a small quadratic term to the objective"
             raise UnsuitableProblem(f"the solution is not unique: an unknown at its bound could leave it at no cost"
                                     f"{more}")
-        rows = law.rows[~flat] / lengths[~flat, None]
-        limits = law.limits[~flat] / lengths[~flat]
+        counts = ~flat & (law.limits < np.abs(law.rows).sum(axis=1))  # others hold in the whole box
+        rows, limits = law.rows[counts] / lengths[counts, None], law.limits[counts] / lengths[counts]
         eye = np.eye(self.p)
         rows, limits = np.concatenate([rows, eye, -eye]), np.concatenate([limits, np.ones(self.p), np.zeros(self.p)])
-        leaves = np.concatenate([law.leaves[~flat], np.full(2 * self.p, -1)])
-        becomes = np.concatenate([law.becomes[~flat], np.zeros(2 * self.p, dtype=np.int8)])
+        leaves = np.concatenate([law.leaves[counts], np.full(2 * self.p, -1)])
+        becomes = np.concatenate([law.becomes[counts], np.zeros(2 * self.p, dtype=np.int8)])
         inside = _centre(rows, limits)
         if inside is None:
             return None

@@ -18,11 +18,12 @@ from ...core.representation import in_words
 from ...core.settings import Settings, Status
 from ...interfaces.files.files import checked_path, write_whole
 from ...kinds import solve_any
+from ..programs.conversion import conditions
 
 NEAR = 1e-9  # how far outside a region, of the box's width, a point still counts as in it
 NEIGHBOURS = 6  # centres of regions that are looked at first
 JUDGED = 12  # vertices of a region near which its law is certified
-SAME = 1e-9  # of an unknown or of its unit: a law and an answer
+SAME = 1e-9  # of an unknown, or of what acts in its row: a law and an answer
 OVER = 1e-6  # of the volume
 INWARD = 1e-6  # of the way from a vertex to the centre: there signs are not left to rounding
 
@@ -77,8 +78,6 @@ class Regions(Sequence[Region]):
     kept : ndarray of int
         Which unknowns of the optimality conditions the regions speak of: all, but for multipliers of equations that
         follow from others.
-    unit : ndarray
-        What each of these is measured in, by the data.
     changes : dict
         The change of each vector by θ.
     low, high : ndarray, shape (p,)
@@ -91,9 +90,9 @@ class Regions(Sequence[Region]):
 
     def __init__(
         self, problem: Any, changes: dict[str, FloatVector], box: tuple[FloatVector, FloatVector], found: list[Region],
-        missed: int, tolerance: float, unknowns: tuple[Any, FloatVector],
+        missed: int, tolerance: float, kept: Any,
     ) -> None:
-        self.problem, self.changes, (self.low, self.high), (self.kept, self.unit) = problem, changes, box, unknowns
+        self.problem, self.changes, (self.low, self.high), self.kept = problem, changes, box, kept
         self._all, self.missed, self.tolerance, self.seconds = found, missed, tolerance, 0.0
 
     def __len__(self) -> int:
@@ -158,9 +157,12 @@ class Regions(Sequence[Region]):
         result = solve_any(family.problem, "auto", {"tolerance": self.tolerance})
         if not result.is_solved:
             return status
-        x = every[: self.n]  # where terms cancel, what is left of them has no size to stand beside
-        is_same = np.abs(result.x - x) <= SAME * np.maximum(self.unit[: self.n], np.abs(x))
-        return Status.SOLVED if is_same.all() else status
+        # Where the terms of an unknown cancel, what is left stands beside those of its row of M z + q at the answer.
+        plain = family.problem if not hasattr(family.problem, "P") else conditions(family.problem)
+        rows, x = plain.csr[: self.n], every[: self.n]
+        terms, diagonal = abs(rows) @ np.abs(every) + np.abs(plain.q[: self.n]), np.abs(plain.diagonal[: self.n])
+        acts = np.divide(terms, diagonal, out=np.zeros(self.n), where=diagonal > 0.0)
+        return Status.SOLVED if (np.abs(result.x - x) <= SAME * np.maximum(acts, np.abs(x))).all() else status
 
     @property
     def is_solved(self) -> bool:

@@ -215,3 +215,23 @@ def test_integer_programs_have_the_x_of_daqp(seed: int) -> None:
         assert (expected is None) == bool(np.isnan(x).any())
         if expected is not None:
             np.testing.assert_allclose(x, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("far", [1e6, 1e12, 1e19])
+@pytest.mark.parametrize("where", ["row", "bound", "cost"])
+def test_a_number_that_nobody_reaches_changes_no_region(far: float, where: str) -> None:
+    """A limit of a row, an upper bound, the cost of an unknown that stays at its bound: x is daqp's without it."""
+    G, h, upper = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 2.0, 0.0]]), np.array([1.0, 2.0, 3.0]), np.ones(3)
+    c = np.zeros(3)
+    h[2] = far if where == "row" else 3.0
+    upper[1] = far if where == "bound" else 1.0
+    c[2] = far if where == "cost" else 0.5
+    program = QuadraticProgram(np.eye(3), c, G=G, h=h, lower=[-1, -1, 0], upper=upper)
+    found = regions(program, {"c": np.eye(3, 2)}, ([-3.0, -3.0], [3.0, 3.0]))
+    assert found.is_solved
+    assert found.coverage == 1.0
+    plain = QuadraticProgram(np.eye(2), np.zeros(2), G=G[:, :2], h=np.minimum(h, 1e3), lower=-1,
+                             upper=np.minimum(upper[:2], 1e3))
+    for theta in np.random.default_rng(0).uniform(-3, 3, (60, 2)):
+        expected = by_daqp(plain.with_vectors(c=theta))
+        np.testing.assert_allclose(found.x_at(theta)[:2], expected, atol=1e-6)

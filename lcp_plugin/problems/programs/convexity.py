@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question of convexity alone
 LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
+ROUNDING = 2.0**-46  # what doubles cannot tell from 0 beside a sum of some dozens
 ROUNDED = 1e-7  # of the largest entry: entries of single precision, or of seven digits
 CLEAR = 1e-6  # by how much an entry must exceed the mean of its diagonal entries where nothing is factorised
 
@@ -82,8 +83,9 @@ def bends(program: QuadraticProgram, x: FloatVector, tolerance: float) -> bool:
     It does not where P + E is positive semidefinite for a diagonal E ≥ 0 so small that x minimises a convex program
     close by: each e_j changes no component of the gradient at x by more than the tolerance beside its own terms,
     e_j |x_j| ≤ tolerance · max(|c_j|, |(P x)_j|), and is at most 1e-7 of the largest entry of its connected component;
-    or, between bounds, all of them change the objective by no more than the tolerance of its terms at x. This holds in
-    whatever units x_j are, and no force elsewhere excuses anything.
+    or, between bounds, all of them change the objective by no more than the tolerance of the terms of its component at
+    x. Terms and entries of other components excuse what is rounding beside both: an e_j below 2⁻⁴⁶ of the largest entry
+    that changes the objective by no more than 2⁻⁴⁶ of all its terms.
     """
     if not program.matrices.negative_curvature:
         return False
@@ -98,7 +100,9 @@ def bends(program: QuadraticProgram, x: FloatVector, tolerance: float) -> bool:
         pull = P @ x
         forces = np.maximum(np.abs(program.c), np.abs(pull))
         by_gradient = np.where(forces > 0.0, tolerance * forces / np.abs(x), tolerance * np.abs(P.diagonal()))
-        by_objective = tolerance * (np.abs(program.c * x).sum() + abs(x @ pull)) / (x.size * farthest**2)
+        terms = np.bincount(component, np.abs(program.c * x) + np.abs(x * pull))
+        of_all = np.minimum(ROUNDING * terms.sum() / (x.size * farthest**2), ROUNDING * largest.max())
+        by_objective = np.fmax(tolerance * terms[component] / (x.size * farthest**2), of_all)
     by_gradient = np.minimum(by_gradient, ROUNDED * largest[component])
     allowed = np.fmax(by_gradient, np.where(farthest > 0.0, by_objective, 0.0))
     return is_semidefinite_to_rounding(sp.csr_array(P + sp.diags_array(allowed))) is False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import sys
 import warnings
@@ -644,6 +645,16 @@ def test_one_large_entry_hides_no_saddle(c: list[float]) -> None:
     result = solve(QuadraticProgram(P, c, lower=-np.ones(3), upper=np.ones(3)))
     assert not result.is_solved
     assert "not convex" in result.advice
+
+
+@pytest.mark.parametrize("force", [1e6, 1e8, 1e12])
+def test_a_force_elsewhere_excuses_no_saddle(force: float) -> None:
+    """A part with its own cost and entry does not say what counts in a part beside it."""
+    P = np.array([[force, 0.0, 0.0], [0.0, 1.0, 2.0], [0.0, 2.0, 1.0]])
+    for first in (P[0, 0], 1.0, 0.0):
+        P[0, 0] = first
+        with contextlib.suppress(UnsupportedModel):
+            assert not solve(QuadraticProgram(P, [force, 0, 0], lower=-np.ones(3), upper=np.ones(3))).is_solved
 
 
 def test_an_optimum_of_0_is_an_optimum() -> None:

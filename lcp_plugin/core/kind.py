@@ -124,6 +124,10 @@ def _remedy(way: str, given: Any, takes_programs: bool) -> str:
     """Return what to write for what is no problem of any kind, but near one."""
     if way == "derivative" and hasattr(given, "all_solved"):
         return "write derivative(answers[k]) for the answer to one problem"
+    if way == "derivative" and hasattr(given, "breakpoints"):
+        return "write path.derivative(theta)"
+    if way == "regions":
+        return "state its arrays as a QuadraticProgram; trace(problem, parameter, start, stop) follows one parameter"
     if way == "derivative":
         return "write derivative(solve(problem))"
     if way == "certify" and hasattr(given, "is_stationary"):

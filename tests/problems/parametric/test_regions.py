@@ -14,7 +14,7 @@ import pytest
 import scipy.sparse as sp
 from controllers import double_integrator
 
-from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnsuitableProblem, regions, solve
+from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnsuitableProblem, derivative, regions, solve, trace
 from lcp_plugin.core.errors import UnsupportedModel
 
 
@@ -235,3 +235,16 @@ def test_a_number_that_nobody_reaches_changes_no_region(far: float, where: str) 
     for theta in np.random.default_rng(0).uniform(-3, 3, (60, 2)):
         expected = by_daqp(plain.with_vectors(c=theta))
         np.testing.assert_allclose(found.x_at(theta)[:2], expected, atol=1e-6)
+
+
+def test_what_to_write_for_a_cvxpy_problem_and_for_a_path() -> None:
+    """The advice of a refusal is a call that there is."""
+    import cvxpy as cp
+
+    x = cp.Variable()
+    with pytest.raises(InvalidOption, match="state its arrays as a QuadraticProgram"):
+        regions(cp.Problem(cp.Minimize(x**2), [x >= 1]), {"c": [1.0]}, ([0.0], [1.0]))
+    path = trace(LCP([[1.0]], [-1.0]), {"q": 1.0}, 0.0, 2.0)
+    with pytest.raises(InvalidOption, match=r"path\.derivative\(theta\)"):
+        derivative(path)
+    assert path.derivative(0.5).x == pytest.approx([-1.0])

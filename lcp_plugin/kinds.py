@@ -88,6 +88,9 @@ def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
             article = with_article(kind.word)
             raise InvalidOption(f"solve needs {name} for {article}: write solve(problem, {name}=…)")
     if not is_ended:
-        return solver_of(kind)(problem, **wishes)
+        try:
+            return solver_of(kind)(problem, **wishes)
+        except KeyboardInterrupt:  # before a run that keeps it for itself, as in a first value of F
+            pass
     result = solver_of(kind)(problem, **{**wishes, "max_seconds": NO_TIME})
     return replace(result, status=Status.INTERRUPTED) if result.status is Status.MAX_SECONDS else result

@@ -1,6 +1,6 @@
 """What an answer is held against: the rows of the file as they stand, and what stands beside the problem.
 
-Rows are evaluated by Python's own functions, which share nothing with the programs that are solved but the file. Beside
+Rows are evaluated as they stand in the file; of what is solved they share no more than the functions. Beside
 a complementarity problem stand inequalities without a partner, bounds of variables without a complementarity,
 complementarities whose rows hold no unknown: no unknown gives way to them, so that the problem has solutions without
 them. Bounds of a variable with a complementarity all belong to it, stated there or not, as PATH and AMPL take them.
@@ -9,7 +9,6 @@ them. Bounds of a variable with a complementarity all belong to it, stated there
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -18,25 +17,19 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
 from ...modeling.expressions.program import Program
-from .content import Indices, NLContent, Token, Trees
+from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
+from .operators import OPERATORS, Arithmetic, evaluated_tree, value_of
 
 DISAGREEMENT = 1e-9  # of the terms of a row
 FEASIBLE = 1e-6  # by which they may be violated, or by ten times the tolerance
-FUNCTIONS: dict[float, Callable[..., float]] = {
-    0: operator.add, 1: operator.sub, 2: operator.mul, 3: operator.truediv, 5: math.pow, 16: operator.neg,
-    37: math.tanh, 38: math.tan, 39: math.sqrt, 40: math.sinh, 41: math.sin, 42: math.log10, 43: math.log,
-    44: math.exp, 45: math.cosh, 46: math.cos, 47: math.atanh, 49: math.atan, 50: math.asinh, 51: math.asin,
-    52: math.acosh, 53: math.acos, 54: lambda *terms: math.fsum(terms), 76: math.pow, 77: lambda a: a * a,
-    78: math.pow,
-}
 #: Σ |term| of what is multiplied out, from operands and their sizes; the value of any other function is one term.
-SIZES: dict[float, Callable[[list[float], list[float]], float]] = {
-    **dict.fromkeys((0, 1, 16, 54), lambda operands, sizes: math.fsum(sizes)),
-    2: lambda operands, sizes: sizes[0] * sizes[1],
-    77: lambda operands, sizes: sizes[0] * sizes[0],
-    3: lambda operands, sizes: sizes[0] / abs(operands[1]),
-    **dict.fromkeys((5, 76, 78), lambda operands, sizes: math.pow(sizes[0], operands[1])),
+SIZES: dict[Any, Callable[[list[float], list[float]], float]] = {
+    **dict.fromkeys((Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION), lambda operands, sizes: sum(sizes)),
+    Arithmetic.PRODUCT: lambda operands, sizes: sizes[0] * sizes[1],
+    Arithmetic.SQUARE: lambda operands, sizes: sizes[0] * sizes[0],
+    Arithmetic.QUOTIENT: lambda operands, sizes: sizes[0] / abs(operands[1]),
+    Arithmetic.POWER: lambda operands, sizes: math.pow(sizes[0], operands[1]),
 }
 
 
@@ -49,22 +42,43 @@ class Evaluation(NamedTuple):
     objective_sizes: FloatVector
 
 
+@np.errstate(all="ignore")
 def evaluated(content: NLContent, x: FloatVector) -> Evaluation:
     """Return the values of the rows and of the objectives at x, shapes (m,) and (o,), with their sizes."""
     values, sizes = x.tolist(), np.abs(x).tolist()  # type: list[float], list[float]
+
+    def leaf(kind: int, value: float) -> tuple[float, float]:
+        return (value, abs(value)) if kind == Token.NUMBER else (values[int(value)], sizes[int(value)])
+
     linear, trees = content.defined_linear, content.defined_trees
     for k in range(trees.size):
+        value, size = evaluated_tree(trees, k, leaf, _operation)
         entries = slice(linear.indptr[k], linear.indptr[k + 1])
-        columns, factors = linear.indices[entries].tolist(), linear.data[entries].tolist()
-        (value,), (size,) = _values(trees, values, sizes, k, k + 1)
-        values.append(sum(factor * values[j] for j, factor in zip(columns, factors, strict=True)) + value)
-        sizes.append(sum(abs(factor) * sizes[j] for j, factor in zip(columns, factors, strict=True)) + size)
+        for column, factor in zip(linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True):
+            value, size = value + factor * values[column], size + abs(factor) * sizes[column]
+        values.append(value)
+        sizes.append(size)
     found = []
     for matrix, own in ((content.linear, content.trees), (content.objective_linear, content.objective_trees)):
-        of_trees = np.array(_values(own, values, sizes, 0, own.size), dtype=np.float64)
-        found.append((matrix @ x + of_trees[0], abs(matrix) @ np.abs(x) + of_trees[1]))
+        of_trees = [evaluated_tree(own, k, leaf, _operation) for k in range(own.size)]
+        terms = np.array(of_trees, dtype=np.float64).reshape(-1, 2).T
+        found.append((matrix @ x + terms[0], abs(matrix) @ np.abs(x) + terms[1]))
     (rows, row_sizes), (objectives, objective_sizes) = found
     return Evaluation(rows, objectives, row_sizes, objective_sizes)
+
+
+def _operation(number: int, operands: list[tuple[float, float]]) -> tuple[float, float]:
+    """Return value and size of an operator."""
+    rule, values = OPERATORS[number], [value for value, _ in operands]
+    found = float(value_of(rule, values))
+    if not math.isfinite(found):
+        return math.nan, math.nan
+    if rule not in SIZES:
+        return found, abs(found)
+    try:
+        return found, max(abs(found), SIZES[rule](values, [size for _, size in operands]))
+    except OverflowError:
+        return found, math.inf
 
 
 def contradiction(
@@ -98,34 +112,6 @@ def contradiction(
         if not abs(objectives[0] - computed) <= DISAGREEMENT * (terms + found.objective_sizes[0]):
             return f"the objective is {objectives[0]:.9g} at the answer, where {computed:.9g} was computed"
     return ""
-
-
-def _values(
-    trees: Trees, values: list[float], sizes: list[float], first: int, last: int
-) -> tuple[list[float], list[float]]:
-    """Return values and sizes of the trees from `first` to `last`, read backwards, operands before operators."""
-    begin, end = int(trees.starts[first]), int(trees.starts[last])
-    stack: list[float] = []
-    own: list[float] = []  # their sizes
-    parts = (getattr(trees, name)[begin:end][::-1].tolist() for name in ("kinds", "values", "counts"))
-    for kind, value, count in zip(*parts, strict=True):
-        if kind == Token.NUMBER:
-            stack.append(value)
-            own.append(abs(value))
-        elif kind == Token.VARIABLE:
-            stack.append(values[int(value)])
-            own.append(sizes[int(value)])
-        else:
-            operands, of_operands = stack[: -count - 1 : -1], own[: -count - 1 : -1]
-            del stack[-count:], own[-count:]
-            try:
-                found = FUNCTIONS[value](*operands)
-                size = abs(found) if value not in SIZES else max(abs(found), SIZES[value](operands, of_operands))
-            except (ValueError, ZeroDivisionError, OverflowError):
-                found = size = math.nan
-            stack.append(found)
-            own.append(size)
-    return stack[::-1], own[::-1]
 
 
 # --- Side conditions -----------------------------------------------------------------------------------------------

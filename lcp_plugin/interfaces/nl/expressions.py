@@ -1,155 +1,230 @@
-"""Expression trees and linear terms of an ``.nl`` file as combinations of unknowns and of elementary functions.
+"""Expression trees and linear terms of an ``.nl`` file as linear combinations of unknowns and of elementary functions.
 
-Forwards, each token already knows which combination it belongs to, and with which coefficient: what belongs together is
-collected as triplets and summed up once, thousands of rows at a time. The time is linear in the tokens.
+Each operator makes one sum of those of its operands; functions are collected by level and kind, and evaluated so.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
-from itertools import pairwise
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
+from ...core.errors import UnsupportedModel
 from ...modeling.equations import put_in_all
 from ...modeling.expressions import functions
+from ...modeling.expressions.functions import Function
 from ...modeling.expressions.rows import Compiler, Rows
-from .content import Indices, NLContent
-from .tokens import INLINE, NONE, OPERATORS, OWN, PUT_IN, UNKNOWN, VARIABLE, Arithmetic, Tokens
+from .content import Indices, NLContent, Token, Trees
+from .operators import NUMBER, OPERATORS, VARIABLE, Arithmetic, check_operators, evaluated_tree, value_of
 
 UNKNOWNS = 0  # the key of the only source that is no function
+MOST_FILL = 4  # how much of what there is may be put in for defined variables
+MOST_NESTED = 1000  # functions in one another: each level is one more that derivatives go through
+SUMS = (Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION)
 
 
-class Combinations:
-    """The triplets of all combinations: rows, objectives, defined variables, first and second arguments of functions.
+@dataclass
+class Sum:
+    """A linear combination: Σ terms[column] · column + constant, of functions nested up to a level."""
+
+    terms: dict[int, float]
+    constant: float
+    level: int = 0
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether it has no terms."""
+        return not self.terms
+
+    def scaled(self, factor: float, operation: Callable[[float, float], float] = operator.mul) -> Sum:
+        """Return it times, or divided by, a number."""
+        if factor == 1.0:
+            return self
+        terms = {column: operation(value, factor) for column, value in self.terms.items()}
+        return Sum(terms, operation(self.constant, factor), self.level)
+
+    def add(self, other: Sum) -> Sum:
+        """Return the sum; what is larger is changed, so that many terms cost each little."""
+        large, small = (self, other) if len(self.terms) >= len(other.terms) else (other, self)
+        for column, value in small.terms.items():
+            large.terms[column] = large.terms.get(column, 0.0) + value
+        large.constant += small.constant
+        large.level = max(self.level, other.level)
+        return large
+
+
+class _Reader:
+    """The rows, objectives and defined variables of a file as sums over variables and functions.
+
+    Columns are the variables, the defined variables and the functions.
 
     Parameters
     ----------
-    tokens : Tokens
+    content : NLContent
+    known : list of float or None
+        The values of the variables that have one.
 
     Attributes
     ----------
-    rows, columns, factors : list
-        Of the triplets. Columns are variables, defined variables, functions.
-    constant_rows, constants : list
-        What is added to which combination.
+    results : list of Sum
+        Rows, then objectives.
+    definitions : dict of int to Sum
+        Of each defined variable that is an unknown, what is 0.
+    functions, arguments, levels : list
+        Of each function: which it is, its arguments, how many functions are nested there with it.
     """
 
-    def __init__(self, tokens: Tokens) -> None:
-        self.tokens = tokens
-        self.rows, self.columns, self.constant_rows = [], [], []  # type: list[int], list[int], list[int]
-        self.factors, self.constants = [], []  # type: list[float], list[float]
-        self._first_node = tokens.n + tokens.defined
-        self._first = tokens.results + tokens.defined
-        self._second = self._first + len(tokens.functions)
-        self._held_by = [(NONE, 0.0)] * tokens.defined  # of those that one combination holds: which, how often
-        self._waiting: list[tuple[int, float]] = []
-        for tree in range(len(tokens.starts) - 1):
-            self._read(tree)
+    def __init__(self, content: NLContent, known: list[float | None]) -> None:
+        check_operators(content)
+        self.content, self.n, self._known = content, content.lower.size, known
+        self.functions: list[Function] = []
+        self.arguments: list[tuple[Sum, ...]] = []
+        self.levels: list[int] = []
+        self.definitions: dict[int, Sum] = {}
+        self._defined: list[Sum] = []
+        self._uses = _counted_uses(content)
+        forests = (content.trees, content.objective_trees, content.defined_trees)
+        size = sum(trees.values.size for trees in forests)
+        self._capacity = MOST_FILL * (size + content.defined_linear.nnz + content.linear.nnz) + 1000
+        for k in range(content.defined_trees.size):
+            self._define(k)
+        self.results = [self._sum(content.trees, i, content.row(i)) for i in range(content.trees.size)]
+        self.results += [
+            self._sum(content.objective_trees, k, f"objective {k}") for k in range(content.objective_trees.size)
+        ]
 
-    @property
-    def size(self) -> int:
-        """The number of combinations."""
-        return self._second + len(self.tokens.functions)
+    def _sum(self, trees: Trees, k: int, name: str) -> Sum:
+        self._name = name
+        return evaluated_tree(trees, k, self._leaf, self._operation)
 
-    def first_arguments(self) -> Indices:
-        """Return the combination that is the first argument of each function."""
-        first = np.arange(self._first, self._second)
-        for k, number in enumerate(self.tokens.nodes):
-            if number != NONE:
-                first[number] = self.tokens.results + k
-        return first
+    def _define(self, number: int) -> None:
+        """Settle what a defined variable is.
 
-    def second_arguments(self) -> Indices:
-        """Return the combination that is the second argument of each function, if it has one."""
-        return np.arange(self._second, self.size)
-
-    def _read(self, tree: int) -> None:
-        tokens = self.tokens
-        target, factor, number = tree, 1.0, tokens.number_of(tree)
-        if number != NONE:
-            is_inline = tokens.ways[number] == INLINE
-            target, factor = self._held_by[number] if is_inline else (tokens.results + number, 1.0)
-            if target == NONE or not tokens.uses[number]:
-                return
-            if tokens.ways[number] in (PUT_IN, UNKNOWN):
-                self._add(target, tokens.n + number, -1.0)
-            self._add_linear(number, target, factor)
-        place, stop, waiting = tokens.starts[tree], tokens.starts[tree + 1], self._waiting
-        waiting.append((target, factor))
-        while place < stop:
-            target, factor = waiting.pop()
-            value = tokens.constant[place]
-            if target == NONE or value is not None:
-                if target != NONE and value:
-                    self.constant_rows.append(target)
-                    self.constants.append(factor * value)
-                place = tokens.end[place]
-                continue
-            if tokens.kinds[place] == VARIABLE:
-                self._add_variable(int(tokens.values[place]), target, factor)
-            else:
-                self._open(place, target, factor)
-            place += 1
-
-    def _add(self, target: int, column: int, factor: float) -> None:
-        self.rows.append(target)
-        self.columns.append(column)
-        self.factors.append(factor)
-
-    def _add_linear(self, number: int, target: int, factor: float) -> None:
-        linear = self.tokens.linear
+        Where several use it, all hold its terms, or it is a quantity of its own: a function, or where it is affine, one
+        more unknown with an equation.
+        """
+        if not self._uses[number]:
+            self._defined.append(Sum({}, 0.0))
+            return
+        found = self._sum(self.content.defined_trees, number, f"defined variable {number}")
+        linear, n = self.content.defined_linear, self.n
         entries = slice(linear.indptr[number], linear.indptr[number + 1])
         for column, value in zip(linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True):
             if value:
-                self._add_variable(column, target, factor * value)
+                found = found.add(self._leaf(VARIABLE, column).scaled(value))
+        added = (self._uses[number] - 1) * len(found.terms)
+        if added <= self._capacity and (found.level == 0 or len(found.terms) <= 1):
+            self._capacity -= added
+        elif added and found.level:
+            found = self._new(functions.SAME, found)
+        elif added:
+            found.terms[n + number] = -1.0
+            self.definitions[number] = found
+            found = Sum({n + number: 1.0}, 0.0)
+        self._defined.append(found)
 
-    def _add_variable(self, column: int, target: int, factor: float) -> None:
-        number = column - self.tokens.n
-        if number < 0:
-            self._add(target, column, factor)
-        elif (value := self.tokens.value_of(number)) is not None:
-            self.constant_rows.append(target)
-            self.constants.append(factor * value)
-        elif self.tokens.ways[number] == INLINE:
-            self._held_by[number] = (target, factor)
-        else:
-            is_own = self.tokens.ways[number] == OWN
-            self._add(target, self._first_node + self.tokens.nodes[number] if is_own else column, factor)
+    def _use(self, number: int) -> Sum:
+        """Return a defined variable, which changes hands where only one sum has it."""
+        found = self._defined[number]
+        return found if self._uses[number] == 1 else replace(found, terms=dict(found.terms))
 
-    def _open(self, place: int, target: int, factor: float) -> None:
-        """Tell the operands of an operator which combinations they belong to; the first one is asked first."""
-        tokens, waiting = self.tokens, self._waiting
-        rule, node, first = OPERATORS[tokens.values[place]], tokens.node[place], place + 1
-        if node == NONE and rule in (Arithmetic.SUM, Arithmetic.NEGATION):
-            waiting.extend([(target, factor if rule is Arithmetic.SUM else -factor)] * tokens.counts[place])
-            return
-        if node == NONE and rule is Arithmetic.DIFFERENCE:
-            waiting.extend([(target, -factor), (target, factor)])
-            return
-        second = tokens.end[first] if tokens.counts[place] > 1 else NONE
-        constants: list[Any] = [tokens.constant[one] for one in (first, second)[: tokens.counts[place]]]
-        if node == NONE:  # a multiple
-            scale = factor
-            if rule is Arithmetic.PRODUCT:
-                scale *= constants[1] if constants[0] is None else constants[0]
-            elif rule is Arithmetic.QUOTIENT:
-                scale /= constants[1]
-            self._wait(*((target, scale) if one is None else (NONE, 0.0) for one in constants))
-            return
-        function = tokens.functions[node]
-        is_reciprocal = rule is Arithmetic.QUOTIENT and function.arguments == 1
-        self._add(target, self._first_node + node, factor * constants[0] if is_reciprocal else factor)
-        places = [(self._first + node, 1.0), (self._second + node, 1.0)][: function.arguments]
-        if len(constants) > len(places):
-            places.insert(0 if is_reciprocal else 1, (NONE, 0.0))
-        self._wait(*places)
+    def _leaf(self, kind: int, value: float) -> Sum:
+        if kind == NUMBER:
+            return Sum({}, value)
+        column = int(value)
+        if column >= self.n:
+            return self._use(column - self.n)
+        known = self._known[column]
+        return Sum({column: 1.0}, 0.0) if known is None else Sum({}, known)
 
-    def _wait(self, *operands: tuple[int, float]) -> None:
-        self._waiting.extend(operands[::-1])
+    def _operation(self, number: int, operands: list[Sum]) -> Sum:
+        rule = OPERATORS[number]
+        if all(one.is_constant for one in operands):
+            return Sum({}, self._folded(rule, [one.constant for one in operands]))
+        first, second = operands[0], operands[-1]
+        if rule in SUMS:
+            if rule is Arithmetic.NEGATION:
+                return first.scaled(-1.0)
+            if rule is Arithmetic.DIFFERENCE:
+                operands = [first, second.scaled(-1.0)]
+            return reduce(Sum.add, operands)
+        if isinstance(rule, Function):
+            return self._new(rule, first)
+        if rule is Arithmetic.SQUARE:
+            return self._new(functions.SQUARE, first)
+        if rule is Arithmetic.PRODUCT:
+            return self._product(first, second)
+        if rule is Arithmetic.QUOTIENT:
+            return self._quotient(first, second)
+        return self._power(first, second)
+
+    def _product(self, first: Sum, second: Sum) -> Sum:
+        if first.is_constant:
+            return second.scaled(first.constant)
+        if second.is_constant:
+            return first.scaled(second.constant)
+        if len(first.terms) == 1 and first == second:
+            return self._new(functions.SQUARE, first)
+        return self._new(functions.PRODUCT, first, second)
+
+    def _quotient(self, first: Sum, second: Sum) -> Sum:
+        if second.is_constant:
+            if second.constant == 0.0:
+                raise UnsupportedModel(f"{self._name} divides by zero; correct it")
+            return first.scaled(second.constant, operator.truediv)
+        if first.is_constant:
+            return self._new(functions.power(-1.0), second).scaled(first.constant)
+        return self._new(functions.QUOTIENT, first, second)
+
+    def _power(self, base: Sum, exponent: Sum) -> Sum:
+        if not exponent.is_constant:
+            is_one = base.is_constant and base.constant == 1.0
+            return Sum({}, 1.0) if is_one else self._new(functions.POWER, base, exponent)
+        if exponent.constant in (0.0, 1.0):
+            return base if exponent.constant else Sum({}, 1.0)
+        return self._new(functions.power(exponent.constant), base)
+
+    def _new(self, function: Function, *arguments: Sum) -> Sum:
+        """Return a function of sums."""
+        below = max(one.level for one in arguments)
+        if below >= MOST_NESTED:
+            raise UnsupportedModel(
+                f"{self._name} nests more than {MOST_NESTED} functions in one another; give an inner one a "
+                "variable of its own and an equation"
+            )
+        self.functions.append(function)
+        self.arguments.append(arguments)
+        self.levels.append(below + 1)
+        return Sum({self.n + len(self._uses) + len(self.functions) - 1: 1.0}, 0.0, below + 1)
+
+    def _folded(self, rule: Any, constants: list[float]) -> float:
+        with np.errstate(all="ignore"):
+            value = value_of(rule, constants)
+        if not np.isfinite(value):
+            name = rule.value if isinstance(rule, Arithmetic) else rule.name
+            raise UnsupportedModel(
+                f"{self._name} holds {name} of {', '.join(f'{one:g}' for one in constants)}, which is no "
+                "finite number; correct it"
+            )
+        return float(value)
+
+
+def _counted_uses(content: NLContent) -> list[int]:
+    """Return how many sums use each defined variable."""
+    n, linear = content.lower.size, content.defined_linear
+    used = [linear.indices[linear.data != 0.0]]
+    for trees in (content.trees, content.objective_trees, content.defined_trees):
+        used.append(trees.values[trees.kinds == Token.VARIABLE].astype(np.int64))
+    columns = np.concatenate(used)
+    uses: list[int] = np.bincount(columns[columns >= n] - n, minlength=content.defined_trees.size).tolist()
+    return uses
 
 
 class Expressions:
@@ -175,31 +250,31 @@ class Expressions:
     def __init__(self, content: NLContent, known: FloatVector) -> None:
         is_known = ~np.isnan(known)
         values = [value if one else None for value, one in zip(known.tolist(), is_known, strict=True)]
-        tokens = Tokens(content, values)
-        found = Combinations(tokens)
-        defined = np.array([k for k, way in enumerate(tokens.ways) if way == UNKNOWN], dtype=np.int64)
-        self.definitions = tokens.results + defined
-        self.unknowns = np.concatenate([np.flatnonzero(~is_known), content.lower.size + defined])
-        keys = list(zip(tokens.levels, (one.name for one in tokens.functions), strict=True))
-        order = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.int64)
-        self._arguments = found.first_arguments()[order], found.second_arguments()[order]
-        self._functions = [tokens.functions[k] for k in order]
-        matrix, self.offset = _summed(found, content)
-        n, first = content.lower.size, content.lower.size + tokens.defined
-        if is_known.any():
-            self.offset = self.offset + matrix[:, :n] @ np.where(is_known, known, 0.0)
-        place = np.full(matrix.shape[1], NONE)
+        found = _Reader(content, values)
+        n, d, count = content.lower.size, content.defined_trees.size, len(found.functions)
+        keys = list(zip(found.levels, (one.name for one in found.functions), strict=True))
+        order = np.array(sorted(range(count), key=keys.__getitem__), dtype=np.int64)
+        self._functions = [found.functions[k] for k in order]
+        defined = np.array(list(found.definitions), dtype=np.int64)
+        self.unknowns = np.concatenate([np.flatnonzero(~is_known), n + defined])
+        self.definitions = len(found.results) + np.arange(defined.size)
+        first = len(found.results) + defined.size + np.arange(count)
+        self._arguments = first, first + count
+        pairs = [(*found.arguments[k], Sum({}, 0.0))[:2] for k in order]
+        sums = [*found.results, *found.definitions.values(), *(one for one, _ in pairs), *(one for _, one in pairs)]
+        place = np.full(n + d + count, -1)
         place[self.unknowns] = np.arange(self.unknowns.size)
-        place[first + order] = self.unknowns.size + np.arange(order.size)
-        entries = sp.coo_array(matrix)
-        kept = (place[entries.col] != NONE) & (entries.data != 0.0)
-        shape = (matrix.shape[0], self.unknowns.size + order.size)
-        kept_entries = entries.data[kept], (entries.row[kept], place[entries.col[kept]])
-        self.matrix = sp.csr_array(sp.coo_array(kept_entries, shape=shape))
-        self.matrix.sum_duplicates()
+        place[n + d + order] = self.unknowns.size + np.arange(count)
+        self.offset = np.array([one.constant for one in sums])
+        linear = sp.csr_array(sp.vstack([content.linear, content.objective_linear], format="csr"))
+        self.offset[: linear.shape[0]] += linear @ np.where(is_known, known, 0.0)
+        linear = linear[:, ~is_known]
+        linear.resize((len(sums), self.unknowns.size + count))
+        self.matrix = sp.csr_array(linear + _matrix(sums, place, linear.shape))
+        self.matrix.eliminate_zeros()
         # Where each source begins: the unknowns, then each group of one function on one level.
-        begins = [k for k in range(order.size) if k == 0 or keys[order[k]] != keys[order[k - 1]]]
-        self._starts = np.array([0, *(self.unknowns.size + k for k in (*begins, order.size))], dtype=np.int64)
+        begins = [k for k in range(count) if k == 0 or keys[order[k]] != keys[order[k - 1]]]
+        self._starts = np.array([0, *(self.unknowns.size + k for k in (*begins, count))], dtype=np.int64)
         self._levels = [0, *(keys[order[k]][0] for k in begins)]
         self._begins = begins
 
@@ -281,21 +356,9 @@ class Expressions:
         return matrix, offset
 
 
-def _summed(found: Combinations, content: NLContent) -> tuple[sp.csr_array, FloatVector]:
-    """Return matrix and offset of all combinations; of defined variables that are put in, none is left."""
-    tokens, n = found.tokens, content.lower.size
-    shape = (found.size, n + tokens.defined + len(tokens.functions))
-    parts = [(np.array(found.factors), np.array(found.rows, dtype=np.int64), np.array(found.columns, dtype=np.int64))]
-    start = 0
-    for linear in (content.linear, content.objective_linear):
-        numbers = np.repeat(np.arange(linear.shape[0]), np.diff(linear.indptr))
-        parts.append((linear.data, start + numbers, linear.indices.astype(np.int64)))
-        start += linear.shape[0]
-    data, rows, columns = (np.concatenate(part) for part in zip(*parts, strict=True))
-    offset: FloatVector = np.zeros(found.size)
-    np.add.at(offset, np.array(found.constant_rows, dtype=np.int64), found.constants)
-    matrix = sp.csr_array(sp.coo_array((data, (rows, columns)), shape=shape))
-    numbers = np.array([k for k, way in enumerate(tokens.ways) if way == PUT_IN and tokens.uses[k]], dtype=np.int64)
-    if not numbers.size:
-        return matrix, offset
-    return put_in_all(matrix, offset, tokens.results + numbers, n + numbers)
+def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
+    """Return the terms of sums, a row each, their columns put in these places."""
+    counts = [len(one.terms) for one in sums]
+    columns = place[np.fromiter(chain.from_iterable(one.terms for one in sums), dtype=np.int64, count=sum(counts))]
+    values = np.fromiter(chain.from_iterable(one.terms.values() for one in sums), dtype=np.float64, count=sum(counts))
+    return sp.csr_array((values, columns, np.cumsum([0, *counts])), shape=shape)

@@ -1,52 +1,74 @@
-"""Reading ``.nl`` files: the segments of either form, those of one letter at once, become an `NLContent`."""
+"""Reading ``.nl`` files: the segments of either form, one after the other, become an `NLContent`."""
 
 from __future__ import annotations
 
+import math
+from array import array
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
 from ...core.errors import UnreadableFile
 from ..files.files import INFINITE_BOUND, checked_path
 from ..files.matrix_market import opened
 from .content import (
     ARITY,
-    LINES,
+    BIG_ENDIAN,
+    LITTLE_ENDIAN,
+    MOST_OPTIONS,
     NARY,
-    NO_OPERATOR,
     PARTNER,
     PIECEWISE,
     SUFFIX_IS_REAL,
     SUFFIX_KIND,
-    Fault,
-    Header,
-    HeadFault,
+    WITH_TOLERANCE,
     Indices,
     NLContent,
     Suffix,
     Token,
     Trees,
-    read_header,
 )
-from .sources import ALONE, NO_NUMBERS, NO_SEGMENT, WORDS, WRONG_KIND, Items, Segments, is_whole, items_of, runs_of
+from .forms import NO_NUMBERS, Binary, Fault, Text
 
 ENDING = ".nl"
 SHOWN = 40  # bytes of a line that a message quotes
-NUMBER, VARIABLE, OPERATOR, CALL, STRING = map(int, Token)
-NO_PART = "a part of an expression is needed here"
-WRONG_PART = {  # of a kind, with how many there are
-    NUMBER: "a number is not finite", VARIABLE: "there are {:g} variables that may stand here, numbered from 0",
-    OPERATOR: "there is no operator of this number", CALL: "there are {:g} functions here, numbered from 0",
+#: How many numbers stand behind the letter of a segment; a name follows in F and S.
+HEADS = {"C": 1, "L": 1, "O": 2, "V": 3, "G": 2, "J": 2, "b": 0, "r": 0, "k": 1, "K": 1, "x": 1, "d": 1, "F": 3, "S": 2}
+NAMED = "FS"
+TOKENS = {
+    "n": Token.NUMBER, "l": Token.NUMBER, "s": Token.NUMBER, "v": Token.VARIABLE, "o": Token.OPERATOR, "f": Token.CALL,
+    "h": Token.STRING,
 }
-KINDS = np.zeros(256, dtype=np.uint8)
-KINDS[list(b"nlsvofh")] = [NUMBER, NUMBER, NUMBER, VARIABLE, OPERATOR, CALL, STRING]
-#: Of bounds by their kinds: how many numbers there are, and which.
-BOUND_NUMBERS, HAS_LOWER, HAS_UPPER = np.array([[2, 1, 1, 0, 1, 2], [1, 0, 1, 0, 1, 0], [1, 1, 0, 0, 1, 0]])
+NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
+NO_PART = "a part of an expression is needed here"
+HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
 IS_AS_STATED = 4  # a bound of this kind may be 1e20
+LINES = 10  # of the head, which are text in binary files too
+MOST_LINE_BYTES = 4096  # a line of the head is never longer
+MOST_DIGITS = 18
+#: Of the lines of the head behind the first: how many numbers must stand there, what they are, and what each is called.
+HEAD = {
+    2: (3, "variables, rows, objectives", "variables rows objectives ranges equations logical_rows"),
+    3: (2, "nonlinear rows and objectives", "nonlinear_rows nonlinear_objectives linear_pairs nonlinear_pairs _ _"),
+    4: (2, "network rows", "_ _"),
+    5: (2, "nonlinear variables", "in_rows in_objectives in_both"),
+    6: (2, "network variables, functions", "_ functions arithmetic _"),
+    7: (2, "integer variables", "binaries integers integers_in_both integers_in_rows integers_in_objectives"),
+    8: (2, "nonzeros", "nonzeros objective_nonzeros"),
+    9: (2, "lengths of names", "row_name_length name_length"),
+    10: (5, "defined variables", "defined defined1 defined2 defined3 defined4"),
+}
+#: What stands in a file, each in a byte at least.
+STORED = {"variables", "rows", "objectives", "logical_rows", "functions", *HEAD[8][2].split(), *HEAD[10][2].split()}
+
+
+class HeadFault(Fault):
+    """What is wrong with a line of the head."""
 
 
 def source_of(path: str | PathLike[str]) -> Path:
@@ -75,9 +97,9 @@ def read_content(path: str | PathLike[str]) -> NLContent:
     with opened(source, ".nl file") as file:
         data = file.read()
     try:
-        header, begin = read_header(data)
-        with np.errstate(invalid="ignore"):  # of a signalling NaN, which is refused
-            return _Reader(header, items_of(data, begin, header)).content(source)
+        reader = _Reader(data)
+        reader.read_segments()
+        return reader.content(source)
     except Fault as fault:
         raise UnreadableFile(
             f"cannot read {source}, {_place(data, fault)}: {fault}; the file is damaged, or no .nl file: write it again"
@@ -97,256 +119,386 @@ def _place(data: bytes, fault: Fault) -> str:
     return f"line {line} ({text!r})"
 
 
-class _Reader:
-    """The segments of a file, checked, and the arrays they become."""
+# --- The head --------------------------------------------------------------------------------------------------------
 
-    def __init__(self, header: Header, items: Items) -> None:
-        self.header, self.items = header, items
+
+def _header(data: bytes) -> tuple[SimpleNamespace, int]:
+    """Return the numbers of the head by their names, and where the segments begin."""
+    lines, begin = [], 0
+    for number in range(1, LINES + 1):
+        end = data.find(b"\n", begin, begin + MOST_LINE_BYTES)
+        if end < 0:
+            is_short = len(data) - begin < MOST_LINE_BYTES
+            raise HeadFault(number, f"the head of an .nl file has {LINES} lines, and the file ends here"
+                            if is_short else "this is no line of the head of an .nl file")
+        lines.append(data[begin:end])
+        begin = end + 1
+        if number == 1 and lines[0][:1] not in (b"g", b"b"):
+            raise HeadFault(1, "an .nl file begins with g (text) or b (binary)")
+    header = SimpleNamespace(is_binary=lines[0][:1] == b"b")
+    header.options, header.tolerance = _options(lines[0][1:])
+    for number in HEAD:
+        _read_head_line(header, number, lines[number - 1], len(data) - begin)
+    if header.is_binary and header.arithmetic not in (0, LITTLE_ENDIAN, BIG_ENDIAN):
+        raise HeadFault(6, f"its numbers are of the arithmetic {header.arithmetic}, and 1 (IEEE, little-endian) "
+                        "or 2 (big-endian) is needed; write the file as text")
+    header.defined = sum(getattr(header, name) for name in HEAD[10][2].split())
+    return header, begin
+
+
+def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
+    """Return the numbers of the first line, the first of which says how many follow, and the tolerance."""
+    words = text.split(b"#")[0].split()
+    try:
+        count = int(words[0]) if words else 0
+        given = [int(word) for word in words[1:max(count, 0) + 1]]
+        has_tolerance = count >= 2 and given[1:2] == [WITH_TOLERANCE] and len(words) > count + 1
+        tolerance = float(words[count + 1]) if has_tolerance else None
+    except ValueError:
+        raise HeadFault(1, "the options behind its letter are whole numbers") from None
+    if not 0 <= count <= MOST_OPTIONS:
+        raise HeadFault(1, f"it announces {count} options, and at most {MOST_OPTIONS} are possible")
+    return (count, *given, *[0] * (count - len(given))), tolerance
+
+
+def _read_head_line(header: SimpleNamespace, number: int, line: bytes, length: int) -> None:
+    """Take in the numbers of a line, zeros for those that may be missing; so many bytes follow the head."""
+    needed, meaning, names = HEAD[number]
+    called = names.split()
+    words = line.split(b"#")[0].split()[:len(called)]
+    if len(words) < needed or not b"".join(words).isdigit():
+        count = needed if needed == len(called) else f"{needed} to {len(called)}"
+        raise HeadFault(number, f"{count} whole numbers are needed ({meaning})")
+    if max(map(len, words)) > MOST_DIGITS:
+        raise HeadFault(number, "that is more than any file can hold")
+    numbers = [int(word) for word in words] + [0] * (len(called) - len(words))
+    for name, value in zip(called, numbers, strict=True):
+        if name in STORED and value > length:  # before anything is allocated
+            raise HeadFault(number, f"{value} are announced ({meaning}), and {length} bytes follow")
+        setattr(header, name, value)
+
+
+# --- The segments ----------------------------------------------------------------------------------------------------
+
+
+class _Rows:
+    """Linear terms: indices and values of all rows, and where those of each begin and end."""
+
+    def __init__(self) -> None:
+        self.indices, self.values = array("q"), array("d")
+        self.spans: dict[int, tuple[int, int]] = {}
+
+    def matrix(self, height: int, width: int) -> sp.csr_array:
+        """Return them as CSR."""
+        items, starts = _gathered(self.spans, height, (0, 0))
+        kind = np.int32 if max(items.size, width) < 2**31 else np.int64
+        parts = np.array(self.values)[items], np.array(self.indices)[items].astype(kind), starts.astype(kind)
+        return sp.csr_array(parts, shape=(height, width))
+
+
+class _Reader:
+    """What has been read of a file."""
+
+    def __init__(self, data: bytes) -> None:
+        self.header, begin = _header(data)
+        order = ">" if self.header.arithmetic == BIG_ENDIAN else "<"
+        self.source: Text | Binary = Binary(data, begin, order) if self.header.is_binary else Text(data, begin)
+        rows, objectives, defined = self.header.rows, self.header.objectives, self.header.defined
+        self.owners = {  # how many there are of what a segment belongs to
+            "C": rows, "J": rows, "L": self.header.logical_rows, "O": objectives, "G": objectives, "V": defined,
+            "F": self.header.functions,
+        }
+        self.heads: dict[tuple[str, int], int] = {}  # letter and owner of each segment: its place
+        self.kinds, self.values, self.counts = bytearray(), array("d"), array("q")
+        self.strings: list[bytes] = []
+        self.trees: dict[str, dict[int, tuple[int, int]]] = {letter: {} for letter in "CLOV"}
+        self.rows = {letter: _Rows() for letter in "JGVxd"}
+        self.bounds: dict[str, list[tuple[float, float, int, int]]] = {"b": [], "r": []}
+        self.is_maximized: dict[int, bool] = {}
+        self.functions: dict[int, str] = {}
+        self.suffixes: list[Suffix] = []
+        self.column_counts: list[int] | None = None
+
+    def read_segments(self) -> None:
+        """Read all of them, in whatever order they stand."""
+        header, source = self.header, self.source
+        n, d = header.variables, header.defined
+        while letter := source.letter():
+            if letter not in HEADS:
+                source.fail(NO_SEGMENT)
+            numbers = source.integers(HEADS[letter], has_name=letter in NAMED)
+            owner = self._owner(letter, numbers)
+            if letter in "CLO":
+                if letter == "O":
+                    if numbers[1] not in (0, 1):
+                        source.fail("the sense of an objective is 0 or 1")
+                    self.is_maximized[owner] = numbers[1] == 1
+                self._read_tree(letter, owner, n + d)
+            elif letter in "JGV":
+                reach = n + owner if letter == "V" else n
+                self._read_pairs(letter, owner, numbers[1], reach)
+                if letter == "V":
+                    self._read_tree(letter, owner, reach)
+            elif letter in "xd":
+                self._read_pairs(letter, owner, numbers[0], n if letter == "x" else header.rows)
+            elif letter in "br":
+                self._read_bounds(letter)
+            elif letter in "kK":
+                self._read_column_counts(letter, numbers[0])
+            elif letter == "F":
+                self.functions[owner] = source.name.decode(errors="replace")
+            else:
+                self._read_suffix(*numbers)
+
+    def _owner(self, letter: str, numbers: list[int]) -> int:
+        """Return whose the segment is, numbered from 0; raise where it belongs to nothing, or is there already."""
+        count, first = self.owners.get(letter), self.header.variables if letter == "V" else 0
+        if count is None:
+            owner = len(self.suffixes) if letter == "S" else 0
+        else:
+            owner = numbers[0] - first
+            if not count:
+                self.source.fail(f"the head announces nothing that a segment {letter} could belong to")
+            if not 0 <= owner < count:
+                self.source.fail(f"a segment {letter} has a number from {first} to {first + count - 1}")
+        head = letter.lower() if letter == "K" else letter, owner
+        if head in self.heads:
+            self.source.fail(f"a second segment {letter}{'' if count is None else owner + first}; a file has one")
+        self.heads[head] = self.source.at
+        return owner
+
+    def _read_tree(self, letter: str, owner: int, variables: int) -> None:
+        """Read an expression over that many variables."""
+        begin, missing = len(self.kinds), 1
+        while missing:
+            kind, value, count = self._token(variables)
+            self.kinds.append(kind)
+            self.values.append(value)
+            self.counts.append(count)
+            missing += count - 1
+        self.trees[letter][owner] = begin, len(self.kinds)
+
+    def _token(self, variables: int) -> tuple[Token, float, int]:
+        """Return the next part of an expression: its kind, its value and how many operands follow."""
+        source, letter = self.source, self.source.letter()
+        if letter not in TOKENS:
+            source.fail(NO_PART if letter in HEADS else NO_NUMBERS)
+        kind = TOKENS[letter]
+        if kind is Token.NUMBER:
+            value = source.real(letter)
+            if not math.isfinite(value):
+                source.fail("a number is not finite")
+            return kind, value, 0
+        if kind is Token.STRING:
+            self.strings.append(source.text())
+            return kind, len(self.strings) - 1, 0
+        if kind is Token.VARIABLE:
+            number, = source.integers(1)
+            if not 0 <= number < variables:
+                source.fail(f"there are {variables} variables that may stand here, numbered from 0")
+            return kind, number, 0
+        if kind is Token.CALL:
+            number, count = source.integers(2)
+            if not 0 <= number < self.header.functions:
+                source.fail(f"there are {self.header.functions} functions here, numbered from 0")
+            self._require_operands(count, 0)
+            return kind, number, count
+        number, = source.integers(1)
+        if number not in ARITY:
+            source.fail("there is no operator of this number")
+        count = ARITY[number]
+        if count in (NARY, PIECEWISE):
+            given, = source.row("i")
+            factor = 1 if count == NARY else 2
+            self._require_operands(given, factor)
+            count = factor * given
+        return kind, number, count
+
+    def _require_operands(self, count: int, least: int) -> None:
+        most = len(self.source.data)
+        if not least <= count <= most:
+            self.source.fail(f"it has {count} operands, and a number up to {most} is possible here")
+
+    def _read_pairs(self, letter: str, owner: int, count: int, reach: int) -> None:
+        """Read so many indices below `reach` with their values, and keep them in order."""
+        rows, found = self.rows[letter], dict[int, float]()
+        for index, value in self._pairs("id", count, reach):
+            if not math.isfinite(value):
+                self.source.fail(f"the value {value} is not finite")
+            if index in found:
+                self.source.fail(f"a second entry of variable {index} in one segment")
+            found[index] = value
+        begin = len(rows.indices)
+        order = sorted(found)
+        rows.indices.extend(order)
+        rows.values.extend(map(found.__getitem__, order))
+        rows.spans[owner] = begin, len(rows.indices)
+
+    def _pairs(self, form: str, count: int, reach: int) -> Iterator[tuple[int, Any]]:
+        """Yield so many indices below `reach` with their values."""
+        source = self.source
+        if count < 0:
+            source.fail(NO_NUMBERS)
+        for _ in range(count):
+            index, value = source.row(form)
+            if not 0 <= index < reach:
+                source.fail(f"the index {index} lies outside 0 … {reach - 1}")
+            yield index, value
+
+    def _read_bounds(self, letter: str) -> None:
+        """Read lower and upper bound, partner and its finite bounds of each variable or row."""
+        header, partners = self.header, set[int]()
+        for _ in range(header.variables if letter == "b" else header.rows):
+            kind, *numbers = self.source.bound()
+            if kind == PARTNER:
+                finite, variable = numbers
+                self._check_partner(letter, finite, variable, partners)
+                self.bounds[letter].append((-math.inf, math.inf, variable - 1, finite))
+                continue
+            if any(map(math.isnan, numbers)):
+                self.source.fail("a bound is not a number")
+            low = numbers[0] if kind in HAVE_LOWER else -math.inf
+            high = numbers[-1] if kind in HAVE_UPPER else math.inf
+            if kind != IS_AS_STATED:
+                low = -math.inf if low <= -INFINITE_BOUND else low
+                high = math.inf if high >= INFINITE_BOUND else high
+            self.bounds[letter].append((low, high, -1, 0))
+
+    def _check_partner(self, letter: str, finite: int, variable: int, earlier: set[int]) -> None:
+        """Raise where a row cannot be complementary to a variable, which are numbered from 1 here."""
+        source, n = self.source, self.header.variables
+        if letter == "b":
+            source.fail("a bound of kind 5 belongs to a row, not to a variable")
+        if not 0 <= finite < 4:
+            source.fail("behind 5 stands which bounds are finite: 0 to 3")
+        if not 1 <= variable <= n:
+            source.fail(f"a row is complementary to a variable from 1 to {n}")
+        if variable in earlier:
+            source.fail(f"variable {variable} is complementary to an earlier row as well; one is possible")
+        earlier.add(variable)
+
+    def _read_column_counts(self, letter: str, count: int) -> None:
+        """Read in how many rows each variable but the last is; cumulative behind k."""
+        needed = max(self.header.variables - 1, 0)
+        if max(count, 0) != needed:  # −1 without variables
+            self.source.fail(f"{needed} counts of columns are needed")
+        given = [self.source.row("i")[0] for _ in range(needed)]
+        self.column_counts = np.diff(given, prepend=0).tolist() if letter == "k" else given
+
+    def _read_suffix(self, bits: int, count: int) -> None:
+        """Read a suffix; whatever its values say is let pass."""
+        header, name = self.header, self.source.name.decode(errors="replace")
+        if not 0 <= bits < 2 * SUFFIX_IS_REAL:
+            self.source.fail("a suffix' kind is 0 to 7")
+        kind, is_real = bits & SUFFIX_KIND, bool(bits & SUFFIX_IS_REAL)
+        reach = (header.variables, header.rows + header.logical_rows, header.objectives, 1)[kind]
+        form = "id" if is_real or not header.is_binary else "ii"  # text has any numbers
+        pairs = list(self._pairs(form, count, reach))
+        indices = np.array([index for index, _ in pairs], dtype=np.int64)
+        values: Any = np.array([value for _, value in pairs], dtype=np.float64)
+        if not is_real and (np.abs(values) < 2.0**53).all() and (values == np.floor(values)).all():
+            values = values.astype(np.int64)
+        self.suffixes.append(Suffix(name, kind, indices, values))
+
+    # --- What they say together ---
 
     def content(self, path: Path) -> NLContent:
         """Return the content."""
-        header, n, m, d = self.header, self.header.variables, self.header.rows, self.header.defined
+        header = self.header
         self._check_announced()
-        _, lower, upper, _ = self._bounds("b", n)
-        row_lower, row_upper, partners, partner_bounds = self._row_bounds()
-        find = self.items.segments
-        rows, objectives, defined = find("C", m), find("O", header.objectives), find("V", d, n)
-        linear, _ = self._matrix(find("J", m), m, n, header.nonzeros)
+        n, m, o, d = header.variables, header.rows, header.objectives, header.defined
+        linear = self.rows["J"].matrix(m, n)
         self._check_column_counts(linear)
-        gradients = find("G", header.objectives)
-        objective_linear, _ = self._matrix(gradients, header.objectives, n, header.objective_nonzeros)
-        defined_linear, behind = self._matrix(defined, d, n + d, None)
-        logical = find("L", header.logical_rows)
-        self._trees(logical, logical.heads + 1, logical.heads.size)  # checked, not kept
-        senses = objectives.numbers[1]
-        self.items.require(is_whole(senses, 2), objectives.heads, "the sense of an objective is 0 or 1")
-        functions = find("F", header.functions)
-        self.items.alone(functions, 0)
-        named = functions.heads[np.argsort(functions.owners)].tolist()
+        lower, upper, _, _ = _columns(self.bounds["b"])
+        row_lower, row_upper, partners, partner_bounds = _columns(self.bounds["r"])
         start, has_start = self._start("x", n)
         return NLContent(
-            lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, partners=partners,
-            partner_bounds=partner_bounds, linear=linear, trees=self._trees(rows, rows.heads + 1, m),
-            is_maximized=senses[np.argsort(objectives.owners)] > 0, objective_linear=objective_linear,
-            objective_trees=self._trees(objectives, objectives.heads + 1, header.objectives),
-            defined_linear=defined_linear, defined_trees=self._trees(defined, behind, d),
+            lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, partners=partners.astype(np.int64),
+            partner_bounds=partner_bounds.astype(np.int64), linear=linear, trees=self._trees("C", m),
+            is_maximized=np.array([self.is_maximized[k] for k in range(o)], dtype=bool),
+            objective_linear=self.rows["G"].matrix(o, n), objective_trees=self._trees("O", o),
+            defined_linear=self.rows["V"].matrix(d, n + d), defined_trees=self._trees("V", d),
             is_integer=self._integers(), logical_rows=header.logical_rows,
-            functions=tuple(self._name(head) or "?" for head in named), start=start,
-            dual_start=self._start("d", m)[0], has_start=has_start,
-            suffixes=self._suffixes() if b"S" in self.items.initials else [],
-            names=_names(path.with_suffix(".col"), n, header.name_lengths[1]),
-            row_names=_names(path.with_suffix(".row"), m, header.name_lengths[0]),
+            functions=tuple(self.functions[k] or "?" for k in range(header.functions)), start=start,
+            dual_start=self._start("d", m)[0], has_start=has_start, suffixes=self.suffixes,
+            names=_names(path.with_suffix(".col"), n, header.name_length),
+            row_names=_names(path.with_suffix(".row"), m, header.row_name_length),
             options=header.options, tolerance=header.tolerance,
         )
 
-    def _matrix(self, segments: Segments, count: int, width: int, nonzeros: int | None) -> tuple[Any, Indices]:
-        """Return the linear terms, one row for each owner, and what comes behind them."""
-        letter, n = segments.letter, self.header.variables
-        limits = n + segments.owners if letter == "V" else np.full(segments.heads.size, n)
-        columns, values, behind = self.items.pairs(segments, limits)
-        given, may_lack = values.size, letter == "G" and values.size  # AMPL counts what simplifications removed later
-        if nonzeros is not None and (given > nonzeros or (given < nonzeros and not may_lack)):
-            raise HeadFault(8, f"{nonzeros} nonzeros are announced for the segments {letter}, {given} are there")
-        starts = np.zeros(count + 1, dtype=np.int64)
-        starts[segments.owners + 1] = behind - segments.heads - 1
-        kind = np.int32 if max(given, width) < 2**31 else np.int64
-        parts = values, columns.astype(kind), np.cumsum(starts).astype(kind)
-        return sp.csr_array(parts, shape=(count, width)), behind
-
-    def _trees(self, segments: Segments, begins: Indices, count: int) -> Trees:
-        """Return one tree for each owner in their order; the number 0 where there is none."""
-        numbers, letters, first = self.items.numbers, self.items.letters, self.items.first
-        if not segments.heads.size:
-            zeros = np.zeros(count, dtype=np.int64)
-            return Trees(zeros.astype(np.uint8), zeros.astype(np.float64), zeros, np.arange(count + 1))
-        items = runs_of(begins, segments.ends - begins)
-        self.items.require(first[items + 1] - first[items] == WORDS[letters[items]], items, NO_NUMBERS)
-        is_part = letters[items] != ALONE
-        parts, others = items[is_part], items[~is_part]
-        del items, is_part  # as large as the file
-        starts = np.append(np.searchsorted(parts, begins), parts.size)
-        kinds, values = KINDS[letters[parts]], numbers[first[parts]]
-        if self.items.strings:
-            is_string = kinds == STRING
-            values[is_string] = np.searchsorted(np.flatnonzero(letters == ord("h")), parts[is_string])
-        self._check_parts(segments, parts, kinds, values, starts)
-        counts = self._operands(parts, others, kinds, values)
-        self._check_closed(segments, parts, counts, starts)
-        return _in_order(segments.owners, Trees(kinds, values, counts, starts, tuple(self.items.strings)), count)
-
-    def _check_parts(self, segments: Segments, parts: Indices, kinds: Any, values: Any, starts: Indices) -> None:
-        """Raise where a part refers to what the file does not have; a defined variable uses those before it."""
-        header, n = self.header, self.header.variables
-        most = np.array([0, n + header.defined, ARITY.size, header.functions, self.items.count], dtype=parts.dtype)
-        limits = most[kinds]
-        if segments.letter == "V":
-            limits = np.where(kinds == VARIABLE, np.repeat(n + segments.owners, np.diff(starts)), limits)
-        holds = np.where(kinds == NUMBER, np.isfinite(values), is_whole(values, limits))
-        if not holds.all():
-            k = np.argmin(holds)
-            self.items.fail(parts[k], WRONG_PART[kinds[k]].format(limits[k]))
-
-    def _operands(self, parts: Indices, others: Indices, kinds: Any, values: Any) -> Indices:
-        """Return how many operands each part has; of calls and some operators it is the number behind their own."""
-        counts = np.zeros(parts.size, dtype=np.int64)
-        is_operator = kinds == OPERATOR
-        counts[is_operator] = ARITY[values[is_operator].astype(np.int64)]
-        counts[kinds == CALL] = NARY
-        counted = np.flatnonzero(counts < 0)
-        if not (counted.size or others.size):
-            return counts
-        self.items.require(counts > NO_OPERATOR, parts, WRONG_PART[OPERATOR])
-        is_operator, given = is_operator[counted], self.items.numbers[self.items.first[parts[counted]] + 1]
-        behind = parts[counted[is_operator]] + 1
-        if not np.array_equal(behind, others):
-            wrong = np.setxor1d(behind, others)[0]
-            self.items.fail(wrong, NO_PART if wrong in others else NO_NUMBERS)
-        factor = np.where(counts[counted] == PIECEWISE, 2, 1)
-        self.items.require(is_whole(given, self.items.count) & (given >= factor * is_operator), parts[counted],
-                           f"it has {{:g}} operands, and a number up to {self.items.count} is possible here", given)
-        counts[counted] = factor * given
-        return counts
-
-    def _check_closed(self, segments: Segments, parts: Indices, counts: Indices, starts: Indices) -> None:
-        """Raise where the last operand of a tree is not its last part.
-
-        Notes
-        -----
-        The sum of counts − 1 falls by one in all over a tree, and is below its earlier values there first at its end.
-        """
-        sums = counts - 1
-        lows = np.minimum.accumulate(np.cumsum(sums, out=sums), out=sums)
-        is_closed = lows < 0
-        is_closed[1:] &= lows[1:] < lows[:-1]
-        closed, last = np.flatnonzero(is_closed), starts[1:] - 1
-        if np.array_equal(closed, last):
-            return
-        closed = np.append(closed, np.full(last.size, parts.size))[:last.size]
-        tree = np.argmax(closed != last)
-        if closed[tree] < last[tree]:
-            self.items.fail(parts[closed[tree] + 1], NO_SEGMENT)
-        self.items.fail(segments.ends[tree], NO_PART)
-
-    def _bounds(self, letter: str, count: int) -> tuple[Indices, FloatVector, FloatVector, tuple[Any, Any, Any]]:
-        """Return the kinds, lower and upper bounds, and the items with their numbers behind the kind."""
-        segments = self.items.segments(letter)
-        if count and not segments.heads.size:
-            raise HeadFault(2, f"the segment {letter} is missing: {count} bounds are needed")
-        items, _ = self.items.alone(segments, count)
-        first, numbers = self.items.first[items], self.items.numbers
-        kinds: Any = numbers[first]
-        self.items.require(is_whole(kinds, PARTNER + 1), items, WRONG_KIND)
-        kinds = kinds.astype(np.int64)
-        words = BOUND_NUMBERS[kinds]
-        self.items.require(self.items.first[items + 1] - first == words + 1, items, NO_NUMBERS)
-        one, two = numbers[first + 1], numbers[first + 2]
-        is_number = ~(np.isnan(one) & (words > 0) | np.isnan(two) & (words > 1))
-        self.items.require(is_number, items, "a bound is not a number")
-        lower = np.where(HAS_LOWER[kinds] > 0, one, -np.inf)
-        upper = np.where(HAS_UPPER[kinds] > 0, np.where(words > 1, two, one), np.inf)
-        lower[(lower <= -INFINITE_BOUND) & (kinds != IS_AS_STATED)] = -np.inf
-        upper[(upper >= INFINITE_BOUND) & (kinds != IS_AS_STATED)] = np.inf
-        if letter == "b":
-            self.items.require(kinds != PARTNER, items, "a bound of kind 5 belongs to a row, not to a variable")
-        return kinds, lower, upper, (items, one, two)
-
-    def _row_bounds(self) -> tuple[FloatVector, FloatVector, Indices, Indices]:
-        """Return bounds of rows, the variable of each complementarity row, −1 elsewhere, and its finite bounds."""
-        header = self.header
-        kinds, lower, upper, raw = self._bounds("r", header.rows)
-        rows = np.flatnonzero(kinds == PARTNER)
-        items, finite, variables = (part[rows] for part in raw)
-        self.items.require(is_whole(finite, 4), items, "behind 5 stands which bounds are finite: 0 to 3")
-        self.items.require(is_whole(variables - 1, header.variables), items,
-                           f"a row is complementary to a variable from 1 to {header.variables}")
-        self.items.order(variables, items, "variable {:g} is complementary to an earlier row as well; one is possible",
-                         variables)
-        if rows.size != header.complementarities:
-            raise HeadFault(3, f"{header.complementarities} complementarity rows are announced, {rows.size} are there")
-        partners, partner_bounds = np.full(kinds.size, -1, dtype=np.int64), np.zeros(kinds.size, dtype=np.int64)
-        partners[rows], partner_bounds[rows] = variables - 1, finite
-        return lower, upper, partners, partner_bounds
-
-    def _start(self, letter: str, count: int) -> tuple[FloatVector, Any]:
-        """Return the values of a segment x or d, and where there are some."""
-        segments = self.items.segments(letter)
-        indices, values, _ = self.items.pairs(segments, np.full(segments.heads.size, count))
-        start, has_start = np.zeros(count), np.zeros(count, dtype=bool)
-        start[indices], has_start[indices] = values, True
-        return start, has_start
-
-    def _suffixes(self) -> list[Suffix]:
-        header, segments = self.header, self.items.segments("S", self.items.count)
-        bits = segments.numbers[0]
-        self.items.require(is_whole(bits, 2 * SUFFIX_IS_REAL), segments.heads, "a suffix' kind is 0 to 7")
-        kinds = bits.astype(np.int64)
-        widths = np.array([header.variables, header.rows + header.logical_rows, header.objectives, 1])
-        indices, values, behind = self.items.pairs(segments, widths[kinds & SUFFIX_KIND])
-        ends = np.cumsum(behind - segments.heads - 1).tolist()
-        suffixes = []
-        for head, kind, begin, end in zip(segments.heads.tolist(), kinds.tolist(), [0, *ends], ends, strict=False):
-            own: Any = values[begin:end]
-            if not kind & SUFFIX_IS_REAL and (np.abs(own) < 2.0**53).all() and (own == np.floor(own)).all():
-                own = own.astype(np.int64)
-            suffixes.append(Suffix(self._name(head), kind & SUFFIX_KIND, indices[begin:end], own))
-        return suffixes
-
-    def _name(self, head: int) -> str:
-        return self.items.names[head].decode(errors="replace")
-
     def _check_announced(self) -> None:
         """Raise where the head announces what is not there, before anything of that size is allocated."""
-        header, letters = self.header, self.items.initials
-        for line, announced, what, letter in (
-            (2, header.objectives, "objectives", b"O"), (6, header.functions, "functions", b"F"),
-            (10, header.defined, "defined variables", b"V"),
-            (2, header.logical_rows if b"L" in letters else 0, "logical constraints", b"L"),
+        header = self.header
+        for line, announced, what, given in (
+            (2, header.objectives, "objectives", len(self.is_maximized)),
+            (6, header.functions, "functions", len(self.functions)),
+            (10, header.defined, "defined variables", len(self.trees["V"])),
+            (2, header.logical_rows, "logical constraints", len(self.trees["L"]) or header.logical_rows),
         ):
-            if announced != (given := letters.count(letter)):
+            if announced != given:
                 raise HeadFault(line, f"{announced} {what} are announced, {given} are there")
+        for letter, needed in (("b", header.variables), ("r", header.rows)):
+            if len(self.bounds[letter]) < needed:
+                raise HeadFault(2, f"the segment {letter} is missing: {needed} bounds are needed")
+        for letter, needed in (("J", header.nonzeros), ("G", header.objective_nonzeros)):
+            given = len(self.rows[letter].values)
+            may_lack = letter == "G" and given  # AMPL counts what simplifications removed later
+            if given > needed or (given < needed and not may_lack):
+                raise HeadFault(8, f"{needed} nonzeros are announced for the segments {letter}, {given} are there")
+        announced, given = header.linear_pairs + header.nonlinear_pairs, sum(row[2] >= 0 for row in self.bounds["r"])
+        if announced != given:
+            raise HeadFault(3, f"{announced} complementarity rows are announced, {given} are there")
 
     def _check_column_counts(self, linear: sp.csr_array) -> None:
         """Raise where the segment k contradicts the segments J."""
-        segments, n = self.items.segments("k"), self.header.variables
-        if not segments.heads.size:
+        if self.column_counts is None:
             return
-        needed = max(n - 1, 0)
-        self.items.require(np.maximum(segments.numbers[0], 0) == needed, segments.heads,  # −1 without variables
-                           f"{needed} counts of columns are needed")
-        items, _ = self.items.alone(segments, needed)
-        given, = self.items.numbers_of(items, 1)
-        if self.items.letters[segments.heads[0]] == ord("k"):
-            given[1:] -= given[:-1].copy()
-        counts = np.bincount(linear.indices, minlength=n)[:needed]
-        what = "the segment says that variable {} is in {:g} rows, and the segments J have it in {}"
-        self.items.require(
-            given == counts, np.repeat(segments.heads, given.size), what, np.arange(given.size), given, counts)
+        counts = np.bincount(linear.indices, minlength=self.header.variables).tolist()
+        for k, (given, count) in enumerate(zip(self.column_counts, counts, strict=False)):
+            if given != count:
+                what = f"the segment says that variable {k} is in {given} rows, and the segments J have it in {count}"
+                raise Fault(self.heads["k", 0], what)
+
+    def _trees(self, letter: str, count: int) -> Trees:
+        """Return one tree for each owner in their order; the number 0 where there is none."""
+        end = len(self.kinds)
+        items, starts = _gathered(self.trees[letter], count, (end, end + 1))
+        return Trees(
+            np.frombuffer(self.kinds + b"\0", dtype=np.uint8)[items], np.append(self.values, 0.0)[items],
+            np.append(np.array(self.counts), 0)[items], starts, tuple(self.strings),
+        )
+
+    def _start(self, letter: str, count: int) -> tuple[Any, Any]:
+        """Return the values of a segment x or d, and where there are some."""
+        rows, start, has_start = self.rows[letter], np.zeros(count), np.zeros(count, dtype=bool)
+        start[rows.indices], has_start[rows.indices] = rows.values, True
+        return start, has_start
 
     def _integers(self) -> Any:
         """Return which variables are integer: the last ones of each group in the order of the format."""
-        n, (in_rows, in_objectives, in_both) = self.header.variables, self.header.nonlinear
-        binary, integer, both, rows, objectives = self.header.integers
+        header, n = self.header, self.header.variables
         is_integer = np.zeros(n, dtype=bool)
-        for end, count in ((n, binary + integer), (in_both, both), (in_rows, rows),
-                           (max(in_rows, in_objectives), objectives)):
+        for end, count in (
+            (n, header.binaries + header.integers), (header.in_both, header.integers_in_both),
+            (header.in_rows, header.integers_in_rows),
+            (max(header.in_rows, header.in_objectives), header.integers_in_objectives),
+        ):
             if count > end or end > n:
                 raise HeadFault(7, f"{count} integer variables are announced where there are {min(end, n)}")
             is_integer[end - count:end] = True
         return is_integer
 
 
-def _in_order(owners: Indices, trees: Trees, count: int) -> Trees:
-    """Return the trees in the order of their owners; of those without one, the number 0."""
-    if owners.size == count and (owners[1:] > owners[:-1]).all():
-        return trees
-    given = np.diff(trees.starts)
-    lengths = np.ones(count, dtype=np.int64)
-    lengths[owners] = given
-    starts = np.concatenate([[0], np.cumsum(lengths)])
-    targets = runs_of(starts[owners], given)
-    kinds, values, counts = (np.zeros(starts[-1], dtype=kind) for kind in (np.uint8, np.float64, np.int64))
-    kinds[targets], values[targets], counts[targets] = trees.kinds, trees.values, trees.counts
-    return Trees(kinds, values, counts, starts, trees.strings)
+def _gathered(spans: dict[int, tuple[int, int]], count: int, none: tuple[int, int]) -> tuple[Indices, Indices]:
+    """Return the items of each owner in their order, and where those of each start; `none` are those of the others."""
+    begins, ends = np.array([spans.get(k, none) for k in range(count)], dtype=np.int64).reshape(-1, 2).T
+    lengths = ends - begins
+    starts = np.append(0, np.cumsum(lengths))
+    return np.repeat(begins - starts[:-1], lengths) + np.arange(starts[-1]), starts
+
+
+def _columns(rows: list[tuple[float, float, int, int]]) -> Any:
+    return np.array(rows, dtype=np.float64).reshape(-1, 4).T.copy()
 
 
 def _names(path: Path, count: int, longest: int) -> list[str] | None:

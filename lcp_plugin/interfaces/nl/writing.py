@@ -258,7 +258,7 @@ def tokens_of(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
 
 def count_behind(operator: int, count: int) -> int:
     """Return the number that stands behind an operator: of operands, of slopes, or 0 where none does."""
-    return {NARY: count, PIECEWISE: count // 2}.get(int(ARITY[operator]), 0)
+    return {NARY: count, PIECEWISE: count // 2}.get(ARITY[operator], 0)
 
 
 def stated_bounds(content: NLContent, lower: Any, upper: Any, *, is_rows: bool) -> Iterable[tuple[Any, ...]]:

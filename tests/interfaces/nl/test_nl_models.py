@@ -26,7 +26,7 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.interfaces.nl import NLModel, model_of, read_nl, write_nl
 from lcp_plugin.interfaces.nl.content import NLContent, Token, Trees
 from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions
-from lcp_plugin.interfaces.nl.tokens import OPERATORS
+from lcp_plugin.interfaces.nl.operators import OPERATORS
 from lcp_plugin.modeling.expressions import functions
 from lcp_plugin.modeling.expressions.program import Program
 from lcp_plugin.modeling.registration import build
@@ -638,6 +638,13 @@ def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
     )
     answer = model_of(content).solve(tolerance=1e-12)
     np.testing.assert_allclose(answer.x, [3.0, 2.0, 5.0], rtol=1e-12)
+
+
+def test_a_fixed_variable_in_a_defined_one_is_its_value() -> None:
+    """Of v = 3 x₁ + x₀ with x₁ = 2, and v = 10: x₀ = 4."""
+    content = content_of(2, [("-", ("x", 2), 10.0)], defined=[X[0]], defined_linear=[[0.0, 3.0, 0.0]])
+    content = replace(content, lower=np.array([-INFINITY, 2.0]), upper=np.array([INFINITY, 2.0]))
+    assert model_of(content).solve().x.tolist() == [4.0, 2.0]
 
 
 def beside_pairs(kind: str, at: float) -> NLContent:

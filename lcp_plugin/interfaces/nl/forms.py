@@ -1,0 +1,174 @@
+"""The two forms of ``.nl`` files: text, line by line, or bytes. Both give letters, numbers and names in the same order.
+
+A place is the byte at which what has been read last begins.
+"""
+
+from __future__ import annotations
+
+import re
+from struct import Struct
+from typing import Any, NoReturn
+
+from .content import PARTNER
+
+STRING = re.compile(rb"h(\d{1,9}):")
+BOUNDS = ("dd", "d", "d", "", "d", "ii")  # the numbers behind the kind of a bound
+KINDS = {"i": int, "d": float}
+NUMBERS = {"n": "d", "l": "i", "s": "h"}  # the letters of numbers, and their forms in bytes
+NO_NUMBERS = "this is neither a number nor a letter of the format, or there are not as many as are needed"
+WRONG_KIND = f"a bound's kind is 0 to {PARTNER}"
+
+
+class Fault(ValueError):
+    """What is wrong with a file, and in which line or at which byte."""
+
+    def __init__(self, place: int, what: str) -> None:
+        super().__init__(what)
+        self.place = place
+
+
+class Text:
+    """The segments of a text file; blank lines at its end do not count, and comments begin with #.
+
+    Attributes
+    ----------
+    at : int
+        The place of the line that has been read last.
+    name : bytes
+        The last word of a head that has one.
+    """
+
+    def __init__(self, data: bytes, begin: int) -> None:
+        self.data = data.rstrip() + b"\n"
+        self.at = self._next = begin
+        self.name = b""
+        self._words: list[bytes] = []
+
+    def letter(self) -> str:
+        """Return the first letter of the next line, nothing at the end of the file."""
+        line = self._line()
+        self._words = line[1:].split()
+        return chr(line[0]) if line else " " * (self.at < len(self.data))
+
+    def integers(self, count: int, *, has_name: bool = False) -> list[Any]:
+        """Return the whole numbers behind the letter."""
+        if has_name and self._words:
+            self.name = self._words.pop()
+        return self._numbers("i" * count, self._words)
+
+    def real(self, letter: str) -> float:
+        """Return the number behind a letter that says of which kind it is."""
+        value: float = self._numbers("d", self._words)[0]
+        return value
+
+    def row(self, form: str) -> list[Any]:
+        """Return the numbers of the next line, whole ones (i) or not (d)."""
+        return self._numbers(form, self._line().split())
+
+    def bound(self) -> list[Any]:
+        """Return the kind of a bound and what stands behind it."""
+        kind, *words = self._line().split() or [b""]
+        number, = self._numbers("i", [kind])
+        if not 0 <= number < len(BOUNDS):
+            self.fail(WRONG_KIND)
+        return [number, *self._numbers(BOUNDS[number], words)]
+
+    def text(self) -> bytes:
+        """Return a string, whose length stands before it; it may go over lines."""
+        match = STRING.match(self.data, self.at)
+        end = match.end() + int(match[1]) if match else -1
+        stop = self.data.find(b"\n", end)
+        if not match or stop < 0 or self.data[end:stop].strip():
+            self.fail("a string begins with its length, as h5:, and ends with its line")
+        self._next = stop + 1
+        return self.data[match.end():end]
+
+    def fail(self, what: str) -> NoReturn:
+        """Raise a Fault of what has been read last."""
+        raise Fault(self.at, what if self.at < len(self.data) else "the file ends within a segment")
+
+    def _line(self) -> bytes:
+        self.at = self._next
+        end = self.data.find(b"\n", self.at)
+        self._next = end + 1 if end >= 0 else self.at
+        line = self.data[self.at:end]
+        return line.split(b"#")[0] if b"#" in line else line
+
+    def _numbers(self, form: str, words: list[bytes]) -> list[Any]:
+        if len(words) != len(form):
+            self.fail(NO_NUMBERS)
+        try:
+            return [KINDS[kind](word) for kind, word in zip(form, words, strict=True)]
+        except ValueError:
+            self.fail(NO_NUMBERS)
+
+
+class Binary:
+    """The segments of a binary file, read as `Text` is.
+
+    Parameters
+    ----------
+    data : bytes
+    begin : int
+    order : str
+        "<" or ">", as struct writes it.
+    """
+
+    def __init__(self, data: bytes, begin: int, order: str) -> None:
+        self.data, self.order = data, order
+        self.at = self._next = begin
+        self.name = b""
+        self._structs: dict[str, Struct] = {}
+
+    def letter(self) -> str:
+        """Return the next byte as a letter, nothing at the end of the file."""
+        self.at = self._next
+        self._next += 1
+        return chr(self.data[self.at]) if self.at < len(self.data) else ""
+
+    def integers(self, count: int, *, has_name: bool = False) -> list[Any]:
+        """Return the whole numbers behind the letter."""
+        numbers = self._numbers("i" * count)
+        if has_name:
+            self.name = self.text()
+        return numbers
+
+    def real(self, letter: str) -> float:
+        """Return the number behind a letter that says of which kind it is."""
+        return float(self._numbers(NUMBERS[letter])[0])
+
+    def row(self, form: str) -> list[Any]:
+        """Return the next numbers, whole ones (i) or not (d)."""
+        self.at = self._next
+        return self._numbers(form)
+
+    def bound(self) -> list[Any]:
+        """Return the kind of a bound and what stands behind it."""
+        kind = self.letter()
+        if kind not in {str(number) for number in range(len(BOUNDS))}:
+            self.fail(WRONG_KIND)
+        return [int(kind), *self._numbers(BOUNDS[int(kind)])]
+
+    def text(self) -> bytes:
+        """Return a string, whose length stands before it."""
+        length, = self._numbers("i")
+        begin = self._take(length)
+        return self.data[begin:self._next]
+
+    def fail(self, what: str) -> NoReturn:
+        """Raise a Fault of what has been read last."""
+        raise Fault(self.at, what if self.at < len(self.data) else "the file ends within a segment")
+
+    def _numbers(self, form: str) -> list[Any]:
+        if form not in self._structs:
+            self._structs[form] = Struct(self.order + form)
+        struct = self._structs[form]
+        return list(struct.unpack_from(self.data, self._take(struct.size)))
+
+    def _take(self, length: int) -> int:
+        """Return where so many bytes begin, and go behind them."""
+        begin, left = self._next, len(self.data) - self._next
+        if not 0 <= length <= left:
+            raise Fault(begin, f"{length} bytes are needed here, and {left} follow")
+        self._next = begin + length
+        return begin

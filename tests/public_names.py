@@ -21,7 +21,7 @@ ELSEWHERE = {
     "evidence.pictures": "draw",
     "evidence.exporting": "Table save_tables",
     "evidence.results": "Row",
-    "evidence.report.section": "Collected Section collect plan write_report",
+    "evidence.report.page": "Collected collect plan write_report",
     "evidence.stability": "Atlas Cell",
     "modeling.constraint": "Complements Side",
     "modeling.registration": "solve_model",

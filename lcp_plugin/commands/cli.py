@@ -306,7 +306,7 @@ def report(
 ) -> bool:
     """Write one page on error against time and stability; Ctrl-C and go on later."""
     from ..evidence.drawing import require_matplotlib
-    from ..evidence.report.section import collect, plan, require_jinja, write_report
+    from ..evidence.report.page import collect, plan, require_jinja, write_report
     from ..gallery import Scene
     from .target import lcp_of_file, own_scene, scene_text
     from .terminal import PartsLine

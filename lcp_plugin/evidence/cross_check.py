@@ -12,7 +12,6 @@ blind to the directions in which z is not unique, and fails where a residual is 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,12 +19,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..algorithms import module_of
 from ..api import solve
 from ..core.certificates.residuals import Certificate
 from ..core.certificates.row_residuals import magnitude, rounding_floor, scaled_residual
 from ..core.checks import FloatVector
-from ..core.errors import InvalidOption, LCPError
+from ..core.errors import InvalidOption
 from ..core.kind import refusal
 from ..core.lcp import LCP
 from ..core.settings import Settings, Status
@@ -39,7 +37,6 @@ Verdict = Literal["agree", "mismatch", "not comparable"]
 WORTH_COMPARING = 1e-3
 CLEARLY_DIFFERENT = 1e-6
 PROOF_SECONDS = 20.0  # about, of each answer
-SECOND_OPINIONS: dict[str, dict[str, Any]] = {"psor": {}, "npsor": {"scaling": "diagonal"}, "mgs": {}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +136,7 @@ def cross_validate(
     algorithm : str
         What computes our answer where none is given.
     tolerance : float
-        Of that run, and of a second opinion: relative residual.
+        Of that run: relative residual.
     max_seconds : float
         Limit in seconds for our run and for each reference, as far as the solver obeys one; the factorisation that
         decides whether there is a convex program is not interrupted.
@@ -148,8 +145,7 @@ def cross_validate(
     -------
     CrossCheck
         Whatever the solvers do. Where the problem is no convex program (M neither symmetric positive semidefinite
-        nor monotone) another algorithm of ours gives a second opinion, which is not independent: the verdict is
-        then "not comparable" at best.
+        nor monotone) the verdict is "not comparable" at best.
 
     Raises
     ------
@@ -174,25 +170,16 @@ def cross_validate(
         return CrossCheck("agree", "there are no unknowns", "", "", ours, None, result.seconds, 0.0)
     formulation = Formulation.of(problem)
     if formulation.kind is None:
-        return _compared(formulation, result, ours, _second_opinions(formulation, result, tolerance, max_seconds))
+        return _without_program(formulation, result, ours)
     return _compared(formulation, result, ours, attempts(formulation, reference, max_seconds))
 
 
-def _second_opinions(
-    formulation: Formulation, result: Result, tolerance: float, max_seconds: float
-) -> Iterator[ReferenceRun]:
-    """Yield the answers of algorithms of other families than those that made the result."""
-    used = {module_of(stage.name) for stage in result.stages} or {module_of(result.algorithm)}
-    for name, options in SECOND_OPINIONS.items():
-        if module_of(name) in used:
-            continue
-        began = time.perf_counter()
-        try:
-            problem = formulation.scaled.problem
-            other = solve(problem, name, tolerance=tolerance, max_seconds=max_seconds, **options)
-            yield ReferenceRun(f"our {name}", other.certificate, other.seconds, f"not independent; {other.status.name}")
-        except LCPError as error:
-            yield ReferenceRun(f"our {name}", None, time.perf_counter() - began, str(error))
+def _without_program(formulation: Formulation, result: Result, ours: Certificate) -> CrossCheck:
+    """Return the check of an answer for which there is no convex program: whether it is what it says."""
+    said = f"our answer says {result.status.name}, and our relative residual is {accuracy(ours):.1e}"
+    verdict: Verdict = "not comparable" if not _claims(result) or _keeps_claim(result, ours) else "mismatch"
+    reason = f"{formulation.evidence}; there is nothing to compare with; {said}"
+    return CrossCheck(verdict, reason, "", "no convex program", ours, None, result.seconds, 0.0)
 
 
 # --- Comparing ----------------------------------------------------------------------------------------------
@@ -207,7 +194,7 @@ def _compared(
         tried.append(one)
     # Of those without an answer the last, which is the least likely to be just absent.
     best = min(reversed(tried), key=lambda one: one.residual)
-    described = f"{formulation.kind} ({formulation.evidence})" if formulation.kind else "no convex program"
+    described = f"{formulation.kind} ({formulation.evidence})"
     pair = None
     if best.certificate is not None and np.isfinite(ours.z).all():
         pair = _Pair(formulation, ours, best.certificate)
@@ -223,18 +210,14 @@ def _judged(
 ) -> tuple[Verdict, str]:
     """Return the verdict and its reason; the table is read from the top."""
     residual = accuracy(ours)
-    claimed = result.is_solved or result.status is Status.PRECISION_LIMIT
+    claimed = _claims(result)
     said = f"our relative residual is {residual:.1e}"
     if pair is None or not best.is_accurate:
-        why = f"{formulation.evidence}; no second opinion" if formulation.kind is None else "no reference"
-        return "not comparable", f"{why} reached {ACCURATE:.0e}, the best is {best}; {said}"
+        return "not comparable", f"no reference reached {ACCURATE:.0e}, the best is {best}; {said}"
     if claimed and not _keeps_claim(result, ours):
         return "mismatch", f"our answer says {result.status.name}, but {said}; that of {best.name} is accurate"
     if not residual <= (WORTH_COMPARING if claimed else ACCURATE):
         return "not comparable", f"our answer is inaccurate: {result.status.name}, {said}"
-    if formulation.kind is None:
-        same = "says the same" if pair.is_close else "has another solution: z is not unique, or data are stiff"
-        return "not comparable", f"{formulation.evidence}; a second opinion, not independent, {same}"
     if not pair.disagreement <= pair.allowance:
         explained = f"the residuals explain {pair.allowance:.1e} of a disagreement of {pair.disagreement:.1e}"
         return "mismatch", f"{explained}: one of them is wrong, or the two sides solved different problems"
@@ -246,6 +229,10 @@ def _judged(
         largest = f"{_largest(pair.step):.1e}"
         return "agree", f"z differs by {largest}, no more than the residuals and the conditioning of M explain"
     return "agree", "same solution, as far as both residuals tell"
+
+
+def _claims(result: Result) -> bool:
+    return result.is_solved or result.status is Status.PRECISION_LIMIT
 
 
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
@@ -270,12 +257,7 @@ class _Pair:
         self._errors = tuple(self._error(side) for side in (ours, theirs))
         self.allowance = sum(self._errors)
         self.norm = _norm_bound(scaled.A)
-        self.active_sets_agree: bool | None = None
-        self.undecided = 0
-        if formulation.kind is None:  # no error bound, and a product that may have either sign
-            self.disagreement = self.allowance = math.nan
-        else:
-            self.active_sets_agree, self.undecided = self._compare_active_sets()
+        self.active_sets_agree, self.undecided = self._compare_active_sets()
 
     def _error(self, side: Certificate) -> float:
         """Return ‖D^½ r‖ with rounding: what r is measured to be, and may be."""

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.certificates.criterion import RowScaling, rounding_of_data
-from ..core.certificates.row_residuals import scaled_residual
+from ..core.certificates.criterion import rounding_of_data
 from ..core.checks import FloatVector
 from ..core.errors import UnsuitableProblem
 from ..core.lcp import LCP
 from ..core.matrix.scaling import scaled
-from ..core.rounding import compensated_product
 from ..core.settings import Status
 from ..core.solving.result import Result
 from ..proofs.exact.linear_systems import solved_nearby
@@ -31,8 +29,6 @@ LARGEST_DENSE = 400  # up to here a condition number comes from a dense inverse
 MOST_EXCHANGES = 100
 SMALLEST_NORMAL = 2.0**-1022
 EPSILON, SMALLEST = Fraction(1, 2**52), Fraction(1, 2**1074)
-ROUNDINGS = 2.0**-48  # relative, of some operations more than a residual takes after its slack
-LARGEST_EXACT = 2000  # rows up to which all is done in fractions at once
 FLOORS_MEASURED = 5  # what double precision takes for 4 floors can be a little more
 ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
 
@@ -176,22 +172,15 @@ def _ulps(values: FloatVector) -> FloatVector:
 
 
 def _absolute_inverse_product(block: Any, size: FloatVector) -> FloatVector:
-    """Return |block⁻¹| size; ∞ where it is singular, NaN where it is large and no M-matrix."""
+    """Return |block⁻¹| size; ∞ where it is singular, NaN where it is too large to say."""
     n = block.shape[0]
-    if n <= LARGEST_DENSE:
-        try:
-            product: FloatVector = np.abs(np.linalg.inv(block.toarray())) @ size
-        except np.linalg.LinAlgError:
-            return np.full(n, np.inf)
-        return product
-    from scipy.sparse.linalg import splu
-
-    off_diagonal = block - sp.diags_array(block.diagonal())
-    if off_diagonal.nnz and off_diagonal.data.max() > 0.0:
+    if n > LARGEST_DENSE:
         return np.full(n, np.nan)
-    # The inverse of an M-matrix has no negative entry, so that one solve with it is one with its absolute value.
-    solution: FloatVector = splu(block.tocsc()).solve(size)
-    return solution
+    try:
+        product: FloatVector = np.abs(np.linalg.inv(block.toarray())) @ size
+    except np.linalg.LinAlgError:
+        return np.full(n, np.inf)
+    return product
 
 
 # --- how far z is from it -------------------------------------------------------------------------------------------
@@ -282,8 +271,6 @@ def _lie_about_residual(result: Result) -> str:
     if result.status not in (Status.SOLVED, Status.PRECISION_LIMIT):
         return ""
     problem = result.certificate.problem
-    if result.status is Status.SOLVED and problem.n > LARGEST_EXACT and _is_surely_solved(result):
-        return ""
     if result.status is Status.PRECISION_LIMIT:
         residuals = exact_residuals(problem, result.z)
         floors = rounding_floors(problem, result.z)
@@ -307,26 +294,6 @@ def _references(problem: LCP, at_zero: Sequence[Any]) -> list[Any]:
     for label, value in zip(labels, at_zero, strict=True):
         largest[label] = max(value, largest.get(label, value))
     return [largest[label] for label in labels]
-
-
-def _is_surely_solved(result: Result) -> bool:
-    """Return whether bounds of the exact residuals already prove the tolerance; False says nothing."""
-    problem = result.certificate.problem
-    if RowScaling.of(problem) is not None:
-        return False
-    _, above = _residual_bounds(problem, result.z)
-    below, _ = _residual_bounds(problem, problem.nearest_to_zero)
-    references = np.array(_references(problem, below.tolist()))
-    return bool(np.all(above <= result.tolerance * references * (1.0 - ROUNDINGS)))
-
-
-def _residual_bounds(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of |r| from below and above: w with its proved radius, and a few roundings after it."""
-    with np.errstate(all="ignore"):
-        w, radius = compensated_product(problem.csr, z, problem.q)
-        residual = np.abs(scaled_residual(problem, z, w))
-        radius = radius / problem.residual_scale * (1.0 + ROUNDINGS) + ROUNDINGS * residual
-        return residual - radius, residual + radius
 
 
 def _bound_holds(result: Result, exact: Answer) -> bool:

@@ -267,7 +267,7 @@ def sizes(quick: bool) -> Iterator[StressCase]:
     yield planted("n = 1", np.array([[3.0]]), np.array([1.0]), np.zeros(1))
     yield planted("n = 1, active", np.array([[3.0]]), np.zeros(1), np.ones(1))
     yield planted("n = 2", np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([5.0, 0.0]), np.array([0.0, 3.0]))
-    side = 50 if quick else 200
+    side = 50 if quick else 100
     yield half_active(f"n = {side * side}", grid(side, 8.0))
 
 

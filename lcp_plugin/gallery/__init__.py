@@ -3,7 +3,7 @@
 ``build("obstacle_2d", size=200)``, ``obstacle_2d(size=200)`` and ``parse("obstacle_2d:size=200")`` give the
 same :class:`Scene`; ``describe()`` lists them all. A new scene is one function with ``scene_builder`` in a file of
 this folder, and nothing else; the report shows it when asked for by name, and without a name where
-``evidence/report/scenes.py`` lists it.
+``evidence/report/page.py`` lists it.
 """
 
 from collections.abc import Callable

@@ -325,29 +325,19 @@ def test_nonsymmetric_never_reaches_a_plain_program(
 )
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_no_program_where_it_is_not_convex(M: list[list[float]], reason: str, kind: type) -> None:
-    """An indefinite problem reaches no solver: one line says why, and a second opinion is labelled as such."""
+    """An indefinite problem reaches no solver: one line says why."""
     check = cross_validate(LCP(kind(M), [1.0, 1.0]))
-    assert check.verdict == "not comparable"
+    assert (check.verdict, check.theirs, check.tried) == ("not comparable", None, ())
     assert check.reason.startswith(reason)
     assert "\n" not in check.reason
-    assert "second opinion" in check.reason
-    assert check.theirs is None or "not independent" in check.reason
-    assert all(one.name.startswith("our ") for one in check.tried)
 
 
-def test_second_opinion_comes_from_another_family() -> None:
-    """The second opinion is another family's; a wrong answer is a mismatch there too, a right one is not proved."""
+def test_a_wrong_answer_is_a_mismatch_also_where_there_is_no_program() -> None:
+    """What says SOLVED and is not is found out by its residual."""
     problem = gallery.parse("random_h_plus:n=30").problem
-    runs = {
-        "our psor": solve(problem, "npsor", scaling="diagonal", tolerance=1e-9),
-        "our npsor": solve(problem, "psor", tolerance=1e-9),
-    }
-    for other, result in runs.items():
-        check = cross_validate(problem, result)
-        assert (check.verdict, check.reference) == ("not comparable", other)
-        assert check.reason.endswith("says the same")
-    wrong = altered(solve(problem, tolerance=1e-9), 3, 100.0)
-    assert cross_validate(problem, wrong).verdict == "mismatch"
+    result = solve(problem, tolerance=1e-9)
+    assert cross_validate(problem, result).verdict == "not comparable"
+    assert cross_validate(problem, altered(result, 3, 100.0)).verdict == "mismatch"
 
 
 def test_a_large_offset_that_does_not_act_makes_no_answer_accurate() -> None:

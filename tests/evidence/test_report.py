@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import gc
 import html
 import http.server
 import json
@@ -22,16 +21,15 @@ from typer.testing import CliRunner
 
 from lcp_plugin import LCP, InvalidOption, gallery, solve
 from lcp_plugin.commands.cli import app
-from lcp_plugin.evidence.report.scenes import QUICK_SCENES, SCENES
-from lcp_plugin.evidence.report.section import (
+from lcp_plugin.evidence.report.page import (
     FULL,
     QUICK,
+    QUICK_SCENES,
+    SCENES,
     Collected,
     Part,
-    Section,
     collect,
     plan,
-    sections,
     write_report,
 )
 from lcp_plugin.evidence.stability import stability_atlas
@@ -80,9 +78,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
 def test_page_says_everything(folder: Path, collected: Collected) -> None:
     """Each section stands there, with every scene, its axis, and why something was left out."""
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
-    parts = [section.anchor for section in sections()]
-    assert parts == ["scenes", "stability"]
-    for anchor in (*parts, "reading", "machine"):
+    for anchor in ("scenes", "stability", "reading", "machine"):
         assert f'id="{anchor}"' in page
     for content in collected.of("scene"):
         assert content["text"] in page
@@ -220,34 +216,6 @@ def test_default_plan_keeps_the_promise() -> None:
         assert sum(0.1 <= share <= 0.9 for share in shares) >= 5
 
 
-def test_section_is_one_class_in_one_file(tmp_path: Path) -> None:
-    """A class below `Section` is on the page, beside it and in its plan, and nobody lists it."""
-
-    class Sizes(Section):
-        place = 10
-        title = short = "Sizes"
-        template = "<p>{{ largest }} unknowns</p>"
-
-        def parts(self, scenes: Any, effort: Any) -> list[Part]:
-            return [Part("size", name, lambda say: {"n": 7}, effort) for name in scenes]
-
-        def draw(self, collected: Collected) -> dict[str, Any]:
-            return {"largest": 7}
-
-        def files(self, collected: Collected) -> dict[str, str]:
-            return {"sizes.csv": "n\n7\n"}
-
-    found = Collected({("size", "a"): {"n": 7}})
-    assert [part.kind for part in plan(["murty:n=7"], quick=True)] == ["scene", "size"]
-    page = write_report(found, tmp_path, is_quick=True).read_text(encoding="utf-8")
-    del Sizes
-    gc.collect()
-    for words in ("<p>7 unknowns</p>", '<a href="#test_report">Sizes</a>'):
-        assert words in page
-    assert (tmp_path / "sizes.csv").exists()
-    assert len(sections()) == 2
-
-
 def test_unknown_scene_is_refused_before_anything_runs() -> None:
     """A misspelt scene ends the command at once, with a guess."""
     with pytest.raises(InvalidOption, match="did you mean 'half_active'"):
@@ -365,7 +333,7 @@ def test_interruption_between_two_parts_is_remembered(
 @pytest.mark.full
 def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C while the page is written: the parts are kept, the command says how to go on, the exit code is 1."""
-    from lcp_plugin.evidence.report import section as module
+    from lcp_plugin.evidence.report import page as module
 
     def stop(*args: Any, **options: Any) -> Path:
         raise KeyboardInterrupt
@@ -395,7 +363,7 @@ def test_parts_of_another_machine_are_computed_again(tmp_path: Path, monkeypatch
 
 def test_interrupted_command_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After Ctrl-C the page holds what is there and says what is missing; the exit code is 1."""
-    from lcp_plugin.evidence.report import scenes as module
+    from lcp_plugin.evidence.report import page as module
 
     def stop(*_: Any) -> dict[str, Any]:
         raise KeyboardInterrupt

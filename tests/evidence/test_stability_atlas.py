@@ -25,11 +25,10 @@ from lcp_plugin import LCP, InvalidOption, Result, Status, UnknownAlgorithm, gal
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.core.solving.result import BoundOrReason
-from lcp_plugin.evidence import exact_answers
 from lcp_plugin.evidence import stability as atlas
 from lcp_plugin.evidence.exact_answers import condition_of_answer, exact_answer, lie_in, relative_error
 from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
-from lcp_plugin.evidence.stresses import FAMILIES, StressCase, grid, half_active, mostly_free, planted, rescaled
+from lcp_plugin.evidence.stresses import FAMILIES, StressCase, grid, half_active, mostly_free, rescaled
 from lcp_plugin.methods.interior_point import monotone_rows
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.proofs.exact.rational import is_exact_solution
@@ -113,16 +112,6 @@ def test_condition_knows_no_units(power: int) -> None:
     assert rescaled("", base, 1.0, factors).condition == pytest.approx(base.condition, rel=1e-12)
 
 
-def test_condition_of_a_large_m_matrix_needs_no_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One sparse solve gives the same number as the dense inverse; where it cannot, the answer is NaN."""
-    case = mostly_free("", grid(8))
-    dense = case.condition
-    monkeypatch.setattr(exact_answers, "LARGEST_DENSE", 10)
-    assert condition_of_answer(case.problem, case.exact, case.units) == pytest.approx(dense, rel=1e-12)
-    no_m_matrix = planted("", np.eye(20) + 0.01, np.ones(20), np.zeros(20))
-    assert math.isnan(no_m_matrix.condition)
-
-
 def test_a_singular_free_block_has_no_condition() -> None:
     """Where w = 0 on a singular block the condition number is ∞."""
     M = np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -175,18 +164,11 @@ def test_a_lie_needs_no_known_answer() -> None:
 
 
 @pytest.mark.parametrize("error", [0.0, 1e-9, 3e-8, 1e-6])
-def test_large_problems_are_judged_alike(error: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bounds that spare large problems their fractions never acquit what the fractions convict."""
-    case = half_active("", grid(6, 5.0))
-    result = solve(case.problem, "psor", tolerance=1e-12)
+def test_an_error_beyond_the_tolerance_is_found_out(error: float) -> None:
+    """An answer is off by a multiple of its tolerance, or not."""
+    result = solve(half_active("", grid(6, 5.0)).problem, "psor", tolerance=1e-12)
     result = replace(result, tolerance=1e-8, z=np.where(result.z > 0.0, result.z * (1.0 + error), 0.0))
-    in_fractions = lie_in(result, None)
-    assert bool(in_fractions) == (error > 2e-8)
-    monkeypatch.setattr(exact_answers, "LARGEST_EXACT", 1)
-    assert lie_in(result, None) == in_fractions
-    if error < 1e-8:
-        monkeypatch.setattr(exact_answers, "exact_residuals", None)  # not needed
-        assert lie_in(result, None) == ""
+    assert bool(lie_in(result, None)) == (error > 2e-8)
 
 
 # --- the atlas -------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Published complementarity models written in Pyomo, each beside the same problem as arrays and its published answer.
+"""Published complementarity models written in Pyomo, each with its published answer.
 
 Data are those of the sources named in each docstring; nothing of this package stands in a Pyomo model.
 """
@@ -13,41 +13,19 @@ import numpy as np
 import pyomo.environ as pe
 import scipy.sparse as sp
 from economies import OWNED, WANTED, by_goods, technique
-from nonlinear_models import (
-    NASH_5,
-    NASH_5_SOLUTION,
-    NASH_10,
-    NASH_10_SOLUTION,
-    billups,
-    bratu,
-    josephy,
-    kojima_shindo,
-    mathiesen,
-)
+from nonlinear_models import NASH_5_SOLUTION, NASH_10_SOLUTION
 from pyomo.mpec import Complementarity, ComplementarityList, complements
-
-from lcp_plugin import LCP, NonlinearProblem, solve
-from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 
 @dataclass
 class Published:
-    """A model, its variables in the order of the arrays, the problem as arrays, and what was published."""
+    """A model, its variables, and what was published."""
 
     model: Any
     variables: Sequence[Any]
-    problem: LCP | NonlinearProblem
-    start: Any = 0.0
     answers: Sequence[Any] = field(default=())  # of the leading variables; any of them will do
     digits: float = 1e-4
-    is_unique: bool = True
     first: int = 0  # where the answers begin among the variables
-
-    def by_arrays(self) -> np.ndarray:
-        if isinstance(self.problem, LCP):
-            return solve(self.problem, tolerance=1e-12).require_solved().z
-        start = np.broadcast_to(np.asarray(self.start, dtype=float), len(self.variables))
-        return solve_nonlinear(self.problem, start, tolerance=1e-12).require_solved().z
 
 
 MODELS: dict[str, Callable[[], Published]] = {}
@@ -87,7 +65,7 @@ def linear(M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, **given: Any) 
         return complements(m.x[i] >= lower[i], rows[i] >= 0)
 
     m.pairs = Complementarity(range(n), rule=pair)
-    return Published(m, each(m.x), LCP(M, q, lower=lower, upper=upper), **given)
+    return Published(m, each(m.x), **given)
 
 
 @published
@@ -135,10 +113,7 @@ def munson1d() -> Published:
 
 
 def of_munson(m: Any, sign: float) -> Published:
-    """The problem of all four: for sign · x it is x ≥ 0 ⊥ M x + q ≥ 0."""
-    M, q = np.array([[1.0, 2, 3], [0, 1, -1], [1, 1, 0]]), np.array([-1.0, 1, 1])
-    bounds = {"lower": 0.0} if sign > 0 else {"lower": -np.inf, "upper": np.zeros(3)}
-    return Published(m, [m.x1, m.x2, m.x3], LCP(M, sign * q, **bounds), answers=[[sign, 0.0, 0.0]], digits=1e-9)
+    return Published(m, [m.x1, m.x2, m.x3], answers=[[sign, 0.0, 0.0]], digits=1e-9)
 
 
 @published
@@ -181,14 +156,8 @@ def transmcp() -> Published:
     m.profit = Complementarity(
         m.I, m.J, rule=lambda m, i, j: complements(m.at_plant[i] + m.cost[i, j] >= m.at_market[j], m.x[i, j] >= 0)
     )
-    from_plant, to_market = np.kron(np.eye(2), np.ones(3)), np.kron(np.ones(2), np.eye(3))
-    M = np.block([
-        [np.zeros((6, 6)), from_plant.T, -to_market.T], [-from_plant, np.zeros((2, 5))], [to_market, np.zeros((3, 5))],
-    ])
-    q = np.concatenate([[0.09 * d for d in distance.values()], [350.0, 600.0, -325.0, -300.0, -275.0]])
-    prices = [0.225, 0.153, 0.126]
     variables = each(m.x, m.at_plant, m.at_market)
-    return Published(m, variables, LCP(M, q), answers=[prices], digits=1e-9, is_unique=False, first=8)
+    return Published(m, variables, answers=[[0.225, 0.153, 0.126]], digits=1e-9, first=8)
 
 
 def polynomial(name: str) -> Any:
@@ -214,14 +183,14 @@ def kojshin() -> Published:
     """M. Kojima, S. Shindo, J. Oper. Res. Soc. Japan 29 (1986) 352–374; Pyomo's model library, mcplib."""
     m = polynomial("kojshin")
     answers = [[np.sqrt(1.5), 0, 0, 0.5], [1, 0, 3, 0]]
-    return Published(m, each(m.x), NonlinearProblem(kojima_shindo), 1.0, answers, 1e-7, is_unique=False)
+    return Published(m, each(m.x), answers, 1e-7)
 
 
 @published
 def josephys() -> Published:
     """N. H. Josephy, MRC report 1965, Wisconsin 1979; Pyomo's model library, mcplib."""
     m = polynomial("josephy")
-    return Published(m, each(m.x), NonlinearProblem(josephy), 1.0, [[np.sqrt(1.5), 0, 0, 0.5]], 1e-7)
+    return Published(m, each(m.x), [[np.sqrt(1.5), 0, 0, 0.5]], 1e-7)
 
 
 @published
@@ -230,11 +199,11 @@ def billups_thesis() -> Published:
     m = pe.ConcreteModel()
     m.x = pe.Var(initialize=0.0)
     m.c = Complementarity(expr=((m.x - 1.0) * (m.x - 1.0) - 1.01 >= 0, m.x >= 0))
-    return Published(m, [m.x], NonlinearProblem(billups), 0.0, [[1 + np.sqrt(1.01)]], 1e-8)
+    return Published(m, [m.x], [[1 + np.sqrt(1.01)]], 1e-8)
 
 
 def oligopoly(
-    cost: list[float], scale: float, beta: list[float], gamma: float, F: Any, answer: list[float]
+    cost: list[float], scale: float, beta: list[float], gamma: float, *answers: list[float]
 ) -> Published:
     firms = range(len(cost))
     m = pe.ConcreteModel()
@@ -247,20 +216,20 @@ def oligopoly(
     m.best = Complementarity(firms, rule=lambda m, i: complements(
         m.q[i] >= 0, m.cost[i].marginal - m.price + m.q[i] * m.price / (gamma * m.total) >= 0,
     ))
-    return Published(m, each(m.q), NonlinearProblem(F), 1.0, [answer])
+    return Published(m, each(m.q), answers)
 
 
 @published
 def oligomcp() -> Published:
     """F. H. Murphy, H. D. Sherali, A. L. Soyster, Math. Programming 24 (1982) 92–106: five firms."""
-    return oligopoly([10, 8, 6, 4, 2], 5.0, [1.2, 1.1, 1.0, 0.9, 0.8], 1.1, NASH_5, NASH_5_SOLUTION)
+    return oligopoly([10, 8, 6, 4, 2], 5.0, [1.2, 1.1, 1.0, 0.9, 0.8], 1.1, NASH_5_SOLUTION)
 
 
 @published
 def nash() -> Published:
     """P. T. Harker, Math. Programming 41 (1988) 29–59: ten firms; Pyomo's model library, mcplib."""
     return oligopoly(
-        [5, 3, 8, 5, 1, 3, 7, 4, 6, 3], 0.1, [1.2, 1.0, 0.9, 0.6, 1.5, 1.0, 0.7, 1.1, 0.95, 0.75], 1.2, NASH_10,
+        [5, 3, 8, 5, 1, 3, 7, 4, 6, 3], 0.1, [1.2, 1.0, 0.9, 0.6, 1.5, 1.0, 0.7, 1.1, 0.95, 0.75], 1.2,
         NASH_10_SOLUTION,
     )
 
@@ -268,12 +237,12 @@ def nash() -> Published:
 @published
 def cournot_with_a_capacity() -> Published:
     """Murphy, Sherali and Soyster's five firms, the largest held to 30: the others' first-order conditions hold."""
-    case = oligopoly([10, 8, 6, 4, 2], 5.0, [1.2, 1.1, 1.0, 0.9, 0.8], 1.1, NASH_5, [])
+    case = oligopoly([10, 8, 6, 4, 2], 5.0, [1.2, 1.1, 1.0, 0.9, 0.8], 1.1)
     m = case.model
     m.best[2].deactivate()
     m.limit = pe.Param(initialize=30.0, mutable=True)
     m.held = Complementarity(expr=complements(pe.inequality(0, m.q[2], m.limit), m.best[2]._args[1].args[1]))
-    return Published(m, case.variables, NonlinearProblem(NASH_5, upper=[np.inf, np.inf, 30, np.inf, np.inf]), 1.0)
+    return Published(m, case.variables)
 
 
 @published
@@ -285,7 +254,7 @@ def mathiesens() -> Published:
     m.one = Complementarity(expr=complements(m.p[1] >= 0, m.y - (4.5 * m.p[2] + 2.7 * m.p[3]) / (m.p[1] + 1) >= 0))
     m.two = Complementarity(expr=complements(m.p[2] >= 0, 5 - m.y - (0.5 * m.p[2] + 0.3 * m.p[3]) / (m.p[2] + 1) >= 0))
     m.three = Complementarity(expr=complements(m.p[3] >= 0, 3 - m.y >= 0))
-    return Published(m, [m.y, *each(m.p)], NonlinearProblem(mathiesen), 1.0, is_unique=False)
+    return Published(m, [m.y, *each(m.p)])
 
 
 @published
@@ -310,19 +279,13 @@ def hansen() -> Published:
     )
     m.income = pe.Constraint(range(4), rule=lambda m, h: m.i[h] == sum(owned[g, h] * m.p[g] for g in range(14)))
 
-    def F(x: np.ndarray) -> np.ndarray:
-        p, y, i = np.append(1.0, x[:13]), x[13:39], x[39:]
-        supply = A @ y + owned.sum(axis=1) - share @ i / p
-        return np.concatenate([supply[1:], -A.T @ p, i - owned.T @ p])
-
-    lower = np.concatenate([floor[1:], np.zeros(26), np.full(4, -np.inf)])
-    return Published(m, [*each(m.p)[1:], *each(m.y, m.i)], NonlinearProblem(F, lower=lower), 1.0)
+    return Published(m, [*each(m.p)[1:], *each(m.y, m.i)])
 
 
 def by_rows(
     rows: Callable[[Any, Any], list[Any]], n: int, lower: Any = 0.0, upper: Any = np.inf, start: Any = 0.0, **given: Any
 ) -> Published:
-    """A problem by one formula a row, which Pyomo's variables and numpy's numbers both go into."""
+    """A problem by one formula a row."""
     lower, upper, start = (np.broadcast_to(np.asarray(value, dtype=float), n) for value in (lower, upper, start))
     m = pe.ConcreteModel()
     m.x = pe.Var(range(n), initialize=lambda m, i: start[i])
@@ -337,8 +300,7 @@ def by_rows(
             m.pairs.add(complements(written[i] <= 0, m.x[i] <= upper[i]))
         else:
             m.equations.add(written[i] == 0)
-    problem = NonlinearProblem(lambda x: np.array(rows(x, np)), lower=lower, upper=upper)
-    return Published(m, each(m.x), problem, start, **given)
+    return Published(m, each(m.x), **given)
 
 
 def kkt_of(
@@ -533,9 +495,7 @@ def braess() -> Published:
         sum(fixed[r] + rise[r] * m.use[r] for r in p.split()) >= m.time, m.flow[p] >= 0,
     ))
     m.demand = pe.Constraint(expr=sum(m.flow[p] for p in m.path) == 6)
-    M = np.array([[11.0, 0, 10, -1], [0, 11, 10, -1], [10, 10, 21, -1], [1, 1, 1, 0]])
-    problem = LCP(M, [50.0, 50, 10, -6], lower=[0, 0, 0, -np.inf])
-    return Published(m, [*each(m.flow), m.time], problem, answers=[[2, 2, 2, 92]], digits=1e-8)
+    return Published(m, [*each(m.flow), m.time], answers=[[2, 2, 2, 92]], digits=1e-8)
 
 
 @published
@@ -544,7 +504,6 @@ def pigou() -> Published:
     return by_rows(
         lambda x, _: [1 - x[2], x[1] ** 4 - x[2], x[0] + x[1] - 1], 3, [0, 0, -np.inf], start=0.5, answers=[[0, 1, 1]],
         digits=1e-3,  # the derivative of the first road's use vanishes there
-        is_unique=False,
     )
 
 
@@ -562,14 +521,8 @@ def bimatrix_game() -> Published:
         range(2), rule=lambda m, j: complements(m.y[j] >= 0, m.v >= sum(B[i][j] * m.x[i] for i in range(3)))
     )
     m.one, m.two = pe.Constraint(expr=sum(m.x[i] for i in range(3)) == 1), pe.Constraint(expr=m.y[0] + m.y[1] == 1)
-    M, q = np.zeros((7, 7)), np.zeros(7)
-    M[:3, 3:5], M[3:5, :3] = -np.array(A), -np.array(B).T
-    M[:3, 5] = M[3:5, 6] = 1.0
-    M[5, :3] = M[6, 3:5] = 1.0
-    q[5:] = -1.0
     answers = [[1, 0, 0, 1, 0], [0.8, 0.2, 0, 2 / 3, 1 / 3], [0, 1 / 3, 2 / 3, 1 / 3, 2 / 3]]
-    problem = LCP(M, q, lower=[0] * 5 + [-np.inf] * 2)
-    return Published(m, [*each(m.x, m.y), m.u, m.v], problem, answers=answers, digits=1e-8, is_unique=False)
+    return Published(m, [*each(m.x, m.y), m.u, m.v], answers=answers, digits=1e-8)
 
 
 def on_grid(size: int) -> tuple[Any, np.ndarray, np.ndarray]:
@@ -607,7 +560,7 @@ def bratu_under_a_ceiling() -> Published:
     m.pairs = Complementarity(range(size * size), rule=lambda m, i: complements(
         m.u[i] <= m.top, rows[i] <= 6 * h2 * pe.exp(m.u[i]),
     ))
-    return Published(m, each(m.u), bratu(size, 6.0, 0.4), 0.0)
+    return Published(m, each(m.u))
 
 
 @published
@@ -641,14 +594,14 @@ def signorini() -> Published:
     """A. Signorini (1933), a loaded rod before a wall: u = 0.8 x − x²/2, and the wall presses by 0.2."""
     n = 20
     M = n * sp.diags_array([-np.ones(n - 1), np.append(2 * np.ones(n - 1), 1), -np.ones(n - 1)], offsets=[-1, 0, 1])
-    q, upper = -np.append(np.ones(n - 1), 0.5) / n, np.append(np.full(n - 1, np.inf), 0.3)
+    q = -np.append(np.ones(n - 1), 0.5) / n
     x = np.arange(1, n + 1) / n
     m = pe.ConcreteModel()
     m.u = pe.Var(range(n))
     rows = affine(M, q, m.u)
     m.inside = pe.Constraint(range(n - 1), rule=lambda m, i: rows[i] == 0)
     m.wall = Complementarity(expr=complements(m.u[n - 1] <= 0.3, -rows[n - 1] >= 0))
-    return Published(m, each(m.u), LCP(M, q, lower=-np.inf, upper=upper), answers=[0.8 * x - x**2 / 2], digits=1e-9)
+    return Published(m, each(m.u), answers=[0.8 * x - x**2 / 2], digits=1e-9)
 
 
 @published
@@ -701,18 +654,7 @@ def takayama_judge() -> Published:
     m.trade = Complementarity(m.route, m.C, rule=lambda m, s, t, c: complements(
         m.x[s, t, c] >= 0, m.p[s, c] + cost[s, t][c] >= m.p[t, c],
     ))
-    slope = np.zeros((6, 6))
-    for r in range(3):
-        for c in range(2):
-            slope[2 * r + c, 2 * r + c], slope[2 * r + c, 2 * r + 1 - c] = rise[r][c] - fall[r][c], -0.5
-    brings = np.zeros((6, 12))
-    for k, (s, t) in enumerate(cost):
-        for c in range(2):
-            brings[2 * t + c, 2 * k + c], brings[2 * s + c, 2 * k + c] = 1.0, -1.0
-    M = np.block([[slope, brings], [-brings.T, np.zeros((12, 12))]])
-    constant = [offered[c] - wanted[r][c] for r in range(3) for c in range(2)]
-    q = np.array([*constant, *(cost[route][c] for route in cost for c in range(2))], dtype=float)
-    return Published(m, each(m.p, m.x), LCP(M, q), is_unique=False)
+    return Published(m, each(m.p, m.x))
 
 
 @published
@@ -747,7 +689,7 @@ def von_thunen() -> Published:
 
     lower = np.concatenate([np.zeros(48), np.zeros(48), np.zeros(12), np.full(12, 0.001), [0.0], np.full(4, 0.1)])
     start = np.where(np.arange(125) // 12 == 8, 0.0, 1.0)
-    return by_rows(rows, 125, lower, start=start, is_unique=False)
+    return by_rows(rows, 125, lower, start=start)
 
 
 @published
@@ -860,9 +802,4 @@ def choi() -> Published:
         marginal(m, j) if np.isfinite(upper[j]) else marginal(m, j) >= 0,
     ))
 
-    def F(p: np.ndarray) -> np.ndarray:
-        pull = np.exp(slope[:, None] * p + constant)
-        share = pull / (1 + pull.sum(axis=1, keepdims=True))
-        return -(share * (1 + (p - cost) * slope[:, None] * (1 - share))).mean(axis=0)
-
-    return Published(m, each(m.p), NonlinearProblem(F, lower=lower, upper=upper), np.maximum(cost + 0.01, lower))
+    return Published(m, each(m.p))

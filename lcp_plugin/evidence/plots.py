@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -97,8 +97,7 @@ def _plot_rows(
     values = {"z": answer.z[chosen], "w": answer.w[chosen]}
     lower, upper = _bounds(answer)
     active = ((answer.z <= lower) | (answer.z >= upper))[chosen]
-    with _style_of(axes):
-        every = _axes_for(new, len(values)) if axes is None else [axes]
+    with _panels(axes, new, len(values), _headline(answer)) as every:
         for one, (name, numbers) in zip(every, values.items(), strict=False):
             one.set_title(name)
             if points.ndim == 1:
@@ -113,8 +112,6 @@ def _plot_rows(
                     one.scatter(*points[active].T, s=26, facecolors="none", edgecolors=ACTIVE, linewidths=0.9)
                 one.set(aspect="equal", xlabel="first coordinate", ylabel="second coordinate")
                 one.figure.colorbar(drawn, ax=one, label=name)
-        if axes is None:
-            every[0].figure.suptitle(_headline(answer), fontsize=10, x=0.01, ha="left")
     return every[0]
 
 
@@ -132,8 +129,7 @@ def _plot_mesh(answer: Any, axes: Any, mesh: Any, component: int | str, new: Cal
     lower, upper = _bounds(answer)
     active = ((answer.x <= lower) | (answer.x >= upper)).reshape(-1, count).any(axis=1)
     beside = _panel_beside(answer)
-    with _style_of(axes):
-        every = _axes_for(new, 1 if beside is None else 2) if axes is None else [axes]
+    with _panels(axes, new, 1 if beside is None else 2, _headline(answer)) as every:
         one, name = every[0], _unknown(answer)
         drawn = one.tripcolor(*points.T, triangles, shown, shading="gouraud", cmap=HEIGHTS, rasterized=True)
         label = name if count == 1 else f"‖{name}‖ of a point" if alone is None else f"{name}, component {alone}"
@@ -145,10 +141,8 @@ def _plot_mesh(answer: Any, axes: Any, mesh: Any, component: int | str, new: Cal
             one.set_title("orange: at a bound", color=ACTIVE, fontsize=8.5)
         one.set(aspect="equal", xlabel="x", ylabel="y")
         one.grid(visible=False)
-        if axes is None:
-            if beside is not None:
-                beside(every[1])
-            one.figure.suptitle(_headline(answer), fontsize=10, x=0.01, ha="left")
+        if beside is not None and axes is None:
+            beside(every[1])
     return one
 
 
@@ -231,12 +225,9 @@ def _plotted(answer: Any, axes: Any, shape: Sequence[int] | None, new: Callable[
         raise UnsuitableProblem(f"there is no x to draw: {answer.status.name}")
     panels = [panel for panel in (None if answer.x is None else partial(draw, answer=answer, shape=shape), beside)
               if panel is not None]
-    with _style_of(axes):
-        every = _axes_for(new, len(panels)) if axes is None else [axes]
+    with _panels(axes, new, len(panels), _headline(answer)) as every:
         for one, panel in zip(every, panels, strict=False):  # into the caller's axes goes the first
             panel(one)
-        if axes is None:
-            every[0].figure.suptitle(_headline(answer), fontsize=10, x=0.01, ha="left")
     return every[0]
 
 
@@ -382,15 +373,13 @@ def _plot_march(march: March, axes: Any, shape: Sequence[int] | None, new: Calla
     is_map = (grid is not None and len(grid) > 1) or march[0].z.size > MOST_DOTS
     count = (1 if axes is not None else PANELS) if is_map else SLICES
     steps = sorted({round(k) for k in np.linspace(len(march) - 1, 0, min(count, len(march)))})
-    with _style_of(axes):
-        every = _axes_for(new, len(steps) if is_map else 1) if axes is None else [axes]
+    title = f"{len(march)} steps: {march.counts()}"
+    with _panels(axes, new, len(steps) if is_map else 1, title) as every:
         if is_map:
             for one, k in zip(every, steps, strict=True):
                 _draw_values(one, march.z[k], *_bounds(march[k]), grid, f"z after step {k + 1}")
         else:
             _draw_slices(every[0], march, steps)
-        if axes is None:
-            every[0].figure.suptitle(f"{len(march)} steps: {march.counts()}", fontsize=10, x=0.01, ha="left")
     return every[-1]
 
 
@@ -426,29 +415,30 @@ def _plot_batch(
     colours = [ACTIVE if one is not Status.SOLVED else FREE for one in kinds]
     others = iter([*COLOURS.values()][2:])
     colours = [colour if colour not in colours[:k] else next(others) for k, colour in enumerate(colours)]
-    with _style_of(axes):
-        if axes is None:
-            (axes,) = _axes_for(new, 1)
+    with _panels(axes, new, 1) as every:
+        one = every[0]
         if kinds:
-            axes.hist(counts, bins=edges, stacked=True, color=colours, label=[
+            one.hist(counts, bins=edges, stacked=True, color=colours, label=[
                 f"{name}: {len(count)}" for name, count in zip(names, counts, strict=True)
             ])
-            axes.legend(fontsize="small")
-        axes.locator_params(integer=True)
-        axes.set(xlabel="iterations", ylabel=f"{answers.ITEM}s", title=f"{len(status)} {answers.ITEM}s, "
+            one.legend(fontsize="small")
+        one.locator_params(integer=True)
+        one.set(xlabel="iterations", ylabel=f"{answers.ITEM}s", title=f"{len(status)} {answers.ITEM}s, "
                  f"{answers.seconds:.3g} s")
-    return axes
+    return every[0]
 
 
-def _style_of(axes: Any) -> Any:
-    """Return the context of a figure of our own; the caller's axes keep theirs."""
-    return styled() if axes is None else nullcontext()
-
-
-def _axes_for(new: Callable[..., Any], count: int) -> list[Any]:
-    """Return axes side by side in a new figure."""
-    figure = new(figsize=(count * PANEL[0], PANEL[1]), layout="constrained")
-    return [*figure.subplots(1, count, squeeze=False)[0]]
+@contextmanager
+def _panels(axes: Any, new: Callable[..., Any], count: int, title: str = "") -> Iterator[list[Any]]:
+    """Give axes to draw into: the caller's, whose style stays, or some side by side in a new figure with a title."""
+    if axes is not None:
+        yield [axes]
+        return
+    with styled():
+        figure = new(figsize=(count * PANEL[0], PANEL[1]), layout="constrained")
+        yield [*figure.subplots(1, count, squeeze=False)[0]]
+        if title:
+            figure.suptitle(title, fontsize=10, x=0.01, ha="left")
 
 
 def _shown_by_pyplot(**how: Any) -> Any:

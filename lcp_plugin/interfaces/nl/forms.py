@@ -5,6 +5,7 @@ A place is the byte at which what has been read last begins.
 
 from __future__ import annotations
 
+import io
 import re
 from struct import Struct
 from typing import Any, NoReturn
@@ -13,7 +14,10 @@ from .content import PARTNER
 
 STRING = re.compile(rb"h(\d{1,9}):")
 BOUNDS = ("dd", "d", "d", "", "d", "ii")  # the numbers behind the kind of a bound
-KINDS = {"i": int, "d": float}
+#: What makes words numbers, whole ones (i) or not (d).
+CONVERTERS: dict[str, list[type]] = {
+    form: [int if kind == "i" else float for kind in form] for form in ("", "i", "ii", "iii", "id", "d", "dd")
+}
 NUMBERS = {"n": "d", "l": "i", "s": "h"}  # the letters of numbers, and their forms in bytes
 NO_NUMBERS = "this is neither a number nor a letter of the format, or there are not as many as are needed"
 WRONG_KIND = f"a bound's kind is 0 to {PARTNER}"
@@ -40,6 +44,8 @@ class Text:
 
     def __init__(self, data: bytes, begin: int) -> None:
         self.data = data.rstrip() + b"\n"
+        self._file = io.BytesIO(self.data)
+        self._file.seek(begin)
         self.at = self._next = begin
         self.name = b""
         self._words: list[bytes] = []
@@ -48,7 +54,7 @@ class Text:
         """Return the first letter of the next line, nothing at the end of the file."""
         line = self._line()
         self._words = line[1:].split()
-        return chr(line[0]) if line else " " * (self.at < len(self.data))
+        return chr(line[0]) if line else ""
 
     def integers(self, count: int, *, has_name: bool = False) -> list[Any]:
         """Return the whole numbers behind the letter."""
@@ -80,7 +86,7 @@ class Text:
         stop = self.data.find(b"\n", end)
         if not match or stop < 0 or self.data[end:stop].strip():
             self.fail("a string begins with its length, as h5:, and ends with its line")
-        self._next = stop + 1
+        self._next = self._file.seek(stop + 1)
         return self.data[match.end():end]
 
     def fail(self, what: str) -> NoReturn:
@@ -89,16 +95,13 @@ class Text:
 
     def _line(self) -> bytes:
         self.at = self._next
-        end = self.data.find(b"\n", self.at)
-        self._next = end + 1 if end >= 0 else self.at
-        line = self.data[self.at:end]
+        line = self._file.readline()
+        self._next = self.at + len(line)
         return line.split(b"#")[0] if b"#" in line else line
 
     def _numbers(self, form: str, words: list[bytes]) -> list[Any]:
-        if len(words) != len(form):
-            self.fail(NO_NUMBERS)
         try:
-            return [KINDS[kind](word) for kind, word in zip(form, words, strict=True)]
+            return [kind(word) for kind, word in zip(CONVERTERS[form], words, strict=True)]
         except ValueError:
             self.fail(NO_NUMBERS)
 

@@ -110,21 +110,31 @@ class Picture:
         """Whether rows or their coordinates are given."""
         return self.rows is not None or self.points is not None
 
-    def check(self, problem: LCP) -> None:
-        """Raise where there are no such rows, or not a place for each."""
-        if self.is_of_rows:
-            from ..evidence.plots import checked_rows
+    def check(self, problem: LCP, scene: Any) -> None:
+        """Raise where there are no such rows, not a place for each, or no such grid."""
+        if not self.is_of_rows and self.grid is None:
+            return
+        from ..evidence.plots import checked_rows, checked_shape
 
+        if self.is_of_rows:
             if problem.is_distributed:
                 raise InvalidOption("--rows and --points are for one process; save with --out and plot that")
             checked_rows(self.rows, self.points, problem.n)
+        elif scene is not None:
+            raise InvalidOption("--grid is for a file; a scene knows its grid, leave it out")
+        checked_shape(self.grid, problem.n)
 
-    def save(self, answer: Any) -> None:
-        """Write the picture of an answer."""
-        from ..evidence.plots import save_plot
-
+    def save(self, answer: Any, scene: Any = None, march: Sequence[Any] = ()) -> None:
+        """Write the picture of an answer: of a scene what it is about, with all steps of a march."""
         assert self.path is not None
-        save_plot(answer, self.path, self.grid, rows=self.rows, over=self.points)
+        if scene is not None and not self.is_of_rows:
+            from ..evidence.pictures import draw
+
+            draw(answer, self.path, scene, march)
+        else:
+            from ..evidence.plots import save_plot
+
+            save_plot(answer, self.path, self.grid, rows=self.rows, over=self.points)
 
 
 def _checked_rows(text: str | None) -> Any:
@@ -168,20 +178,15 @@ def run(
         plot = picture.path
         here.from_first(lambda: here.check_outputs(target, plot, out))
         problem, scene = here.read(target, size)
-        picture.check(problem)
-        pictured = scene if picture.grid is None else on_grid(problem, target, scene, picture.grid)
+        picture.check(problem, scene)
         results = _solve_all(problem, scene, {**settings, "algorithm": chosen, "record": plot is not None})
         more, lines = here.beyond()
         content, story = _content(results) | more, _story(results, scene, lines)
 
         def saved() -> list[Path]:
             files = [] if out is None else here.save(results[-1], content, out)
-            if plot is not None and picture.is_of_rows:
-                picture.save(results[-1])
-            elif plot is not None:
-                from ..evidence.pictures import draw
-
-                draw(results[-1], plot, pictured, results)
+            if plot is not None:
+                picture.save(results[-1], scene, results)
             return files
 
         _tell(content, story, as_json, plot, saved)
@@ -203,17 +208,6 @@ def save_arrays(out: Path, status: Status, arrays: dict[str, Any]) -> list[Path]
 
     write_whole({out: lambda file: np.savez_compressed(file, status=np.array(status.name), **arrays)})
     return [out]
-
-
-def on_grid(problem: LCP, target: str, scene: Any, grid: tuple[int, ...]) -> Any:
-    """Return the scene that a picture of a file's problem on a grid is drawn from."""
-    from ..evidence.plots import checked_shape, labels_of
-    from ..gallery import Scene
-
-    if scene is not None:
-        raise InvalidOption("--grid is for a file; a scene knows its grid, leave it out")
-    shape = checked_shape(grid, problem.n)
-    return Scene(problem=problem, name=target, is_declared=False, grid=shape, axis_labels=labels_of(grid))
 
 
 def checked_grid(text: str) -> tuple[int, ...]:

@@ -23,23 +23,23 @@ ACTIVE, FREE = "#D55E00", "#0072B2"
 ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
 
 
-def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence[Result] = ()) -> None:
-    """Save the picture of a result, on the grid of its test problem where there is one.
+def draw(result: Result, path: Path, scene: Scene, march: Sequence[Result] = ()) -> None:
+    """Save the picture of a result on the axes of its test problem.
 
     Parameters
     ----------
     result : Result
     path : Path
         .png, .pdf or .svg.
-    scene : Scene, optional
+    scene : Scene
         A field is drawn as a surface and as a map with the edge of its contact set.
     march : sequence of Result, optional
         All steps of a march over one axis: the edge of the contact set is drawn over the steps.
     """
     check_format(path)
     with styled():
-        is_field = scene is not None and scene.grid is not None and len(scene.grid) >= 2
-        has_edge = len(march) > 1 and scene is not None and scene.coordinates is not None
+        is_field = scene.grid is not None and len(scene.grid) >= 2
+        has_edge = len(march) > 1 and scene.coordinates is not None
         panels = 3 if is_field or has_edge else 2
         figure = require_matplotlib()(figsize=(4.9 * panels, 4.7), layout="constrained")
         if is_field:
@@ -52,10 +52,9 @@ def draw(result: Result, path: Path, scene: Scene | None = None, march: Sequence
             if has_edge:
                 _draw_edge(figure.add_subplot(1, panels, 2), march, scene)
         draw_residuals(figure.add_subplot(1, panels, panels), result)
-        title = scene.description if scene is not None else ""
         steps = in_words(result.iterations, "iteration")
         run = f"n = {result.z.size}: {result.status.name} by {result.algorithm} in {steps}"
-        figure.suptitle(f"{title}\n{run}".strip(), fontsize=11, x=0.01, ha="left")
+        figure.suptitle(f"{scene.description}\n{run}", fontsize=11, x=0.01, ha="left")
         save(figure, path)
 
 
@@ -121,18 +120,17 @@ def _draw_surface(surface: Any, whole: dict[str, Any]) -> None:
 # --- Lines ----------------------------------------------------------------------------------------------------
 
 
-def _line(scene: Scene | None, answer: Certificate) -> dict[str, Any]:
+def _line(scene: Scene, answer: Certificate) -> dict[str, Any]:
     """Return z over its only axis, or by its index: bounds, contact set and names."""
     problem = answer.problem
-    axes = (scene.coordinates if scene is not None else None) or ()
-    has_axis = len(axes) == 1 and scene is not None
+    axes = scene.coordinates or ()
+    has_axis = len(axes) == 1
     bounds = {"lower": problem.lower, "upper": problem.upper} if has_axis else {}
     return {
         "kind": "line" if has_axis else "dots", "z": answer.z, "active": is_at_bound(problem, answer.z),
         "x": axes[0] if has_axis else np.arange(answer.z.size),
-        "x_label": scene.axis_labels[0] if has_axis and scene is not None else "index",
-        "unknown": "z" if scene is None else scene.unknown,
-        "active_means": "at a bound" if scene is None else scene.active_means,
+        "x_label": scene.axis_labels[0] if has_axis else "index", "unknown": scene.unknown,
+        "active_means": scene.active_means,
     } | {name: bound for name, bound in bounds.items() if np.isfinite(bound).all()}
 
 

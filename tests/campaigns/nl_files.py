@@ -25,10 +25,11 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
+from binary_nl import write_form
 from random_nl import difference, mutilated, random_content
 
 from lcp_plugin.core.errors import UnreadableFile
-from lcp_plugin.interfaces.nl import read_content, write_nl
+from lcp_plugin.interfaces.nl import read_content
 
 FORMS: tuple[dict[str, Any], ...] = ({}, {"binary": True}, {"binary": True, "big_endian": True})
 PLACE = re.compile(r"(line \d+ \(.*\)|byte \d+): ", re.S)
@@ -39,7 +40,7 @@ def check(rng: Any, path: Path) -> list[str]:
     """Return what became of a content and of its damaged file in each form."""
     content, outcomes = random_content(rng, int(rng.choice([3, 6, 30, 100]))), []
     for form in FORMS:
-        write_nl(content, path, **form)
+        write_form(content, path, **form)
         outcomes.append("DIFFERENT" if difference(content, read_content(path)) else "same")
         path.write_bytes(mutilated(path.read_bytes(), rng))
         outcomes.append(outcome(path))

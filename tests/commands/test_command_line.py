@@ -12,7 +12,6 @@ import time
 from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -253,16 +252,11 @@ def test_an_unsolved_run_has_a_picture() -> None:
         Path("out.png").unlink()
 
 
-def test_a_residual_of_zero_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_residual_of_zero_is_drawn() -> None:
     """An answer without any residual ends its curve below the tolerance, and is named; it is not left out."""
-    from lcp_plugin.evidence import pictures
-
-    figures: list[Any] = []
-    monkeypatch.setattr(pictures, "save", lambda figure, path: figures.append(figure))
     result = solve(gallery.build("murty", n=50).problem, record=True)
     assert [sample.residual for sample in result.history].count(0.0) == 1
-    pictures.draw(result, Path("out.png"))
-    axes = figures[0].axes[-1]
+    axes = result.plot().figure.axes[-1]
     assert min(axes.lines[0].get_ydata()) < result.tolerance
     assert [text.get_text() for text in axes.texts].count("exactly 0") == 1
 

@@ -324,32 +324,28 @@ class FileStatement:
         -----
         With a b + g = 0 and the row c b + d, it is d − (c/a) g.
         """
-        content, found, n = self.content, self.expressions, self.expressions.unknowns.size
+        content, found = self.content, self.expressions
         matrix, columns = found.matrix, sp.csc_array(found.matrix)
-        lengths = np.diff(matrix.indptr)
         is_free = np.isneginf(content.lower) & np.isposinf(content.upper) & ~self.is_paired
         is_free = np.append(is_free, np.zeros(content.defined_trees.size, dtype=bool))
-        may_go = np.zeros(matrix.shape[1], dtype=bool)
-        may_go[:n] = is_free[found.unknowns] & (np.diff(columns.indptr)[:n] == 2)
-        rows = self.pairs[lengths[self.pairs] == 1]
-        entries = matrix.indptr[rows]
-        is_auxiliary = may_go[matrix.indices[entries]]
-        rows, entries = rows[is_auxiliary], entries[is_auxiliary]
-        own, weights = matrix.indices[entries], matrix.data[entries]
-        begins = columns.indptr[own]
-        at = np.where(columns.indices[begins] == rows, begins + 1, begins)
-        definitions, pivots = columns.indices[at].astype(np.int64), columns.data[at]
-        is_equation = np.zeros(matrix.shape[0], dtype=bool)
-        is_equation[self.equations] = True
+        may_go = is_free[found.unknowns] & (np.diff(columns.indptr)[: found.unknowns.size] == 2)
         largest = abs(matrix).max(axis=1).toarray().ravel()
-        fits = is_equation[definitions] & (np.abs(pivots) >= SMALLEST_PIVOT * largest[definitions])
-        first = np.zeros(fits.size, dtype=bool)
-        first[np.unique(np.where(fits, definitions, -1), return_index=True)[1]] = True
-        taken = np.flatnonzero(fits & first)
-        rows, own, weights, definitions, pivots = (one[taken] for one in (rows, own, weights, definitions, pivots))
+        equations, taken = set(self.equations.tolist()), list[tuple[int, int, float, int]]()
+        for row in self.pairs[np.diff(matrix.indptr)[self.pairs] == 1].tolist():
+            column, weight = int(matrix.indices[matrix.indptr[row]]), float(matrix.data[matrix.indptr[row]])
+            if column >= may_go.size or not may_go[column]:
+                continue
+            both = slice(columns.indptr[column], columns.indptr[column + 1])
+            pivots = dict(zip(columns.indices[both].tolist(), columns.data[both].tolist(), strict=True))
+            del pivots[row]
+            (definition, pivot), = pivots.items()
+            if definition in equations and abs(pivot) >= SMALLEST_PIVOT * largest[definition]:
+                equations.remove(definition)  # it defines one
+                taken.append((row, column, weight, definition))
+        rows, own, weights, definitions = map(np.array, zip(*taken, strict=True)) if taken else (self.pairs[:0],) * 4
         variables, offsets = found.unknowns[own], found.offset[rows]
         found.offset[definitions] -= self.right[definitions]
-        if taken.size:
+        if taken:
             found.put_in(definitions, own)
         left = np.setdiff1d(np.append(self.equations, found.definitions), definitions)
         return self.pairs, left, (rows, variables, weights, offsets)

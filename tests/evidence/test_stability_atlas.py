@@ -56,10 +56,10 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any
 @pytest.mark.sampled(12)
 @pytest.mark.parametrize(("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES])
 def test_every_case_has_a_verified_answer_or_none(family: str, case: StressCase) -> None:
-    """The answers of all cases solve their problems without rounding, and each has a condition number of 1 or more."""
+    """The answers of all cases solve their problems without rounding; known condition numbers are at least 1."""
     assert (case.exact is None) == (case.stress in ("singular M, no solution", "the answer overflows"))
     assert case.exact is None or is_exact_solution(case.problem, case.exact)
-    assert case.condition >= 1.0
+    assert case.condition >= 1.0 or (math.isnan(case.condition) and case.problem.n > 400)
     if case.has_line:
         assert is_exact_solution(case.problem, [value + Fraction(7, 3) for value in case.exact])
 

@@ -40,7 +40,7 @@ OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0",
 GROWTH = 1.5  # of the nodes from one line of the log to the next
 FIRST = 300  # nodes · pairs before SCIP is asked: 9 nodes of 30 pairs close leaders that SCIP searches for 5 s
 MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
-LOOKS, FIRST_LOOK = 0.1, 0.1  # of the time, in which points are looked for, and the seconds of the first look
+LOOK = 0.1  # seconds, in which followers are solved before SCIP is asked
 ENDS = {
     "timelimit": Status.MAX_SECONDS, "nodelimit": Status.MAX_ITERATIONS, "totalnodelimit": Status.MAX_ITERATIONS,
     "userinterrupt": Status.INTERRUPTED,
@@ -149,7 +149,6 @@ class BranchAndBound:
         self._outside_value = math.inf  # of a point that is not confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._is_infeasible = self._is_stuck = False
-        self._looked = 0.0  # seconds
         self._begin(problem)
 
     def _begin(self, problem: EquilibriumProgram) -> None:
@@ -202,7 +201,8 @@ class BranchAndBound:
             return None
         if x0 is not None:
             self.local.from_point(x0)
-        self._look_for_points(x0, most=None if engine is None else 1)
+        with time_limit(seconds_left() if engine is None else min(LOOK, seconds_left())):
+            self.local.from_leaders(x0, most=None if engine is None else 1)
         if is_provable and self._next() is None:
             return None
         if is_provable:
@@ -211,26 +211,12 @@ class BranchAndBound:
                 return ended
         if engine is None:
             return None
-        ended = self._ask(engine, ends, x0)
+        ended = self._ask(engine, ends)
         if self.local.best is None and (self.outside is None or self.outside.status != "infeasible"):
             self.local.from_leaders(x0)
         if ended is not None or not is_provable or (self._is_closed() and not prove):
             return ended
         return self._search(ends, math.inf if prove else MOST_UNASKED)
-
-    def _look_for_points(
-        self, x0: FloatVector | None, near: FloatVector | None = None, *, most: int | None = 1
-    ) -> None:
-        """Descend from so many equilibria of the followers, in a tenth of the time, or from all; and from a point."""
-        began = self.clock.read()
-        left = math.inf if most is None else max(LOOKS * began, FIRST_LOOK) - self._looked
-        if left <= 0.0:
-            return
-        with time_limit(min(left, seconds_left())):
-            self.local.from_leaders(x0, most)
-            if near is not None:
-                self.local.from_point(near)
-        self._looked += self.clock.read() - began
 
     def _root(self) -> bool:
         """Solve the relaxation with all cases open; return whether anything is left to search."""
@@ -241,25 +227,16 @@ class BranchAndBound:
             self.local.from_point(root.point)
         return self._next() is not None
 
-    def _ask(
-        self, engine: Callable[..., Any], ends: Callable[[], bool], x0: FloatVector | None
-    ) -> Status | None:
+    def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
         """Let a global solver search, and take what it says; return which limit ended it, or None."""
-        before, best = self.nodes, self.local.best
+        before = self.nodes
 
         def watched(value: float, bound: float, nodes: int) -> bool:
             self.nodes, self._outside_value, self.outside = before + nodes, value, Outside("", bound)
             return ends()
 
-        def improved(x: FloatVector | None) -> FloatVector | None:
-            before = self.local.best
-            self._look_for_points(x0, x)
-            best = self.local.best
-            return None if best is before or best is None else best.point
-
         found = engine(
-            self._tighter, tolerance=self.tolerance, max_nodes=self.max_nodes,
-            start=None if best is None else best.point, ends=watched, improves=improved,
+            self._tighter, tolerance=self.tolerance, max_nodes=self.max_nodes, below=self.cutoff, ends=watched,
         )
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = Outside(found.status, found.bound)

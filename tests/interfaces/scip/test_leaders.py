@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from typing import Any
-
 import numpy as np
 import pytest
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status
-from lcp_plugin.core import deadline
-from lcp_plugin.problems.equilibria import incumbents
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 
@@ -34,18 +29,3 @@ def test_followers_that_take_long_do_not_keep_scip_waiting() -> None:
     result = minimize_over_solutions(hard_followers(0), max_seconds=20.0)
     assert result.status is Status.SOLVED
     assert result.value == pytest.approx(6.260972762935, rel=1e-6)
-
-
-def test_looking_for_points_takes_a_tenth_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Solving followers gets the first tenth of a second, then a tenth of what has passed."""
-    asked: list[tuple[float, float]] = []
-    began = time.perf_counter()
-
-    def slow(*_: Any) -> None:
-        asked.append((time.perf_counter() - began, deadline.seconds_left()))
-        time.sleep(0.3)
-
-    monkeypatch.setattr(incumbents, "_followed", slow)
-    minimize_over_solutions(hard_followers(2), max_seconds=5.0)
-    assert 1 <= len(asked) <= 3
-    assert all(left <= 0.1 + 0.1 * at for at, left in asked)

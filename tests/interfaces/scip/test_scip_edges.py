@@ -240,6 +240,16 @@ def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(monkeypatch: pytes
     assert minimize_over_solutions(bilinear()).value == pytest.approx(2.0)
 
 
+def test_what_a_callback_raises_inside_scip_reaches_the_caller() -> None:
+    """SCIP, written in C, swallows it; the run around it does not."""
+
+    def fails(search: Any) -> bool:
+        raise ZeroDivisionError("mine")
+
+    with pytest.raises(ZeroDivisionError, match="mine"):
+        minimize_over_solutions(knapsack(), callback=fails)
+
+
 def test_ctrl_c_while_the_objective_falls_ends_the_search() -> None:
     """No second search follows within a box, and a bound is not believed where the first relaxation has none."""
     calls = []

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
-from typing import Any
-
 import cvxpy as cp
 import numpy as np
-import pyscipopt
 import pytest
 from network import network
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
-from lcp_plugin.core.errors import LCPError, UnsupportedModel
 from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria import branch_and_bound
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
@@ -72,93 +65,12 @@ def monopolist() -> tuple[cp.Problem, cp.Variable]:
     return cp.Problem(cp.Maximize(cp.multiply(price, x) - x), [fringe, price == 10 - x - y]), x
 
 
-def test_a_bilinear_leader_without_scip_gets_a_point_and_advice(without_scip: None) -> None:
-    """The followed advice, the extra, solves it: 12.5 at x = 5."""
-    problem, _ = monopolist()
-    problem.solve(method="LCP")
-    result = problem.solver_stats.extra_stats
-    assert (result.status, result.bound_by, result.x is None) == (Status.STALLED, None, False)
-    assert "pip install 'lcp_plugin[global]'" in result.advice
-    assert "requires_grad=True" in result.advice
-
-
 def test_a_bilinear_leader_is_solved_by_scip() -> None:
     """Income (p − 1) x with y = (8 − x)/2 for x ≤ 6 and p = (12 − x)/2: x = 5, 12.5."""
     problem, x = monopolist()
     assert problem.solve(method="LCP") == pytest.approx(12.5, abs=1e-6)
     assert float(x.value) == pytest.approx(5.0, abs=1e-3)
     assert problem.solver_stats.extra_stats.proof is None
-
-
-def test_what_cannot_be_is_said() -> None:
-    """NaN data, a proof of what is not convex, an unbounded leader, smooth rows that contradict each other."""
-    problem, x = monopolist()
-    with pytest.raises(UnsupportedModel, match="not convex"):
-        problem.solve(method="LCP", prove=True)
-    with pytest.raises(LCPError, match="must be finite"):
-        cp.Problem(cp.Maximize(np.nan * x), problem.constraints).solve(method="LCP")
-    y, b = cp.Variable(), cp.Variable(boolean=True)
-    never = cp.Problem(cp.Minimize(y), [complements(y >= 0, y - 1 >= 0), cp.exp(y) <= b])
-    never.solve(method="LCP")
-    assert (never.status, y.value) == (cp.settings.USER_LIMIT, None)
-    assert "SCIP, in floating point, finds no solution" in never.solver_stats.extra_stats.advice
-    falls = EquilibriumProgram(QuadraticProgram(None, [-1, 0], lower=0), [0], [1])
-    assert minimize_over_solutions(falls).status is Status.UNBOUNDED
-
-
-def markets(count: int = 20) -> EquilibriumProgram:
-    """A leader's output in each of some markets that leak into the next: price × quantity, which SCIP searches long."""
-    rng, own = np.random.default_rng(8), np.arange(count)
-    P, A = np.zeros((3 * count, 3 * count)), np.zeros((count, 3 * count))
-    P[own, own], P[own, own + count], P[own + count, own] = 2.0, 1.0, 1.0
-    A[own, own], A[own, own + count], A[own, own + 2 * count], A[own, (own + 1) % count] = 1.0, 2.0, -1.0, 0.5
-    c = np.concatenate([-rng.uniform(20, 40, count), np.zeros(2 * count)])
-    upper = np.concatenate([np.full(count, 40.0), np.full(2 * count, np.inf)])
-    program = QuadraticProgram(P, c, A=A, b=rng.uniform(18, 30, count), lower=0.0, upper=upper)
-    return EquilibriumProgram(program, own + count, own + 2 * count)
-
-
-def test_half_a_second_and_ctrl_c_end_scip_with_a_point() -> None:
-    """The limit is heard inside SCIP, so is Ctrl-C; both leave an equilibrium, a bound and words."""
-    problem = markets()
-    result = minimize_over_solutions(problem, max_seconds=0.5)
-    assert (result.status, result.x is None) == (Status.MAX_SECONDS, False)
-    assert "next: raise max_seconds" in result.advice
-    before, runs = signal.getsignal(signal.SIGINT), []
-
-    def stop(search: Any) -> bool:
-        if search.nodes == 1 and not runs:
-            runs.append(threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)))
-            runs[0].start()
-        return False
-
-    result = minimize_over_solutions(problem, callback=stop)
-    assert (result.status, result.x is None, result.bound_by) == (Status.INTERRUPTED, False, "SCIP")
-    assert result.problem.excess(result.x) <= 1e-7
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_what_a_callback_raises_inside_scip_reaches_the_caller() -> None:
-    """SCIP, written in C, swallows it; the run around it does not."""
-
-    def fails(search: Any) -> bool:
-        raise ZeroDivisionError("mine")
-
-    with pytest.raises(ZeroDivisionError, match="mine"):
-        minimize_over_solutions(markets(), callback=fails)
-
-
-def test_an_error_of_scip_s_own_is_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its linear programs fail: the point of the followers stays, and what to do is said."""
-
-    class Failing(pyscipopt.Model):
-        def optimize(self) -> None:
-            raise Exception("SCIP: error in LP solver!")
-
-    monkeypatch.setattr(pyscipopt, "Model", Failing)
-    result = minimize_over_solutions(markets(2))
-    assert (result.status, result.bound_by, result.x is None) == (Status.STALLED, None, False)
-    assert "SCIP ended without an answer, with the words 'SCIP: error in LP solver!'" in result.advice
 
 
 def test_what_falls_for_ever_without_being_convex_is_said() -> None:

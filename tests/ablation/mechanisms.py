@@ -289,7 +289,8 @@ MECHANISMS = (
               "proofs/no_solution/infeasibility.py:seems_unheld proofs/no_solution/infeasibility.py:unheld_motion "
               "proofs/no_solution/free_motion.py"),
     Mechanism("units", "rows and columns of M scaled by powers of two",
-              {"core.matrix.scaling:scaling_of": says(None)}, "core/matrix/scaling.py"),
+              {"core.matrix.scaling:scaling_of": says(None)}, "core/matrix/scaling.py",
+              "core/test_scaling.py::test_the_residual_tells_right_from_wrong_in_any_units"),
     Mechanism("row signs", "equations of free unknowns in the sign in which M may be monotone",
               {"core.matrix.row_signs:monotone_signs": says(None)},
               "core/matrix/row_signs.py:monotone_signs core/matrix/row_signs.py:with_row_signs "
@@ -470,10 +471,6 @@ MECHANISMS = (
     Mechanism("nonlinear restarts", "other starts of small nonlinear problems",
               {f"{STEPS}.start_elsewhere": says(False)},
               "problems/nonlinear/josephy_newton.py:_NewtonRun.start_elsewhere"),
-    Mechanism("by Φ", "steps of Fischer–Burmeister before linear problems",
-              {f"{STEPS}._by_phi": says(None)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._by_phi",
-              f"{NONLINEAR}::test_a_far_start_of_a_large_problem_costs_few_factorisations"),
     Mechanism("proximal", "linearisations with a larger diagonal", {f"{STEPS}._proximal": says(None)},
               "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal "
               "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point",
@@ -491,7 +488,8 @@ MECHANISMS = (
               "problems/equilibria/branch_and_bound.py:BranchAndBound._settle "
               "problems/equilibria/branch_and_bound.py:BranchAndBound._pair"),
     Mechanism("SCIP", "another's global search where ours is long",
-              {"interfaces.scip:minimize_or_none": says(None)}, "interfaces/scip.py"),
+              {"interfaces.scip:minimize_or_none": says(None)}, "interfaces/scip.py",
+              "problems/equilibria/test_best_equilibrium_network.py::test_a_bilinear_leader_is_solved_by_scip"),
     Mechanism("lower level", "bounds that a monotone lower level gives",
               {f"{EQUILIBRIA}.lower_level:tightened": given_back()}, "problems/equilibria/lower_level.py"),
     Mechanism("leaders first", "incumbents from followers solved for given leaders",

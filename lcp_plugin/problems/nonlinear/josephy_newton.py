@@ -22,13 +22,12 @@ from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
 from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
-from ...core.settings import Settings, Status
+from ...core.settings import Settings
 from ...core.solving.driver import fused
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
 from ...methods.lemke import Lemke
 from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister, phi_jacobian
-from ...systems.factors import factor_fits, factorise
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations
 
@@ -38,7 +37,6 @@ HALVINGS, FAR = 4, 1e3  # after so many, where the merit is still so much larger
 EXPLODED = 1e5  # times as much slack is no progress, whatever the merit says
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
-SHIFT_OF_PHI = 1e-3  # keeps the Jacobian of Φ regular
 FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
 ENOUGH = 0.1  # of what the run asks for: no linearisation need be solved to less
@@ -69,11 +67,10 @@ class JosephyNewton(Algorithm):
     The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, beside the largest entry of each row of F′
     here: a diagonal that vanishes with x, as that of a convex power does at 0, says nothing about a point far away.
     A step is shortened until F is defined and ‖Φ‖ falls below the worst of the last four points. Where that takes more
-    than 16 trials, these are tried in turn: the LCP of F′(x) + μD, D the residual scale (proximal); Newton on Φ; its
-    steepest descent. All three must lower ‖Φ‖ at x, or they climb and descend in turn. Where nothing helps x is a
-    stationary point of ‖Φ‖, and small problems start again elsewhere. A large linearisation is given up after 12 active
-    sets without half the residual: Newton on Φ takes the next steps, a factorisation each, one at first and each time
-    twice as many.
+    than 16 trials, these are tried in turn: the LCP of F′(x) + μD, D the residual scale (proximal); the steepest
+    descent of ‖Φ‖. Both must lower ‖Φ‖ at x, or they climb and descend in turn. Where nothing helps x is a stationary
+    point of ‖Φ‖, and small problems start again elsewhere. A large linearisation is given up after 12 active sets
+    without half the residual.
 
     References
     ----------
@@ -113,8 +110,6 @@ class _NewtonRun:
         self.weights = _weights(start, options.compared_with)
         self.tried = math.inf  # the merit of the last trial
         self.is_regularised = False  # since a linearisation was not solved
-        self.is_given_up = False  # the linearisation here
-        self.steps_of_phi, self.next_steps_of_phi = 0, 1  # that are taken before another linearisation is solved
         self.random = np.random.default_rng(0)
 
     def step(self) -> Step:
@@ -176,27 +171,12 @@ class _NewtonRun:
         return None
 
     def _newton(self, lcp: LCP, worst: float) -> Linearisation | None:
-        self.steps_of_phi -= 1
-        if self.steps_of_phi >= 0 and (found := self._by_phi(lcp, worst)) is not None:
-            return found
-        self.is_given_up = False
         if self.is_regularised:
             target = self._proximal_point(lcp, min(SHIFTS[1], self._relative(self.here)))
         else:
             target = self._solution(lcp, self.here.value)
-            self.is_regularised = target is None and not self.is_given_up
-        if self.is_given_up:
-            self.steps_of_phi, self.next_steps_of_phi = self.next_steps_of_phi, 2 * self.next_steps_of_phi
-        found = None if target is None else self._searched(target, worst)
-        return self._by_phi(lcp, worst) if found is None and self.is_given_up else found
-
-    def _by_phi(self, lcp: LCP, worst: float) -> Linearisation | None:
-        """Return a point that Newton on Φ leads to."""
-        phi = self._phi(lcp, self.here)
-        shifted = phi_jacobian(lcp, phi, SHIFT_OF_PHI * min(1.0, phi.norm), lcp.matrix.row_largest)
-        factor = factorise(shifted) if lcp.is_dense or factor_fits(shifted) else None
-        direction = np.full(lcp.n, np.nan) if factor is None else factor.solve(-phi.value)
-        return self._along(direction, lcp, worst) if np.isfinite(direction).all() else None
+            self.is_regularised = target is None
+        return None if target is None else self._searched(target, worst)
 
     def _along(self, direction: FloatVector, lcp: LCP, worst: float) -> Linearisation | None:
         """Return the first point in that direction, projected, that is accepted."""
@@ -218,13 +198,10 @@ class _NewtonRun:
         return self._solution(LCP(M, lcp.q, lower=lcp.lower, upper=lcp.upper), self.here.value)
 
     def _descended(self, lcp: LCP, worst: float) -> Linearisation | None:
-        """Return a point along the Newton direction of Φ, or its steepest descent."""
-        merit = self._merit(self.here)
-        if (found := self._by_phi(lcp, merit)) is not None:
-            return found
+        """Return a point along the steepest descent of Φ."""
         phi = self._phi(lcp, self.here)
         jacobian = phi_jacobian(lcp, phi, 0.0, lcp.matrix.row_largest)
-        return self._along(-(jacobian.T @ (self.weights**2 * phi.value)), lcp, merit)
+        return self._along(-(jacobian.T @ (self.weights**2 * phi.value)), lcp, worst)
 
     def _searched(self, target: FloatVector, worst: float) -> Linearisation | None:
         """Return the first point on the way to the target that is accepted."""
@@ -306,7 +283,6 @@ class _NewtonRun:
                 raise
             result = solved_within(step, "auto", tolerance)
         self.work += result.work
-        self.is_given_up = result.status is Status.INTERRUPTED
         if not (result.is_solved or result.residual <= 0.5):
             return None
         target = np.clip(x + result.z, lcp.lower, lcp.upper)

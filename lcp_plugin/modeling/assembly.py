@@ -252,26 +252,24 @@ def solve_from(problem: LCP | NonlinearProblem | Blocks, start: FloatVector | No
     options : dict
         Of `solve`, of `solve_nonlinear` or of `solve_cones`.
     """
+    is_given = "z0" in options or start is None or not np.isfinite(start).all()
     if isinstance(problem, Blocks):
         problem.problem_kind.refuse(options)
-        known = list(inspect.signature(solve_cones).parameters)[1:]
-        for name in options:
-            if name not in known:
-                raise InvalidOption(f"a model with cones has no option {name!r}; it has {', '.join(known)}")
-        if "z0" in options or start is None or not np.isfinite(start).all():
-            return solve_cones(problem, **options)
-        return replace(solve_cones(problem, z0=start, **options), begun=BEGUN)
-    if not isinstance(problem, NonlinearProblem):
-        if "z0" in options or start is None or not np.isfinite(start).all():
-            return solve_lcp(problem, **options)
-        return replace(solve_lcp(problem, z0=start, **options), begun=BEGUN)
-    known = list(inspect.signature(solve_nonlinear).parameters)[2:]
+        _refuse_unknown(options, "a model with cones", list(inspect.signature(solve_cones).parameters)[1:])
+    if isinstance(problem, NonlinearProblem):
+        known = ["z0", *list(inspect.signature(solve_nonlinear).parameters)[2:]]
+        _refuse_unknown(options, "a nonlinear model", known)
+        z0: Any = options.get("z0", np.zeros_like(problem.lower)) if is_given else start
+        # The derivative is ours; what the language itself evaluates is compared at the end.
+        own = {"check_jacobian": False, **{name: value for name, value in options.items() if name != "z0"}}
+        result = solve_nonlinear(problem, z0, **own)
+    else:
+        run: Any = solve_cones if isinstance(problem, Blocks) else solve_lcp
+        result = run(problem, **(options if is_given else {"z0": start, **options}))
+    return result if is_given else replace(result, begun=result.begun or BEGUN)
+
+
+def _refuse_unknown(options: dict[str, Any], what: str, known: list[str]) -> None:
     for name in options:
-        if name not in (*known, "z0"):
-            raise InvalidOption(f"a nonlinear model has no option {name!r}; it has z0, {', '.join(known)}")
-    # The derivative is ours; what the language itself evaluates is compared at the end.
-    own = {"check_jacobian": False, **{name: value for name, value in options.items() if name != "z0"}}
-    if "z0" in options or start is None or not np.isfinite(start).all():
-        return solve_nonlinear(problem, options.get("z0", np.zeros_like(problem.lower)), **own)
-    result = solve_nonlinear(problem, start, **own)
-    return replace(result, begun=result.begun or BEGUN)
+        if name not in known:
+            raise InvalidOption(f"{what} has no option {name!r}; it has {', '.join(known)}")

@@ -289,7 +289,7 @@ def _any(problem: Any, refusal: NotSquare, verbose: bool, warm_start: bool, opti
     """Find any solution of a model with more rows and bounds than an LCP has, by a search for the best; or raise."""
     from .best_equilibrium import solve_for_the_best
 
-    if any(isinstance(one, Complements) and "cone" in (one.first.kind, one.second.kind) for one in problem.constraints):
+    if _has_cones(problem):
         raise refusal
     try:
         return solve_for_the_best(problem, verbose, warm_start, options)
@@ -303,8 +303,7 @@ def _best(
     """Find the best of all solutions."""
     from .best_equilibrium import solve_for_the_best
 
-    if any(side.kind == "cone" for pair in problem.constraints if isinstance(pair, Complements)
-           for side in (pair.first, pair.second)):
+    if _has_cones(problem):
         raise UnsupportedModel(
             f"the objective {name_of(problem.objective.args[0])} stands beside a complementarity over cones, and "
             "nothing searches for the best of its solutions; write cp.Minimize(0) for any of them"
@@ -314,6 +313,11 @@ def _best(
         rest = "; for a local search leave out the objective" if requires_grad else "; leave it out"
         raise UnsupportedModel(f"{what} does not go with an objective beside complementarity{rest}")
     return solve_for_the_best(problem, verbose, warm_start, options)
+
+
+def _has_cones(problem: Any) -> bool:
+    pairs = [one for one in problem.constraints if isinstance(one, Complements)]
+    return any(side.kind == "cone" for pair in pairs for side in (pair.first, pair.second))
 
 
 def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:

@@ -424,14 +424,6 @@ def test_least_squares_that_stop_are_told_what_helps() -> None:
     assert bounded_least_squares(A, b, x0=first.x).is_solved
 
 
-def test_an_absolute_tolerance_that_is_advised_accepts() -> None:
-    """Where only rounding of a large q contradicts, the tolerance that the advice names is SOLVED."""
-    problem = LCP([[0.0]], [-1e-8])
-    advice = advice_of(lambda: solve(problem))
-    if named := re.search(r"absolute_tolerance=([\d.e+-]+)", advice):
-        assert solve(problem, absolute_tolerance=float(named[1])).is_solved
-
-
 def test_batches_give_the_same_advice() -> None:
     """Items that are not solved are told what a solve of their own is told."""
     problem, _ = hard()

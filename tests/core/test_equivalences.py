@@ -321,16 +321,6 @@ def test_maor_is_bai_s_iteration(kind: str, omega: str, sweep: str, backward: tu
 # --- Bounds and shifts -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", REGISTRY)
-@EVERY_KIND
-def test_explicit_default_bounds_change_no_bit(name: str, kind: str) -> None:
-    """Bounds (0, ∞) written out give the iterates of the plain problem bit for bit."""
-    plain = random_problem(kind, bounds=False)
-    written = LCP(plain.M, plain.q, lower=np.zeros(plain.n), upper=np.full(plain.n, np.inf))
-    algorithm = create(name, {})
-    assert np.array_equal(iterates(algorithm, plain), iterates(algorithm, written))
-
-
 def shifted(problem: LCP, by: float) -> LCP:
     """The problem in the unknown z + by."""
     return problem.with_q(
@@ -448,13 +438,3 @@ def test_simultaneous_methods_do_not_see_the_numbering(name: str, kind: str) -> 
     order = np.random.default_rng(5).permutation(problem.n)
     path = iterates(create(name, {}), problem)
     assert_same(path[:, order], iterates(create(name, {}), permuted(problem, order), start_for(problem)[order]))
-
-
-@EVERY_KIND
-def test_dense_and_sparse_matrices_give_the_same_iterates(kind: str) -> None:
-    """How M is given, dense, CSR, CSC or COO, changes no bit of the iterates."""
-    problem = random_problem(kind, bounds=False)
-    M = problem.csr.toarray()
-    path = iterates(NPSOR(), problem)
-    for given in (M, np.asfortranarray(M), sp.csr_array(M), sp.csc_array(M), sp.coo_array(M)):
-        assert np.array_equal(iterates(NPSOR(), LCP(given, problem.q)), path)

@@ -376,26 +376,6 @@ def test_residual_scale_is_the_rule(data: st.DataObject, n: int, is_sparse: bool
     assert p.diagonal.tolist() == np.diagonal(M).tolist()
 
 
-def test_residual_scale_of_tiny_rows_is_positive() -> None:
-    """A row with nothing but subnormal numbers beside a zero diagonal has its largest as the scale, not zero."""
-    p = LCP([[0.0, 1e-320], [1e-320, 0.0]], [1.0, 1.0])
-    assert p.residual_scale.tolist() == [1e-320, 1e-320]
-    assert Certificate.of(p, [0.0, 0.0]).relative_residual == 0.0
-
-
-def test_residual_scale_by_cases() -> None:
-    """One row for each branch of the rule, in one matrix."""
-    M = np.zeros((6, 6))
-    M[0, 0], M[0, 1] = 2.0, -7.0  # an ordinary diagonal
-    M[1, 1], M[1, 0] = 1e-7, -3.0  # a negligible diagonal
-    M[2, 0], M[2, 5] = 1.0, -4.0  # a missing diagonal
-    M[3, 3], M[3, 4] = -5.0, 2.0  # a negative diagonal
-    M[5, 5], M[5, 0] = 2e-6, 1.0  # small, but not negligible; row 4 is empty
-    expected = [2.0, 3.0, 4.0, 5.0, 1.0, 2e-6]
-    assert LCP(M, np.zeros(6)).residual_scale.tolist() == expected
-    assert LCP(sp.csc_array(M), np.zeros(6)).residual_scale.tolist() == expected
-
-
 BOUND = st.sampled_from([-math.inf, math.inf, 0.0, -0.0, 1.0, -1.0, 2.5, -1e300, 1e-320])
 
 
@@ -477,17 +457,6 @@ def test_with_q_changes_q_and_the_bounds_given() -> None:
     assert_read_only(other.q, other.lower, other.upper, other.nearest_to_zero)
 
 
-def test_with_q_gives_the_answer_of_a_fresh_problem() -> None:
-    """Solving a problem made by with_q and the same problem made anew gives the same bits."""
-    p = LCP(TRIDIAGONAL, np.ones(10))
-    solve(p, "npsor")
-    q = np.linspace(-2.0, 1.0, 10)
-    again = solve(p.with_q(q, upper=0.3), "npsor")
-    fresh = solve(LCP(TRIDIAGONAL, q, upper=0.3), "npsor")
-    assert again.z.tobytes() == fresh.z.tobytes()
-    assert again.iterations == fresh.iterations
-
-
 def test_a_fact_is_computed_once_for_many_threads() -> None:
     """Sixteen threads that ask at once get one object, computed once, and so do those that ask later."""
     p = LCP(TRIDIAGONAL, np.ones(10))
@@ -503,15 +472,6 @@ def test_a_fact_is_computed_once_for_many_threads() -> None:
     assert len(calls) == 1
     assert {id(value) for value in found} == {id(slow(p.matrix))}
     assert slow.is_known(p.matrix)
-
-
-def test_derived_data_are_one_object_for_many_threads() -> None:
-    """csr, diagonal and residual_scale, asked for by many threads of a fresh dense problem, exist once."""
-    p = LCP(A, Q)
-    found = ask_in_threads(lambda k: (p.residual_scale, p.csr, p.diagonal) if k % 2 else (p.residual_scale,) * 3)
-    assert len({id(scale) for scale, _, _ in found}) == 1
-    assert len({id(csr) for k, (_, csr, _) in enumerate(found) if k % 2}) == 1
-    assert_canonical(p, A)
 
 
 def ask_in_threads(ask: Callable[[int], Any], count: int = 16) -> list[Any]:

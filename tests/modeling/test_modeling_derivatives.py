@@ -13,13 +13,12 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from exact import exact_solution
 from fresh_process import printed_by
 from hypothesis import given
 from hypothesis import strategies as st
 from test_extraction import FORMS, SPARSE, Unknowns, expression
 
-from lcp_plugin import LCP, ModelWarning, UnsuitableProblem, UnsupportedModel, box, certify, complements
+from lcp_plugin import ModelWarning, UnsuitableProblem, UnsupportedModel, box, certify, complements
 from lcp_plugin.modeling._compat import refuse_without_derivatives
 from lcp_plugin.modeling.model_derivative import ParametricRows
 from lcp_plugin.modeling.reading import Reader, folded
@@ -168,19 +167,6 @@ def two_unknowns() -> Any:
     return problem, M, q, x
 
 
-def test_gradients_of_two_unknowns() -> None:
-    """∂(x₁ + x₂)/∂q = (−1/2, 0) and ∂/∂M = −λ zᵀ, by cvxpy's default of ones; the change follows dq likewise."""
-    problem, M, q, x = two_unknowns()
-    assert problem.solve(requires_grad=True) == 0.0
-    problem.backward()
-    np.testing.assert_allclose(q.gradient, [-0.5, 0.0], atol=1e-14)
-    np.testing.assert_allclose(M.gradient, [[-1.25, 0.0], [0.0, 0.0]], atol=1e-14)
-    q.delta = [-1.0, 7.0]
-    problem.derivative()
-    np.testing.assert_allclose(x.delta, [0.5, 0.0], atol=1e-14)
-    np.testing.assert_allclose(x.value, Z2, atol=1e-7)
-
-
 def test_gradients_of_dual_values() -> None:
     """A gradient set on the pair's dual variable is that by w; x's own is taken out with zeros."""
     problem, M, q, x = two_unknowns()
@@ -222,22 +208,6 @@ def test_derivatives_are_the_formula_of_a_planted_solution(seed: int, n: int) ->
     problem.backward()
     adjoint = dot([parameter.gradient for parameter in parameters], moved)
     assert abs(adjoint - x.gradient @ x.delta) <= 1e-12 * (1.0 + np.abs(x.gradient) @ np.abs(x.delta))
-
-
-def test_changes_equal_differences_of_exact_solutions() -> None:
-    """Within one active set z is affine in q: one difference of rational solutions is the derivative."""
-    A = np.array([[4.0, -1.0, 0.0, 1.0], [-2.0, 5.0, -1.0, 0.0], [0.0, -1.0, 3.0, 1.0], [1.0, 0.0, -1.0, 4.0]])
-    base, step = np.array([-3.0, 5.0, -4.0, 2.0]), np.array([1.0, -2.0, 3.0, 1.0]) / 64
-    first, second = (exact_solution(LCP(A, base + k * step)) for k in (0, 1))
-    q, x = cp.Parameter(4, value=base), cp.Variable(4)
-    pair = complements(x >= 0, A @ x + q >= 0)
-    problem = ComplementarityProblem([pair])
-    problem.solve(requires_grad=True)
-    q.delta = step
-    problem.derivative()
-    np.testing.assert_allclose(x.delta, [float(b - a) for a, b in zip(first.z, second.z, strict=True)], atol=1e-16)
-    found = pair.dual_variables[0].delta
-    np.testing.assert_allclose(found, [float(b - a) for a, b in zip(first.w, second.w, strict=True)], atol=1e-15)
 
 
 # --- models of all kinds ------------------------------------------------------------------------------------------

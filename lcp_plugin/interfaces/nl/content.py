@@ -69,6 +69,12 @@ class Trees:
     starts: Indices
     strings: tuple[bytes, ...] = ()
 
+    @classmethod
+    def of_numbers(cls, values: FloatVector) -> Trees:
+        """Return a tree a number."""
+        k = values.size
+        return cls(np.full(k, Token.NUMBER, np.uint8), values, np.zeros(k, dtype=np.int64), np.arange(k + 1))
+
     @property
     def size(self) -> int:
         """The number of trees."""
@@ -152,6 +158,24 @@ class NLContent:
     row_names: list[str] | None = None
     options: tuple[int, ...] = (3, 0, 1, 0)
     tolerance: float | None = None
+
+    @classmethod
+    def of_rows(
+        cls, lower: FloatVector, upper: FloatVector, linear: sp.csr_array, trees: Trees,
+        limits: tuple[FloatVector, FloatVector], partners: Indices, partner_bounds: Indices,
+        objective: Trees | None = None, objective_linear: sp.csr_array | None = None,
+    ) -> NLContent:
+        """Return the content with these rows between limits, and an objective to be minimised where there is one."""
+        n, m, count = lower.size, trees.size, 0 if objective is None else 1
+        none = Trees.of_numbers(np.zeros(0))
+        return cls(
+            lower=lower, upper=upper, row_lower=limits[0], row_upper=limits[1], partners=partners,
+            partner_bounds=partner_bounds, linear=linear, trees=trees, is_maximized=np.zeros(count, dtype=bool),
+            objective_linear=sp.csr_array((count, n)) if objective_linear is None else objective_linear,
+            objective_trees=objective or none, defined_linear=sp.csr_array((0, n)), defined_trees=none,
+            is_integer=np.zeros(n, dtype=bool), logical_rows=0, functions=(), start=np.zeros(n),
+            dual_start=np.zeros(m), has_start=np.zeros(n, dtype=bool), suffixes=[],
+        )
 
     def variable(self, column: int) -> str:
         """Return the name of a variable, or its number; behind the last one come the defined variables."""

@@ -82,8 +82,8 @@ def _content_of_lcp(problem: LCP) -> NLContent:
     n = problem.n
     free = np.full(n, np.inf)
     bits = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
-    return _stating(
-        problem.lower, problem.upper, problem.csr, _numbers(problem.q), (-free, free), np.arange(n), bits
+    return NLContent.of_rows(
+        problem.lower, problem.upper, problem.csr, Trees.of_numbers(problem.q), (-free, free), np.arange(n), bits
     )
 
 
@@ -95,8 +95,9 @@ def _content_of_program(program: QuadraticProgram) -> NLContent:
     slopes = sp.csr_array((program.c[columns], columns, [0, columns.size]), shape=(1, n))
     limits = np.append(np.full(program.h.size, -np.inf), program.b), np.append(program.h, program.b)
     rows = sp.csr_array(sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)]))
-    return _stating(
-        program.lower, program.upper, rows, _numbers(np.zeros(m)), limits, np.full(m, -1), np.zeros(m, dtype=np.int64),
+    return NLContent.of_rows(
+        program.lower, program.upper, rows, Trees.of_numbers(np.zeros(m)), limits, np.full(m, -1),
+        np.zeros(m, dtype=np.int64),
         _sum_of_products(np.where(P.row == P.col, 0.5, 1.0) * P.data, P.row, P.col), slopes,
     )
 
@@ -105,7 +106,7 @@ def _sum_of_products(factors: Any, first: Any, second: Any) -> Trees:
     """Return Σ factor · (x_first · x_second) as a tree."""
     k = factors.size
     if not k:
-        return _numbers(np.zeros(1))
+        return Trees.of_numbers(np.zeros(1))
     heads = [k] if k > 2 else [2] * (k - 1)  # AMPL's sum has three terms or more
     kinds = [Token.OPERATOR, Token.NUMBER, Token.OPERATOR, Token.VARIABLE, Token.VARIABLE]
     products = np.column_stack([np.full(k, TIMES), factors, np.full(k, TIMES), first, second])
@@ -114,29 +115,6 @@ def _sum_of_products(factors: Any, first: Any, second: Any) -> Trees:
         np.append([SUM if k > 2 else PLUS] * len(heads), products),
         np.array(heads + [2, 0, 2, 0, 0] * k, dtype=np.int64), np.array([0, len(heads) + 5 * k]),
     )
-
-
-def _stating(
-    lower: Any, upper: Any, linear: Any, trees: Trees, limits: tuple[Any, Any], partners: Any, bits: Any,
-    objective: Trees | None = None, objective_linear: Any = None,
-) -> NLContent:
-    """Return the content with these rows, and an objective to be minimised where there is one."""
-    n, m, nothing = lower.size, trees.size, np.zeros(0)
-    objectives = 0 if objective is None else 1
-    return NLContent(
-        lower=lower, upper=upper, row_lower=limits[0], row_upper=limits[1], partners=partners, partner_bounds=bits,
-        linear=linear, trees=trees, is_maximized=np.zeros(objectives, dtype=bool),
-        objective_linear=sp.csr_array((0, n)) if objective is None else objective_linear,
-        objective_trees=objective or _numbers(nothing), defined_linear=sp.csr_array((0, n)),
-        defined_trees=_numbers(nothing), is_integer=np.zeros(n, dtype=bool), logical_rows=0, functions=(),
-        start=np.zeros(n), dual_start=np.zeros(m), has_start=np.zeros(n, dtype=bool), suffixes=[],
-    )
-
-
-def _numbers(values: Any) -> Trees:
-    """Return a tree a number."""
-    k = values.size
-    return Trees(np.full(k, Token.NUMBER, np.uint8), values, np.zeros(k, dtype=np.int64), np.arange(k + 1))
 
 
 class TextWriter:

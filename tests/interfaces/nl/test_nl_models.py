@@ -83,14 +83,14 @@ def content_of(
     def matrix(given: Any, height: int, width: int = n) -> sp.csr_array:
         return sp.csr_array((height, width)) if given is None else sp.csr_array(np.atleast_2d(given).astype(float))
 
-    content = NLContent(
-        lower=np.full(n, -INFINITY), upper=np.full(n, INFINITY), row_lower=np.zeros(m), row_upper=np.zeros(m),
-        partners=np.full(m, -1), partner_bounds=np.zeros(m, dtype=np.int64), linear=matrix(linear, m),
-        trees=trees_of(rows), is_maximized=np.array([is_maximized] * len(objectives), dtype=bool),
-        objective_linear=matrix(objective_linear, len(objectives)), objective_trees=trees_of(objectives),
-        defined_linear=matrix(defined_linear, d, n + d), defined_trees=trees_of(defined),
-        is_integer=np.zeros(n, dtype=bool), logical_rows=0, functions=(), start=np.zeros(n), dual_start=np.zeros(m),
-        has_start=np.zeros(n, dtype=bool), suffixes=[],
+    content = replace(
+        NLContent.of_rows(
+            np.full(n, -INFINITY), np.full(n, INFINITY), matrix(linear, m), trees_of(rows), (np.zeros(m), np.zeros(m)),
+            np.full(m, -1), np.zeros(m, dtype=np.int64), trees_of(objectives) if objectives else None,
+            matrix(objective_linear, len(objectives)),
+        ),
+        is_maximized=np.array([is_maximized] * len(objectives), dtype=bool), defined_trees=trees_of(defined),
+        defined_linear=matrix(defined_linear, d, n + d),
     )
     return replace(content, **{name: np.asarray(value) if isinstance(value, list) and name not in ("names", "row_names")
                                else value for name, value in own.items()})

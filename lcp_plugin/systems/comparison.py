@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import BoolVector, FloatVector
-from ..core.errors import InvalidProblem
+from ..core.checks import FloatVector
 from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.scaling import Exponents, scaled, times_power
 from ..core.matrix.structure import row_numbers
@@ -40,18 +39,29 @@ def comparison_of(M: Any) -> sp.csr_array:
     return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
 
 
-class LinearSystem:
-    """A system that is solved approximately: by Krylov steps on its grids where it is large, else by a factor.
+class ComparisonMatrix:
+    """⟨M⟩ scaled by powers of two to a diagonal near 1 where M needs it, and approximate solutions of its systems.
 
     Parameters
     ----------
+    M : CSR array, shape (n, n)
+        Its diagonal has no zero.
+
+    Attributes
+    ----------
     matrix : CSR array, shape (n, n)
-        Canonical, with a positive diagonal.
-    is_symmetric : bool
+        ⟨M⟩ with entries scaled by 2^(row_i + column_j).
+    exponents : Exponents or None
+        None where nothing was scaled.
+    diagonal : array, shape (n,)
+        Of `matrix`; positive.
     """
 
-    def __init__(self, matrix: Any, is_symmetric: bool) -> None:
-        self.matrix, self.is_symmetric = matrix, is_symmetric
+    def __init__(self, M: Any) -> None:
+        self.is_symmetric = is_symmetric_entrywise(M)
+        self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
+        self.matrix = scaled(comparison_of(M), self.exponents)
+        self.diagonal: FloatVector = self.matrix.diagonal()
         self._multigrid_failed = False
 
     @cached_property
@@ -95,104 +105,9 @@ class LinearSystem:
         correction.apply_to(np.zeros(rhs.size), x)
         return _finite(x)
 
-
-class ComparisonMatrix(LinearSystem):
-    """⟨M⟩ scaled by powers of two to a diagonal near 1 where M needs it.
-
-    Parameters
-    ----------
-    M : CSR array, shape (n, n)
-        Its diagonal has no zero.
-
-    Attributes
-    ----------
-    matrix : CSR array, shape (n, n)
-        ⟨M⟩ with entries scaled by 2^(row_i + column_j).
-    exponents : Exponents or None
-        None where nothing was scaled.
-    diagonal : array, shape (n,)
-        Of `matrix`; positive.
-    """
-
-    def __init__(self, M: Any) -> None:
-        is_symmetric = is_symmetric_entrywise(M)
-        self.exponents: Exponents | None = scaling_exponents(M, is_symmetric)
-        super().__init__(scaled(comparison_of(M), self.exponents), is_symmetric)
-        self.diagonal: FloatVector = self.matrix.diagonal()
-
     def to_caller(self, x: FloatVector) -> FloatVector:
         """Return the vector in the caller's unit that belongs to x of the scaled matrix, shape (n,)."""
         return times_power(x, None if self.exponents is None else self.exponents.column)
-
-    def from_caller(self, rhs: FloatVector) -> FloatVector:
-        """Return the right-hand side of the scaled matrix that belongs to the caller's, shape (n,)."""
-        return times_power(rhs, None if self.exponents is None else self.exponents.row)
-
-    def solve_part(self, rhs: FloatVector, rows: BoolVector, tolerance: float) -> FloatVector | None:
-        """Return an approximate solution of the system of these rows and columns, zero elsewhere, shape (n,), or None.
-
-        The hierarchy of the whole matrix would need 5 to 50 times the steps that one of the block needs.
-        """
-        part = np.flatnonzero(rows)
-        x = np.zeros(rhs.size)
-        if part.size:
-            block = LinearSystem(self.matrix[part][:, part], self.is_symmetric)
-            solution = block.solve(rhs[part], tolerance)
-            if solution is None:
-                return None
-            x[part] = solution
-        return x
-
-
-@fact
-def shared_comparison(matrix: Matrix) -> ComparisonMatrix:
-    """Return the comparison matrix ⟨M⟩; the diagonal has no zero."""
-    return ComparisonMatrix(matrix.csr)
-
-
-@np.errstate(all="ignore")  # what overflows is seen by those who verify
-def comparison_solve(
-    matrix: Matrix, rhs: FloatVector, rows: BoolVector | None = None, tolerance: float = 0.1
-) -> FloatVector | None:
-    """Return an approximate solution x of ⟨M⟩_FF x_F = rhs_F, zero outside F, shape (n,).
-
-    Parameters
-    ----------
-    matrix : Matrix
-        M, whose diagonal has no zero.
-    rhs : array, shape (n,)
-        Entries outside F are not read.
-    rows : bool array, shape (n,), optional
-        The set F; all rows by default.
-    tolerance : float
-        Bound of ‖residual‖₂/‖rhs‖₂ after equilibration where the solution is iterative (n above some thousands).
-
-    Returns
-    -------
-    array or None
-        None where ⟨M⟩_FF is numerically singular, or so large that only multigrid applies and it fails. The
-        solution is not verified.
-
-    Raises
-    ------
-    InvalidProblem
-        Where a diagonal entry is zero.
-
-    Examples
-    --------
-    >>> comparison_solve(Matrix([[2, 1], [-1, 2]]), np.ones(2))
-    array([1., 1.])
-    """
-    if not matrix.diagonal.all():
-        row = int(np.flatnonzero(matrix.diagonal == 0.0)[0])
-        raise InvalidProblem(f"M[{row}, {row}] = 0; a system with ⟨M⟩ needs a diagonal without zeros")
-    comparison = shared_comparison(matrix)
-    scaled_rhs = comparison.from_caller(rhs)
-    if rows is None or rows.all():
-        x = comparison.solve(scaled_rhs, tolerance)
-    else:
-        x = comparison.solve_part(scaled_rhs, rows, tolerance)
-    return None if x is None else comparison.to_caller(x)
 
 
 def _finite(x: FloatVector) -> FloatVector | None:

@@ -128,7 +128,7 @@ ANOTHER_JOB = {  # looked at by eye
     "problems/programs/certification.py: Proved.gap": "a gap",
     "proofs/bounds/error_bounds.py: ErrorBound.proves": "the error, which a bound proves",
     "proofs/misleading.py: _stiffness": "words",
-    "systems/comparison.py: LinearSystem.iterated": "a linear system",
+    "systems/comparison.py: ComparisonMatrix.iterated": "a linear system",
     "systems/free_systems.py: FreeSystem._iterated": "a linear system",
     "systems/hierarchy/vectors.py: scaling_of_unknowns": "vectors of a hierarchy",
     "systems/minimum_degree.py: _together": "an order of elimination",

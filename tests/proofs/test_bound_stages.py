@@ -15,7 +15,7 @@ from lcp_plugin.core.rounding import gamma
 from lcp_plugin.proofs.bounds import error_bounds, row_inequality, solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.bounds.row_inequality import RowInequality
-from lcp_plugin.proofs.bounds.solution_bounds import EigenvalueBound, bounds_of, smallest_eigenvalue_bound
+from lcp_plugin.proofs.bounds.solution_bounds import EigenvalueBound, smallest_eigenvalue_bound
 from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.systems import factors, free_systems
 from lcp_plugin.systems.equilibration import unit_diagonal
@@ -150,24 +150,6 @@ def test_a_nonpositive_diagonal_has_no_eigenvalue_bound() -> None:
 # --- The stages for H₊-matrices -----------------------------------------------------------------------------
 
 
-def test_two_stages_are_sharp_where_the_signs_agree(monkeypatch) -> None:
-    """For an M-matrix, free rows and w > 0 the two-stage bound is M⁻¹w, the error; the v-certificate is far above."""
-    n = 60
-    M = chain(n, 2.01)
-    error = sp.linalg.spsolve(M.tocsc(), np.random.default_rng(0).random(n) ** 4)
-    problem = LCP(M, np.zeros(n), lower=-np.inf)
-    family = bounds_of(problem.matrix)
-    y = error_bound(problem, error, sharp=False).componentwise
-    with np.errstate(all="ignore"):
-        at = RowInequality.at(problem, error)
-        stages = error_bounds._two_stage(at, family, y)
-        assert (error <= stages).all()
-        assert (stages <= error * (1.0 + 1e-10)).all()
-        assert y.max() > 1.2 * error.max()
-        monkeypatch.setattr(error_bounds, "comparison_solve", lambda *_, **__: None)
-        np.testing.assert_array_equal(error_bounds._two_stage(at, family, y), y)
-
-
 def test_steps_that_lead_astray_lead_home() -> None:
     """From points far away, where the first guess of the active set is poor, the bound ends at the error itself."""
     rng = np.random.default_rng(0)
@@ -179,39 +161,6 @@ def test_steps_that_lead_astray_lead_home() -> None:
         bound = error_bound(problem, z)
         assert bound.is_active_set_proven
         assert np.abs(z - exact).max() * (1.0 - 1e-9) <= bound.infinity <= 1.01 * np.abs(z - exact).max()
-
-
-@pytest.mark.parametrize("n", [1200, 5500])
-def test_large_problems_without_a_nearer_point_get_the_two_stage_bound(n, monkeypatch) -> None:
-    """Where neither sweeps nor steps help, one linear solve lowers the v-certificate; where they do it is not asked."""
-    M = chain(n, 2.01)
-    error = sp.linalg.spsolve(M.tocsc(), np.random.default_rng(0).random(n) ** 4)
-    problem = LCP(M, np.zeros(n), lower=-np.inf)
-    assert error_bound(problem, error).method == "reference point"
-    for name in ("_sweep_nearer", "_sharpen"):
-        monkeypatch.setattr(error_bounds, name, lambda *_: None)
-    bound = error_bound(problem, error)
-    assert bound.method == "two-stage"
-    assert error.max() <= bound.infinity <= 1.05 * error.max()
-
-
-def test_branches_are_the_active_pieces_of_the_inequality() -> None:
-    """On linear rows Φ(y) is (gap + |B|y)/d, elsewhere it is the gap; both kinds occur on either side of the box."""
-    rng = np.random.default_rng(0)
-    seen = set()
-    for _ in range(40):
-        B = 0.3 * rng.standard_normal((8, 8))
-        np.fill_diagonal(B, 0.0)
-        lower, upper = -rng.random(8), rng.random(8)
-        problem = LCP(B + 2.0 * np.eye(8), rng.standard_normal(8), lower=lower, upper=upper)
-        z, y = np.clip(rng.standard_normal(8), lower - 0.1, upper + 0.1), rng.random(8)
-        with np.errstate(all="ignore"):
-            at = RowInequality.at(problem, z)
-            branches, image = at.branches(y), at.image(y)
-        solved = (branches.gap + np.abs(B) @ y) / 2.0
-        np.testing.assert_allclose(np.where(branches.linear, solved, branches.gap), image, rtol=1e-13)
-        seen |= set(zip(branches.linear.tolist(), (z > 0.0).tolist(), strict=True))
-    assert len(seen) == 4
 
 
 @pytest.mark.parametrize(("limits", "sign"), [((1000, 0), -1), ((1000, 64), -1), ((0, 0), -1), ((0, 0), 1)])
@@ -284,39 +233,12 @@ def test_the_unit_of_z_changes_nothing(sharp) -> None:
         M = B + np.diag(1.02 * np.abs(B).sum(axis=1) + 0.01)
         q, z = rng.standard_normal(12), np.maximum(rng.standard_normal(12), 0.0)
         plain = error_bound(LCP(M, q), z, sharp=sharp)
-        with np.errstate(all="ignore"):
-            stage = two_stage(LCP(M, q), z)
         for exponent in (-20, 20):
             problem = LCP(M, np.ldexp(q, exponent))
             bound = error_bound(problem, np.ldexp(z, exponent), sharp=sharp)
             np.testing.assert_array_equal(bound.componentwise, np.ldexp(plain.componentwise, exponent))
             np.testing.assert_array_equal(bound.proven_active, plain.proven_active)
             assert bound.relative == plain.relative
-            with np.errstate(all="ignore"):
-                np.testing.assert_array_equal(two_stage(problem, np.ldexp(z, exponent)), np.ldexp(stage, exponent))
-
-
-def test_refinements_go_on_while_they_gain(monkeypatch) -> None:
-    """Several refinements of the two-stage bound halve what the first one left somewhere, and lose nothing."""
-    rng = np.random.default_rng(0)
-    gains = []
-    for _ in range(20):
-        B = rng.standard_normal((12, 12)) * (rng.random((12, 12)) < 0.5)
-        np.fill_diagonal(B, 0.0)
-        problem = LCP(B + np.diag(1.02 * np.abs(B).sum(axis=1) + 0.01), rng.standard_normal(12))
-        z = np.maximum(rng.standard_normal(12), 0.0)
-        with np.errstate(all="ignore"), monkeypatch.context() as patch:
-            several = two_stage(problem, z)
-            patch.setattr(error_bounds, "REFINEMENTS", 1)
-            gains.append(several / two_stage(problem, z))
-    assert np.max(gains) <= 1.0
-    assert np.min(gains) <= 0.5
-
-
-def two_stage(problem: LCP, z: np.ndarray) -> np.ndarray:
-    family = bounds_of(problem.matrix)
-    y = error_bound(problem, z, sharp=False).componentwise
-    return error_bounds._two_stage(RowInequality.at(problem, z), family, y)
 
 
 @pytest.mark.parametrize("power", [0, -30, 30, -1000, 1000])

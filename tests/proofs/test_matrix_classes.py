@@ -26,7 +26,6 @@ from lcp_plugin.proofs.verdicts import (
     MatrixReport,
     analyze,
     comparison_certificate,
-    comparison_solve,
     h_verdict,
     p_matrix,
     verdicts,
@@ -407,27 +406,20 @@ def test_m_matrix_proofs() -> None:
 @pytest.mark.parametrize("m", [6, 40, 90])
 @pytest.mark.parametrize("contrast", [1.0, 1e9])
 def test_comparison_solves(m: int, contrast: float) -> None:
-    """Solutions on all rows and on a part meet the tolerance, by LAPACK, LU and multigrid, in any unit of the rows."""
+    """Solutions meet the tolerance, by LAPACK, LU and multigrid, in any unit of the rows."""
     grid = laplacian(m)
     n = m * m
     units = np.where(np.arange(n) % 7 == 0, contrast, 1.0)
     M = sp.csr_array(sp.diags_array(units) @ abs(grid))
-    problem = LCP(M, np.zeros(n))
-    rhs = units * np.random.default_rng(0).random(n)
-    part = np.arange(n) % m < 0.8 * m
-    for rows in (None, part, np.zeros(n, dtype=bool)):
-        x = comparison_solve(problem.matrix, rhs, rows, tolerance=1e-6)
-        kept = np.ones(n, dtype=bool) if rows is None else rows
-        residual = (grid @ x - rhs / units)[kept]
-        assert np.linalg.norm(residual) <= 3e-6 * np.linalg.norm((rhs / units)[kept])
-        assert not x[~kept].any()
+    system, rhs = ComparisonMatrix(M), np.random.default_rng(0).random(n)
+    x = system.to_caller(system.solve(system.diagonal * rhs, tolerance=1e-6))
+    right = rhs * grid.diagonal()
+    assert np.linalg.norm(grid @ x - right) <= 3e-6 * np.linalg.norm(right)
 
 
-def test_comparison_solve_needs_a_diagonal() -> None:
-    """A zero on the diagonal is told with its row; a singular ⟨M⟩ gives None."""
-    with pytest.raises(InvalidProblem, match=r"M\[1, 1\] = 0"):
-        comparison_solve(LCP([[1, 1], [1, 0]], [0, 0]).matrix, np.ones(2))
-    assert comparison_solve(LCP([[1, 1], [1, 1]], [0, 0]).matrix, np.ones(2)) is None
+def test_a_singular_comparison_matrix_has_no_solution() -> None:
+    """None, where a factor meets a pivot of 0."""
+    assert ComparisonMatrix(sp.csr_array(np.ones((2, 2)))).solve(np.ones(2)) is None
 
 
 # --- The report ---------------------------------------------------------------------------------------------
@@ -503,8 +495,6 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
         return LCP(M, -np.ones(len(M)))
 
     comparison_certificate(problem().matrix)
-    if problem().diagonal.all():
-        comparison_solve(problem().matrix, np.ones(len(M)))
     assert str(analyze(M))
     assert analyze(M).semidefinite_delta is None or analyze(M).semidefinite_delta >= 0.0
     for name in ("npsor", "psor", "msor", "npsplitting", "lemke"):

@@ -27,7 +27,7 @@ from lcp_plugin.proofs.exact.linear_systems import (
 from lcp_plugin.proofs.verdicts import analyze, h_matrix, h_verdict, p_matrix, verdicts
 from lcp_plugin.proofs.verdicts.h_matrix import _centred, _joined, is_nonpositive, positive_margin
 from lcp_plugin.proofs.verdicts.p_matrix import _schur, is_p_matrix_by_recursion, nonpositive_pair
-from lcp_plugin.systems.comparison import KRYLOV_STEPS, LinearSystem
+from lcp_plugin.systems.comparison import KRYLOV_STEPS, ComparisonMatrix
 from lcp_plugin.systems.comparison_sums import comparison_product, exact_comparison_row
 from lcp_plugin.systems.definiteness import (
     is_positive_definite,
@@ -450,7 +450,8 @@ def test_krylov_meets_its_tolerance_or_says_no(is_symmetric: bool, monkeypatch: 
     below = -1.0 if is_symmetric else -1.5
     M = sp.csr_array(sp.diags_array([below, 1.0 - below, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
     rhs = np.random.default_rng(0).random(n)
-    system = LinearSystem(M, is_symmetric)
+    system = ComparisonMatrix(M)
+    assert system.is_symmetric is is_symmetric
     x = system.iterated(rhs, 1e-3)
     assert np.linalg.norm(rhs - M @ x) <= 1.01e-3 * np.linalg.norm(rhs)
     steps: list[int] = []

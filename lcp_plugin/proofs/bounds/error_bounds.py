@@ -1,12 +1,11 @@
 """How far z is from the solution, as a number that cannot be too small.
 
-The stages stand in `row_inequality` (v-certificate, two-stage bound, reference point) and `solution_bounds`.
+The stages stand in `row_inequality` (v-certificate, reference point) and `solution_bounds`.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,16 +21,14 @@ from ...core.lcp import LCP
 from ...core.rounding import lower_end
 from ...systems.comparison_sums import comparison_product
 from ..exact.upward import quotient_above, sum_above
-from ..verdicts import comparison_solve, h_verdict
+from ..verdicts import h_verdict
 from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
 from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of
 
 SMALL = 1000  # up to here every stage is cheap
-REFINEMENTS = 5
 STEPS = 12  # each takes two digits off the bound, at the cost of a third of a linear solve
 LOOSE = 1e3  # times the residual: from here on a sharper bound is worth a linear solve
 SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = 0.05, 0.5  # what is left to gain, relative to a lower bound of the error
-TOLERANCE = 1e-2
 LEAST_GAP = 0.2  # of the contraction of a sweep from 1: 35 sweeps are then enough, a third of a linear solve
 NEARER = 1e-2  # what sweeps shall leave of the error, as far as the certificate knows
 
@@ -39,8 +36,6 @@ NO_PROOF_ON_RANKS = (
     "on several ranks an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal), and M was not "
     "proven to be one; use the residuals, or solve on one machine, where a positive definite M is bounded as well"
 )
-
-Judge = Callable[[RowInequality], FloatVector]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +56,7 @@ class ErrorBound:
         "rigorous": holds for the stored doubles M, q and bounds, all rounding counted. "estimate": rests on an
         eigenvalue that is not proven.
     method : str
-        "v-certificate", "two-stage", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
+        "v-certificate", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
     proven_active, proven_inactive : ndarray of bool, shape (n,)
         z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0. Nothing is proven by an estimate.
     n, active, inactive : int
@@ -175,45 +170,16 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def _two_stage(at: RowInequality, family: HPlusBounds, y: FloatVector) -> FloatVector:
-    """Return the bound that solving the active pieces of Φ makes of the bound y, as long as that gains."""
-    problem = at.problem
-    for _ in range(REFINEMENTS):
-        branches = at.branches(y)
-        candidate = np.where(branches.linear, 0.0, branches.gap)
-        if branches.linear.any():
-            # On the other rows y is known, and its part of ⟨M⟩y goes to the right-hand side.
-            rhs = branches.gap - comparison_product(problem.csr, candidate)[0]
-            solution = comparison_solve(problem.matrix, rhs, rows=branches.linear, tolerance=TOLERANCE)
-            if solution is None:
-                return y
-            candidate = np.maximum(candidate, solution)
-        better = np.minimum(y, family.of_error(at, candidate))
-        better = np.minimum(better, at.image(better))
-        if not (better < 0.9 * y).any():
-            return better
-        y = better
-    return y
-
-
 def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool) -> ErrorBound:
     if not problem.matrix.all_rows(np.isfinite(z)):
         return _nothing_known(problem, family.kind, family.method)
     at = RowInequality.at(problem, z)
     found = BestBound(z, at, family.of_error(at), family.method)
-    if not sharp:
-        return found.result(family.kind)
-    if isinstance(family, DefiniteBounds):
-        _sharpen(found, family.of_error)
-    elif problem.n <= SMALL:
-        found.lower_to(_two_stage(at, family, found.y), "two-stage")
-        _sharpen(found, lambda point: _two_stage(point, family, family.of_error(point)))
-    else:
-        _sweep_nearer(found, family)
-        if not found.is_sharp:
-            _sharpen(found, family.of_error)
-        if not found.is_sharp:
-            found.lower_to(_two_stage(at, family, found.y), "two-stage")
+    if sharp:
+        if problem.n > SMALL and isinstance(family, HPlusBounds):
+            _sweep_nearer(found, family)
+        if found.near is at or not found.is_sharp:
+            _sharpen(found, family)
     return found.result(family.kind)
 
 
@@ -224,16 +190,13 @@ class BestBound:
         self.z, self.at, self.y, self.method = z, at, y, method
         self.near, self.near_y = at, y
 
-    def lower_to(self, y: FloatVector, method: str) -> None:
-        """Take the least of both bounds."""
-        if y.max(initial=0.0) < self.y.max(initial=0.0):
-            self.method = method
-        self.y = np.minimum(self.y, y)
-
     def go_to(self, near: RowInequality, y: FloatVector) -> None:
-        """Take a point with the bound y of its own error for the one at which most is known."""
+        """Take a point with the bound y of its own error for the one at which most is known; keep the least bound."""
         self.near, self.near_y = near, y
-        self.lower_to(sum_above(near.distance(self.z), y), "reference point")
+        by_way_of_it = sum_above(near.distance(self.z), y)
+        if by_way_of_it.max(initial=0.0) < self.y.max(initial=0.0):
+            self.method = "reference point"
+        self.y = np.minimum(self.y, by_way_of_it)
 
     @property
     def is_sharp(self) -> bool:
@@ -281,7 +244,7 @@ def _sweep_nearer(found: BestBound, family: HPlusBounds) -> None:
             found.go_to(near, y)
 
 
-def _sharpen(found: BestBound, judge: Judge) -> None:
+def _sharpen(found: BestBound, family: HPlusBounds | DefiniteBounds) -> None:
     """Go to points nearer to the solution as long as that lowers the bound."""
     problem = found.at.problem
     steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale)
@@ -290,7 +253,8 @@ def _sharpen(found: BestBound, judge: Judge) -> None:
         following = steps.next_point(point)
         if following is None:
             return
-        point, y = following, judge(following)
+        point, y = following, family.of_error(following)
+        y = np.minimum(y, point.image(y))
         before = float(found.near_y.max(initial=0.0))
         if not float(y.max(initial=0.0)) < 0.5 * before:
             # A step of the active-set method may lead astray before it leads home.

@@ -9,10 +9,8 @@ and the mirror image holds where e_i < 0. Together |e| ≤ Φ(|e|) with an isoto
 
 1. |e| ≤ y gives |e| ≤ Φ(y), whatever B is.
 2. If ⟨M⟩v > 0 for some v > 0, every y ≥ 0 with Φ(y) ≤ y bounds |e|: Φ(y + σv) < y + σv for σ > 0, so the smallest σ
-   with |e| ≤ y + σv cannot be positive. And y + t v is such a y for any y ≥ 0 once t is large enough, which is read
-   off row by row.
-
-The second with y = 0 is the v-certificate; with y from a linear system it is the two-stage bound.
+   with |e| ≤ y + σv cannot be positive. And t v is such a y once t is large enough, which is read off row by row: the
+   v-certificate.
 
 A point ẑ so near the solution that its own bound is small makes |z − ẑ| + bound(ẑ) sharp. A bound by ⟨M⟩⁻¹|r| forgets
 all signs, and where ρ(D⁻¹|B|) is near 1 it exceeds |M⁻¹r| a thousand times. One step of the active-set method keeps
@@ -36,13 +34,6 @@ from ...systems.comparison_sums import comparison_product
 from ...systems.free_systems import KRYLOV_GOAL, FreeSystem
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..verdicts import Weights
-
-
-class Branches(NamedTuple):
-    """The pieces of Φ that are active at some y: on `linear` rows (gap + |B|y)/d, elsewhere the constant `gap`."""
-
-    linear: BoolVector
-    gap: FloatVector
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,16 +79,12 @@ class RowInequality:
             slack=slack, negative_slack=negative,
         )
 
-    def inflation(self, weights: Weights, y: FloatVector | None = None) -> FloatVector:
-        """Return t ≥ 0, a number a component, with Φ(y + t v) ≤ y + t v; y = 0 by default.
+    def inflation(self, weights: Weights) -> FloatVector:
+        """Return t ≥ 0, a number a component, with Φ(t v) ≤ t v.
 
         Returned is that of each row's part, shape (own,), or (1,) for all of one part.
         """
-        minus_product = None if y is None else _minus_comparison(self.problem, y)
-
         def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
-            if y is not None:
-                outside, direct, w = sum_above(outside, -y), sum_above(direct, -y), sum_above(w, minus_product)
             within = np.minimum(quotient_above(direct, weights.low), quotient_above(w, weights.margin))
             largest: FloatVector = np.maximum(quotient_above(outside, weights.low), within)
             return largest
@@ -109,18 +96,17 @@ class RowInequality:
 
     def image(self, y: FloatVector) -> FloatVector:
         """Return Φ(y), shape (n,)."""
-        *_, positive, negative = self._sides(y)
-        image = np.maximum(positive, negative)
-        return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
+        minus_product = _minus_comparison(self.problem, y)
 
-    def branches(self, y: FloatVector) -> Branches:
-        """Return which piece of Φ is active in each row at y."""
-        above, below, positive, negative = self._sides(y)
-        is_positive = positive >= negative
-        value = np.maximum(positive, negative)
-        linear = np.where(is_positive, positive == above, negative == below) & (value > 0.0)
-        slack = np.where(is_positive, self.slack, self.negative_slack)
-        return Branches(linear, np.where(linear, slack, np.maximum(value, 0.0)))
+        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
+            """Return Φ(y) for one sign of e; (w + |B|y)/d as y + (w − ⟨M⟩y)/d."""
+            solved = sum_above(y, quotient_above(sum_above(w, minus_product), self.problem.diagonal))
+            return np.asarray(np.maximum(outside, np.minimum(direct, solved)))
+
+        image = np.maximum(
+            side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)
+        )
+        return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
 
     def classified(self, y: FloatVector) -> tuple[BoolVector, BoolVector]:
         """Return (active, inactive) as far as |e| ≤ y proves it: z*_i equals a bound; it lies strictly between them.
@@ -148,16 +134,6 @@ class RowInequality:
     def distance(self, z: FloatVector) -> FloatVector:
         """Return an upper bound of |z − (high + low)|, shape (n,)."""
         return distance_above(self.high, self.low, z)
-
-    def _sides(self, y: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector]:
-        """Return (±w + |B|y)/d as y + (±w − ⟨M⟩y)/d, and Φ(y) for e_i > 0 and for e_i < 0."""
-        minus_product = _minus_comparison(self.problem, y)
-        above, below = (
-            sum_above(y, quotient_above(sum_above(w, minus_product), self.problem.diagonal))
-            for w in (self.slack, self.negative_slack)
-        )
-        positive = np.maximum(self.over, np.minimum(self.above, above))
-        return above, below, positive, np.maximum(self.under, np.minimum(self.below, below))
 
 
 def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> FloatVector:

@@ -68,10 +68,9 @@ class HPlusBounds:
         share = quotient_above(size, self.weights.margin)
         return product_above(np.float64(self.matrix.largest_of(share)), self.weights.high)
 
-    def of_error(self, at: RowInequality, y: FloatVector | None = None) -> FloatVector:
-        """Return a bound of |z − z*|, shape (own,); the least y + t v that is one."""
-        inflated = product_above(at.inflation(self.weights, y), self.weights.high)
-        return inflated if y is None else sum_above(y, inflated)
+    def of_error(self, at: RowInequality) -> FloatVector:
+        """Return a bound of |z − z*|, shape (own,); the least t v that is one."""
+        return product_above(at.inflation(self.weights), self.weights.high)
 
 
 @dataclass(frozen=True, eq=False)

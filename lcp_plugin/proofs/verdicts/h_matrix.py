@@ -23,7 +23,7 @@ from ...core.checks import FloatVector, read_only
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.symmetry import has_symmetric_entries
 from ...core.rounding import lower_end, upper_end
-from ...systems.comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of, shared_comparison
+from ...systems.comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of
 from ...systems.comparison_sums import comparison_product, exact_comparison_row
 from ...systems.graph import block_rows, strong_blocks
 from ..exact.linear_systems import EXACT_SIZE, exact_comparison, exact_weights, has_positive_pivots
@@ -108,7 +108,7 @@ def h_verdict(matrix: Matrix) -> HVerdict:
     if matrix.is_distributed:
         found = _on_ranks(matrix)
         return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), found)
-    return decide(matrix.csr, lambda: shared_comparison(matrix))
+    return decide(matrix.csr, lambda: ComparisonMatrix(matrix.csr))
 
 
 @fact

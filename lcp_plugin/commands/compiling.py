@@ -20,7 +20,6 @@ from ..core.errors import LCPError
 from ..core.kernels.compilation import cache_folder
 from ..core.lcp import LCP
 from ..core.settings import checked_threads
-from ..core.tuning import SINGLE_FROM
 from ..problems.batches.batch import solve_batch
 from ..problems.cones.data import FrictionalContact
 from ..problems.cones.methods import METHODS
@@ -31,7 +30,6 @@ from ..proofs.bounds.error_bounds import error_bound
 
 # Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
 PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "cones", "others")
-LARGE_GRID = round(SINGLE_FROM**0.5)
 MOST_PROCESSES = 4  # each takes 0.3 GB
 
 
@@ -81,8 +79,6 @@ def compile_part(part: str) -> None:
     else:
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)
-    if part == "multigrid":
-        solve(gallery.build("obstacle_2d", size=LARGE_GRID).problem, part)  # in single precision, too
     if part == "others":
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
         opposed = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])  # no solution: all cases are looked at

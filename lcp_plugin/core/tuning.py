@@ -42,5 +42,4 @@ SEMIDEFINITENESS_UP_TO = 20_000  # rows of a symmetric part that is factorised f
 # Inside methods.
 SWEEPS_FIRST_UP_TO = 600  # rows of a dense M up to which a sweep costs less than one change of an active set
 SHARED_FROM = 65_536  # rows of one pass, for each thread: .1 to .2 ms of work, several times what a hand-over takes
-SINGLE_FROM = 65_536  # rows of M from which on multigrid's coarser grids are in single precision: fewer gain nothing
 SHARP_SAMPLES_UP_TO = 100_000  # unknowns with which a sharp error bound takes half a second

@@ -22,8 +22,6 @@ from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.no_solution.infeasibility import find_infeasibility
 from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 from lcp_plugin.systems.factors import factorise, positive_factor, sizes_of_factor, solver_of
-from lcp_plugin.systems.hierarchy.levels import build_hierarchy
-from lcp_plugin.systems.hierarchy.truncation import Truncation
 
 from .small import friction
 from .timing import medians
@@ -302,21 +300,6 @@ def _hand_over(repeats: int) -> str:
     return f"a hand-over takes {over:.0f} µs, a product with a five-point M of {problem.n} rows {product:.0f} µs"
 
 
-def _single(repeats: int) -> str:
-    """Return what V-cycles in single precision take of those in double, where those begin."""
-    found = []
-    for dimensions in (2, 3):
-        problem = build(f"obstacle_{dimensions}d", size=round(tuning.SINGLE_FROM ** (1.0 / dimensions))).problem
-        cycles = {}
-        for name, single in (("double", False), ("single", True)):
-            truncation = Truncation(build_hierarchy(problem.csr, single=single))
-            truncation.grids[0].b[:] = problem.q
-            cycles[name] = partial(truncation.correct, 0)
-        seconds = medians(cycles, 10 * repeats)
-        found.append(f"{seconds['single'] / seconds['double']:.2f} of one in double in {dimensions} dimensions")
-    return "a V-cycle takes " + ", ".join(found)
-
-
 MEASURED: dict[str, Callable[[int], str]] = {
     "DIRECT_PASSES": _direct_dense, "DIRECT_ROWS": _direct_in_rows,
     "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small, "SWEEP_ENTRIES": _calls_of_a_sweep,
@@ -333,5 +316,4 @@ MEASURED: dict[str, Callable[[int], str]] = {
     "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, tuning.FULL_CHOLESKY_UP_TO, tuning.FULL_CHOLESKY_FROM),
     "FULL_CHOLESKY_FROM": partial(_cholesky, 500, tuning.FULL_CHOLESKY_FROM),
     "SHARP_SAMPLES_UP_TO": _sharp_bound, "SHARED_FROM": _hand_over,
-    "SINGLE_FROM": _single,
 }

@@ -433,47 +433,6 @@ def test_blocks_of_one_kind_do_not_meet() -> None:
         assert levels.build_hierarchy(matrix, scales_rows=scales_rows).grids[0].blocks.edges.size == 2
 
 
-@pytest.mark.parametrize("text", ["obstacle_2d:size=60", "coefficient_jumps:size=64,contrast=1e6"])
-def test_cycles_in_single_precision_are_those_in_double_to_its_rounding(text: str) -> None:
-    """A V-cycle on some free unknowns, and its transpose, whatever unit the right-hand side has."""
-    M = gallery.parse(text).problem.csr
-    generator = np.random.default_rng(1)
-    b, free = generator.normal(size=M.shape[0]), generator.random(M.shape[0]) < 0.8
-    answers = []
-    for single in (False, True):
-        hierarchy = build_hierarchy(M, single=single)
-        assert hierarchy.is_single == single
-        truncation = Truncation(hierarchy)
-        top = truncation.grids[0]
-        top.is_free[:] = free
-        top.free_changed[:] = ~free
-        truncation.update()
-        for unit in (1.0, 2.0**-180):
-            for correct in (truncation.correct, truncation.correct_transposed):
-                truncation.unit = unit
-                np.multiply(b, unit, out=top.b)
-                correct(0)
-                answers.append(top.x / unit)
-    for double, single in zip(answers[:4], answers[4:], strict=True):
-        np.testing.assert_allclose(single, double, rtol=0, atol=1e-4 * np.abs(double).max())
-
-
-@pytest.mark.parametrize("text", ["obstacle_2d:size=20", "convection_diffusion:size=20"])
-def test_single_precision_does_not_see_the_unit_of_m(text: str) -> None:
-    """The coarser grids of 2^±900 M are those of M bit for bit; pivots too far from one another ask for double."""
-    M = gallery.parse(text).problem.csr
-    usual, *others = (
-        build_hierarchy(M * scale, coarsest=5, single=True, scales_rows=text.startswith("conv"))
-        for scale in (1.0, 2.0**900, 2.0**-900)
-    )
-    assert usual.is_single
-    for other in others:
-        for ours, plain in zip(other.grids[1:], usual.grids[1:], strict=True):
-            np.testing.assert_array_equal(ours.matrix.data, plain.matrix.data)
-    far = sp.diags_array(np.where(np.arange(400) % 2, 1e15, 1e-15)) @ M
-    assert not build_hierarchy(sp.csr_array(far), coarsest=5, single=True, scales_rows=True).is_single
-
-
 WITH_RUNS = [
     "obstacle_2d:size=40", "obstacle_3d:size=34", "journal_bearing:size=40,eccentricity=0.9",
     "rotated_anisotropy:size=40", "convection_diffusion:size=40,diffusion=0.01",

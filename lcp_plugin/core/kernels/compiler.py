@@ -67,7 +67,7 @@ def _nothing() -> None:
 
 with compiling():  # which takes most of a second
     loaded_whole("numba")
-    from numba import config, float32, float64, njit, types, uintp, vectorize
+    from numba import config, float64, njit, types, uintp, vectorize
     from numba.core import event
     from numba.extending import lower_builtin, overload, type_callable
 
@@ -77,6 +77,6 @@ with compiling():  # which takes most of a second
     to_its_end(partial(njit("void()"), _nothing))
 
 __all__ = [
-    "config", "event", "float32", "float64", "lower_builtin", "njit", "overload", "type_callable", "types", "uintp",
+    "config", "event", "float64", "lower_builtin", "njit", "overload", "type_callable", "types", "uintp",
     "vectorize",
 ]

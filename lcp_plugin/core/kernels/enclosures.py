@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from .compilation import helper, inlined, kernel
-from .compiler import float32, float64, lower_builtin, type_callable, types, uintp
+from .compiler import float64, lower_builtin, type_callable, types, uintp
 from .floats import EPSILON, TINY, UNIT
 from .rows import clamp
 
@@ -34,10 +34,9 @@ def fused(a: Any, b: Any, c: Any) -> Any:
 
 @type_callable(fused)
 def _fused_type(context):  # type: ignore[no-untyped-def]
-    return lambda a, b, c: float32 if a == b == c == float32 else float64
+    return lambda a, b, c: float64
 
 
-@lower_builtin(fused, float32, float32, float32)  # type: ignore[no-untyped-call]
 @lower_builtin(fused, float64, float64, float64)  # type: ignore[no-untyped-call]
 def _fused_code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
     """One instruction, or a function of the C library."""

@@ -57,10 +57,6 @@ class Multigrid(Algorithm):
     rounds gain nothing but rounding; without symmetry, where they gain little; and the driver ends a run whose best
     residual stands still, as it does those of sweeps. Where coarser grids would cost too much there are sweeps only.
 
-    Coarser grids, and the ways to them, are kept in single precision, residuals, projections and the answer in double.
-    They are in double on ranks, where diagonal entries lie too far apart, where M is so near to a singular matrix that
-    single precision would not tell them apart (long thin domains, stiff layers), and from where a run stalls on.
-
     Passes over more than 10⁵ rows are shared by the threads of the solve. Where M is symmetric, sweeps take its rows in
     blocks, first all even ones: an order that follows from M alone, so that the number of threads changes no bit.
 

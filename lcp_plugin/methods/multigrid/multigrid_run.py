@@ -131,17 +131,12 @@ class MultigridRun:
         self._interpolated(0, answer, z)
         del self.problems[1:]
 
-    @np.errstate(over="ignore", under="ignore")  # of bounds in single precision, or far from the unit
     def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
-        unit = self.nested_unit = power_of_two(self.grid.largest_of(span(q * self.problems[0].grid.inverse)))
         for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
-            dtype = coarser.inverse.dtype
-            finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n, dtype)
-            vectors.restrict(transfer, finer, unit, q)
+            finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n)
+            vectors.restrict(transfer, finer, q)
             self.work += transfer.restriction.data.size
-            coarse = np.flatnonzero(transfer.is_coarse)
-            lower, upper = ((bound[coarse] / unit).astype(dtype) for bound in (lower, upper))
-            unit = 1.0
+            lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
             self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
 
     def _whole(self, k: int, own: FloatVector) -> FloatVector:
@@ -160,8 +155,7 @@ class MultigridRun:
         fine, transfer = self.problems[k], self.hierarchy.transfers[k]
         everywhere = np.ones(z.size, np.bool_)
         self.hierarchy.grids[k + 1].fetch(coarse)
-        unit = self.nested_unit if k == 0 else 1.0
-        vectors.prolong(transfer, coarse, unit, everywhere, fine.lower, fine.upper, z)
+        vectors.prolong(transfer, coarse, everywhere, fine.lower, fine.upper, z)
         self.work += transfer.prolongation.data.size
         return z
 
@@ -208,7 +202,6 @@ class MultigridRun:
             elif advance.is_slow and changed <= max(SETTLED * self.size, 1):
                 yield from self._krylov(z, is_settled=not changed)
             else:
-                self.truncation.unit = power_of_two(largest)
                 self._correct(0, z)
             fine.sweep(z, backward=True)
             self.work += self.entries
@@ -216,11 +209,8 @@ class MultigridRun:
     def _tries_again(self, z: FloatVector, guard: Safeguard) -> Generator[Step, None, bool]:
         """Go on from the accepted iterate by other means than those that have failed; return False where none is left.
 
-        They are grids in double precision, free sets found by Krylov steps in rounds, and sweeps.
+        They are free sets found by Krylov steps in rounds, and sweeps.
         """
-        if self._goes_on_in_double(z):
-            guard.forget()
-            return True
         guard.restore(z)
         if not self.has_tried_rounds:
             self.has_tried_rounds, self.rounds = True, MOST_ROUNDS
@@ -230,23 +220,6 @@ class MultigridRun:
         self.gain = max(TIGHTER * self.gain, LEAST_GAIN)
         yield from self._fall_back(z)
         return guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over)
-
-    def _goes_on_in_double(self, z: FloatVector) -> bool:
-        """Take coarser grids in double precision, and what they answer as z; False where they are so already.
-
-        What single precision made of z is no start: the errors that it cannot see are in it.
-        """
-        if not self.hierarchy.is_single:
-            return False
-        matrix, coarsest = self.problem.matrix, self.algorithm.coarsest
-        is_built = hierarchy_of.is_known(matrix, coarsest, False)
-        self.hierarchy = hierarchy_of(matrix, coarsest, False)
-        self.work += self.truncation.take_work() + (0.0 if is_built else self.hierarchy.work)
-        self.truncation = Truncation(self.hierarchy)
-        if self.algorithm.nested:
-            self._nested_start(z, is_cold=True)
-            self.truncation.start_at(0)
-        return True
 
     def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
@@ -272,7 +245,6 @@ class MultigridRun:
             np.clip(part + top.x[: fine.q.size], fine.lower, fine.upper, out=part)
             return
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
-        unit = self.truncation.unit
         self.truncation.restrict(k, fine.residual)
         self.truncation.correct(k + 1)
         below.grid.fetch(below.x)
@@ -280,7 +252,7 @@ class MultigridRun:
         if k == 0 and self.is_symmetric:
             before = self.truncation.vector()
             np.copyto(before, z[: before.size])
-        cut = vectors.prolong(transfer, below.x, unit, top.is_interpolated, fine.lower, fine.upper, z)
+        cut = vectors.prolong(transfer, below.x, top.is_interpolated, fine.lower, fine.upper, z)
         self.work += 2.0 * transfer.prolongation.data.size
         if before is None:
             return

@@ -110,10 +110,6 @@ class Safeguard:
         np.copyto(z, self.z)
         self.idle = 0
 
-    def forget(self) -> None:
-        """Accept the next iterate, whatever was before."""
-        self.least, self.idle = np.inf, 0
-
     def lets_sweeps_pass(self, z: FloatVector, residual: float, *, hands_over: bool) -> bool:
         """Accept what sweeps have made of the accepted iterate; return False where another method should take over.
 
@@ -175,7 +171,7 @@ class GridProblem:
         # All read-only, so that every kernel is compiled once.
         self.vectors = tuple(read_only(np.ascontiguousarray(vector)) for vector in (grid.inverse, q, lower, upper))
         _, self.q, self.lower, self.upper = self.vectors
-        self.residual = np.zeros(grid.width, grid.inverse.dtype)
+        self.residual = np.zeros(grid.width)
         self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
         self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
         if self.is_projected_type:

@@ -26,7 +26,7 @@ from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run
 
 Indices = NDArray[Any]
 
-SMALLEST_PIVOT, SMALLEST_SINGLE_PIVOT = 1e-300, 1e-35  # their inverses are finite
+SMALLEST_PIVOT = 1e-300  # its inverse is finite
 STEPS_SEEN = 1000  # rows either side of the middle
 
 
@@ -332,7 +332,7 @@ def update_product(*operands: Any) -> tuple[float, int]:
 
 @kernel
 def _update_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, data, is_interpolated, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data, factor,
+    indptr, indices, data, is_interpolated, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
     c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
     fine_place, fine, fine_sums, sums, first, end,
 ):  # `c_is_free` and `c_free_changed` have space for foreign unknowns, which are left as they are
@@ -340,7 +340,7 @@ def _update_rows(  # type: ignore[no-untyped-def]
 
     A coarse unknown all of whose fine ones are fixed or held, or whose pivot is not positive, is fixed itself.
     """
-    one, smallest = uintp(1), SMALLEST_PIVOT if c_inverse.itemsize == 8 else SMALLEST_SINGLE_PIVOT
+    one = uintp(1)
     products = 0.0
     changed_rows = 0
     for row in range(uintp(first), uintp(end)):
@@ -383,10 +383,10 @@ def _update_rows(  # type: ignore[no-untyped-def]
             for c in range(uintp(p_indptr[k]), uintp(p_indptr[k + one])):
                 sums[uintp(p_indices[c])] += value * p_data[c]
         for c in range(uintp(c_indptr[row]), uintp(c_indptr[row + one])):
-            c_data[c] = factor * sums[uintp(c_indices[c])]
+            c_data[c] = sums[uintp(c_indices[c])]
         products += added
         pivot = c_data[uintp(c_diagonal[row])]
-        free = pivot > smallest
+        free = pivot > SMALLEST_PIVOT
         weight = c_weight[row] if c_weight.size > 0 else 0.0
         c_inverse[row] = 1.0 / (pivot + weight) if free else 0.0
         c_free_changed[row] = free != c_is_free[row]

@@ -12,14 +12,14 @@ unknown that the sweep has to have done before; only the neighbour just before w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import Arrays, BoolVector, FloatVector, read_only
+from ...core.checks import Arrays, BoolVector, FloatVector
 from ...core.communicator import ALONE, Communicator, SharedRows
 from ...core.kernels.compilation import inlined, kernel
 from ...core.kernels.compiler import uintp
@@ -28,17 +28,8 @@ from ...core.tuning import SHARED_FROM
 
 EqualRows = NDArray[np.int64]
 
-LARGEST_SINGLE = 1e25  # times the least: of 3e38, as sums and products of some such numbers are numbers still
-
 NO_WEIGHT = np.zeros(0)
 NO_WEIGHT.flags.writeable = False
-
-
-def rounded(values: FloatVector) -> Any:
-    """Return the values in single precision."""
-    single = np.empty(values.size, np.float32)
-    share(lambda first, end: np.copyto(single[first:end], values[first:end], "same_kind"), values.size, SHARED_FROM)
-    return single
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,29 +52,19 @@ class Operator:
         """The three arrays, in the order the kernels take them."""
         return self.indptr, self.indices, self.data
 
-    def single(self) -> Operator:
-        """Return it with its values in single precision."""
-        return Operator(self.indptr, self.indices, rounded(self.data))
-
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
     """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both.
 
-    P has a row for each foreign unknown as well, which the Galerkin product needs. What is stored of the restriction
-    times `factor`, a power of two, is what restricts: so single precision sees numbers near 1, whatever unit M has.
-    `scaling` is that of the fine unknowns, empty where all are alike.
+    P has a row for each foreign unknown as well, which the Galerkin product needs. `scaling` is that of the fine
+    unknowns, empty where all are alike.
     """
 
     prolongation: Operator
     restriction: Operator
     is_coarse: NDArray[np.bool_]
-    factor: float = 1.0
     scaling: FloatVector = field(default_factory=lambda: NO_WEIGHT)
-
-    def single(self) -> Transfer:
-        """Return it with its values in single precision."""
-        return replace(self, prolongation=self.prolongation.single(), restriction=self.restriction.single())
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,15 +97,6 @@ class Grid(SharedRows):
         """How many times the least pivot the largest one is, ∞ where not all are positive."""
         largest, least = float(self.inverse.max(initial=0.0)), float(self.inverse.min(initial=np.inf))
         return largest / least if 0.0 < least < np.inf else np.inf
-
-    @property
-    def fits_single(self) -> bool:
-        """Whether the pivots are so near to one another that single precision holds all, and there are no others."""
-        return self.spread < LARGEST_SINGLE
-
-    def single(self) -> Grid:
-        """Return it with its values in single precision."""
-        return replace(self, matrix=self.matrix.single(), inverse=read_only(self.inverse.astype(np.float32)))
 
     @property
     def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, EqualRows]:
@@ -174,11 +146,6 @@ class Hierarchy:
     work: float
     is_helpful: bool
     extends: bool = False
-
-    @property
-    def is_single(self) -> bool:
-        """Whether any of it is in single precision."""
-        return any(grid.inverse.dtype == np.float32 for grid in self.grids)
 
 
 MOST_BLOCKS = 16

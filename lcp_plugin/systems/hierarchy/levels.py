@@ -1,19 +1,11 @@
 """The grids of one matrix, from the finest to the coarsest; immutable, so that all runs on the matrix share them.
 
-Memory, five-point matrix, at 12 bytes an entry, 8 in single precision: 1.4 times the entries of M in all coarser
-matrices together, 0.8 times in P and as many in its transpose; a run adds the value of each coarse entry while some
-unknowns are fixed.
-
-The coarser grids are kept in single precision where that can carry them. Rounded to single precision a matrix differs
-from what it was by some 6e-8 D, D its diagonal. To errors that M hardly sees that is a force of its own: where ‖M⁻¹D‖
-is not well below 2²⁴, on long thin domains, in stiff layers between soft ones, without anything that holds the
-unknowns, a cycle no longer knows what to do about them. Unknowns that are fixed only make it less. M⁻¹D e, e = (1, …,
-1), is what M x = D e answers; the coarsest grid answers it well enough.
+Memory, five-point matrix, at 12 bytes an entry: 1.4 times the entries of M in all coarser matrices together, 0.8 times
+in P and as many in its transpose; a run adds the value of each coarse entry while some unknowns are fixed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -27,11 +19,7 @@ from ...core.kernels.threads import share
 from ...core.matrix.joint_facts import pivot_weight
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.symmetry import has_symmetric_entries, is_mirrored
-from ...core.tuning import SINGLE_FROM
-from ..equilibration import power_of_two
-from ..factors import dense_lu
 from . import coarsening, galerkin
-from . import vectors as ways
 from .grids import (
     NO_WEIGHT,
     SMALLEST_PIECE,
@@ -45,7 +33,7 @@ from .grids import (
     runs_of_equal_rows,
     unlike_rows,
 )
-from .vectors import scaling_of_unknowns, span
+from .vectors import scaling_of_unknowns
 
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
@@ -81,7 +69,7 @@ class Interpolation(NamedTuple):
 
 def build_hierarchy(
     matrix: Any, coarsest: int = COARSEST, strength: float | None = None, *, scales_rows: bool = False,
-    shared: SharedRows | None = None, single: bool = False,
+    shared: SharedRows | None = None,
 ) -> Hierarchy:
     """Return the classical hierarchy of a matrix with a positive diagonal.
 
@@ -102,8 +90,6 @@ def build_hierarchy(
         but coarse matrices of a symmetric M are not symmetric.
     shared : SharedRows, optional
         What these rows are a part of, where other processes have some; all of them call.
-    single : bool
-        Whether to keep the ways to coarser grids and those themselves in single precision, if that can carry them.
 
     Examples
     --------
@@ -131,7 +117,6 @@ def build_hierarchy(
     if communicator.is_empty and positive <= MOST_POSITIVE * total:
         scaling, further = scaling_of_unknowns(matrix, lacking)
         work += further
-    single = single and scaling is None and grid.fits_single
     alone, grids, transfers = (grid,), [grid], list[Transfer]()
     growth = LARGEST_GROWTH if communicator.is_empty else LARGEST_GROWTH_OF_PARTS
     stored, products, size = 0.0, 0.0, communicator.total(grid.n)
@@ -149,7 +134,7 @@ def build_hierarchy(
         is_dear = communicator.total(products) > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries
         if is_too_large or is_dear:
             return Hierarchy(alone, (), work, is_helpful=False)
-        coarser = _coarser(finer, interpolation, scales_rows, scaling, normalises=single and finer is alone[0])
+        coarser = _coarser(finer, interpolation, scales_rows, scaling)
         if coarser is None:
             break
         transfer, grid = coarser
@@ -163,21 +148,14 @@ def build_hierarchy(
             work += grid.own_entries
         grids.append(grid)
         transfers.append(transfer)
-    if single and carries_single(grids, transfers):
-        for k, transfer in enumerate(transfers):  # one after the other: there is no memory for all of them twice
-            transfers[k], grids[k + 1] = transfer.single(), grids[k + 1].single()
     return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True, extends=bool(extends))
 
 
 @fact
-def hierarchy_of(matrix: Matrix, coarsest: int, single: bool = True) -> Hierarchy:
-    """Return the hierarchy of M, which its solves share: in single precision below a large M, if that can carry it.
-
-    Ranks exchange doubles.
-    """
+def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
+    """Return the hierarchy of M, which its solves share."""
     scales_rows = not has_symmetric_entries(matrix)
-    single = single and not matrix.is_distributed and matrix.n >= SINGLE_FROM
-    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, shared=matrix, single=single)
+    return build_hierarchy(matrix.csr_rows, coarsest, scales_rows=scales_rows, shared=matrix)
 
 
 def grid_of(
@@ -289,12 +267,9 @@ def _kinds_of_all(grid: Grid, is_coarse: NDArray[np.bool_]) -> NDArray[np.uint8]
 
 
 def _coarser(
-    grid: Grid, interpolation: Interpolation, scales_rows: bool, scaling: FloatVector | None, *, normalises: bool
+    grid: Grid, interpolation: Interpolation, scales_rows: bool, scaling: FloatVector | None
 ) -> tuple[Transfer, Grid] | None:
-    """Return the way to the coarser grid and that grid, whose largest entries are near 1 where it `normalises`.
-
-    None where its numbers would not be finite.
-    """
+    """Return the way to the coarser grid and that grid; None where its numbers would not be finite."""
     communicator = grid.communicator
     p_indptr, columns, p_data, is_coarse, count, below, *_ = interpolation
     others = below.outside(columns)
@@ -322,15 +297,7 @@ def _coarser(
         rows, below = below.overlapped(rows, others, further)
         # Rows of P far away need no right number.
         prolongation = Operator(p_indptr, below.local(columns, below.ghosts), p_data)
-    factor = 1.0
-    if normalises and scales_rows:
-        factor = power_of_two(span(restriction[2]))
-        restriction[2][:] /= factor
-    elif normalises:
-        factor = 1.0 / power_of_two(1.0 / float(grid.inverse.min()))
-        rows[2][:] *= factor
-    by = NO_WEIGHT if scaling is None else read_only(scaling)
-    transfer = Transfer(prolongation, restricting, is_coarse, factor, by)
+    transfer = Transfer(prolongation, restricting, is_coarse, NO_WEIGHT if scaling is None else read_only(scaling))
     return transfer, _weighted_grid(Operator(*rows), below, count, scales_rows)
 
 
@@ -345,25 +312,3 @@ def _restriction(grid: Grid, count: int, prolongation: Arrays) -> Arrays:
         p_indptr = counts[p_indptr[: rows + 1]].astype(p_indptr.dtype)
         p_indices, p_data = p_indices[:end][is_own], p_data[:end][is_own]
     return galerkin.transposed(count, *Operator(p_indptr, p_indices, p_data).arrays)
-
-
-ROUNDING = 2.0**-24
-LARGEST_FORCE = 0.25  # of what M does; 0.0737 · 4 n · 2⁻²⁴ on a square: 0.18 for n = 10⁷
-LARGEST_COARSEST = 500  # unknowns, of whose dense matrix a factor takes some milliseconds
-
-
-@np.errstate(all="ignore")
-def carries_single(grids: Sequence[Grid], transfers: Sequence[Transfer]) -> bool:
-    """Return whether it can; False where the coarsest grid is too large to ask."""
-    coarsest = grids[-1]
-    if len(grids) == 1 or coarsest.n > LARGEST_COARSEST or not all(grid.fits_single for grid in grids[1:]):
-        return False
-    load = 1.0 / grids[0].inverse
-    for transfer, below in zip(transfers, grids[1:], strict=True):
-        finer, load = load, np.empty(below.n)
-        ways.restrict(transfer, finer, 1.0, load)
-    factor = dense_lu(coarsest.dense(coarsest.matrix.data))
-    if factor is None:
-        return False
-    largest = float(np.abs(factor.solve(load)).max())
-    return largest * ROUNDING <= LARGEST_FORCE

@@ -22,11 +22,9 @@ from ...core.tuning import SHARED_FROM
 from .grids import LONGEST_REACH, EqualRows, RowBlocks, run_at
 
 Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, EqualRows]  # in CSR, and where diagonals stand
-NO_BOUNDS = {dtype: (read_only(np.zeros(0, dtype)),) * 2 for dtype in (np.dtype(np.float64), np.dtype(np.float32))}
+NO_BOUNDS = (read_only(np.zeros(0)),) * 2
 NO_FLAGS = (np.zeros(0, np.bool_),) * 2
-NO_BITS: dict[Any, NDArray[Any]] = {
-    np.dtype(np.float64): np.zeros(0, np.int64), np.dtype(np.float32): np.zeros(0, np.int32),
-}
+NO_BITS = np.zeros(0, np.int64)
 
 
 def first_sweep(rows: Matrix, blocks: RowBlocks, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
@@ -36,7 +34,7 @@ def first_sweep(rows: Matrix, blocks: RowBlocks, inverse: FloatVector, b: FloatV
     """
     for edge in blocks.edges[2::2].tolist():
         x[edge - blocks.reach : edge] = 0.0
-    vectors = read_only(inverse), read_only(b), *NO_BOUNDS[x.dtype]
+    vectors = read_only(inverse), read_only(b), *NO_BOUNDS
     _swept(rows, rows[1], blocks, vectors, -1.0, 1.0, True, False, x)
 
 
@@ -67,17 +65,16 @@ def _product_of(
     x: FloatVector, product: FloatVector,
 ) -> Callable[[int, int], Any]:
     indptr, _, *rest = rows
-    unused = False, False, *NO_BOUNDS[x.dtype], *NO_FLAGS
+    unused = False, False, *NO_BOUNDS, *NO_FLAGS
     operands = indptr, begins, further, *rest, read_only(inverse), sign, read_only(b), adds, x, product, *unused
-    bits = NO_BITS[x.dtype]
-    return lambda first, end: _products(*operands, np.empty(LONGEST_REACH, x.dtype), bits, first, end)
+    return lambda first, end: _products(*operands, np.empty(LONGEST_REACH), NO_BITS, first, end)
 
 
 def sweep(
     rows: Matrix, blocks: RowBlocks, inverse: FloatVector, backward: bool, b: FloatVector, x: FloatVector
 ) -> None:
     """Overwrite x by one Gauss–Seidel sweep for M x = b."""
-    vectors = read_only(inverse), read_only(b), *NO_BOUNDS[x.dtype]
+    vectors = read_only(inverse), read_only(b), *NO_BOUNDS
     _swept(rows, rows[0][1:], blocks, vectors, -1.0, 1.0, False, backward, x)
 
 
@@ -108,8 +105,8 @@ def free_rows(
     )
 
     def piece(first: int, end: int) -> tuple[float, int]:
-        workspace = np.empty(2 * LONGEST_REACH, z.dtype)
-        found: tuple[float, int] = _products(*operands, workspace, workspace.view(NO_BITS[z.dtype].dtype), first, end)
+        workspace = np.empty(2 * LONGEST_REACH)
+        found: tuple[float, int] = _products(*operands, workspace, workspace.view(np.int64), first, end)
         return found
 
     # With `snaps` the next rows meet what is put at a bound.
@@ -141,7 +138,7 @@ def _swept_piece(
     first: int, last: int,
 ) -> None:
     """Sweep some blocks of a colour; so many rows at the end of each need all their entries in the first sweep."""
-    sums, block_ends = np.empty(LONGEST_REACH, x.dtype), edges[1:]
+    sums, block_ends = np.empty(LONGEST_REACH), edges[1:]
     if reach == 0:
         _sweep(indptr, ends, *operands, sums, colour, edges, block_ends, first, last)
         return
@@ -202,8 +199,7 @@ def _sweep(  # type: ignore[no-untyped-def]
     entries of row i end before ends[i]. The first sweep takes x for 0. `sums` is work space, shape (LONGEST_REACH,).
     """
     # Two flags: with one, and both bounds at once, the loop below takes half as long again.
-    has_lower, has_upper, zero = lower.size > 0, upper.size > 0, x.dtype.type(0.0)
-    sign, relaxation = x.dtype.type(sign), x.dtype.type(relaxation)
+    has_lower, has_upper = lower.size > 0, upper.size > 0
     for counted in range(last_block - first_block):
         block = 2 * (last_block - 1 - counted if backward else first_block + counted) + colour
         begin, end = begins[block], block_ends[block]
@@ -216,7 +212,7 @@ def _sweep(  # type: ignore[no-untyped-def]
             if reach == 0:
                 for step in range(last - first):
                     i = uintp(last - 1 - step if backward else first + step)
-                    value, pivot = zero if is_first else x[i], relaxation * inverse[i]
+                    value, pivot = 0.0 if is_first else x[i], relaxation * inverse[i]
                     if pivot != 0.0:
                         value -= pivot * _excess(sign * b[i], indptr[i], split[i], ends[i], backward, indices, data, x)
                     if has_lower:
@@ -227,7 +223,7 @@ def _sweep(  # type: ignore[no-untyped-def]
                 continue
             from_entry, to_entry = uintp(indptr[first]), uintp(ends[first])
             near = _place(from_entry, to_entry, first + 1 if backward else first - 1, indices)
-            weight = relaxation * data[near] if near < to_entry else zero
+            weight = relaxation * data[near] if near < to_entry else 0.0
             for done in range(0, last - first, reach):
                 size = min(reach, last - first - done)
                 i = last - done - size if backward else first + done
@@ -236,9 +232,9 @@ def _sweep(  # type: ignore[no-untyped-def]
                     sums[p] = sign * b[start + p]
                 _add_products(from_entry, to_entry, near, i - first, indices, data, x, size, sums)
                 for p in range(uintp(size)):
-                    before = zero if is_first else x[start + p]
+                    before = 0.0 if is_first else x[start + p]
                     sums[p] = before - sums[p] * (relaxation * inverse[start + p])
-                before = (x[i + size] if backward else x[i - 1]) if near < to_entry else zero
+                before = (x[i + size] if backward else x[i - 1]) if near < to_entry else 0.0
                 for step in range(size):  # the only loop in which a row waits for the one before
                     place = uintp(size - 1 - step if backward else step)
                     p = start + place
@@ -292,7 +288,7 @@ def _products(  # type: ignore[no-untyped-def]
     (2 LONGEST_REACH,), and `bits` the same memory as integers: of numbers ≥ 0 they have the same order, and NaN is the
     largest.
     """
-    one, further, zero, sign = uintp(1), uintp(further), x.dtype.type(0.0), x.dtype.type(sign)
+    one, further = uintp(1), uintp(further)
     largest, changed, done = np.int64(0), 0, first_row
     i, s = first_row, run_at(first_row, runs)
     while i < last_row:
@@ -304,7 +300,7 @@ def _products(  # type: ignore[no-untyped-def]
                     workspace[p] = b[start + p]
             else:
                 for p in range(uintp(size)):
-                    workspace[p] = zero
+                    workspace[p] = 0.0
             if reach > 0:
                 last = uintp(indptr[first + 1])
                 _add_products(uintp(begins[first]) + further, last, last, i - first, indices, data, x, size, workspace)
@@ -318,7 +314,7 @@ def _products(  # type: ignore[no-untyped-def]
                 for p in range(uintp(size)):
                     row = start + p
                     total = sign * workspace[p] + b[row] if adds else sign * workspace[p]
-                    product[row] = total if inverse[row] != 0.0 else zero
+                    product[row] = total if inverse[row] != 0.0 else 0.0
                 continue
             for p in range(uintp(size)):
                 product[start + p] = workspace[p]
@@ -334,7 +330,7 @@ def _products(  # type: ignore[no-untyped-def]
                 is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
                 is_changed[row] = is_off != is_free[row]
                 is_free[row] = is_off
-                product[row] = -w if is_off else zero
+                product[row] = -w if is_off else 0.0
             for k in range(size):
                 changed += is_changed[start + k]
                 largest = max(largest, np.int64(bits[k]))

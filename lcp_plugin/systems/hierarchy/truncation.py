@@ -39,8 +39,7 @@ class TruncatedGrid:
         self.has_changed = np.zeros(n, np.bool_)  # since all unknowns were free
         self.touched = np.zeros(grid.width, np.bool_)
         self.is_whole = True  # nothing was ever fixed here, or it was released again
-        dtype = grid.matrix.data.dtype
-        self.x, self.b, self.residual = (np.zeros(size, dtype) for size in (grid.width, n, grid.width))
+        self.x, self.b, self.residual = (np.zeros(size) for size in (grid.width, n, grid.width))
         self._factor: Factor | None = None
         self._is_factorised = False
 
@@ -100,7 +99,6 @@ class Truncation:
         self.transfers = hierarchy.transfers
         self.grids = [TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)]
         self.top = 0
-        self.unit = 1.0  # of the top grid's x, in which coarser grids see it: a power of two
         self.work = 0.0
         self.spare: list[FloatVector] = []  # memory touched for the first time is dearer than what is done with it
 
@@ -115,7 +113,7 @@ class Truncation:
 
     def start_at(self, top: int) -> None:
         """Look from the grid `top`: its unknowns and all below are free again."""
-        self.top, self.unit = top, 1.0
+        self.top = top
         for level in self.grids[top:]:
             self.work += level.release()
 
@@ -153,7 +151,7 @@ class Truncation:
                 level.grid.fetch_entries(level.new_values)
             products, changed = galerkin.update_product(
                 matrix.indptr, matrix.indices, level.values, level.is_interpolated, level.touched,
-                *transfer.prolongation.arrays, *transfer.restriction.arrays, transfer.factor,
+                *transfer.prolongation.arrays, *transfer.restriction.arrays,
                 below.grid.matrix.indptr, below.grid.matrix.indices, below.new_values, below.grid.split,
                 below.grid.weight, below.inverse, below.is_free, below.free_changed, below.row_changed,
             )
@@ -182,8 +180,7 @@ class Truncation:
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
         below.grid.fetch(below.x)
-        unit = self.unit if k == self.top else 1.0
-        vectors.add_prolonged(transfer, below.x, unit, level.is_interpolated, level.x)
+        vectors.add_prolonged(transfer, below.x, level.is_interpolated, level.x)
         grid.fetch(level.x)
         sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
@@ -194,7 +191,7 @@ class Truncation:
         kept = residual[held]
         residual[held] = 0.0
         level.grid.fetch(residual)
-        vectors.restrict(self.transfers[k], residual, self.unit if k == self.top else 1.0, self.grids[k + 1].b)
+        vectors.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
     def correct_transposed(self, k: int) -> None:
@@ -209,12 +206,11 @@ class Truncation:
         if k < len(self.transfers):
             below, transfer = self.grids[k + 1], self.transfers[k]
             below.b[:] = 0.0
-            unit = self.unit if k == self.top else 1.0
             carried = residual * level.is_interpolated
-            vectors.add_transposed_product(*transfer.prolongation.arrays, 1.0 / unit, carried, below.b)
+            vectors.add_transposed_product(*transfer.prolongation.arrays, 1.0, carried, below.b)
             self.correct_transposed(k + 1)
             correction = np.zeros_like(level.b)
-            vectors.add_transposed_product(*transfer.restriction.arrays, unit * transfer.factor, below.x, correction)
+            vectors.add_transposed_product(*transfer.restriction.arrays, 1.0, below.x, correction)
             correction *= level.is_interpolated
             level.x += correction
             vectors.add_transposed_product(*arrays, -1.0, correction, residual)
@@ -271,9 +267,6 @@ class KrylovCorrection:
         self.unit: float = power_of_two(self.grid.largest_of(span(residual)))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
-        # A transposed V-cycle divides by the diagonal last.
-        scaled = 1.0 if self.transposed else self.grid.largest_of(largest_product(residual, inverse))
-        truncation.unit = power_of_two(scaled)
         is_weighted = not (is_symmetric or transposed)
         self._weight = (inverse / self.grid.largest_of(span(inverse))) ** 2 if is_weighted else None
         self._sum = truncation.vector()

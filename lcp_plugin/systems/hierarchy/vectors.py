@@ -170,42 +170,39 @@ HELD = 0.13  # share of its couplings; no simple fraction, which rounding would 
 NO_FLAGS = np.zeros(0, np.bool_)
 
 
-def restrict(transfer: Transfer, fine: FloatVector, unit: float, coarse: FloatVector) -> None:
-    """Coarse ← R fine ÷ unit, a power of two."""
-    matrix, factor = transfer.restriction.arrays, transfer.factor / unit
-    unused = NO_FLAGS, *NO_BOUNDS[coarse.dtype]
-    shared(partial(_interpolate, *matrix, fine, factor, False, *unused, coarse), coarse.size)
+def restrict(transfer: Transfer, fine: FloatVector, coarse: FloatVector) -> None:
+    """Coarse ← R fine."""
+    shared(partial(_interpolate, *transfer.restriction.arrays, fine, False, NO_FLAGS, *NO_BOUNDS, coarse), coarse.size)
 
 
 def prolong(
-    transfer: Transfer, coarse: FloatVector, unit: float, flags: BoolVector, lower: FloatVector, upper: FloatVector,
-    z: FloatVector,
+    transfer: Transfer, coarse: FloatVector, flags: BoolVector, lower: FloatVector, upper: FloatVector, z: FloatVector
 ) -> int:
-    """Overwrite z by mid(lower, upper, z + unit P coarse) where `flags` say so; return how many were cut at a bound."""
-    operands = *transfer.prolongation.arrays, coarse, unit, True, flags, lower, upper, z
+    """Overwrite z by mid(lower, upper, z + P coarse) where `flags` say so; return how many were cut at a bound."""
+    operands = *transfer.prolongation.arrays, coarse, True, flags, lower, upper, z
     return sum(shared(partial(_interpolate, *operands), lower.size))
 
 
-def add_prolonged(transfer: Transfer, coarse: FloatVector, unit: float, flags: BoolVector, x: FloatVector) -> None:
-    """Add unit P coarse to x where `flags`, of the own rows at least, say so."""
-    operands = *transfer.prolongation.arrays, coarse, unit, True, flags, *NO_BOUNDS[x.dtype], x
+def add_prolonged(transfer: Transfer, coarse: FloatVector, flags: BoolVector, x: FloatVector) -> None:
+    """Add P coarse to x where `flags`, of the own rows at least, say so."""
+    operands = *transfer.prolongation.arrays, coarse, True, flags, *NO_BOUNDS, x
     shared(partial(_interpolate, *operands), transfer.is_coarse.size)
 
 
 @kernel
 def _interpolate(  # type: ignore[no-untyped-def]
-    indptr, indices, data, source, factor, adds, flags, lower, upper, to, first, end
+    indptr, indices, data, source, adds, flags, lower, upper, to, first, end
 ):
-    """To ← factor · A source; or, where it `adds`, add that where flags are set, cut off at the bounds if any.
+    """To ← A source; or, where it `adds`, add that where flags are set, cut off at the bounds if any.
 
     Return how many were cut.
     """
-    one, zero = uintp(1), data.dtype.type(0.0)
+    one = uintp(1)
     cut, has_bounds = 0, lower.size > 0
     for i in range(uintp(first), uintp(end)):
         if adds and not flags[i]:
             continue
-        change = factor * _plus_products(zero, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source)
+        change = _plus_products(0.0, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source)
         if not adds:
             to[i] = change
             continue

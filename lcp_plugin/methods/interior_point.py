@@ -11,13 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm, Step, without_warnings
-from ..core.certificates.criterion import reference_residual
-from ..core.certificates.row_residuals import scaled_residual
 from ..core.checks import FloatVector
 from ..core.deadline import is_over, require_seconds, seconds_left
 from ..core.lcp import LCP
 from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.scaling import Exponents, fitted_units, scaled, symmetrising_rows, times_power
+from ..core.matrix.scaling import Exponents, scaled, symmetrising_rows, times_power
 from ..core.matrix.structure import IntVector, row_numbers
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
@@ -25,11 +23,10 @@ from ..engines import Engine, Limits, Multipliers, Statement, engine_class
 from ..engines.statement import Prepared
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
-from .newton.active_set import classify, signature, solve_active_set
+from .newton.active_set import classify, is_near, signature, solve_active_set
 from .primal import Descent
 
 SAME = 1e-12  # entries that differ by less, relatively, are the same but for rounding
-NEAR = 0.1  # of the residual of z°: the case of such a start is tried before an engine
 CASES = 5  # that follow from a point of an engine; from a start, one
 CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
 LARGEST_EXPONENT = 1000
@@ -83,7 +80,7 @@ class InteriorPoint(Algorithm):
 
     def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
         """Return whether the case that z0 shows is tried."""
-        return _residual(problem, z0) <= NEAR * reference_residual(problem)
+        return is_near(problem, z0)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, points of descents, and those of engines after the solution of the system of their case."""
@@ -133,11 +130,6 @@ def _cases(problem: LCP, z: FloatVector, most: int) -> Iterator[Step]:
             return
         z, system = found.z, found.system
         yield Step(np.clip(z, problem.lower, problem.upper), work=found.work)
-
-
-@np.errstate(all="ignore")
-def _residual(problem: LCP, z: FloatVector) -> float:
-    return float(np.max(np.abs(scaled_residual(problem, z, problem.slack(z))), initial=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,22 +214,15 @@ class ConvexProgram:
             yield Step(np.clip(z, self.problem.lower, self.problem.upper), work=1.0 + work)
 
     def units(self) -> Iterator[FloatVector]:
-        """Yield units of x: one for all, in which costs are as large as coefficients; then others, if they differ.
+        """Yield units of x: one for all, in which costs are as large as coefficients; then, if they differ, others.
 
-        First those in which the diagonal of P is 1, the best for a definite P up to a factor n (van der Sluis); then
-        fitted ones.
+        Those in which the diagonal of P is 1 are the best for a definite P up to a factor n (van der Sluis).
         """
         P, c, G, h, A, b, *_ = self.statement
         sizes = (_largest(c, h, b), _largest(P, G, A))
         yield np.full(c.size, power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0)
-        diagonal: FloatVector = P.diagonal()[: self.unknowns.size]
-        if diagonal.size == c.size and diagonal.min(initial=np.inf) > 0.0:
-            own = np.exp2(-np.rint(0.5 * np.log2(diagonal)))
-            if own.max() > own.min():
-                yield own * power_of_two(_largest(c * own, h, b))
-        fitted = fitted_units(sp.csr_array(sp.vstack([*map(sp.csr_array, (G, A, P))])), np.concatenate([h, b, c]))
-        if (fitted != fitted[:1]).any():
-            yield fitted
+        if (own := unit_of_diagonal(P)) is not None:
+            yield own * power_of_two(_largest(c * own, h, b))
 
     def _signed(self, found: Multipliers) -> FloatVector:
         lower, upper = self.problem.lower[self.multipliers], self.problem.upper[self.multipliers]
@@ -245,6 +230,15 @@ class ConvexProgram:
         y[is_equation] = found.equality
         y[~is_equation] = np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation] * found.inequality
         return y
+
+
+def unit_of_diagonal(P: Any) -> FloatVector | None:
+    """Return the powers of two that bring the diagonal of P near 1; None where it is not positive, or they are one."""
+    diagonal: FloatVector = P.diagonal()
+    if not diagonal.min(initial=np.inf) > 0.0:
+        return None
+    own: FloatVector = np.exp2(-np.rint(0.5 * np.log2(diagonal)))
+    return own if own.max(initial=0.0) > own.min(initial=np.inf) else None
 
 
 def _largest(*parts: Any) -> float:

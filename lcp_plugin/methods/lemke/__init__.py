@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, without_warnings
 from ...core.certificates.residuals import Certificate
-from ...core.certificates.row_residuals import measured_residual
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.graph import block_rows
-from ..newton.active_set import solve_active_set
+from ..newton.active_set import classify, is_near, solve_active_set
 from ..small.small_dense import PIVOTS_ONLY, is_short, solve_fused, steps
 from .canonical_box import CanonicalBox, canonical_box, covered_box
 from .games import is_game
@@ -30,7 +29,6 @@ START_SIZES = 20_000  # n times the number of arbitrary starts, between those
 WORK_A_BLOCK = 5e7  # entries touched between two steps, about
 CAREFUL_BLOCK = 5
 CERTIFIED = 1e-10
-NEAR = 0.1  # a guess that is farther away leads no shorter way than a start from 0
 
 
 @dataclass(slots=True)
@@ -57,20 +55,17 @@ class Lemke(Algorithm):
     max_pivots : int, optional
         Pivots of one path; 10 (n + 10) by default and, once every start was tried, 100 (n + 10) for those cut off.
     restarts : int, optional
-        Arbitrary starts after the principled ones: the given z0, every label of a bimatrix game
-        (Lemke–Howson), r = 1 and r = |q| of the equilibrated problem; 20 000/n by
-        default, but 10 to 200.
+        Arbitrary starts after the principled ones: every label of a bimatrix game (Lemke–Howson), r = 1 and
+        r = |q| of the equilibrated problem; 20 000/n by default, but 10 to 200.
 
     Notes
     -----
     The path is followed on 0 ≤ z ≤ u: an upper bound is a bound of the variables, not a row. Free rows are
     eliminated where their block is well conditioned and split into two nonnegative variables elsewhere. Of a given
-    z0 the active set is tried before, by one factor: where q has moved a little it is often the answer. A path
-    begins there where its residual is at most a tenth of that of z°, the point of the bounds nearest to 0;
-    otherwise z0 changes nothing more as long as the usual starts lead to a solution. Connected components of the
-    problem are solved one by one. Ties are broken lexicographically, so no basis comes twice. A path
-    from r > 0 ends in a solution where M is a P-matrix or all bounds are finite, and for a copositive-plus M
-    (a positive semidefinite one, say) where the problem is feasible.
+    z0 the active set is tried before, by one factor: where q has moved a little it is often the answer; else z0
+    changes nothing. Connected components of the problem are solved one by one. Ties are broken lexicographically, so
+    no basis comes twice. A path from r > 0 ends in a solution where M is a P-matrix or all bounds are finite, and for
+    a copositive-plus M (a positive semidefinite one, say) where the problem is feasible.
 
     Examples
     --------
@@ -92,8 +87,7 @@ class Lemke(Algorithm):
     is_monotone: ClassVar[bool] = False
     ends_with_a_case: ClassVar[bool] = True
     why_no_start: ClassVar[str] = (
-        "z0 was not used but for its active set: lemke begins from a start whose residual is at most a tenth of that "
-        "of the point of the bounds nearest to 0, and from any other one only where the usual starts fail"
+        "z0 was not used but for its active set, which lemke tries at first; newton begins from any z0"
     )
 
     max_pivots: int | None = None
@@ -106,8 +100,8 @@ class Lemke(Algorithm):
                 raise InvalidOption(f"lemke: {option} must be a whole number ≥ 0, got {value!r}")
 
     def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
-        """Return whether the first path begins there."""
-        return _is_near(problem, z0)
+        """Return whether its active set is likely to be that of the answer."""
+        return is_near(problem, z0)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the z of the path after each block of pivots, last the solution if one was found.
@@ -170,8 +164,7 @@ class Lemke(Algorithm):
         from .pivoting_path import Path, starts
 
         if not np.array_equal(guess, component.nearest_to_zero):  # its active set first: a factor and a check
-            at_lower = guess <= component.lower
-            found = solve_active_set(component, at_lower, ~at_lower & (guess >= component.upper))
+            found = solve_active_set(component, *classify(component, guess, component.slack(guess)))
             if found is not None:
                 yield found.z, found.work * max(component.nonzeros, 1), None
                 if _is_good(component, np.clip(found.z, component.lower, component.upper)):
@@ -187,7 +180,7 @@ class Lemke(Algorithm):
         restarts = self.restarts
         if restarts is None:
             restarts = int(np.clip(START_SIZES // path.n, *ARBITRARY_STARTS))
-        waiting: Any = starts(path, box.restrict(component, guess), restarts, is_near=_is_near(component, guess))
+        waiting: Any = starts(path, restarts)
         rounds = PIVOTS_A_ROUND if self.max_pivots is None else (0,)
         for multiple in rounds:
             limit = multiple * (path.n + 10) if self.max_pivots is None else self.max_pivots
@@ -305,11 +298,6 @@ def rows_of_components(problem: LCP) -> list[NDArray[np.intp]]:
 def has_components_that_fit(problem: LCP) -> bool:
     """Return whether no connected component is too large for a dense inverse."""
     return problem.n <= PIVOTED_UP_TO or max(map(len, rows_of_components(problem))) <= PIVOTED_UP_TO
-
-
-def _is_near(problem: LCP, z: FloatVector) -> bool:
-    """Return whether the residual of z is much smaller than that of the point of the bounds nearest to 0."""
-    return bool(measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero))
 
 
 def _is_good(problem: LCP, z: FloatVector) -> bool:

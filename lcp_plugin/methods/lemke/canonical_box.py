@@ -77,11 +77,6 @@ class CanonicalBox:
         result[self.eliminated] = self.elimination @ ray
         return result
 
-    def restrict(self, problem: LCP, z: FloatVector) -> FloatVector:
-        """Return the canonical z that comes closest to a z of the problem, shape (k,)."""
-        inner = (z[self.rows] - self.offset[self.rows]) / self.step
-        return np.clip(np.where(np.isfinite(inner), inner, 0.0), 0.0, self.upper)
-
 
 def canonical_box(problem: LCP) -> CanonicalBox:
     """Return the problem in canonical form; M is made dense.

@@ -30,7 +30,7 @@ from ..small.kernels.workspace import (
     WIDTH,
     shapes,
 )
-from .canonical_box import WELL_CONDITIONED, invertible_part
+from .canonical_box import invertible_part
 from .games import bimatrix_players
 
 FloatMatrix = NDArray[np.float64]
@@ -39,7 +39,6 @@ FRESH_FOR = 25  # pivots after which the tableau is computed anew, n where that 
 ACCURATE = 1e-12
 FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # what is left of a difference of equals is taken for 0
-INSIDE = 1e-3  # how far from its bounds a warm start begins, in the unit of an equilibrated problem
 
 
 class Path:
@@ -65,7 +64,6 @@ class Path:
         self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
         self.entries = self._reported = 0.0  # touched so far, and up to when that was asked last
         self.fresh_for = max(FRESH_FOR, n)
-        self.is_well_conditioned = True  # the basis, when the tableau was last computed
         self.pivots = self.age = 0
         self.basis[:] = n + np.arange(n)
 
@@ -168,8 +166,6 @@ class Path:
         if not np.isfinite(inverse).all():
             return False
         absolute = np.abs(inverse)
-        size = absolute.sum(axis=0).max(initial=0.0) * np.abs(core).sum(axis=0).max(initial=0.0)
-        self.is_well_conditioned = bool(size < WELL_CONDITIONED)
         # What is zero in exact arithmetic must be zero here, or a pivot could stand on it.
         inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
         if not inverse.any(axis=1).all():  # a row of nothing but rounding
@@ -265,23 +261,17 @@ def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> Fl
 Start = Callable[[Path], bool]
 
 
-def starts(path: Path, z: FloatVector, restarts: int, *, is_near: bool = True) -> Iterator[Start]:
+def starts(path: Path, restarts: int) -> Iterator[Start]:
     """Yield ways to start the path, the most promising first; each returns whether it could.
 
     Parameters
     ----------
     path : Path
         Of an equilibrated problem.
-    z : ndarray, shape (n,)
-        A guess; z = 0 says nothing.
     restarts : int
         How many arbitrary starts follow the principled ones.
-    is_near : bool
-        Whether the cell of z is likely to be close to that of the answer; otherwise it is tried late.
     """
     n, q = path.n, path.q
-    if z.any() and is_near:
-        yield partial(_warm, z=z)
     players = bimatrix_players(path.M, q)
     if players is not None and np.all(path.upper == np.inf):
         for k in range(n):
@@ -290,8 +280,6 @@ def starts(path: Path, z: FloatVector, restarts: int, *, is_near: bool = True) -
     size = np.maximum(np.abs(q), 2.0**-10)
     if np.ptp(size) > 0.0:
         yield partial(Path.start_along, covering=size)
-    if z.any():
-        yield partial(_warm, z=z, in_part=True)
     generator = np.random.default_rng(0)
     for k in range(restarts):
         if k % 4 == 0:
@@ -302,22 +290,6 @@ def starts(path: Path, z: FloatVector, restarts: int, *, is_near: bool = True) -
             yield partial(Path.start_along, covering=np.exp2(generator.uniform(-4.0, 4.0, size=n)))
         else:
             yield _random_cell(path, generator)
-
-
-def _warm(path: Path, z: FloatVector, *, in_part: bool = False) -> bool:
-    """Start in the cell that z and its w stand for, a little inside, if its block is regular; or in that part of it."""
-    w = path.M @ z + path.q
-    upper = path.upper
-    at_lower = z <= np.minimum(w, 0.5 * upper)
-    at_upper = ~at_lower & (upper - z <= -w)
-    margin = np.minimum(INSIDE, 0.25 * upper)
-    inside = np.clip(z, margin, np.where(upper < np.inf, upper - margin, np.inf))
-    if in_part:
-        at_lower |= ~at_upper & ~_regular_part(path.M, ~at_lower & ~at_upper)
-    side = np.where(at_lower, AT_LOWER, np.where(at_upper, AT_UPPER, BETWEEN))
-    z = np.where(at_lower, 0.0, np.where(at_upper, upper, inside))
-    w = np.where(at_lower, np.maximum(w, INSIDE), np.where(at_upper, np.minimum(w, -INSIDE), 0.0))
-    return path.start_in_cell(side, z, w) and (in_part or path.is_well_conditioned)
 
 
 def _random_cell(path: Path, generator: np.random.Generator) -> Start:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...core.algorithm import Step
-from ...core.certificates.row_residuals import scaled_residual
+from ...core.certificates.row_residuals import measured_residual, scaled_residual
 from ...core.checks import BoolVector, FloatVector
 from ...core.lcp import LCP
 from ...systems.factors import factor_operations
@@ -17,6 +17,7 @@ from ...systems.free_systems import FreeSystem
 
 LARGE = 3000  # on more rows than this, steps that gain little are given up early: each costs a factorisation
 LARGE_PATIENCE = 20
+NEAR = 0.1  # the active set of a start so near is likely to be that of the answer
 
 
 class ActiveSetSolution(NamedTuple):
@@ -63,6 +64,11 @@ def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, 
     at_upper = (problem.upper - z <= -step) & ~at_lower
     is_fixed = problem.lower == problem.upper
     return at_lower | is_fixed, at_upper & ~is_fixed
+
+
+def is_near(problem: LCP, z: FloatVector) -> bool:
+    """Return whether the residual of z is at most a tenth of that of the point of the bounds nearest to 0."""
+    return bool(measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero))
 
 
 def signature(at_lower: BoolVector, at_upper: BoolVector) -> bytes:

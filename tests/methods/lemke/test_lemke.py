@@ -163,7 +163,7 @@ def test_games_have_no_path_from_a_positive_covering_vector() -> None:
     assert path.start_along(np.ones(4))
     assert path.advance(100) == RAY
     assert bimatrix_players(box.M, box.q).tolist() == [True, True, False, False]
-    for start in itertools.islice(starts(path, np.zeros(4), 0), 4):
+    for start in itertools.islice(starts(path, 0), 4):
         assert start(path)
         assert path.advance(100) == SOLVED
     assert bimatrix_players(np.eye(2), -np.ones(2)) is None
@@ -203,7 +203,7 @@ def test_degenerate_integers_end(seed: int) -> None:
     M = generator.integers(-1, 2, size=(n, n)).astype(float)
     q = generator.integers(-1, 1, size=n).astype(float)
     path = Path(M, q, np.full(n, INF))
-    for start in starts(path, np.zeros(n), 12):
+    for start in starts(path, 12):
         if start(path):
             outcome = GOING_ON
             while outcome == GOING_ON and path.pivots < 2000:

@@ -259,6 +259,32 @@ def no_point(old: Any) -> Any:
     return by_piqp
 
 
+def solved_once(old: Any) -> Any:
+    """Regions: a solve to begin with, none behind a facet."""
+
+    def solved(family: Any, theta: Any) -> Any:
+        if "_begun" in vars(family):
+            return None
+        if (case := old(family, theta)) is not None:
+            family._begun = True
+        return case
+
+    return solved
+
+
+def remembered(old: Any) -> Any:
+    def solved(family: Any, theta: Any) -> Any:
+        family._answer = old(family, theta)
+        return family._answer
+
+    return solved
+
+
+def of_answers_alone(old: Any) -> Any:
+    """Regions: that of the case of an answer."""
+    return lambda family, case: old(family, case) if case is family._answer else None
+
+
 def is_late(choice: Any) -> bool:
     return choice.because.startswith(("sweeps until", "from a point nearby"))
 
@@ -324,7 +350,8 @@ MECHANISMS = (
               {"proofs.no_solution.infeasibility:contradictory_row": says(None)},
               "proofs/no_solution/infeasibility.py:contradictory_row"),
     Mechanism("some pivots", "pivots before a factor of a dense M",
-              {f"{DIRECT}:_by_prospects": yielding(lambda _, one: getattr(one.algorithm, "max_pivots", None) is None)}),
+              {f"{DIRECT}:_by_prospects": yielding(lambda _, one: getattr(one.algorithm, "max_pivots", None) is None)},
+              claim="core/test_choice.py::test_a_budget_row_is_pivoted_before_it_is_factorised"),
     Mechanism("lemke", "complementary pivoting",
               {f"{DIRECT}:_by_prospects": without("lemke")}, "methods/lemke"),
     Mechanism("newton", "semismooth Newton on LCPs",
@@ -338,8 +365,6 @@ MECHANISMS = (
     Mechanism("games", "paths of Lemke and Howson on bimatrix games",
               {"methods.lemke.games:bimatrix_players": says(None)},
               "methods/lemke/games.py methods/lemke/pivoting_path.py:_lemke_howson"),
-    Mechanism("warm paths", "a path that begins in the cell of a given start",
-              {"methods.lemke.pivoting_path:_warm": says(False)}, "methods/lemke/pivoting_path.py:_warm"),
     Mechanism("damped steps", "a line search on the function of Fischer and Burmeister",
               {f"{NEWTON}:damped_steps": nothing()},
               "methods/newton/semismooth_newton.py:damped_steps methods/newton/semismooth_newton.py:_full_step "
@@ -354,8 +379,16 @@ MECHANISMS = (
               {"methods.multigrid.multigrid_run:MultigridRun._krylov": nothing()},
               "methods/multigrid/multigrid_run.py:MultigridRun._krylov "
               "systems/hierarchy/truncation.py:KrylovCorrection"),
-    Mechanism("single precision", "coarse grids in single precision",
-              {"systems.hierarchy.levels:carries_single": says(False)}, "systems/hierarchy/levels.py:carries_single"),
+    Mechanism("equal rows", "rows of a grid with the same entries are taken at once",
+              {"systems.hierarchy.grids:runs_of_equal_rows":
+               Instead(lambda old: lambda matrix, _, rows: old(matrix, np.arange(rows), rows)),
+               "systems.hierarchy.galerkin:_usual_step": says(0)},
+              "systems/hierarchy/grids.py:runs_of_equal_rows systems/hierarchy/grids.py:_reaches "
+              "systems/hierarchy/grids.py:_with_gaps systems/hierarchy/grids.py:without "
+              "systems/hierarchy/grids.py:_cut "
+              "systems/hierarchy/grids.py:mark_equal systems/hierarchy/grids.py:unlike_rows "
+              "systems/hierarchy/sweeps.py:_add_products systems/hierarchy/sweeps.py:_place "
+              "systems/hierarchy/galerkin.py:_mark_repeats systems/hierarchy/galerkin.py:_repeats"),
     # --- interior points
     Mechanism("descents", "active sets of falling objective where a dense program has bounds only",
               {f"{INTERIOR}:ConvexProgram.descents": nothing()}, "methods/primal"),
@@ -366,8 +399,9 @@ MECHANISMS = (
     Mechanism("monotone rows", "row factors that make M monotone",
               {f"{INTERIOR}:monotone_rows": says(None)},
               "methods/interior_point.py:monotone_rows methods/interior_point.py:_may_be_monotone"),
-    Mechanism("fitted units", "an engine is asked again in units fitted to an LCP's program",
-              {f"{INTERIOR}:ConvexProgram.units": yielding(lambda k, _: k < 1)}),
+    Mechanism("unit diagonal", "an engine is asked in units in which the diagonal of P is 1",
+              {f"{INTERIOR}:unit_of_diagonal": says(None)}, "methods/interior_point.py:unit_of_diagonal",
+              "methods/test_interior_point.py::test_a_kernel_in_other_units_takes_no_more_than_its_own_times_six"),
     # --- programs
     Mechanism("engines", "programs answered by solvers of others, judged here",
               {f"{CALLS}:engines_for": without_engines("daqp", "piqp", "clarabel", "highs")},
@@ -453,7 +487,8 @@ MECHANISMS = (
               {f"{CONES}.solving:ConeAuto._stages": without("interior_point")},
               "problems/cones/methods.py:InteriorPoint problems/cones/central_path.py"),
     Mechanism("cone warm path", "an interior point begun near the start that is given",
-              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "is_warm", 0))}),
+              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "is_warm", 0))},
+              claim="problems/cones/test_cones.py::test_a_warm_start_is_not_thrown_away_where_the_loop_fails"),
     Mechanism("cone restarts", "Newton from starts moved at random",
               {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "seed", 0))}),
     Mechanism("cone proofs", "a conic program looks for a proof that there is no answer",
@@ -539,6 +574,15 @@ MECHANISMS = (
               {f"{PARAMETRIC}.families:surely_optimal":
                differing(lambda old: lambda problem, x, *_: np.zeros(len(x), dtype=bool))},
               "problems/parametric/stacked_lasso.py"),
+    Mechanism("beside an end", "an end of a piece is judged just inside where data cancel at it",
+              {f"{PARAMETRIC}.families:Family.is_solved_beside": says(False)},
+              "problems/parametric/families.py:Family.is_solved_beside",
+              "problems/parametric/test_trace.py::test_terms_that_cancel_at_a_breakpoint_stall_no_path"),
+    Mechanism("behind a facet", "a solve behind a facet where one change of the case leads to no region",
+              {f"{PARAMETRIC}.exploring:_Family.solved": Instead(solved_once)}),
+    Mechanism("one change", "the next region is that of the case with one change, without a solve",
+              {f"{PARAMETRIC}.exploring:_Family.solved": Instead(remembered),
+               f"{PARAMETRIC}.exploring:_Family._region": Instead(of_answers_alone)}),
     Mechanism("batch loop", "small problems of a batch in one compiled loop",
               {"problems.batches.batch_run:BatchRun._solve_compiled": skipped()},
               "problems/batches/batch_run.py:BatchRun._solve_compiled "

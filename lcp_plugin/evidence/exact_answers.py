@@ -26,7 +26,6 @@ States = list[int]
 
 AT_LOWER, FREE, AT_UPPER = -1, 0, 1
 LARGEST_DENSE = 400  # up to here a condition number comes from a dense inverse
-MOST_EXCHANGES = 100
 SMALLEST_NORMAL = 2.0**-1022
 EPSILON, SMALLEST = Fraction(1, 2**52), Fraction(1, 2**1074)
 FLOORS_MEASURED = 5  # what double precision takes for 4 floors can be a little more
@@ -34,19 +33,18 @@ ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries
 
 
 def exact_answer(problem: LCP, guess: Sequence[float]) -> Answer:
-    """Return z* in fractions, verified without rounding, starting from the active set of a guess.
+    """Return z* in fractions, verified without rounding, from the active set of a guess.
 
     Parameters
     ----------
     problem : LCP
-        With a P-matrix, or another for which exchanges from this guess lead to a solution.
     guess : sequence of float, shape (n,)
         A point on the right bounds; what lies strictly between its bounds is taken for free.
 
     Raises
     ------
     UnsuitableProblem
-        Where a free block is singular, or 100 exchanges of all rows with a wrong sign do not settle.
+        Where its free block is singular, or gives no solution.
 
     Examples
     --------
@@ -56,14 +54,9 @@ def exact_answer(problem: LCP, guess: Sequence[float]) -> Answer:
     exact_guess = tuple(Fraction(value) for value in guess)
     if is_exact_solution(problem, exact_guess):
         return exact_guess
-    states = _states(problem, guess)
-    for _ in range(MOST_EXCHANGES):
-        z = _solved(problem, states)
-        if z is None:
-            break
-        if is_exact_solution(problem, z):
-            return tuple(z)
-        states = _exchanged(problem, states, z)
+    z = _solved(problem, _states(problem, guess))
+    if z is not None and is_exact_solution(problem, z):
+        return tuple(z)
     raise UnsuitableProblem(f"no exact answer of {problem!r} found near the guess; give one on the right bounds")
 
 
@@ -87,19 +80,6 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     return None if change is None else [
         value + by * power_of_two(int(unit)) for value, by, unit in zip(z, change, column, strict=True)
     ]
-
-
-def _exchanged(problem: LCP, states: States, z: list[Fraction]) -> States:
-    """Return the states with every row of a wrong sign in its other state."""
-    w = exact_slack(problem, z)
-    changed = list(states)
-    for i, state in enumerate(states):
-        low, high = float(problem.lower[i]), float(problem.upper[i])
-        if state == FREE:
-            changed[i] = AT_LOWER if z[i] < low else AT_UPPER if z[i] > high else FREE
-        elif low < high and (w[i] < 0 if state == AT_LOWER else w[i] > 0):
-            changed[i] = FREE
-    return changed
 
 
 # --- how sensitive the answer is ------------------------------------------------------------------------------------

@@ -170,6 +170,11 @@ def dense(value: Any) -> Any:
     return value.toarray() if sp.issparse(value) else value
 
 
+def by_columns(value: Any) -> Any:
+    """Return all entries of a value as a vector, column by column."""
+    return np.ravel(dense(value), order="F")
+
+
 class UnsolvableModel(UnsupportedModel, SolverError):  # type: ignore[misc]
     """A model that no algorithm here takes: an UnsupportedModel of ours, and a SolverError of cvxpy's."""
 

@@ -24,7 +24,7 @@ from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_soluti
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.programs.reductions import FoldedRows
-from ._compat import CVXPY_STATUS, dense, leaf_value, statistics
+from ._compat import CVXPY_STATUS, by_columns, dense, leaf_value, statistics
 from .builder import (
     Builder,
     bounds_of_rows,
@@ -102,11 +102,11 @@ class Statement:
             if value is None:
                 return None
             if own is not None:
-                x[own] = np.ravel(dense(value), order="F")
+                x[own] = by_columns(value)
         with np.errstate(all="ignore"):  # outside of a domain
             for pair, columns in zip(self.pairs, self.columns, strict=True):
                 for side, own in zip(pair.sides, columns, strict=True):
-                    x[own] = np.ravel(dense(side.value), order="F") if side.size else 0.0
+                    x[own] = by_columns(side.value) if side.size else 0.0
         return x if np.isfinite(x).all() else None
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
 from ..core.errors import ModelWarning, UnsupportedModel
-from ._compat import attribute_bounds, attribute_expressions, bound_value, dense
+from ._compat import attribute_bounds, attribute_expressions, bound_value, by_columns
 from .assembly import Assembly, PairedRows
 from .cones import ConePair, over_cones
 from .equations import Elimination
@@ -355,12 +355,12 @@ def pair_residual(pair: Complements) -> FloatVector | None:
         return None
     if (cone := next((side for side in (pair.first, pair.second) if side.kind == "cone"), None)) is not None:
         other = pair.second if cone is pair.first else pair.first
-        z, w = (np.ravel(dense(values[id(side)]), order="F") for side in (cone, other))
+        z, w = (by_columns(values[id(side)]) for side in (cone, other))
         blocks = ConePair(np.arange(z.size), cone.rows, friction_of(cone)).blocks(np.eye(z.size), np.zeros(z.size))
         return np.abs(blocks.residual(z, w, np.ones(blocks.slope.size))[0])
     first, second = by_rank(pair)
     low, high = bounds_of_rows(first)
-    z, w = (np.ravel(dense(values[id(side)]), order="F") for side in (first, second))
+    z, w = (by_columns(values[id(side)]) for side in (first, second))
     if second.kind == "nonnegative" and first.kind != "nonnegative":
         w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)
     residual: FloatVector = np.abs(np.minimum(np.maximum(w, z - high), z - low))

@@ -56,7 +56,7 @@ def certify_problem(problem: Any, tolerance: float) -> Certification:
     proofs = ProgramProofs(reduced.program)
     if problem.status in CLAIMED:
         found = proofs.of_claim(CLAIMED[problem.status], tolerance)
-    elif problem.status == getattr(settings, "INFEASIBLE_OR_UNBOUNDED", None):
+    elif problem.status == settings.INFEASIBLE_OR_UNBOUNDED:
         found = _neither(proofs, tolerance)
     else:
         found = _of_values(problem, reduced, proofs, tolerance)
@@ -82,7 +82,7 @@ def _check(problem: Any) -> None:
         )
     if problem.status is None or problem.status == settings.SOLVER_ERROR:
         raise InvalidProblem(f"nothing to certify: the status is {problem.status}; call problem.solve() first")
-    if problem.status in CLAIMED or problem.status == getattr(settings, "INFEASIBLE_OR_UNBOUNDED", None):
+    if problem.status in (*CLAIMED, settings.INFEASIBLE_OR_UNBOUNDED):
         return
     for variable in problem.variables():
         value = leaf_value(variable)

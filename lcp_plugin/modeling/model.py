@@ -18,7 +18,7 @@ from ..problems.batches.batch import solve_batch
 from ..problems.batches.batch_run import BatchResult
 from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
-from ._compat import dense, name_of
+from ._compat import by_columns, name_of
 from .equations import Elimination
 from .stated_terms import dense_value, values_below
 
@@ -101,7 +101,7 @@ class Model:
             z[first : first + variable.size] = np.ravel(variable.value, order="F")
         with np.errstate(all="ignore"):  # outside of a domain
             for k, columns in self.sources.slacks.items():
-                value = np.ravel(dense(self.sources.functions[k].value), order="F")
+                value = by_columns(self.sources.functions[k].value)
                 # A start over cones is projected by their solver.
                 z[columns] = value if isinstance(self.problem, Blocks) else np.maximum(value, 0.0)
         return z[self.elimination.kept]

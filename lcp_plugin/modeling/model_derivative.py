@@ -25,7 +25,7 @@ from ..core.solving.result import Result
 from . import _compat
 from .expressions.program import Program
 from .model import Model
-from .reading import Reader
+from .reading import Reader, restricting_attribute
 
 Changes = dict[int, Any]
 
@@ -70,7 +70,7 @@ class ParametricRows:
 
     def _vector(self, values: Changes) -> FloatVector:
         parts = [values.get(key, np.zeros(parameter.size)) for key, parameter in self._parameters.items()]
-        return np.concatenate([*(np.ravel(_compat.dense(part), order="F") for part in parts), np.zeros(0)])
+        return np.concatenate([*(_compat.by_columns(part) for part in parts), np.zeros(0)])
 
     @staticmethod
     def _finite(values: Any) -> Any:
@@ -238,12 +238,6 @@ class ModelDerivative:
         return sp.csr_array((np.ones(stated.size), (stated, places[stated])), shape=shape)
 
 
-#: They tie the entries of a parameter to each other, or make it no real number.
-UNDIFFERENTIABLE = (
-    *("boolean", "integer", "symmetric", "diag", "PSD", "NSD", "sparsity", "hermitian", "complex", "imag"),
-)
-
-
 class SolutionMap(Protocol):
     """How a solution changes with parameters, in both directions."""
 
@@ -327,13 +321,12 @@ def differentiable_parameters(problem: Any) -> list[Any]:
     stated = [parameter for bound in bounds if isinstance(bound, cp.Expression) for parameter in bound.parameters()]
     parameters = list({parameter.id: parameter for parameter in (*problem.parameters(), *stated)}.values())
     for parameter in parameters:
-        for name in UNDIFFERENTIABLE:
-            if not (parameter.attributes.get(name) is None or parameter.attributes.get(name) is False):
-                raise UnsupportedModel(
-                    f"parameter {parameter.name()} has the attribute {name!r}, so that its entries cannot move freely "
-                    "and have no gradients of their own; use a plain parameter, nonneg or with bounds, and build the "
-                    "matrix from it, or leave requires_grad out"
-                )
+        if name := restricting_attribute(parameter):
+            raise UnsupportedModel(
+                f"parameter {parameter.name()} has the attribute {name!r}, so that its entries cannot move freely "
+                "and have no gradients of their own; use a plain parameter, nonneg or with bounds, and build the "
+                "matrix from it, or leave requires_grad out"
+            )
     return parameters
 
 

@@ -21,7 +21,7 @@ from ..core.checks import FloatVector
 from ..core.errors import UnsuitableProblem, UnsupportedModel
 from ..core.lcp import LCP
 from ..problems.programs.conversion import conditions
-from ._compat import dense, leaf_value
+from ._compat import by_columns, dense, leaf_value
 from .model_derivative import Changes
 from .qp_solver import SAME, ProgramEntries, SolverAnswer
 
@@ -163,7 +163,7 @@ class ProgramDerivative:
         """Return values of the parameters in their columns, and 0 in the last one."""
         whole = np.zeros(self._program.q.shape[1])
         for key, column in self._columns.items():
-            part = np.ravel(dense(values[key]), order="F")
+            part = by_columns(values[key])
             whole[column : column + part.size] = part
         return whole
 

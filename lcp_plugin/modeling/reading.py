@@ -211,13 +211,18 @@ def check_attributes(variable: cp.Variable, *, takes_integers: bool = False) -> 
     UnsupportedModel
         Naming the attribute that ties or restricts them.
     """
-    for attribute in (*FORBIDDEN_ATTRIBUTES, *(() if takes_integers else INTEGERS)):
-        state = variable.attributes.get(attribute)
-        if not (state is None or state is False):
-            raise UnsupportedModel(
-                f"variable {variable.name()} has the attribute {attribute!r}, which ties or restricts its entries; "
-                "use a plain variable, with bounds or nonneg where needed"
-            )
+    if attribute := restricting_attribute(variable, takes_integers=takes_integers):
+        raise UnsupportedModel(
+            f"variable {variable.name()} has the attribute {attribute!r}, which ties or restricts its entries; "
+            "use a plain variable, with bounds or nonneg where needed"
+        )
+
+
+def restricting_attribute(leaf: Any, *, takes_integers: bool = False) -> str | None:
+    """Return the attribute of a variable or parameter that ties or restricts its entries; None where they are free."""
+    names = (*FORBIDDEN_ATTRIBUTES, *(() if takes_integers else INTEGERS))
+    states = ((name, leaf.attributes.get(name)) for name in names)
+    return next((name for name, state in states if not (state is None or state is False)), None)
 
 
 def _all_finite(values: Any) -> bool:

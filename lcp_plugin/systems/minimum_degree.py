@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.kernels.compilation import kernel
+from ..core.kernels.compilation import helper, kernel
 
 # Rows with more entries than so many √n come last, as a row of constraints that ties all unknowns together: fewer rows
 # where counting takes too long otherwise.
@@ -99,7 +99,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
             before[after[p]] = -1
         # Lists move together where there is no space for another one.
         if free + left > workspace.size:
-            free = _together(begin, size, weight, elements, is_gone, workspace, n)
+            free = _together(begin, size, weight, elements, is_gone, workspace, free)
         # The neighbours of p make a new element of it.
         tag += 1
         together, reached, start = weight[p], 0, free
@@ -216,18 +216,25 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     return entries, operations, touched
 
 
-@kernel
-def _together(begin, size, weight, elements, is_gone, workspace, n):  # type: ignore[no-untyped-def]
-    """Move the lists still in use to the front, in their order; return where the free space behind them begins."""
-    order = np.argsort(begin)
-    free = 0
-    for at in range(n):
-        i = order[at]
-        if weight[i] == 0 and (is_gone[i] or elements[i] != 0 or size[i] == 0):
+@helper
+def _together(begin, size, weight, elements, is_gone, workspace, end):  # type: ignore[no-untyped-def]
+    """Move the lists still in use, before `end`, to the front; return where the free space behind them begins.
+
+    Where a list begins stands a number below zero that names it meanwhile.
+    """
+    for i in range(begin.size):
+        is_used = weight[i] != 0 or not (is_gone[i] or elements[i] != 0)
+        if is_used and size[i] > 0:
+            first = begin[i]
+            begin[i], workspace[first] = workspace[first], -1 - i
+    at = free = 0
+    while at < end:
+        i = -1 - workspace[at]
+        if i < 0:
+            at += 1
             continue
-        first = begin[i]
-        begin[i] = free
-        for k in range(size[i]):
-            workspace[free] = workspace[first + k]
-            free += 1
+        workspace[free], begin[i] = begin[i], free
+        for k in range(1, size[i]):
+            workspace[free + k] = workspace[at + k]
+        free, at = free + size[i], at + size[i]
     return free

@@ -236,7 +236,7 @@ def test_ctrl_c_while_kept_code_is_loaded_breaks_no_later_call(tmp_path: Path) -
     assert [done.stdout.split() for done in found] == [["6.0", "0"], ["6.0", "1"]], found[-1].stderr
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seconds", [0.01 + 0.04 * k for k in range(15)])
 @pytest.mark.parametrize("call", ["small", "large", "program", "analyze"])
 def test_ctrl_c_while_a_first_call_loads_breaks_no_later_call(call: str, seconds: float) -> None:

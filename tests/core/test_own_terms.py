@@ -48,7 +48,7 @@ def test_a_batch_is_judged_alike(kind: str) -> None:
         assert z == pytest.approx(right, rel=1e-5, abs=1e-3)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("light", [1, 2, 5])
 def test_a_long_run_ends_with_the_system_of_its_case(light: int) -> None:
     """Heavy stands on light: sweeps that a residual calls SOLVED leave a support of nothing, the last system none."""

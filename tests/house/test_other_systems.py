@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from fresh_process import printed_by
 
 WITHOUT = """
@@ -14,6 +15,7 @@ for name in ("register_at_fork", "fork", "sched_getaffinity", "killpg", "setsid"
 """
 
 
+@pytest.mark.full
 def test_modules_and_calls_of_linux_alone_are_not_needed() -> None:
     """One problem, a batch, a model in cvxpy and the commands without them; a peak of memory is then not told."""
     code = """

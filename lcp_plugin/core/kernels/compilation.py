@@ -24,7 +24,7 @@ from typing import Any
 from platformdirs import user_cache_path
 
 from ..deadline import NEW_KERNELS, Lock, compiling
-from .compiler import config, event, njit, vectorize
+from .compiler import config, event, njit
 
 IN_ANY_ORDER = {"fastmath": {"reassoc", "contract", "nnan", "nsz"}, "forceinline": True}  # sums of terms, none NaN
 ROOM = 2**20  # bytes that a folder must take
@@ -64,12 +64,6 @@ def kernel(function: Any) -> Any:
     with _kept_on_disk() as is_kept, suppress(RuntimeError):  # the function stands in no file, as in a frozen program
         return njit(nogil=True, error_model="numpy", cache=is_kept)(function)
     return helper(function)
-
-
-def elementwise(function: Any) -> Any:
-    """Compile a function of two numbers that Python calls with two arrays."""
-    with _kept_on_disk() as is_kept:
-        return vectorize(cache=is_kept)(function)  # type: ignore[no-untyped-call]
 
 
 def helper(function: Any = None, **options: Any) -> Any:

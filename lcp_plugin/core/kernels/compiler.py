@@ -67,7 +67,7 @@ def _nothing() -> None:
 
 with compiling():  # which takes most of a second
     loaded_whole("numba")
-    from numba import config, float64, njit, types, uintp, vectorize
+    from numba import config, float64, njit, types, uintp
     from numba.core import event
     from numba.extending import lower_builtin, overload, type_callable
 
@@ -78,5 +78,4 @@ with compiling():  # which takes most of a second
 
 __all__ = [
     "config", "event", "float64", "lower_builtin", "njit", "overload", "type_callable", "types", "uintp",
-    "vectorize",
 ]

@@ -220,8 +220,8 @@ class Banded(Algorithm):
         steps = march_all(
             *values(self._bands(one).entries for one in problems), values(one.residual_scale for one in problems),
             *whole[:2], values(one.csr.data for one in problems), *whole[2:], values(one.data for one in propagators),
-            forcing if forcing.shape[-1] == 1 else filled(forcing), lower, upper, np.clip(0.0, lower, upper),
-            tolerance, max_iterations, kept, states, answers, rounds, ends,
+            np.ascontiguousarray(forcing) if forcing.shape[-1] == 1 else filled(forcing), lower, upper,
+            np.clip(0.0, lower, upper), tolerance, max_iterations, kept, states, answers, rounds, ends,
         )
         answers.flags.writeable = False  # they are judged
         costs = _costs(self._bands(first), first)

@@ -135,7 +135,7 @@ class Descent:
             self.work += (1.5 * (size - left) + 1.0) * size**2
             if left < 0:
                 return None
-            self._L, self._order = self._L[:left, :left], self._order[:left]
+            self._L, self._order = np.ascontiguousarray(self._L[:left, :left]), self._order[:left]
             self._look()
             if left <= least:
                 return False

@@ -8,6 +8,8 @@ a Farkas vector counts only where exact arithmetic confirms it.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...core.kernels.compilation import helper, inlined, kernel
@@ -17,6 +19,7 @@ from ...core.kernels.rows import residual_of_row
 AT_LOWER, AT_ZERO, AT_UPPER = 0, 1, 2  # the choices of a row
 ROW, PARENT, CHOICE, IS_CLOSED = 0, 1, 2, 3  # columns of the tree
 FOUND, EXCLUDED, GAVE_UP = 0, 1, 2
+NONE: Any = np.int64(-1)  # numba compiles what a plain −1 is passed to once more for that number
 
 FEASIBLE = 1e-10  # a bound missed by less, beside the largest w at the start
 SMALLEST_PIVOT = 1e-10  # rows of M have a largest entry of 1
@@ -25,7 +28,7 @@ MARGIN_GIVEN = 0.0625  # of a contradiction, for signs that survive rounding
 FARTHEST = 2.0**-16  # moved for that, beside the largest multiplier
 
 
-@kernel
+@helper
 def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-untyped-def]
     """Look at the cases; return FOUND, EXCLUDED or GAVE_UP, how many, the tableau entries computed, and `least`.
 
@@ -108,7 +111,7 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
                 if not _renewed(table, origin, basic, other, n):
                     return GAVE_UP, seen, spent, 0.0
             spent += n * (n + 1.0)
-            row, sign, worst, is_last = -1, 1.0, allowed, tries > 3 * n
+            row, sign, worst, is_last = NONE, 1.0, allowed, tries > 3 * n
             for k in range(n):
                 x, total = basic[k], table[k, n]
                 for j in range(n):
@@ -120,7 +123,7 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
                     worst = allowed if is_last else gap
             if row < 0:
                 break
-            column, best = -1, SMALLEST_PIVOT
+            column, best = NONE, SMALLEST_PIVOT
             for j in range(n):
                 x, entry = other[j], table[row, j]
                 end = bounds[1, x] if entry * sign > 0.0 else bounds[0, x]
@@ -163,15 +166,18 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
 
 
 @kernel
-def look_at_all(M, q, lower, upper, items, limit, most, found, seen, spent, least, z):  # type: ignore[no-untyped-def]
-    """Look at the cases of these items of a batch; an array with one row in front stands for all of them."""
-    n = M.shape[1]
-    tree, y = np.empty((most, 4), np.int64), np.empty((most, n + 1))
+def look_at_all(  # type: ignore[no-untyped-def]
+    M, q, lower, upper, items, limit, first, tree, y, found, seen, spent, least, z
+):
+    """Look at the cases of these items of a batch; an array with one row in front stands for all of them.
+
+    What :func:`look_at` says of item p is written to `found`, `seen`, `spent` and `least`, and z[p] for it.
+    """
     for p in range(items.size):
         k = items[p]
         found[p], seen[p], spent[p], least[p] = look_at(
             M[k if M.shape[0] > 1 else 0], q[k if q.shape[0] > 1 else 0], lower[k if lower.shape[0] > 1 else 0],
-            upper[k if upper.shape[0] > 1 else 0], limit, True, tree, y, z[p],
+            upper[k if upper.shape[0] > 1 else 0], limit, first, tree, y, z[p],
         )
 
 
@@ -215,7 +221,7 @@ def _renewed(table, origin, basic, other, n):  # type: ignore[no-untyped-def]
     for column in range(n):
         if not is_basic[column]:
             continue
-        row, best = -1, SMALLEST_PIVOT
+        row, best = NONE, SMALLEST_PIVOT
         for k in range(n):
             if not is_basic[basic[k]] and abs(table[k, column]) > best:
                 row, best = k, abs(table[k, column])

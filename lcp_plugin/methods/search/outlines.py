@@ -11,6 +11,7 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
 from ...core.matrix.structure import IntVector
+from ...core.rounding import read_only_views
 from ...proofs.exact.rational import integers
 from ...proofs.no_solution.infeasibility import Case
 from ...proofs.no_solution.proof import LOWER, SLACKLESS, UPPER
@@ -98,12 +99,14 @@ def _looked_at(problem: LCP, most_entries: float, most_cases: int, *, first: boo
 
     n = problem.n
     most = min(most_cases, 3 ** (n + 1))  # more than there are
-    nodes, y, z = np.full((most, 4), UNUSED), np.empty((most, n + 1)), np.empty(n)
-    M = as_dense(problem.matrix)[0]
-    ended = kernels.look_at(
-        M, problem.q, problem.lower, problem.upper, float(most_entries), first, nodes, y, z
+    nodes, y, z = np.full((most, 4), UNUSED), np.empty((most, n + 1)), np.empty((1, n))
+    data = (part[None] for part in (as_dense(problem.matrix)[0], problem.q, problem.lower, problem.upper))
+    found, cases, spent, least = np.empty(1, np.int64), np.empty(1, np.int64), np.empty(1), np.empty(1)
+    kernels.look_at_all(
+        *read_only_views(*data), np.zeros(1, np.int64), float(most_entries), first, nodes, y,
+        found, cases, spent, least, z,
     )
-    return ended, nodes, y, z
+    return (int(found[0]), int(cases[0]), float(spent[0]), float(least[0])), nodes, y, z[0]
 
 
 def _tree(nodes: list[list[int]], y: FloatVector) -> Case:

@@ -136,9 +136,9 @@ def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, A
     spent, least, z = np.empty(rows.size), np.empty(rows.size), np.empty((rows.size, n))
 
     def look(first: int, end: int) -> None:
-        some = slice(first, end)
+        some, tree, y = slice(first, end), np.empty((MOST_CASES, 4), np.int64), np.empty((MOST_CASES, n + 1))
         kernels.look_at_all(
-            *read_only_views(*group[1:5]), rows[some], FIRST_ENTRIES, MOST_CASES,
+            *read_only_views(*group[1:5]), rows[some], FIRST_ENTRIES, True, tree, y,
             found[some], cases[some], spent[some], least[some], z[some],
         )
 

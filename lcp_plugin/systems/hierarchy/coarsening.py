@@ -186,7 +186,7 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
             p_data[size] = 1.0
             size += one
             continue
-        count = 0
+        count = np.int64(0)  # numba would compile what a plain 0 is passed to once more for that number
         diagonal = 0.0
         all_negative = 0.0
         interpolating = 0.0

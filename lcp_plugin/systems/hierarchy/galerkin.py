@@ -15,14 +15,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import Arrays, FloatVector, read_only
+from ...core.checks import Arrays, FloatVector
 from ...core.kernels.compilation import inlined, kernel
 from ...core.kernels.compiler import uintp
-from ...core.kernels.threads import share, threads_now
+from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
-from .grids import NO_WEIGHT, SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
+from .grids import SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
 
 Indices = NDArray[Any]
 
@@ -32,66 +33,16 @@ STEPS_SEEN = 1000  # rows either side of the middle
 
 def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
     """Return the transpose in CSR; its rows are sorted."""
-    first, rows, t_data = _transposed(columns, indptr[:-1], indptr[1:], indices, data, indices.size)
-    return first, rows, t_data
+    by_column = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, columns)).tocsc()
+    return by_column.indptr, by_column.indices, by_column.data
 
 
 def transposed_pattern(begin: Indices, last: Indices, columns: Indices) -> tuple[Indices, Indices]:
     """List the rows i with j among columns[begin[i]:last[i]] in rows[first[j]:first[j + 1]]; return first and rows."""
-    first, rows, _ = _transposed(last.size, begin, last, columns, NO_WEIGHT, int((last - begin).sum()))
+    indptr = np.append(0, np.cumsum(last - begin)).astype(columns.dtype)
+    listed = columns[np.arange(indptr[-1]) + np.repeat(begin - indptr[:-1], last - begin)]
+    first, rows, _ = transposed(last.size, indptr, listed, np.ones(listed.size, np.bool_))
     return first, rows
-
-
-def _transposed(
-    width: int, begin: Indices, last: Indices, columns: Indices, data: FloatVector, entries: int
-) -> Arrays:
-    """Each piece of rows counts its columns; behind those of the pieces before, its entries find their places."""
-    # Allocated here and not in the kernel: numpy asks for large pages, which makes the first touch four times cheaper.
-    pieces = max(min(threads_now(), last.size // SMALLEST_PIECE), 1)
-    ends = read_only(np.linspace(0, last.size, pieces + 1).astype(np.int64))
-    first, places = np.zeros(width + 1, begin.dtype), np.zeros((pieces, width), begin.dtype)
-    rows, t_data = np.empty(entries, columns.dtype), np.empty(data.size, data.dtype)
-    share(partial(_count_columns, begin, last, columns, ends, places), pieces, 1)
-    _find_places(places, first)
-    share(partial(_transpose, begin, last, columns, data, ends, places, rows, t_data), pieces, 1)
-    return first, rows, t_data
-
-
-@kernel
-def _count_columns(begin, last, columns, ends, counts, first_piece, end_piece):  # type: ignore[no-untyped-def]
-    for piece in range(first_piece, end_piece):
-        count = counts[piece]
-        for i in range(uintp(ends[piece]), uintp(ends[piece + 1])):
-            for k in range(uintp(begin[i]), uintp(last[i])):
-                count[uintp(columns[k])] += 1
-
-
-@kernel
-def _find_places(places, first):  # type: ignore[no-untyped-def]
-    """Turn the counts of each piece into where its first entry of each column goes; first[0] is 0 before."""
-    total = 0
-    for j in range(places.shape[1]):
-        for piece in range(places.shape[0]):
-            count = places[piece, j]
-            places[piece, j] = total
-            total += count
-        first[j + 1] = total
-
-
-@kernel
-def _transpose(begin, last, columns, data, ends, places, rows, t_data, first_piece, end_piece):  # type: ignore[no-untyped-def]
-    """Write the entries of these pieces of rows to their places in the transpose; `data` may be empty."""
-    one, has_data = uintp(1), data.size > 0
-    for piece in range(first_piece, end_piece):
-        place = places[piece]
-        for i in range(uintp(ends[piece]), uintp(ends[piece + 1])):
-            for k in range(uintp(begin[i]), uintp(last[i])):
-                j = uintp(columns[k])
-                p = uintp(place[j])
-                rows[p] = i
-                if has_data:
-                    t_data[p] = data[k]
-                place[j] = p + one
 
 
 @inlined
@@ -109,22 +60,14 @@ def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
 
 def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
     """Return how many products of three entries PᵀMP takes."""
-    return float(sum(share(partial(_count_products, indptr, indices, p_indptr), indptr.size - 1, SHARED_FROM)))
+    size = np.diff(p_indptr).astype(np.float64)  # not of integers, of which more than 64 bits may take
 
+    def piece(first: int, end: int) -> float:
+        met = size[indices[indptr[first] : indptr[end]]]
+        return float(np.dot(np.repeat(size[first:end], np.diff(indptr[first : end + 1])), met))
 
-@kernel
-def _count_products(indptr, indices, p_indptr, first, end):  # type: ignore[no-untyped-def]
-    one = uintp(1)
-    total = 0.0  # an integer, which more than 64 bits may take
-    for i in range(uintp(first), uintp(end)):
-        own = p_indptr[i + one] - p_indptr[i]
-        if own > 0:
-            met = 0  # a sum of integers need not wait for the one before
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                j = uintp(indices[k])
-                met += p_indptr[j + one] - p_indptr[j]
-            total += own * met
-    return total
+    rows = indptr.size - 1
+    return sum(piece(first, min(first + SMALLEST_PIECE, rows)) for first in range(0, rows, SMALLEST_PIECE))
 
 
 def galerkin_product(

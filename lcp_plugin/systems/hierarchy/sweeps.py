@@ -17,6 +17,7 @@ from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.kernels.compilation import inlined, kernel
 from ...core.kernels.compiler import uintp
 from ...core.kernels.enclosures import fused
+from ...core.kernels.rows import clamp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
 from .grids import LONGEST_REACH, EqualRows, RowBlocks, run_at
@@ -260,13 +261,6 @@ def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: i
 
 
 @inlined
-def _clamped(value, lower, upper):  # type: ignore[no-untyped-def]
-    """mid(lower, upper, value), a NaN kept."""
-    value = lower if lower > value else value
-    return upper if upper < value else value
-
-
-@inlined
 def _snap(begin, end, w, inverse, lower, upper, z):  # type: ignore[no-untyped-def]
     for p in range(begin, end):
         r, above, below = w[p] * inverse[p], z[p] - lower[p], z[p] - upper[p]
@@ -326,7 +320,7 @@ def _products(  # type: ignore[no-untyped-def]
             for k in range(size):
                 row = start + k
                 w, above, below = product[row], x[row] - lower[row], x[row] - upper[row]
-                workspace[k] = abs(_clamped(w * inverse[row], below, above))
+                workspace[k] = abs(clamp(w * inverse[row], below, above))
                 is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))
                 is_changed[row] = is_off != is_free[row]
                 is_free[row] = is_off

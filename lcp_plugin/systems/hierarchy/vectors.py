@@ -13,12 +13,13 @@ interpolated then: where couplings jump, conjugate gradients took ten times as m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.kernels.compilation import kernel
 from ...core.kernels.compiler import uintp
 from ...core.kernels.threads import share
@@ -28,13 +29,20 @@ from .sweeps import NO_BOUNDS, _plus_products, shared
 if TYPE_CHECKING:
     from .grids import Transfer
 
-TERMS = 32768  # that are summed in one piece
+T = TypeVar("T")
+AT_ONCE = 8192  # terms that are summed in one piece, too few for BLAS to share; they stay in the fastest cache
 
 
 def dot(one: FloatVector, other: FloatVector) -> float:
     """Return Σ one_i other_i."""
-    sums = np.zeros(-(-one.size // TERMS))
-    share(partial(_dots, one, other, sums), sums.size, 1)
+    sums = np.zeros(-(-one.size // AT_ONCE))
+
+    def sum_pieces(first: int, end: int) -> None:
+        for piece in range(first, end):
+            part = slice(piece * AT_ONCE, (piece + 1) * AT_ONCE)
+            sums[piece] = np.dot(one[part], other[part])
+
+    share(sum_pieces, sums.size, 1)
     return float(sums.sum())
 
 
@@ -42,65 +50,39 @@ def add_both(
     factor: float, vector: FloatVector, to: FloatVector, other_factor: float, other: FloatVector, to_other: FloatVector
 ) -> None:
     """Add factor · vector to one vector, and other_factor · other to another one."""
-    operands = factor, vector, to, other_factor, other, to_other
-    share(partial(_add_both, *operands), vector.size, SHARED_FROM)
+    def add(part: slice) -> None:
+        to[part] += factor * vector[part]
+        to_other[part] += other_factor * other[part]
+
+    _by_parts(add, vector.size)
 
 
 def add_within(
     origin: FloatVector, factor: float, vector: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
 ) -> None:
     """Overwrite z by mid(lower, upper, origin + factor · vector)."""
-    share(partial(_add_within, origin, factor, vector, lower, upper, z), vector.size, SHARED_FROM)
+    def add(part: slice) -> None:
+        np.clip(origin[part] + factor * vector[part], lower[part], upper[part], out=z[part])
+
+    _by_parts(add, vector.size)
 
 
 def largest_product(one: FloatVector, other: FloatVector) -> float:
     """Return the largest |one_i other_i|, NaN where one is; 0 of none."""
-    return float(np.max(share(partial(_largest_product, one, other), one.size, SHARED_FROM)))
+    return float(np.max(_by_parts(lambda part: span(one[part] * other[part]), one.size), initial=0.0))
+
+
+def _by_parts(work: Callable[[slice], T], size: int) -> list[T]:
+    """Return what work says of consecutive parts of a vector of that size."""
+    def piece(first: int, end: int) -> list[T]:
+        return [work(slice(begin, min(begin + AT_ONCE, end))) for begin in range(first, end, AT_ONCE)]
+
+    return [one for piece_of in share(piece, size, SHARED_FROM) for one in piece_of]
 
 
 def span(vector: FloatVector) -> float:
     """Return the largest entry in absolute value; 0 of no entry."""
     return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
-
-
-@kernel
-def _dots(one, other, sums, first, end):  # type: ignore[no-untyped-def]
-    for piece in range(first, end):
-        a = b = c = d = 0.0  # one sum alone would wait for itself
-        begin, last = piece * TERMS, min((piece + 1) * TERMS, one.size)
-        for i in range(begin, last - 3, 4):
-            a += one[i] * other[i]
-            b += one[i + 1] * other[i + 1]
-            c += one[i + 2] * other[i + 2]
-            d += one[i + 3] * other[i + 3]
-        for i in range(last - (last - begin) % 4, last):
-            a += one[i] * other[i]
-        sums[piece] = (a + b) + (c + d)
-
-
-@kernel
-def _add_both(factor, vector, to, other_factor, other, to_other, first, end):  # type: ignore[no-untyped-def]
-    for i in range(first, end):
-        to[i] += factor * vector[i]
-        to_other[i] += other_factor * other[i]
-
-
-@kernel
-def _add_within(origin, factor, vector, lower, upper, z, first, end):  # type: ignore[no-untyped-def]
-    for i in range(first, end):
-        value = origin[i] + factor * vector[i]
-        value = lower[i] if lower[i] > value else value
-        z[i] = upper[i] if upper[i] < value else value
-
-
-@kernel
-def _largest_product(one, other, first, end):  # type: ignore[no-untyped-def]
-    largest = 0.0
-    for i in range(first, end):
-        size = abs(one[i] * other[i])
-        if size > largest or np.isnan(size):
-            largest = size
-    return largest
 
 
 LACKING = 0.1  # of the diagonal entry: how far a row may sum below zero before it contradicts the scaling
@@ -172,20 +154,21 @@ NO_FLAGS = np.zeros(0, np.bool_)
 
 def restrict(transfer: Transfer, fine: FloatVector, coarse: FloatVector) -> None:
     """Coarse ← R fine."""
-    shared(partial(_interpolate, *transfer.restriction.arrays, fine, False, NO_FLAGS, *NO_BOUNDS, coarse), coarse.size)
+    operands = *transfer.restriction.arrays, read_only(fine), False, NO_FLAGS, *NO_BOUNDS, coarse
+    shared(partial(_interpolate, *operands), coarse.size)
 
 
 def prolong(
     transfer: Transfer, coarse: FloatVector, flags: BoolVector, lower: FloatVector, upper: FloatVector, z: FloatVector
 ) -> int:
     """Overwrite z by mid(lower, upper, z + P coarse) where `flags` say so; return how many were cut at a bound."""
-    operands = *transfer.prolongation.arrays, coarse, True, flags, lower, upper, z
+    operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, lower, upper, z
     return sum(shared(partial(_interpolate, *operands), lower.size))
 
 
 def add_prolonged(transfer: Transfer, coarse: FloatVector, flags: BoolVector, x: FloatVector) -> None:
     """Add P coarse to x where `flags`, of the own rows at least, say so."""
-    operands = *transfer.prolongation.arrays, coarse, True, flags, *NO_BOUNDS, x
+    operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *NO_BOUNDS, x
     shared(partial(_interpolate, *operands), transfer.is_coarse.size)
 
 

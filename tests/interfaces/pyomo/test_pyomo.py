@@ -813,6 +813,7 @@ model.other = Complementarity(expr=complements(model.x[2] >= 0, model.x[1] + 2 *
 """
 
 
+@pytest.mark.full
 def test_pyomos_command_solves_and_writes_the_answer(tmp_path: Path) -> None:
     """``pyomo solve --solver=lcp_plugin``, with the options of Pyomo's own tests; the file holds the values."""
     (tmp_path / "model.py").write_text(COMMANDS_MODEL)

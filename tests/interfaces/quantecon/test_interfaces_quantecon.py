@@ -28,6 +28,7 @@ def matrices(n: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
     yield A + np.diag(np.abs(A).sum(axis=1) + 1.0)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [2, 5, 12, 30])
 def test_same_path_on_random_problems(n: int) -> None:
     """Status, z and number of pivots are those of QuantEcon, on six classes, with and without a covering vector."""
@@ -48,6 +49,7 @@ def test_their_own_tests_pass(name: str, monkeypatch: pytest.MonkeyPatch) -> Non
     getattr(their_tests.TestLCPLemke(), name)()
 
 
+@pytest.mark.full
 def test_limit_of_pivots() -> None:
     """As many pivots as were asked for, status 1, and no success."""
     M, q = FEW
@@ -56,6 +58,7 @@ def test_limit_of_pivots() -> None:
         assert ours[1:] == theirs[1:] == (False, 1, max(limit, 1))
 
 
+@pytest.mark.full
 def test_success_is_measured() -> None:
     """Where rounding misleads QuantEcon's path on a badly scaled matrix, ours says what holds."""
     misled = 0
@@ -75,6 +78,7 @@ def is_solution(M: np.ndarray, q: np.ndarray, z: np.ndarray) -> bool:
     return bool(((z >= 0.0) & (w >= -size) & ((z == 0.0) | (np.abs(w) <= size))).all())
 
 
+@pytest.mark.full
 def test_nothing_to_do_and_a_place_for_z() -> None:
     """For q ≥ 0 no pivot is made; z is written where the caller wants it, and workspaces are left alone."""
     assert lemke(np.eye(2), np.ones(2))[1:] == (True, 0, 0)

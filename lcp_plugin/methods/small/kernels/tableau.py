@@ -67,7 +67,8 @@ def follow_path(M, k, real, whole, matrix, limit):  # type: ignore[no-untyped-de
     if level > 0.0:
         for i in range(n):
             real[KEPT, i] += level
-        outcome, _driven, _value, _direction, made = pivots(real, whole, matrix, n, 2 * n, level, -1.0, True, limit)
+        is_fresh = level > 0.0  # no constant: numba would compile the kernel anew for it
+        outcome, _driven, _value, _direction, made = pivots(real, whole, matrix, n, 2 * n, level, -1.0, is_fresh, limit)
     if outcome != SOLVED:
         return -1
     _end(real, whole, n)

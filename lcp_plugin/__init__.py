@@ -55,6 +55,7 @@ _MOVED = {  # public names of before: these still work for one release, with a w
     "problems.batches.batch": "solve_many",
     "problems.batches.batch_run": "BatchResult",
     "problems.batches.program_batch": "ProgramBatchResult",
+    "problems.cones.frictional_contact": "FrictionalContactBatch",
     "problems.cones.solving": "ConeResult",
     "problems.equilibria.branch_and_bound": "minimize_over_solutions",
     "problems.equilibria.result": "EquilibriumResult",
@@ -72,6 +73,7 @@ _MOVED = {  # public names of before: these still work for one release, with a w
     "proofs.guarantees.theorems": "Guarantee",
     "proofs.verdicts": "MatrixReport",
 }
+_SINCE = {"FrictionalContactBatch": "FrictionalContact(W, b, friction), which takes an axis in front for the worlds"}
 _NEW_HOME = {name: home for home, names in _MOVED.items() for name in names.split()}
 __all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 - the names are strings, from the table
 
@@ -81,7 +83,8 @@ def __getattr__(name: str) -> Any:
     if home is None:
         raise AttributeError(f"module 'lcp_plugin' has no attribute {name!r}")
     if name in _NEW_HOME:
-        what = f"lcp_plugin.{name} has moved; write from lcp_plugin.{home} import {name}"
+        write = _SINCE.get(name, f"from lcp_plugin.{home} import {name}")
+        what = f"lcp_plugin.{name} has moved; write {write}"
         warnings.warn(what, DeprecationWarning, stacklevel=2)
     module = import_module(f"{__name__}.{home}")
     if home.startswith("modeling"):

@@ -26,8 +26,7 @@ from .modeling.qp_solver import QPSolver as QPSolver
 from .problems.batches.batch import prepare as prepare
 from .problems.batches.batch import solve_batch as solve_batch
 from .problems.cones.data import ConeProblem as ConeProblem
-from .problems.cones.data import FrictionalContact as FrictionalContact
-from .problems.cones.stacked_contacts import FrictionalContactBatch as FrictionalContactBatch
+from .problems.cones.frictional_contact import FrictionalContact as FrictionalContact
 from .problems.equilibria.equilibrium_program import EquilibriumProgram as EquilibriumProgram
 from .problems.least_squares.data import BoundedLeastSquares as BoundedLeastSquares
 from .problems.march.march_many import march as march

@@ -17,7 +17,8 @@ from .core.solving.result import Result
 from .core.solving.run import Callback
 
 if TYPE_CHECKING:
-    from .problems.cones.data import ConeProblem, FrictionalContact
+    from .problems.cones.data import ConeProblem
+    from .problems.cones.frictional_contact import FrictionalContact
     from .problems.cones.solving import ConeResult
     from .problems.equilibria.equilibrium_program import EquilibriumProgram
     from .problems.equilibria.result import EquilibriumResult

@@ -21,7 +21,7 @@ from ..core.kernels.compilation import cache_folder
 from ..core.lcp import LCP
 from ..core.settings import checked_threads
 from ..problems.batches.batch import solve_batch
-from ..problems.cones.data import FrictionalContact
+from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
 from ..problems.march.march_many import march, march_many
 from ..problems.programs.stacked_programs import QuadraticProgramBatch

@@ -21,7 +21,7 @@ from ..core.settings import Settings, Status
 from ..core.solving.result import Result
 from ..engines import ENGINES, engine_class
 from ..interfaces.program_files import kind_in, load_least_squares, load_problem, load_program
-from ..problems.cones.data import FrictionalContact
+from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
 from ..problems.programs.program import QuadraticProgram
 from .target import read_target

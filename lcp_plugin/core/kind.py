@@ -105,6 +105,11 @@ def kind_of(problem: Any) -> Kind | None:
     return getattr(type(problem), "problem_kind", None)
 
 
+def states_many(given: Any) -> bool:
+    """Return whether these are the arrays of many problems."""
+    return type(given).__name__ in ("QuadraticProgramBatch", "FrictionalContactBatch")
+
+
 def refusal(way: str, given: Any) -> str:
     """Return what to say where a way does not take what it was given, with what to write instead."""
     from ..kinds import KINDS
@@ -122,6 +127,9 @@ def refusal(way: str, given: Any) -> str:
 
 def _remedy(way: str, given: Any, takes_programs: bool) -> str:
     """Return what to write for what is no problem of any kind, but near one."""
+    is_list = isinstance(given, (list, tuple)) and bool(given) and kind_of(given[0]) is not None
+    if is_list or states_many(given):
+        return "solve_batch takes many"
     if way == "derivative" and hasattr(given, "all_solved"):
         return "write derivative(answers[k]) for the answer to one problem"
     if way == "derivative" and hasattr(given, "breakpoints"):
@@ -142,9 +150,6 @@ def _remedy(way: str, given: Any, takes_programs: bool) -> str:
         return "read a file first: load_problem(path), or lcp_plugin.interfaces.nl.read_nl(path) for a model of AMPL"
     if type(given).__module__.startswith("cvxpy."):
         return 'write problem.solve(method="LCP"), or LCP.from_cvxpy(problem)'
-    is_list = isinstance(given, (list, tuple)) and bool(given) and kind_of(given[0]) is not None
-    if is_list or type(given).__name__ in ("QuadraticProgramBatch", "FrictionalContactBatch"):
-        return "solve_batch takes many"
     if isinstance(given, type) or callable(given):
         return "give an object: LCP(M, q), or NonlinearProblem(F) of a function F"
     return f"write {way}(LCP(M, q))" + (f", or {way}(QuadraticProgram(P, c, …))" if takes_programs else "")

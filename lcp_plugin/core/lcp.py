@@ -27,7 +27,7 @@ from .matrix.matrix import Matrix
 from .representation import described_lcp, lcp_repr
 
 if TYPE_CHECKING:
-    from ..problems.cones.data import FrictionalContact
+    from ..problems.cones.frictional_contact import FrictionalContact
 
 
 class OriginsCriterion(Protocol):
@@ -384,7 +384,7 @@ class LCP:
         from ..problems.contact import lcp_from_contacts
 
         if cone == "exact":
-            from ..problems.cones.data import FrictionalContact
+            from ..problems.cones.frictional_contact import FrictionalContact
 
             return FrictionalContact.from_contacts(contacts, friction, velocities, gaps=gaps, time_step=time_step)
         if cone != "pyramid":

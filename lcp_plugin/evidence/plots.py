@@ -18,7 +18,7 @@ from ..core.representation import in_words
 from ..core.settings import Status
 from ..core.solving.answer import Answer
 from ..core.solving.result import Result
-from ..problems.cones.data import FrictionalContact
+from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.equilibria.result import EquilibriumResult
 from ..problems.many.answers import AnswerSequence
 from ..problems.march import March

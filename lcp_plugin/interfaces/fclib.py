@@ -15,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
-from ..problems.cones.data import FrictionalContact
 from ..problems.cones.files import problem_of
+from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.contact import inverse_by_components
 from .files.matrix_market import opened
 

@@ -14,9 +14,10 @@ import scipy.sparse as sp
 from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
 from ..core.kind import with_article
 from ..core.lcp import LCP
-from ..problems.cones.data import ConeProblem, FrictionalContact
+from ..problems.cones.data import ConeProblem
 from ..problems.cones.files import LAYOUT as CONE_LAYOUT
 from ..problems.cones.files import problem_of as cone_problem_of
+from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
 from .fclib import SUFFIXES as HDF5
@@ -30,7 +31,8 @@ PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of
 ALIASES = {"q": "c", "lb": "lower", "ub": "upper"}
 QUADPROG = {"H": "P", "f": "c", "A": "G", "b": "h", "Aeq": "A", "beq": "b", "lb": "lower", "ub": "upper"}
 OF_PROGRAM = ("P", "c", "A", "l", "u", "G", "h", "b", "lower", "upper", "r")
-OF_CONES = ("W", "M", *MATRIX_KEYS, "q", "b", "mu", "friction", "cone_kinds", "cone_rows", "lower", "upper")
+OF_CONES = ("W", "M", *MATRIX_KEYS, "q", "b", "mu", "friction", "cone_kinds", "cone_rows", "lower", "upper",
+            "contacts", "dimension")
 OF_LEAST_SQUARES = ("A", "b", "lower", "upper", "weights", "ridge", "l1")
 MATRICES = ("P", "A", "G", "H", "Aeq")
 MOST_ROWS = 10**8
@@ -72,9 +74,10 @@ def load_problem(path: str | PathLike[str]) -> Any:
         ``.qps`` and ``.mps`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A, l, u, or
         the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program; with A
         and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares; with mu beside a matrix a
-        FrictionalContact, with cone_kinds a ConeProblem (``.npz`` alone). ``.h5`` and ``.hdf5`` of fclib, the field's
-        collection, state a FrictionalContact; h5py reads them. Everything else is read by
-        :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by :func:`lcp_plugin.interfaces.nl.read_nl`.
+        FrictionalContact, of many worlds where W has three axes, with cone_kinds a ConeProblem (``.npz`` alone).
+        ``.h5`` and ``.hdf5`` of fclib, the field's collection, state a FrictionalContact; h5py reads them. Everything
+        else is read by :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by
+        :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Raises
     ------

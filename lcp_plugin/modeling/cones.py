@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
 from ..core.lcp import LCP
-from ..problems.cones.data import Blocks, ConeProblem, FrictionalContact
+from ..problems.cones.data import Blocks, ConeProblem
+from ..problems.cones.frictional_contact import FrictionalContact
 from .assembly import Arrangement
 
 

@@ -12,7 +12,7 @@ from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
 from ..core.errors import UnsupportedModel
-from ..problems.cones.data import dimension_of
+from ..problems.cones.frictional_contact import dimension_of
 from ._compat import attribute_bounds, bound_value
 from .builder import pair_residual
 from .cones import stacked

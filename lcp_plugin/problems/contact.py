@@ -216,13 +216,17 @@ class Contacts:
 
     def _in_vector(self, velocities: FloatArray, gaps: FloatArray | None) -> FloatArray:
         """Return what velocities, shape (k, d), and gaps, or changes of them, are in q, which is linear in them."""
-        k = self.count
-        if gaps is not None and self.time_step is not None:
-            approach = np.zeros((*gaps.shape, velocities.shape[-1]))
-            approach[..., 0] = gaps / self.time_step
-            velocities = velocities + approach
+        k, velocities = self.count, self.until_contact(velocities, gaps)
         moving = velocities.reshape(*velocities.shape[:-2], -1) @ self._by_edges.T
         return np.concatenate([moving, np.zeros((*moving.shape[:-1], k))], axis=-1)
+
+    def until_contact(self, velocities: FloatArray, gaps: FloatArray | None) -> FloatArray:
+        """Return velocities, shape (k, d), less those that close the gaps within the step, or changes of them."""
+        if gaps is None or self.time_step is None:
+            return velocities
+        closing = np.zeros((*gaps.shape, velocities.shape[-1]))
+        closing[..., 0] = gaps / self.time_step
+        return velocities + closing
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -524,7 +528,7 @@ def checked_contacts(
     """Return what :func:`contact_data` does, without a warning; W is sparse where a part is and `keeps_sparse`."""
     bodies = None
     given = _array(velocities, "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane")
-    if isinstance(contacts, tuple) or (isinstance(contacts, list) and len(contacts) == 3 and np.ndim(contacts[0]) == 2):
+    if is_of_bodies(contacts):
         is_sparse = keeps_sparse and any(map(sp.issparse, contacts))
         W, given, bodies = (_of_sparse_bodies if is_sparse else _of_bodies)(tuple(contacts), given)
     else:
@@ -551,6 +555,17 @@ def checked_contacts(
     mu = np.broadcast_to(mu, given.shape[:-1])
     distances = None if distances is None else np.broadcast_to(distances, given.shape[:-1])
     return Contacts(W, mu, given, edges, distances, None if distances is None else time_step, bodies)
+
+
+def is_of_bodies(contacts: Any) -> bool:
+    """Return whether these are (mass matrix, normals, tangents) rather than W."""
+    is_list = isinstance(contacts, list) and len(contacts) == 3 and np.ndim(contacts[0]) == 2
+    return is_list or isinstance(contacts, tuple)
+
+
+def are_of_bodies(velocities: tuple[int, ...], normals: tuple[int, ...], d: int) -> bool:
+    """Return whether velocities of this shape, beside normals of that, are those of bodies, not (k, d) of contacts."""
+    return velocities[-1:] == normals[-1:] and (len(velocities) == 1 or velocities[-2:] != (*normals[-2:-1], d))
 
 
 def _distances(gaps: ArrayLike | None, time_step: float | None, k: int) -> FloatArray:
@@ -703,7 +718,7 @@ def _require_fit(normals: tuple[int, ...], v: int) -> None:
 def _of_contacts(velocities: FloatArray, mass: Any, J: Any, k: int, d: int) -> tuple[FloatArray, Bodies]:
     """Return the contacts' velocities and the bodies, from the velocities of either."""
     v, own = mass.shape[-1], None
-    if velocities.shape[-1:] == (v,) and (velocities.ndim == 1 or velocities.shape[-2] != k or d != v):
+    if are_of_bodies(velocities.shape, (k, v), d):
         own, velocities = velocities, _product(velocities, J.T if sp.issparse(J) else np.swapaxes(J, -1, -2))
         velocities = velocities.reshape(*velocities.shape[:-1], k, d)
     elif velocities.ndim == 1:

@@ -14,6 +14,7 @@ BENCHMARKS = {
     "small": "small and medium problems, one by one and in batches, beside compiled rivals",
     "contact": "contact with friction: steps, trajectories, batches, beside Dantzig's pivots, PGS, Lemke",
     "cones": "contact with friction as it is, beside Siconos and pyramids: answers from scratch, warm steps in time",
+    "piles": "a step of spheres poured into a box, beside MuJoCo, Drake and Siconos: its time and its residual",
     "auto": "auto beside the best named method, warm, on scenes and on problems of every kind",
     "rivals": "dense, contact and sparse problems against convex QP solvers, each at its cheapest setting",
     "shapes": "lasso, support vectors, portfolios, transport … at every shape, against OSQP and Clarabel",

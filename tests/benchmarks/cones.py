@@ -1,13 +1,15 @@
 """Contact with friction as it is: answers from scratch and warm steps in time, beside pyramids and Siconos.
 
-Siconos (Debian's python3-siconos) runs in the system's Python where that has it: its block Gauss–Seidel on a sparse W,
-and its Alart–Curnier Newton on a sparse or a dense one, whichever serves it better, each to the same tolerance of its
-own criterion. Whether its answers hold is what it says itself; beside that stands how large their residual is here.
+Siconos (Debian's python3-siconos) runs in the system's Python, or in SICONOS_PYTHON, where that has it: its block
+Gauss–Seidel on a sparse W, and its Alart–Curnier Newton on a sparse or a dense one, whichever serves it better, each to
+the same tolerance of its own criterion. Whether its answers hold is what it says itself; beside that stands how large
+their residual is here.
 ``FILE.npz …`` in place of planted problems; ``--plot FILE.png`` draws the performance profile.
 """
 
 from __future__ import annotations
 
+import os
 import statistics
 import subprocess
 import time
@@ -22,13 +24,13 @@ import scipy.sparse as sp
 from cone_families import planted_contacts, wall
 from scipy.spatial import cKDTree
 
-from lcp_plugin import LCP, FrictionalContact, FrictionalContactBatch, derivative, load_problem, solve, solve_batch
+from lcp_plugin import LCP, FrictionalContact, derivative, load_problem, solve, solve_batch
 from lcp_plugin.core.errors import UnreadableFile
 from lcp_plugin.problems.cones.methods import NPGS
 from lcp_plugin.problems.contact import contact_data
 
 TOLERANCE, RATIOS = 1e-8, (1.0, 2.0, 5.0, 10.0)
-SYSTEM_PYTHON, LIMIT = "/usr/bin/python3", 60.0  # s
+SYSTEM_PYTHON, LIMIT = os.environ.get("SICONOS_PYTHON", "/usr/bin/python3"), 60.0  # s
 SICONOS = ("NSGS", "NSN_AC")
 #: Seconds, ∞ where it is not solved; and our relative residual.
 Outcome = tuple[float, float]
@@ -40,7 +42,7 @@ def run(*, quick: bool = False, files: Sequence[str] = (), plot: str | None = No
     if not files:
         ways["pyramids of 8 edges"] = _pyramids
     if has_siconos():
-        ways |= {f"Siconos {name}": partial(_siconos, name) for name in SICONOS}
+        ways |= {f"Siconos {name}": partial(siconos_answer, name) for name in SICONOS}
     else:
         yield f"without Siconos: {SYSTEM_PYTHON} has no siconos; apt-get install python3-siconos"
     seconds: dict[str, list[float]] = {name: [] for name in ways}
@@ -126,13 +128,14 @@ def has_siconos() -> bool:
         return False
 
 
-def _siconos(name: str, problem: FrictionalContact) -> Outcome:
-    """Return what Siconos makes of a problem, in a process of its own."""
+def siconos_answer(name: str, problem: FrictionalContact, start: Any = None) -> Outcome:
+    """Return what Siconos makes of a problem, from a start or from 0, in a process of its own."""
     with TemporaryDirectory() as folder:
         source, target = Path(folder) / "problem.npz", Path(folder) / "answer.npz"
         W = sp.csc_array(problem.rows.csr)
         matrix = {"data": W.data, "indices": W.indices, "indptr": W.indptr, "shape": W.shape}
-        np.savez(source, **matrix, b=problem.b, mu=problem.friction)
+        start = np.zeros(problem.n) if start is None else start
+        np.savez(source, **matrix, b=problem.b, mu=problem.friction, start=start)
         script = str(Path(__file__).with_name("siconos_contacts.py"))
         try:
             subprocess.run([SYSTEM_PYTHON, script, str(source), name, str(TOLERANCE), str(target)],
@@ -293,7 +296,7 @@ def _worlds(W: Any, b: Any, mu: Any) -> str:
 
     Turns alternate, so that what else runs strikes both alike.
     """
-    worlds, moved = FrictionalContactBatch(W, b, mu), FrictionalContactBatch(W, 1.001 * b, mu)
+    worlds, moved = FrictionalContact(W, b, mu), FrictionalContact(W, 1.001 * b, mu)
     start = solve_batch(worlds).require_solved().z
     seconds: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
     for _ in range(6):  # the first loads

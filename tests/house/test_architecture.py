@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -35,6 +36,7 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     "problems.parametric.tracing": ({"modeling"}, "trace takes a cvxpy problem as well"),
     "problems.parametric.regions": ({"evidence"}, "plot() of regions"),
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),
+    "problems.cones.frictional_contact": ({"files"}, "save() of many worlds with contact"),
     "problems.programs.certification": ({"modeling"}, "certify takes a cvxpy problem as well"),
     "problems.equilibria.branch_and_bound": ({"scip"}, "SCIP is asked where it is installed, in expressions"),
     "proofs.guarantees": ({"auto", "direct"}, "convergence_guarantee takes what solve takes, a name or auto"),
@@ -275,6 +277,7 @@ def test_names_of_before_still_work_and_say_where_they_are() -> None:
     for home, names in lcp_plugin._MOVED.items():
         for name in names.split():
             assert name not in dir(lcp_plugin)
-            with pytest.warns(DeprecationWarning, match=f"write from lcp_plugin.{home} import {name}$"):
+            write = re.escape(lcp_plugin._SINCE.get(name, f"from lcp_plugin.{home} import {name}"))
+            with pytest.warns(DeprecationWarning, match=f"write {write}$"):
                 before = getattr(lcp_plugin, name)
             assert before is getattr(import_module(f"lcp_plugin.{home}"), name)

@@ -23,7 +23,7 @@ from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
     Certificate,
-    FrictionalContactBatch,
+    FrictionalContact,
     InvalidOption,
     LCPError,
     NonlinearProblem,
@@ -117,7 +117,7 @@ def by_batch(sample: Sample, folder: Path) -> None:
         batches.append(solve_batch(stack))
     if sample.kind == "FrictionalContact":
         one = sample.problem
-        worlds = FrictionalContactBatch(one.W, np.stack([one.b] * 2), one.friction, dimension=one.dimension)
+        worlds = FrictionalContact(one.W, np.stack([one.b] * 2), one.friction, dimension=one.dimension)
         batches.append(solve_batch(worlds))
         if batches[-1].all_solved:
             assert derivative(batches[-1]).vjp(np.ones(one.n)).q.shape == (2, one.n)
@@ -465,6 +465,32 @@ def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_pa
             assert any(f"lcp-plugin {one}" in found.output for one in ("solve", "certify")), found.output
     else:
         assert kind.words(way)
+
+
+def test_worlds_with_contact_work_or_are_refused_in_words(tmp_path: Path) -> None:
+    """A batch in arrays is solved, differentiated, pickled and saved; every other way names solve_batch."""
+    worlds = FrictionalContact(np.stack([np.eye(3)] * 2), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5)
+    worlds.save(tmp_path / "w.npz")
+    for copy in (worlds, pickle.loads(pickle.dumps(worlds)), load_problem(tmp_path / "w.npz")):
+        answers = solve_batch(copy).require_solved()
+        assert str(answers) == answers.explain()
+        np.testing.assert_allclose(answers.z, [[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], atol=CLOSE)
+        assert derivative(answers).vjp(np.ones((2, 3))).M.shape == (2, 3, 3)
+    answers = pickle.loads(pickle.dumps(solve_batch(worlds)))
+    assert answers[1].is_solved
+    words = [*REFUSALS.keys() - {"solve_batch", "solve_many", "derivative", "certify", "study"}]
+    for refuse in (lambda p, _: solve(p), *(REFUSALS[way] for way in words)):
+        with pytest.raises(LCPError, match="FrictionalContact") as caught:
+            refuse(worlds, lambda: answers)  # type: ignore[no-untyped-call]
+        assert "solve_batch" in str(caught.value)
+    with pytest.raises(LCPError, match="solve_batch"):
+        solve_many(worlds, [[1.0, 1.0]])
+    with pytest.raises(LCPError, match="study needs an LCP"):
+        study(worlds, ["lemke"])
+    for way in COMMANDS[:-1]:
+        found = command(way.split()[1], tmp_path / "w.npz")
+        assert found.exit_code == 2
+        assert "FrictionalContact" in found.output, found.output
 
 
 # --- Options of solve, Ctrl-C ----------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ...problems.batches.batch import solve_batch
-from ...problems.cones.stacked_contacts import FrictionalContactBatch
+from ...problems.cones.frictional_contact import FrictionalContactBatch
 from ...problems.sensitivity import derivative
 from ...problems.sensitivity.batch_derivative import BatchDerivative
 from ...problems.sensitivity.contact_batch_derivative import ContactBatchDerivative
@@ -139,7 +139,7 @@ def contacts_solved(wishes: Wishes, W: Any, b: Any, friction: Any, z0: Any = Non
     Parameters
     ----------
     wishes : Wishes
-        Its options are those of FrictionalContactBatch and of solve_batch.
+        Its options are those of FrictionalContact and of solve_batch.
     W, b, friction, z0 : array, shapes (B, n, n), (B, n), (B, k), (B, n)
 
     Raises

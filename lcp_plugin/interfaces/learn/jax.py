@@ -110,7 +110,7 @@ def contact_layer(
     Parameters
     ----------
     W, b, friction : array, shapes (…, n, n), (…, n) and (…, k)
-        As of :class:`lcp_plugin.FrictionalContactBatch`, float64; axes in front are those of worlds, and broadcast.
+        As of :class:`lcp_plugin.FrictionalContact`, float64; axes in front are those of worlds, and broadcast.
     dimension : int, optional
         d, 3 by default where the rows are a multiple of 3.
     tolerance, max_seconds, threads

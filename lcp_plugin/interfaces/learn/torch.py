@@ -112,11 +112,11 @@ def contact_layer(
     Parameters
     ----------
     W : tensor, shape (B, n, n) or (n, n)
-        As of :class:`lcp_plugin.FrictionalContactBatch`, float64, on the CPU, like the others; read where it lies.
+        As of :class:`lcp_plugin.FrictionalContact`, float64, on the CPU, like the others; read where it lies.
     b : tensor, shape (B, n)
     friction : tensor, shape (B, k), (k,) or (), or number
     contacts, dimension
-        As of :class:`lcp_plugin.FrictionalContactBatch`.
+        As of :class:`lcp_plugin.FrictionalContact`.
     z0 : tensor, shape (B, n), optional
         Warm starts, constants.
     tolerance, max_seconds, threads

@@ -22,9 +22,9 @@ from ...core.solving.answer import Answer
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ...systems.factors import bands
+from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
 from ..cones.small import groups_of, solve_small
 from ..cones.solving import result_of as result_of_small
-from ..cones.stacked_contacts import FrictionalContactBatch
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
@@ -95,7 +95,7 @@ def solve_batch(
 ) -> ProgramBatchResult: ...
 @overload
 def solve_batch(
-    M: FrictionalContactBatch, *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",
+    M: FrictionalContact | FrictionalContactBatch, *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",
     tolerance: float = 1e-8, max_iterations: int | None = None, max_seconds: float | None = None,
     absolute_tolerance: float = 0.0, prove_infeasibility: bool = True, threads: int | None = None,
 ) -> ContactBatchResult: ...
@@ -144,7 +144,8 @@ def solve_batch(
     Parameters
     ----------
     M : array, shape (B, n, n) or (n, n), a sparse array or an LCP for all, a sequence of problems, a program and its
-        vectors, a QuadraticProgramBatch, or a FrictionalContactBatch
+        vectors, a QuadraticProgramBatch, or a FrictionalContact
+        of many worlds
         With one LCP and a q of shape (B, n), all share what is known of its matrix, as after :func:`prepare`; its
         bounds hold where no others are given. One program takes a sequence of mappings in the place of q, as
         ``[{"b": b}, …]``: what ``program.with_vectors`` takes.
@@ -217,7 +218,7 @@ def solve_batch(
                  absolute_tolerance=absolute_tolerance, prove_infeasibility=prove_infeasibility)
     defaults = solve_batch.__kwdefaults__ or {}
     if isinstance(M, FrictionalContactBatch):
-        _refuse_data("contacts", "FrictionalContactBatch(W, b, friction)", q, lower, upper)
+        _refuse_data("contacts", "FrictionalContact(W, b, friction)", q, lower, upper)
         del asked["z0"]
         wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
         return ContactBatchRun(M, wishes, z0, threads=checked, limit=limit).run()

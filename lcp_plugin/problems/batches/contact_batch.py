@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from ...core.checks import read_only, real_array
 from ...core.errors import InvalidOption
 from ...core.settings import Status
+from ..cones.frictional_contact import FrictionalContactBatch
 from ..cones.methods import SWEEPS_A_STEP
 from ..cones.small import LARGEST, LoopAnswers, run_loop
 from ..cones.solving import ConeResult, motion_of, result_of, solve_cones
-from ..cones.stacked_contacts import FrictionalContactBatch
 from .batch_run import BatchAnswers, BatchLoop
 
 

@@ -1,10 +1,10 @@
 """Complementarity over cones, and contact with friction as it is; here, what takes these kinds.
 
-`data` states the problems and checks them, `stacked_contacts` many worlds in arrays, `certificate` judges an answer,
-`methods` has the iterations, `kernels` their loops and `central_path` the steps of the interior point, `small` solves
-small problems, one or many, in the loop of `small_kernels`, `infeasibility` proves that there is no answer, `solving`
-chains them, `derivative` differentiates an answer, `derivative_kernels` those of many small worlds, `files` reads and
-writes.
+`data` states problems and checks them, `frictional_contact` contacts, of one world or of many in arrays, `certificate`
+judges an answer, `methods` has the iterations, `kernels` their loops and `central_path` the steps of the interior
+point, `small` solves small problems, one or many, in the loop of `small_kernels`, `infeasibility` proves that there is
+no answer, `solving` chains them, `derivative` differentiates an answer, `derivative_kernels` those of many small
+worlds, `files` reads and writes.
 """
 
 from ...core.kind import Kind

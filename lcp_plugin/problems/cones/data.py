@@ -1,8 +1,8 @@
-"""Complementarity over cones, and contact with friction as it is: the data, checked.
+"""Complementarity over cones: the data, checked.
 
 K ∋ z ⟂ w ∈ K*, w = M z + q, K a product of blocks: one row between bounds (free, nonnegative, a box), or several rows
 in a cone {‖z_T‖ ≤ μ z_N}, whose dual is {w_N ≥ μ‖w_T‖}. Contact with friction is that with û = w + μ‖w_T‖ e_N for w
-(De Saxcé): Coulomb's law, impulses r for z, velocities u for w.
+(De Saxcé): Coulomb's law, impulses r for z, velocities u for w; `frictional_contact` states it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from ...core.checks import (
     is_number,
     read_only,
     real_array,
-    rectangular_matrix,
 )
 from ...core.deadline import Lock
 from ...core.errors import InvalidProblem, did_you_mean
@@ -32,11 +31,9 @@ from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 from ...core.representation import in_words
 from ...core.rounding import read_only_views
-from ..contact import Bodies, checked_contacts, warn_of_much_friction
-from . import CONE_PROBLEM, FRICTIONAL_CONTACT
+from . import CONE_PROBLEM
 
 CONES = ("free", "nonnegative", "box", "second_order")
-NEARLY_SYMMETRIC = 1e-2  # of the largest entry: contact data are written with few digits, and differ by up to 2.5e-3
 NEED_CONES = (
     'cones must be a sequence of ("free", rows), ("nonnegative", rows), ("box", lower, upper) and '
     '("second_order", rows)'
@@ -249,7 +246,7 @@ class ConeProblem(Blocks):
 
     def with_q(self, q: ArrayLike) -> ConeProblem:
         """Return the problem with another q, shape (n,); what depends on M alone is shared."""
-        other: ConeProblem = _with_q(self, q, "q")
+        other: ConeProblem = with_other_q(self, q, "q")
         return other
 
     def _shape(self) -> dict[str, Any]:
@@ -264,152 +261,13 @@ class ConeProblem(Blocks):
         return f"n={self.n}, {in_words(int((self.sizes > 1).sum()), 'second-order cone')}"
 
 
-class FrictionalContact(Blocks):
-    """Contacts with Coulomb friction as it is: impulses in the cones ‖r_T‖ ≤ μ r_N, velocities u = W r + b.
-
-    Of each contact: it is open (r = 0, u_N ≥ 0), or sticks (u = 0), or slides (u_N = 0, r_T of length μ r_N against
-    u_T). Nothing is approximated by pyramids.
-
-    Parameters
-    ----------
-    W : array or sparse array, shape (d k, d k), or three arrays (mass matrix, normals, tangents)
-        Velocities by impulses, d rows a contact: its normal, then its d − 1 tangents, d = 3 in space and 2 in the
-        plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data are written with few digits; it is
-        used as it is given. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; where one of the arrays is sparse,
-        W stays sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
-    b : array, shape (d k,) or (k, d); or (v,) beside a mass matrix
-        Velocities without the impulses, in m/s; of the bodies beside a mass matrix.
-    friction : number or array, shape (k,)
-        Coefficients μ ≥ 0.
-    dimension : int, optional
-        d, where neither b nor `friction` tells it: 3 by default where the rows are a multiple of 3.
-
-    Raises
-    ------
-    InvalidProblem
-        For a W that is not symmetric, μ < 0, rows that are no multiple of d, numbers that are not finite.
-
-    Notes
-    -----
-    With friction this is no convex program, whatever W: an answer need not be the only one, nor need there be one
-    (Painlevé). A run that finds none ends STALLED, or INFEASIBLE where no impulses keep the contacts from closing.
-    The answers of a pile share the motion more often than the impulses. Rolling and spinning friction are left out: a
-    moment that ‖m‖ ≤ ν r_N limits beside ‖r_T‖ ≤ μ r_N is no second-order cone.
-
-    ``result.motion`` has impulses and velocities contact by contact. Steps in time whose contacts change begin with
-    the impulses of the step before, ``solve(FrictionalContact(W, b, friction), z0=r)``, 0 for new contacts; those of
-    one W are a :func:`lcp_plugin.march`; many small worlds at once a :class:`lcp_plugin.FrictionalContactBatch`.
-    :func:`lcp_plugin.load_problem` reads fclib's files.
-
-    Examples
-    --------
-    A block of 1 kg on the ground is pushed along (3, 4); friction is too weak to hold it:
-
-    >>> from lcp_plugin import solve
-    >>> result = solve(FrictionalContact(np.eye(3), [[-1.0, 3.0, 4.0]], 0.5))
-    >>> result.z.round(6), result.w.round(6), result.motion.sticks
-    (array([ 1. , -0.3, -0.4]), array([0. , 2.7, 3.6]), array([False]))
-    """
-
-    problem_kind: ClassVar[Kind] = FRICTIONAL_CONTACT
-    bodies: Bodies | None = None
-
-    def __init__(self, W: Any, b: ArrayLike, friction: ArrayLike, *, dimension: int | None = None) -> None:
-        bodies = None
-        if isinstance(W, tuple):
-            data = checked_contacts(W, friction, b, keeps_sparse=True)
-            W, b, friction, bodies = data.W, data.velocities, data.friction, data.bodies
-        need = "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
-        velocities = real_array(b, need)
-        if velocities.ndim not in (1, 2):
-            raise InvalidProblem(f"{need}, got shape {velocities.shape}")
-        if velocities.ndim == 2:
-            dimension = velocities.shape[1]
-        offset = checked_vector(velocities.ravel(), "b", None)
-        mu = real_array(friction, "friction must be a number, or an array of shape (k,): one a contact")
-        d = dimension_of(dimension, mu, offset.size)
-        k = offset.size // d
-        if mu.shape not in ((), (k,)):
-            raise InvalidProblem(
-                f"friction must be a number, or an array of shape ({k},): one a contact of {d} rows, got {mu.shape}"
-            )
-        mu = np.broadcast_to(mu, (k,)).copy()
-        wrong = ~((mu >= 0.0) & (mu < np.inf))
-        if wrong.any():
-            at = int(np.argmax(wrong))
-            raise InvalidProblem(
-                f"friction must be finite and not negative, but friction[{at}] = {mu[at]}; give μ ≥ 0, 0 for none"
-            )
-        warn_of_much_friction(mu, 3)
-        W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
-        _require_symmetry(W)
-        rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
-        super().__init__(rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True)
-        self.dimension, self.bodies = d, bodies
-
-    @classmethod
-    def from_contacts(
-        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, *, gaps: ArrayLike | None = None,
-        time_step: float | None = None,
-    ) -> FrictionalContact:
-        """Return contacts as :meth:`lcp_plugin.LCP.from_contacts` takes them, with cones for pyramids.
-
-        Parameters
-        ----------
-        contacts, friction, velocities, gaps, time_step
-            As there, without `directions`.
-
-        Raises
-        ------
-        InvalidProblem
-            As there.
-        """
-        data = checked_contacts(contacts, friction, velocities, gaps=gaps, time_step=time_step, keeps_sparse=True)
-        if data.W.ndim != 2:
-            raise InvalidProblem("from_contacts makes one problem, got arrays of a batch; write one for each item")
-        b = np.array(data.velocities)
-        if data.gaps is not None and data.time_step is not None:
-            b[:, 0] += data.gaps / data.time_step
-        problem = cls(data.W, b, data.friction)
-        problem.bodies = data.bodies
-        return problem
-
-    @property
-    def W(self) -> Any:
-        """Velocities by impulses, as it is kept: dense or CSR."""
-        return self.rows.M
-
-    @property
-    def b(self) -> FloatVector:
-        """Velocities without impulses, shape (d k,)."""
-        return self.q
-
-    @property
-    def friction(self) -> FloatVector:
-        """Coefficients, shape (k,)."""
-        return self.slope
-
-    def with_q(self, b: ArrayLike) -> FrictionalContact:
-        """Return the problem with other velocities, shape (d k,); what depends on W alone is shared."""
-        other: FrictionalContact = _with_q(self, np.ravel(real_array(b, "b must be a vector")), "b")
-        return other
-
-    def _shape(self) -> dict[str, Any]:
-        return {"mu": self.friction}
-
-    def _words(self) -> str:
-        return f"{in_words(self.slope.size, 'contact')} in {'space' if self.dimension == 3 else 'the plane'}"
-
-
-def _with_q(problem: Any, q: ArrayLike, name: str) -> Any:
+def with_other_q(problem: Any, q: ArrayLike, name: str) -> Any:
+    """Return the problem with another q, shape (n,), of that name; what depends on M alone is shared."""
     other = object.__new__(type(problem))
     other.__dict__.update(problem.__dict__)
     for computed in ("_criterion", "block_norms"):
         other.__dict__.pop(computed, None)
     other.rows = problem.rows.with_q(checked_vector(q, name, problem.n), lower=problem.lower, upper=problem.upper)
-    bodies = getattr(problem, "bodies", None)
-    if bodies is not None:
-        other.bodies = bodies._replace(velocities=None)  # q does not tell those of the bodies
     return other
 
 
@@ -441,31 +299,6 @@ def _closed(problem: Blocks) -> tuple[Any, Matrix]:
         sp.csr_array((closed, closed_indices, closed_indptr), shape=(n, n)),
         Matrix(sp.csr_array((norms, others, begins), shape=(k, k))),
     )
-
-
-def dimension_of(given: int | None, friction: FloatVector, rows: int) -> int:
-    """Return the rows of a contact; raise InvalidProblem where they do not add up."""
-    if given is None and friction.ndim == 1 and friction.size and rows % friction.size == 0:
-        given = rows // friction.size
-    d = 3 if given is None and rows % 3 == 0 else 2 if given is None else given
-    if isinstance(d, bool) or not isinstance(d, (int, np.integer)) or d not in (2, 3):
-        raise InvalidProblem(
-            f"a contact has 3 rows (normal, tangent, tangent), or 2 in the plane, got {d!r}: {rows} rows and "
-            f"{friction.size} coefficients of friction"
-        )
-    if rows % d:
-        need = "3, nor, in the plane, of 2" if given is None else d
-        raise InvalidProblem(f"{rows} rows are no multiple of {need}, the rows of a contact: normal, then tangents")
-    return int(d)
-
-
-def _require_symmetry(W: Any) -> None:
-    difference, largest = abs(W - W.T).max() if W.size else 0.0, abs(W).max() if W.size else 0.0
-    if difference > NEARLY_SYMMETRIC * largest:
-        raise InvalidProblem(
-            f"W must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
-            "J m⁻¹ Jᵀ with the same J on both sides? ConeProblem(M, q, cones) takes any M"
-        )
 
 
 def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:

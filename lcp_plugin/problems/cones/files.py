@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import InvalidProblem, UnreadableFile
-from .data import CONES, ConeProblem, FrictionalContact
+from .data import CONES, ConeProblem
+from .frictional_contact import FrictionalContact
 
 LAYOUT = (
-    "a FrictionalContact holds the CSR arrays data, indices, indptr, shape of W (or W), b (or q) and mu (or friction); "
+    "a FrictionalContact holds the CSR arrays data, indices, indptr, shape of W (or W), b (or q) and mu (or friction), "
+    "with an axis in front where they are of many worlds, contacts beside them where these differ in size; "
     "a ConeProblem those of M (or M), q, cone_kinds (0 free, 1 nonnegative, 2 box, 3 second order), cone_rows, and "
     "lower, upper where there are boxes"
 )
@@ -29,7 +31,11 @@ def problem_of(content: Mapping[str, Any], source: str | PathLike[str]) -> Any:
         if "mu" in content or "friction" in content:
             M = content["W"] if "W" in content else content["M"]
             q = content["b"] if "b" in content else content["q"]
-            return FrictionalContact(M, q, content["mu"] if "mu" in content else content["friction"])
+            friction = content["mu"] if "mu" in content else content["friction"]
+            given = {name: content[name] for name in ("contacts", "dimension") if name in content}
+            if "dimension" in given:
+                given["dimension"] = int(given["dimension"])
+            return FrictionalContact(M, q, friction, **given)
         M, first, cones = content["M"], 0, []
         kinds, sizes = (_whole_numbers(content[name], name) for name in ("cone_kinds", "cone_rows"))
         if kinds.shape != sizes.shape:

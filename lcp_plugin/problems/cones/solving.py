@@ -35,9 +35,21 @@ from ...systems.factors import sizes_of_factor
 from ..contact import ContactMotion
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
-from .data import Blocks, FrictionalContact
+from .data import Blocks
+from .frictional_contact import FrictionalContact
 from .infeasibility import InfeasibilityCheck, NoImpulse
-from .methods import EXACT, METHODS, NPGS, SWEEPS_A_STEP, ConeAlgorithm, FixedPoint, InteriorPoint, Newton, NewtonSystem
+from .methods import (
+    EXACT,
+    METHODS,
+    NPGS,
+    SWEEPS_A_STEP,
+    ConeAlgorithm,
+    Continuation,
+    FixedPoint,
+    InteriorPoint,
+    Newton,
+    NewtonSystem,
+)
 from .small import LARGEST, LoopAnswers, solve_small
 
 TRIAL = 2  # steps of npgs before its rate is believed
@@ -80,7 +92,7 @@ def solve_cones(
     ----------
     problem : ConeProblem or FrictionalContact
     algorithm : str or object
-        "npgs", "newton", "interior_point", "fixed_point" or "auto"; or an object of their classes in
+        "npgs", "newton", "interior_point", "continuation", "fixed_point" or "auto"; or an object of their classes in
         :mod:`lcp_plugin.problems.cones.methods`, with options.
     z0 : array, shape (n,), optional
         Warm start, projected onto the cones.
@@ -278,10 +290,11 @@ def newton_operations(problem: Blocks, z: FloatVector) -> float:
 
 
 class ConeAuto(Policy):
-    """Sweeps, as long as nothing gets there with less work; then Newton, an interior point, convex programs.
+    """Sweeps, as long as nothing gets there with less work; then Newton, and an interior point.
 
-    What these leave open, of 3000 planted problems of up to 30 contacts some 25, and of piles none so far, gets sweeps
-    until they stand still and Newton's method from other points. Small problems have had the first two in the compiled
+    What these leave open, of 3000 planted problems of up to 30 contacts some 30, and of piles none so far, is followed
+    from no friction to the friction given, then gets convex programs, sweeps until they stand still, and Newton's
+    method from other points. Small problems have had the first two in the compiled
     loop.
     """
 
@@ -336,6 +349,8 @@ class ConeAuto(Policy):
             yield middle
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
+        if self._problem.has_friction:
+            yield Choice(Continuation(), "what holds without friction is followed as friction grows")
         yield Choice(FixedPoint(), "convex programs, each with friction as after the one before", from_start=True)
         yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still", from_start=True)
         yield from (Choice(Newton(seed=seed), NEARBY) for seed in range(STARTS))

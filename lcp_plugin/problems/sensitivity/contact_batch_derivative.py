@@ -88,8 +88,8 @@ class ContactBatchDerivative:
     --------
     How the impulse of a block that slides depends on friction, on the push, and on W:
 
-    >>> from lcp_plugin import FrictionalContactBatch, derivative, solve_batch
-    >>> batch = solve_batch(FrictionalContactBatch(np.eye(3), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5))
+    >>> from lcp_plugin import FrictionalContact, derivative, solve_batch
+    >>> batch = solve_batch(FrictionalContact(np.eye(3), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5))
     >>> found = derivative(batch)
     >>> (found.jvp(dfriction=1.0).round(6) + 0.0).tolist()
     [[0.0, -0.6, -0.8], [0.0, 0.0, 0.0]]

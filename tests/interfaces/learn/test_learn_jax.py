@@ -19,7 +19,7 @@ from jax.test_util import check_grads  # noqa: E402
 import lcp_plugin.interfaces.learn.jax as layers  # noqa: E402
 from lcp_plugin import (  # noqa: E402
     LCP,
-    FrictionalContactBatch,
+    FrictionalContact,
     InvalidOption,
     InvalidProblem,
     NotConverged,
@@ -273,7 +273,7 @@ def worlds(count: int) -> Any:
 def test_contact_has_the_gradients_of_its_derivative() -> None:
     """Compiled, mapped and at once."""
     W, b, friction = worlds(6)
-    gradient = derivative(solve_batch(FrictionalContactBatch(W, b, friction))).vjp(np.ones(6))
+    gradient = derivative(solve_batch(FrictionalContact(W, b, friction))).vjp(np.ones(6))
 
     def loss(W: Any, b: Any, friction: Any) -> Any:
         return contact_layer(W, b, friction).sum()

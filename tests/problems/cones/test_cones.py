@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from benchmarks.contact import tower as boxes
+from campaigns.cones import SIZES
 from cone_families import (
     cancelled_diagonals,
     exact_relative_residual,
@@ -626,6 +627,19 @@ def test_a_tiny_normal_entry_is_no_limit() -> None:
     W, b = np.diag([1e-12, 1.0, 1.0]), [-1.0, 0.3, 0.4]
     for problem in (FrictionalContact(W, b, 0.5), ConeProblem(W, b, [("second_order", 3)])):
         solve(problem).require_solved()
+
+
+@pytest.mark.parametrize("case", [136, 584])
+def test_planted_contacts_that_jam_are_solved_along_their_friction(case: int) -> None:
+    """Two of the campaign's, thirty contacts with μ of nearly 2: by auto and by name, no start at random."""
+    rng = np.random.default_rng([3, case])
+    rng.random()
+    contacts, bodies = SIZES[rng.integers(len(SIZES))]
+    problem, _, _ = planted_contacts(contacts, bodies, 10.0 ** rng.uniform(0.0, 5.0), rng, definite=rng.random() < 0.3)
+    for algorithm in ("auto", "continuation"):
+        result = solve(problem, algorithm).require_solved()
+        assert exact_relative_residual(problem, result.z) <= 1e-8
+        assert "from a point nearby" not in result.explain()
 
 
 @pytest.mark.parametrize(("W", "friction", "is_advised"), [

@@ -10,7 +10,6 @@ from cone_families import exact_relative_residual, planted_contacts
 
 from lcp_plugin import (
     FrictionalContact,
-    FrictionalContactBatch,
     InvalidOption,
     InvalidProblem,
     Status,
@@ -18,7 +17,7 @@ from lcp_plugin import (
     solve_batch,
 )
 
-ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
+ONE = np.eye(3)[None], [-1.0, 3.0, 4.0], 0.5
 
 
 def arrays(count: int, k: int = 4, seed: int = 0) -> tuple[Any, Any, Any]:
@@ -34,8 +33,8 @@ def never_one_by_one(*_: Any, **__: Any) -> Any:
 def test_worlds_are_answered_as_each_by_itself(is_warm: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bits of solve, on any number of threads, no item by itself; residuals hold with 60 digits."""
     W, b, friction = arrays(100)
-    z0 = solve_batch(FrictionalContactBatch(W, 1.01 * b, friction)).z if is_warm else None
-    worlds = FrictionalContactBatch(W, b, friction)
+    z0 = solve_batch(FrictionalContact(W, 1.01 * b, friction)).z if is_warm else None
+    worlds = FrictionalContact(W, b, friction)
     with monkeypatch.context() as patch:
         patch.setattr("lcp_plugin.problems.batches.contact_batch.solve_cones", never_one_by_one)
         batch, other = (solve_batch(worlds, z0=z0, threads=threads) for threads in (1, 2))
@@ -56,8 +55,8 @@ def test_worlds_are_answered_as_each_by_itself(is_warm: bool, monkeypatch: pytes
 def test_warm_starts_save_steps() -> None:
     """Of a batch moved a little."""
     W, b, friction = arrays(60, seed=1)
-    before = solve_batch(FrictionalContactBatch(W, b, friction))
-    worlds = FrictionalContactBatch(W, 1.0001 * b, friction)
+    before = solve_batch(FrictionalContact(W, b, friction))
+    worlds = FrictionalContact(W, 1.0001 * b, friction)
     assert solve_batch(worlds, z0=before.z).iterations.sum() < solve_batch(worlds).iterations.sum()
 
 
@@ -67,7 +66,7 @@ def test_worlds_have_as_many_contacts_as_they_have() -> None:
     counts = np.arange(12) % 5
     for i, count in enumerate(counts):
         W[i, 3 * count:], b[i, 3 * count:], friction[i, count:] = np.nan, np.nan, -1.0
-    batch = solve_batch(FrictionalContactBatch(W, b.reshape(12, 4, 3), friction, contacts=counts)).require_solved()
+    batch = solve_batch(FrictionalContact(W, b.reshape(12, 4, 3), friction, contacts=counts)).require_solved()
     for i, count in enumerate(counts):
         own = slice(3 * count)
         alone = solve(FrictionalContact(W[i, own, own], b[i, own], friction[i, :count], dimension=3))
@@ -80,7 +79,7 @@ def test_one_world_harms_no_other() -> None:
     """NaN, a W that is not symmetric, no answer, mixed units: each is said of its own world."""
     W, b = np.stack([np.eye(3)] * 5), np.tile([-1.0, 3.0, 4.0], (5, 1))
     W[0, 0, 0], W[1, 0, 1], W[2] = np.nan, 1.0, np.diag([0.0, 1.0, 1.0])
-    batch = solve_batch(FrictionalContactBatch(W, b, [[0.5], [0.5], [0.0], [-1.0], [0.5]]))
+    batch = solve_batch(FrictionalContact(W, b, [[0.5], [0.5], [0.0], [-1.0], [0.5]]))
     assert sorted(batch.errors) == [0, 1, 3]
     assert [batch.status[k] for k in (2, 4)] == [Status.INFEASIBLE, Status.SOLVED]
     assert np.isnan(batch.z[[0, 1, 3]]).all()
@@ -92,7 +91,7 @@ def test_one_world_harms_no_other() -> None:
 def test_in_the_plane_by_a_method_and_within_a_time() -> None:
     """One W for all, two rows a contact; a named method solves each; no time leaves the start."""
     W, b = np.array([[3.128, -2.472], [-2.472, 3.872]]), np.array([[-9.81e-5, -55.0], [-1.0, 0.1]])
-    worlds = FrictionalContactBatch(W, b, 0.5, dimension=2)
+    worlds = FrictionalContact(W, b, 0.5, dimension=2)
     found, named = solve_batch(worlds), solve_batch(worlds, algorithm="newton")
     late = solve_batch(worlds, max_seconds=0.0)
     np.testing.assert_allclose(found.require_solved().z, named.require_solved().z, rtol=1e-6, atol=1e-12)
@@ -103,11 +102,11 @@ def test_in_the_plane_by_a_method_and_within_a_time() -> None:
 
 TWO = np.zeros((2, 6))
 REFUSED: dict[str, tuple[Any, str]] = {
-    "W of another size": (lambda: FrictionalContactBatch(np.eye(4), TWO, 0.5), r"W must have shape \(B, 6, 6\)"),
-    "b a number": (lambda: FrictionalContactBatch(np.eye(3), 1.0, 0.5), r"b must have shape \(B, d k\)"),
-    "four coefficients": (lambda: FrictionalContactBatch(np.eye(6), TWO, np.ones(4)), r"shape \(2,\) or \(B, 2\), got"),
-    "lengths that differ": (lambda: FrictionalContactBatch(np.zeros((3, 6, 6)), TWO, 0.5), "W 3, b 2"),
-    "too many contacts": (lambda: FrictionalContactBatch(np.eye(6), TWO, 0.5, contacts=[1, 3]), "from 0 to 2"),
+    "W of another size": (lambda: FrictionalContact(np.eye(4), TWO, 0.5), r"W must have shape \(B, 6, 6\)"),
+    "b a number": (lambda: FrictionalContact(np.eye(3)[None], 1.0, 0.5), r"b must have shape \(B, d k\)"),
+    "four coefficients": (lambda: FrictionalContact(np.eye(6), TWO, np.ones(4)), r"shape \(2,\) or \(B, 2\), got"),
+    "lengths that differ": (lambda: FrictionalContact(np.zeros((3, 6, 6)), TWO, 0.5), "W 3, b 2"),
+    "too many contacts": (lambda: FrictionalContact(np.eye(6), TWO, 0.5, contacts=[1, 3]), "from 0 to 2"),
 }
 
 
@@ -121,13 +120,36 @@ def test_wrong_arrays_are_refused_in_words(name: str) -> None:
 
 def test_what_no_batch_of_worlds_takes_is_refused_in_words() -> None:
     """A start of another shape, vectors beside the worlds, one solve."""
-    worlds = FrictionalContactBatch(*ONE)
+    worlds = FrictionalContact(*ONE)
     with pytest.raises(InvalidOption, match=r"z0 must have shape \(1, 3\) or \(3,\)"):
         solve_batch(worlds, z0=np.zeros(6))
-    with pytest.raises(InvalidOption, match=r"FrictionalContactBatch\(W, b, friction\)"):
+    with pytest.raises(InvalidOption, match=r"FrictionalContact\(W, b, friction\)"):
         solve_batch(worlds, np.zeros(3))
-    with pytest.raises(InvalidOption, match="solve_batch takes many"):
-        solve(worlds)  # type: ignore[call-overload]
-    assert repr(worlds) == "FrictionalContactBatch(1 worlds of up to 1 contacts in space)"
+    assert repr(worlds) == "FrictionalContact(1 worlds of up to 1 contacts in space)"
     assert len(list(worlds)) == len(solve_batch(worlds)) == 1
-    assert len(solve_batch(FrictionalContactBatch(np.eye(3), np.zeros((0, 3)), 0.5))) == 0
+    assert len(solve_batch(FrictionalContact(np.zeros((0, 3, 3)), np.zeros((0, 3)), 0.5))) == 0
+
+
+def test_gaps_and_bodies_state_worlds_too() -> None:
+    """Masses, or W, with a gap a contact and an axis for the worlds, are the worlds one by one."""
+    rng = np.random.default_rng(0)
+    normals, tangents = rng.standard_normal((2, 6)), rng.standard_normal((2, 2, 6))
+    bodies, gaps = (np.diag(np.arange(1.0, 7.0)), normals, tangents), [0.1, 0.2]
+    velocities = rng.standard_normal((5, 6))
+    worlds = FrictionalContact(bodies, velocities, 0.3, gaps=gaps, time_step=0.5)
+    assert repr(worlds) == "FrictionalContact(5 worlds of up to 2 contacts in space)"
+    for world, own in zip(worlds, velocities, strict=True):
+        alone = FrictionalContact(bodies, own, 0.3, gaps=gaps, time_step=0.5)
+        np.testing.assert_allclose(world.b, alone.b, atol=1e-14)
+        np.testing.assert_allclose(world.W, alone.W, atol=1e-14)
+        again = FrictionalContact.from_contacts(bodies, 0.3, own, gaps=gaps, time_step=0.5)
+        assert np.array_equal(alone.b, again.b)
+
+
+def test_the_name_of_before_still_states_worlds() -> None:
+    """With a warning that says what to write."""
+    import lcp_plugin
+
+    with pytest.warns(DeprecationWarning, match=r"write FrictionalContact\(W, b, friction\)"):
+        before = lcp_plugin.FrictionalContactBatch
+    assert type(before(*ONE)) is type(FrictionalContact(*ONE))

@@ -236,3 +236,23 @@ def test_a_kernel_in_other_units_takes_no_more_than_its_own_times_six() -> None:
     assert rows.is_solved
     np.testing.assert_allclose(other, z, atol=1e-9)
     assert rows.work <= 6.0 * own.work
+
+
+@pytest.mark.parametrize("kind", ["half of the rank", "plate"])
+def test_rows_of_a_definite_matrix_may_be_in_any_units(kind: str) -> None:
+    """Rows times powers of two from 2^-15 to 2^15: the factors that make M symmetric again are found."""
+    rng = np.random.default_rng(1)
+    if kind == "plate":
+        line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20))
+        grid = sp.csr_array(sp.kron(line, sp.eye_array(20)) + sp.kron(sp.eye_array(20), line))
+        M = sp.csr_array(grid @ grid)
+    else:
+        A = rng.standard_normal((300, 150))
+        M = A @ A.T / 300 + 1e-6 * np.eye(300)
+    q, rows = rng.standard_normal(M.shape[0]), np.exp2(rng.integers(-15, 16, M.shape[0]))
+    own = solve(LCP(M, q), "interior_point")
+    other = solve(LCP(sp.csr_array(sp.diags_array(rows) @ M) if kind == "plate" else rows[:, None] * M, rows * q),
+                  "interior_point", prove_infeasibility=False)
+    assert own.is_solved
+    assert other.is_solved
+    np.testing.assert_allclose(other.z, own.z, atol=1e-6 * np.abs(own.z).max())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -181,6 +183,12 @@ def solve(
             raise
     given, defaults = locals(), solve.__kwdefaults__ or {}
     wishes = {name: given[name] for name in defaults if given[name] is not defaults[name]}
-    from .kinds import solve_any  # which loads every kind
+    return _solver_of_any()(problem, algorithm, {**wishes, **options})
 
-    return solve_any(problem, algorithm, {**wishes, **options})
+
+@cache
+def _solver_of_any() -> Callable[..., Any]:
+    """Return what solves a problem of any kind; every kind is loaded then."""
+    from .kinds import solve_any
+
+    return solve_any

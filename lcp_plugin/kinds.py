@@ -25,6 +25,7 @@ KINDS = (
 )
 
 
+@cache
 def solver_of(kind: Kind) -> Callable[..., Any]:
     """Return the function that solves a kind of problem; the other kinds need not be loaded."""
     if kind is NONLINEAR_PROBLEM:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.checks import FloatVector
+from ..core.checks import FloatVector, are_no_limits
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement, beside_bounds
 
 EQUATION = 5  # of daqp's `sense`
@@ -48,17 +48,29 @@ class DAQP(Engine):
 
     def answer(self, program: Statement, limits: Limits) -> Point:
         """Return daqp's point."""
-        P, G, A = (one if isinstance(one, np.ndarray) else one.toarray() for one in (program.P, program.G, program.A))
+        P, G, A = program.P, program.G, program.A
+        if not isinstance(P, np.ndarray):
+            P, G, A = P.toarray(), G.toarray(), A.toarray()
         m, n, p = program.h.size, program.c.size, program.b.size
-        seconds = limits.seconds if limits.seconds < math.inf else 0.0
-        C, d = (np.concatenate([G, A]), np.concatenate([program.h, program.b])) if p else (G, program.h)
-        ((x, y, flag, steps),) = self.points(
-            P[np.newaxis], program.c[np.newaxis], C[np.newaxis], d[np.newaxis], m, program.lower[np.newaxis],
-            program.upper[np.newaxis], range(1), seconds,
+        settings, bounds = self.settings, 0 if are_no_limits(program.lower, program.upper) else n
+        if limits.seconds < math.inf:
+            settings["time_limit"] = limits.seconds
+        above = np.concatenate((program.upper, program.h, program.b) if bounds else (program.h, program.b))
+        sense, below = np.zeros(above.size, np.intc), np.empty(above.size)
+        below.fill(-np.inf)
+        if bounds:
+            below[:n] = program.lower
+        if p:
+            sense[bounds + m :], below[bounds + m :] = EQUATION, program.b
+        # Copies: daqp takes no arrays that are read-only. Some entry of a semidefinite P is positive, or all are 0.
+        x, y, flag, steps = _answered(
+            np.array(P) if P.item(P.argmax()) > 0.0 else None, np.array(program.c),
+            np.concatenate((G, A)) if p else np.array(G), above, below, sense, settings,
         )
-        lower, upper = beside_bounds(y[:n], program.lower, program.upper)
-        multipliers = Multipliers(np.maximum(y[n : n + m], 0.0), y[n + m :], lower, upper)
-        return Point(x, multipliers, steps, SAYS.get(flag, Hint.GAVE_UP))
+        inequality, equality = np.maximum(y[bounds : bounds + m], 0.0), y[bounds + m :]
+        none = np.zeros(n)
+        of_bounds = beside_bounds(y[:n], program.lower, program.upper) if bounds else (none, none)
+        return Point(x, Multipliers(inequality, equality, *of_bounds), steps, SAYS.get(flag, Hint.GAVE_UP))
 
     def points(
         self, P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any, items: Iterable[int],
@@ -75,8 +87,6 @@ class DAQP(Engine):
         m : int
             How many rows are inequalities; the others are equations.
         """
-        import daqp
-
         count, n = c.shape
         sense = np.zeros(n + d.shape[1], np.intc)
         sense[n + m :] = EQUATION
@@ -85,10 +95,18 @@ class DAQP(Engine):
         costs, settings, has_P = np.array(c), {**self.settings, "time_limit": seconds}, P.any()
         matrices = [np.array(one) for one in (P, C)]
         of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in matrices)
-        solve = daqp.solve
         for k in items:
             hessian = matrices[0][of_P[k]] if has_P else None
-            x, _, flag, info = solve(hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, **settings)
-            if flag < ANSWERED:
-                x, info = np.full(n, np.nan), {**info, "lam": np.full(sense.size, np.nan)}
-            yield np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]
+            yield _answered(hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, settings)
+
+
+def _answered(
+    P: Any, c: Any, C: Any, above: Any, below: Any, sense: Any, settings: dict[str, Any]
+) -> tuple[FloatVector, FloatVector, int, int]:
+    """Return x, all multipliers, daqp's exit flag and its steps."""
+    import daqp
+
+    x, _, flag, info = daqp.solve(P, c, C, above, below, sense, **settings)
+    if flag < ANSWERED:
+        return np.full(c.size, np.nan), np.full(sense.size, np.nan), flag, info["iterations"]
+    return np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]

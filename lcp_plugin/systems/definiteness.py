@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector
 from ..core.kernels.floats import EPSILON
 from ..core.tuning import CHOLESKY_UP_TO, FULL_CHOLESKY_FROM, FULL_CHOLESKY_UP_TO
-from .factors import PositiveFactor, cholesky, factor_fits, positive_factor
+from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray], FloatArray]
@@ -87,15 +87,14 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     >>> is_semidefinite_to_rounding(np.array([[0.0, 1e-9], [1e-9, 1.0]]))
     False
     """
-    diagonal: FloatVector = np.array(P.diagonal())
+    diagonal: FloatVector = P.diagonal()
     smallest = diagonal.min(initial=np.inf)
     if smallest < 0.0:
         return False
-    is_dense = isinstance(P, np.ndarray)
-    if (np.count_nonzero(P) if is_dense else int(P.nnz)) == np.count_nonzero(diagonal):
-        return True
     # The backward error of a Cholesky factor is as small beside √(p_ii p_jj) as that of the scaled matrix (Demmel).
-    if is_dense and smallest >= SMALLEST_PIVOT and cholesky(P) is not None:
+    if isinstance(P, np.ndarray) and smallest >= SMALLEST_PIVOT and positive_triangle(P) is not None:
+        return True
+    if is_diagonal(P):
         return True
     filled = np.flatnonzero(diagonal)
     # A zero on the diagonal of a semidefinite matrix has nothing beside it.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -108,19 +109,30 @@ def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
     return factor or dense_lu(matrix)
 
 
+@cache
+def lapack() -> Any:
+    """Return scipy's module; a search for it at each call would take longer than a small factor."""
+    from scipy.linalg import lapack as found
+
+    return found
+
+
+def positive_triangle(matrix: FloatVector, *, overwrite: bool = False) -> FloatVector | None:
+    """Return the triangle of Cholesky's factor, as LAPACK has it; None where the matrix is not positive definite."""
+    require_seconds(matrix.shape[0] ** 3 / 3.0 / DENSE_OPERATIONS)
+    # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
+    factor, info = lapack().dpotrf(matrix.T, lower=1, clean=0, overwrite_a=overwrite)
+    return factor if info == 0 else None
+
+
 def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
     """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None where A is not positive definite."""
-    from scipy.linalg import lapack
-
-    n = matrix.shape[0]
-    require_seconds(n**3 / 3.0 / DENSE_OPERATIONS)
-    # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
-    factor, info = lapack.dpotrf(matrix.T, lower=1, clean=0, overwrite_a=overwrite)
-    if info != 0:
+    factor, n = positive_triangle(matrix, overwrite=overwrite), matrix.shape[0]
+    if factor is None:
         return None
 
     def solve(right: Any) -> Any:
-        return lapack.dpotrs(factor, right, lower=1)[0]
+        return lapack().dpotrs(factor, right, lower=1)[0]
 
     return Factor("Cholesky", solve, solve, n**3 / 6.0, float(n * n))
 

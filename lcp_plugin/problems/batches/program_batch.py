@@ -64,7 +64,7 @@ class ProgramBatchRun(BatchLoop):
 
     def _solve_compiled(self) -> None:
         m, p, n, _ = self.programs.sizes
-        if self.algorithm not in ("auto", ENGINE) or not may_be_small(n, m + p, n * (n + m + p)):
+        if self.algorithm not in ("auto", ENGINE) or not may_be_small(n, m + p, [n * (n + m + p)]):
             return
         data, engine = self.programs.arrays, engine_class(ENGINE)()
         at_once = max(TOGETHER // max(n * (n + m + p), 1), 1)

@@ -43,7 +43,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     """
     P = program.P
     if program.n <= LARGEST_CHECKED:
-        if program.is_convex is not False or program.matrices.negative_curvature < math.inf:
+        if program.matrices.negative_curvature < math.inf:
             return
         what = f"the smallest eigenvalue of P is {smallest_eigenvalue(P):.3g}" if program.n <= LARGEST_MEASURED \
             else "P has a negative eigenvalue"

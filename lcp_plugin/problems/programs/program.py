@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     FloatVector,
+    all_hold,
     assembled,
     check_order,
     checked_limit,
@@ -34,10 +35,11 @@ from .contradictions import contradicting_multipliers, margin_in_doubles, with_f
 from .criterion import PROGRAM_TOLERANCE
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_contradiction, proof_of_no_minimum
-from .program_matrices import ProgramMatrices, as_csr, may_be_small, no_rows, vertically
+from .program_matrices import ProgramMatrices, as_csr, no_rows, vertically
 from .reductions import FoldedRows
 
 SYMMETRIC_TO = 1e-12
+NO_LIMITS = read_only(np.zeros(0))  # of no rows
 SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
 
 
@@ -99,22 +101,21 @@ class QuadraticProgram:
     ranges: Any = field(default=None, repr=False)
     matrices: ProgramMatrices = field(init=False, repr=False)
 
-    @np.errstate(under="ignore")
     def __init__(
         self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
         b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
-        if P is None or (np.isscalar(P) and P == 0):
+        if P is None or (not isinstance(P, np.ndarray) and np.isscalar(P) and P == 0):
             P, asymmetry = sp.csr_array((n, n)), 0.0
         P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, checked_right_side)
         equations, right = _checked_rows(A, b, "A", "b", n, checked_vector)
         below, above = checked_limit(lower, "lower", n), checked_limit(upper, "upper", n)
         check_order(below, above)
-        made = self.with_matrices(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
-        self.__dict__.update(made.__dict__, asymmetry=asymmetry)
+        self._keep(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
+        self.__dict__["asymmetry"] = asymmetry
 
     @classmethod
     def from_ranges(
@@ -237,10 +238,16 @@ class QuadraticProgram:
     ) -> QuadraticProgram:
         """Return the program of these data, which are not checked."""
         made = object.__new__(cls)
-        made.__dict__.update(
+        made._keep(matrices, c, h, b, lower, upper)
+        return made
+
+    def _keep(
+        self, matrices: ProgramMatrices, c: FloatVector, h: FloatVector, b: FloatVector, lower: FloatVector,
+        upper: FloatVector,
+    ) -> None:
+        self.__dict__.update(
             P=matrices.P, c=c, G=matrices.G, h=h, A=matrices.A, b=b, lower=lower, upper=upper, matrices=matrices
         )
-        return made
 
     @np.errstate(under="ignore")
     def objective(self, x: ArrayLike) -> float:
@@ -351,7 +358,8 @@ class ProgramFacts:
         if self.seen_multipliers is None:
             folded = FoldedRows.of(self.program)
             reduced = folded.reduced
-            (m, p, n, _), matrices = reduced.matrices.sizes, reduced.matrices
+            matrices = reduced.matrices
+            m, p = matrices.sizes[:2]
             right = np.concatenate([reduced.h, reduced.b])
             given = np.concatenate(multipliers)[folded.left] if multipliers else np.full(m + p, np.nan)
             limits = right, reduced.lower, reduced.upper
@@ -359,7 +367,7 @@ class ProgramFacts:
                 near = with_few_digits(given / size)
                 if margin_in_doubles(matrices.rows, *limits, near) > tolerance:
                     self.__dict__["_seen"] = near
-            if self.seen_multipliers is None and may_be_small(n, m + p, matrices.stored):
+            if self.seen_multipliers is None and matrices.is_small:
                 rows = matrices.dense[1][0]
                 self.__dict__["_seen"] = contradicting_multipliers(rows, right, m, *limits[1:], tolerance)
         return self.seen_multipliers is not None and "_proof" not in self.__dict__
@@ -428,7 +436,7 @@ def _checked_rows(
     """Return the checked matrix and right-hand side; none of either is no rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
-        return no_rows(n), read_only(np.zeros(0))
+        return no_rows(n), NO_LIMITS
     checked = rectangular_matrix(matrix, name, None, n)
     return checked, check(right, right_name, checked.shape[0])
 
@@ -442,11 +450,14 @@ def symmetric(P: Any) -> tuple[Any, float]:
             f"P must be symmetric, but P[{i}, {j}] = {P[i, j]} and P[{j}, {i}] = {P[j, i]}; the objective only sees "
             "(P + P.T) / 2: give that, if it is what you mean"
         )
-    return (P, 0.0) if asymmetry == 0.0 else (rectangular_matrix((P + P.T) * 0.5, "P", None, None), asymmetry)
+    if asymmetry == 0.0:
+        return P, 0.0
+    with np.errstate(under="ignore"):
+        return rectangular_matrix((P + P.T) * 0.5, "P", None, None), asymmetry
 
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the worst i, j beside the largest entries of their rows if that is no rounding."""
-    if is_its_mirror(M) if sp.issparse(M) else bool((M == M.T).all()):
+    if all_hold(M == M.T) if isinstance(M, np.ndarray) else is_its_mirror(M):
         return 0.0, None
     return mismatch(M, largest_in_rows(M), SYMMETRIC_TO)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, TypeVar
@@ -18,6 +18,7 @@ from ...systems.definiteness import is_semidefinite_to_rounding, positive_defini
 from ...systems.null_space import null_space_of
 from .convexity import LARGEST_CHECKED, negative_curvature
 
+FEW = 500  # unknowns and rows, of whose terms the sum says as much as the largest
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = 0.3, 2e7  # share of entries; multiplications that sparse factors take more quickly
 Indices = NDArray[np.intp]
@@ -82,6 +83,30 @@ class ProgramMatrices:
         return read_only(P)[np.newaxis], self.dense_rows[np.newaxis]
 
     @cached_property
+    def is_dense(self) -> bool:
+        """Whether P, G and A were given as ndarrays, or have no entries."""
+        return not self.has_sparse_rows and (isinstance(self.P, np.ndarray) or not self.P.nnz)
+
+    @cached_property
+    def is_judged_by_sums(self) -> bool:
+        """Whether they are dense and have few rows and columns: for `Errors.above`."""
+        return 0 < sum(self.sizes[:3]) <= FEW and self.is_dense
+
+    @cached_property
+    def stacked(self) -> FloatVector:
+        """P above G above A as one ndarray, C-contiguous."""
+        m, p, _, _ = self.sizes
+        P = self.P if isinstance(self.P, np.ndarray) else self.P.toarray()
+        if not m + p:
+            return P
+        return read_only(np.concatenate((P, self.G, self.A) if m and p else (P, self.G if m else self.A)))
+
+    @cached_property
+    def stacked_sizes(self) -> FloatVector:
+        """The |entries| of the same."""
+        return np.abs(self.stacked)
+
+    @cached_property
     def diagonal(self) -> FloatVector:
         """That of P."""
         return read_only(np.ascontiguousarray(self.P.diagonal()))
@@ -100,14 +125,17 @@ class ProgramMatrices:
         return np.unique(connected_components(both, directed=False)[1][m:], return_inverse=True)[1]
 
     @cached_property
-    def stored(self) -> int:
-        """How many entries are stored, zeros of ndarrays among them."""
-        return sum(one.size if isinstance(one, np.ndarray) else int(one.nnz) for one in (self.P, self.G, self.A))
+    def is_small(self) -> bool:
+        """Whether a program with these matrices is small or dense: for daqp."""
+        m, p, n, _ = self.sizes
+        entries = (one.size if isinstance(one, np.ndarray) else int(one.nnz) for one in (self.P, self.G, self.A))
+        return may_be_small(n, m + p, entries)
 
     @cached_property
     def has_sparse_rows(self) -> bool:
         """Whether some constraints were given as a sparse array."""
-        return not all(isinstance(one, np.ndarray) or not one.shape[0] for one in (self.G, self.A))
+        m, p = self.sizes[:2]
+        return bool((m and not isinstance(self.G, np.ndarray)) or (p and not isinstance(self.A, np.ndarray)))
 
     @cached_property
     def gradient(self) -> sp.csr_array:
@@ -140,7 +168,7 @@ class ProgramMatrices:
     @cached_property
     def has_curvature(self) -> bool:
         """Whether P has a nonzero."""
-        return bool(self.P.any() if isinstance(self.P, np.ndarray) else self.P.nnz)
+        return bool(np.count_nonzero(self.P) if isinstance(self.P, np.ndarray) else self.P.nnz)
 
     @cached_property
     def singletons(self) -> tuple[Indices, Indices, FloatVector]:
@@ -236,11 +264,11 @@ def is_kept_dense(n: int, entries: int) -> bool:
     return n <= DENSE_UP_TO_SIZE and is_full(entries, (n, n))
 
 
-def may_be_small(n: int, m: int, entries: int) -> bool:
-    """Return whether a program with so many unknowns, rows, and entries of P and C is small or dense: for daqp."""
+def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:
+    """Return whether a program with so many unknowns, rows, and entries of P, G and A is small or dense: for daqp."""
     if not (0 < n <= UP_TO and m <= ROWS_UP_TO):
         return False
-    return n * n * (n + m) <= SPARSE_UP_TO or entries >= SPARSE * n * (n + m)
+    return n * n * (n + m) <= SPARSE_UP_TO or sum(entries) >= SPARSE * n * (n + m)
 
 
 def or_one(sizes: FloatVector) -> FloatVector:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -35,11 +36,10 @@ from ...systems.null_space import null_space_by_rows
 from .conversion import QPOrigin, optimality_conditions
 from .convexity import LARGEST_CHECKED, refuse_nonconvex
 from .criterion import constraint_tolerance, program_goal
-from .engine_calls import EngineRun, engines_for, run_engine
+from .engine_calls import EngineRun, engines_for, run_engine, solved_as_given
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers, prove_unheld
 from .program import QuadraticProgram
-from .program_matrices import may_be_small
 from .solution import QPSolution
 
 SEEN = ("callback", "verbose", "error_bound", "z0", "tolerance_on", "absolute_tolerance")
@@ -234,7 +234,7 @@ def solve_program(
     """
     clock = Clock()
     try:
-        return _solved(program, algorithm, tolerance, dict(options))
+        return _solved(program, algorithm, tolerance, dict(options), clock)
     except KeyboardInterrupt:  # before the run, which has a point to hand back, or in an engine's call
         return _interrupted(program, algorithm, tolerance, clock.read())
     except UnsupportedModel:
@@ -248,7 +248,7 @@ def solve_program(
 
 
 def _solved(
-    program: QuadraticProgram, algorithm: Any, tolerance: float, options: dict[str, Any]
+    program: QuadraticProgram, algorithm: Any, tolerance: float, options: dict[str, Any], clock: Clock
 ) -> QuadraticProgramResult:
     """Return the answer to a convex program."""
     if (start := options.pop("z0", None)) is not None:
@@ -257,21 +257,21 @@ def _solved(
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
     options = {name: wish for name, wish in options.items() if wish is not None}
-    if isinstance(algorithm, InteriorPoint) or (isinstance(algorithm, str) and algorithm == InteriorPoint.name):
-        algorithm = InteriorPoint.engine  # which it asks of an LCP, too, for its program
-    if isinstance(algorithm, Engine) or (isinstance(algorithm, str) and algorithm in ENGINES):
+    is_name = isinstance(algorithm, str)
+    if algorithm == InteriorPoint.name if is_name else isinstance(algorithm, InteriorPoint):
+        algorithm, is_name = InteriorPoint.engine, True  # which it asks of an LCP, too, for its program
+    if algorithm in ENGINES if is_name else isinstance(algorithm, Engine):
         return _solved_by_engine(program, algorithm, tolerance, options)
-    guess = options.pop("guess", None)
-    is_one_call, clock = _takes_one_call(algorithm, tolerance, options), Clock()
+    guess, is_auto = options.pop("guess", None), is_name and algorithm == "auto"
+    is_one_call = _takes_one_call(algorithm, tolerance, options)
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
     if is_one_call and (decided := _by_engines(program, tolerance, options, clock)) is not None:
         return decided
-    is_auto = isinstance(algorithm, str) and algorithm == "auto"
     may_ask = is_auto and prove_infeasibility and sp.issparse(program.P) and (
         program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None
     )
     # What is asked before a run, between its stages, and after it knows of the limit by this.
-    with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
+    with _limit(options):
         unheld = _unheld(program, goal) if may_ask else None
         if unheld is not None:
             if options.get("verbose"):
@@ -294,15 +294,24 @@ def _solved(
     )
 
 
+def _limit(options: dict[str, Any]) -> AbstractContextManager[None]:
+    """Return the limit of seconds that the options set, within one around."""
+    seconds = options.get("max_seconds", math.inf)
+    return time_limit(min(seconds, seconds_left())) if seconds < math.inf else nullcontext()
+
+
 def _by_engines(
     program: QuadraticProgram, tolerance: float, options: dict[str, Any], clock: Clock
 ) -> QuadraticProgramResult | None:
     """Return what engines, and proofs where these find no answer, decide; None where a run is to be begun."""
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
-    with time_limit(min(options.get("max_seconds", math.inf), seconds_left())):
-        by, found = _at_once(program, goal, options)
-        if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
-            found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
+    with _limit(options):
+        if (found := solved_as_given(program, goal)) is not None:
+            by = found.stage.name
+        else:
+            by, found = _at_once(program, goal, options)
+            if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
+                found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
     if isinstance(found, EngineRun):
         history = _two_samples(by, found, clock.read()) if options.get("record") else ()
         status = Status.STALLED if found.contradicts else Status.SOLVED
@@ -338,7 +347,7 @@ def _solved_by_engine(
     clock, goal = Clock(), program_goal(tolerance)
     with time_limit(min(settings.max_seconds, seconds_left())):
         run = run_engine(program, engine, goal, is_verbose=settings.verbose)
-        is_optimal, proof = not run.contradicts and run.solution.is_minimal(goal), None
+        is_optimal, proof = run.is_optimal, None
         if settings.prove_infeasibility and not run.solution.is_sure(goal):
             proof = program.facts.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
     is_nearly = run.says is Hint.OPTIMAL and run.solution.is_minimal(max(goal, NEARLY))
@@ -454,7 +463,7 @@ def _at_once(
     try:
         for engine in engines_for(program):
             run = run_engine(program, engine, goal)
-            if not run.contradicts and run.solution.is_minimal(goal):
+            if run.is_optimal:
                 return engine.name, run
             is_hint = run.says in (Hint.INFEASIBLE, Hint.UNBOUNDED)
             if prove_infeasibility and is_hint and (proof := program.facts.accepted_proof(goal)) is not None:
@@ -528,9 +537,8 @@ def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
 def prepare_program(program: QuadraticProgram) -> None:
     """Compute what solves of the program, and of others with its matrices, ask of these."""
     refuse_nonconvex(program)
-    matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
-    if may_be_small(n, m + p, matrices.stored):
-        _ = matrices.dense
+    if program.matrices.is_small:
+        _ = program.matrices.dense
 
 
 def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgram | LCPError]:

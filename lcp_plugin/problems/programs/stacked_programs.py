@@ -105,7 +105,7 @@ class QuadraticProgramBatch:
         (m, p, n, _), is_shared = example.matrices.sizes, all(one.matrices is example.matrices for one in given)
         if any(one.matrices.sizes != example.matrices.sizes for one in given):
             return None
-        if not (is_shared or may_be_small(n, m + p, n * (n + m + p))):
+        if not (is_shared or may_be_small(n, m + p, [n * (n + m + p)])):
             return None
         made = object.__new__(cls)
         made.count, made.sizes, made._given = len(programs), (m, p, n, n), programs

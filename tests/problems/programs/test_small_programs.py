@@ -206,7 +206,7 @@ def test_ctrl_c_ends_in_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(solving, "run_engine", interrupted)
+    monkeypatch.setattr(solving, "solved_as_given", interrupted)
     result = solve_program(planted(5, 3, 1, 5, 2)[0])
     assert result.status.name == "INTERRUPTED"
 
@@ -282,6 +282,8 @@ def test_one_function_judges_dense_sparse_and_stacked_programs(seed: int) -> Non
     multipliers = np.concatenate([y, below, above])
     one, other = (Errors.of(program, x, multipliers) for program in (dense, sparse))
     np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    with np.errstate(all="ignore"):
+        assert (np.array(Errors.above(dense, x, multipliers)) >= one).all()
     stack = np.stack([x, 2.0 * x]), np.stack([y, y])
     with np.errstate(all="ignore"):
         both = measured(
@@ -292,3 +294,17 @@ def test_one_function_judges_dense_sparse_and_stacked_programs(seed: int) -> Non
     assert (beside_own_terms >= np.array(one) * (1.0 - 1e-9) - 1e-12).all()
     if beside_own_terms.max() <= 1e-9:
         np.testing.assert_allclose(beside_own_terms, one, rtol=1e-9, atol=1e-12)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_bounds_of_the_errors_are_none_less_and_small_at_an_answer(seed: int) -> None:
+    """What is judged by sums of terms is judged so by the largest of them: at answers, near them, and far away."""
+    rng = np.random.default_rng(seed)
+    program = planted(int(rng.integers(1, 9)), int(rng.integers(0, 9)), int(rng.integers(0, 3)), 4, seed)[0]
+    found = solve_program(program).solution
+    for size in (0.0, 1e-12, 1e-6, 1.0):
+        x = np.clip(found.x * (1.0 + size * rng.normal(size=program.n)), program.lower, program.upper)
+        y = found.multipliers * np.maximum(1.0 + size * rng.normal(size=found.multipliers.size), 0.0)
+        exact, above = Errors.of(program, x, y), Errors.above(program, x, y)
+        assert (np.array(above) >= exact).all()
+        assert size > 0.0 or program.h.size + program.b.size == 0 or above.largest < 1e-9 or exact.largest > 1e-12

@@ -340,20 +340,20 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 def checked_limit(values: Any, name: str, n: int) -> FloatVector:
     """Return a bound that callers state, where ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
-    if type(values) is float and abs(values) == np.inf:
-        return no_limit(values, n)
+    if type(values) is float and abs(values) <= np.inf:
+        return same_for_all(values + 0.0 if abs(values) < INFINITE_LIMIT else np.inf if values > 0.0 else -np.inf, n)
     return read_only(as_stated(checked_bound(values, name, n)))
 
 
 @lru_cache(maxsize=64)
-def no_limit(value: float, n: int) -> FloatVector:
-    """Return the same read-only vector for all: most problems have a side without bounds."""
+def same_for_all(value: float, n: int) -> FloatVector:
+    """Return a read-only vector of one number, the same object for every caller: most problems have a bound of one."""
     return read_only(np.full(n, value))
 
 
 def are_no_limits(lower: FloatVector, upper: FloatVector) -> bool:
-    """Return whether these are the vectors of no bounds on either side, as `no_limit` returns them."""
-    return lower is no_limit(-np.inf, lower.size) and upper is no_limit(np.inf, upper.size)
+    """Return whether these are the vectors of no bounds on either side, as `same_for_all` returns them."""
+    return lower is same_for_all(-np.inf, lower.size) and upper is same_for_all(np.inf, upper.size)
 
 
 def as_stated(limits: NDArray[Any]) -> FloatVector:
@@ -376,11 +376,9 @@ def without_huge(lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, F
 
 def check_order(lower: FloatVector, upper: FloatVector) -> None:
     """Raise where lower ≤ upper fails or admits no number."""
-    if are_no_limits(lower, upper):
-        return
-    wrong = (lower > upper) | (lower == np.inf) | (upper == -np.inf)
-    if wrong.any():
-        i = int(np.argmax(wrong))
+    is_right = (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
+    if not all_hold(is_right):
+        i = int(np.argmin(is_right))
         raise InvalidProblem(
             f"bounds must satisfy lower ≤ upper and admit a number, "
             f"but lower[{i}] = {lower[i]} and upper[{i}] = {upper[i]}"

@@ -456,6 +456,9 @@ MECHANISMS = (
     Mechanism("nnls", "scipy's nnls on dense problems with bounds on one side",
               {f"{LEAST}.engine_points:_by_nnls": Instead(nothing_found)},
               "problems/least_squares/engine_points.py:_by_nnls"),
+    Mechanism("nnls as given", "small nonnegative problems by nnls as they stand, judged at once",
+              {f"{LEAST}.engine_points:nonnegative_as_given": says(None)},
+              "problems/least_squares/engine_points.py:nonnegative_as_given"),
     Mechanism("PIQP of least squares", "PIQP on boxes, and on the dual",
               {f"{LEAST}.engine_points:_by_piqp": Instead(no_point)},
               "problems/least_squares/engine_points.py:_by_bounds "

@@ -22,6 +22,7 @@ from ...core.checks import (
     is_number,
     read_only,
     rectangular_matrix,
+    same_for_all,
 )
 from ...core.communicator import SharedRows
 from ...core.deadline import is_over
@@ -108,7 +109,7 @@ class BoundedLeastSquares:
         if not is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
-        self.l1 = read_only(np.zeros(n)) if is_number(l1) and l1 == 0.0 else _checked_penalty(l1, n)
+        self.l1 = same_for_all(0.0, n) if is_number(l1) and l1 == 0.0 else _checked_penalty(l1, n)
 
     def __repr__(self) -> str:
         kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
@@ -189,6 +190,14 @@ class BoundedLeastSquares:
         _ = self.column_scales, self.root_weights  # shared from now on
         made.__dict__.update(column_scales=self.column_scales, root_weights=self.root_weights)
         return made
+
+    @property
+    def is_nonnegative_alone(self) -> bool:
+        """Whether x ≥ 0 is all that is asked beside a small dense A x ≈ b."""
+        n, is_plain = self.shape[1], self.weights is None and self.ridge == 0.0 and self.is_dense
+        zeros = same_for_all(0.0, n)
+        is_plain = is_plain and self.lower is zeros and self.l1 is zeros and self.upper is same_for_all(np.inf, n)
+        return is_plain and n > 0 and self.is_cheap_to_copy
 
     @property
     def is_cheap_to_copy(self) -> bool:

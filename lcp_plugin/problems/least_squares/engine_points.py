@@ -18,13 +18,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
+from ...core.checks import FloatVector, all_hold
 from ...core.deadline import is_over, seconds_left
+from ...core.kernels.floats import UNIT
 from ...engines import Limits, Point, Statement
 from ...engines.piqp import PIQP
 from ...engines.polish import polished
-from .data import ROWS, ScaledLeastSquares
-from .enclosures import NOTHING, clipped
+from ...systems.factors import lapack
+from .data import ROWS, BoundedLeastSquares, ScaledLeastSquares
+from .enclosures import NOTHING, OUTWARD, clipped
 from .steps import FacePoint
 
 NNLS_UP_TO = 600  # columns or rows, whichever are fewer: it frees one column at a time
@@ -35,6 +37,7 @@ PATIENCE = 60.0  # seconds for that
 SECONDS = 1e-6  # of one, an entry, row and column of a sparse A, where its factor hardly fills in
 LARGEST_FILL = 1e8  # entries of a factor
 FACES = 8  # one after the other
+LARGEST = 2.0**200  # cost, or square of x, that sums of products do not underflow beside
 STEPS = 10  # of nnls, times the number of columns
 
 
@@ -130,6 +133,44 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[FacePoint]:
             yield on_its_face(point, A, b) if is_dense else point
     for z in _with_small_slopes(parts, entries, right) if is_dense and is_open else ():
         yield on_its_face(parts.point(z, problem), A, b)
+
+
+def nonnegative_as_given(
+    problem: BoundedLeastSquares, tolerance: float
+) -> tuple[FloatVector, FloatVector, FloatVector, float] | None:
+    """Return x by nnls of a problem as it stands, with A x − b, y and optimality, if it is SOLVED; None otherwise.
+
+    That is what the certificate says of y = A x − b, or of the part of that which is orthogonal to the columns at work.
+    """
+    A, b = problem.A, problem.b
+    if not problem.is_nonnegative_alone or min(A.shape) > NNLS_UP_TO:
+        return None
+    x = _by_nnls(A, b, is_asked=True)
+    with np.errstate(all="ignore"):
+        if not x.dot(x) < LARGEST:
+            return None
+        residual, of_A = A @ x - b, np.abs(A)
+        value = _nonnegative_optimality(A, of_A, x, residual, 0.0)
+        if value <= tolerance:
+            return x, residual, residual, value
+        columns = A[:, x > 0.0]
+        if not 0 < columns.shape[1] <= A.shape[0]:
+            return None
+        solved, info = lapack().dgels(columns, residual)[1:]
+        y = residual - columns @ solved[: columns.shape[1]]
+        rounding = (2 * x.size + 8) * UNIT * (of_A @ x + np.abs(b))
+        off = np.maximum(np.abs(residual - y) - rounding, 0.0)
+        value = _nonnegative_optimality(A, of_A, x, y, 0.5 * float(off.dot(off)))
+    return (x, residual, y, value) if info == 0 and value <= tolerance else None
+
+
+def _nonnegative_optimality(A: FloatVector, of_A: FloatVector, x: FloatVector, y: FloatVector, gap: float) -> float:
+    """Return by how much the cost at x ≥ 0 exceeds the least, beside that of y, rounding aside; ∞ where it may."""
+    slope, rounding, cost = A.T @ y, (2 * y.size + 8) * UNIT * (of_A.T @ np.abs(y)), 0.5 * float(y.dot(y))
+    if not (all_hold(slope + rounding >= 0.0) and 1.0 / LARGEST < cost < LARGEST):
+        return np.inf
+    gap += float(np.maximum(slope - rounding, 0.0).dot(x))
+    return OUTWARD**3 * gap / cost
 
 
 def _with_small_slopes(parts: Parts, A: FloatVector, b: FloatVector) -> Iterator[FloatVector]:

@@ -100,6 +100,13 @@ def solve_least_squares(
 ) -> LeastSquaresResult:
     """Return the answer to a problem that is stated already; see :func:`bounded_least_squares`."""
     clock = Clock()
+    is_plain = x0 is max_iterations is max_seconds is None
+    if is_plain and type(tolerance) is float and 0.0 < tolerance < 1.0:
+        from .engine_points import nonnegative_as_given
+
+        if (found := nonnegative_as_given(problem, tolerance)) is not None:
+            x, residual, dual, value = found
+            return _result_of(problem, tolerance, x, residual, dual, value, Status.SOLVED, 1, clock)
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
     start = None if x0 is None else problem.checked_start(x0)
     if (units := problem.far_units) is not None:
@@ -112,7 +119,8 @@ def solve_least_squares(
     from .run import run_stages
 
     judged, status, steps = run_stages(problem, settings, start, clock)
-    return _result_of(problem, settings, judged.x, judged.residual[0], judged.dual, judged.value, status, steps, clock)
+    x, residual, value = judged.x, judged.residual[0], judged.value
+    return _result_of(problem, settings.tolerance, x, residual, judged.dual, value, status, steps, clock)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -250,7 +258,7 @@ OF_OPERATORS = {
 
 
 def _result_of(
-    problem: BoundedLeastSquares, settings: Settings, x: FloatVector, residual: FloatVector, dual: FloatVector,
+    problem: BoundedLeastSquares, tolerance: float, x: FloatVector, residual: FloatVector, dual: FloatVector,
     optimality: float, status: Status, steps: int, clock: Clock,
 ) -> LeastSquaresResult:
     """Return the result that these make."""
@@ -258,6 +266,6 @@ def _result_of(
     mask[x <= problem.lower] = -1
     return LeastSquaresResult(
         x=read_only(x), cost=problem.cost(x, residual), fun=read_only(residual), optimality=optimality,
-        active_mask=read_only(mask), status=status, nit=steps, seconds=clock.read(), tolerance=settings.tolerance,
+        active_mask=read_only(mask), status=status, nit=steps, seconds=clock.read(), tolerance=tolerance,
         is_proved=problem.has_entries, problem=problem, _dual=dual,
     )

@@ -25,9 +25,11 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator
 from lcp_plugin import Status, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
 from lcp_plugin.problems.least_squares import run
+from lcp_plugin.problems.least_squares.certificate import Optimality
 from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.enclosures import Enclosures, largest_residuals
+from lcp_plugin.problems.least_squares.engine_points import nonnegative_as_given
 from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, bounded_least_squares
 
 INF = np.inf
@@ -767,3 +769,18 @@ def test_a_bound_that_acts_is_one_beside_a_tiny_right_hand_side(small: float) ->
     found = bounded_least_squares([[1.0, 0.0], [1.0, 2.0]], [small, small], lower=[1.0, -INF])
     assert found.status is Status.SOLVED
     np.testing.assert_allclose(found.x, [1.0, -0.5], rtol=1e-14)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_what_is_answered_as_it_stands_is_right_by_the_certificate(seed: int) -> None:
+    """Nonnegative problems, polynomials among them: the short way says no less than the certificate."""
+    rng = np.random.default_rng(seed)
+    m, n = int(rng.integers(1, 40)), int(rng.integers(1, 12))
+    A = np.vander(np.linspace(0.0, 1.0, m), n) if seed % 2 else rng.normal(size=(m, n))
+    problem = BoundedLeastSquares(A, A @ np.maximum(rng.normal(size=n), 0.0) + 10.0 ** -(seed % 9) * rng.normal(size=m))
+    if (found := nonnegative_as_given(problem, 1e-8)) is not None:
+        x, residual, y, value = found
+        judged = Optimality.of(Enclosures(problem), x, y, tolerance=1e-8)
+        assert judged.value <= value + 1e-15
+        assert value <= 1e-8
+        np.testing.assert_array_equal(residual, A @ x - problem.b)

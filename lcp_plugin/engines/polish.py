@@ -100,8 +100,16 @@ def _solver(P: Any, C: Any) -> Callable[[FloatVector], FloatVector] | None:
         return None if info else lambda right: lapack.dgetrs(factor, pivots, right)[0]
     import qdldl
 
-    upper = sp.block_array([[sp.triu(P), C.T], [None, sp.csr_array((m, m))]], format="csc")
-    size = np.maximum(*(abs(upper).max(axis=axis).toarray().ravel() for axis in (0, 1)))
+    size, (begins, columns, entries) = np.zeros(n + m), (P.indptr, P.indices, P.data)
+    rows_of_P, rows_of_C = (np.repeat(np.arange(one.shape[0]), np.diff(one.indptr)) for one in (P, C))
+    for rows, found in ((rows_of_P, entries), (n + rows_of_C, C.data), (C.indices, C.data)):
+        np.maximum.at(size, rows, np.abs(found))
+    # Columns of the upper triangle are rows of the lower one: those of P, and of C.
+    lower = columns <= rows_of_P
+    ends = np.concatenate([np.cumsum(np.append(0, lower))[begins], np.count_nonzero(lower) + C.indptr[1:]])
+    upper = sp.csc_matrix(
+        (np.append(entries[lower], C.data), np.append(columns[lower], C.indices), ends), shape=(n + m, n + m)
+    )
     shift = sp.diags_array(SHIFT * signs * np.where(size > 0.0, size, 1.0))
     try:
         solver: Callable[[FloatVector], FloatVector] = qdldl.Solver(sp.csc_matrix(upper + shift), upper=True).solve

@@ -30,7 +30,7 @@ from .program_matrices import as_csr
 from .reductions import FoldedRows, Reduction
 from .solution import QPSolution
 
-SHARPEST = 4  # points: as it came, and polished, each with its noise and without
+SHARPEST = 4  # points: as it came, and polished, each without its noise and with it
 NOISE = 2.0**-44
 CALLS = 4  # of an engine for one program
 DENSE_AT_LAST = 1500  # unknowns and rows: an active set sees through numbers that steps between the bounds do not
@@ -88,7 +88,7 @@ def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
 
 
 def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | None:
-    """Return the answer of an active set to a small dense program as it stands, if surely right; None otherwise.
+    """Return the answer of an active set to a small program as it stands, if it is surely right; None otherwise.
 
     Most small programs end here, in half the time that others take to begin.
     """
@@ -96,15 +96,16 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | None:
     if engine is None or not engine.ends_with_a_case or program.matrices.negative_curvature:
         return None
     with np.errstate(all="ignore"):
-        point = engine.answer(_statement(program), Limits(seconds_left()))
-        x, y = point.x, np.concatenate(point.multipliers)
-        if not are_no_limits(program.lower, program.upper):
-            x = np.clip(x, program.lower, program.upper)
-        errors = Errors.above(program, x, y)
-    if not (errors.meet(goal) and errors.are_sure(goal)):
-        return None
-    stage = StageRecord(engine.name, engine.solves, point.iterations, 0.0)
-    return EngineRun(QPSolution.of_rows(program, x, y), point.says, stage, True, False)
+        point = engine.answer(_dense_statement(program), Limits(seconds_left()))
+        for near in chain([point], without_noise(point)):
+            x, y = near.x, np.concatenate(near.multipliers)
+            if not are_no_limits(program.lower, program.upper):
+                x = np.clip(x, program.lower, program.upper)
+            errors = Errors.above(program, x, y)
+            if errors.meet(goal) and errors.are_sure(goal):
+                stage = StageRecord(engine.name, engine.solves, point.iterations, 0.0)
+                return EngineRun(QPSolution.of_rows(program, x, y), point.says, stage, True, False)
+    return None
 
 
 def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: bool = False) -> EngineRun | None:
@@ -206,7 +207,7 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])
     for one in chain(first, [point], cases, at_zero, at_rest(prepared.statement, first or [point])):
-        for near in chain([one], without_noise(one)):
+        for near in chain(without_noise(one), [one]):  # what is noise would ask for what acts
             if (solution := _solution(reduction, prepared, near)) is not None:
                 yield solution, one._replace(iterations=steps)
                 steps = 0
@@ -262,13 +263,17 @@ def _contradiction(reduction: Reduction, prepared: Prepared, point: Point) -> Mu
 
 def _statement(program: QuadraticProgram) -> Statement:
     """Return a program as engines take it: all matrices dense, or all sparse."""
-    m, n = program.h.size, program.n
     if program.matrices.is_dense:
-        stacked = program.matrices.stacked
-        P, G, A = stacked[:n], stacked[n : n + m], stacked[n + m :]
-    else:
-        P, G, A = map(as_csr, (program.P, program.G, program.A))
+        return _dense_statement(program)
+    P, G, A = map(as_csr, (program.P, program.G, program.A))
     return Statement(P, program.c, G, program.h, A, program.b, program.lower, program.upper)
+
+
+def _dense_statement(program: QuadraticProgram) -> Statement:
+    m, n, stacked = program.h.size, program.n, program.matrices.stacked
+    return Statement(
+        stacked[:n], program.c, stacked[n : n + m], program.h, stacked[n + m :], program.b, program.lower, program.upper
+    )
 
 
 __all__ = ["EngineRun", "engines_for", "run_engine", "solved_at_once"]

@@ -89,17 +89,16 @@ class ProgramMatrices:
 
     @cached_property
     def is_judged_by_sums(self) -> bool:
-        """Whether they are dense and have few rows and columns: for `Errors.above`."""
-        return 0 < sum(self.sizes[:3]) <= FEW and self.is_dense
+        """Whether they have few rows and columns: for `Errors.above`."""
+        return 0 < sum(self.sizes[:3]) <= FEW
 
     @cached_property
     def stacked(self) -> FloatVector:
         """P above G above A as one ndarray, C-contiguous."""
         m, p, _, _ = self.sizes
-        P = self.P if isinstance(self.P, np.ndarray) else self.P.toarray()
-        if not m + p:
-            return P
-        return read_only(np.concatenate((P, self.G, self.A) if m and p else (P, self.G if m else self.A)))
+        given = (self.P, self.G, self.A) if m and p else (self.P, self.G) if m else (self.P, self.A) if p else (self.P,)
+        parts = [one if isinstance(one, np.ndarray) else one.toarray() for one in given]
+        return read_only(np.concatenate(parts)) if len(parts) > 1 else parts[0]
 
     @cached_property
     def stacked_sizes(self) -> FloatVector:

@@ -96,7 +96,7 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | None:
     if engine is None or not engine.ends_with_a_case or program.matrices.negative_curvature:
         return None
     with np.errstate(all="ignore"):
-        point = engine.answer(_dense_statement(program), Limits(seconds_left()))
+        point = engine.answer(_statement(program, is_dense=True), Limits(seconds_left()))
         for near in chain([point], without_noise(point)):
             x, y = near.x, np.concatenate(near.multipliers)
             if not are_no_limits(program.lower, program.upper):
@@ -261,19 +261,16 @@ def _contradiction(reduction: Reduction, prepared: Prepared, point: Point) -> Mu
     return Multipliers(*np.split(whole, ends))
 
 
-def _statement(program: QuadraticProgram) -> Statement:
+def _statement(program: QuadraticProgram, *, is_dense: bool = False) -> Statement:
     """Return a program as engines take it: all matrices dense, or all sparse."""
-    if program.matrices.is_dense:
-        return _dense_statement(program)
-    P, G, A = map(as_csr, (program.P, program.G, program.A))
+    matrices, (m, _, n, _) = program.matrices, program.matrices.sizes
+    if matrices.is_judged_by_sums and (is_dense or matrices.is_dense):
+        P, G, A = matrices.stacked[:n], matrices.stacked[n : n + m], matrices.stacked[n + m :]
+    elif matrices.is_dense:
+        P, G, A = (one if isinstance(one, np.ndarray) else one.toarray() for one in (program.P, program.G, program.A))
+    else:
+        P, G, A = map(as_csr, (program.P, program.G, program.A))
     return Statement(P, program.c, G, program.h, A, program.b, program.lower, program.upper)
-
-
-def _dense_statement(program: QuadraticProgram) -> Statement:
-    m, n, stacked = program.h.size, program.n, program.matrices.stacked
-    return Statement(
-        stacked[:n], program.c, stacked[n : n + m], program.h, stacked[n + m :], program.b, program.lower, program.upper
-    )
 
 
 __all__ = ["EngineRun", "engines_for", "run_engine", "solved_at_once"]

@@ -368,8 +368,8 @@ class ProgramFacts:
                 if margin_in_doubles(matrices.rows, *limits, near) > tolerance:
                     self.__dict__["_seen"] = near
             if self.seen_multipliers is None and matrices.is_small:
-                rows = matrices.dense[1][0]
-                self.__dict__["_seen"] = contradicting_multipliers(rows, right, m, *limits[1:], tolerance)
+                found = contradicting_multipliers(matrices.dense_rows, right, m, *limits[1:], tolerance)
+                self.__dict__["_seen"] = found
         return self.seen_multipliers is not None and "_proof" not in self.__dict__
 
     @property

@@ -77,12 +77,6 @@ class ProgramMatrices:
         return read_only(np.vstack([np.zeros((0, self.P.shape[0])), *given]))
 
     @cached_property
-    def dense(self) -> tuple[Any, Any]:
-        """P and [G; A] as ndarrays of shapes (1, n, n) and (1, m + p, n), C-contiguous."""
-        P = np.ascontiguousarray(self.P if isinstance(self.P, np.ndarray) else self.P.toarray())
-        return read_only(P)[np.newaxis], self.dense_rows[np.newaxis]
-
-    @cached_property
     def is_dense(self) -> bool:
         """Whether P, G and A were given as ndarrays, or have no entries."""
         return not self.has_sparse_rows and (isinstance(self.P, np.ndarray) or not self.P.nnz)

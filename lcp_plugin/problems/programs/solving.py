@@ -306,7 +306,8 @@ def _by_engines(
     """Return what engines, and proofs where these find no answer, decide; None where a run is to be begun."""
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
     with _limit(options):
-        if (found := solved_as_given(program, goal)) is not None:
+        found: EngineRun | QPInfeasibility | QPUnboundedness | None = solved_as_given(program, goal)
+        if found is not None:
             by = found.stage.name
         else:
             by, found = _at_once(program, goal, options)
@@ -537,8 +538,8 @@ def ended_by_caller(result: Result, options: Mapping[str, Any]) -> bool:
 def prepare_program(program: QuadraticProgram) -> None:
     """Compute what solves of the program, and of others with its matrices, ask of these."""
     refuse_nonconvex(program)
-    if program.matrices.is_small:
-        _ = program.matrices.dense
+    if program.matrices.is_judged_by_sums:
+        _ = program.matrices.stacked_sizes
 
 
 def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgram | LCPError]:

@@ -120,9 +120,9 @@ class QuadraticProgramBatch:
         if is_shared:
             made.P, made.G, made.A = example.P, example.G, example.A
         else:
-            every = [(one if isinstance(one, QuadraticProgram) else example).matrices.dense for one in programs]
-            made.P, rows = (np.concatenate(stack) for stack in zip(*every, strict=True))
-            made.G, made.A = rows[:, :m], rows[:, m:]
+            given = [one if isinstance(one, QuadraticProgram) else example for one in programs]
+            every = np.array([one.matrices.stacked for one in given])
+            made.P, made.G, made.A = every[:, :n], every[:, n : n + m], every[:, n + m :]
         return made
 
     @property

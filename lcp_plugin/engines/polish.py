@@ -21,15 +21,12 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from .engine import Multipliers, Point, Statement
 
-ROUNDS = 3  # cases
 STEPS = 5
 SHIFT = 2.0**-26  # δ beside the largest entry of its row: √ε
 
 
 def polished(program: Statement, point: Point) -> Iterator[Point]:
-    """Yield the point after the step, and after a step to the case that this one names, until the case stays.
-
-    That is Newton's method on min(multiplier, slack) = 0. It ends where a system is singular.
+    """Yield the point after the step, one of Newton's on min(multiplier, slack) = 0; none where a system is singular.
 
     Parameters
     ----------
@@ -43,46 +40,35 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
     >>> none = np.zeros((0, 1)), np.zeros(0)
     >>> program = Statement(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
     >>> near = Multipliers(np.zeros(0), np.zeros(0), np.zeros(1), np.array([0.9]))
-    >>> for found in polished(program, Point(np.array([1.99]), near, 0, None)):
-    ...     print(found.x, found.multipliers.upper)
-    [2.] [1.]
+    >>> (found,) = polished(program, Point(np.array([1.99]), near, 0, None))
+    >>> found.x, found.multipliers.upper
+    (array([2.]), array([1.]))
     """
     lower, upper, m = program.lower, program.upper, program.h.size
     both = [program.G, program.A]
     rows = sp.csr_array(sp.vstack(both)) if sp.issparse(program.G) else np.vstack(both)
     right, given = np.concatenate([program.h, program.b]), point.multipliers
     x, y, pull = np.clip(point.x, lower, upper), np.concatenate(given[:2]), given.upper - given.lower
-    slack, before = np.abs(right[:m] - program.G @ x), None
-    for _ in range(ROUNDS):
-        at_upper = pull > upper - x
-        at_lower = (-pull > x - lower) & ~at_upper | (lower == upper)
-        acts = np.append(y[:m] > slack, np.ones(right.size - m, np.bool_))
-        case = (at_lower.tobytes(), at_upper.tobytes(), acts.tobytes())
-        acting, free = rows[np.flatnonzero(acts)], np.flatnonzero(~(at_lower | at_upper))
-        if case == before or (solve := _solver(program.P[free][:, free], acting[:, free])) is None:
+    at_upper = pull > upper - x
+    at_lower = (-pull > x - lower) & ~at_upper | (lower == upper)
+    acts = np.append(y[:m] > np.abs(right[:m] - program.G @ x), np.ones(right.size - m, np.bool_))
+    acting, free = rows[np.flatnonzero(acts)], np.flatnonzero(~(at_lower | at_upper))
+    if (solve := _solver(program.P[free][:, free], acting[:, free])) is None:
+        return
+    x, y = np.where(at_lower, lower, np.where(at_upper, upper, x)), np.where(acts, y, 0.0)
+    for _ in range(STEPS):
+        gradient = program.P @ x + program.c + rows.T @ y
+        step = solve(np.concatenate([-gradient[free], right[acts] - acting @ x]))
+        if not np.isfinite(step).all():
             return
-        before, x = case, np.where(at_lower, lower, np.where(at_upper, upper, x))
-        y = np.where(acts, y, 0.0)
-        for _ in range(STEPS):
-            gradient = program.P @ x + program.c + rows.T @ y
-            step = solve(np.concatenate([-gradient[free], right[acts] - acting @ x]))
-            if not np.isfinite(step).all():
-                return
-            x[free] += step[: free.size]
-            y[acts] += step[free.size :]
-        yield _signed(program, rows, x, y, point)
-        slack, pull = right[:m] - program.G @ x, -(program.P @ x + program.c + rows.T @ y)
-        pull[free] = 0.0
-
-
-def _signed(program: Statement, rows: Any, x: FloatVector, y: FloatVector, point: Point) -> Point:
-    """Return the point within the bounds, with multipliers ≥ 0; those of bounds take what the gradient leaves there."""
-    m = program.h.size
-    x, y = np.clip(x, program.lower, program.upper), np.append(np.maximum(y[:m], 0.0), y[m:])
+        x[free] += step[: free.size]
+        y[acts] += step[free.size :]
+    # Multipliers of bounds take what the gradient leaves there.
+    x, y = np.clip(x, lower, upper), np.append(np.maximum(y[:m], 0.0), y[m:])
     gradient = program.P @ x + program.c + rows.T @ y
     below = np.where(x == program.lower, np.maximum(gradient, 0.0), 0.0)
     above = np.where(x == program.upper, np.maximum(-gradient, 0.0), 0.0)
-    return point._replace(x=x, multipliers=Multipliers(y[:m], y[m:], below, above))
+    yield point._replace(x=x, multipliers=Multipliers(y[:m], y[m:], below, above))
 
 
 def _solver(P: Any, C: Any) -> Callable[[FloatVector], FloatVector] | None:

@@ -422,8 +422,6 @@ MECHANISMS = (
               "engines/highs.py"),
     Mechanism("engine polish", "the linear system of the case that an engine's point names",
               {"engines.polish:polished": nothing()}, "engines/polish.py"),
-    Mechanism("further cases", "the systems of the cases that the first one leads to",
-              {"engines.polish:polished": yielding(lambda k, _: k < 1, to_the_end=False)}),
     Mechanism("engine units", "an engine is asked again in units fitted to a program's entries",
               {"engines.statement:Prepared.of": Instead(in_given_units, if_in_other_units)}),
     Mechanism("far limits", "an engine is asked again without limits far beyond all others",
@@ -442,9 +440,6 @@ MECHANISMS = (
     Mechanism("at rest", "an engine's point without what is rounding beside its equations, where no force is left",
               {f"{PROGRAMS}.engine_calls:at_rest": says(())}, "problems/programs/engine_calls.py:at_rest",
               "problems/programs/test_convex_programs.py::test_an_exact_fit_is_optimal"),
-    Mechanism("better left", "a reduced cost counted as a residual where that is less",
-              {f"{PROGRAMS}.conversion:_is_better_left": differing(lambda old: lambda _, x, *__: x != x)},
-              "problems/programs/conversion.py:_is_better_left"),
     Mechanism("seen contradictions", "multipliers of engines and of least squares that a proof is made of",
               {f"{PROGRAMS}.program:ProgramFacts.sees_contradiction": says(False)},
               "problems/programs/contradictions.py problems/programs/program.py:ProgramFacts.sees_contradiction "

@@ -9,14 +9,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector, FloatVector, checked_answer, checked_vector
+from ...core.checks import FloatVector, checked_answer, checked_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, program_goal
 from .program import QuadraticProgram, asymmetry_of
-from .program_matrices import sums_and_terms
 from .reductions import DefinedVariables, FoldedRows, Reduction
 from .solution import QPSolution
 
@@ -327,10 +326,7 @@ class QPOrigin:
         if not (np.isfinite(folded.lower) | np.isfinite(folded.upper)).any():
             return self._whole(x, np.append(y, np.zeros(2 * x.size)))
         # What the bounds have to balance, μ_lower − μ_upper.
-        of_rows, sizes = sums_and_terms(folded.matrices.rows, y)
-        reduced_cost = folded.P @ x + folded.c + of_rows
-        terms = folded.matrices.magnitudes @ np.abs(x) + np.abs(folded.c) + sizes
-        reduced_cost[_is_better_left(folded, x, reduced_cost, terms)] = 0.0
+        reduced_cost = folded.P @ x + folded.c + folded.matrices.sum_of_rows(y)
         at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
         at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
         return self._whole(x, np.concatenate([y, at_lower, at_upper]))
@@ -373,17 +369,3 @@ def _refuse_infinite(program: QuadraticProgram, multipliers: FloatVector) -> Non
                 f"the multiplier of {name}[{row}] is beyond the range of doubles, ±1.8e308; give that constraint, "
                 "limits and the objective in units in which their largest coefficients are near 1"
             )
-
-
-def _is_better_left(
-    program: QuadraticProgram, x: FloatVector, reduced_cost: FloatVector, terms: FloatVector
-) -> BoolVector:
-    """Return where a reduced cost is a smaller error as a dual residual than as a multiplier of a bound not reached.
-
-    As a residual it is relative to its terms; as a multiplier, times the distance from the bound, to the objective's.
-    """
-    size, bound = np.abs(reduced_cost), np.where(reduced_cost > 0.0, program.lower, program.upper)
-    with np.errstate(all="ignore"):  # an infinite bound has no multiplier anyway
-        objective = np.abs(program.c * x).sum() + 1.5 * np.abs((x * (program.P @ x)).sum())
-        as_multiplier, as_residual = size * np.abs(x - bound) / objective, size / terms
-        return np.asarray((program.lower < x) & (x < program.upper) & (as_residual < as_multiplier))

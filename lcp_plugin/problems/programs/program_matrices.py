@@ -136,21 +136,9 @@ class ProgramMatrices:
         return sp.csr_array(sp.hstack([self.sparse_P, self.rows.T], format="csr"))
 
     @cached_property
-    def magnitudes(self) -> Any:
-        """|P|."""
-        return abs(self.P)
-
-    @cached_property
     def row_sizes(self) -> FloatVector:
         """The largest |entry| of each constraint, 1 where there is none."""
         return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
-
-    @cached_property
-    def columns_of_rows(self) -> FloatVector:
-        """The largest |entry| of each column of [G; A], each row divided by its own; 0 where there is none."""
-        rows, largest = self.rows, np.zeros(self.P.shape[0])
-        np.maximum.at(largest, rows.indices, np.abs(rows.data) / self.row_sizes[row_numbers(rows)])
-        return largest
 
     @cached_property
     def entries(self) -> tuple[int, int]:

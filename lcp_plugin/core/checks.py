@@ -17,6 +17,7 @@ Arrays = tuple[NDArray[Any], NDArray[Any], FloatVector]  # of a sparse matrix: i
 
 DOUBLE = np.dtype(np.float64)
 DENSE_ABOVE_DENSITY = 0.25
+KEPT_UP_TO = 1000  # entries of a vector that costs no memory
 DENSE_UP_TO_SIZE = 5000
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # files may hold 9.999999999999999e19
 
@@ -345,14 +346,18 @@ def checked_limit(values: Any, name: str, n: int) -> FloatVector:
     return read_only(as_stated(checked_bound(values, name, n)))
 
 
-@lru_cache(maxsize=64)
 def same_for_all(value: float, n: int) -> FloatVector:
-    """Return a read-only vector of one number, the same object for every caller: most problems have a bound of one."""
+    """Return a read-only vector of one number; a short one is the same object for all: most have such a bound."""
+    return _kept(value, n) if n <= KEPT_UP_TO else read_only(np.full(n, value))
+
+
+@lru_cache(maxsize=64)
+def _kept(value: float, n: int) -> FloatVector:
     return read_only(np.full(n, value))
 
 
 def are_no_limits(lower: FloatVector, upper: FloatVector) -> bool:
-    """Return whether these are the vectors of no bounds on either side, as `same_for_all` returns them."""
+    """Return whether these are the short vectors of no bounds on either side that `same_for_all` returns."""
     return lower is same_for_all(-np.inf, lower.size) and upper is same_for_all(np.inf, upper.size)
 
 

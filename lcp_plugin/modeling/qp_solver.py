@@ -17,7 +17,7 @@ from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector, checked_right_side, checked_vector
+from ..core.checks import FloatVector, checked_right_side, checked_vector, same_for_all
 from ..core.errors import InvalidProblem
 from ..core.settings import Status
 from ..problems.programs.no_minimum import QPInfeasibility
@@ -247,9 +247,9 @@ def quadratic_program(data: Any) -> QuadraticProgram:
     n, matrices = int(data["n_var"]), data.get(MATRICES)
     P, F, A = (data[key] for key in MATRIX_KEYS)
     if matrices is not None and P is matrices.P and F is matrices.G and A is matrices.A:
-        free, (c, b) = np.full(n, np.inf), (checked_vector(data[key], key, None) for key in (settings.Q, settings.B))
+        c, b = (checked_vector(data[key], key, None) for key in (settings.Q, settings.B))
         h = checked_right_side(data[settings.G], settings.G, None)
-        return QuadraticProgram.with_matrices(matrices, c, h, b, -free, free)
+        return QuadraticProgram.with_matrices(matrices, c, h, b, same_for_all(-np.inf, n), same_for_all(np.inf, n))
     P, F, A = (
         sp.csr_array((rows, n)) if matrix is None else matrix
         for rows, matrix in ((n, P), (int(data["n_ineq"]), F), (int(data["n_eq"]), A))

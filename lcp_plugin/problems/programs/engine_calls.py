@@ -53,6 +53,8 @@ class EngineRun(NamedTuple):
         Whether that solution meets the goal.
     contradicts : bool
         Whether the constraints are seen to contradict, which has ended the run; nothing is proved.
+    is_sure : bool
+        Whether it is known already that no exact proof may beat the solution.
     """
 
     solution: QPSolution
@@ -60,6 +62,7 @@ class EngineRun(NamedTuple):
     stage: StageRecord
     is_optimal: bool
     contradicts: bool
+    is_sure: bool = False
 
 
 def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
@@ -104,7 +107,7 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | None:
             errors = Errors.above(program, x, y)
             if errors.meet(goal) and errors.are_sure(goal):
                 stage = StageRecord(engine.name, engine.solves, point.iterations, 0.0)
-                return EngineRun(QPSolution.of_rows(program, x, y), point.says, stage, True, False)
+                return EngineRun(QPSolution.of_rows(program, x, y), point.says, stage, True, False, True)
     return None
 
 

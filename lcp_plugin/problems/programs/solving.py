@@ -306,13 +306,9 @@ def _by_engines(
     """Return what engines, and proofs where these find no answer, decide; None where a run is to be begun."""
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
     with _limit(options):
-        found: EngineRun | QPInfeasibility | QPUnboundedness | None = solved_as_given(program, goal)
-        if found is not None:
-            by = found.stage.name
-        else:
-            by, found = _at_once(program, goal, options)
-            if isinstance(found, EngineRun) and prove_infeasibility and not found.solution.is_sure(goal):
-                found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
+        by, found = _at_once(program, goal, options)
+        if isinstance(found, EngineRun) and prove_infeasibility and not (found.is_sure or found.solution.is_sure(goal)):
+            found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
     if isinstance(found, EngineRun):
         history = _two_samples(by, found, clock.read()) if options.get("record") else ()
         status = Status.STALLED if found.contradicts else Status.SOLVED
@@ -462,6 +458,8 @@ def _at_once(
     """
     prove_infeasibility = options.get("prove_infeasibility", True)
     try:
+        if (sure := solved_as_given(program, goal)) is not None:
+            return sure.stage.name, sure
         for engine in engines_for(program):
             run = run_engine(program, engine, goal)
             if run.is_optimal:

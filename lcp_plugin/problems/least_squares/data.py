@@ -194,10 +194,12 @@ class BoundedLeastSquares:
     @property
     def is_nonnegative_alone(self) -> bool:
         """Whether x ≥ 0 is all that is asked beside a small dense A x ≈ b."""
-        n, is_plain = self.shape[1], self.weights is None and self.ridge == 0.0 and self.is_dense
-        zeros = same_for_all(0.0, n)
-        is_plain = is_plain and self.lower is zeros and self.l1 is zeros and self.upper is same_for_all(np.inf, n)
-        return is_plain and n > 0 and self.is_cheap_to_copy
+        n = self.shape[1]
+        if not (n and self.is_dense and self.is_cheap_to_copy and self.weights is None and self.ridge == 0.0):
+            return False
+        zeros, none = same_for_all(0.0, n), same_for_all(np.inf, n)
+        is_nonnegative = self.lower is zeros or not self.lower.any()
+        return is_nonnegative and (self.upper is none or bool((self.upper == np.inf).all())) and not self.l1.any()
 
     @property
     def is_cheap_to_copy(self) -> bool:

@@ -28,7 +28,7 @@ MARGIN_GIVEN = 0.0625  # of a contradiction, for signs that survive rounding
 FARTHEST = 2.0**-16  # moved for that, beside the largest multiplier
 
 
-@helper
+@kernel
 def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-untyped-def]
     """Look at the cases; return FOUND, EXCLUDED or GAVE_UP, how many, the tableau entries computed, and `least`.
 

@@ -99,14 +99,10 @@ def _looked_at(problem: LCP, most_entries: float, most_cases: int, *, first: boo
 
     n = problem.n
     most = min(most_cases, 3 ** (n + 1))  # more than there are
-    nodes, y, z = np.full((most, 4), UNUSED), np.empty((most, n + 1)), np.empty((1, n))
-    data = (part[None] for part in (as_dense(problem.matrix)[0], problem.q, problem.lower, problem.upper))
-    found, cases, spent, least = np.empty(1, np.int64), np.empty(1, np.int64), np.empty(1), np.empty(1)
-    kernels.look_at_all(
-        *read_only_views(*data), np.zeros(1, np.int64), float(most_entries), first, nodes, y,
-        found, cases, spent, least, z,
-    )
-    return (int(found[0]), int(cases[0]), float(spent[0]), float(least[0])), nodes, y, z[0]
+    nodes, y, z = np.full((most, 4), UNUSED), np.empty((most, n + 1)), np.empty(n)
+    data = read_only_views(as_dense(problem.matrix)[0], problem.q, problem.lower, problem.upper)
+    ended = kernels.look_at(*data, float(most_entries), first, nodes, y, z)
+    return ended, nodes, y, z
 
 
 def _tree(nodes: list[list[int]], y: FloatVector) -> Case:

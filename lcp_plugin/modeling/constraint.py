@@ -130,7 +130,7 @@ def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None)
             f"friction_cone needs a vector of impulses, contact by contact, got shape {expression.shape}; write "
             'cp.vec(r, order="C") of an array with a row a contact'
         )
-    rows = dimension_of(dimension, np.empty(np.shape(friction)), expression.size)
+    rows = dimension_of(dimension, np.shape(friction), expression.size)
     count = expression.size // rows
     if np.shape(friction) not in ((), (count,)):
         raise UnsupportedModel(

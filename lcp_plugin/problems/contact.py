@@ -45,7 +45,7 @@ from ..core.solving.result import Result
 FloatArray = NDArray[np.float64]
 
 SYMMETRIC = 1e-8  # of the largest entry
-STILL = 1e-8  # of the largest velocity given: what is slower sticks
+STICKS = 1e-8  # of the largest velocity given: what is slower sticks
 UNIT = 1e-6  # by which the length of a direction may differ from 1
 NOT_DEFINITE = (
     "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out bodies that "
@@ -84,6 +84,14 @@ class ContactMotion:
     touches: NDArray[np.bool_]
     sticks: NDArray[np.bool_]
     body_velocities: FloatArray | None = None
+
+
+def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
+    """Return impulses r and velocities u, shape (…, k, d) each, as a motion; `given`, (…, d k), are those without."""
+    still = STICKS * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]
+    with np.errstate(over="ignore", under="ignore"):
+        touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
+    return ContactMotion(r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, touches & (speeds <= still), after)
 
 
 class Bodies(NamedTuple):
@@ -348,13 +356,10 @@ class Contacts:
         impulses[..., 1:] = z[..., k:-k].reshape(*z.shape[:-1], k, m) @ self.edges
         given, bodies = self._velocities_of(answer), self.bodies
         moved = (self.W @ impulses.reshape(*z.shape[:-1], -1, 1)).reshape(impulses.shape) + given
-        slip, touches = moved[..., 1:], z[..., :k] > 0.0
-        still = STILL * np.abs(given).max(axis=(-2, -1), initial=0.0)
-        sticks = touches & (np.abs(slip).max(axis=-1) <= np.expand_dims(still, -1))
         after = None
         if bodies is not None and bodies.velocities is not None and given is self.velocities:
             after = bodies.velocities + (bodies.by_impulse @ impulses.reshape(*z.shape[:-1], -1, 1))[..., 0]
-        return ContactMotion(impulses[..., 0], impulses[..., 1:], moved[..., 0], slip, touches, sticks, after)
+        return motion_of(impulses, moved, given.reshape(*given.shape[:-2], -1), after)
 
     def _velocities_of(self, answer: Any) -> FloatArray:
         """Return the velocities without impulses, of the problem that a Result answers where that has another q."""
@@ -533,18 +538,11 @@ def checked_contacts(
         W, given, bodies = (_of_sparse_bodies if is_sparse else _of_bodies)(tuple(contacts), given)
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
-        _check_symmetric(W, "W")
+        check_symmetric(W, "W")
     if given.ndim not in (2, 3) or given.shape[-1] not in (2, 3) or given.shape[-2] * given.shape[-1] != W.shape[-1]:
         _refuse_velocities(W.shape[-1], given)
     edges, k = _edges(given.shape[-1] - 1, directions), given.shape[-2]
-    need = f"friction must be a number, or an array of shape ({k},): one a contact"
-    mu = _array(friction, need)
-    if mu.ndim and (mu.ndim > 2 or mu.shape[-1] != k):
-        raise InvalidProblem(f"{need}, got shape {mu.shape}")
-    if mu.min(initial=0.0) < 0.0:
-        at = tuple(np.argwhere(mu < 0.0)[0].tolist())
-        where = f"friction{list(at)}" if at else "friction"
-        raise InvalidProblem(f"friction must not be negative, but {where} = {mu[at]}; give μ ≥ 0, 0 for none")
+    mu = checked_friction(friction, k)
     distances = None if gaps is None and time_step is None else _distances(gaps, time_step, k)
     several = (W, 3), (given, 3), (mu, 2), (np.empty(k) if distances is None else distances, 2)
     counts = {part.shape[0] for part, ndim in several if part.ndim == ndim}
@@ -555,6 +553,19 @@ def checked_contacts(
     mu = np.broadcast_to(mu, given.shape[:-1])
     distances = None if distances is None else np.broadcast_to(distances, given.shape[:-1])
     return Contacts(W, mu, given, edges, distances, None if distances is None else time_step, bodies)
+
+
+def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -> FloatArray:
+    """Return the coefficients of k contacts: a number, shape (k,), or with an axis in front."""
+    need = f"friction must be a number, or an array of shape ({k},): {need}"
+    mu = _array(friction, need)
+    if mu.ndim and (mu.ndim > 2 or mu.shape[-1] != k):
+        raise InvalidProblem(f"{need}, got shape {mu.shape}")
+    if mu.min(initial=0.0) < 0.0:
+        at = tuple(np.argwhere(mu < 0.0)[0].tolist())
+        where = f"friction{list(at)}" if at else "friction"
+        raise InvalidProblem(f"friction must not be negative, but {where} = {mu[at]}; give μ ≥ 0, 0 for none")
+    return mu
 
 
 def is_of_bodies(contacts: Any) -> bool:
@@ -603,7 +614,7 @@ def _change(values: ArrayLike, name: str, shape: tuple[int, ...], *, is_symmetri
     if array.shape[-len(shape):] != shape or array.ndim > 1 + len(shape):
         raise InvalidProblem(f"{need}, got {array.shape}")
     if is_symmetric:
-        _check_symmetric(array, name)
+        check_symmetric(array, name)
     return array
 
 
@@ -623,7 +634,7 @@ def _of_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[Float
     """Return W, the contacts' velocities and the bodies from (mass matrix, normals, tangents) and velocities."""
     _require_three(contacts)
     mass = _array(contacts[0], "the mass matrix must be a finite array of shape (v, v)")
-    _check_symmetric(mass, "the mass matrix")
+    check_symmetric(mass, "the mass matrix")
     v = mass.shape[-1]
     normals = _array(contacts[1], f"normals must be a finite array of shape (k, {v}), {v} the size of the mass matrix")
     need = f"tangents must be a finite array of shape (k, t, {v}), t = 2 in space and 1 in the plane"
@@ -658,7 +669,7 @@ def _of_sparse_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tupl
         for part, name in zip(flat, names, strict=True)
     )
     v = mass.shape[1]
-    _check_symmetric(mass, "the mass matrix")
+    check_symmetric(mass, "the mass matrix")
     _require_fit(normals.shape, v)
     k = normals.shape[0]
     t = tangents.shape[0] // max(k, 1)
@@ -779,16 +790,18 @@ def _array(values: Any, need: str) -> FloatArray:
     array = real_array(values.toarray() if sp.issparse(values) else values, need).copy()
     if not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array))[0].tolist()
-        raise InvalidProblem(f"{need}, but entry {where} is {array[tuple(where)]}; repair it")
+        what = f"entry {where}" if where else "it"
+        raise InvalidProblem(f"{need}, but {what} is {array[tuple(where)]}; repair it")
     return array
 
 
-def _check_symmetric(matrix: Any, name: str) -> None:
+def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
+    """Refuse a matrix whose entries differ from those across the diagonal by more than that of the largest."""
     if matrix.ndim not in (2, 3) or matrix.shape[-1] != matrix.shape[-2]:
         raise InvalidProblem(f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)")
     other = matrix.T if sp.issparse(matrix) else np.swapaxes(matrix, -1, -2)
     difference, largest = (abs(part).max() if part.size else 0.0 for part in (matrix - other, matrix))
-    if difference > SYMMETRIC * largest:
+    if difference > tolerance * largest:
         raise InvalidProblem(
             f"{name} must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
             "J m⁻¹ Jᵀ with the same J on both sides?"

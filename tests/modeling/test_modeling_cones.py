@@ -144,7 +144,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         "contact with friction has impulses alone",
     ),
     "negative friction": (
-        lambda: ComplementarityProblem(complements(friction_cone(y, -1.0), y - 1)).solve(), "not negative"
+        lambda: ComplementarityProblem(complements(friction_cone(y, -1.0), y - 1)).solve(), "not be negative"
     ),
     "an objective": (
         lambda: cp.Problem(cp.Minimize(t), [complements(cp.SOC(t, x), cp.hstack([t, x]))]).solve(method="LCP"),

@@ -15,7 +15,8 @@ from ...core.settings import Status
 from ..cones.frictional_contact import FrictionalContactBatch
 from ..cones.methods import SWEEPS_A_STEP
 from ..cones.small import LARGEST, LoopAnswers, run_loop
-from ..cones.solving import ConeResult, motion_of, result_of, solve_cones
+from ..cones.solving import ConeResult, result_of, solve_cones
+from ..contact import motion_of
 from .batch_run import BatchAnswers, BatchLoop
 
 

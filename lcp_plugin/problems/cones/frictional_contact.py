@@ -15,7 +15,15 @@ from ...core.errors import InvalidProblem, LCPError
 from ...core.kind import Kind
 from ...core.lcp import LCP
 from ...core.representation import in_words
-from ..contact import Bodies, are_of_bodies, checked_contacts, is_of_bodies, warn_of_much_friction
+from ..contact import (
+    Bodies,
+    are_of_bodies,
+    check_symmetric,
+    checked_contacts,
+    checked_friction,
+    is_of_bodies,
+    warn_of_much_friction,
+)
 from . import FRICTIONAL_CONTACT
 from .data import Blocks, with_other_q
 
@@ -111,23 +119,12 @@ class FrictionalContact(Blocks):
         if velocities.ndim == 2:
             dimension = velocities.shape[1]
         offset = checked_vector(velocities.ravel(), "b", None)
-        mu = real_array(friction, "friction must be a number, or an array of shape (k,): one a contact")
-        d = dimension_of(dimension, mu, offset.size)
+        d = dimension_of(dimension, _shape_of(friction), offset.size)
         k = offset.size // d
-        if mu.shape not in ((), (k,)):
-            raise InvalidProblem(
-                f"friction must be a number, or an array of shape ({k},): one a contact of {d} rows, got {mu.shape}"
-            )
-        mu = np.broadcast_to(mu, (k,)).copy()
-        wrong = ~((mu >= 0.0) & (mu < np.inf))
-        if wrong.any():
-            at = int(np.argmax(wrong))
-            raise InvalidProblem(
-                f"friction must be finite and not negative, but friction[{at}] = {mu[at]}; give μ ≥ 0, 0 for none"
-            )
+        mu = np.broadcast_to(checked_friction(friction, k, f"one a contact of {d} rows"), (k,)).copy()
         warn_of_much_friction(mu, 3)
         W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
-        _require_symmetry(W)
+        check_symmetric(W, "W", NEARLY_SYMMETRIC)
         rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
         super().__init__(rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True)
         self.dimension = d
@@ -210,7 +207,7 @@ class FrictionalContactBatch:
         if offsets.ndim == 3:
             dimension, offsets = offsets.shape[2], offsets.reshape(len(offsets), -1)
         n, mu = offsets.shape[-1], real_array(friction, "friction must be a number, or have shape (k,) or (B, k)")
-        self.dimension = d = dimension_of(dimension, np.empty(mu.shape[-1:]), n)
+        self.dimension = d = dimension_of(dimension, mu.shape[-1:], n)
         k = n // d
         matrices = real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
         if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (n, n):
@@ -341,26 +338,18 @@ def _padded(W: Any, b: Any, mu: Any, is_there: NDArray[np.bool_], d: int) -> tup
     return W, b, mu
 
 
-def dimension_of(given: int | None, friction: FloatVector, rows: int) -> int:
+def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int:
     """Return the rows of a contact; raise InvalidProblem where they do not add up."""
-    if given is None and friction.ndim == 1 and friction.size and rows % friction.size == 0:
-        given = rows // friction.size
+    count = math.prod(friction)
+    if given is None and friction and count and rows % count == 0:
+        given = rows // count
     d = 3 if given is None and rows % 3 == 0 else 2 if given is None else given
     if isinstance(d, bool) or not isinstance(d, (int, np.integer)) or d not in (2, 3):
         raise InvalidProblem(
             f"a contact has 3 rows (normal, tangent, tangent), or 2 in the plane, got {d!r}: {rows} rows and "
-            f"{friction.size} coefficients of friction"
+            f"{count} coefficients of friction"
         )
     if rows % d:
         need = "3, nor, in the plane, of 2" if given is None else d
         raise InvalidProblem(f"{rows} rows are no multiple of {need}, the rows of a contact: normal, then tangents")
     return int(d)
-
-
-def _require_symmetry(W: Any) -> None:
-    difference, largest = abs(W - W.T).max() if W.size else 0.0, abs(W).max() if W.size else 0.0
-    if difference > NEARLY_SYMMETRIC * largest:
-        raise InvalidProblem(
-            f"W must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
-            "J m⁻¹ Jᵀ with the same J on both sides? ConeProblem(M, q, cones) takes any M"
-        )

@@ -32,7 +32,7 @@ from ...core.solving.result import Result, StageRecord, stage_lines
 from ...core.solving.run import Callback, Run
 from ...systems.definiteness import is_positive_definite
 from ...systems.factors import sizes_of_factor
-from ..contact import ContactMotion
+from ..contact import ContactMotion, motion_of
 from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks
@@ -65,7 +65,6 @@ WORST = (
     Status.INFEASIBLE, Status.INTERRUPTED,
 )  # the last of these that a component has is that of all
 MUCH_FRICTION = 1.0  # beyond, sliding may jam even where W is definite
-STICKS = 1e-8  # of the largest velocity given: what is slower sticks
 NEARBY = "from a point nearby"
 FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
@@ -443,14 +442,6 @@ class ConeJudge(Judge):
         """Return the point of K nearest to z, with z° in the components that z° answers."""
         answered, z = criterion_of(self.problem).answered, self.problem.projected(z)
         return z if answered is None else np.where(answered, self.problem.nearest_to_zero, z)
-
-
-def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
-    """Return impulses r and velocities u, shape (…, k, d) each, as a motion; `given` are those without impulses."""
-    still = STICKS * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]
-    with np.errstate(over="ignore", under="ignore"):
-        touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
-    return ContactMotion(r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, touches & (speeds <= still), after)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

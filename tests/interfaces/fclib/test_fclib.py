@@ -132,7 +132,7 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
     (with_("fclib_local/W/p", np.array([0, 9, 9, 9])), "fclib_local/W is no matrix"),
     (with_("fclib_local/W/i", np.full(6, 7)), "fclib_local/W is no matrix"),
     (with_("fclib_local/W/x", np.arange(6.0)), "states no problem over cones: W must be symmetric"),
-    (with_("fclib_local/vectors/mu", [-1.0]), "friction must be finite and not negative, but friction[0] = -1.0"),
+    (with_("fclib_local/vectors/mu", [-1.0]), "friction must not be negative, but friction[0] = -1.0"),
 ])
 def test_what_is_wrong_with_a_file_is_said(change: Callable[[Path], None], words: str, tmp_path: Path) -> None:
     """A missing key, an empty group, another dimension: what the file holds, what it should."""

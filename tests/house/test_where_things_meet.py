@@ -602,7 +602,7 @@ def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -
             raise KeyboardInterrupt
         return solve(problem, **wishes)
 
-    monkeypatch.setattr("lcp_plugin.problems.batches.batch.solve", interrupted)
+    monkeypatch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", interrupted)
     answers = solve_batch(problems)
     assert len(answers) == len(problems)
     is_done = [problem is one or kind_of(problem).word in ON_CONES for problem in problems]  # type: ignore[union-attr]

@@ -259,8 +259,11 @@ def residual_scale_of(M: Any, diagonal: FloatVector, largest: float) -> FloatVec
         return np.ones(M.shape[0])
     if diagonal.min() > 0.0 and diagonal.min() >= NEGLIGIBLE_DIAGONAL * largest:
         return diagonal
-    row_largest = largest_in_rows(M)
+    return residual_scales(diagonal, largest_in_rows(M))
+
+
+def residual_scales(diagonal: FloatVector, largest: FloatVector) -> FloatVector:
+    """Return the same of rows with these diagonal entries and largest sizes, arrays of one shape."""
     # The product may underflow to 0, which no diagonal of 0 may pass.
-    is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * row_largest)
-    scale = np.where(is_usable, diagonal, row_largest)
-    return np.where(row_largest == 0.0, 1.0, scale)
+    is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * largest)
+    return np.where(largest == 0.0, 1.0, np.where(is_usable, diagonal, largest))

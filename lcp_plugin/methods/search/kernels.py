@@ -165,22 +165,6 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
     return EXCLUDED, seen, spent, least
 
 
-@kernel
-def look_at_all(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, items, limit, first, tree, y, found, seen, spent, least, z
-):
-    """Look at the cases of these items of a batch; an array with one row in front stands for all of them.
-
-    What :func:`look_at` says of item p is written to `found`, `seen`, `spent` and `least`, and z[p] for it.
-    """
-    for p in range(items.size):
-        k = items[p]
-        found[p], seen[p], spent[p], least[p] = look_at(
-            M[k if M.shape[0] > 1 else 0], q[k if q.shape[0] > 1 else 0], lower[k if lower.shape[0] > 1 else 0],
-            upper[k if upper.shape[0] > 1 else 0], limit, first, tree, y, z[p],
-        )
-
-
 @inlined
 def _choose(bounds, i, n, choice):  # type: ignore[no-untyped-def]
     """Narrow the bounds of z_i and w_i to one choice of the row."""

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...api import solve
 from ...core.algorithm import Algorithm
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.kernels.threads import threads_for
@@ -18,21 +16,19 @@ from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
 from ...core.settings import Settings, Status, checked_threads
-from ...core.solving.answer import Answer
 from ...core.solving.result import Result
 from ...methods.banded import Banded
 from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
-from ..cones.small import groups_of, solve_small
-from ..cones.solving import result_of as result_of_small
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
 from ..programs.solving import QuadraticProgramResult, prepare_program, programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
-from .batch_run import BatchAnswers, BatchLoop, BatchResult, BatchRun, CallersOwn
+from .batch_run import BatchResult, BatchRun, CallersOwn
 from .contact_batch import ContactBatchResult, ContactBatchRun
+from .mixed_batch import AnswerList, MixedRun
 from .program_batch import ProgramBatchResult, ProgramBatchRun
 
 P = TypeVar("P", LCP, QuadraticProgram)
@@ -263,70 +259,6 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
         _refuse_data("these problems", "new ones", q, lower, upper)
         return QuadraticProgramBatch.of(M, M[0])
     return None
-
-
-class MixedRun(BatchLoop):
-    """The answers to problems of several kinds: small ones over cones in a compiled loop, others one by one."""
-
-    def __init__(self, problems: Sequence[Any], wishes: dict[str, Any], *, threads: int, limit: float) -> None:
-        # An algorithm is one of the problems' own kind.
-        self.named = {name: wish for name, wish in wishes.items() if name == "algorithm"}
-        others = {name: wish for name, wish in wishes.items() if name != "algorithm"}
-        super().__init__(len(problems), "auto", others, {}, threads=threads, limit=limit)
-        self.problems = problems
-        self.results: dict[int, Answer] = {}
-        self.compiled: dict[int, tuple[Any, int]] = {}  # what was found of its group, and its place
-
-    def run(self) -> AnswerList:
-        """Solve all, and gather what was found."""
-        self._solve_all()
-        self.status[self.is_open] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
-        self.seconds = self.clock.read()
-        return AnswerList(self, self.result_of)
-
-    def _solve_compiled(self) -> None:
-        if self.named or self.wishes.keys() - {"tolerance", "prove_infeasibility"}:
-            return  # a start or an algorithm of the caller's
-        for group in groups_of(self.problems):
-            found = solve_small([self.problems[k] for k in group.tolist()], self.settings, self._in_chunks)
-            places = np.flatnonzero(found.is_proved)
-            items = group[places]
-            self.compiled.update((k, (found, place)) for k, place in zip(items.tolist(), places.tolist(), strict=True))
-            self.status[items], self.is_open[items] = Status.SOLVED, False
-
-    def _solve(self, k: int, wishes: dict[str, Any]) -> None:
-        found = solve(self.problems[k], **self.named, **wishes)
-        self.results[k], self.status[k], self.is_open[k] = found, found.status, False
-        self.is_interrupted |= found.status is Status.INTERRUPTED
-
-    def result_of(self, k: int) -> Answer:
-        """Return the answer to problem k, which has no error; one that was not begun has what its start has."""
-        if k in self.compiled:
-            share = self.seconds / len(self.problems)
-            return result_of_small(self.problems[k], *self.compiled[k], self.settings, share)
-        if k not in self.results:
-            found = solve(self.problems[k], **self.named, **self.wishes, max_seconds=0.0)
-            self.results[k] = replace(found, status=self.status[k])
-        return self.results[k]
-
-
-class AnswerList(BatchAnswers[Answer]):
-    """The answers to problems of several kinds, in order.
-
-    Parameters
-    ----------
-    run : MixedRun
-        At its end.
-
-    Attributes
-    ----------
-    status : array of Status, shape (B,)
-        None where the data are no problem that can be solved, as a program that is not convex.
-    seconds : float
-        Wall-clock seconds of the whole batch.
-    errors : dict
-        What is wrong with problem k, where something is; ``answers[k]`` raises it.
-    """
 
 
 def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Sequence[LCP]:

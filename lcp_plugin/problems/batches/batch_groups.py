@@ -1,4 +1,4 @@
-"""Problems of a batch that share a compiled call: as they are, in a common scaling, or looked at in all cases."""
+"""Problems of a batch that share a compiled call: as they are, or in a common scaling."""
 
 from __future__ import annotations
 
@@ -15,13 +15,8 @@ from ...core.checks import BoolVector, read_only
 from ...core.lcp import LCP
 from ...core.matrix.scaling import are_well_scaled
 from ...core.matrix.structure import IntVector, connected_components
-from ...core.rounding import read_only_views
 from ...core.settings import Settings
-from ...methods.search import LARGEST_CHOICES, LARGEST_SIZE
-from ...methods.search.outlines import MOST_CASES
-from ...methods.search.stages import FIRST_ENTRIES
 from ...methods.small.small_dense import Answers, run_phases
-from ..many.chunks import in_chunks
 
 
 class Group(NamedTuple):
@@ -50,6 +45,8 @@ class Group(NamedTuple):
 
     def chosen(self, rows: IntVector) -> Group:
         """Return the problems in these rows."""
+        if rows.size == self.items.size:
+            return self
         return Group(self.items[rows], *(array if len(array) == 1 else array[rows] for array in self[1:]))
 
     def vectors(self, *names: str) -> list[Any]:
@@ -117,36 +114,3 @@ def answers_in_common_scaling(group: Group, phases: Phases, settings: Settings) 
     answers.terms[:] = certificate.term_residuals.reshape(count, n).max(axis=1)
     answers.has_converged &= within(answers.residual, answers.terms, settings.tolerance)
     return answers
-
-
-def excluded(group: Group, tolerance: float, threads: int) -> tuple[IntVector, Any, Any]:
-    """Return the rows of problems of one component that no z solves within the tolerance, their starts and residuals.
-
-    One compiled pass over all cases in doubles says so: no proof, and none is wanted. A run of each would end STALLED
-    at its start.
-    """
-    from ...methods.search import kernels
-
-    n = group.shape[1]
-    starts = group.starts if group.starts.size else np.zeros((1, 1))
-    lower, upper, starts = group._replace(starts=starts).vectors("lower", "upper", "starts")
-    choices = np.count_nonzero((lower < upper) & ((lower > -np.inf) | (upper < np.inf)), axis=1)
-    rows = np.flatnonzero((choices <= LARGEST_CHOICES) & (n <= LARGEST_SIZE))
-    found, cases = np.empty((2, rows.size), np.int64)
-    spent, least, z = np.empty(rows.size), np.empty(rows.size), np.empty((rows.size, n))
-
-    def look(first: int, end: int) -> None:
-        some, tree, y = slice(first, end), np.empty((MOST_CASES, 4), np.int64), np.empty((MOST_CASES, n + 1))
-        kernels.look_at_all(
-            *read_only_views(*group[1:5]), rows[some], FIRST_ENTRIES, True, tree, y,
-            found[some], cases[some], spent[some], least[some], z[some],
-        )
-
-    in_chunks(look, rows.size, threads)
-    rows = rows[(found == kernels.EXCLUDED) & (least > tolerance)]
-    points = np.clip(starts, lower, upper)[rows]
-    certificate = Certificate.of(group.chosen(rows).block_diagonal(), points.reshape(-1))
-    largest, smallest = certificate.residuals_of_components
-    residual = np.array([largest_ratio(largest[k:k + 1], smallest[k:k + 1]) for k in range(rows.size)])
-    kept = residual > tolerance
-    return rows[kept], points[kept], residual[kept]

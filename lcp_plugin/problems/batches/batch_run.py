@@ -19,12 +19,11 @@ from ...core.lcp import LCP
 from ...core.settings import Status
 from ...core.solving.driver import fused_result
 from ...core.solving.result import Result
-from ...methods.direct import may_be_searched
 from ...methods.small.small_dense import Answers, run_phases
 from ..many.answers import AnswerSequence, T
 from ..many.chunks import in_chunks
-from .batch_groups import Group, answers_in_common_scaling, by_components, excluded, well_scaled
-from .batch_items import Items, Stacked, put
+from .batch_groups import Group, answers_in_common_scaling, by_components, well_scaled
+from .batch_items import Items, put
 
 
 class BatchLoop:
@@ -62,6 +61,22 @@ class BatchLoop:
     def _in_chunks(self, solve_chunk: Callable[[int, int], None], count: int) -> None:
         """Call ``solve_chunk(first, end)`` for all items of a compiled loop, on the threads, while there is time."""
         in_chunks(lambda first, end: solve_chunk(first, end) if self.has_time else None, count, self.threads)
+
+    def run(self) -> Any:
+        """Solve all, and gather what was found."""
+        self._solve_all()
+        left = np.flatnonzero(self.is_open)
+        self._leave(left)
+        self.status[left] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
+        self.seconds = self.clock.read()
+        return self._answers()
+
+    def _answers(self) -> Any:
+        """Return what was found."""
+        raise NotImplementedError
+
+    def _leave(self, items: Any) -> None:
+        """Write where those begin that were not begun."""
 
     def _solve_compiled(self) -> None:
         """Solve what compiled loops can."""
@@ -185,14 +200,12 @@ class BatchRun(BatchLoop):
         self.compiled: list[Answers] = []
         self.place = np.full((2, count), -1)  # which of these has an answer, and where
 
-    def run(self) -> BatchResult:
-        """Solve all, and gather what was found."""
-        self._solve_all()
-        for k in np.flatnonzero(self.is_open).tolist():
-            self.z[k] = self.items.projected_start(k)
-            self.status[k] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
-        self.seconds = self.clock.read()
+    def _answers(self) -> BatchResult:
         return BatchResult(self)
+
+    def _leave(self, items: Any) -> None:
+        for k in items.tolist():
+            self.z[k] = self.items.projected_start(k)
 
     def _solve_compiled(self) -> None:
         phases = self._phases()
@@ -201,7 +214,7 @@ class BatchRun(BatchLoop):
                 continue
             whole, in_components = by_components(well_scaled(group))
             if whole.items.size:
-                self._leave_out_excluded(whole, self._run_compiled(whole, phases))
+                self._run_compiled(whole, phases)
             if in_components.items.size and self.has_time:
                 self._keep(in_components, answers_in_common_scaling(in_components, phases, self.settings))
 
@@ -210,7 +223,7 @@ class BatchRun(BatchLoop):
         is_watched = not self.settings.is_unobserved or self.wishes.get("callback") is not None
         return None if is_watched else self.first.algorithm.phases_of_small()
 
-    def _run_compiled(self, group: Group, phases: Phases) -> Answers:
+    def _run_compiled(self, group: Group, phases: Phases) -> None:
         answers = Answers(*group.shape)
 
         def solve_chunk(first: int, end: int) -> None:
@@ -220,7 +233,6 @@ class BatchRun(BatchLoop):
             self._in_chunks(solve_chunk, group.items.size)
         finally:
             self._keep(group, answers)
-        return answers
 
     def _keep(self, group: Group, answers: Answers) -> None:
         converged = np.flatnonzero(answers.has_converged)
@@ -236,18 +248,6 @@ class BatchRun(BatchLoop):
         self.status[items], self.residual[items], self.iterations[items] = status, residual, iterations
         self.is_open[items] = False
 
-    def _leave_out_excluded(self, group: Group, answers: Answers) -> None:
-        """Note what a pass over all cases excludes, one iteration after those that were made; no proof is wanted."""
-        made = answers.made.sum(1) + 1
-        left = np.flatnonzero(self.is_open[group.items] & (made < self.settings.max_iterations))
-        is_asked = self.settings.prove_infeasibility or self.settings.absolute_tolerance or self.policy.chosen != "auto"
-        if is_asked or not left.size or not self.has_time:
-            return
-        if not isinstance(self.items, Stacked):
-            left = left[[may_be_searched(self.items.problem(k)) for k in group.items[left].tolist()]]
-        rows, starts, residual = excluded(group.chosen(left), self.settings.tolerance, self.threads)
-        self._write(group.items[left[rows]], starts, Status.STALLED, residual, made[left[rows]])
-
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         found = solve_lcp(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
         self.results[k] = found
@@ -259,11 +259,10 @@ class BatchRun(BatchLoop):
         if k in self.results:
             return self.results[k]
         which, at = self.place[:, k].tolist()
-        if which < 0:  # excluded, or not begun
-            is_begun = self.status[k] is Status.STALLED
-            wishes = self.wishes if is_begun else self.wishes | {"max_iterations": 0}
+        if which < 0:  # not begun
+            wishes = self.wishes | {"max_iterations": 0}
             found = solve_lcp(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
-            return found if is_begun or found.is_solved else replace(found, status=self.status[k])
+            return found if found.is_solved else replace(found, status=self.status[k])
         answer = self.compiled[which].solve_fused(at)
         assert answer is not None
         certificate = Certificate.enclosed(self.items.problem(k), answer.z, answer.residual, answer.term_residual)
@@ -295,7 +294,7 @@ class BatchResult(BatchAnswers[Result]):
     items : Items
         The problems.
     threads : int
-        How many took part, and will in its derivative.
+        How many took part.
 
     Notes
     -----

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
@@ -11,23 +11,23 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import read_only, real_array
 from ...core.errors import InvalidOption
-from ...core.settings import Status
 from ..cones.frictional_contact import FrictionalContactBatch
 from ..cones.methods import SWEEPS_A_STEP
 from ..cones.small import LARGEST, LoopAnswers, run_loop
-from ..cones.solving import ConeResult, result_of, solve_cones
+from ..cones.solving import ConeResult
 from ..contact import motion_of
-from .batch_run import BatchAnswers, BatchLoop
+from .batch_run import BatchAnswers
+from .mixed_batch import MixedRun
 
 
-class ContactBatchRun(BatchLoop):
+class ContactBatchRun(MixedRun):
     """The answers as they come, in tables with a row a world.
 
     Parameters
     ----------
     worlds : FrictionalContactBatch
     wishes, threads, limit
-        As in `BatchLoop`; an algorithm is one of the contacts' own.
+        As in `MixedRun`.
     z0 : array, shape (B, n) or (n,), optional
         Warm starts.
     """
@@ -36,61 +36,38 @@ class ContactBatchRun(BatchLoop):
         self, worlds: FrictionalContactBatch, wishes: dict[str, Any], z0: ArrayLike | None, *, threads: int,
         limit: float,
     ) -> None:
-        self.named = {name: wish for name, wish in wishes.items() if name == "algorithm"}
-        others = {name: wish for name, wish in wishes.items() if name != "algorithm"}
-        super().__init__(len(worlds), "auto", others, worlds.errors, threads=threads, limit=limit)
+        super().__init__(worlds, wishes, worlds.errors, threads=threads, limit=limit)  # type: ignore[arg-type]
         self.worlds, self.is_warm = worlds, z0 is not None
         self.start = np.zeros(worlds.b.shape) if z0 is None else _checked_starts(z0, worlds)
         self.z, self.iterations = self.start.copy(), np.zeros(len(worlds), np.int64)
         self.z[[*self.errors]] = np.nan
-        self.found: LoopAnswers | None = None
-        self.results: dict[int, ConeResult] = {}
 
-    def run(self) -> ContactBatchResult:
-        """Solve all, and gather what was found."""
-        self._solve_all()
-        self.status[self.is_open] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
-        self.seconds = self.clock.read()
+    def _answers(self) -> ContactBatchResult:
         return ContactBatchResult(self)
 
-    def _solve_compiled(self) -> None:
-        worlds, count = self.worlds, len(self.worlds)
-        if self.named or self.wishes.keys() - {"tolerance", "prove_infeasibility"} or not 0 < worlds.n <= LARGEST:
+    def _loops(self) -> Iterator[tuple[Any, LoopAnswers]]:
+        worlds = self.worlds
+        if not (len(worlds) and 0 < worlds.n <= LARGEST):
             return
         starts = read_only(np.arange(0, worlds.n + 1, worlds.dimension, dtype=np.int64))
-        none = np.full(worlds.b.shape, np.inf)
-        origins = np.zeros(worlds.b.shape)
+        none, origins = np.full(worlds.b.shape, np.inf), np.zeros(worlds.b.shape)
         arrays = (worlds.W, worlds.b, *map(read_only, (-none, none, origins)), worlds.friction)
-        z = self.start.copy()
-        self.found = found = run_loop(
-            starts, arrays, z, self.settings, self._in_chunks, has_friction=True, is_warm=self.is_warm
+        found = run_loop(
+            starts, arrays, self.start.copy(), self.settings, self._in_chunks, has_friction=True, is_warm=self.is_warm
         )
-        items = np.flatnonzero(found.is_proved & self.is_open) if count else np.zeros(0, np.int64)
-        self.z[items], self.residual[items] = z[items], found.residual[items]
+        items = np.flatnonzero(found.is_proved & self.is_open)
+        self.z[items], self.residual[items] = found.z[items], found.residual[items]
         self.iterations[items] = found.made[items, 0] // SWEEPS_A_STEP + found.made[items, 1]
-        self.status[items], self.is_open[items] = Status.SOLVED, False
+        yield np.arange(len(worlds)), found
+
+    def _start(self, k: int) -> dict[str, Any]:
+        return {"z0": self.start[k, :self.problems[k].n]} if self.is_warm else {}
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
-        problem = self.worlds[k]
-        start = self.start[k, :problem.n] if self.is_warm else None
-        found = self.results[k] = solve_cones(problem, z0=start, **self.named, **wishes)
-        self.z[k], self.z[k, :problem.n] = 0.0, found.z
+        super()._solve(k, wishes)
+        found: Any = self.results[k]
+        self.z[k], self.z[k, :found.z.size] = 0.0, found.z
         self.residual[k], self.iterations[k] = found.certificate.relative_residual, found.iterations
-        self.status[k], self.is_open[k] = found.status, False
-        self.is_interrupted |= found.status is Status.INTERRUPTED
-
-    def result_of(self, k: int) -> ConeResult:
-        """Return the result of world k, which has no error; one that was not begun has what its start has."""
-        if k in self.results:
-            return self.results[k]
-        problem, found = self.worlds[k], self.found
-        if found is not None and self.status[k] is Status.SOLVED:
-            own = found._replace(z=found.z[:, :problem.n])
-            return result_of(problem, own, k, self.settings, self.seconds / len(self.worlds))
-        start = self.start[k, :problem.n] if self.is_warm else None
-        begun = solve_cones(problem, z0=start, **self.named, **self.wishes, max_seconds=0.0)
-        self.results[k] = replace(begun, status=self.status[k])
-        return self.results[k]
 
 
 def _checked_starts(z0: ArrayLike, worlds: FrictionalContactBatch) -> Any:
@@ -128,12 +105,14 @@ class ContactBatchResult(BatchAnswers[ConeResult]):
     worlds : FrictionalContactBatch
         The problems.
     threads : int
-        How many took part, and will in its derivative.
+        How many took part.
 
     Notes
     -----
     ``batch[k]`` is the result that :func:`lcp_plugin.solve` gives for world k, its `seconds` a share of the batch's.
     """
+
+    ITEM = "world"
 
     def __init__(self, run: ContactBatchRun) -> None:
         super().__init__(run, run.result_of, run.z, run.iterations)

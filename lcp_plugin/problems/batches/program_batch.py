@@ -51,16 +51,13 @@ class ProgramBatchRun(BatchLoop):
         self.results: dict[int, QuadraticProgramResult] = {}
         self.start: Any = None
 
-    def run(self) -> ProgramBatchResult:
-        """Solve all, and gather what was found."""
-        self._solve_all()
-        left, shape = self.is_open, self.x.shape
-        self._forget(left)
-        lower, upper = (np.broadcast_to(self.programs.vectors[name], shape) for name in ("lower", "upper"))
-        self.x[left] = np.clip(0.0, lower[left], upper[left])
-        self.status[left] = Status.INTERRUPTED if self.is_interrupted else Status.MAX_SECONDS
-        self.seconds = self.clock.read()
+    def _answers(self) -> ProgramBatchResult:
         return ProgramBatchResult(self)
+
+    def _leave(self, items: Any) -> None:
+        self._forget(items)
+        lower, upper = (np.broadcast_to(self.programs.vectors[name], self.x.shape) for name in ("lower", "upper"))
+        self.x[items] = np.clip(0.0, lower[items], upper[items])
 
     def _solve_compiled(self) -> None:
         m, p, n, _ = self.programs.sizes
@@ -105,8 +102,7 @@ class ProgramBatchRun(BatchLoop):
             if contradicting_multipliers(C[k if len(C) > 1 else 0], d[k], m, lower[k], upper[k], goal) is not None:
                 at = items.start + k
                 self.is_open[at], self.status[at] = False, Status.STALLED
-                self._forget(at)
-                self.x[at] = np.clip(0.0, lower[k], upper[k])
+                self._leave(np.array([at]))
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         self._forget(k)

@@ -1,6 +1,7 @@
 """The derivative of an answer over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0, the natural map.
 
-R_z dz + R_w (M dz + dM z + dq) + R_μ dμ = 0, with the generalised derivatives that Newton's steps use. Where M leaves
+It is that of :mod:`lcp_plugin.systems.linearised` with the generalised derivatives that Newton's steps use, R_μ dμ
+beside them. Where M leaves
 the blocks that press undetermined (several impulses make one motion), dz is the least of several, and of velocities
 that all of them share the derivative is that of all. Where a block is on the edge of two cases, dz is one-sided: the
 elements are those of the piece into which dz and dw lead.
@@ -8,7 +9,6 @@ elements are those of the piece into which dz and dw lead.
 
 from __future__ import annotations
 
-import math
 from copy import copy
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -21,7 +21,9 @@ from ...core.checks import FloatVector, checked_vector, is_number, rectangular_m
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.kind import changes_by_name
 from ...core.matrix.matrix import Matrix
+from ...core.matrix.structure import row_numbers
 from ...systems.free_systems import FreeSystem
+from ...systems.linearised import Linearised
 from .certificate import weighted
 from .data import Blocks
 from .methods import EXACT, NewtonSystem
@@ -44,7 +46,7 @@ class ConeGradient(NamedTuple):
     upper: FloatVector
 
 
-class ConeDerivative:
+class ConeDerivative(Linearised):
     """The derivative of z by the data, at one answer.
 
     Parameters
@@ -67,9 +69,15 @@ class ConeDerivative:
         """
         problem = self.problem
         if problem.has_friction:
-            w = np.where((problem.residual(z, w)[1] == 1)[problem.block_of_row], 0.0, w)
+            self._cases = problem.residual(z, w)[1]
+            w = np.where((self._cases == 1)[problem.block_of_row], 0.0, w)
         self._point = z, w
+        self._take_rows(z, w)
+
+    def _take_rows(self, z: FloatVector, w: FloatVector) -> None:
+        """Take J, the rows that are free, and R_w."""
         self._J, self.free = self._system.rows(z, w, 0.0)
+        self._by_w, self._is_free = self._system.by_w, np.isin(np.arange(self.problem.n), self.free)
 
     def _refined(self, z: FloatVector) -> FloatVector:
         problem = self.problem
@@ -115,11 +123,15 @@ class ConeDerivative:
     @cached_property
     def _sizes(self) -> FloatVector:
         """The size of z and w/d of each block, shape (k,); where both are rounding of its terms, that of these."""
-        problem, M = self.problem, self.problem.rows.csr
+        problem = self.problem
         sizes = problem.norms(np.abs(self.z) + np.abs(self.w) / problem.scale[problem.block_of_row])
-        terms = problem.norms(abs(M) @ np.abs(self.z) + np.abs(problem.q)) / problem.scale
+        terms = problem.norms(self._sums_of_sizes() + np.abs(problem.q)) / problem.scale
         terms[terms == 0.0] = 1.0  # nothing acts: any size will do
         return np.where(sizes <= ROUNDING * terms, ROUNDING / ON_THE_EDGE * terms, sizes)
+
+    def _sums_of_sizes(self) -> FloatVector:
+        """Return |M| |z|."""
+        return np.asarray(abs(self.problem.rows.csr) @ np.abs(self.z))
 
     def _towards(self, dz: FloatVector, dw: FloatVector) -> ConeDerivative:
         """Return the derivative of the piece that begins in this direction from the blocks on the edge of two cases."""
@@ -129,7 +141,7 @@ class ConeDerivative:
         moved = self.degenerate[length[self.degenerate] > 0.0]
         t[moved] = ON_THE_EDGE * self._sizes[moved] / length[moved]
         piece = copy(self)
-        for known in ("_block", "_holds", "_by_friction"):
+        for known in ("_block", "_holds", "by_friction"):
             piece.__dict__.pop(known, None)
         piece._system = NewtonSystem(problem)
         t = t[problem.block_of_row]
@@ -173,42 +185,56 @@ class ConeDerivative:
     def _change(self, dq: Any, dM: Any, dfriction: Any, dlower: Any, dupper: Any) -> FloatVector:
         """Return dz by the element that was taken."""
         problem, n = self.problem, self.problem.n
-        right = np.zeros(n)
+        held, more = np.zeros(n), np.zeros(())
         for change, holds in ((dlower, self._holds[0]), (dupper, self._holds[1])):
             if change is not None:
-                right[holds] = checked_vector(change, "dlower or dupper", n)[holds]
-        right -= self._system.times(self.dw(right, dq=dq, dM=dM))
+                held[holds] = checked_vector(change, "dlower or dupper", n)[holds]
         if dfriction is not None:
             if not problem.has_friction:
                 raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper")
             dfriction = np.full(problem.slope.size, dfriction) if is_number(dfriction) else dfriction
             slopes = checked_vector(dfriction, "dfriction", problem.slope.size)
-            right -= self._by_friction * slopes[problem.block_of_row]
-        dz = np.where(self._is_free, 0.0, right)  # where a block is open, or a row at its bound
-        dz[self.free] = self._solved(right[self.free])
+            more = self.by_friction * slopes[problem.block_of_row]
+        dz: FloatVector = self.tangent(self._moved(dq, dM), held, more)
         return dz
 
     def dw(self, dz: FloatVector, *, dq: ArrayLike | None = None, dM: Any = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
+        return self._product(dz) + self._moved(dq, dM)
+
+    def _moved(self, dq: ArrayLike | None, dM: Any) -> FloatVector:
+        """Return dM z + dq."""
         n = self.problem.n
-        change: FloatVector = self.problem.rows.csr @ dz
-        if dq is not None:
-            change = change + checked_vector(dq, "dq", n)
+        change = np.zeros(n) if dq is None else checked_vector(dq, "dq", n)
         return change if dM is None else change + rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> ConeGradient:
         """Return the gradients of a function that has the gradients g by z and gw, 0 by default, by w, (n,) each."""
-        problem, n, M = self.problem, self.problem.n, self.problem.rows.csr
+        n, M = self.problem.n, self.problem.rows.csr
         by_w = np.zeros(n) if gw is None else checked_vector(gw, "gw", n)
-        by_z, y = checked_vector(g, "g", n) + M.T @ by_w, np.zeros(n)
-        y[self.free] = self._solved(by_z[self.free], transposed=True)
-        by_q = by_w - self._system.times(y, transposed=True)
-        by_bound = by_z + M.T @ (by_q - by_w)
-        rows = np.repeat(np.arange(n), np.diff(M.indptr))
-        by_M = sp.csr_array((by_q[rows] * self.z[M.indices], M.indices, M.indptr), shape=M.shape)
-        by_friction = -np.add.reduceat(self._by_friction * y, problem.starts[:-1]) if n else np.zeros(0)
+        by_q, by_bound, by_friction = self.gradients(checked_vector(g, "g", n), by_w)
+        by_M = sp.csr_array((by_q[row_numbers(M)] * self.z[M.indices], M.indices, M.indptr), shape=M.shape)
         lower, upper = (np.where(holds, by_bound, 0.0) for holds in self._holds)
         return ConeGradient(by_q, by_M, by_friction, lower, upper)
+
+    def gradients(self, g: FloatVector, by_w: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:
+        """Return the gradients by q, by the bounds that hold, and by friction, (k,)."""
+        by_q, by_bound, multiplier = self.adjoint(g, by_w)
+        sums = np.add.reduceat(self.by_friction * multiplier, self.problem.starts[:-1]) if g.size else np.zeros(0)
+        return by_q, by_bound, -sums
+
+    def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
+        M = self.problem.rows.csr
+        product: FloatVector = (M.T if transposed else M) @ x
+        return product
+
+    def _by_slack(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
+        return self._system.times(x, transposed=transposed)
+
+    def _on_free(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:
+        x = np.zeros(right.size)
+        x[self.free] = self._solved(right[self.free], transposed=transposed)
+        return x
 
     @cached_property
     def _holds(self) -> tuple[Any, Any]:
@@ -218,29 +244,23 @@ class ConeDerivative:
         is_lower = (z <= problem.lower) & ((z < problem.upper) | (w > 0.0))
         return at_bound & is_lower, at_bound & ~is_lower
 
-    @property
-    def _is_free(self) -> Any:
-        is_free = np.zeros(self.problem.n, np.bool_)
-        is_free[self.free] = True
-        return is_free
-
     @cached_property
-    def _by_friction(self) -> FloatVector:
+    def by_friction(self) -> FloatVector:
         """R_μ, shape (n,), of blocks on the boundary of their cones."""
         problem, found = self.problem, np.zeros(self.problem.n)
-        if not problem.has_friction:
+        if not (problem.has_friction and problem.n):
             return found
-        z, w = self._point
-        x = z - w / problem.scale[problem.block_of_row]
-        for k in np.flatnonzero(problem.residual(z, w)[1] == 2):
-            own, mu = slice(problem.starts[k], problem.starts[k + 1]), problem.slope[k]
-            slip, tangent = math.hypot(*w[own][1:]), math.hypot(*x[own][1:])
-            normal = x[own][0] - mu * slip / problem.scale[k]
-            radius = (normal + mu * tangent) / (1.0 + mu * mu)
-            change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
-            found[own] = slip * self._system.by_w[k, :problem.sizes[k], 0]
-            found[own.start] -= change
-            found[own.start + 1:own.stop] -= (radius + mu * change) * (x[own][1:] / tangent)
+        on = np.flatnonzero(self._cases == 2)
+        z, w = (vector.reshape(problem.slope.size, -1)[on] for vector in self._point)
+        mu, d, by_w = problem.slope[on], problem.scale[on], self._by_w[on]
+        x = z - w / d[:, np.newaxis]
+        slip, tangent = np.hypot.reduce(w[:, 1:], axis=1), np.hypot.reduce(x[:, 1:], axis=1)
+        radius = (x[:, 0] - mu * slip / d + mu * tangent) / (1.0 + mu * mu)
+        change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
+        rows = slip[:, np.newaxis] * by_w[:, :, 0]
+        rows[:, 0] -= change
+        rows[:, 1:] -= ((radius + mu * change) / tangent)[:, np.newaxis] * x[:, 1:]
+        found.reshape(problem.slope.size, -1)[on] = rows
         return found
 
     def _solved(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:

@@ -24,9 +24,8 @@ from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...kinds import solve_any
-from ..programs.conversion import conditions
-from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
+from .families import ComplementarityFamily, ProgramFamily
 from .regions import Region, Regions
 
 BEHIND = 1e-7  # a facet, of the box's width: where the next region is looked for
@@ -104,8 +103,7 @@ def regions(
     if not found:
         raise UnsuitableProblem("no θ in the box was found where the problem has a solution that is unique, with its "
                                 "multipliers; solve it at one corner and see its explain()")
-    answer = Regions(family.problem, family.changes, (family.low, family.high), found, missed, tolerance,
-                     family.kept)
+    answer = Regions(family.data, (family.low, family.high), found, missed, family.kept)
     _ = answer.status
     answer.seconds = clock.read()
     return answer
@@ -132,46 +130,30 @@ class _Family:
     """
 
     def __init__(self, problem: Any, parameters: Any, within: Any, tolerance: float) -> None:
-        if isinstance(problem, QuadraticProgram):
-            refuse_nonconvex(problem)
-            names: tuple[str, ...] = ("c", "h", "b", "lower", "upper")
-        elif isinstance(problem, LCP):
-            names = ("q", "lower", "upper")
-        else:
+        kind = ComplementarityFamily if isinstance(problem, LCP) else ProgramFamily
+        if not isinstance(problem, (LCP, QuadraticProgram)):
             raise InvalidOption(refusal("regions", problem))
-        self.problem, self.tolerance = problem, tolerance
+        self.problem = problem
         self.low, self.high = _box(within)
         self.p = self.low.size
-        self.changes = _changes(problem, parameters, names, self.p)
+        self.data = kind.over(problem, _changes(problem, parameters, kind.MOVES, self.p), self.p, tolerance)
         self._lay_out()
 
     def _lay_out(self) -> None:
         """Make M, and q, lower and upper as columns [change by scaled θ, at its 0]."""
-        problem, width = self.problem, self.high - self.low
-        is_lcp = isinstance(problem, LCP)
+        problem, plain = self.problem, self.data.conditions
 
-        def affine(name: str) -> FloatVector:
-            now, change = getattr(problem, name), self.changes.get(name)
-            change = np.zeros((now.size, self.p)) if change is None else change
-            return np.column_stack([change * width, now + change @ self.low])
+        def affine(pair: FloatVector) -> FloatVector:
+            change = pair[1:].T
+            return np.column_stack([change * (self.high - self.low), pair[0] + change @ self.low])
 
-        if is_lcp:
-            self.M, self.is_strict = np.array(problem.csr.toarray()), _is_p_matrix(problem)
-            q, lower, upper = map(affine, ("q", "lower", "upper"))
-            self.kept = np.arange(problem.n)
-        else:
-            plain, n = conditions(problem), problem.n
-            self.M, self.is_strict = plain.csr.toarray(), _is_definite(problem)
-            c, h, b = map(affine, ("c", "h", "b"))
-            h[~np.isfinite(problem.h)] = 0.0
-            self.kept = np.concatenate([np.arange(n + problem.h.size), n + problem.h.size + _independent(problem, b)])
-            rest = np.zeros((plain.n - n, self.p + 1))
-            least, most = rest.copy(), rest.copy()
-            least[:, -1], most[:, -1] = plain.lower[n:], plain.upper[n:]
-            q = np.concatenate([c, h, b])
-            lower, upper = np.concatenate([affine("lower"), least]), np.concatenate([affine("upper"), most])
-            self.M = self.M[np.ix_(self.kept, self.kept)]
-            q, lower, upper = (side[self.kept] for side in (q, lower, upper))
+        self.is_strict = _is_p_matrix(problem) if isinstance(problem, LCP) else _is_definite(problem)
+        self.kept = np.arange(plain.n)
+        if not isinstance(problem, LCP):
+            first = problem.n + problem.h.size
+            self.kept = np.append(self.kept[:first], first + _independent(problem, affine(self.data.pair("b"))))
+        self.M = plain.csr.toarray()[np.ix_(self.kept, self.kept)]
+        q, lower, upper = (affine(side)[self.kept] for side in self.data.rows())
         D = np.ones(len(q))
         for _ in range(EVENINGS):  # Ruiz: rows and columns alike
             largest = np.abs(D[:, None] * self.M * D).max(axis=1, initial=0.0)
@@ -186,22 +168,15 @@ class _Family:
         lower, upper = self.lower @ here, self.upper @ here
         if (lower > upper + CROSSED * np.abs(upper)).any():
             return None
-        at = self.low + theta * (self.high - self.low)
-        moved = {name: getattr(self.problem, name) + change @ at for name, change in self.changes.items()}
-        if isinstance(self.problem, LCP):
-            bounds = {name: moved[name] for name in ("lower", "upper") if name in moved}
-            problem = self.problem.with_q(moved.get("q", self.problem.q), **bounds)
-        else:
-            problem = self.problem.with_vectors(**moved)
-        is_lcp = isinstance(self.problem, LCP)
+        problem = self.data.at(self.low + theta * (self.high - self.low))
+        is_lcp = isinstance(problem, LCP)
         for algorithm in ("auto",) if is_lcp else ("daqp", "auto"):  # whose active rows are independent
             result = solve_any(problem, algorithm, {"prove_infeasibility": False})
             if result.is_solved:
                 break
         else:
             return None
-        z = result.z if is_lcp else np.concatenate([result.x, result.solution.inequality, result.solution.equality])
-        z = z[self.kept] / self.unit
+        z = self.data.followed(result, theta)[self.kept] / self.unit
         w = self.M @ z + self.q @ here
         case = np.zeros(z.size, dtype=np.int8)
         case[z - lower <= np.maximum(w, 0.0)] = -1

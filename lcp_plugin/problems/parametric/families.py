@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -177,7 +177,7 @@ class CrossedBounds:
 
 
 class Family:
-    """Problems whose vectors are those of `problem` plus θ times a direction.
+    """Problems whose vectors are those of `problem` plus θ times a direction, or plus several, with θ of shape (p,).
 
     Parameters
     ----------
@@ -198,6 +198,14 @@ class Family:
 
     MOVES: ClassVar[tuple[str, ...]] = ()
     FIXED: ClassVar[dict[str, str]] = {}
+    p = 1
+
+    @classmethod
+    def over(cls, problem: Any, changes: Mapping[str, FloatVector], p: int, tolerance: float) -> Self:
+        """Return that of p parameters, whose changes have shape (size, p)."""
+        family = cls(problem, {}, 0.0, 0.0, tolerance)
+        family.directions, family.p = {**changes}, p
+        return family
 
     def __init__(self, problem: Any, along: Mapping[str, Any], start: float, stop: float, tolerance: float) -> None:
         self.problem, self.settings = problem, Settings(tolerance=tolerance)
@@ -228,16 +236,16 @@ class Family:
         return True
 
     def pair(self, name: str) -> FloatVector:
-        """Return a vector of the problem as (constant, slope), shape (2, size)."""
+        """Return a vector of the problem as (constant, slope), shape (1 + p, size)."""
         now = getattr(self.problem, name)
-        return np.array([now, self.directions.get(name, np.zeros(now.size))])
+        return np.vstack([now, self.directions.get(name, np.zeros((now.size, self.p))).T])
 
-    def moved(self, theta: float) -> dict[str, FloatVector]:
+    def moved(self, theta: Any) -> dict[str, FloatVector]:
         """Return the vectors that move, at θ."""
-        moved = {name: getattr(self.problem, name) + theta * step for name, step in self.directions.items()}
+        moved = {name: getattr(self.problem, name) + np.dot(step, theta) for name, step in self.directions.items()}
         if moved.keys() & set(BOUNDS):  # which may cross by rounding, where they meet
             lower, upper = (moved.get(name, getattr(self.problem, name)) for name in BOUNDS)
-            size = sum(np.abs(self.pair(name)).T @ [1.0, abs(theta)] for name in BOUNDS)
+            size = sum(np.abs(self.pair(name)).T @ np.append(1.0, np.abs(theta)) for name in BOUNDS)
             crossed = (lower > upper) & (lower - upper <= MET * np.where(np.isfinite(size), size, 0.0))
             for name, other in zip(BOUNDS, (upper, lower), strict=True):
                 if name in moved:
@@ -263,23 +271,32 @@ class Family:
         toward = stop if stop != start else at
         return CrossedBounds(row, bool(ends[0, row] < 0.0), at, toward, lower[:, row], upper[:, row])
 
-    def at(self, theta: float) -> Any:
+    def at(self, theta: Any) -> Any:
         """Return the problem at θ."""
         raise NotImplementedError
 
-    def solved(self, theta: float) -> Any:
+    @property
+    def conditions(self) -> Any:
+        """The complementarity problem that is followed, at θ = 0."""
+        return self.problem
+
+    def rows(self) -> list[FloatVector]:
+        """Return q, lower and upper of what is followed, as pairs."""
+        return [self.pair(name) for name in ("q", *BOUNDS)]
+
+    def solved(self, theta: Any) -> Any:
         """Return the answer of `solve` at θ."""
         return solve_any(self.at(theta), "auto", {"tolerance": self.settings.tolerance})
 
     def staircases(self) -> Staircases:
         """Return what is followed."""
-        raise NotImplementedError
+        return Staircases.of_bounds(Columns(self.conditions.M), *self.rows())
 
-    def followed(self, result: Any, theta: float) -> FloatVector:
+    def followed(self, result: Any, theta: Any) -> FloatVector:
         """Return the unknowns of what is followed, of an answer of `solve` at θ."""
         raise NotImplementedError
 
-    def point(self, theta: float, z: FloatVector) -> PathPoint:
+    def point(self, theta: Any, z: FloatVector) -> PathPoint:
         """Return the solution that the followed unknowns are at θ."""
         raise NotImplementedError
 
@@ -344,22 +361,18 @@ class ComplementarityFamily(Family):
         M = self.problem.M
         return is_semidefinite_to_rounding(M + M.T) is True
 
-    def at(self, theta: float) -> LCP:
+    def at(self, theta: Any) -> LCP:
         """Return the problem at θ."""
         moved = self.moved(theta)
         bounds = {name: moved[name] for name in BOUNDS if name in moved}
         problem: LCP = self.problem.with_q(moved.get("q", self.problem.q), **bounds)
         return problem
 
-    def staircases(self) -> Staircases:
-        """Return what is followed."""
-        return Staircases.of_bounds(Columns(self.problem.M), *map(self.pair, self.MOVES))
-
-    def followed(self, result: Any, theta: float) -> FloatVector:
+    def followed(self, result: Any, theta: Any) -> FloatVector:
         """Return z."""
         return np.asarray(result.z)
 
-    def point(self, theta: float, z: FloatVector) -> PathPoint:
+    def point(self, theta: Any, z: FloatVector) -> PathPoint:
         """Return z at θ, with w."""
         problem = self.at(theta)
         z = np.clip(z, problem.lower, problem.upper)
@@ -403,34 +416,34 @@ class ProgramFamily(Family):
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
         refuse_nonconvex(self.problem)
-        self.conditions = conditions(self.problem)
 
-    def at(self, theta: float) -> QuadraticProgram:
+    @cached_property
+    def conditions(self) -> LCP:
+        """Those of optimality."""
+        return conditions(self.problem)
+
+    def at(self, theta: Any) -> QuadraticProgram:
         """Return the problem at θ."""
         problem: QuadraticProgram = self.problem.with_vectors(**self.moved(theta))
         return problem
 
-    def _of_rows(self) -> list[FloatVector]:
-        """Return (q, lower, upper) of the conditions, as (constant, slope) each."""
+    def rows(self) -> list[FloatVector]:
+        """Return q, lower and upper of the conditions, as pairs."""
         names = "c", "h", "b", *BOUNDS
         c, h, b, lower, upper = map(self.pair, names)
-        has_limit, of_rows = np.isfinite(h[0]), np.zeros((2, h.shape[1] + b.shape[1]))
+        has_limit, of_rows = np.isfinite(h[0]), np.zeros((len(h), h.shape[1] + b.shape[1]))
         least, most = of_rows.copy(), of_rows.copy()
         least[0, h.shape[1] :], most[0] = -np.inf, np.inf
         most[0, : h.shape[1]][~has_limit] = 0.0
         h[0] = np.where(has_limit, h[0], 0.0)
         return [np.concatenate(parts, axis=1) for parts in ((c, h, b), (lower, least), (upper, most))]
 
-    def staircases(self) -> Staircases:
-        """Return what is followed."""
-        return Staircases.of_bounds(Columns(self.conditions.M), *self._of_rows())
-
-    def followed(self, result: Any, theta: float) -> FloatVector:
+    def followed(self, result: Any, theta: Any) -> FloatVector:
         """Return x and the multipliers of rows."""
         found = result.solution
         return np.concatenate([found.x, found.inequality, found.equality])
 
-    def point(self, theta: float, z: FloatVector) -> PathPoint:
+    def point(self, theta: Any, z: FloatVector) -> PathPoint:
         """Return x at θ, with the multipliers."""
         problem, n = self.at(theta), self.problem.n
         x = np.clip(z[:n], problem.lower, problem.upper)
@@ -513,11 +526,11 @@ class LeastSquaresFamily(Family):
         q += np.where(self._has_kink, 0.0, np.where(self._negative, -l1, l1))
         return Staircases.of_penalty(GramColumns(A, problem.ridge), q, lower, upper, l1, self._has_kink)
 
-    def followed(self, result: Any, theta: float) -> FloatVector:
+    def followed(self, result: Any, theta: Any) -> FloatVector:
         """Return x."""
         return np.asarray(result.x)
 
-    def point(self, theta: float, z: FloatVector) -> PathPoint:
+    def point(self, theta: Any, z: FloatVector) -> PathPoint:
         """Return x at θ."""
         problem = self.at(theta)
         return PathPoint(theta, problem, read_only(np.clip(z, problem.lower, problem.upper)), None, None, self)
@@ -580,9 +593,7 @@ def family_of(problem: Any, along: Mapping[str, Any], start: float, stop: float,
     if isinstance(problem, LCP):
         problem.matrix.require_all_rows()
     family = FAMILIES[type(problem)](problem, along, start, stop, tolerance)
-    rows = problem.shape[1] if isinstance(problem, BoundedLeastSquares) else 0
-    rows = family.conditions.n if isinstance(family, ProgramFamily) else rows or getattr(problem, "n", 0)
-    if rows > LARGEST and not isinstance(problem, BoundedLeastSquares):
+    if not isinstance(problem, BoundedLeastSquares) and (rows := family.conditions.n) > LARGEST:
         raise UnsuitableProblem(
             f"trace keeps a dense inverse for up to {LARGEST} rows, and this problem has {rows}; "
             "solve_batch(problem, Q) solves at given values"

@@ -14,11 +14,12 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption
+from ...core.lcp import LCP
 from ...core.representation import in_words
-from ...core.settings import Settings, Status
+from ...core.settings import Status
 from ...interfaces.files.files import checked_path, write_whole
-from ...kinds import solve_any
 from ..programs.conversion import conditions
+from .families import Family
 
 NEAR = 1e-9  # how far outside a region, of the box's width, a point still counts as in it
 NEIGHBOURS = 6  # centres of regions that are looked at first
@@ -89,11 +90,11 @@ class Regions(Sequence[Region]):
     """
 
     def __init__(
-        self, problem: Any, changes: dict[str, FloatVector], box: tuple[FloatVector, FloatVector], found: list[Region],
-        missed: int, tolerance: float, kept: Any,
+        self, family: Family, box: tuple[FloatVector, FloatVector], found: list[Region], missed: int, kept: Any
     ) -> None:
-        self.problem, self.changes, (self.low, self.high), self.kept = problem, changes, box, kept
-        self._all, self.missed, self.tolerance, self.seconds = found, missed, tolerance, 0.0
+        self.family, self.problem, self.changes = family, family.problem, family.directions
+        (self.low, self.high), self.kept, self.settings = box, kept, family.settings
+        self._all, self.missed, self.seconds = found, missed, 0.0
 
     def __len__(self) -> int:
         return len(self._all)
@@ -133,32 +134,27 @@ class Regions(Sequence[Region]):
 
         The conditions of a case are affine in θ, so that a law right beside all vertices is right between them.
         """
-        from .families import ComplementarityFamily, ProgramFamily
-
-        kind: Any = ProgramFamily if hasattr(self.problem, "P") else ComplementarityFamily
-        family = kind(self.problem, {}, 0.0, 0.0, self.tolerance)
         worst = Status.SOLVED
         for region in self._all:
             for corner in region.vertices[:JUDGED]:
                 vertex = corner + INWARD * (region.centre - corner)
-                family.problem = self.at(vertex * (self.high - self.low) + self.low)
-                status = self._judged(family, region.z @ np.append(vertex, 1.0))
+                status = self._judged(vertex * (self.high - self.low) + self.low, region.z @ np.append(vertex, 1.0))
                 worst = status if status is not Status.SOLVED and worst is not Status.STALLED else worst
         return worst
 
-    def _judged(self, family: Any, z: FloatVector) -> Status:
+    def _judged(self, theta: FloatVector, z: FloatVector) -> Status:
         """Return what the criterion says of z, or of the answer of `solve` that it is but for rounding."""
-        size = self.problem.n if not hasattr(self.problem, "P") else family.conditions.n
-        every = np.zeros(size)
+        every = np.zeros(self.family.conditions.n)
         every[self.kept] = z
-        status: Status = family.judge(family.point(0.0, every))
+        point = self.family.point(theta, every)
+        status = self.family.judge(point)
         if status is Status.SOLVED:
             return status
-        result = solve_any(family.problem, "auto", {"tolerance": self.tolerance})
+        result = self.family.solved(theta)
         if not result.is_solved:
             return status
         # Where the terms of an unknown cancel, what is left stands beside those of its row of M z + q at the answer.
-        plain = family.problem if not hasattr(family.problem, "P") else conditions(family.problem)
+        plain = point.problem if isinstance(point.problem, LCP) else conditions(point.problem)
         rows, x = plain.csr[: self.n], every[: self.n]
         terms, diagonal = abs(rows) @ np.abs(every) + np.abs(plain.q[: self.n]), np.abs(plain.diagonal[: self.n])
         acts = np.divide(terms, diagonal, out=np.zeros(self.n), where=diagonal > 0.0)
@@ -171,12 +167,7 @@ class Regions(Sequence[Region]):
 
     def at(self, theta: ArrayLike) -> Any:
         """Return the problem at θ, shape (p,)."""
-        place = np.asarray(theta, dtype=float)
-        moved = {name: getattr(self.problem, name) + change @ place for name, change in self.changes.items()}
-        if hasattr(self.problem, "P"):
-            return self.problem.with_vectors(**moved)
-        bounds = {name: moved[name] for name in ("lower", "upper") if name in moved}
-        return self.problem.with_q(moved.get("q", self.problem.q), **bounds)
+        return self.family.at(np.asarray(theta, dtype=float))
 
     def locate(self, theta: ArrayLike) -> Any:
         """Return the number of the region of each θ, shape (p,) or (count, p); −1 where there is none."""
@@ -310,8 +301,3 @@ class Regions(Sequence[Region]):
             "}",
         ]
         return "\n".join(lines) + "\n"
-
-    @property
-    def settings(self) -> Settings:
-        """What the certificates were asked for."""
-        return Settings(tolerance=self.tolerance)

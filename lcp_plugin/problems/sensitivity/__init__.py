@@ -1,12 +1,8 @@
-"""The derivative of a solution by the data of its problem: a linear solve on the free rows.
+"""The derivative of a solution by the data of its problem, as :mod:`lcp_plugin.systems.linearised` states it.
 
-Within one active set z is smooth in M, q and the bounds. F: strictly between the bounds; A: at a bound with w ≠ 0.
-
-    M_FF dz_F = −(dM z + dq)_F − M_FA db_A,    dz_A = db_A          (b the bound that holds)
-
-and for a function L of z, g = ∂L/∂z: M_FFᵀ λ_F = g_F, λ_A = 0, and ∂L/∂q = −λ, ∂L/∂m_ij = −λ_i z_j,
-∂L/∂b_A = g_A − (Mᵀλ)_A. Where a row is at a bound *and* has w = 0 it is degenerate, and z has one-sided derivatives,
-each the solution of a small LCP on those rows.
+Within one active set z is smooth in M, q and the bounds: the free rows are those strictly between their bounds, others
+at one with w ≠ 0. Where a row is at a bound *and* has w = 0 it is degenerate, and z has one-sided derivatives, each the
+solution of a small LCP on the free and the degenerate rows.
 
 References
 ----------
@@ -36,6 +32,7 @@ from ...proofs.bounds.row_inequality import distance_above
 from ...proofs.bounds.solution_bounds import block_error_bound
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
+from ...systems.linearised import Linearised
 from ..batches.batch_run import BatchResult
 from ..batches.contact_batch import ContactBatchResult
 from ..cones.derivative import ConeDerivative
@@ -137,7 +134,7 @@ def derivative(
     return Derivative(certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised)
 
 
-class Derivative:
+class Derivative(Linearised):
     """The derivative of a solution z with respect to the data of its problem.
 
     Parameters
@@ -298,12 +295,10 @@ class Derivative:
         (False, array([0]), array([0.5]), array([0.]))
         """
         h, moved = self._change(*self._with_named(dM, dq, named)), self._moved(dlower, dupper)
-        rows, matrix = self._rows, self.problem.matrix
         if self._is_degenerate:
-            return one_sided(self.problem, rows, h, moved)
-        dz, right = np.where(rows.free, 0.0, moved), -h
-        right -= matrix.rows @ matrix.whole(dz) if self._somewhere(bool(dz.any())) else 0.0
-        return dz + solution(self._system, right)
+            return one_sided(self.problem, self._rows, h, moved)
+        dz: FloatVector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
+        return dz
 
     def jvp_bound(
         self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
@@ -351,8 +346,7 @@ class Derivative:
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, **named: Any) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
-        product: FloatVector = self.problem.matrix.rows @ self.problem.matrix.whole(self._own_part(dz, "dz"))
-        return product + self._change(*self._with_named(dM, dq, named))
+        return self._product(self._own_part(dz, "dz")) + self._change(*self._with_named(dM, dq, named))
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient | ContactGradient:
         """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
@@ -382,14 +376,9 @@ class Derivative:
         g, by_w = self._own_part(g, "g"), self._optional(gw, "gw")
         rows, free = self._rows, self.free
         by_w = np.where(free, 0.0, by_w)  # w stays 0 there, and its part would cancel only but for rounding
-        if self._somewhere(bool(by_w.any())):
-            g = g + self._transposed_product(by_w)
-        multiplier = by_w - solution(self._system, g, transposed=True)
-        by_bound = np.where(free, 0.0, g - self._transposed_product(by_w - multiplier))
-        gradient = Gradient(
-            multiplier, np.where(rows.is_upper, 0.0, by_bound), np.where(rows.is_upper, by_bound, 0.0),
-            outer_on_pattern(problem.matrix, multiplier, self.z),
-        )
+        by_q, by_bound, _ = self.adjoint(g, by_w)
+        lower, upper = (np.where(free | (rows.is_upper != is_upper), 0.0, by_bound) for is_upper in (False, True))
+        gradient = Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
         return problem.origin.gradient(gradient, self.z) if isinstance(problem.origin, Contacts) else gradient
 
     def _with_named(
@@ -435,8 +424,14 @@ class Derivative:
         """Return whether it is so on any rank."""
         return self.problem.matrix.any_row(is_so)
 
-    def _transposed_product(self, x: FloatVector) -> FloatVector:
-        """Return Mᵀx; on several ranks M is symmetric."""
-        matrix = self.problem.matrix
-        product: FloatVector = matrix.rows @ matrix.whole(x) if matrix.is_distributed else matrix.array.T @ x
+    def _acts(self, x: FloatVector) -> bool:
+        return self._somewhere(bool(x.any()))
+
+    def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
+        matrix = self.problem.matrix  # on several ranks it is symmetric where it is to be transposed
+        is_turned = transposed and not matrix.is_distributed
+        product: FloatVector = matrix.array.T @ x if is_turned else matrix.rows @ matrix.whole(x)
         return product
+
+    def _on_free(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:
+        return solution(self._system, right, transposed=transposed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,84 +12,73 @@ import scipy.sparse as sp
 from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.kind import changes_by_name
-from ...core.matrix.scaling import are_well_scaled
 from ...core.settings import Status
-from ...core.solving.result import Result
-from ...systems.least_norm import pseudo_inverses
+from ...systems.least_norm import FreeBlocks, products
+from ...systems.linearised import Linearised
 from ..batches.batch_groups import Group
 from ..batches.batch_items import put
-from ..batches.batch_run import BatchResult
+from ..batches.batch_run import BatchAnswers, BatchResult
 from ..many.chunks import in_chunks
 from ..many.data import rows_of_a_batch
 
 if TYPE_CHECKING:
-    from . import Derivative
+    pass
 
+R = TypeVar("R", bound=BatchAnswers[Any])
 CHANGES = ("dM", "dq", "dlower", "dupper")
 OF_ARRAYS = "; of contacts as arrays write jvp(**data.changes(dfriction=…)), data that of contact_data"
 
 
-class BatchPart:
+class BatchPart(Linearised):
     """Problems of a batch that share a compiled loop.
 
     It settles those with `is_plain`: z and side are their solutions, and where each row is, `workspace` says how.
     """
 
     def __init__(self, group: Group, z: Any, is_solved: Any, threads: int) -> None:
-        from .kernels import settle_all
+        from ...methods.small.kernels.workspace import AT_UPPER, BETWEEN
+        from .kernels import KINK, settle_all
 
         self.group, self.threads = group, threads
         self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
         data, found = (group.M, group.q, group.lower, group.upper), (self.z, self.side, self.is_plain)
-        in_chunks(lambda first, end: settle_all(*data, first, end, *found), group.items.size, threads)
+        in_chunks(lambda first, end: settle_all(*data, first, end, *found), len(z), threads)
+        self.free, self.is_upper = self.side % KINK == BETWEEN, self.side % KINK == AT_UPPER
+        self.degenerate = self.side >= KINK
 
     @property
     def plain(self) -> Any:
         """Which of the batch the loop has settled."""
         return self.group.items[self.is_plain]
 
-    @property
-    def free(self) -> Any:
-        """The rows between their bounds, and those at a kink that are taken for such, shape (k, n)."""
-        from ...methods.small.kernels.workspace import BETWEEN
-        from .kernels import KINK
+    def changes(self, h: Any, lower: Any, upper: Any) -> list[Any]:
+        """Return [dz], NaN where it is one-sided, or a block singular."""
+        held = np.where(self.free, 0.0, np.where(self.is_upper, upper, lower))
+        dz = self.tangent(np.broadcast_to(h, held.shape), held)
+        dz[self.degenerate.any(axis=1)] = np.nan
+        return [dz]
 
-        return self.side % KINK == BETWEEN
+    def gradients(self, g: Any, by_w: Any) -> list[Any]:
+        """Return those by q, lower and upper, by least norm where blocks are singular, NaN where that is in doubt."""
+        g, by_w = np.broadcast_to(g, self.z.shape), np.where(self.free, 0.0, by_w)  # w stays 0 there
+        by_q, by_bound, _ = self.adjoint(g, by_w)
+        return [by_q, *(np.where(self.free | (self.is_upper != side), 0.0, by_bound) for side in (False, True))]
 
-    def derived(self, kernel: Any, given: Sequence[Any], count: int) -> tuple[list[Any], Any]:
-        """Return so many arrays that the kernel writes of the rows given, and for which problems it has succeeded."""
-        answers, is_plain = [np.empty(self.z.shape) for _ in range(count)], self.is_plain.copy()
-        data = self.group.M, self.side, *given
-        in_chunks(lambda first, end: kernel(*data, first, end, *answers, is_plain), self.z.shape[0], self.threads)
-        return answers, is_plain
+    def _product(self, x: Any, *, transposed: bool = False) -> Any:
+        return products(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
 
-    def by_least_norm(self, given: Sequence[Any], answers: Sequence[Any], is_plain: Any) -> None:
-        """Write the gradients of settled problems with singular blocks, as many at once as have so many free rows.
+    def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
+        from .kernels import solve_all
 
-        Those of mixed units are left, as are blocks that are only nearly singular.
-        """
-        from ...methods.small.kernels.workspace import AT_UPPER
-        from .kernels import KINK
-
-        M, free = self.group.M, self.free
-        missing = np.flatnonzero(self.is_plain & ~is_plain)
-        for count in np.unique(free[missing].sum(axis=1)):
-            items = missing[free[missing].sum(axis=1) == count]
-            own = M[items if len(M) > 1 else np.zeros_like(items)]
-            g, by_w = (rows[items if len(rows) > 1 else np.zeros_like(items)] for rows in given)
-            rows = np.nonzero(free[items])[1].reshape(items.size, count)
-            blocks = np.take_along_axis(np.take_along_axis(own, rows[:, :, np.newaxis], 1), rows[:, np.newaxis], 2)
-            inverses, is_singular = pseudo_inverses(blocks)
-            by_w, by_upper = np.where(free[items], 0.0, by_w), self.side[items] % KINK == AT_UPPER
-            right = np.take_along_axis(g + _products(by_w, own), rows, 1)
-            multiplier = by_w.copy()
-            np.put_along_axis(multiplier, rows, -_products(right, inverses), 1)
-            by_bound = np.where(free[items], 0.0, g + _products(multiplier, own))
-            done = is_singular & are_well_scaled(own)
-            found = multiplier, np.where(by_upper, 0.0, by_bound), np.where(by_upper, by_bound, 0.0)
-            for answer, values in zip(answers, found, strict=True):
-                answer[items[done]] = values[done]
-            is_plain[items[done]] = True
+        x, data = np.empty(self.z.shape), (self.group.M, self.side, read_only(np.array(right)), transposed)
+        in_chunks(lambda first, end: solve_all(*data, first, end, x, self.is_plain), len(x), self.threads)
+        singular = np.flatnonzero(self.is_plain & np.isnan(x[:, 0]))
+        if transposed and singular.size:
+            blocks = FreeBlocks(self.group.chosen(singular).M, self.free[singular])
+            x[singular] = np.where(
+                blocks.is_singular[:, np.newaxis], blocks.solve(right[singular], transposed=True), np.nan
+            )
+        return x
 
 
 class BatchGradient:
@@ -117,7 +106,51 @@ class BatchGradient:
         return self._by_M()
 
 
-class BatchDerivative:
+class ManyDerivatives(Generic[R]):
+    """The derivatives of many answers, ``found[k]`` that of answer k.
+
+    Parameters
+    ----------
+    batch : BatchAnswers
+    each : callable
+        Gives that of one answer.
+
+    Attributes
+    ----------
+    errors : dict
+        Why item k has none.
+    """
+
+    def __init__(self, batch: R, each: Callable[[Any], Any]) -> None:
+        self.batch, self._derivative_of = batch, each
+        self._each: dict[int, Any] = {}
+        self.errors: dict[int, LCPError] = {**batch.errors}
+        self._is_solved = np.asarray(batch.status == Status.SOLVED, np.bool_)
+        for k in sorted({*np.flatnonzero(~self._is_solved).tolist()} - set(self.errors)):
+            status = batch.status[k]
+            self.errors[k] = UnsuitableProblem(
+                f"only a solution has a derivative, and {batch.ITEM} {k} ended {status.name}: {status.value}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.batch)
+
+    def __getitem__(self, k: int) -> Any:
+        k = range(len(self))[k]
+        if k not in self._each:
+            self._each[k] = self._derivative_of(self.batch[k])
+        return self._each[k]
+
+    def _one_by_one(self, items: Sequence[int], ask: Callable[[int], Any]) -> Iterator[tuple[int, Any]]:
+        """Yield what is asked of each item, and note what is wrong with it."""
+        for k in items:
+            try:
+                yield k, ask(k)
+            except LCPError as error:
+                self.errors[k] = error
+
+
+class BatchDerivative(ManyDerivatives[BatchResult]):
     """The derivatives of the solutions of a batch with respect to the data, one for each problem.
 
     ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, which says what is proved of
@@ -144,26 +177,6 @@ class BatchDerivative:
     takes a hundred times as long.
     """
 
-    def __init__(self, batch: BatchResult, each: Callable[[Result], Derivative]) -> None:
-        self.batch, self._derivative_of = batch, each
-        self._each: dict[int, Derivative] = {}
-        self.errors: dict[int, LCPError] = {**batch.errors}
-        self._is_solved = np.array([status is Status.SOLVED for status in batch.status], np.bool_)
-        for k in sorted({*np.flatnonzero(~self._is_solved).tolist()} - set(self.errors)):
-            status = batch.status[k]
-            self.errors[k] = UnsuitableProblem(
-                f"only a solution has a derivative, and problem {k} ended {status.name}: {status.value}"
-            )
-
-    def __len__(self) -> int:
-        return len(self.batch)
-
-    def __getitem__(self, k: int) -> Derivative:
-        k = range(len(self))[k]
-        if k not in self._each:
-            self._each[k] = self._derivative_of(self.batch[k])
-        return self._each[k]
-
     @cached_property
     def z(self) -> Any:
         """The solutions at which the derivatives are taken, shape (B, n) or a list; NaN where there is none."""
@@ -178,17 +191,15 @@ class BatchDerivative:
     @cached_property
     def degenerate(self) -> Any:
         """The rows that are at a bound and have w = 0, shape (B, n) or a list, of bool."""
-        from .kernels import KINK
-
         return self._gathered(
-            False, lambda part: part.side >= KINK, lambda one: np.isin(np.arange(one.z.size), one.degenerate)
+            False, lambda part: part.degenerate, lambda one: np.isin(np.arange(one.z.size), one.degenerate)
         )
 
     def _gathered(self, otherwise: Any, of_part: Callable[..., Any], of_one: Callable[..., Any]) -> Any:
         table = self._table(otherwise)
         for part in self._parts:
             put(table, part.plain, of_part(part)[part.is_plain])
-        for k, answer in self._one_by_one(self._left_by_the_loop, lambda k: of_one(self[k])):
+        for k, answer in self._one_by_one(self._left, lambda k: of_one(self[k])):
             table[k] = answer
         return table
 
@@ -227,13 +238,11 @@ class BatchDerivative:
         array([[-0.75,  0.5 ],
                [ 0.5 , -0.25]])
         """
-        from .kernels import tangents
-
         h, low, high = (rows for rows, _ in map(self._given, (dq, dlower, dupper), ("dq", "dlower", "dupper")))
         if dM is not None:
             h = _sum(h, self._product(dM))
         h = _sum(h, self._by_name(named)) if named else h
-        (dz,), left = self._derived(tangents, (h, low, high), 1)
+        (dz,), left = self._derived(BatchPart.changes, (h, low, high), 1)
         for k, answer in self._one_by_one(
             left, lambda k: self[k].jvp(dq=_row(h, k), dlower=_row(low, k), dupper=_row(high, k))
         ):
@@ -268,10 +277,8 @@ class BatchDerivative:
                [ 0. , -0.5]]), array([[-1.25,  0.  ],
                [ 0.  , -1.  ]]))
         """
-        from .kernels import adjoints
-
         (rows, is_asked), (by_w, is_asked_too) = self._given(g, "g"), self._given(gw, "gw")
-        tables, left = self._derived(adjoints, (rows, by_w), 3, BatchPart.by_least_norm)
+        tables, left = self._derived(BatchPart.gradients, (rows, by_w), 3)
         for k, gradient in self._one_by_one(left, lambda k: self[k].vjp(_row(rows, k), _row(by_w, k))):
             for table, answer in zip(tables, gradient, strict=False):  # its M comes later
                 table[k] = answer
@@ -301,7 +308,7 @@ class BatchDerivative:
         ]
 
     @cached_property
-    def _left_by_the_loop(self) -> list[int]:
+    def _left(self) -> list[int]:
         """The solved problems that the compiled loop has left."""
         is_left = self._is_solved.copy()
         for part in self._parts:
@@ -309,27 +316,17 @@ class BatchDerivative:
         return np.flatnonzero(is_left).tolist()
 
     def _derived(
-        self, kernel: Any, given: Sequence[Any], count: int, otherwise: Callable[..., None] | None = None
+        self, ask: Callable[..., list[Any]], given: Sequence[Any], count: int
     ) -> tuple[list[Any], list[int]]:
-        """Return so many tables that the kernel, or else the other, writes of all problems, and those that are left."""
-        tables, left = [self._table(np.nan) for _ in range(count)], [*self._left_by_the_loop]
+        """Return so many tables with what is asked of each part, and the problems that are left."""
+        tables, left = [self._table(np.nan) for _ in range(count)], [*self._left]
         for part in self._parts:
-            own = [_chosen(rows, part.group.items) for rows in given]
-            answers, is_plain = part.derived(kernel, own, count)
-            if otherwise is not None:
-                otherwise(part, own, answers, is_plain)
+            answers = ask(part, *(_chosen(rows, part.group.items) for rows in given))
+            is_done = part.is_plain & ~np.isnan(answers[0][:, 0])
             for table, answer in zip(tables, answers, strict=True):
-                put(table, part.group.items[is_plain], answer[is_plain])
-            left += part.group.items[part.is_plain & ~is_plain].tolist()
+                put(table, part.group.items[is_done], answer[is_done])
+            left += part.group.items[part.is_plain & ~is_done].tolist()
         return tables, left
-
-    def _one_by_one(self, items: Sequence[int], ask: Callable[[int], Any]) -> Iterator[tuple[int, Any]]:
-        """Yield what is asked of each problem, and note what is wrong with it."""
-        for k in items:
-            try:
-                yield k, ask(k)
-            except LCPError as error:
-                self.errors[k] = error
 
     @property
     def _is_even(self) -> bool:
@@ -402,12 +399,7 @@ class BatchDerivative:
             raise InvalidProblem(f"{need}, got shape {dM.shape}")
         if not np.isfinite(dM).all():
             raise InvalidProblem(f"dM must be finite, but dM{np.argwhere(~np.isfinite(dM))[0].tolist()} is not")
-        return np.matmul(dM, z[:, :, np.newaxis])[:, :, 0]
-
-
-def _products(x: Any, A: Any) -> Any:
-    """Return x_kᵀA_k, shapes (k, n) and (k, n, n)."""
-    return np.matmul(x[:, np.newaxis], A)[:, 0]
+        return products(dM, z)
 
 
 def _sum(rows: Any, others: Any) -> Any:
@@ -415,10 +407,10 @@ def _sum(rows: Any, others: Any) -> Any:
 
 
 def _chosen(rows: Any, items: Any) -> Any:
-    """Return those rows as an array, read-only; one row in front stays for all."""
+    """Return those rows as an array; one row in front stays for all."""
     if not isinstance(rows, np.ndarray):
-        return read_only(np.array([rows[k] for k in items]))
-    return read_only(rows if len(rows) == 1 else rows[items])
+        return np.array([rows[k] for k in items])
+    return rows if len(rows) == 1 else rows[items]
 
 
 def _row(rows: Any, k: int) -> Any:

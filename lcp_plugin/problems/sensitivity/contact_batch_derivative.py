@@ -1,36 +1,123 @@
-"""The derivatives of many worlds with contact: a compiled loop over what is small and plain, one by one the rest."""
+"""The derivatives of many worlds with contact: as of one problem whose matrix is stacked, one by one of the rest."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import BoolVector, read_only, real_array
-from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
+from ...core.errors import InvalidProblem
 from ...core.kind import changes_by_name
-from ...core.settings import Status
+from ...core.lcp import LCP
+from ...core.matrix.matrix import residual_scales
+from ...systems.least_norm import FreeBlocks, products, solved
 from ..batches.contact_batch import ContactBatchResult
-from ..cones.derivative import BY_HAND, ON_THE_EDGE, REFINEMENTS, REFINING, ROUNDING, ConeDerivative
-from ..cones.small import LARGEST
-from ..cones.solving import ConeResult
+from ..cones.data import Blocks
+from ..cones.derivative import BY_HAND, REFINEMENTS, REFINING, ConeDerivative
+from ..cones.methods import EXACT
 from ..many.chunks import in_chunks
+from .batch_derivative import ManyDerivatives
 
 CHANGES = "dq", "dM", "dfriction"
 NAMED = 5  # worlds, in words
+TOGETHER = 512  # worlds whose arrays a cache holds
 
 
-class _Jacobians(NamedTuple):
-    """What the loop has found, a world a row."""
+class _Worlds(Blocks):
+    """The contacts of some worlds as the blocks of one problem; its matrix is not made: W stays stacked."""
 
-    z: Any
-    by_q: Any
-    by_friction: Any
-    degenerate: Any
-    ends: Any
+    def __init__(self, W: Any, b: Any, friction: Any, dimension: int) -> None:
+        rows = LCP(sp.csr_array((b.size, b.size)), b.ravel(), lower=-np.inf)
+        super().__init__(rows, np.arange(0, b.size + 1, dimension), friction.ravel(), has_friction=True)
+        self.W, self.d = W, dimension
+
+    def slack(self, z: Any) -> Any:
+        """Return W z + b."""
+        return products(self.W, z.reshape(self.W.shape[:2])).ravel() + self.q
+
+    @cached_property
+    def scale(self) -> Any:
+        """What w is divided by, as of each world by itself, shape (k,)."""
+        count, n = self.W.shape[:2]
+        blocks = self.W.reshape(count, n // self.d, self.d, n // self.d, self.d)
+        norms = np.sqrt(np.einsum("kimjl,kimjl->kij", blocks, blocks))
+        own = np.diagonal(norms, axis1=1, axis2=2) / np.sqrt(self.d)
+        norms[:, range(n // self.d), range(n // self.d)] = own
+        return residual_scales(own, norms.max(axis=2, initial=0.0)).ravel()
+
+
+class _Together(ConeDerivative):
+    """The derivative of some worlds as of one problem, whose system is one of each world."""
+
+    problem: _Worlds
+
+    def __init__(self, problem: _Worlds, z: Any) -> None:
+        self.problem, self.shape = problem, z.shape
+        self.z = self._refined(z.ravel())
+        self.w = problem.slack(self.z)
+        self._take_element_at(self.z, self.w)
+        self.blocks = FreeBlocks(self._J, self._is_free.reshape(z.shape))
+
+    def _take_rows(self, z: Any, w: Any) -> None:
+        from ..cones.kernels import derivatives
+
+        problem, (count, n), d = self.problem, self.shape, self.problem.d
+        by_z = np.empty((problem.slope.size, d, d))
+        self._by_w = np.empty_like(by_z)
+        derivatives(*problem.arrays, *map(read_only, (z, w, problem.scale)), by_z, self._by_w)
+        self._is_free = np.repeat(self._by_w.any(axis=(1, 2)), d)
+        by_w = self._by_w.reshape(count, n // d, d, d)
+        self._J = np.matmul(by_w, problem.W.reshape(count, n // d, d, n)).reshape(count, n, n)
+        self._add_to_blocks(by_z)
+
+    def _add_to_blocks(self, own: Any) -> None:
+        """Add to the blocks on the diagonal of J, shape (blocks, d, d)."""
+        (count, n), d = self.shape, self.problem.d
+        places = np.arange(n // d)
+        self._J.reshape(count, n // d, d, n // d, d)[:, places, :, places] += own.reshape(
+            count, n // d, d, d).swapaxes(0, 1)
+
+    def _refined(self, z: Any) -> Any:
+        problem, shape = self.problem, self.shape
+
+        def largest(values: Any) -> Any:
+            return np.abs(values).reshape(shape).max(axis=1, initial=0.0)
+
+        w = problem.slack(z)
+        R = problem.residual(z, w)[0]
+        goal = EXACT * largest(np.abs(z) + np.abs(w) / problem.scale[problem.block_of_row])
+        for _ in range(REFINEMENTS):
+            before = largest(R)
+            if not (before > goal).any():
+                break
+            self._take_rows(z, w)
+            self._add_to_blocks(REFINING * problem.scale[:, np.newaxis, np.newaxis] * self._by_w)
+            after = z + solved(self._J, -R.reshape(*shape, 1)).ravel()
+            w_after = problem.slack(after)
+            R_after = problem.residual(after, w_after)[0]
+            is_better = np.repeat((before > goal) & (largest(R_after) < before), shape[1])
+            if not is_better.any():
+                break
+            z, w, R = (np.where(is_better, *pair) for pair in ((after, z), (w_after, w), (R_after, R)))
+        return z
+
+    def _sums_of_sizes(self) -> Any:
+        return products(np.abs(self.problem.W), np.abs(self.z).reshape(self.shape)).ravel()
+
+    def _product(self, x: Any, *, transposed: bool = False) -> Any:
+        W = self.problem.W
+        return products(W.swapaxes(1, 2) if transposed else W, x.reshape(self.shape)).ravel()
+
+    def _by_slack(self, x: Any, *, transposed: bool = False) -> Any:
+        return products(self._by_w.swapaxes(1, 2) if transposed else self._by_w, x.reshape(-1, self.problem.d)).ravel()
+
+    def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
+        return self.blocks.solve(right.reshape(self.shape), transposed=transposed).ravel()
 
 
 class ContactBatchGradient:
@@ -59,7 +146,7 @@ class ContactBatchGradient:
         return self.q[:, :, np.newaxis] * self._z[:, np.newaxis]
 
 
-class ContactBatchDerivative:
+class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
     """The derivatives of the impulses of many worlds by their W, b and friction.
 
     ``found[k]`` is the :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative` of world k. What the arrays say of
@@ -79,10 +166,10 @@ class ContactBatchDerivative:
 
     Notes
     -----
-    One compiled loop, on as many threads as the batch had, takes ∂z/∂b and ∂z/∂μ of all worlds at the first call;
-    every `vjp` and `jvp` after it is a product. Worlds in several units, those that leave in doubt whether their system
-    is singular, and `jvp` of those with degenerate contacts are left to their ConeDerivative, which takes a hundred
-    times as long.
+    The systems of all worlds are inverted at the first call, on as many threads as the batch had; every `vjp` and `jvp`
+    after it is a product.
+    Those that leave in doubt whether their system is singular, and `jvp` of those with degenerate contacts are left to
+    their ConeDerivative, which takes a hundred times as long.
 
     Examples
     --------
@@ -98,54 +185,38 @@ class ContactBatchDerivative:
     ([[-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], [[0.0], [0.0]], (2, 3, 3))
     """
 
-    def __init__(self, batch: ContactBatchResult, each: Callable[[ConeResult], ConeDerivative]) -> None:
-        self.batch, self._derivative_of = batch, each
-        self._each: dict[int, ConeDerivative] = {}
-        self._is_solved: BoolVector = np.array([status is Status.SOLVED for status in batch.status], np.bool_)
-        self.errors: dict[int, LCPError] = {**batch.errors}
-        for k in np.flatnonzero(~self._is_solved).tolist():
-            if k not in self.errors:
-                status = batch.status[k]
-                self.errors[k] = UnsuitableProblem(
-                    f"only a solution has a derivative, and world {k} ended {status.name}: {status.value}"
-                )
+    @cached_property
+    def _parts(self) -> list[_Together]:
+        """The derivatives of some worlds after the others."""
+        worlds, z, is_solved = self.batch.worlds, self.batch.z, self._is_solved[:, np.newaxis]
+        parts: list[Any] = [None] * max(-(-len(self) // TOGETHER), 1)
 
-    def __len__(self) -> int:
-        return len(self.batch)
+        def derive(first: int, end: int) -> None:
+            for k in range(first, end):
+                own = slice(k * TOGETHER, (k + 1) * TOGETHER)
+                W = np.where(is_solved[own, :, np.newaxis], worlds.W[own], np.eye(worlds.n))
+                b, at, mu = (np.where(is_solved[own], one[own], 0.0) for one in (worlds.b, z, worlds.friction))
+                parts[k] = _Together(_Worlds(W, b, mu, worlds.dimension), at)
 
-    def __getitem__(self, k: int) -> ConeDerivative:
-        k = range(len(self))[k]
-        if k not in self._each:
-            self._each[k] = self._derivative_of(self.batch[k])
-        return self._each[k]
+        in_chunks(derive, len(parts), self.batch.threads)
+        return parts
+
+    def _asked(self, ask: Callable[[_Together, slice], Any]) -> Any:
+        """Return what is asked of each part, and of its worlds, as one array."""
+        places = (slice(k * TOGETHER, (k + 1) * TOGETHER) for k in range(len(self._parts)))
+        return np.concatenate([ask(part, own) for part, own in zip(self._parts, places, strict=True)])
 
     @cached_property
-    def _jacobians(self) -> _Jacobians:
-        worlds = self.batch.worlds
-        (count, n), k, d = worlds.b.shape, worlds.friction.shape[1], worlds.dimension
-        found = _Jacobians(
-            np.where(self._is_solved[:, np.newaxis], self.batch.z, 0.0), np.zeros((count, n, n)),
-            np.zeros((count, n, k)), np.zeros((count, k), np.bool_), np.zeros(count, np.int8)
-        )
-        if not 0 < n <= LARGEST:
-            return found
-        from ..cones.derivative_kernels import derive_each
-
-        starts, far, origin = np.arange(0, n + 1, d, dtype=np.int64), np.full(n, np.inf), np.zeros(n)
-        data = *map(read_only, (starts, worlds.friction, -far, far, worlds.W, worlds.b, origin)),
-        limits = REFINEMENTS, REFINING, ON_THE_EDGE, ROUNDING, read_only(self._is_solved)
-        in_chunks(lambda first, end: derive_each(first, end, *data, *limits, *found), count, self.batch.threads)
-        return found
-
-    @property
     def _left(self) -> list[int]:
-        """The solved worlds that the loop has left."""
-        return np.flatnonzero(self._is_solved & (self._jacobians.ends == 0)).tolist()
+        """The solved worlds that are in doubt."""
+        is_known = self._asked(lambda part, _: part.blocks.is_regular | part.blocks.is_singular)
+        return np.flatnonzero(self._is_solved & ~is_known).tolist()
 
     @cached_property
     def z(self) -> Any:
         """The impulses at which the derivatives are taken, shape (B, n); NaN where there are none."""
-        z = np.where(self._is_solved[:, np.newaxis], self._jacobians.z, np.nan)
+        z = self._asked(lambda part, _: part.z.reshape(part.shape))
+        z[~self._is_solved] = np.nan
         for k in self._left:
             z[k, :self[k].z.size] = self[k].z
         return read_only(z)
@@ -153,15 +224,19 @@ class ContactBatchDerivative:
     @cached_property
     def degenerate(self) -> Any:
         """The contacts on the edge of two cases, shape (B, k), of bool: there the derivative is one of several."""
-        degenerate = self._jacobians.degenerate.copy()
+        count = self.batch.worlds.friction.shape[1]
+        degenerate = self._asked(
+            lambda part, _: np.isin(np.arange(part.problem.slope.size), part.degenerate).reshape(-1, count)
+        )
+        degenerate &= self._is_solved[:, np.newaxis]
         for k in self._left:
-            degenerate[k] = np.isin(np.arange(degenerate.shape[1]), self[k].degenerate)
+            degenerate[k] = np.isin(np.arange(count), self[k].degenerate)
         return degenerate
 
     @cached_property
     def is_singular(self) -> Any:
         """The worlds in which several impulses make one motion, shape (B,), of bool: dz is the least of several."""
-        is_singular = self._jacobians.ends == 2
+        is_singular = self._is_solved & self._asked(lambda part, _: part.blocks.is_singular)
         for k in self._left:
             is_singular[k] = self[k].is_singular
         return is_singular
@@ -201,20 +276,29 @@ class ContactBatchDerivative:
             For any other name.
         """
         changes_by_name(None, named, CHANGES, BY_HAND)
-        worlds, found = self.batch.worlds, self._jacobians
+        worlds = self.batch.worlds
         db, dW = self._given(dq, "dq", "n", worlds.b), self._given(dM, "dM", "n, n", worlds.W)
-        change, slopes = self._moved(db, dW), self._given(dfriction, "dfriction", "k", worlds.friction)
-        dz = np.zeros(found.z.shape)
-        if change is not None:
-            dz += _products(found.by_q, change)
-        if slopes is not None:
-            dz += _products(found.by_friction, slopes)
-        is_left = self._is_solved & ((found.ends == 0) | found.degenerate.any(axis=1))
-        for k, one, own in self._one_by_one(np.flatnonzero(is_left).tolist()):
-            dz[k, own] = one.jvp(
+        slopes = self._given(dfriction, "dfriction", "k", worlds.friction)
+        change = self._moved(db, dW)
+        change = np.zeros(worlds.b.shape) if change is None else change
+
+        def tangent(part: _Together, own: slice) -> Any:
+            more = 0.0 if slopes is None else part.by_friction * np.repeat(slopes[own].ravel(), worlds.dimension)
+            return part.tangent(change[own].ravel(), None, more).reshape(part.shape)
+
+        dz = self._asked(tangent)
+        is_left = self._is_solved & self.degenerate.any(axis=1)
+        is_left[self._left] = True
+
+        def alone(k: int) -> Any:
+            own = slice(self[k].z.size)
+            return self[k].jvp(
                 dq=None if db is None else db[k, own], dM=None if dW is None else dW[k, own, own],
                 dfriction=None if slopes is None else slopes[k, :worlds.contacts[k]],
             )
+
+        for k, answer in self._one_by_one(np.flatnonzero(is_left).tolist(), alone):
+            dz[k, :answer.size] = answer
         dz[[*self.errors]] = np.nan
         return dz
 
@@ -222,7 +306,7 @@ class ContactBatchDerivative:
         """Return the changes of the velocities w = W z + b that go with changes dz of z, shape (B, n)."""
         worlds = self.batch.worlds
         dz = self._given(dz, "dz", "n", worlds.b)
-        moved = _products(worlds.W, dz)
+        moved = products(worlds.W, dz)
         change = self._moved(self._given(dq, "dq", "n", worlds.b), self._given(dM, "dM", "n, n", worlds.W))
         dw = moved if change is None else moved + change
         dw[[*self.errors]] = np.nan
@@ -243,32 +327,33 @@ class ContactBatchDerivative:
         InvalidProblem
             For another shape, or numbers that are not finite.
         """
-        worlds, found = self.batch.worlds, self._jacobians
+        worlds = self.batch.worlds
+        gw = np.zeros(worlds.n) if gw is None else gw
         by_z, by_w = self._given(g, "g", "n", worlds.b), self._given(gw, "gw", "n", worlds.b)
-        whole = by_z if by_w is None else by_z + _products(worlds.W.swapaxes(1, 2), by_w)
-        by_q = _products(found.by_q.swapaxes(1, 2), whole)
-        by_q += 0.0 if by_w is None else by_w
-        by_friction = _products(found.by_friction.swapaxes(1, 2), whole)
-        for k, one, own in self._one_by_one(self._left):
-            gradient = one.vjp(by_z[k, own], None if by_w is None else by_w[k, own])
-            by_q[k, own], by_friction[k, :worlds.contacts[k]] = gradient.q, gradient.friction
+
+        contacts = worlds.friction.shape[1]
+
+        def gradients(part: _Together, own: slice) -> Any:
+            by_q, _, by_friction = part.gradients(by_z[own].ravel(), by_w[own].ravel())
+            return np.hstack([by_q.reshape(part.shape), by_friction.reshape(-1, contacts)])
+
+        by_q, by_friction = np.split(self._asked(gradients), [worlds.n], axis=1)
+
+        def alone(k: int) -> Any:
+            own = slice(self[k].z.size)
+            return self[k].vjp(by_z[k, own], by_w[k, own])
+
+        for k, gradient in self._one_by_one(self._left, alone):
+            by_q[k, :gradient.q.size], by_friction[k, :gradient.friction.size] = gradient.q, gradient.friction
         missing = [k for k in self.errors if _is_asked(g, k) or _is_asked(gw, k)]
         by_q[missing] = by_friction[missing] = np.nan
         return ContactBatchGradient(by_q, by_friction, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
-
-    def _one_by_one(self, items: Sequence[int]) -> Iterator[tuple[int, ConeDerivative, slice]]:
-        """Yield worlds, their derivatives and rows, and note what is wrong with one."""
-        for k in items:
-            try:
-                yield k, self[k], slice(self[k].z.size)
-            except LCPError as error:
-                self.errors[k] = error
 
     def _moved(self, db: Any, dW: Any) -> Any:
         """Return dW z + db, shape (B, n), None where nothing moves."""
         if dW is None:
             return db
-        turned = _products(dW, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
+        turned = products(dW, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
         return turned if db is None else db + turned
 
     def _given(self, values: Any, name: str, size: str, like: Any) -> Any:
@@ -292,11 +377,6 @@ class ContactBatchDerivative:
             at = tuple(np.argwhere(~np.isfinite(given))[0].tolist())
             raise InvalidProblem(f"{name} must be finite, but {name}{[*at]} = {given[at]}; repair that entry")
         return given
-
-
-def _products(matrices: Any, rows: Any) -> Any:
-    """Return A_k x_k, shapes (B, m, n) and (B, n)."""
-    return np.matmul(matrices, rows[:, :, np.newaxis])[:, :, 0]
 
 
 def _is_asked(rows: Any, k: int) -> bool:

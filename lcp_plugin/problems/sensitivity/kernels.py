@@ -1,9 +1,8 @@
 """The derivatives of many small solutions in one compiled loop; arrays as in ``methods.small.kernels.workspace``.
 
 First each z is solved for once more on its free rows, unless that would change it by rounding alone, and its rows are
-told apart. A tangent and an adjoint are one linear solve each on the same rows. An adjoint at a kink holds its row, if
-that leaves a regular block, or frees it, if that makes the block regular; a tangent there is left to others, and so is
-what is near one, has a singular block, or loses half of its digits in the elimination.
+told apart. Rows at a kink are held if that leaves a regular block, or freed, if that makes the block regular. What is
+near one, has a singular block, or loses half of its digits in the elimination is left to others.
 
 An array with one row in front stands for all problems.
 """
@@ -162,52 +161,25 @@ def _solved(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped
 
 
 @kernel
-def tangents(M, side, h, lower, upper, first, end, dz, is_plain):  # type: ignore[no-untyped-def]
-    """Write how z changes with h = dM z + dq and with the bounds, first ≤ k < end; `is_plain` as above."""
-    n = M.shape[1]
-    of_real, of_whole, of_matrix = sizes(n)
-    real, whole, matrix = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_matrix)
-    for k in range(first, end):
-        if not is_plain[k]:
-            continue
-        take(h, lower, upper, k, real, n)
-        for i in range(n):
-            whole[SIDE, i] = side[k, i]
-            is_plain[k] &= side[k, i] < KINK  # others solve a small LCP
-        of = k if M.shape[0] > 1 else 0
-        is_symmetric = look_at(M, of, real)[3]
-        is_plain[k] = is_plain[k] and _solved(M, of, real, whole, matrix, is_symmetric)
-        for i in range(n):
-            dz[k, i] = real[FOUND, i]
-
-
-@kernel
-def adjoints(M, side, g, by_w, first, end, by_q, by_lower, by_upper, is_plain):  # type: ignore[no-untyped-def]
-    """Write the gradients by q and the bounds of functions with ∂L/∂z = g, ∂L/∂w = by_w; the rest as in `tangents`."""
+def solve_all(M, side, right, is_transposed, first, end, x, is_plain):  # type: ignore[no-untyped-def]
+    """Write the solutions of M_FF x = right_F, or of the transposed system, 0 in held rows; NaN where there is none."""
     n = M.shape[1]
     of_real, of_whole, of_matrix = sizes(n)
     real, whole, matrix = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_matrix)
     turned = np.empty((1, n, n))
     for k in range(first, end):
+        for i in range(n):
+            real[Q, i], real[LOWER, i], real[UPPER, i] = -right[k, i], 0.0, 0.0
+            whole[SIDE, i], x[k, i] = side[k, i] % KINK, np.nan
         if not is_plain[k]:
             continue
-        own = k if g.shape[0] > 1 else 0, k if by_w.shape[0] > 1 else 0
-        for i in range(n):
-            for j in range(n):
-                turned[0, j, i] = M[k if M.shape[0] > 1 else 0, i, j]
-            real[Q, i], whole[SIDE, i] = g[own[0], i], side[k, i] % KINK
-            real[KEPT, i] = 0.0 if whole[SIDE, i] == BETWEEN else by_w[own[1], i]  # w stays 0 there
-            real[LOWER, i] = real[UPPER, i] = 0.0
-        is_symmetric = look_at(turned, 0, real)[3]
-        slack(turned, 0, real, KEPT)  # g + Mᵀ ∂L/∂w
-        for i in range(n):
-            real[Q, i] = -real[W, i]
-        is_plain[k] = _solved(turned, 0, real, whole, matrix, is_symmetric)
-        slack(turned, 0, real, FOUND)
-        for i in range(n):
-            by_q[k, i] = real[KEPT, i] - real[FOUND, i]
-            by_lower[k, i] = by_upper[k, i] = 0.0
-            if whole[SIDE, i] == AT_UPPER:
-                by_upper[k, i] = -real[W, i]
-            elif whole[SIDE, i] != BETWEEN:
-                by_lower[k, i] = -real[W, i]
+        of = k if M.shape[0] > 1 else 0
+        if is_transposed:
+            for i in range(n):
+                for j in range(n):
+                    turned[0, j, i] = M[of, i, j]
+            is_solved = _solved(turned, 0, real, whole, matrix, look_at(turned, 0, real)[3])
+        else:
+            is_solved = _solved(M, of, real, whole, matrix, look_at(M, of, real)[3])
+        for i in range(n if is_solved else 0):
+            x[k, i] = real[FOUND, i]

@@ -36,7 +36,7 @@ def test_worlds_are_answered_as_each_by_itself(is_warm: bool, monkeypatch: pytes
     z0 = solve_batch(FrictionalContact(W, 1.01 * b, friction)).z if is_warm else None
     worlds = FrictionalContact(W, b, friction)
     with monkeypatch.context() as patch:
-        patch.setattr("lcp_plugin.problems.batches.contact_batch.solve_cones", never_one_by_one)
+        patch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", never_one_by_one)
         batch, other = (solve_batch(worlds, z0=z0, threads=threads) for threads in (1, 2))
     assert batch.all_solved
     assert batch.z.tobytes() == other.z.tobytes()
@@ -49,7 +49,7 @@ def test_worlds_are_answered_as_each_by_itself(is_warm: bool, monkeypatch: pytes
         assert exact_relative_residual(alone.problem, batch.z[i]) <= batch.relative_residual[i] <= 1e-8
         np.testing.assert_allclose(batch.w[i], batch[i].w, atol=1e-12)
         assert batch.motion.sticks[i].tolist() == batch[i].motion.sticks.tolist()
-    assert "100 problems: 100 SOLVED" in batch.explain()
+    assert "100 worlds: 100 SOLVED" in batch.explain()
 
 
 def test_warm_starts_save_steps() -> None:

@@ -53,7 +53,7 @@ def test_a_batch_has_the_derivatives_of_each(symmetric: bool, shared: bool, n: i
     """Gradients, changes, z and free rows of arrays, of one M for all and of a list are those one by one."""
     data = planted(20, n, n, symmetric=symmetric, shared=shared)
     found = of(data)
-    assert not found._left_by_the_loop  # the compiled loop has done it all
+    assert not found._left  # the compiled loop has done it all
     assert_each(found)
     M, q, lower, upper = data
     listed = [LCP(M if shared else M[k], q[k], lower=lower[k], upper=upper[k]) for k in range(20)]
@@ -144,7 +144,7 @@ def test_kinks() -> None:
     plain = of((M, q, lower, upper))
     q[:10], lower[:10], upper[:10] = 0.0, 0.0, INF  # z = 0 = w
     found = of((M, q, lower, upper))
-    assert not found._left_by_the_loop
+    assert not found._left
     assert found.degenerate[:10].all()
     assert not found.degenerate[10:].any()
     dq = np.random.default_rng(0).normal(size=q.shape)
@@ -171,7 +171,7 @@ def test_planted_kinks(seed: int) -> None:
     found = of((M, w - (M @ z[:, :, None])[:, :, 0], lower, upper))
     assert np.array_equal(found.degenerate, place == 2)
     assert np.array_equal(found.free, place == 0)
-    assert len(found._left_by_the_loop) < 10
+    assert len(found._left) < 10
     assert_each(found)
 
 

@@ -1,0 +1,58 @@
+"""The derivative at a solution: a linear system on the rows that are free, for one problem or for many in a row.
+
+With z = P(z − w/d), w = M z + q, and R_z dz + R_w dw = 0 the generalised derivative of the natural map, a row is free
+where R_w ≠ 0. Of a complementarity problem R_w is 1 on the rows between their bounds, of cones it couples the rows of a
+block. J = R_z + R_w M, h = dM z + dq, b the bounds that hold:
+
+    dz_A = db_A,    J_FF dz_F = −(R_w (h + M db))_F
+
+and for a function L of z and w with g = ∂L/∂z + Mᵀ ∂L/∂w: J_FFᵀ λ_F = g_F, λ_A = 0, ∂L/∂q = ∂L/∂w − R_wᵀ λ,
+∂L/∂m_ij = (∂L/∂q)_i z_j, ∂L/∂b_A = (g + Mᵀ(∂L/∂q − ∂L/∂w))_A.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class Linearised:
+    """The system at a solution, or at as many as there are rows: vectors have shape (n,) or (k, n) throughout."""
+
+    def _product(self, x: Any, *, transposed: bool = False) -> Any:
+        """Return M x, or Mᵀx."""
+        raise NotImplementedError
+
+    def _by_slack(self, x: Any, *, transposed: bool = False) -> Any:
+        """Return R_w x, or R_wᵀx, of which only the free rows are looked at."""
+        return x
+
+    def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
+        """Return the solution of J_FF x = right_F, or of the transposed system, 0 in the other rows."""
+        raise NotImplementedError
+
+    def _acts(self, x: Any) -> bool:
+        """Return whether any entry is not 0."""
+        return bool(x.any())
+
+    def tangent(self, h: Any, held: Any = None, more: Any = 0.0) -> Any:
+        """Return dz.
+
+        Parameters
+        ----------
+        h : array
+            dM z + dq.
+        held : array, optional
+            The changes of the bounds that hold, 0 in free rows; none without it.
+        more : array
+            What else changes of R, as by friction.
+        """
+        if held is not None and self._acts(held):
+            return held + self._on_free(-(self._by_slack(h + self._product(held)) + more))
+        return self._on_free(-(self._by_slack(h) + more))
+
+    def adjoint(self, g: Any, by_w: Any) -> tuple[Any, Any, Any]:
+        """Return ∂L/∂q, ∂L/∂b, to be read where a bound holds, and λ, of L with these gradients by z and w."""
+        by_z = g + self._product(by_w, transposed=True) if self._acts(by_w) else g
+        multiplier = self._on_free(by_z, transposed=True)
+        change = self._by_slack(multiplier, transposed=True)
+        return by_w - change, by_z - self._product(change, transposed=True), multiplier

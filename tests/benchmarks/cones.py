@@ -259,9 +259,12 @@ class Pile:
         columns = np.broadcast_to(places, (len(n), 3, 2, 6))
         J = sp.csr_array((rows.ravel(), columns.ravel(), np.arange(0, rows.size + 1, 12)),
                          shape=(3 * len(n), self.mass.size))
+        J.sum_duplicates()  # of walls
         b = (J @ self.free).reshape(-1, 3)
         b[:, 0] += np.where(gaps > self.slop, gaps, 0.0) / self.step
-        return FrictionalContact(sp.csr_array(J / self.mass @ J.T), b, 0.5), J, [*zip(one, other, strict=True)]
+        tangents = np.arange(J.shape[0]) % 3 > 0
+        contacts = sp.csr_array(sp.diags_array(self.mass)), J[~tangents], J[tangents]
+        return FrictionalContact.from_contacts(contacts, 0.5, b), J, [*zip(one, other, strict=True)]
 
     def move(self, rows: Any, impulses: Any) -> None:
         """Take the step."""

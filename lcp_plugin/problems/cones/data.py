@@ -58,6 +58,7 @@ class Blocks:
 
     problem_kind: ClassVar[Kind]
     origin: Any = None
+    bodies: Any = None  # Bodies, behind contacts that are stated by them
     criterion: None = None  # no program is behind it
     is_distributed = False
 

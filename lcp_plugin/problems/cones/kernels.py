@@ -520,23 +520,29 @@ def sweep(  # type: ignore[no-untyped-def]
 
 
 @helper
-def measure(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-):
-    """Write w and R; return the largest ‖R_k‖ times weights, and their norm."""
+def measure_at(starts, slope, friction, lower, upper, scale, weights, z, w, R):  # type: ignore[no-untyped-def]
+    """Write R of z and w; return the largest ‖R_k‖ times weights, and their norm."""
     largest, total = 0.0, 0.0
     for k in range(slope.size):
         own = 0.0
-        for i in range(starts[k], starts[k + 1]):
-            w[i] = q[i]
-            for p in range(indptr[i], indptr[i + 1]):
-                w[i] += data[p] * z[indices[p]]
         block_residual(k, starts, slope, friction, lower, upper, z, w, scale, R)
         for i in range(starts[k], starts[k + 1]):
             own += R[i] * R[i]
         own = np.sqrt(own) * weights[k]
         largest, total = (max(largest, own) if own == own else np.inf), total + own * own
     return largest, np.sqrt(total)
+
+
+@helper
+def measure(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+):
+    """Write w and R; return the largest ‖R_k‖ times weights, and their norm."""
+    for i in range(q.size):
+        w[i] = q[i]
+        for p in range(indptr[i], indptr[i + 1]):
+            w[i] += data[p] * z[indices[p]]
+    return measure_at(starts, slope, friction, lower, upper, scale, weights, z, w, R)
 
 
 @kernel

@@ -1,6 +1,6 @@
-"""Small problems over cones, one or many, in one compiled loop: sweeps and Newton's steps, and what they prove.
+"""Small problems over cones, one or many, and contacts of bodies, in compiled loops: sweeps and Newton's steps.
 
-What the loop leaves open, or does not prove, goes the way of larger ones.
+What these loops leave open, or do not prove, goes the way of larger ones.
 """
 
 from __future__ import annotations
@@ -9,19 +9,25 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.certificates.criterion import within
-from ...core.checks import FloatVector, read_only
+from ...core.checks import FloatVector, canonical_csr, read_only
+from ...core.matrix.matrix import fact
+from ...core.rounding import read_only_views
 from ...core.settings import Settings
 from .data import Blocks, Starts
 from .methods import DECREASE, EASIER, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL, SHORTEST
 
 LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
+SMALLEST_STEP = 60  # unknowns: below, a dense system costs as little
 ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
 FIRST_ROUNDS = 3
 NEWTON_STEPS, LONG_STEPS = 20, 50  # of a run: where all rounds follow, and where the first do
 CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER, EASIER)
+STEP_ROUNDS, STEP_NEWTON = np.array([10, 0, 50, 0]), 40  # the same of bodies, each from the one before
+STEP_PROXIMAL = 1e-8  # at the least: of bodies, 1 / that is in the system
 SPREAD = 0.3  # of the mean of |z_i|: as far as starts are moved at random
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
 
@@ -114,6 +120,38 @@ def run_loop(
         in_chunks(solve_chunk, count)
     residual, terms = proved.T
     return LoopAnswers(z, made, residual, within(residual, terms, settings.tolerance))
+
+
+def has_few_bodies(problem: Blocks) -> bool:
+    """Return whether the velocities of bodies are fewer than the rows of their contacts, which are not very few."""
+    bodies = problem.bodies
+    return bodies is not None and problem.n > max(SMALLEST_STEP, bodies.mass.shape[-1])
+
+
+def solve_contacts(problem: Blocks, settings: Settings, *, start: FloatVector) -> LoopAnswers:
+    """Return what the loop over the velocities of bodies makes of their contacts, from a start in the cones."""
+    from .step_kernels import solve_step
+
+    z, made, proved, M = np.array(start), np.zeros(2, np.int64), np.full(2, np.inf), problem.rows.csr
+    starts, *others = problem.arrays
+    constants = (PROXIMAL, SHORTEST, DECREASE, STEP_PROXIMAL, HARDER, EASIER)
+    solve_step(
+        starts, *others, *read_only_views(M.indptr, M.indices, M.data, problem.q, problem.nearest_to_zero),
+        *_rows_of_bodies(problem), CLOSER * settings.tolerance, read_only(STEP_ROUNDS), STEP_NEWTON, MEMORY, constants,
+        z, made, proved,
+    )
+    is_proved = within(proved[:1], proved[1:], settings.tolerance)
+    return LoopAnswers(z[np.newaxis], made[np.newaxis], proved[:1], is_proved)
+
+
+@fact
+def _rows_of_bodies(problem: Any) -> tuple[Any, ...]:
+    """Return the mass matrix and the rows of the bodies as arrays of CSR, read-only, with indices as of M."""
+    parts = [canonical_csr(sp.csr_array(part), name) for part, name in
+             ((problem.bodies.mass, "the mass matrix"), (problem.bodies.rows, "rows"))]
+    index = problem.rows.csr.indices.dtype
+    return tuple(read_only_views(*(array for part in parts for array in (
+        part.indptr.astype(index, copy=False), part.indices.astype(index, copy=False), part.data))))
 
 
 _ARRAYS: tuple[Callable[[Blocks], Any], ...] = (

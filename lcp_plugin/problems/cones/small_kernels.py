@@ -23,7 +23,7 @@ def copy(x, y):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _put_back(starts, weights, origin, z):  # type: ignore[no-untyped-def]
+def put_back(starts, weights, origin, z):  # type: ignore[no-untyped-def]
     """Write z° into the blocks of z whose component it answers."""
     for k in range(weights.size):
         if weights[k] == 0.0:
@@ -251,7 +251,7 @@ def solve_each(  # type: ignore[no-untyped-def]
             starts, slope, friction, lower, upper, swept, w, slip, scale, labels, R, least, most, reference, weights
         ):
             continue
-        _put_back(starts, weights, origin, z)
+        put_back(starts, weights, origin, z)
         largest = measure(
             starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
         )[0]
@@ -304,7 +304,7 @@ def solve_each(  # type: ignore[no-untyped-def]
                 if not largest < before_it:
                     copy(start, z)
                     break
-            _put_back(starts, weights, origin, z)
+            put_back(starts, weights, origin, z)
             project(starts, slope, lower, upper, z)
             product(indptr, indices, data, q, z, w, slip)
             own_terms(

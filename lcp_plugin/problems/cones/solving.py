@@ -50,7 +50,7 @@ from .methods import (
     Newton,
     NewtonSystem,
 )
-from .small import LARGEST, LoopAnswers, solve_small
+from .small import LARGEST, LoopAnswers, has_few_bodies, solve_contacts, solve_small
 
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
@@ -132,7 +132,8 @@ def _solved(
     was_tried = is_ended = False
     if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock):
         try:
-            found = solve_small([problem], settings, start=z0)
+            found = (solve_contacts(problem, settings, start=start) if has_few_bodies(problem)
+                     else solve_small([problem], settings, start=z0))
             known = None if found.is_proved[0] else _at_rounding_level(problem, found.z[0], settings)
             was_tried = not found.is_proved[0] and known is None
             if not was_tried:
@@ -218,7 +219,8 @@ def _merged(stages: Sequence[StageRecord]) -> tuple[StageRecord, ...]:
 def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock) -> bool:
     """Return whether the problem is small, and nobody wants to see the steps or a measure that the loop lacks."""
     is_plain = settings.is_unobserved and settings.max_iterations > 0 and not settings.absolute_tolerance
-    return 0 < problem.n <= LARGEST and is_plain and clock.read() < settings.max_seconds
+    is_small = 0 < problem.n <= LARGEST or has_few_bodies(problem)
+    return is_small and is_plain and clock.read() < settings.max_seconds
 
 
 def _at_rounding_level(
@@ -243,7 +245,8 @@ def result_of(
         rounds = sweeps // SWEEPS_A_STEP
         stages.append(StageRecord("npgs", SWEEPS if sweeps else NOTHING_TO_DO, rounds, sweeps + rounds + 1.0))
     if newton:
-        passes = problem.n**3 / (3.0 * max(problem.nonzeros, 1)) + 2.0
+        unknowns = problem.n if problem.bodies is None else min(problem.n, problem.bodies.mass.shape[-1])
+        passes = unknowns**3 / (3.0 * max(problem.nonzeros, 1)) + 2.0
         stages.append(StageRecord("newton", FOLLOWS, newton, newton * passes))
     proved = ConeCertificate.proved(problem, found.z[k], float(found.residual[k])), Status.SOLVED
     certificate, status = known or proved

@@ -21,6 +21,7 @@ from cone_families import (
     violation,
     wall,
 )
+from contact_families import rows_of_bodies
 from published_problems import errors_of_contact
 from scipy.linalg import block_diag
 
@@ -46,6 +47,7 @@ from lcp_plugin.problems.cones.certificate import criterion_of
 from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
 from lcp_plugin.problems.cones.methods import METHODS, InteriorPoint, Newton
 from lcp_plugin.problems.cones.solving import ConeJudge
+from lcp_plugin.problems.cones.step_kernels import factor_of_bodies, gather_arms, step_of_bodies, structure_of_bodies
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 BAD: dict[str, tuple[Any, str]] = {
@@ -653,3 +655,60 @@ def test_less_friction_is_advised_where_it_may_help(W: Any, friction: float, is_
     z = np.array([0.5, 0.0, 0.0])
     assert judge.verdict(judge.certificate_of(z), End.STALLED, is_chain=True) is Status.STALLED
     assert ("less friction" in judge.words[Status.STALLED]) == is_advised
+
+
+def poured(count: int, seed: int) -> tuple[Any, Any, Any, Any]:
+    """The mass matrix, normals, tangents and velocities of bodies that fall into three times as many contacts."""
+    rng = np.random.default_rng(seed)
+    J = rows_of_bodies(3 * count, count, rng)
+    blocks = rng.standard_normal((count, 6, 6))
+    mass = sp.block_diag([np.eye(6) + 0.1 * (block + block.T) / 6.0 for block in blocks], format="csr")
+    tangents = np.arange(len(J)) % 3 > 0
+    return mass, sp.csr_array(J[~tangents]), sp.csr_array(J[tangents]), -np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], count)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
+    """What is found by the velocities of bodies holds for W alone, from nothing and from an answer nearby."""
+    *contacts, velocities = poured(30, seed)
+    found = solve(FrictionalContact(tuple(contacts), velocities, 0.4)).require_solved()
+    again = solve(FrictionalContact(tuple(contacts), 1.001 * velocities, 0.4), z0=found.z).require_solved()
+    for result in (found, again):
+        alone = FrictionalContact(result.problem.W, result.problem.b, 0.4)
+        assert solve(alone, z0=result.z, max_iterations=0).is_solved
+
+
+def test_the_velocities_of_bodies_are_a_system_of_less_work() -> None:
+    """Of bodies with three times as many contacts a step of Newton takes less work than on W."""
+    *contacts, velocities = poured(40, 0)
+    bodies = FrictionalContact(tuple(contacts), velocities, 0.4)
+    found, other = solve(bodies), solve(FrictionalContact(bodies.W, bodies.b, 0.4))
+    assert found.is_solved
+    assert found.work < other.work
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_factor_of_blocks_solves_what_a_dense_one_does(seed: int) -> None:
+    """LU of blocks of different sizes, in the order of least degree, leaves what rounding leaves."""
+    rng = np.random.default_rng(seed)
+    mass, normals, tangents, _ = poured(70, seed)
+    J = sp.csr_array(sp.vstack([normals, tangents]))
+    k = normals.shape[0]
+    J = sp.csr_array(J[np.concatenate([np.arange(k)[:, None], k + np.arange(2 * k).reshape(k, 2)], axis=1).ravel()])
+    K = rng.standard_normal((k, 3, 3))
+    K = K @ np.swapaxes(K, 1, 2) + 0.3 * rng.standard_normal((k, 3, 3))
+    R, inverse = rng.standard_normal(3 * k), rng.standard_normal((k, 3, 3))
+    starts, step = 3 * np.arange(k + 1), np.empty(3 * k)
+    behind = gather_arms(starts, mass.indptr, mass.indices, J.indptr, J.indices, J.data)
+    structure = structure_of_bodies(behind, np.ones(k, np.bool_))
+    length = structure[5][-1]
+    U, L, room = np.empty(length), np.empty(length), max(structure[4].max(), 3 * structure[7].max())
+    assert factor_of_bodies((mass.indptr, mass.indices, mass.data), behind, np.ones(k, np.bool_), K, structure, U, L,
+                            np.empty(room, np.int64), np.empty(room))
+    step_of_bodies(starts, behind, structure, U, L, inverse, K, R, np.empty(mass.shape[0]), step)
+    dense = J.toarray()
+    moved = -np.einsum("kij,kj->ki", inverse, R.reshape(k, 3)).ravel()
+    system = mass.toarray() + dense.T @ np.einsum("kij,kjn->kin", K, dense.reshape(k, 3, -1)).reshape(3 * k, -1)
+    v = np.linalg.solve(system, dense.T @ moved)
+    moved -= np.einsum("kij,kj->ki", K, (dense @ v).reshape(k, 3)).ravel()
+    np.testing.assert_allclose(step, moved, atol=1e-10 * np.abs(moved).max())

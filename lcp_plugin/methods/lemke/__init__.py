@@ -164,7 +164,10 @@ class Lemke(Algorithm):
         from .pivoting_path import Path, starts
 
         if not np.array_equal(guess, component.nearest_to_zero):  # its active set first: a factor and a check
-            found = solve_active_set(component, *classify(component, guess, component.slack(guess)))
+            at_lower, at_upper = guess <= component.lower, guess >= component.upper
+            if is_near(component, guess):  # and may be off its bounds by rounding
+                at_lower, at_upper = classify(component, guess, component.slack(guess))
+            found = solve_active_set(component, at_lower, at_upper & ~at_lower)
             if found is not None:
                 yield found.z, found.work * max(component.nonzeros, 1), None
                 if _is_good(component, np.clip(found.z, component.lower, component.upper)):

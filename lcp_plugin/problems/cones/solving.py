@@ -130,9 +130,10 @@ def _solved(
     """Return the answer where all components share a run; by auto sweeps only, where there are several."""
     start = problem.nearest_to_zero if z0 is None else z0
     was_tried = is_ended = False
-    if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock):
+    is_step = z0 is not None and has_few_bodies(problem)  # one alone does not pay for what is compiled for many
+    if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock, is_step=is_step):
         try:
-            found = (solve_contacts(problem, settings, start=start) if has_few_bodies(problem)
+            found = (solve_contacts(problem, settings, start=start) if is_step
                      else solve_small([problem], settings, start=z0))
             known = None if found.is_proved[0] else _at_rounding_level(problem, found.z[0], settings)
             was_tried = not found.is_proved[0] and known is None
@@ -216,11 +217,11 @@ def _merged(stages: Sequence[StageRecord]) -> tuple[StageRecord, ...]:
     return tuple(merged.values())
 
 
-def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock) -> bool:
+def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock, *, is_step: bool) -> bool:
     """Return whether the problem is small, and nobody wants to see the steps or a measure that the loop lacks."""
     is_plain = settings.is_unobserved and settings.max_iterations > 0 and not settings.absolute_tolerance
-    is_small = 0 < problem.n <= LARGEST or has_few_bodies(problem)
-    return is_small and is_plain and clock.read() < settings.max_seconds
+    is_small = 0 < problem.n <= LARGEST
+    return (is_small or is_step) and is_plain and clock.read() < settings.max_seconds
 
 
 def _at_rounding_level(

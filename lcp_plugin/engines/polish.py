@@ -53,11 +53,12 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
     at_lower = (-pull > x - lower) & ~at_upper | (lower == upper)
     acts = np.append(y[:m] > np.abs(right[:m] - program.G @ x), np.ones(right.size - m, np.bool_))
     acting, free = rows[np.flatnonzero(acts)], np.flatnonzero(~(at_lower | at_upper))
-    if (solve := _solver(program.P[free][:, free], acting[:, free])) is None:
+    is_whole, transposed = free.size == x.size, rows.T
+    if (solve := _solver(*((program.P, acting) if is_whole else (program.P[free][:, free], acting[:, free])))) is None:
         return
     x, y = np.where(at_lower, lower, np.where(at_upper, upper, x)), np.where(acts, y, 0.0)
     for _ in range(STEPS):
-        gradient = program.P @ x + program.c + rows.T @ y
+        gradient = program.P @ x + program.c + transposed @ y
         step = solve(np.concatenate([-gradient[free], right[acts] - acting @ x]))
         if not np.isfinite(step).all():
             return
@@ -65,7 +66,7 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
         y[acts] += step[free.size :]
     # Multipliers of bounds take what the gradient leaves there.
     x, y = np.clip(x, lower, upper), np.append(np.maximum(y[:m], 0.0), y[m:])
-    gradient = program.P @ x + program.c + rows.T @ y
+    gradient = program.P @ x + program.c + transposed @ y
     below = np.where(x == program.lower, np.maximum(gradient, 0.0), 0.0)
     above = np.where(x == program.upper, np.maximum(-gradient, 0.0), 0.0)
     yield point._replace(x=x, multipliers=Multipliers(y[:m], y[m:], below, above))
@@ -90,15 +91,17 @@ def _solver(P: Any, C: Any) -> Callable[[FloatVector], FloatVector] | None:
     rows_of_P, rows_of_C = (np.repeat(np.arange(one.shape[0]), np.diff(one.indptr)) for one in (P, C))
     for rows, found in ((rows_of_P, entries), (n + rows_of_C, C.data), (C.indices, C.data)):
         np.maximum.at(size, rows, np.abs(found))
-    # Columns of the upper triangle are rows of the lower one: those of P, and of C.
-    lower = columns <= rows_of_P
-    ends = np.concatenate([np.cumsum(np.append(0, lower))[begins], np.count_nonzero(lower) + C.indptr[1:]])
-    upper = sp.csc_matrix(
-        (np.append(entries[lower], C.data), np.append(columns[lower], C.indices), ends), shape=(n + m, n + m)
-    )
-    shift = sp.diags_array(SHIFT * signs * np.where(size > 0.0, size, 1.0))
+    # Columns of the upper triangle are rows of the lower one, those of P and of C, each with its diagonal entry last.
+    below = columns < rows_of_P
+    ends = np.append(np.cumsum(np.append(0, below))[begins[1:]], np.count_nonzero(below) + C.indptr[1:])
+    diagonal = np.append(P.diagonal(), np.zeros(m)) + SHIFT * signs * np.where(size > 0.0, size, 1.0)
+    upper = sp.csc_matrix((
+        np.insert(np.append(entries[below], C.data), ends, diagonal),
+        np.insert(np.append(columns[below], C.indices), ends, np.arange(n + m)),
+        np.append(0, ends + np.arange(1, n + m + 1)),
+    ), shape=(n + m, n + m))
     try:
-        solver: Callable[[FloatVector], FloatVector] = qdldl.Solver(sp.csc_matrix(upper + shift), upper=True).solve
+        solver: Callable[[FloatVector], FloatVector] = qdldl.Solver(upper, upper=True).solve
     except RuntimeError:  # a pivot of 0, or no memory
         return None
     return solver

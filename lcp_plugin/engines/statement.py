@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import BoolVector, FloatVector
+from ..core.checks import BoolVector, FloatVector, assembled
 from .engine import Multipliers, Point, Statement
 
 FAR = 1e3  # times the largest of all smaller limits
@@ -135,14 +135,14 @@ def _divided(A: Any, sizes: FloatVector) -> Any:
         return A
     if isinstance(A, np.ndarray):
         return A / sizes[:, np.newaxis]
-    return sp.csr_array((A.data / np.repeat(sizes, np.diff(A.indptr)), A.indices, A.indptr), shape=A.shape)
+    return assembled(A.data / np.repeat(sizes, np.diff(A.indptr)), A.indices, A.indptr, A.shape)
 
 
 def _columns(A: Any, sizes: FloatVector) -> Any:
     """Return A with its columns multiplied by these."""
     if not sp.issparse(A):
         return A * sizes
-    return sp.csr_array((A.data * sizes[A.indices], A.indices, A.indptr), shape=A.shape)
+    return assembled(A.data * sizes[A.indices], A.indices, A.indptr, A.shape)
 
 
 __all__ = ["FAR", "Prepared", "far_limits"]

@@ -51,6 +51,7 @@ SYMMETRIC_WITHIN = 16  # log2: how far rows may leave the diagonal's units to ma
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
 ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding
 LARGEST_UNIT = 300  # log2
+FITTED, MOST_STEPS = 1e-6, 300  # what is left of a fit beside its right-hand side; steps of conjugate gradients
 LARGEST_OFF = 2.0**SPREAD  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
 
 
@@ -421,14 +422,25 @@ def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:
 
 
 def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> FloatVector:
-    """Return s, shape (n,), for which ratio_k + s_column − s_row is about 0 in the least squares sense."""
-    rhs: Any = np.bincount(rows, ratios, n) - np.bincount(columns, ratios, n)
-    degree: Any = np.bincount(rows, minlength=n) + np.bincount(columns, minlength=n)
-    from scipy.sparse.linalg import LinearOperator, cg
+    """Return s, shape (n,), for which ratio_k + s_column − s_row is about 0 in the least squares sense.
 
-    weights = np.where(degree > 0, degree, 1).astype(np.float64)
-    pattern = sp.csr_array((np.ones(rows.size), (rows, columns)), shape=(n, n))
-    transposed = pattern.T.tocsr()
-    graph = LinearOperator((n, n), matvec=lambda x: degree * x - pattern @ x - transposed @ x)
-    jacobi = LinearOperator((n, n), matvec=lambda x: x / weights)
-    return np.asarray(cg(graph, rhs, rtol=1e-6, maxiter=300, M=jacobi)[0])
+    By conjugate gradients, preconditioned with the diagonal, on the Laplacian of the graph of all k.
+    """
+    right: Any = np.bincount(rows, ratios, n) - np.bincount(columns, ratios, n)
+    degree: Any = np.bincount(rows, minlength=n) + np.bincount(columns, minlength=n)
+    weights, found = np.where(degree > 0, degree, 1).astype(np.float64), np.zeros(n)
+    edges = sp.csr_array((np.ones(rows.size), (rows, columns)), shape=(n, n))
+    back = edges.T
+    residual, direction, before = right, np.zeros(n), 1.0
+    least = FITTED * float(np.sqrt(right.dot(right)))
+    for _ in range(MOST_STEPS):
+        if np.sqrt(residual.dot(residual)) <= least:
+            break
+        ahead = residual / weights
+        slope = float(residual.dot(ahead))
+        direction = ahead + (slope / before) * direction
+        image = degree * direction - edges @ direction - back @ direction
+        length, before = slope / float(direction.dot(image)), slope
+        found = found + length * direction
+        residual = residual - length * image
+    return found

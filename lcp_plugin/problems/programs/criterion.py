@@ -33,6 +33,7 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, all_hold, are_no_limits
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import largest_in_rows
+from ...core.matrix.structure import row_numbers
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -72,17 +73,29 @@ class Errors(NamedTuple):
     @classmethod
     def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
         """Return the errors of x and of the multipliers of all constraints."""
+        found = cls.beside_own_terms(program, x, multipliers)
+        if found.largest <= NO_EXCUSE:
+            return found
+        return cls._measured(program, x, multipliers, is_beside_own=False)
+
+    @classmethod
+    def beside_own_terms(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
+        """Return the same beside the own terms of rows and columns alone: bounds of the errors from above."""
+        return cls._measured(program, x, multipliers, is_beside_own=True)
+
+    @classmethod
+    def _measured(
+        cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector, *, is_beside_own: bool
+    ) -> Errors:
         m, p, n, _ = program.matrices.sizes
         limits = np.concatenate([program.h, program.b]) if p else program.h
-        vectors = program.c, limits, m, program.lower, program.upper
         split = multipliers[: m + p], multipliers[m + p : m + p + n], multipliers[m + p + n :]
         with np.errstate(all="ignore"):
             terms = Terms.of(program, x, split[0])
-            found = cls.of_numbers(measured(terms, *vectors, x, *split))
-            if found.largest > NO_EXCUSE:
-                acting = Acting.of(program, terms, x, split)
-                found = cls.of_numbers(measured(terms, *vectors, x, *split, acting))
-        return found
+            acting = None if is_beside_own else Acting.of(program, terms, x, split)
+            return cls.of_numbers(
+                measured(terms, program.c, limits, m, program.lower, program.upper, x, *split, acting)
+            )
 
     @classmethod
     def above(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
@@ -192,16 +205,18 @@ class Terms(NamedTuple):
     @classmethod
     def of_sparse(cls, P: Any, C: sp.csr_array, x: FloatVector, y: FloatVector) -> Terms:
         """Return those of CSR arrays, or of an ndarray P."""
-        transposed = sp.csr_array(C.T)
-        of_rows, of_columns = _times(C, x), _times(transposed, y)
+        numbers, n = row_numbers(C), C.shape[1]
+        of_columns, count = C.data * y[numbers], np.bincount(C.indices, minlength=n)
+        sizes, largest = np.abs(of_columns), np.zeros(n)
+        np.maximum.at(largest, C.indices, sizes)
         if sp.issparse(P):
-            of_P = _sums(_times(P, x))
+            of_P = _sums(P.data * x[P.indices], P, row_numbers(P))
         else:
             products = P * x
             of_P = products.sum(axis=1), np.abs(products).sum(axis=1), np.abs(products).max(axis=1)
         return cls(
-            *_sums(of_rows), *_sums(of_columns), *of_P,
-            int(max(np.diff(C.indptr).max(initial=0), np.diff(transposed.indptr).max(initial=0), x.size)),
+            *_sums(C.data * x[C.indices], C, numbers), _summed(C.indices, of_columns, n), _summed(C.indices, sizes, n),
+            largest, *of_P, int(max(np.diff(C.indptr).max(initial=0), count.max(initial=0), x.size)),
         )
 
 
@@ -273,13 +288,15 @@ def _pull(A: Any, y: FloatVector) -> Any:
     return y.dot(A) if y.ndim == 1 else np.matmul(y[..., np.newaxis, :], A)[..., 0, :]
 
 
-def _times(A: sp.csr_array, x: FloatVector) -> sp.csr_array:
-    return sp.csr_array((A.data * x[A.indices], A.indices, A.indptr), shape=A.shape)
+def _sums(terms: FloatVector, A: sp.csr_array, rows: Any) -> tuple[Any, Any, FloatVector]:
+    """Return the sums of the terms in each row of A, those of their sizes, and the largest size."""
+    sizes, m = np.abs(terms), A.shape[0]
+    return _summed(rows, terms, m), _summed(rows, sizes, m), largest_in_rows(A, sizes)
 
 
-def _sums(A: sp.csr_array) -> tuple[FloatVector, FloatVector, FloatVector]:
-    one = np.ones(A.shape[1])
-    return A @ one, abs(A) @ one, largest_in_rows(A)
+def _summed(places: Any, terms: FloatVector, count: int) -> Any:
+    """Return the sums of the terms of each place: doubles, of no terms as well."""
+    return np.bincount(places, terms, count) + 0.0
 
 
 def measured(

@@ -9,7 +9,7 @@ all others are left out and the engine is asked again; those that its answer bre
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import chain, islice
+from itertools import chain, islice, product
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from ...engines.polish import polished
 from ...engines.statement import Prepared, far_limits
 from .convexity import refuse_nonconvex
 from .criterion import Errors, program_goal
+from .no_minimum import QPInfeasibility, QPUnboundedness
 from .program import QuadraticProgram
 from .program_matrices import as_csr
 from .reductions import FoldedRows, Reduction
@@ -64,6 +65,17 @@ class EngineRun(NamedTuple):
     contradicts: bool
     is_sure: bool = False
 
+    def proof(self, goal: float) -> QPInfeasibility | QPUnboundedness | None:
+        """Return a proof that beats the solution, looked for where it is not sure that there is none.
+
+        Of a contradiction only where the solution is not optimal, or the engine has called the program infeasible.
+        """
+        solution, facts = self.solution, self.solution.program.facts
+        is_met = self.is_optimal and (self.says is not Hint.INFEASIBLE or solution.holds_surely(goal))
+        if self.is_sure or solution.is_sure(goal) or (is_met and solution.balances_surely(goal)):
+            return None
+        return facts.accepted_proof(goal, is_met=is_met)
+
 
 def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
     """Yield the engines that auto asks, the quickest first; none where bounds are all that holds x.
@@ -100,11 +112,13 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | None:
         return None
     with np.errstate(all="ignore"):
         point = engine.answer(_statement(program, is_dense=True), Limits(seconds_left()))
-        for near in chain([point], without_noise(point)):
+        for measure, near in product((Errors.above, Errors.beside_own_terms), [point, *without_noise(point)]):
             x, y = near.x, np.concatenate(near.multipliers)
             if not are_no_limits(program.lower, program.upper):
                 x = np.clip(x, program.lower, program.upper)
-            errors = Errors.above(program, x, y)
+            if not (np.isfinite(x).all() and np.isfinite(y).all()):
+                break
+            errors = measure(program, x, y)
             if errors.meet(goal) and errors.are_sure(goal):
                 stage = StageRecord(engine.name, engine.solves, point.iterations, 0.0)
                 return EngineRun(QPSolution.of_rows(program, x, y), point.says, stage, True, False, True)
@@ -182,7 +196,7 @@ def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Ite
 
 
 def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose: bool) -> Iterator[Answered]:
-    """Yield the point of an engine and what becomes of it: of an active set method first as it came.
+    """Yield the point of an engine and what becomes of it, first the polished one, in which what is 0 is 0.
 
     Where the engine has only a word and no point, no solution either.
     """
@@ -205,7 +219,7 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
             yield None, point
         return
     cases = polished(prepared.statement, point)
-    first = [] if engine.ends_with_a_case or is_over() else list(islice(cases, 1))
+    first = [] if is_over() else list(islice(cases, 1))
     steps = point.iterations
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])

@@ -20,7 +20,7 @@ from .convexity import LARGEST_CHECKED, negative_curvature
 
 FEW = 500  # unknowns and rows, of whose terms the sum says as much as the largest
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
-SPARSE, SPARSE_UP_TO = 0.3, 2e7  # share of entries; multiplications that sparse factors take more quickly
+SPARSE, SPARSE_UP_TO = 0.3, 1e7  # share of entries; multiplications that sparse factors take more quickly
 Indices = NDArray[np.intp]
 T = TypeVar("T")
 

@@ -170,6 +170,13 @@ class QPSolution:
         """
         return self._errors.are_sure(tolerance) or (self.is_stationary(tolerance) and self.program.facts.falls_nowhere)
 
+    def balances_surely(self, tolerance: float = 1e-6) -> bool:
+        """Return whether the multipliers balance the gradient so well that no proof of endless descent may beat it.
+
+        Along a direction d of descent Pd = 0 and all constraints hold: cᵀd ≥ 0 whatever slack there is.
+        """
+        return bool(self._errors.dual <= SURE * tolerance) or self.program.facts.falls_nowhere
+
     def holds_surely(self, tolerance: float = 1e-6) -> bool:
         """Return whether x holds all constraints so well that no proof of a contradiction may beat it."""
         return bool(self._errors.primal <= SURE * tolerance)

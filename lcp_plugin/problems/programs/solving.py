@@ -307,8 +307,8 @@ def _by_engines(
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
     with _limit(options):
         by, found = _at_once(program, goal, options)
-        if isinstance(found, EngineRun) and prove_infeasibility and not (found.is_sure or found.solution.is_sure(goal)):
-            found = program.facts.accepted_proof(goal, is_met=found.solution.holds_surely(goal)) or found
+        if isinstance(found, EngineRun) and prove_infeasibility:
+            found = found.proof(goal) or found
     if isinstance(found, EngineRun):
         history = _two_samples(by, found, clock.read()) if options.get("record") else ()
         status = Status.STALLED if found.contradicts else Status.SOLVED
@@ -345,8 +345,8 @@ def _solved_by_engine(
     with time_limit(min(settings.max_seconds, seconds_left())):
         run = run_engine(program, engine, goal, is_verbose=settings.verbose)
         is_optimal, proof = run.is_optimal, None
-        if settings.prove_infeasibility and not run.solution.is_sure(goal):
-            proof = program.facts.accepted_proof(goal, is_met=is_optimal and run.solution.holds_surely(goal))
+        if settings.prove_infeasibility:
+            proof = run.proof(goal)
     is_nearly = run.says is Hint.OPTIMAL and run.solution.is_minimal(max(goal, NEARLY))
     is_nearly |= not is_optimal and _contradicts_by_rounding(program)
     why = Status.STALLED

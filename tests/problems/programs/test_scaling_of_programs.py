@@ -10,7 +10,11 @@ import pytest
 from campaigns import convex_programs, scaled_programs
 
 from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve
+from lcp_plugin.core.solving.result import StageRecord
+from lcp_plugin.engines import Hint
 from lcp_plugin.problems.batches.batch import solve_batch
+from lcp_plugin.problems.programs.engine_calls import EngineRun
+from lcp_plugin.problems.programs.no_minimum import QPUnboundedness
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.stacked_programs import QuadraticProgramBatch
 
@@ -180,6 +184,27 @@ def test_what_falls_nowhere_needs_no_proof(diagonal: list[float], lower: Any, up
     assert nearly.is_stationary()
     assert program.facts.falls_nowhere is expected
     assert nearly.is_sure() is expected
+
+@pytest.mark.parametrize(("says", "looked_for"), [(Hint.OPTIMAL, set()), (Hint.INFEASIBLE, {"_proof"})])
+def test_an_optimal_answer_asks_for_no_proof_of_a_contradiction(says: Hint, looked_for: set[str]) -> None:
+    """Its constraints hold to 1e-8, and its gradient is 0: a contradiction is looked for where an engine calls one."""
+    program = QuadraticProgram(None, [1.0, 0.0], A=[[1.0, 1.0]], b=[2.0], lower=0.0)
+    x, y = np.array([0.0, 2.0 * (1.0 + 1e-8)]), np.array([0.0, 1.0, 0.0, 0.0, 0.0])
+    solution = QPSolution.of_rows(program, x, y)
+    assert solution.is_stationary()
+    assert not solution.is_sure()
+    run = EngineRun(solution, says, StageRecord("", "", 0, 0.0), True, False)
+    assert run.proof(1e-6) is None
+    assert {"_proof", "proof_of_descent"} & set(program.facts.__dict__) == looked_for
+
+
+def test_a_slope_within_the_tolerance_is_looked_at() -> None:
+    """−1e-8 (x − y) along x = y: stationary to the tolerance, and a proof of endless descent beats it."""
+    program = QuadraticProgram(None, [1.0, -1.0 - 1e-8], A=[[1.0, -1.0]], b=[0.0])
+    solution = QPSolution.of_rows(program, np.zeros(2), np.array([-1.0, 0.0, 0.0, 0.0, 0.0]))
+    assert solution.is_stationary()
+    run = EngineRun(solution, Hint.OPTIMAL, StageRecord("", "", 0, 0.0), True, False)
+    assert isinstance(run.proof(1e-6), QPUnboundedness)
 
 
 @pytest.mark.parametrize("exponent", [-40, -35, 35, 40])

@@ -73,10 +73,13 @@ class Errors(NamedTuple):
     @classmethod
     def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
         """Return the errors of x and of the multipliers of all constraints."""
-        found = cls.beside_own_terms(program, x, multipliers)
-        if found.largest <= NO_EXCUSE:
-            return found
-        return cls._measured(program, x, multipliers, is_beside_own=False)
+        return cls.beside_own_terms(program, x, multipliers).or_excused(program, x, multipliers)
+
+    def or_excused(self, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
+        """Return these errors beside own terms; where they are not tiny, the same beside what acts as well."""
+        if self.largest <= NO_EXCUSE:
+            return self
+        return self._measured(program, x, multipliers, is_beside_own=False)
 
     @classmethod
     def beside_own_terms(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:

@@ -156,8 +156,10 @@ def run_engine(
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         for solution, point in islice(_answers(program, engine, is_verbose), points):
             iterations, says = iterations + point.iterations, point.says
-            if solution is not None and (best is None or solution.error < best.error):
-                best, is_optimal = solution, solution.is_minimal(goal)
+            if solution is not None:
+                is_optimal = solution.is_minimal(goal)
+                if is_optimal or best is None or solution.error < best.error:
+                    best = solution
             if is_optimal or is_over():
                 break
             if says is Hint.INFEASIBLE and (contradicts := program.facts.sees_contradiction(goal, point.multipliers)):

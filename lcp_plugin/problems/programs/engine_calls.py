@@ -107,7 +107,8 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | None:
 
     Most small programs end here, in half the time that others take to begin.
     """
-    engine = next(engines_for(program), None) if program.matrices.is_judged_by_sums else None
+    is_asked = program.n and program.matrices.is_judged_by_sums
+    engine = next(engines_for(program), None) if is_asked else None
     if engine is None or not engine.ends_with_a_case or program.matrices.negative_curvature:
         return None
     with np.errstate(all="ignore"):

@@ -308,3 +308,11 @@ def test_bounds_of_the_errors_are_none_less_and_small_at_an_answer(seed: int) ->
         exact, above = Errors.of(program, x, y), Errors.above(program, x, y)
         assert (np.array(above) >= exact).all()
         assert size > 0.0 or program.h.size + program.b.size == 0 or above.largest < 1e-9 or exact.largest > 1e-12
+
+
+@pytest.mark.parametrize(("h", "status"), [(1.0, Status.SOLVED), (-1.0, Status.INFEASIBLE)])
+def test_rows_without_unknowns_hold_or_do_not_under_a_limit_of_seconds(h: float, status: Status) -> None:
+    """0 ≤ 1 is solved and 0 ≤ −1 is not, although no engine takes a program without unknowns."""
+    program = QuadraticProgram(np.zeros((0, 0)), np.zeros(0), G=np.zeros((1, 0)), h=[h])
+    assert solve(program, max_seconds=10.0).status is status
+    assert solve(program).status is status

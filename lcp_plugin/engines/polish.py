@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector
+from ..core.checks import BoolVector, FloatVector, assembled
+from ..core.matrix.structure import row_numbers
 from .engine import Multipliers, Point, Statement
 
 STEPS = 5
@@ -45,31 +46,51 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
     (array([2.]), array([1.]))
     """
     lower, upper, m = program.lower, program.upper, program.h.size
-    both = [program.G, program.A]
-    rows = sp.csr_array(sp.vstack(both)) if sp.issparse(program.G) else np.vstack(both)
+    rows = _stacked(program.G, program.A)
     right, given = np.concatenate([program.h, program.b]), point.multipliers
     x, y, pull = np.clip(point.x, lower, upper), np.concatenate(given[:2]), given.upper - given.lower
     at_upper = pull > upper - x
     at_lower = (-pull > x - lower) & ~at_upper | (lower == upper)
     acts = np.append(y[:m] > np.abs(right[:m] - program.G @ x), np.ones(right.size - m, np.bool_))
-    acting, free = rows[np.flatnonzero(acts)], np.flatnonzero(~(at_lower | at_upper))
-    is_whole, transposed = free.size == x.size, rows.T
-    if (solve := _solver(*((program.P, acting) if is_whole else (program.P[free][:, free], acting[:, free])))) is None:
+    free, transposed = ~(at_lower | at_upper), rows.T
+    if (solve := _solver(_block(program.P, free, free), _block(rows, acts, free))) is None:
         return
+    moved = np.count_nonzero(free)
     x, y = np.where(at_lower, lower, np.where(at_upper, upper, x)), np.where(acts, y, 0.0)
     for _ in range(STEPS):
         gradient = program.P @ x + program.c + transposed @ y
-        step = solve(np.concatenate([-gradient[free], right[acts] - acting @ x]))
+        step = solve(np.concatenate([-gradient[free], (right - rows @ x)[acts]]))
         if not np.isfinite(step).all():
             return
-        x[free] += step[: free.size]
-        y[acts] += step[free.size :]
+        x[free] += step[:moved]
+        y[acts] += step[moved:]
     # Multipliers of bounds take what the gradient leaves there.
     x, y = np.clip(x, lower, upper), np.append(np.maximum(y[:m], 0.0), y[m:])
     gradient = program.P @ x + program.c + transposed @ y
     below = np.where(x == program.lower, np.maximum(gradient, 0.0), 0.0)
     above = np.where(x == program.upper, np.maximum(-gradient, 0.0), 0.0)
     yield point._replace(x=x, multipliers=Multipliers(y[:m], y[m:], below, above))
+
+
+def _stacked(G: Any, A: Any) -> Any:
+    """Return G above A; of sparse arrays, in a fifth of scipy's time."""
+    if not sp.issparse(G):
+        return np.vstack([G, A])
+    if not A.shape[0]:
+        return G
+    entries, places = np.append(G.data, A.data), np.append(G.indices, A.indices)
+    return assembled(entries, places, np.append(G.indptr, G.nnz + A.indptr[1:]), (G.shape[0] + A.shape[0], A.shape[1]))
+
+
+def _block(A: Any, is_row: BoolVector, is_column: BoolVector) -> Any:
+    """Return some rows and columns."""
+    if not sp.issparse(A):
+        return A[is_row][:, is_column]
+    rows, number = row_numbers(A), np.cumsum(is_column) - 1
+    kept = is_row[rows] & is_column[A.indices]
+    counts = np.bincount(rows[kept], minlength=A.shape[0])[is_row]
+    shape = counts.size, int(np.count_nonzero(is_column))
+    return assembled(A.data[kept], number[A.indices[kept]], np.append(0, np.cumsum(counts)), shape)
 
 
 def _solver(P: Any, C: Any) -> Callable[[FloatVector], FloatVector] | None:

@@ -16,7 +16,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from ...core.rounding import read_only_views
 from ...systems.factors import factor_fits, factorise
 from .data import Blocks
 
@@ -71,7 +70,7 @@ class CentralPath:
             return None
         indptr, indices = np.empty_like(M.indptr), np.empty_like(M.indices)
         newton_rows(
-            self.problem.starts, by_z, self.identity, *read_only_views(M.indptr, M.indices, M.data), np.zeros(len(x)),
+            self.problem.starts, by_z, self.identity, M.indptr, M.indices, M.data, np.zeros(len(x)),
             np.arange(x.size), indptr, indices, self.entries,
         )
         J = sp.csr_array((self.entries, indices, indptr), shape=M.shape)

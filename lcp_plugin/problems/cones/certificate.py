@@ -27,7 +27,7 @@ from ...core.certificates.row_residuals import over, rounding_floor
 from ...core.checks import FloatVector, read_only
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
-from ...core.rounding import compensated_product, read_only_views
+from ...core.rounding import compensated_product, fresh_copies, read_only_views
 from .data import Blocks
 
 
@@ -102,7 +102,7 @@ class ConeCertificate(Certificate):
 
         cones, (w, slip) = self.cones, self._product
         least, most = np.empty((2, cones.slope.size))
-        bounds(*cones.arrays, *read_only_views(self.point, w, slip, scale), least, most)
+        bounds(*cones.arrays, *fresh_copies(self.point, w, slip, scale), least, most)
         if not cones.has_friction:  # 0 and a slack on the boundary of the dual cone, exactly
             for k in np.flatnonzero((most > 0.0) & (self.z == 0.0) & (cones.sizes > 1) & (cones.norms(slip) == 0.0)):
                 own = [Fraction(value) for value in w[cones.starts[k]:cones.starts[k + 1]].tolist()]
@@ -121,8 +121,9 @@ class ConeCertificate(Certificate):
         cones, several = self.cones, connected_components(self.problem.matrix)
         M, wrong = cones.rows.csr, np.empty(cones.slope.size)
         labels = np.zeros(wrong.size, np.int64) if several is None else several.labels
-        vectors = cones.q, cones.scale, labels, self.point, self.velocity
-        term_residuals(*cones.arrays, *read_only_views(M.indptr, M.indices, M.data, *vectors), wrong)
+        vectors = fresh_copies(cones.scale, labels, self.point, self.velocity)
+        of_rows = *fresh_copies(M.indptr, M.indices, M.data), *read_only_views(cones.q)
+        term_residuals(*cones.arrays, *of_rows, *vectors, wrong)
         return np.where(self._scaled_ends[1] == 0.0, 0.0, wrong)
 
     @cached_property

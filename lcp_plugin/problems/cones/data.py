@@ -30,7 +30,7 @@ from ...core.kind import Kind
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 from ...core.representation import in_words
-from ...core.rounding import read_only_views
+from ...core.rounding import fresh_copies, read_only_views
 from . import CONE_PROBLEM
 
 CONES = ("free", "nonnegative", "box", "second_order")
@@ -151,7 +151,7 @@ class Blocks:
 
         found, cases = np.empty(self.n), np.empty(self.slope.size, np.int64)
         scale = self.scale if scale is None else scale
-        residuals(*self.arrays, *read_only_views(z, w, scale), found, cases)
+        residuals(*self.arrays, *fresh_copies(z, w, scale), found, cases)
         return found, cases
 
     @property
@@ -285,17 +285,13 @@ def _closed(problem: Blocks) -> tuple[Any, Matrix]:
 
     M, n, k = problem.rows.csr, problem.n, problem.slope.size
     index = M.indices.dtype
-    starts, of_row, indptr, indices, data = read_only_views(
-        problem.starts, problem.block_of_row, M.indptr, M.indices, M.data
-    )
+    starts, indptr, indices, data = read_only_views(problem.starts, M.indptr, M.indices, M.data)
+    (of_row,) = fresh_copies(problem.block_of_row)
     begins, closed_indptr = np.empty(k + 1, index), np.empty(n + 1, index)
     count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
     others, norms = np.empty(begins[-1], index), np.empty(begins[-1])
     closed_indices, closed = np.empty(closed_indptr[-1], index), np.empty(closed_indptr[-1])
-    fill_blocks(
-        starts, of_row, indptr, indices, data, *read_only_views(begins), others, norms,
-        *read_only_views(closed_indptr), closed_indices, closed,
-    )
+    fill_blocks(starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed)
     return (
         sp.csr_array((closed, closed_indices, closed_indptr), shape=(n, n)),
         Matrix(sp.csr_array((norms, others, begins), shape=(k, k))),

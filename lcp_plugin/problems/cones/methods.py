@@ -15,7 +15,7 @@ from ...core.algorithm import Algorithm, Step, check_positive
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix.matrix import fact
-from ...core.rounding import read_only_views
+from ...core.rounding import fresh_copies, read_only_views
 from ...systems.factors import factor_fits, factorise
 from .central_path import CentralPath
 from .certificate import criterion_of, relative_residual
@@ -197,9 +197,8 @@ class NewtonSystem:
         self.by_z, self.by_w = np.empty((k, m, m)), np.empty((k, m, m))
         self.entries, self.indices = np.empty(self.M.nnz), np.empty(self.M.nnz, self.M.indices.dtype)
         self.known = (
-            *problem.arrays,
-            *read_only_views(self.M.indptr, self.M.indices, self.M.data, problem.q, problem.scale),
-            read_only_views(criterion_of(problem).weights)[0],
+            *problem.arrays, self.M.indptr, self.M.indices, self.M.data, *read_only_views(problem.q),
+            *fresh_copies(problem.scale, criterion_of(problem).weights),
         )
 
     def measured(self, z: FloatVector) -> tuple[FloatVector, FloatVector, float, float]:
@@ -207,7 +206,7 @@ class NewtonSystem:
         from .kernels import measured
 
         w, R = np.empty(z.size), np.empty(z.size)
-        return w, R, *measured(*self.known, *read_only_views(z), w, R)
+        return w, R, *measured(*self.known, *fresh_copies(z), w, R)
 
     def step(
         self, z: FloatVector, w: FloatVector, R: FloatVector, proximal: float
@@ -238,7 +237,7 @@ class NewtonSystem:
         from .kernels import derivatives, newton_rows
 
         problem, M = self.problem, self.M
-        derivatives(*problem.arrays, *read_only_views(z, w, problem.scale), self.by_z, self.by_w)
+        derivatives(*problem.arrays, *fresh_copies(z, w, problem.scale), self.by_z, self.by_w)
         is_free: Any = self.by_w.any(axis=(1, 2))
         rows = np.flatnonzero(is_free[problem.block_of_row])
         place, indptr = np.full(problem.n, -1), np.empty(rows.size + 1, M.indptr.dtype)

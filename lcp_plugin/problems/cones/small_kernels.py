@@ -230,7 +230,7 @@ def solve_each(  # type: ignore[no-untyped-def]
     blocks, n, m = starts.size - 1, offsets.shape[1], 1
     for k in range(blocks):
         m = max(m, starts[k + 1] - starts[k])
-    indptr, indices, data = np.empty(n + 1, np.int64), np.empty(n * n, np.int64), np.empty(n * n)
+    indptr, indices, data = np.empty(n + 1, np.int32), np.empty(n * n, np.int32), np.empty(n * n)
     diagonal, norms, labels = np.empty((blocks, m, m)), np.empty((blocks, blocks)), np.empty(blocks, np.int64)
     steps, scale, reference, weights = np.empty(blocks), np.empty(blocks), np.empty(blocks), np.empty(blocks)
     least, most, sizes = np.empty(blocks), np.empty(blocks), np.empty(memory)

@@ -388,10 +388,10 @@ def solve_step(  # type: ignore[no-untyped-def]
     of_row = np.empty(n, np.int64)
     for k in range(blocks):
         of_row[starts[k]:starts[k + 1]] = k
-    begins, closed_indptr = np.empty(blocks + 1, np.int64), np.empty(n + 1, np.int64)
+    begins, closed_indptr = np.empty(blocks + 1, indices.dtype), np.empty(n + 1, indices.dtype)
     count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
-    others, norms = np.empty(begins[blocks], np.int64), np.empty(begins[blocks])
-    closed_indices, closed = np.empty(closed_indptr[n], np.int64), np.empty(closed_indptr[n])
+    others, norms = np.empty(begins[blocks], indices.dtype), np.empty(begins[blocks])
+    closed_indices, closed = np.empty(closed_indptr[n], indices.dtype), np.empty(closed_indptr[n])
     fill_blocks(starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed)
     m = 1
     for k in range(blocks):

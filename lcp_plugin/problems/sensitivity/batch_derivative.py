@@ -70,7 +70,8 @@ class BatchPart(Linearised):
     def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
         from .kernels import solve_all
 
-        x, data = np.empty(self.z.shape), (self.group.M, self.side, read_only(np.array(right)), transposed)
+        M = read_only(np.ascontiguousarray(self.group.M.swapaxes(1, 2))) if transposed else self.group.M
+        x, data = np.empty(self.z.shape), (M, self.side, read_only(np.array(right)))
         in_chunks(lambda first, end: solve_all(*data, first, end, x, self.is_plain), len(x), self.threads)
         singular = np.flatnonzero(self.is_plain & np.isnan(x[:, 0]))
         if transposed and singular.size:

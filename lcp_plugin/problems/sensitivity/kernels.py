@@ -161,12 +161,11 @@ def _solved(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped
 
 
 @kernel
-def solve_all(M, side, right, is_transposed, first, end, x, is_plain):  # type: ignore[no-untyped-def]
-    """Write the solutions of M_FF x = right_F, or of the transposed system, 0 in held rows; NaN where there is none."""
+def solve_all(M, side, right, first, end, x, is_plain):  # type: ignore[no-untyped-def]
+    """Write the solutions of M_FF x = right_F, 0 in held rows; NaN where there is none."""
     n = M.shape[1]
     of_real, of_whole, of_matrix = sizes(n)
     real, whole, matrix = np.empty(of_real), np.empty(of_whole, np.int64), np.empty(of_matrix)
-    turned = np.empty((1, n, n))
     for k in range(first, end):
         for i in range(n):
             real[Q, i], real[LOWER, i], real[UPPER, i] = -right[k, i], 0.0, 0.0
@@ -174,12 +173,6 @@ def solve_all(M, side, right, is_transposed, first, end, x, is_plain):  # type: 
         if not is_plain[k]:
             continue
         of = k if M.shape[0] > 1 else 0
-        if is_transposed:
-            for i in range(n):
-                for j in range(n):
-                    turned[0, j, i] = M[of, i, j]
-            is_solved = _solved(turned, 0, real, whole, matrix, look_at(turned, 0, real)[3])
-        else:
-            is_solved = _solved(M, of, real, whole, matrix, look_at(M, of, real)[3])
+        is_solved = _solved(M, of, real, whole, matrix, look_at(M, of, real)[3])
         for i in range(n if is_solved else 0):
             x[k, i] = real[FOUND, i]

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.certificates.criterion import within
-from ...core.checks import FloatVector, canonical_csr, read_only
+from ...core.checks import FloatVector, read_only
 from ...core.matrix.matrix import fact
 from ...core.rounding import read_only_views
 from ...core.settings import Settings
@@ -146,10 +146,8 @@ def solve_contacts(problem: Blocks, settings: Settings, *, start: FloatVector) -
 
 @fact
 def _rows_of_bodies(problem: Any) -> tuple[Any, ...]:
-    """Return the mass matrix and the rows of the bodies as arrays of CSR, read-only, with indices as of M."""
-    parts = [canonical_csr(sp.csr_array(part), name) for part, name in
-             ((problem.bodies.mass, "the mass matrix"), (problem.bodies.rows, "rows"))]
-    index = problem.rows.csr.indices.dtype
+    """Return the mass matrix and the rows of the bodies, checked where they were stated, as arrays of CSR."""
+    parts, index = map(sp.csr_array, (problem.bodies.mass, problem.bodies.rows)), problem.rows.csr.indices.dtype
     return tuple(read_only_views(*(array for part in parts for array in (
         part.indptr.astype(index, copy=False), part.indices.astype(index, copy=False), part.data))))
 

@@ -34,6 +34,7 @@ from ...core.checks import FloatVector, all_hold, are_no_limits
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.structure import row_numbers
+from ...core.rounding import compensated_product
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -97,7 +98,7 @@ class Errors(NamedTuple):
             terms = Terms.of(program, x, split[0])
             acting = None if is_beside_own else Acting.of(program, terms, x, split)
             return cls.of_numbers(
-                measured(terms, program.c, limits, m, program.lower, program.upper, x, *split, acting)
+                measured(terms, program.c, limits, m, program.lower, program.upper, x, *split, acting, program.P)
             )
 
     @classmethod
@@ -305,6 +306,7 @@ def _summed(places: Any, terms: FloatVector, count: int) -> Any:
 def measured(
     terms: Terms, c: FloatVector, d: FloatVector, m: int, lower: FloatVector, upper: FloatVector,
     x: FloatVector, y: FloatVector, of_lower: FloatVector, of_upper: FloatVector, acting: Acting | None = None,
+    P: Any = None,
 ) -> Errors:
     """Return the three measures of one program, or, by arrays with one axis more, of a batch.
 
@@ -320,6 +322,9 @@ def measured(
         The point and its multipliers, those of inequalities and of bounds ≥ 0 where they are right.
     acting : Acting, optional
         Without it rows and columns are measured beside their own terms alone.
+    P : array, optional
+        Of one program: P x is computed again, exactly, where its rounding might hide a cost. Without it that counts
+        in full.
     """
     rounding = 2.0 * (terms.summands + 4) * EPSILON
     value, row_size, size = terms.value, terms.size, terms.largest
@@ -356,14 +361,19 @@ def measured(
     of_ahead = np.abs(ahead)
     gap = _inner(of_y, np.maximum(off - margin, 0.0) / one) + _inner(of_ahead, np.maximum(left - blur, 0.0))
     linear, hidden = _inner(cost, of_ahead), rounding * _inner(of_ahead, terms.product_size)
-    # Far along P d = 0 the rounding of P x hides any cost, if there is one.
-    gap = gap + hidden * ((hidden > linear) & (linear > 0.0))
+    objective = linear + 1.5 * abs(_inner(ahead, terms.product))
+    # Far along P d = 0 the rounding of P x may hide a cost, if there is one.
+    may_hide = (hidden > NO_EXCUSE * objective) & (linear > 0.0)
+    if P is not None and may_hide:
+        product, radius = compensated_product(sp.csr_array(P), x)
+        gradient = product + terms.pull + c + sum(sign * of for sign, of, *_ in of_bounds)
+        hidden = np.fmin(hidden, _inner(of_ahead, np.minimum(np.abs(gradient), rounding * terms.product_size) + radius))
+    gap = gap + hidden * may_hide
     for _, of, of_bound, bound in of_bounds:
         has = np.isfinite(bound)
         wrongs.append(_beside(np.where(has & (of >= 0.0), 0.0, of_bound), 0.0 if acting is None else acting.column))
         slack = np.abs(x - np.where(has, bound, 0.0)) / one
         gap = gap + total(np.where(has & (of_bound != 0.0), of_bound * slack, 0.0), -1)
-    objective = linear + 1.5 * abs(_inner(ahead, terms.product))
     return Errors(primal, _largest(*wrongs), gap / (objective + SMALLEST))
 
 

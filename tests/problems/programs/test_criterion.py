@@ -143,3 +143,14 @@ def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
     program, x, multipliers = FELL[name]
     errors = Errors.of(program, np.array(x, np.float64), np.array(multipliers, np.float64))
     assert errors.largest > 10.0 * program_goal(1e-8), errors
+
+
+@pytest.mark.parametrize("limit", [1e9, 1e11, 1e12, 1e14, 1e17])
+def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
+    """P d = 0 exactly and a far row alone holds x along d: the value is right to 1e-6, by fractions, or is none."""
+    P, c = [[2.691650390625, 0.41015625], [0.41015625, 0.0625]], [-0.984375, -0.171875]
+    G = [[-1.296875, 0.015625], [-0.03125, -0.296875]]
+    for algorithm in ("auto", "piqp", "daqp", "interior_point"):
+        result = solve(QuadraticProgram(P, c, G=G, h=[limit, 1.0]), algorithm)
+        is_right = abs(result.objective / (-1.0258199581297976e-1 * limit) - 1.0) <= 1e-6
+        assert is_right or not result.is_solved, algorithm

@@ -272,6 +272,8 @@ class FrictionalContactBatch:
         return len(self.b)
 
     def __getitem__(self, i: int) -> FrictionalContact:
+        if not isinstance(i, int | np.integer):
+            raise TypeError(f"a world is worlds[i], i a whole number, got {i!r}; several are a problem of W[…], b[…]")
         if not -len(self) <= i < len(self):
             raise IndexError(f"there are {len(self)} worlds, and none has the number {i}")
         count = int(self.contacts[i])

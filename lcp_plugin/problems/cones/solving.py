@@ -133,8 +133,9 @@ def _solved(
     is_step = z0 is not None and has_few_bodies(problem)  # one alone does not pay for what is compiled for many
     if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock, is_step=is_step):
         try:
-            found = (solve_contacts(problem, settings, start=start) if is_step
-                     else solve_small([problem], settings, start=z0))
+            found = solve_contacts(problem, settings, start=start) if is_step else None
+            if found is None or not (found.is_proved[0] or problem.n > LARGEST):
+                found = solve_small([problem], settings, start=None if is_step else z0)
             known = None if found.is_proved[0] else _at_rounding_level(problem, found.z[0], settings)
             was_tried = not found.is_proved[0] and known is None
             if not was_tried:

@@ -712,3 +712,18 @@ def test_a_factor_of_blocks_solves_what_a_dense_one_does(seed: int) -> None:
     v = np.linalg.solve(system, dense.T @ moved)
     moved -= np.einsum("kij,kj->ki", K, (dense @ v).reshape(k, 3)).ravel()
     np.testing.assert_allclose(step, moved, atol=1e-10 * np.abs(moved).max())
+
+
+def test_a_bad_start_of_bodies_costs_no_more_than_none() -> None:
+    """Where the loop on velocities fails from a far start, sweeps from no start answer: nothing looks for a proof."""
+    rng = np.random.default_rng(0)
+    B, k = rng.standard_normal((54, 54)), 66
+    rows = np.array([np.linalg.qr(rng.standard_normal((54, 2)))[0].T for _ in range(k)])
+    bodies = (B @ B.T + 5 * np.eye(54), rows[:, 0], rows[:, 1])
+    problem = FrictionalContact.from_contacts(bodies, 0.4, rng.standard_normal(54))
+    near = solve(problem).z
+    for factor in (1.0, 1e3, 1e300):
+        result = solve(problem, z0=near * factor)
+        assert result.is_solved
+        assert "infeasibility" not in result.algorithm
+        np.testing.assert_allclose(result.z, near, atol=1e-7 * np.abs(near).max())

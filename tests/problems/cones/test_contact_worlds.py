@@ -153,3 +153,11 @@ def test_the_name_of_before_still_states_worlds() -> None:
     with pytest.warns(DeprecationWarning, match=r"write FrictionalContact\(W, b, friction\)"):
         before = lcp_plugin.FrictionalContactBatch
     assert type(before(*ONE)) is type(FrictionalContact(*ONE))
+
+
+@pytest.mark.parametrize("index", [slice(0, 1), 0.0, "first"])
+def test_worlds_are_taken_one_by_one(index: Any) -> None:
+    """An index that is no whole number is refused, with what to write."""
+    worlds: Any = FrictionalContact(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
+    with pytest.raises(TypeError, match=r"worlds\[i\], i a whole number"):
+        worlds[index]

@@ -90,7 +90,7 @@ kernels = {
     kernel for name, module in list(sys.modules.items()) if name.startswith("lcp_plugin")
     for kernel in vars(module).values() if isinstance(kernel, Dispatcher) and kernel.stats.cache_path
 }
-print(len(kernels) > 50, *[
+print(len(kernels) > 40, *[
     kernel.py_func.__name__ for kernel in kernels
     if len(kernel.overloads) > len({widths(signature) for signature in kernel.overloads})
 ])

@@ -31,7 +31,7 @@ from .program_matrices import as_csr
 from .reductions import FoldedRows, Reduction
 from .solution import QPSolution
 
-SHARPEST = 4  # points: as it came, and polished, each without its noise and with it
+SHARPEST = 4  # points: as it came, and polished, each with its noise and without
 NOISE = 2.0**-44
 CALLS = 4  # of an engine for one program
 DENSE_AT_LAST = 1500  # unknowns and rows: an active set sees through numbers that steps between the bounds do not
@@ -227,7 +227,7 @@ def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])
     for one in chain(first, [point], cases, at_zero, at_rest(prepared.statement, first or [point])):
-        for near in chain(without_noise(one), [one]):  # what is noise would ask for what acts
+        for near in chain([one], without_noise(one)):
             if (solution := _solution(reduction, prepared, near)) is not None:
                 yield solution, one._replace(iterations=steps)
                 steps = 0

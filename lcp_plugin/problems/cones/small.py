@@ -22,6 +22,7 @@ from .methods import DECREASE, EASIER, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL,
 
 LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
 SMALLEST_STEP = 60  # unknowns: below, a dense system costs as little
+LARGEST_STEP = 1500  # rows: the steps on velocities watch no clock, and are to be over in some tenths of a second
 ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
 FIRST_ROUNDS = 3
 NEWTON_STEPS, LONG_STEPS = 20, 50  # of a run: where all rounds follow, and where the first do
@@ -123,9 +124,9 @@ def run_loop(
 
 
 def has_few_bodies(problem: Blocks) -> bool:
-    """Return whether the velocities of bodies are fewer than the rows of their contacts, which are not very few."""
+    """Return whether the velocities of bodies are fewer than the rows of their contacts, neither very few nor many."""
     bodies = problem.bodies
-    return bodies is not None and problem.n > max(SMALLEST_STEP, bodies.mass.shape[-1])
+    return bodies is not None and max(SMALLEST_STEP, bodies.mass.shape[-1]) < problem.n <= LARGEST_STEP
 
 
 def solve_contacts(problem: Blocks, settings: Settings, *, start: FloatVector) -> LoopAnswers:

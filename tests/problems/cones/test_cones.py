@@ -678,13 +678,15 @@ def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
         assert solve(alone, z0=result.z, max_iterations=0).is_solved
 
 
-def test_the_velocities_of_bodies_are_a_system_of_less_work() -> None:
-    """Of bodies with three times as many contacts a step of Newton takes less work than on W."""
+def test_the_velocities_of_bodies_are_a_system_of_less_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of bodies with three times as many contacts, from a start, a step of Newton takes less work than on W."""
     *contacts, velocities = poured(40, 0)
-    bodies = FrictionalContact(tuple(contacts), velocities, 0.4)
-    found, other = solve(bodies), solve(FrictionalContact(bodies.W, bodies.b, 0.4))
+    problem = FrictionalContact(tuple(contacts), velocities, 0.4)
+    found = solve(problem, z0=np.zeros(problem.n))
+    monkeypatch.setattr("lcp_plugin.problems.cones.small.LARGEST_STEP", 0)
+    other = solve(problem, z0=np.zeros(problem.n))
     assert found.is_solved
-    assert found.work < other.work
+    assert found.work < 0.8 * other.work
 
 
 @pytest.mark.parametrize("seed", range(3))

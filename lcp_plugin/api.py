@@ -89,7 +89,8 @@ def solve(
         ``lemke`` begin with the active set of a z0 whose residual is at most a tenth of that of the default start;
         engines of programs begin anew. Where a start changes nothing, ``explain()`` says so.
     tolerance : float
-        In [0, 1), relative, for every kind. Here SOLVED means that in every connected component of M's graph the
+        In [0, 1), relative, for every kind: 1e-8, of a QuadraticProgram 1e-9, of an EquilibriumProgram 1e-6. Here
+        SOLVED means that in every connected component of M's graph the
         residual of the returned z, rounding included, is at most this times that of the point of [lower, upper] nearest
         to 0, and that no w_i misses its sign by more than √tolerance of its own terms:
         ``help("lcp_plugin.core.certificates.criterion")``.

@@ -17,7 +17,7 @@ from lcp_plugin.engines.statement import Prepared, far_limits
 from lcp_plugin.problems.programs.engine_calls import run_engine
 
 INF = np.inf
-QUADRATIC = [name for name in ENGINES if name != "highs"]
+QUADRATIC = [name for name in ENGINES if not engine_class(name).is_for_linear_alone]
 
 
 def planted(seed: int, n: int = 12, m: int = 9, p: int = 3) -> tuple[QuadraticProgram, Any, float]:

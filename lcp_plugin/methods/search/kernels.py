@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.kernels.compilation import helper, inlined, kernel
+from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL
 from ...core.kernels.rows import residual_of_row
 
@@ -56,92 +56,29 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
     unit, scale, table, origin = np.ones(n), np.ones(n), np.empty((n, n + 1)), np.empty((n, n + 1))
     basic, other, stack = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(2 * n + 2, np.int64)
     root, bounds, reach = np.empty((2, 2 * n)), np.empty((2, 2 * n)), np.empty((2, 2 * n))
-    value, is_decided, size = np.zeros(2 * n), np.empty(n, np.bool_), 0.0
-    for i in range(n):
-        root[0, i], root[1, i] = lower[i], upper[i]
-        root[0, n + i] = 0.0 if upper[i] == np.inf else -np.inf
-        root[1, n + i] = 0.0 if lower[i] == -np.inf else np.inf
-        value[i] = min(max(0.0, lower[i]), upper[i])
-        largest = 0.0
-        for j in range(n):
-            largest = max(largest, abs(M[i, j]))
-        if largest > 0.0:
-            unit[i] = 1.0 / largest
-            scale[i] = M[i, i] if M[i, i] >= NEGLIGIBLE_DIAGONAL * largest else largest
-        basic[i], other[i] = n + i, i
-        for j in range(n):
-            origin[i, j] = table[i, j] = unit[i] * M[i, j]
-        origin[i, n] = table[i, n] = unit[i] * q[i]
-    reference, least = 0.0, np.inf
-    for i in range(n):
-        total = table[i, n]
-        for j in range(n):
-            total += table[i, j] * value[j]
-        size = max(size, abs(total))
-        total /= unit[i] * scale[i]
-        reference = max(reference, abs(residual_of_row(total, value[i], lower[i], upper[i])))
-    allowed = FEASIBLE * size
+    value, is_decided = np.zeros(2 * n), np.empty(n, np.bool_)
+    size, reference = _begin(M, q, lower, upper, unit, scale, table, origin, basic, other, root, value)
+    allowed, least = FEASIBLE * size, np.inf
     tree[0, ROW] = tree[0, PARENT] = tree[0, CHOICE] = -1
     tree[0, IS_CLOSED] = stack[0] = 0
-    top, count, seen, pivots, spent = 1, 1, 0, 0, 0.0
+    top, count, seen, pivots, spent = 1, 1, 0, np.int64(0), 0.0
     while top > 0:
         top -= 1
         case = stack[top]
         seen += 1
         if spent > limit:
             return GAVE_UP, seen, spent, 0.0
-        for x in range(2 * n):
-            bounds[0, x], bounds[1, x] = root[0, x], root[1, x]
-        for i in range(n):
-            is_decided[i] = lower[i] == upper[i] or (lower[i] == -np.inf and upper[i] == np.inf)
-        child = case
-        while tree[child, PARENT] >= 0:
-            i = tree[tree[child, PARENT], ROW]
-            _choose(bounds, i, n, tree[child, CHOICE])
-            is_decided[i] = True
-            child = tree[child, PARENT]
-        for k in range(n):
-            x = other[k]
-            value[x] = min(max(value[x], bounds[0, x]), bounds[1, x])
-        tries = 0
-        while True:
-            if pivots >= RENEWED_AFTER:
-                pivots = 0
-                spent += n * n * (n + 1.0)
-                if not _renewed(table, origin, basic, other, n):
-                    return GAVE_UP, seen, spent, 0.0
-            spent += n * (n + 1.0)
-            row, sign, worst, is_last = NONE, 1.0, allowed, tries > 3 * n
-            for k in range(n):
-                x, total = basic[k], table[k, n]
-                for j in range(n):
-                    total += table[k, j] * value[other[j]]
-                value[x] = total
-                gap = max(bounds[0, x] - total, total - bounds[1, x])
-                if gap > worst and (not is_last or row < 0 or x < basic[row]):
-                    row, sign = k, 1.0 if total < bounds[0, x] else -1.0
-                    worst = allowed if is_last else gap
-            if row < 0:
-                break
-            column, best = NONE, SMALLEST_PIVOT
-            for j in range(n):
-                x, entry = other[j], table[row, j]
-                end = bounds[1, x] if entry * sign > 0.0 else bounds[0, x]
-                if abs(entry) > best and value[x] != end and (not is_last or column < 0 or x < other[column]):
-                    column, best = j, SMALLEST_PIVOT if is_last else abs(entry)
-            if column < 0:
-                _close(M, table, basic, other, bounds, value, row, sign, unit, y[case])
-                tree[case, IS_CLOSED] = 1
-                least = min(least, y[case, n] / (reference * _weight(M, lower, upper, bounds, scale, y[case])))
-                break
-            x = basic[row]
-            value[x] = bounds[0, x] if sign > 0.0 else bounds[1, x]
-            _exchange(table, basic, other, n, row, column)
-            tries, pivots = tries + 1, pivots + 1
-            spent += n * (n + 1.0)
-            if tries > 20 * n + 20:
-                return GAVE_UP, seen, spent, 0.0
-        if row >= 0:
+        _narrow(case, tree, lower, upper, root, bounds, is_decided)
+        outcome, row, sign, pivots, more = _move_within(
+            table, origin, basic, other, bounds, value, allowed, pivots
+        )
+        spent += more
+        if outcome == GAVE_UP:
+            return GAVE_UP, seen, spent, 0.0
+        if outcome == EXCLUDED:
+            _close(M, table, basic, other, bounds, value, row, sign, unit, y[case])
+            tree[case, IS_CLOSED] = 1
+            least = min(least, y[case, n] / (reference * _weight(M, lower, upper, bounds, scale, y[case])))
             continue
         i = _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed, first)
         spent += n * n
@@ -165,7 +102,101 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
     return EXCLUDED, seen, spent, least
 
 
-@inlined
+@helper
+def _begin(M, q, lower, upper, unit, scale, table, origin, basic, other, root, value):  # type: ignore[no-untyped-def]
+    """Write the first tableau, its rows' units and scales, the bounds without a choice, and z nearest to 0.
+
+    Return the largest w there, in the tableau's units, and the largest relative residual.
+    """
+    n, size, reference = q.size, 0.0, 0.0
+    for i in range(n):
+        root[0, i], root[1, i] = lower[i], upper[i]
+        root[0, n + i] = 0.0 if upper[i] == np.inf else -np.inf
+        root[1, n + i] = 0.0 if lower[i] == -np.inf else np.inf
+        value[i] = min(max(0.0, lower[i]), upper[i])
+        basic[i], other[i] = n + i, i
+    for i in range(n):
+        largest = 0.0
+        for j in range(n):
+            largest = max(largest, abs(M[i, j]))
+        if largest > 0.0:
+            unit[i] = 1.0 / largest
+            scale[i] = M[i, i] if M[i, i] >= NEGLIGIBLE_DIAGONAL * largest else largest
+        total = table[i, n] = origin[i, n] = unit[i] * q[i]
+        for j in range(n):
+            table[i, j] = origin[i, j] = unit[i] * M[i, j]
+            total += origin[i, j] * value[j]
+        size = max(size, abs(total))
+        total /= unit[i] * scale[i]
+        reference = max(reference, abs(residual_of_row(total, value[i], lower[i], upper[i])))
+    return size, reference
+
+
+@helper
+def _narrow(case, tree, lower, upper, root, bounds, is_decided):  # type: ignore[no-untyped-def]
+    """Write the bounds that the choices of a case and of those above it leave, and which rows have made theirs."""
+    n = lower.size
+    for x in range(2 * n):
+        bounds[0, x], bounds[1, x] = root[0, x], root[1, x]
+    for i in range(n):
+        is_decided[i] = lower[i] == upper[i] or (lower[i] == -np.inf and upper[i] == np.inf)
+    child = case
+    while tree[child, PARENT] >= 0:
+        i = tree[tree[child, PARENT], ROW]
+        _choose(bounds, i, n, tree[child, CHOICE])
+        is_decided[i] = True
+        child = tree[child, PARENT]
+
+
+@helper
+def _move_within(table, origin, basic, other, bounds, value, allowed, pivots):  # type: ignore[no-untyped-def]
+    """Pivot until the basic variables lie within their bounds, up to `allowed`; after 3 n pivots by Bland's rule.
+
+    Return FOUND; or EXCLUDED with the row of the tableau that contradicts, and +1 where its variable cannot reach the
+    lower bound, −1 for the upper one; or GAVE_UP. Then the pivots since the tableau was computed afresh, and how many
+    of its entries were.
+    """
+    n, spent, tries = basic.size, 0.0, 0
+    for k in range(n):
+        x = other[k]
+        value[x] = min(max(value[x], bounds[0, x]), bounds[1, x])
+    while True:
+        if pivots >= RENEWED_AFTER:
+            pivots = 0
+            spent += n * n * (n + 1.0)
+            if not _renewed(table, origin, basic, other, n):
+                return GAVE_UP, NONE, 1.0, pivots, spent
+        spent += n * (n + 1.0)
+        row, sign, worst, is_last = NONE, 1.0, allowed, tries > 3 * n
+        for k in range(n):
+            x, total = basic[k], table[k, n]
+            for j in range(n):
+                total += table[k, j] * value[other[j]]
+            value[x] = total
+            gap = max(bounds[0, x] - total, total - bounds[1, x])
+            if gap > worst and (not is_last or row < 0 or x < basic[row]):
+                row, sign = k, 1.0 if total < bounds[0, x] else -1.0
+                worst = allowed if is_last else gap
+        if row < 0:
+            return FOUND, row, sign, pivots, spent
+        column, best = NONE, SMALLEST_PIVOT
+        for j in range(n):
+            x, entry = other[j], table[row, j]
+            end = bounds[1, x] if entry * sign > 0.0 else bounds[0, x]
+            if abs(entry) > best and value[x] != end and (not is_last or column < 0 or x < other[column]):
+                column, best = j, SMALLEST_PIVOT if is_last else abs(entry)
+        if column < 0:
+            return EXCLUDED, row, sign, pivots, spent
+        x = basic[row]
+        value[x] = bounds[0, x] if sign > 0.0 else bounds[1, x]
+        _exchange(table, basic, other, n, row, column)
+        tries, pivots = tries + 1, pivots + 1
+        spent += n * (n + 1.0)
+        if tries > 20 * n + 20:
+            return GAVE_UP, NONE, 1.0, pivots, spent
+
+
+@helper
 def _choose(bounds, i, n, choice):  # type: ignore[no-untyped-def]
     """Narrow the bounds of z_i and w_i to one choice of the row."""
     if choice == AT_ZERO:
@@ -192,7 +223,7 @@ def _exchange(table, basic, other, n, row, column):  # type: ignore[no-untyped-d
     basic[row], other[column] = other[column], basic[row]
 
 
-@inlined
+@helper
 def _renewed(table, origin, basic, other, n):  # type: ignore[no-untyped-def]
     """Compute the tableau of the present basis afresh; return False where it is singular."""
     is_basic = np.zeros(2 * n, np.bool_)
@@ -215,7 +246,7 @@ def _renewed(table, origin, basic, other, n):  # type: ignore[no-untyped-def]
     return True
 
 
-@inlined
+@helper
 def _close(M, table, basic, other, bounds, value, row, sign, unit, y):  # type: ignore[no-untyped-def]
     """Write the multipliers of the row whose basic variable cannot reach its bound; sign +1: the lower one.
 
@@ -263,7 +294,7 @@ def _close(M, table, basic, other, bounds, value, row, sign, unit, y):  # type: 
         y[i] *= unit[i]
 
 
-@inlined
+@helper
 def _weight(M, lower, upper, bounds, scale, y):  # type: ignore[no-untyped-def]
     """Return what a residual of 1 on every row takes from the contradiction of the multipliers."""
     n, weight = scale.size, 0.0
@@ -278,7 +309,7 @@ def _weight(M, lower, upper, bounds, scale, y):  # type: ignore[no-untyped-def]
     return weight
 
 
-@inlined
+@helper
 def _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed, first):  # type: ignore[no-untyped-def]
     """Return a row that the point violates, one with the fewest choices left first; −1 where it solves the problem.
 

@@ -1,16 +1,24 @@
 """Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
 
-``solve(QuadraticProgram(…))`` is `solving.solve_program`, whoever calls it:
+``solve(QuadraticProgram(…))`` is `solving.solve_program`, whoever calls it. In order, until one decides:
+
+1. A small dense program goes to an active set as it stands (`engine_calls.solved_as_given`).
+2. Each engine that `engine_calls.engines_for` names: the program made smaller (`reductions`) and prepared
+   (`engines.statement`), the engine's point polished (`engines.polish`) and judged here (`criterion`). Where it says
+   that there is no minimum, a proof is looked for (`no_minimum`).
+3. A run on the complementarity problem (`conversion`), as of an LCP; its z is taken back to an x and judged here.
+4. A proof that there is no minimum. Without one, `solving._status` says what is missing.
 
 | file | what is in it |
 |---|---|
-| `program`, `program_matrices`, `constraints`, `scaling`, `convexity` | the data, and what they alone say |
+| `program`, `program_matrices`, `constraints`, `convexity`, `contradictions` | the data, and what they alone say |
 | `reductions` | smaller programs, step by step, and the way back |
 | `engine_calls` | the way to an answer without a run: engines of others, polished and judged |
 | `conversion` | the complementarity problem of a program, and the answer that its z is |
 | `criterion`, `solution` | what is optimal, and by how much an answer misses it |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
 | `certification`, `dual_bounds`, `feasible_points`, `sharp_distances` | what is proved of anybody's answer |
+| `kind` | what the package asks of a kind: messages, names, ways in |
 | `stacked_programs` | many programs of one shape |
 
 Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` remembers where it came

@@ -362,12 +362,13 @@ def measured(
     gap = _inner(of_y, np.maximum(off - margin, 0.0) / one) + _inner(of_ahead, np.maximum(left - blur, 0.0))
     linear, hidden = _inner(cost, of_ahead), rounding * _inner(of_ahead, terms.product_size)
     objective = linear + 1.5 * abs(_inner(ahead, terms.product))
-    # Far along P d = 0 the rounding of P x may hide a cost, if there is one.
+    # Far along P d = 0 the rounding of P x may hide a cost, if there is one, and is no size of the objective.
     may_hide = (hidden > NO_EXCUSE * objective) & (linear > 0.0)
     if P is not None and may_hide:
         product, radius = compensated_product(sp.csr_array(P), x)
         gradient = product + terms.pull + c + sum(sign * of for sign, of, *_ in of_bounds)
         hidden = np.fmin(hidden, _inner(of_ahead, np.minimum(np.abs(gradient), rounding * terms.product_size) + radius))
+        objective = linear + 1.5 * abs(_inner(ahead, product))
     gap = gap + hidden * may_hide
     for _, of, of_bound, bound in of_bounds:
         has = np.isfinite(bound)

@@ -25,14 +25,16 @@ from ...core.checks import (
 )
 from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
+from ...core.kernels.floats import EPSILON
 from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.scaling import fitted_units
 from ...core.matrix.symmetry import is_its_mirror, mismatch
 from ...core.representation import REPR_UP_TO, bounds_repr, matrix_repr
+from ...core.rounding import compensated_pair, compensated_product
 from .constraints import Constraints
 from .contradictions import contradicting_multipliers, margin_in_doubles, with_few_digits
-from .criterion import PROGRAM_TOLERANCE
+from .criterion import NO_EXCUSE, PROGRAM_TOLERANCE
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_contradiction, proof_of_no_minimum
 from .program_matrices import ProgramMatrices, as_csr, no_rows, vertically
@@ -251,9 +253,16 @@ class QuadraticProgram:
 
     @np.errstate(under="ignore")
     def objective(self, x: ArrayLike) -> float:
-        """Return ½ xᵀP x + cᵀx for x of shape (n,)."""
+        """Return ½ xᵀP x + cᵀx for x of shape (n,); computed without rounding where that is more than 1e-9 of it."""
         point = checked_vector(x, "x", self.n)
-        return float(0.5 * (point @ (self.P @ point)) + self.c @ point)
+        value = float(0.5 * (point @ (self.P @ point)) + self.c @ point)
+        sizes = np.abs(point)
+        terms = float(sizes @ (abs(self.P) @ sizes) + np.abs(self.c) @ sizes)
+        if not NO_EXCUSE * abs(value) < (self.n + 4) * EPSILON * terms < np.inf:
+            return value
+        high, low, _ = compensated_pair(as_csr(self.P), point)
+        row = sp.csr_array(np.concatenate([0.5 * high, 0.5 * low, self.c])[np.newaxis])
+        return float(compensated_product(row, np.tile(point, 3))[0][0])
 
     def __repr__(self) -> str:
         """Return the call that makes a small program again, bit for bit; of a large one, what `str` says."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
 import qpsolvers
+import scipy.sparse as sp
 
 from lcp_plugin import QPSolver, QuadraticProgram, QuadraticProgramBatch, Status, solve, solve_batch
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
@@ -154,3 +156,25 @@ def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
         result = solve(QuadraticProgram(P, c, G=G, h=[limit, 1.0]), algorithm)
         is_right = abs(result.objective / (-1.0258199581297976e-1 * limit) - 1.0) <= 1e-6
         assert is_right or not result.is_solved, algorithm
+
+
+def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
+    """At x = 1e41 along P d = 0, xᵀP x is rounding: an optimum of −2.667 is not found there."""
+    P = [[8.0, 10.0, -4.0, -6.0], [10.0, 13.0, -3.0, -9.0], [-4.0, -3.0, 10.0, -3.0], [-6.0, -9.0, -3.0, 9.0]]
+    G = [[4.0, -3.0, 2.0, -1.0], [3.0, 3.0, 4.0, -2.0], [1.0, -4.0, -3.0, -4.0]]
+    c = [-3.0000000000000004e-08, 1e-08, 4e-08, -4e-08]
+    for algorithm in ("auto", "clarabel"):
+        result = solve(QuadraticProgram(P, c, G=G, h=[3e9, 2e8, 3e6]), algorithm)
+        assert not result.is_solved or abs(result.objective + 2.667068273) <= 1e-6, algorithm
+
+
+def test_an_objective_is_right_where_its_terms_cancel() -> None:
+    """½ xᵀP x + cᵀx of a singular P far out, by fractions: rounding of its terms was 378 times the value."""
+    P = np.array([[13.0, 3.0, 6.0, -10.0], [3.0, 10.0, 9.0, -4.0], [6.0, 9.0, 9.0, -6.0], [-10.0, -4.0, -6.0, 8.0]])
+    c = np.array([-45.9999999999998, -57.9999999999999, -60.0000000000001, 44.0000000000001])
+    x = np.array([-9999999997.636364, -9999999994.90909, 10000000000.0, -10000000000.0])
+    exact = [Fraction(value) for value in x.tolist()]
+    linear = sum(Fraction(cost) * one for cost, one in zip(c.tolist(), exact, strict=True))
+    curved = sum(Fraction(P[i, j]) * exact[i] * exact[j] for i in range(4) for j in range(4)) / 2
+    for form in (P, sp.csr_array(P)):
+        assert QuadraticProgram(form, c).objective(x) == pytest.approx(float(linear + curved), rel=1e-12)

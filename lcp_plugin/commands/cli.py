@@ -288,7 +288,7 @@ def study(
 
 @command(
     "report",
-    "0 complete, 1 interrupted (the same command goes on), 2 bad input",
+    "0 complete, 1 interrupted (the page holds what there is), 2 bad input",
     "report --out report --quick", "report half_active:n=2500 own.npz --out mine",
 )
 def report(
@@ -304,7 +304,7 @@ def report(
     ] = Path("report"),
     quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
 ) -> bool:
-    """Write one page on error against time and stability; Ctrl-C and go on later."""
+    """Write one page on error against time and stability; after Ctrl-C of what there is."""
     from ..evidence.drawing import require_matplotlib
     from ..evidence.report.page import collect, plan, require_jinja, write_report
     from ..gallery import Scene
@@ -321,19 +321,15 @@ def report(
         raise UnreadableFile(f"cannot write {out}: it is a file; --out names a folder")
     began = time.perf_counter()
     parts = plan([own_scene(one) or scene_text(one) or scene_of_file(one) for one in scenes or []], quick=quick)
-    collected = collect(parts, out / "parts", PartsLine())
-    kept = f"{len(parts) - len(collected.missing)} of {len(parts)} parts"
-    try:
-        page = write_report(collected, out, is_quick=quick)
-    except KeyboardInterrupt:
-        typer.echo(f"interrupted while the page was written: {kept} are kept; the same command goes on from here")
-        return False
+    out.mkdir(parents=True, exist_ok=True)
+    collected = collect(parts, None, PartsLine())
+    page = write_report(collected, out, is_quick=quick)
     took = f"{time.perf_counter() - began:.0f} s"
     if collected.is_complete:
-        again = f", {collected.found} of {len(parts)} parts found from a former run" if collected.found else ""
-        typer.echo(f"{page}: {len(parts)} parts, {took}{again}")
+        typer.echo(f"{page}: {len(parts)} parts, {took}")
     else:
-        typer.echo(f"interrupted after {took}: {page} holds {kept}; the same command goes on from here")
+        kept = f"{len(parts) - len(collected.missing)} of {len(parts)} parts"
+        typer.echo(f"interrupted after {took}: {page} holds {kept}")
     return collected.is_complete
 
 

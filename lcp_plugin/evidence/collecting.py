@@ -1,8 +1,7 @@
-"""Compute parts one by one, keep each, and go on later: what a study and the report have in common."""
+"""Compute parts one by one, and keep what is there after Ctrl-C: what a study and the report have in common."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
@@ -10,20 +9,21 @@ import platform
 import signal
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from ..core.lcp import LCP
-from .curves import Report
-from .exporting import write_text
+
+if TYPE_CHECKING:
+    from .results import ResultsFile
 
 Say = Callable[[str], object]
-Compute = Callable[[Say], dict[str, Any]]
+Compute = Callable[[Say], Any]
 PACKAGES = ("lcp_plugin", "numpy", "scipy", "numba", "pyamg", "cvxpy", "osqp", "clarabel", "scs", "matplotlib")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 Progress = Callable[[int, int, str], object]
@@ -36,32 +36,29 @@ class Part:
     kind: str
     name: str
     compute: Compute
-    effort: Any = None  # a dataclass of numbers
-    data: str | Callable[[], str] = ""
+    data: Callable[[], str] = str
 
     def key(self, program: str) -> str:
         """Return a hash of everything that the content depends on."""
-        effort = None if self.effort is None else asdict(self.effort)
-        data = self.data if isinstance(self.data, str) else self.data()
-        settings = json.dumps([self.kind, self.name, effort, data])
+        settings = json.dumps([self.kind, self.name, self.data()])
         return hashlib.sha256(f"{settings}{program}".encode()).hexdigest()[:16]
 
 
 @dataclass
 class Collected:
-    """The contents of the sections of a report.
+    """The contents of the rows of a study, or of the sections of a report.
 
     Attributes
     ----------
     contents : dict
         The content of each part by (kind, name), in the order of the plan.
     found : int
-        How many of them were found on disk, from a former run.
+        How many of them were found in a file, from a former run.
     missing : list of str
         The names of parts that are not there yet.
     """
 
-    contents: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
+    contents: dict[tuple[str, str], Any] = field(default_factory=dict)
     found: int = 0
     missing: list[str] = field(default_factory=list)
 
@@ -70,23 +67,19 @@ class Collected:
         """True where no part is missing."""
         return not self.missing
 
-    def of(self, kind: str) -> list[dict[str, Any]]:
-        """Return the contents of one kind."""
-        return [content for (its_kind, _), content in self.contents.items() if its_kind == kind]
-
-    def reports(self) -> list[Report]:
-        """Return the curves of every scene."""
-        return [Report.from_content(content["report"]) for content in self.of("scene")]
+    def of(self, kind: str) -> dict[str, Any]:
+        """Return the contents of one kind by their names."""
+        return {name: content for (its_kind, name), content in self.contents.items() if its_kind == kind}
 
 
-def collect(parts: Sequence[Part], store: Path | Store, progress: Progress | None = None) -> Collected:
-    """Return the contents of all parts, those from a former run of the same program and machine read from the store.
+def collect(parts: Sequence[Part], file: ResultsFile | None, progress: Progress | None = None) -> Collected:
+    """Return the contents of all parts, those from a former run of the same program and machine read from the file.
 
     Parameters
     ----------
     parts : sequence of Part
-    store : Path or Store
-        What keeps each part; of a folder's path a `Folder`.
+    file : ResultsFile or None
+        What keeps each part.
     progress : callable, optional
         Called as ``progress(done, total, label)``.
 
@@ -95,19 +88,19 @@ def collect(parts: Sequence[Part], store: Path | Store, progress: Progress | Non
     On Ctrl-C the part under way is given up, and what is there is returned; a second one changes nothing.
     """
     say = progress or (lambda done, total, label: None)
-    collected, kept = Collected(), Folder(store) if isinstance(store, Path) else store
+    collected = Collected()
     with _Interruption() as interruption:
         for done, part in enumerate(parts):
             label = f"{part.kind} {part.name}"
             if not interruption.is_wanted:
                 say(done, len(parts), label)
-            content = kept.read(part)
+            content = None if file is None else file.read(part)
             if content is not None:
                 collected.found += 1
             elif not interruption.is_wanted:
                 content = _computed(part, interruption, partial(_say_more, say, done, len(parts), label))
-                if content is not None:
-                    kept.write(part, content)
+                if content is not None and file is not None:
+                    file.write(part, content)
             if content is None:
                 collected.missing.append(label)
             else:
@@ -119,7 +112,7 @@ def _say_more(say: Progress, done: int, total: int, label: str, text: str) -> No
     say(done, total, f"{label}: {text}")
 
 
-def _computed(part: Part, interruption: _Interruption, say: Callable[[str], object]) -> dict[str, Any] | None:
+def _computed(part: Part, interruption: _Interruption, say: Callable[[str], object]) -> Any:
     try:
         interruption.may_raise = True
         content = part.compute(say)
@@ -130,38 +123,6 @@ def _computed(part: Part, interruption: _Interruption, say: Callable[[str], obje
         interruption.may_raise = False
     # A solver may swallow Ctrl-C and return what it has; that is no measurement.
     return None if interruption.is_wanted else content
-
-
-class Store(Protocol):
-    """What keeps the contents of parts from one run to the next."""
-
-    def read(self, part: Part) -> dict[str, Any] | None:
-        """Return the content of a part, None where it is to be computed."""
-
-    def write(self, part: Part, content: dict[str, Any]) -> None:
-        """Keep the content, whole or not at all."""
-
-
-class Folder:
-    """A folder, created where it is missing, with one JSON file a part."""
-
-    def __init__(self, path: Path) -> None:
-        path.mkdir(parents=True, exist_ok=True)
-        self.path, self.program = path, fingerprint()
-
-    def _file(self, part: Part) -> Path:
-        return self.path / f"{part.kind}-{part.key(self.program)}.json"
-
-    def read(self, part: Part) -> dict[str, Any] | None:
-        """Return what the file holds, None where there is none or it is spoilt."""
-        with contextlib.suppress(OSError, ValueError):
-            content = json.loads(self._file(part).read_text(encoding="utf-8"))
-            return content if isinstance(content, dict) else None
-        return None
-
-    def write(self, part: Part, content: dict[str, Any]) -> None:
-        """Write the file."""
-        write_text(self._file(part), json.dumps(content, ensure_ascii=False, allow_nan=False))
 
 
 def data_of(problem: LCP) -> str:

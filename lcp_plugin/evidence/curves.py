@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ..core.errors import InvalidOption
 from .drawing import Line, Panel, draw_panels
-from .exporting import Exported, number
+from .exporting import Exported
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 AXIS_LABELS = {
@@ -177,19 +177,6 @@ class Report(Exported):
         """Return the curve of that label, or None."""
         return next((curve for curve in self.curves if curve.label == label), None)
 
-    @classmethod
-    def from_content(cls, content: Mapping[str, Any]) -> Report:
-        """Return the report that :meth:`to_content` described."""
-        given = {field.name: content[field.name] for field in fields(cls)}
-        given["active_share"] = number(given["active_share"])
-        given["curves"] = tuple(_curve(entry) for entry in given["curves"])
-        given["references"] = tuple(
-            ReferencePoint(**entry | {name: number(entry[name]) for name in ("seconds", "error", "residual")})
-            for entry in given["references"]
-        )
-        given["left_out"] = tuple((what, reason) for what, reason in given["left_out"])
-        return cls(**given)
-
     def rows(self) -> list[tuple[Any, ...]]:
         """Return one row a point, in the columns of the CSV; a reference has neither iteration nor work."""
         rows: list[tuple[Any, ...]] = [
@@ -243,11 +230,6 @@ class Report(Exported):
             )
         lines += [f"{one.label:<18} {one.seconds:.3g} s, {one.error:.1e}" for one in self.references]
         return "\n".join([*lines, *(f"left out: {what}: {reason}" for what, reason in self.left_out)])
-
-
-def _curve(content: Mapping[str, Any]) -> Curve:
-    points = tuple(Point(int(entry[0]), *map(number, entry[1:])) for entry in content["points"])
-    return Curve(content["label"], content["family"], content["status"], points, content["note"])
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from itertools import product
 from typing import Any, ClassVar
@@ -185,18 +185,6 @@ class Atlas(Exported):
         cells = [{key: _plain(value) for key, value in asdict(cell).items()} for cell in self.cells]
         return {"cells": cells, "skipped": [list(entry) for entry in self.skipped]}
 
-    @classmethod
-    def from_content(cls, content: Mapping[str, Any]) -> Atlas:
-        """Return the atlas that `to_content` wrote.
-
-        Examples
-        --------
-        >>> Atlas.from_content(Atlas((), (("lemke", "no time"),)).to_content())
-        Atlas(cells=(), skipped=(('lemke', 'no time'),))
-        """
-        cells = tuple(_cell_of(cell) for cell in content["cells"])
-        return cls(cells, tuple((what, reason) for what, reason in content["skipped"]))
-
     def rows(self) -> list[tuple[Any, ...]]:
         """Return one row a cell, in the columns of the CSV."""
         return [tuple(asdict(cell).values()) for cell in self.cells]
@@ -329,11 +317,6 @@ def _line(cell: Cell) -> str:
         f"{cell.status:<16} {cell.algorithm:<15} {cell.stress:<38} condition {cell.condition:.0e}, "
         f"residual {cell.residual:.0e}, error {cell.true_error:.0e}{note}"
     )
-
-
-def _cell_of(content: Mapping[str, Any]) -> Cell:
-    numbers = {key: float(content[key]) for key in ("condition", "true_error", "residual", "digits_lost")}
-    return Cell(**{**content, **numbers})
 
 
 def _plain(value: Any) -> Any:

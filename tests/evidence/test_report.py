@@ -22,8 +22,6 @@ from typer.testing import CliRunner
 from lcp_plugin import LCP, InvalidOption, gallery, solve
 from lcp_plugin.commands.cli import app
 from lcp_plugin.evidence.report.page import (
-    FULL,
-    QUICK,
     QUICK_SCENES,
     SCENES,
     Collected,
@@ -44,9 +42,9 @@ def collected() -> Collected:
     found = Collected()
     parts = plan(TINY, quick=True)
     for part in parts:
-        found.contents[part.kind, part.name] = json.loads(json.dumps(part.compute(lambda text: None)))
+        found.contents[part.kind, part.name] = part.compute(lambda text: None)
     atlas = stability_atlas(["psor", "npsor"], ["far starts", "ranges"], quick=True)
-    found.contents["atlas", "far starts"] = atlas.to_content()
+    found.contents["atlas", "far starts"] = atlas
     return found
 
 
@@ -80,9 +78,9 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
     for anchor in ("scenes", "stability", "reading", "machine"):
         assert f'id="{anchor}"' in page
-    for content in collected.of("scene"):
-        assert content["text"] in page
-        for what, reason in content["report"]["left_out"]:
+    for name, report in collected.of("scene").items():
+        assert name in page
+        for what, reason in report.left_out:
             assert f"{what}: {reason}" in page
 
 
@@ -191,7 +189,7 @@ def test_hidden_errors_are_told(tmp_path: Path) -> None:
     """SOLVED speaks of the residual: where the exact answer is far off, the page says so, cell by cell."""
     atlas = stability_atlas(["newton"], ["stiffness"], quick=True)
     assert atlas.misleading
-    write_report(Collected({("atlas", "stiffness"): atlas.to_content()}), tmp_path, is_quick=False)
+    write_report(Collected({("atlas", "stiffness"): atlas}), tmp_path, is_quick=False)
     page = html.unescape((tmp_path / "index.html").read_text(encoding="utf-8"))
     assert f"error above a thousandth ({len(atlas.misleading)})" in page
     for cell in atlas.misleading:
@@ -226,29 +224,12 @@ def test_unknown_scene_is_refused_before_anything_runs() -> None:
 
 
 def part(name: str, compute: Any) -> Part:
-    return Part("scene", name, compute, QUICK)
-
-
-def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
-    """A second run reads what the first one wrote; a spoilt file and other settings are computed."""
-    count: list[str] = []
-
-    def compute(say: Any) -> dict[str, Any]:
-        count.append("x")
-        return {"value": 1.5}
-
-    parts = [part("a", compute), part("b", compute)]
-    assert collect(parts, tmp_path).contents["scene", "a"] == {"value": 1.5}
-    again = collect(parts, tmp_path)
-    assert (again.found, len(count)) == (2, 2)
-    next(tmp_path.glob("*.json")).write_text("{", encoding="utf-8")
-    assert (collect(parts, tmp_path).found, len(count)) == (1, 3)
-    assert (collect([Part("scene", "a", compute, FULL)], tmp_path).found, len(count)) == (0, 4)
+    return Part("scene", name, compute)
 
 
 @pytest.mark.parametrize("swallowed", [True, False])
-def test_interruption_keeps_what_is_finished(swallowed: bool, tmp_path: Path) -> None:
-    """Ctrl-C gives up the part under way, even where its solver swallows it, keeps the others, and goes on later."""
+def test_interruption_keeps_what_is_finished(swallowed: bool) -> None:
+    """Ctrl-C gives up the part under way, even where its solver swallows it, and keeps the others."""
 
     def interrupted(say: Any) -> dict[str, Any]:
         try:
@@ -260,22 +241,17 @@ def test_interruption_keeps_what_is_finished(swallowed: bool, tmp_path: Path) ->
 
     parts = [part("a", lambda say: {}), part("b", interrupted), part("c", lambda say: {})]
     before = signal.getsignal(signal.SIGINT)
-    found = collect(parts, tmp_path)
-    assert found.missing == ["scene b", "scene c"]
+    found = collect(parts, None)
+    assert (list(found.contents), found.missing) == ([("scene", "a")], ["scene b", "scene c"])
     assert signal.getsignal(signal.SIGINT) is before
-    rest = collect([parts[0], part("b", lambda say: {"is": "whole"}), parts[2]], tmp_path)
-    assert (rest.found, rest.is_complete) == (1, True)
-    assert rest.contents["scene", "b"] == {"is": "whole"}
 
 
 @pytest.mark.full
 def test_command_from_start_to_end(tmp_path: Path) -> None:
-    """The command writes the page, exits with 0, and finds its parts again; a bad name or folder is exit code 2."""
+    """The command writes the page and exits with 0; a bad name or folder is exit code 2."""
     run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"])
     assert run.exit_code == 0, run.output
     assert (tmp_path / "new" / "r" / "index.html").exists()
-    again = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"])
-    assert "1 of 1 parts found from a former run" in again.output
     (tmp_path / "file").write_text("", encoding="utf-8")
     for arguments, words in (
         (["half_activ"], "did you mean 'half_active'"),
@@ -288,7 +264,7 @@ def test_command_from_start_to_end(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_command_takes_files_as_solve_does(tmp_path: Path) -> None:
-    """A file and a folder get a section each, with a proved bound; another content of the file is computed again."""
+    """A file and a folder get a section each, with a proved bound."""
     paths = [tmp_path / "own.npz", tmp_path / "folder"]
     for path in paths:
         LCP([[4, -1], [-1, 4]], [-3, 5]).save(path)
@@ -298,79 +274,31 @@ def test_command_takes_files_as_solve_does(tmp_path: Path) -> None:
     page = (tmp_path / "r" / "index.html").read_text(encoding="utf-8")
     assert all(f"<h3>{path}</h3>" in page for path in paths)
     assert page.count("axis: rigorous bound") == 2
-    LCP([[4, -1], [-1, 4]], [-3, 6]).save(paths[0])
-    assert "1 of 2 parts found from a former run" in CliRunner().invoke(app, command).output
     for name, words in (("no.npz", "no such file"), ("own", "neither a file nor a scene")):
         refused = CliRunner().invoke(app, ["report", name, "--out", str(tmp_path / "r")])
         assert refused.exit_code == 2
         assert words in refused.output
 
 
-@pytest.mark.parametrize("when", ["say", "write"])
-def test_interruption_between_two_parts_is_remembered(
-    when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Ctrl-C while nothing is computed, a second one too, waits until what is being written is written."""
-    from lcp_plugin.evidence import collecting as module
-
-    def stop() -> None:
+def test_interruption_between_two_parts_is_remembered() -> None:
+    """Ctrl-C while nothing is computed, a second one too."""
+    def stop(done: int, total: int, label: str) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
 
-    def write(path: Path, text: str) -> None:
-        if when == "write":
-            stop()
-        path.write_text(text, encoding="utf-8")
-
-    monkeypatch.setattr(module, "write_text", write)
-    found = collect(
-        [part("a", lambda say: {}), part("b", lambda say: {})], tmp_path,
-        lambda done, total, label: stop() if when == "say" else None,
-    )
-    assert found.missing == (["scene a", "scene b"] if when == "say" else ["scene b"])
+    assert collect([part("a", lambda say: {}), part("b", lambda say: {})], None, stop).missing == ["scene a", "scene b"]
 
 
-@pytest.mark.full
-def test_interrupted_page_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C while the page is written: the parts are kept, the command says how to go on, the exit code is 1."""
-    from lcp_plugin.evidence.report import page as module
-
-    def stop(*args: Any, **options: Any) -> Path:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "write_report", stop)
-        run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
-    assert run.exit_code == 1
-    assert "goes on from here" in run.output
-    again = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
-    assert "1 of 1 parts found from a former run" in again.output
-
-
-def test_parts_of_another_machine_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Seconds belong to a processor and its versions: elsewhere a part is not taken over, later on the same it is."""
-    from lcp_plugin.evidence import collecting as module
-
-    parts = [part("a", lambda say: {})]
-    facts = {"processor": "one", "measured": "today"}
-    monkeypatch.setattr(module, "machine", lambda: facts)
-    collect(parts, tmp_path)
-    facts["measured"] = "tomorrow"
-    assert collect(parts, tmp_path).found == 1
-    facts["processor"] = "another"
-    assert collect(parts, tmp_path).found == 0
-
-
-def test_interrupted_command_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After Ctrl-C the page holds what is there and says what is missing; the exit code is 1."""
     from lcp_plugin.evidence.report import page as module
 
-    def stop(*_: Any) -> dict[str, Any]:
+    def stop(*_: Any) -> Any:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "measured", stop)
     run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path), "--quick"])
     assert run.exit_code == 1
-    assert "goes on from here" in run.output
+    assert "holds 0 of 1 parts" in run.output
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "1 part is missing (scene half_active:n=16)" in page

@@ -19,7 +19,7 @@ from typing import Any
 from ...core.errors import LCPError
 from ...gallery import parse
 from ...gallery.scene import Scene
-from ..collecting import Collected, Part, Say, collect, data_of, machine
+from ..collecting import Collected, Part, Say, collect, machine
 from ..curves import Curve, Report
 from ..drawing import COLOURS, OWN, svg
 from ..error_against_time import error_against_time
@@ -63,17 +63,16 @@ QUICK_SCENES = (
 
 @dataclass(frozen=True)
 class ReportEffort:
-    """How much a report spends: repeats, entries of M a run may touch, and the seconds of a run and a reference."""
+    """How much a report spends: entries of M a run may touch, and the seconds of a run and a reference."""
 
-    repeats: int
     entries: float
     run_seconds: float
     reference_seconds: float
     is_quick: bool
 
 
-FULL = ReportEffort(repeats=3, entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
-QUICK = ReportEffort(repeats=3, entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
+FULL = ReportEffort(entries=5e8, run_seconds=30.0, reference_seconds=20.0, is_quick=False)
+QUICK = ReportEffort(entries=1e8, run_seconds=5.0, reference_seconds=3.0, is_quick=True)
 
 
 def plan(scenes: Sequence[str | Scene] = (), *, quick: bool = False) -> list[Part]:
@@ -98,32 +97,25 @@ def plan(scenes: Sequence[str | Scene] = (), *, quick: bool = False) -> list[Par
         if isinstance(given, str):
             parse(given)
     every = chosen or {text: text for text in (QUICK_SCENES if quick else SCENES)}
-    parts = [
-        # The content of a file may be another one next time.
-        Part("scene", name, partial(measured, name, given, effort), effort,
-             "" if isinstance(given, str) else data_of(given.problem))
-        for name, given in every.items()
-    ]
+    parts = [Part("scene", name, partial(measured, given, effort)) for name, given in every.items()]
     families = [] if chosen else [one for one in FAMILIES if not (quick and one in TOO_LONG_FOR_QUICK)]
-    return parts + [Part("atlas", family, partial(_stressed, family, effort), effort) for family in families]
+    return parts + [Part("atlas", family, partial(_stressed, family, effort)) for family in families]
 
 
-def measured(name: str, given: str | Scene, effort: ReportEffort, say: Say) -> dict[str, Any]:
+def measured(given: str | Scene, effort: ReportEffort, say: Say) -> Report:
     """Return the curves of a scene."""
     scene = parse(given) if isinstance(given, str) else given
     max_work = effort.entries / max(scene.problem.nonzeros, 1)
-    report = error_against_time(
-        scene, None, REFERENCES, repeats=effort.repeats, max_seconds=effort.run_seconds, max_work=max_work,
-        progress=say,
+    return error_against_time(
+        scene, None, REFERENCES, max_seconds=effort.run_seconds, max_work=max_work, progress=say
     )
-    return {"text": name, "report": report.to_content()}
 
 
-def _stressed(family: str, effort: ReportEffort, say: Say) -> dict[str, Any]:
+def _stressed(family: str, effort: ReportEffort, say: Say) -> Atlas:
     def progress(done: int, total: int, label: str) -> None:
         say(f"{done} of {total}, {label}")
 
-    return stability_atlas(stresses=[family], quick=effort.is_quick, progress=progress).to_content()
+    return stability_atlas(stresses=[family], quick=effort.is_quick, progress=progress)
 
 
 def write_report(collected: Collected, folder: Path, *, is_quick: bool) -> Path:
@@ -150,7 +142,9 @@ def write_report(collected: Collected, folder: Path, *, is_quick: bool) -> Path:
     )
     content = {
         "machine": facts, "missing": collected.missing,
-        "parts": [{"kind": kind, "name": name} | part for (kind, name), part in collected.contents.items()],
+        "parts": [
+            {"kind": kind, "name": name} | part.to_content() for (kind, name), part in collected.contents.items()
+        ],
     }
     for name, text in _tables(collected).items():
         write_text(folder / name, text)
@@ -162,7 +156,7 @@ def write_report(collected: Collected, folder: Path, *, is_quick: bool) -> Path:
 def _tables(collected: Collected) -> dict[str, str]:
     """Return the CSV files that lie beside the page, text by name."""
     tables = {}
-    if reports := collected.reports():
+    if reports := collected.of("scene").values():
         left_out = [(report.title, *entry) for report in reports for entry in report.left_out]
         tables["curves.csv"] = csv_text(Report.columns, (row for report in reports for row in report.rows()))
         tables["left_out.csv"] = csv_text(("scene", "what", "reason"), left_out)
@@ -202,23 +196,23 @@ def _section(anchor: str, title: str, short: str, **shown: Any) -> dict[str, Any
 
 def _scenes(collected: Collected) -> Iterator[dict[str, Any]]:
     """Yield the section of error against time and work, an article a scene."""
-    articles = [_article(content) for content in collected.of("scene")]
-    if articles:
-        families = _families([article["report"] for article in articles])
+    if reports := collected.of("scene"):
+        articles = [_article(text, report) for text, report in reports.items()]
+        families = _families(list(reports.values()))
         yield _section("scenes", "Scene by scene", "Scenes", scenes=articles, families=families)
 
 
-def _article(content: dict[str, Any]) -> dict[str, Any]:
-    report, name = Report.from_content(content["report"]), re.sub(r"\W+", "-", content["text"])
+def _article(text: str, report: Report) -> dict[str, Any]:
+    name = re.sub(r"\W+", "-", text)
     ranking = sorted(report.curves, key=lambda curve: (not curve.is_solved, curve.seconds))
     return {
-        "name": name, "text": content["text"], "report": report,
+        "name": name, "text": text, "report": report,
         "seconds": figure(
-            report.plot(width=PAGE_WIDTH), f"{name}-seconds", f"{report.error_kind} against seconds, {content['text']}"
+            report.plot(width=PAGE_WIDTH), f"{name}-seconds", f"{report.error_kind} against seconds, {text}"
         ),
         "work": figure(
             report.plot(against="work", width=PAGE_WIDTH), f"{name}-work",
-            f"{report.error_kind} against work, {content['text']}",
+            f"{report.error_kind} against work, {text}",
         ),
         "rows": [_row(curve) for curve in ranking],
         "notes": [(curve.label, curve.note) for curve in report.curves if curve.note],
@@ -294,7 +288,7 @@ def _stability(collected: Collected) -> Iterator[dict[str, Any]]:
 
 def _whole(collected: Collected) -> Atlas:
     """Return the atlas of all families."""
-    return sum(map(Atlas.from_content, collected.of("atlas")), Atlas((), ()))
+    return sum(collected.of("atlas").values(), Atlas((), ()))
 
 
 def _tally(cells: Sequence[Cell]) -> dict[str, Any] | None:

@@ -58,10 +58,6 @@ class CrossCheck:
     objective_gap : float
         Ours minus the reference's: of ½ zᵀMz + qᵀz where M is symmetric, of the sum of all z_i w_i products
         (each z_i measured from its bound) otherwise.
-    active_sets_agree : bool or None
-        On the rows that both sides decide; None where nothing was compared.
-    undecided : int
-        Rows so close to degenerate that a side's own error leaves open whether a bound is active.
     disagreement, allowance : float
         δᵀAδ / (‖Aδ‖ + ‖δ‖), and what both residuals with their rounding explain of it; in the unit of the problem,
         NaN where M is not monotone.
@@ -85,8 +81,6 @@ class CrossCheck:
     difference_z: float = math.nan
     difference_w: float = math.nan
     objective_gap: float = math.nan
-    active_sets_agree: bool | None = None
-    undecided: int = 0
     disagreement: float = math.nan
     allowance: float = math.nan
 
@@ -155,8 +149,8 @@ def cross_validate(
     Examples
     --------
     >>> check = cross_validate(LCP([[2, 1], [1, 2]], [-5, 1]))
-    >>> check.verdict, check.difference_z < 1e-8, check.active_sets_agree
-    ('agree', True, True)
+    >>> check.verdict, check.difference_z < 1e-8
+    ('agree', True)
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("cross_validate", problem))
@@ -221,8 +215,6 @@ def _judged(
     if not pair.disagreement <= pair.allowance:
         explained = f"the residuals explain {pair.allowance:.1e} of a disagreement of {pair.disagreement:.1e}"
         return "mismatch", f"{explained}: one of them is wrong, or the two sides solved different problems"
-    if not pair.active_sets_agree:
-        return "mismatch", "the active sets differ beyond what either side's error explains"
     if pair.only_z_differs:
         return "agree", "same w and objective; z is not unique"
     if not pair.is_close:
@@ -254,10 +246,7 @@ class _Pair:
         self._step, self._rise = float(np.linalg.norm(step)), float(np.linalg.norm(rise))
         size = self._step + self._rise
         self.disagreement = max(float(step @ rise), 0.0) / size if size else 0.0
-        self._errors = tuple(self._error(side) for side in (ours, theirs))
-        self.allowance = sum(self._errors)
-        self.norm = _norm_bound(scaled.A)
-        self.active_sets_agree, self.undecided = self._compare_active_sets()
+        self.allowance = self._error(ours) + self._error(theirs)
 
     def _error(self, side: Certificate) -> float:
         """Return ‖D^½ r‖ with rounding: what r is measured to be, and may be."""
@@ -282,8 +271,7 @@ class _Pair:
         """Return what a check says of the pair."""
         return {
             "difference_z": _largest(self.step), "difference_w": _largest(self.rise),
-            "objective_gap": self.objective_gap(), "active_sets_agree": self.active_sets_agree,
-            "undecided": self.undecided, "disagreement": self.disagreement, "allowance": self.allowance,
+            "objective_gap": self.objective_gap(), "disagreement": self.disagreement, "allowance": self.allowance,
         }
 
     def objective_gap(self) -> float:
@@ -291,39 +279,6 @@ class _Pair:
         if self.formulation.kind == PLAIN:  # ½ zᵀMz + qᵀz is a difference of squares
             return float(0.5 * self.step @ (self.ours.w + self.theirs.w))
         return _gap(self.ours) - _gap(self.theirs)
-
-    def _compare_active_sets(self) -> tuple[bool, int]:
-        """Return whether no row is decided differently, and the number of rows that a side leaves open."""
-        sides = [self._decided(side, error) for side, error in zip((self.ours, self.theirs), self._errors, strict=True)]
-        both = np.all(sides, axis=0)
-        agree = bool(np.all(sides[0][both] == sides[1][both]))
-        return agree, int(np.count_nonzero(~both))
-
-    def _decided(self, side: Certificate, error: float) -> FloatVector:
-        """Return 1 where the side proves lower active, 2 upper, 3 neither, and 0 where its error leaves it open.
-
-        With λ the smallest eigenvalue of the symmetric part, ‖y − y*‖ ≤ (1 + ‖A‖)/λ ‖r‖. Where λ = 0 and A is
-        symmetric only w is unique; its error is at most ‖A‖ ‖r‖ + √(‖A‖ ‖r‖ ‖y − y*‖), with the size of y for the
-        last. Otherwise nothing is decided.
-        """
-        problem = side.problem
-        error_z = error_w = math.inf
-        if self.formulation.smallest_eigenvalue > 0.0:
-            error_z = (1.0 + self.norm) / self.formulation.smallest_eigenvalue * error
-            error_w = self.norm * error_z
-        elif self.formulation.kind == PLAIN:
-            size = 1.0 + float(np.linalg.norm(side.z * self._weight)) + self._step
-            error_w = self.norm * error + math.sqrt(self.norm * error * size)
-        w = side.w / self._unit
-        above, below = (side.z - problem.lower) * self._weight, (problem.upper - side.z) * self._weight
-        inside = (above > error_z) & (below > error_z)
-        return np.select([w > error_w, w < -error_w, inside], [1.0, 2.0, 3.0], 0.0)
-
-
-def _norm_bound(A: Any) -> float:
-    """Return √(‖A‖₁ ‖A‖∞) ≥ ‖A‖₂."""
-    size = abs(A)
-    return math.sqrt(float(size.sum(axis=0).max()) * float(size.sum(axis=1).max()))
 
 
 def _gap(side: Certificate) -> float:
@@ -351,11 +306,6 @@ def story(check: CrossCheck) -> str:
         rows += [
             ("|Δz|, |Δw|", f"{check.difference_z:.3e}, {check.difference_w:.3e}"),
             ("objective gap", f"{check.objective_gap:.3e}"),
-        ]
-    if check.active_sets_agree is not None:
-        said = "agree" if check.active_sets_agree else "DIFFER"
-        rows += [
-            ("active sets", f"{said}; {check.undecided} of {check.ours.problem.n} rows undecided"),
             ("disagreement", f"{check.disagreement:.3e}; the residuals explain {check.allowance:.3e}"),
         ]
     rows += [(f"proved of {name}", str(said)) for name, said in check.proved.items()]

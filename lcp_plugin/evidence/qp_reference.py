@@ -14,7 +14,7 @@ on the caller's data.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,8 +35,6 @@ from .convex_solvers import asked
 
 ACCURATE = 1e-7
 POLISHED = 1e-12
-INVERSE_ITERATIONS = 12
-SINGULAR_BELOW = 100.0
 POLISH_ROUNDS = 3
 
 PLAIN, GAP = "quadratic program", "gap quadratic program"
@@ -135,15 +133,12 @@ class Formulation:
         Why, in one line.
     shift : float
         What was added to the diagonal, which is at most 1, before the factorisation that proved semidefiniteness.
-    smallest_eigenvalue : float
-        Estimate for the symmetric part of A; 0 where it cannot be told from 0.
     """
 
     kind: str | None
     evidence: str
     scaled: Equilibrated = field(repr=False)
     shift: float = 0.0
-    smallest_eigenvalue: float = 0.0
 
     @classmethod
     def of(cls, problem: LCP) -> Formulation:
@@ -161,23 +156,10 @@ class Formulation:
             return cls(None, f"{matrix} indefinite: M[{i}, {i}] = {problem.diagonal[i]:g}", scaled)
         # Entries of A above 1 are skew ones: their rounding stays behind when the symmetric part cancels them.
         shift = 4.0 * (problem.n + 2) * EPSILON * max(1.0, float(abs(scaled.A).max()))
-        factor = factorised(symmetric_part(scaled.A), shift)
-        if factor is None:
+        if factorised(symmetric_part(scaled.A), shift) is None:
             return cls(None, f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}", scaled, shift)
-        eigenvalue = _smallest_eigenvalue(factor.solve, problem.n, shift)
-        definite = "positive definite" if eigenvalue else "positive semidefinite"
         kind = PLAIN if place is None else GAP
-        return cls(kind, f"{matrix} {definite}: factorised at shift {shift:.1e}", scaled, shift, eigenvalue)
-
-
-def _smallest_eigenvalue(solve: Callable[[FloatVector], FloatVector], n: int, shift: float) -> float:
-    x = np.random.default_rng(0).normal(size=n)
-    size = 1.0
-    for _ in range(INVERSE_ITERATIONS if n else 0):
-        x = solve(x / np.linalg.norm(x))
-        size = float(np.linalg.norm(x))
-    found = 1.0 / size - shift
-    return found if found > SINGULAR_BELOW * shift else 0.0
+        return cls(kind, f"{matrix} positive semidefinite: factorised at shift {shift:.1e}", scaled, shift)
 
 
 # --- Asking a convex solver ---------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from fresh_process import printed_by
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, Status, gallery, solve
 from lcp_plugin.evidence import cross_check, qp_reference
 from lcp_plugin.evidence.cross_check import CrossCheck, cross_validate, story
-from lcp_plugin.evidence.qp_reference import GAP, PLAIN, SOLVERS, Equilibrated, Formulation, accuracy
+from lcp_plugin.evidence.qp_reference import GAP, PLAIN, SOLVERS, Formulation, accuracy
 
 COUNT = 500 if os.environ.get("LCP_PLUGIN_LONG") == "1" else 60
 BATCHES = 10
@@ -69,7 +69,7 @@ def altered(result: Result, i: int, by: float) -> Result:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_spd_problems_agree(batch: int) -> None:
-    """On random symmetric positive definite problems z agrees to 1e-7 of its size, and the active sets are equal."""
+    """On random symmetric positive definite problems z agrees to 1e-7 of its size, and clear active sets are equal."""
     for seed in range(batch, COUNT, BATCHES):
         problem = random_spd_problem(seed)
         check = cross_validate(problem, tolerance=1e-12)
@@ -77,7 +77,6 @@ def test_random_spd_problems_agree(batch: int) -> None:
         assert check.agrees, f"seed {seed}\n{check}"
         assert check.formulation.startswith("quadratic program")
         assert check.difference_z <= 1e-7 * size, f"seed {seed}\n{check}"
-        assert check.active_sets_agree
         assert check.theirs is not None
         mine, other = clear_rows(check.ours, 1e-6 * size), clear_rows(check.theirs, 1e-6 * size)
         decided = (mine > 0) & (other > 0)
@@ -153,20 +152,6 @@ def test_every_installed_reference_agrees(reference: str) -> None:
         assert check.reference == reference
         assert [one.name for one in check.tried] == [reference]
     assert cross_validate(random_spd_problem(7), reference=reference).agrees
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_degenerate_rows_are_left_open(seed: int) -> None:
-    """Rows with z = w = 0 are counted as undecided, all others are decided, and decided alike."""
-    generator = np.random.default_rng(seed)
-    M = spd_matrix(generator, 15)
-    kind = generator.integers(0, 3, size=15)
-    z = np.where(kind == 0, generator.uniform(0.5, 2.0, size=15), 0.0)
-    w = np.where(kind == 1, generator.uniform(0.5, 2.0, size=15), 0.0)
-    check = cross_validate(LCP(M, w - M @ z), tolerance=1e-12)
-    assert check.agrees, check
-    assert check.active_sets_agree
-    assert check.undecided == np.count_nonzero(kind == 2)
 
 
 @pytest.mark.full
@@ -363,24 +348,15 @@ def test_symmetry_is_meant_up_to_rounding(noise: float) -> None:
 
 @pytest.mark.full
 def test_the_check_for_convexity_stays_sparse() -> None:
-    """Fifty thousand unknowns are factorised without a dense array, semidefinite ones told from definite ones."""
+    """Fifty thousand unknowns are factorised without a dense array, definite or not."""
     n = 50_000
     ones = np.ones(n)
     laplacian = sp.diags_array([-ones[1:], 2.0 * ones, -ones[1:]], offsets=[-1, 0, 1]).tolil()
     laplacian[0, 0] = laplacian[-1, -1] = 1.0  # constants are in the null space now
-    for shift, eigenvalue_is_zero in ((0.0, True), (1e-3, False)):
+    for shift in (0.0, 1e-3):
         found = Formulation.of(LCP((laplacian + shift * sp.eye_array(n)).tocsr(), -ones))
         assert found.kind == PLAIN
-        assert (found.smallest_eigenvalue == 0.0) is eigenvalue_is_zero
         assert 0.0 < found.shift < 1e-9
-
-
-def test_smallest_eigenvalue_is_estimated_well() -> None:
-    """The estimate of λ lies within 10 % above the true one."""
-    for seed in range(20):
-        problem = LCP(spd_matrix(np.random.default_rng(seed), 15), np.ones(15))
-        exact = np.linalg.eigvalsh(Equilibrated.of(problem).A)[0]
-        assert exact * (1.0 - 1e-9) <= Formulation.of(problem).smallest_eigenvalue <= 1.1 * exact
 
 
 # --- Solvers that fail, arguments that cannot be used -------------------------------------------------------
@@ -404,7 +380,7 @@ def test_no_solver_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(SOLVERS, "scs", replace(SOLVERS["scs"], name="ABSENT"))
     check = cross_validate(gallery.parse("obstacle_2d:size=6").problem, reference="scs")
     assert check.verdict == "not comparable"
-    assert (check.reference, check.theirs, check.active_sets_agree) == ("", None, None)
+    assert (check.reference, check.theirs) == ("", None)
     assert "not installed" in check.reason
     assert np.isnan(check.difference_z)
 
@@ -438,7 +414,7 @@ def test_story_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
     assert (out, err) == ("", "")
     lines = story(check).splitlines()
     assert lines[0].startswith("agree: ")
-    for word in ("formulation", "ours", check.reference, "|Δz|", "objective gap", "active sets", "tried"):
+    for word in ("formulation", "ours", check.reference, "|Δz|", "objective gap", "disagreement", "tried"):
         assert any(line.startswith(word) for line in lines), word
     assert str(check) == story(check)
 

@@ -235,9 +235,9 @@ def _results_of(answer: PyomoAnswer) -> Any:
     found, content = answer.found, answer.statement.content
     results = SolverResults()
     status, condition = ENDS[found.status]
-    if answer.violated and found.status is Status.SOLVED:
+    if answer.is_violated:
         status, condition = SolverStatus.warning, TerminationCondition.other
-    results.solver.name, results.solver.message = NAME, answer.message
+    results.solver.name, results.solver.message = NAME, found.message
     results.solver.status, results.solver.termination_condition = status, condition
     results.solver.time = found.result.seconds
     problem = results.problem

@@ -194,7 +194,10 @@ def differences(statement: Statement, rng: np.random.Generator) -> float:
             expression = row.row if isinstance(row, Pair) else getattr(row, "body", None)
             if expression is None:  # the equation of a pair
                 continue
-            shift = 0.0 if isinstance(row, Pair) else content.row_lower[i] - float(row.lower or 0.0)
+            shift = 0.0
+            if not isinstance(row, Pair):
+                limits = (content.row_lower, row.lower) if row.lower is not None else (content.row_upper, row.upper)
+                shift = limits[0][i] - float(limits[1])
             slopes = slopes_of(expression, variables)
             if slopes is None:
                 slopes = jacobian[i]

@@ -181,6 +181,7 @@ class ComplementarityModel(NLModel):
         result = solve_from(self.problem, start, {"algorithm": algorithm, **options})
         found = self._without_bounds(result, {"algorithm": algorithm, **options})
         x, duals = self.values(found.z, found.w)
+        x = self.beside.settled(x)
         status, words = found.status, STUCK if result.is_solved and not found.is_solved else found.status.name.lower()
         if status is Status.SOLVED and (wrong := self._wrong(x, duals, found, options)):
             status, words = Status.STALLED, wrong

@@ -17,6 +17,8 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
 from ...modeling.expressions.program import Program
+from ...problems.programs.program import QuadraticProgram
+from ...problems.programs.solving import solve_program
 from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
 from .operators import OPERATORS, Arithmetic, evaluated_tree, value_of
@@ -145,6 +147,8 @@ class SideConditions:
     content : NLContent
     pairs, inequalities, spare : array of int
         The complementarity rows that are solved, the rows without a partner, and the complementarity rows left out.
+    lone : array of int
+        The variables that only inequalities hold.
 
     Attributes
     ----------
@@ -152,8 +156,10 @@ class SideConditions:
         The variables without a complementarity that have bounds; none where nothing is complementary.
     """
 
-    def __init__(self, content: NLContent, pairs: Indices, inequalities: Indices, spare: Indices) -> None:
-        self.content, self.pairs, self.inequalities, self.spare = content, pairs, inequalities, spare
+    def __init__(
+        self, content: NLContent, pairs: Indices, inequalities: Indices, spare: Indices, lone: Indices
+    ) -> None:
+        self.content, self.pairs, self.inequalities, self.spare, self.lone = content, pairs, inequalities, spare, lone
         self.bounded: BoolVector = (np.isfinite(content.lower) | np.isfinite(content.upper)) & bool(pairs.size)
         self.bounded[content.partners[pairs]] = False
 
@@ -162,6 +168,22 @@ class SideConditions:
         content, rows = self.content, [*self.inequalities.tolist(), *self.spare.tolist()]
         columns = np.flatnonzero(self.bounded).tolist()
         return [*map(content.row, rows), *map(content.variable, columns)]
+
+    def settled(self, x: FloatVector) -> FloatVector:
+        """Return x with the variables that only inequalities hold as near to their start as these let them."""
+        if not self.lone.size:
+            return x
+        content, rows, own = self.content, self.inequalities, x[self.lone]
+        A = jacobian(content, x, rows)[:, self.lone]
+        rest = evaluated(content, x).rows[rows] - A @ own
+        holds = (np.diff(A.indptr) > 0) & np.isfinite(rest)
+        least, most = ((limit[rows] - rest)[holds] for limit in (content.row_lower, content.row_upper))
+        near = QuadraticProgram.from_ranges(
+            sp.eye_array(own.size), -own, A[holds], least, most, content.lower[self.lone], content.upper[self.lone]
+        )
+        found, x = solve_program(near), x.copy()
+        x[self.lone] = found.x if found.is_solved else own
+        return x
 
     def violated(self, x: FloatVector, rows: FloatVector, tolerance: float) -> str:
         """Return what does not hold at x, nothing where all of it does.
@@ -184,7 +206,7 @@ class SideConditions:
                         units[inner.size:]),
             excess(*(part[self.bounded] for part in (x, content.lower, content.upper, 1.0 + np.abs(x)))),
         ])
-        what = worst_violation(names, excesses, tolerance)[1]
+        what = worst_violation(names, excesses, tolerance)
         return what and (
             f"solved, but {what}: it stands beside the complementarities, and no unknown gives way to it; with an "
             "objective all solutions are searched"
@@ -218,9 +240,9 @@ def pair_excess(body: Any, row: Any, lower: Any, upper: Any, units: Any) -> Any:
     return np.abs(body - np.clip(moved, lower, upper)) / np.maximum(1.0, np.abs(body))
 
 
-def worst_violation(names: Sequence[str], excesses: Any, tolerance: float) -> tuple[int, str]:
-    """Return which excess is the largest, and what does not hold, in words; none where all are at most `FEASIBLE`."""
+def worst_violation(names: Sequence[str], excesses: Any, tolerance: float) -> str:
+    """Return what does not hold, in words, and the largest excess; nothing where all are at most `FEASIBLE`."""
     excesses = np.where(np.isnan(excesses), np.inf, excesses)
     worst, count = int(np.argmax(excesses)), int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
     others = f", nor {count - 1} more" if count > 1 else ""
-    return worst, f"{names[worst]} does not hold{others}, off by {excesses[worst]:.2g}" if count else ""
+    return f"{names[worst]} does not hold{others}, off by {excesses[worst]:.2g}" if count else ""

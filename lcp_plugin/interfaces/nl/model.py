@@ -258,6 +258,7 @@ class FileStatement:
 
     def complementarities(self) -> ComplementarityModel:
         """Return the complementarity problem."""
+        held = np.isnan(self.known)
         if self.inequalities.size:
             self.known = self._known(self.says_nothing | np.isin(np.arange(self.m), self.inequalities))
             self.expressions = Expressions(self.content, self.known)
@@ -269,7 +270,8 @@ class FileStatement:
         equations = self._without_empty(equations)
         spare = self._spare(pairs, equations)
         pairs = np.setdiff1d(pairs, spare)
-        beside = SideConditions(content, pairs, self.inequalities, spare)
+        lone = np.flatnonzero(held & ~np.isnan(self.known))
+        beside = SideConditions(content, pairs, self.inequalities, spare, lone)
         assembly = _Assembly(content, found, beside.bounded, keeps_bounds=not pairs.size)
         place = np.full(self.n + content.defined_trees.size, -1)
         place[found.unknowns] = np.arange(found.unknowns.size)

@@ -1,4 +1,4 @@
-"""What a run found, put back into the Pyomo model: values, suffixes, and whether all that was stated holds.
+"""What a run found, put back into the Pyomo model: values and suffixes.
 
 Pyomo's newer solver interface, ``pyomo.contrib.solver``, stands over the same answers.
 """
@@ -6,9 +6,8 @@ Pyomo's newer solver interface, ``pyomo.contrib.solver``, stands over the same a
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Iterable
+from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -26,16 +25,16 @@ from pyomo.contrib.solver.common.config import SolverConfig
 from pyomo.contrib.solver.common.factory import SolverFactory
 from pyomo.contrib.solver.common.results import Results, SolutionStatus, TerminationCondition
 from pyomo.contrib.solver.common.util import NoFeasibleSolutionError, NoOptimalSolutionError
-from pyomo.core import ConcreteModel, Constraint, ConstraintList, Objective, SortComponents, Suffix, VarList
-from pyomo.core.expr.visitor import identify_variables, replace_expressions
+from pyomo.core import Constraint, Objective, SortComponents, Suffix
+from pyomo.core.expr.visitor import identify_variables
 from pyomo.core.staleflag import StaleFlagManager
 
 from ... import __version__
 from ...core.checks import FloatVector
-from ...core.errors import ModelWarning, UnsupportedModel
-from ...core.settings import Settings, Status
+from ...core.errors import UnsupportedModel
+from ...core.settings import Status
 from ..nl.answers import NLAnswer, NLModel, ProgramModel
-from ..nl.checks import jacobian, worst_violation
+from ..nl.checks import jacobian
 from ..nl.content import NLContent
 from ..nl.model import model_of
 from ..nl.writing import write_nl
@@ -67,8 +66,6 @@ class PyomoAnswer:
     problem : NLModel
     values, duals : ComponentMap
         Of variables, of constraints and pairs.
-    violated : str
-        What was stated beside the problem and does not hold at the answer; empty where all of it does.
     """
 
     statement: Statement
@@ -76,17 +73,16 @@ class PyomoAnswer:
     problem: NLModel
     values: ComponentMap
     duals: ComponentMap
-    violated: str
+
+    @property
+    def is_violated(self) -> bool:
+        """True where the pairs are solved, and something that stands beside them does not hold."""
+        return self.found.result.is_solved and not self.found.is_solved
 
     @property
     def has_point(self) -> bool:
         """True where there is something to load."""
         return self.found.x is not None and self.found.status not in NO_POINT
-
-    @property
-    def message(self) -> str:
-        """How it ended, in a line."""
-        return f"{self.found.message}; but {self.violated}" if self.violated else self.found.message
 
     @cached_property
     def reduced_costs(self) -> ComponentMap:
@@ -123,13 +119,6 @@ def content_of(model: Any) -> NLContent:
     """Return what a file of a Pyomo model holds: the model as it is solved."""
     with TemporaryDirectory() as folder:
         statement = stated(model, Path(folder) / "model.nl")
-    if statement.beside:
-        names = [beside.name for beside in statement.beside]
-        others = ", …" if len(names) > SOME else ""
-        warnings.warn(
-            f"the file does not hold {', '.join(names[:SOME])}{others}, which no unknown gives way to; solve holds it "
-            "against the answer, another reader of the file cannot", ModelWarning, stacklevel=4,
-        )
     return statement.in_a_file
 
 
@@ -147,7 +136,7 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
     statement = stated(model, path)
     problem = _problem(statement)
     found = problem.solve(**options)
-    values, duals, violated = ComponentMap(), ComponentMap(), ""
+    values, duals = ComponentMap(), ComponentMap()
     if found.x is not None and found.duals is not None:
         own = [(j, variable) for j, variable in enumerate(statement.variables) if j not in statement.added]
         values.update((variable, float(found.x[j])) for j, variable in own)
@@ -156,11 +145,7 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
             (row.stated if isinstance(row, Pair) else row, float(dual))
             for row, dual in zip(statement.rows, found.duals, strict=True) if row is not None
         )
-    if values and found.status not in NO_POINT:
-        values.update(_of_rows_beside(statement, values))
-        tolerance = Settings(tolerance=options.get("tolerance", Settings.tolerance)).tolerance
-        violated = _violated(statement, values, tolerance)
-    return PyomoAnswer(statement, found, problem, values, duals, violated)
+    return PyomoAnswer(statement, found, problem, values, duals)
 
 
 def _without_weight(model: Any, values: ComponentMap) -> list[Any]:
@@ -170,37 +155,6 @@ def _without_weight(model: Any, values: ComponentMap) -> list[Any]:
         if stated_one.expr is not None:
             found.update((one, None) for one in identify_variables(stated_one.expr, include_fixed=False))
     return [one for one in found if one not in values and one.value is None]
-
-
-def _of_rows_beside(statement: Statement, values: ComponentMap) -> ComponentMap:
-    """Return the variables of inequalities beside the pairs that stand nowhere else: as near as these let them."""
-    known = {id(variable): value for variable, value in values.items()}
-    in_problem = {id(variable) for variable in statement.variables}
-    lone, rows = ComponentMap(), []
-    for row in (beside.row for beside in statement.beside if beside.row is not None):
-        others = [one for one in identify_variables(row.body, include_fixed=False) if id(one) not in in_problem]
-        rows += [row] if others else []
-        lone.update((one, _nearest_to_zero(one) if one.value is None else one.value) for one in others)
-    if not lone:
-        return lone
-    model = ConcreteModel()
-    model.x, model.rows = VarList(), ConstraintList()
-    unknowns = {id(one): model.x.add() for one in lone}
-    for one, start in lone.items():
-        unknowns[id(one)].setlb(one.lb)
-        unknowns[id(one)].setub(one.ub)
-        unknowns[id(one)].set_value(start, skip_validation=True)
-    for row in rows:
-        model.rows.add((row.lb, replace_expressions(row.body, {**known, **unknowns}), row.ub))
-    model.objective = Objective(expr=sum((unknowns[id(one)] - start) ** 2 for one, start in lone.items()))
-    try:
-        with TemporaryDirectory() as folder:
-            answer = answered(model, {}, Path(folder) / "model.nl")
-    except UnsupportedModel:  # rows that are not linear
-        return ComponentMap()
-    if answer.found.status is not Status.SOLVED:
-        return ComponentMap()
-    return ComponentMap((one, answer.values[unknowns[id(one)]]) for one in lone)
 
 
 def _nearest_to_zero(variable: Any) -> float:
@@ -230,30 +184,6 @@ def _slopes(content: NLContent, x: FloatVector, duals: FloatVector) -> FloatVect
     weights = np.append(-duals, np.ones(content.is_maximized.size))
     slopes: FloatVector = jacobian(content, x, np.arange(weights.size)).T @ weights
     return slopes
-
-
-def _violated(statement: Statement, values: ComponentMap, tolerance: float) -> str:
-    """Return what does not hold beside the problem at the values."""
-    if not statement.beside:
-        return ""
-    with _set_to(values):
-        excesses = [beside.excess() for beside in statement.beside]
-    worst, what = worst_violation([beside.name for beside in statement.beside], excesses, tolerance)
-    return what and f"{what}; it {statement.beside[worst].why}"
-
-
-@contextmanager
-def _set_to(values: ComponentMap) -> Iterator[None]:
-    """Give the variables these values, and afterwards their own."""
-    before = [(variable, variable.value, variable.stale) for variable in values]
-    try:
-        for variable, value in values.items():
-            variable.set_value(value, skip_validation=True)
-        yield
-    finally:
-        for variable, value, stale in before:
-            variable.set_value(value, skip_validation=True)
-            variable.stale = stale
 
 
 def imported(model: Any, name: str) -> Any:
@@ -298,7 +228,7 @@ class Loader(LOADER):  # type: ignore[misc, valid-type]
     def _chosen(self, values: ComponentMap, wanted: Iterable[Any] | None) -> ComponentMap:
         """Return those that are wanted; raise where the model has no solution that they could belong to."""
         if not self.answer.has_point:
-            raise _error_with(NoFeasibleSolutionError, self.answer.message)
+            raise _error_with(NoFeasibleSolutionError, self.answer.found.message)
         return values if wanted is None else ComponentMap((component, values[component]) for component in wanted)
 
 
@@ -341,27 +271,24 @@ class LCPPluginV2(SolverBase):  # type: ignore[misc]
         results.timing_info.start_timestamp, results.timing_info.wall_time = begin, perf_counter() - start
         is_optimal = results.solution_status == SolutionStatus.optimal
         if config.raise_exception_on_nonoptimal_result and not is_optimal:
-            raise _error_with(NoOptimalSolutionError, answer.message)
+            raise _error_with(NoOptimalSolutionError, answer.found.message)
         if config.load_solutions:
             if not answer.has_point:
-                raise _error_with(NoFeasibleSolutionError, answer.message)
+                raise _error_with(NoFeasibleSolutionError, answer.found.message)
             results.solution_loader.load_solution()
         return results
 
 
 def _results_of(answer: PyomoAnswer, model: Any) -> Any:
     found, results = answer.found, Results()
-    is_solved = found.status is Status.SOLVED and not answer.violated
     results.termination_condition = ENDS.get(found.status, TerminationCondition.unknown)
-    if found.status is Status.SOLVED and answer.violated:
-        results.termination_condition = TerminationCondition.unknown
-    results.solution_status = SolutionStatus.optimal if is_solved else NOT_JUDGED
+    results.solution_status = SolutionStatus.optimal if found.is_solved else NOT_JUDGED
     if not answer.has_point:
         results.solution_status = SolutionStatus.noSolution
     results.solution_loader = Loader(answer, model)
-    if is_solved and found.objective is not None:
+    if found.is_solved and found.objective is not None:
         results.incumbent_objective = results.objective_bound = found.objective
-    results.extra_info.message, results.extra_info.result = answer.message, found.result
+    results.extra_info.message, results.extra_info.result = found.message, found.result
     return results
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from pyomo.core import (
     VarList,
 )
 from pyomo.core.expr.numvalue import is_potentially_variable
+from pyomo.core.expr.visitor import identify_variables
 from pyomo.mpec import Complementarity
 from pyomo.network import Port
 from pyomo.repn.plugins.nl_writer import NLWriter
@@ -36,10 +37,9 @@ from pyomo.repn.util import categorize_valid_components
 
 from ...core.checks import FloatVector
 from ...core.errors import InvalidProblem, UnsupportedModel
-from ..nl.checks import excess, pair_excess
 from ..nl.content import NLContent, Token, Trees
 from ..nl.reading import read_content
-from .pairs import Pair, PairSide, cannot_vary, difference, number, paired, sides_of, unit
+from .pairs import Pair, PairSide, cannot_vary, difference, number, paired, sides_of
 
 KNOWN = {
     Block, Complementarity, Constraint, Expression, ExternalFunction, Objective, Param, Port, RangeSet, Set, Suffix,
@@ -54,16 +54,7 @@ INSTEAD = {
 DISCRETISED = ("DerivativeVar",)
 PLUS = 0  # the number of the operator
 SOME = 5  # names that a message lists
-
-
-@dataclass(frozen=True, eq=False)
-class Beside:
-    """What holds beside the square problem: `excess()` ≤ a tolerance at the values found; its row, an inequality."""
-
-    name: str
-    excess: Callable[[], float]
-    why: str = "stands beside the pairs, and no unknown gives way to it"
-    row: Any = None
+TINY = sys.float_info.min  # limits of what would be an equation, were they 0: it is looked at afterwards
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +71,12 @@ class Statement:
         unknown that was added, whose equation it is.
     added : frozenset of int
         The numbers of unknowns that were added.
-    beside : list of Beside
     """
 
     content: NLContent
     variables: list[Any]
     rows: list[Any]
     added: frozenset[int]
-    beside: list[Beside]
 
     @property
     def in_a_file(self) -> NLContent:
@@ -98,11 +87,6 @@ class Statement:
         bound_bits = np.isfinite(content.lower) + 2 * np.isfinite(content.upper)
         bound_bits = np.where(content.partners >= 0, bound_bits[content.partners], content.partner_bounds)
         return replace(content, partner_bounds=bound_bits)
-
-    @property
-    def is_nonlinear(self) -> bool:
-        """True where a row has a nonlinear term."""
-        return self.content.trees.kinds.size > self.content.trees.size
 
 
 def stated(model: Any, path: Path) -> Statement:
@@ -136,15 +120,11 @@ def stated(model: Any, path: Path) -> Statement:
     if len(objectives) > 1:
         raise UnsupportedModel(f"the model has {len(objectives)} active objectives; deactivate all but one")
     is_whole = any(not one.is_continuous() for one in model.component_data_objects(Var, active=True, descend_into=True))
-    for takes_inequalities in (not has_pairs or bool(objectives) or is_whole, False):
-        draft = _Draft(takes_inequalities)
-        for row in constraints:
-            draft.constrain(row)
-        draft.pair(conditions, sides)
-        statement = draft.written(objectives, has_pairs, path)
-        if not takes_inequalities or objectives or is_whole or not statement.is_nonlinear:
-            break
-    return statement
+    draft = _Draft(is_search=bool(objectives) or is_whole)
+    for row in constraints:
+        draft.constrain(row)
+    draft.pair(conditions, sides)
+    return draft.written(objectives, has_pairs, path)
 
 
 def _require_known(model: Any) -> None:
@@ -159,39 +139,33 @@ def _require_known(model: Any) -> None:
 
 
 class _Draft:
-    """The rows of the square problem in a model of their own, which shares the user's variables."""
+    """The rows of a model in one of their own, which shares the user's variables.
 
-    def __init__(self, takes_inequalities: bool) -> None:
-        self.takes_inequalities = takes_inequalities
+    Parameters
+    ----------
+    is_search : bool
+        Whether all solutions of the pairs are searched, so that bounds and inequalities are constraints.
+    """
+
+    def __init__(self, *, is_search: bool) -> None:
+        self.is_search = is_search
         self.model = ConcreteModel()
-        self.model.rows, self.model.spare_rows = ConstraintList(), ConstraintList()
+        self.model.rows = ConstraintList()
         self.model.added, self.model.zero = VarList(), Var(initialize=0.0)
         self.model.zero.fix()
         self.given: list[Any] = []
         self.states: dict[int, Any] = {}  # by the row's id
         self.partners: dict[int, tuple[Any, Pair]] = {}  # variable and pair, by the variable's id
-        self.spare: list[Pair] = []
+        self.spare: list[Pair] = []  # whose equations only count where there are not too many
         self.named: dict[int, str] = {}  # unknowns that were added
-        self.held: dict[int, tuple[float, float]] = {}  # what the pairs say of a variable
-        self.beside: list[Beside] = []
 
     def constrain(self, row: Any) -> None:
-        """Take a constraint as a row of a program, or an equation; beside it what is neither, or cannot vary."""
-        is_equation = row.lb == row.ub and row.lb is not None
-        is_row = is_equation or self.takes_inequalities or hasattr(row, "_complementarity")
-        if not is_row or (not self.takes_inequalities and cannot_vary(row.body)):
-            self.look_at(row.name, row.body, row.lb, row.ub, row)
-        elif _is_of_kernel(row):
+        """Take a constraint as a row."""
+        if _is_of_kernel(row):
             self.states[id(self.model.rows.add((row.lb, row.body, row.ub)))] = row
         else:
             self.given.append(row)
             self.states[id(row)] = row
-
-    def look_at(self, name: str, body: Any, lower: float | None, upper: float | None, row: Any = None) -> None:
-        """Remember bounds that are looked at afterwards."""
-        least, most = -math.inf if lower is None else lower, math.inf if upper is None else upper
-        if math.isfinite(least) or math.isfinite(most):
-            self.beside.append(Beside(name, lambda: _excess(body, least, most), row=row))
 
     def pair(self, conditions: Sequence[Any], sides: Sequence[tuple[PairSide, PairSide]]) -> None:
         """Take the complementarities, first those that leave no choice of a partner."""
@@ -200,36 +174,53 @@ class _Draft:
             equation = next((side for side in pair if side.is_equation), None)
             if equation is not None:
                 body = difference(equation.body, equation.lower) if equation.lower else equation.body
-                self.state(self.model.rows, body, condition, equation=True)
+                self.state(body, condition, 0.0, 0.0)
             else:
                 self.hold(paired(condition, pair, lambda variable: id(variable) in self.partners))
-            for side in pair:
-                if side.variable is not None and side.bounds:
-                    self.held[id(side.variable)] = side.lower, side.upper
+        self.spare_limit = TINY if self.spare and self._has_too_many_equations() else 0.0
+        for one in self.spare:
+            self.state(one.row, one, 0.0, 0.0)
 
     def hold(self, pair: Pair) -> None:
         """Take a pair: its variable, or an unknown that is added, goes with its row."""
-        if pair.held.is_fixed and not self.takes_inequalities:
-            self.spare.append(pair)
-            if not pair.is_at_bound:
-                self.state(self.model.spare_rows, pair.row, pair, equation=True)
+        if pair.held.is_fixed and not self.is_search:
+            self.look_at(pair)
             return
         variable = pair.held.variable
         if variable is None or id(variable) in self.partners:
             variable = self.model.added.add()
             self.named[id(variable)] = f"the unknown for {pair.stated.name}"
             variable.set_value(None if math.isnan(start := number(pair.held.body)) else start)
-            self.state(self.model.rows, difference(variable, pair.held.body), self.named[id(variable)], equation=True)
-        elif self.takes_inequalities and not _is_implied(variable, pair):
-            row = self.model.rows.add((variable.lb, variable, variable.ub))
-            self.states[id(row)] = f"the bounds of {variable.name}"
+            self.state(difference(variable, pair.held.body), self.named[id(variable)], 0.0, 0.0)
+        elif not self._own_bounds_count(variable, pair):
+            self.state(variable, f"the bounds of {variable.name}", variable.lb, variable.ub)
         self.partners[id(variable)] = variable, pair
-        self.state(self.model.rows, pair.row, pair)
+        self.state(pair.row, pair, 0.0, None)
 
-    def state(self, rows: Any, body: Any, what: Any, equation: bool = False) -> None:
-        """Add a row body ≥ 0, or an equation body == 0."""
+    def look_at(self, pair: Pair) -> None:
+        """Take the row of a pair whose held side is fixed: of one sign at a bound, an equation between them."""
+        lower, held, upper = pair.held.lower, number(pair.held.body), pair.held.upper
+        if lower < held < upper:
+            self.spare.append(pair)
+        elif lower <= held <= upper:
+            self.state(pair.row, pair.stated.name, *((0.0, None) if held == lower else (None, 0.0)))
+        else:
+            self.state(pair.held.body, pair.stated.name, lower, upper)
+
+    def _has_too_many_equations(self) -> bool:
+        """Return whether there are more equations and pairs than unknowns in them, as with a price that is the unit."""
+        rows = [
+            row.body for row in (*self.model.rows.values(), *self.given)
+            if row.equality or isinstance(self.states[id(row)], Pair) or hasattr(row, "_complementarity")
+        ]
+        rows += [pair.row for pair in self.spare]
+        unknowns = {id(one) for row in rows for one in identify_variables(row, include_fixed=False)}
+        return len(rows) > len(unknowns | self.partners.keys())
+
+    def state(self, body: Any, what: Any, lower: float | None, upper: float | None) -> None:
+        """Add a row lower ≤ body ≤ upper."""
         body = body if is_potentially_variable(body) else difference(body, self.model.zero)
-        self.states[id(rows.add((0.0, body, 0.0 if equation else None)))] = what
+        self.states[id(self.model.rows.add((lower, body, upper)))] = what
 
     def written(self, objectives: Sequence[Any], has_pairs: bool, path: Path) -> Statement:
         """Return the statement, through a file written by Pyomo."""
@@ -240,19 +231,13 @@ class _Draft:
         elif objectives:
             self.model.objective = Reference(list(objectives), ctype=Objective)
         content, variables, rows = self._through(path)
-        if len(rows) > len(variables) and len(self.model.spare_rows):  # as that of a price which is the unit
-            self.model.spare_rows.deactivate()
-            content, variables, rows = self._through(path)
         if not variables:
             raise UnsupportedModel("no active constraint, objective or complementarity has a free variable")
         if has_pairs:
             content = self._paired(content, variables, rows)
-        for pair in self.spare:
-            why = "holds a side that is fixed, so that no unknown gives way to it"
-            self.beside.append(Beside(pair.stated.name, partial(_pair_excess, pair), why))
         added = {id(variable) for variable in self.model.added.values()}
         numbers = frozenset(j for j, variable in enumerate(variables) if id(variable) in added)
-        return Statement(content, variables, rows, numbers, self.beside)
+        return Statement(content, variables, rows, numbers)
 
     def _through(self, path: Path) -> tuple[NLContent, list[Any], list[Any]]:
         """Write and read the rows; return their content, the variables, and what each row states."""
@@ -283,65 +268,52 @@ class _Draft:
                 raise InvalidProblem(f"numbers of a model must be finite: {' '.join(str(error).split())}") from error
 
     def _paired(self, content: NLContent, variables: list[Any], rows: list[Any]) -> NLContent:
-        """Return the content with the pairs' bounds of variables, and no others but of a program."""
+        """Return the content with the pairs, and their bounds of variables."""
         number_of = {id(variable): j for j, variable in enumerate(variables)}
         partners, partner_bounds = content.partners.copy(), content.partner_bounds.copy()
         row_lower, row_upper = content.row_lower.copy(), content.row_upper.copy()
         constants = np.zeros(len(rows))
-        lower, upper = np.full(len(variables), -np.inf), np.full(len(variables), np.inf)
-        if self.takes_inequalities:
-            lower[:], upper[:] = np.transpose([_own_bounds(variable) for variable in variables])
-        for i in np.flatnonzero(content.partners >= 0).tolist():
-            j = content.partners[i]
-            counts = 3 if not self.takes_inequalities else partner_bounds[i]
-            lower[j] = content.lower[j] if counts & 1 else -np.inf
-            upper[j] = content.upper[j] if counts & 2 else np.inf
+        lower, upper = content.lower.copy(), content.upper.copy()
+        if self.is_search:  # where a pair of Pyomo's own transformation has no other bounds than it states
+            transformed = np.flatnonzero(partners >= 0)
+            own, stated_bits = partners[transformed], partner_bounds[transformed]
+            lower[own[stated_bits & 1 == 0]], upper[own[stated_bits & 2 == 0]] = -np.inf, np.inf
         held_by = {id(pair): variable for variable, pair in self.partners.values()}
+        spare = set(map(id, self.spare))
         for i, pair in enumerate(rows):
             variable = held_by.get(id(pair))
+            if id(pair) in spare:
+                constants[i], row_lower[i], row_upper[i] = -row_lower[i], -self.spare_limit, self.spare_limit
             if variable is None:
                 continue
             j = number_of[id(variable)]
             constants[i] = -row_lower[i]
             row_lower[i], row_upper[i], partners[i] = -np.inf, np.inf, j
-            lower[j], upper[j] = self._within(variable, pair)
+            lower[j], upper[j] = pair.held.lower, pair.held.upper
+            if not self.is_search and self._own_bounds_count(variable, pair):
+                own_lower, own_upper = _own_bounds(variable)
+                lower[j], upper[j] = max(lower[j], own_lower), min(upper[j], own_upper)
             is_same = lower[j] == pair.held.lower, upper[j] == pair.held.upper
             partner_bounds[i] = (is_same[0] & np.isfinite(lower[j])) + 2 * (is_same[1] & np.isfinite(upper[j]))
-        if not self.takes_inequalities:
-            self._look_at_bounds(variables, set(partners.tolist()))
         return replace(
             content, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, partners=partners,
             partner_bounds=partner_bounds, trees=with_constants(content.trees, constants),
         )
 
-    def _within(self, variable: Any, pair: Pair) -> tuple[float, float]:
-        """Return the bounds of a pair within the variable's own, which count as if it stated them."""
-        own_lower, own_upper = _own_bounds(variable)
-        lower, upper = max(pair.held.lower, own_lower), min(pair.held.upper, own_upper)
-        if self.takes_inequalities:  # all solutions are searched, and bounds are constraints
-            return pair.held.lower, pair.held.upper
-        if lower <= upper:
-            return lower, upper
-        self.look_at(variable.name, variable, own_lower, own_upper)
-        return pair.held.lower, pair.held.upper
+    def _own_bounds_count(self, variable: Any, pair: Pair) -> bool:
+        """Return whether the own bounds of a pair's variable need no row: in a search only where the pair implies them.
 
-    def _look_at_bounds(self, variables: list[Any], partners: set[int]) -> None:
-        """Remember the own bounds of variables that no row holds and no pair implies."""
-        for j, variable in enumerate(variables):
-            lower, upper = _own_bounds(variable)
-            least, most = self.held.get(id(variable), (-math.inf, math.inf))
-            if j not in partners and (lower > least or upper < most):
-                self.look_at(variable.name, variable, lower, upper)
+        Otherwise they count as if the pair stated them, unless they exclude its bounds.
+        """
+        lower, upper = _own_bounds(variable)
+        if self.is_search:
+            return lower <= pair.held.lower and pair.held.upper <= upper
+        return max(lower, pair.held.lower) <= min(upper, pair.held.upper)
 
 
 def _is_of_kernel(component: Any) -> bool:
     """Return whether a component is one of pyomo.kernel, which a reference of Pyomo's other models cannot hold."""
     return not hasattr(component, "parent_component")
-
-
-def _is_implied(variable: Any, pair: Pair) -> bool:
-    lower, upper = _own_bounds(variable)
-    return lower <= pair.held.lower and pair.held.upper <= upper
 
 
 def _own_bounds(variable: Any) -> tuple[float, float]:
@@ -351,16 +323,6 @@ def _own_bounds(variable: Any) -> tuple[float, float]:
 
 def _name(state: Any) -> str:
     return state if isinstance(state, str) else str(getattr(state, "stated", state).name)
-
-
-def _excess(body: Any, lower: float, upper: float) -> float:
-    found = number(body)
-    return 0.0 if lower <= found <= upper else float(excess(found, lower, upper, unit(body)))
-
-
-def _pair_excess(pair: Pair) -> float:
-    row, held = pair.row, pair.held
-    return float(pair_excess(number(held.body), number(row), held.lower, held.upper, unit(row)))
 
 
 def with_constants(trees: Trees, constants: FloatVector) -> Trees:

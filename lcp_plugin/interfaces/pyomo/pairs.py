@@ -9,10 +9,7 @@ from typing import Any
 
 from pyomo.core import value
 from pyomo.core.expr import EqualityExpression, InequalityExpression, RangedExpression, SumExpression
-from pyomo.core.expr.calculus.derivatives import differentiate
-from pyomo.core.expr.calculus.diff_with_pyomo import DifferentiationException
 from pyomo.core.expr.numvalue import is_potentially_variable
-from pyomo.core.expr.visitor import identify_variables
 
 from ...core.errors import UnsupportedModel
 from ...core.representation import in_words
@@ -70,11 +67,6 @@ class Pair:
     stated: Any
     held: PairSide
     row: Any
-
-    @property
-    def is_at_bound(self) -> bool:
-        """True where the held body is not between its bounds at the present values."""
-        return not self.held.lower < number(self.held.body) < self.held.upper
 
 
 def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
@@ -166,19 +158,6 @@ def number(expression: Any) -> float:
     """Return the value of an expression at the present values of its variables, NaN where it has none."""
     found = value(expression, exception=False)
     return math.nan if found is None or isinstance(found, complex) else float(found)
-
-
-def unit(expression: Any) -> float:
-    """Return Σ |slope| (1 + |x|) over the variables x of an expression: how much it changes where they all do."""
-    variables = list(identify_variables(expression))
-    if not variables:
-        return abs(number(expression))
-    try:
-        slopes = differentiate(expression, wrt_list=variables)
-    except (ArithmeticError, ValueError, DifferentiationException):  # no slope at this point, or none that Pyomo knows
-        return 1.0
-    found = sum(abs(slope) * (1.0 + abs(number(one))) for slope, one in zip(slopes, variables, strict=True))
-    return found if math.isfinite(found) else 1.0
 
 
 def paired(stated: Any, sides: tuple[PairSide, PairSide], is_taken: Callable[[Any], bool]) -> Pair:

@@ -23,7 +23,7 @@ from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
 from pyomo_models import MODELS
 
 import lcp_plugin.pyomo
-from lcp_plugin import LCP, ModelWarning, solve
+from lcp_plugin import LCP, solve
 from lcp_plugin.core.errors import LCPError
 from lcp_plugin.interfaces.nl import read_nl
 from lcp_plugin.pyomo import write_nl
@@ -258,7 +258,7 @@ def test_bounds_count_after_pyomos_own_transformation_too() -> None:
 
 
 def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
-    """model.write refuses pairs; write_nl writes what is solved, with names, and says what a file cannot hold."""
+    """model.write refuses pairs; write_nl writes what is solved, with names, and what stands beside the pairs."""
     m = MODELS["oligomcp"]().model
     with pytest.raises(ValueError, match="Complementarity"):
         m.write(str(tmp_path / "theirs.nl"))
@@ -267,8 +267,8 @@ def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
     SOLVER.solve(m)
     assert read_nl(tmp_path / "m.nl").solve().x == pytest.approx([m.q[i].value for i in m.q], rel=1e-6)
     m.beside = pe.Constraint(expr=m.q[0] <= 1e6)
-    with pytest.warns(ModelWarning, match="the file does not hold beside, which no unknown gives way to"):
-        write_nl(m, tmp_path / "m.nl")
+    write_nl(m, tmp_path / "m.nl")
+    assert read_nl(tmp_path / "m.nl").beside.names() == ["row beside"]
 
 
 def inequality_that_fails(m: Any) -> None:
@@ -284,8 +284,8 @@ def fixed_where_its_row_is_not_zero(m: Any) -> None:
 
 
 NOT_ALL = {
-    inequality_that_fails: "beside does not hold, off by 1; it stands beside the pairs, and no unknown gives way to it",
-    fixed_where_its_row_is_not_zero: "d does not hold, off by 1; it holds a side that is fixed",
+    inequality_that_fails: "beside does not hold, off by 1: it stands beside the complementarities, and no unknown",
+    fixed_where_its_row_is_not_zero: "d does not hold, off by 1: it stands beside",
 }
 
 

@@ -125,32 +125,6 @@ class NLModel(ABC):
         return f"lcp_plugin {__version__}: {words}; residual {residual:.1e}, {in_words(iterations, 'iteration')}"
 
 
-@dataclass(frozen=True, eq=False)
-class PairRows:
-    """The complementarity rows, and the variables that only name the value of one.
-
-    Attributes
-    ----------
-    rows, partners : ndarray of int
-        The rows, and the variable of each.
-    folded : ndarray of int
-        Those of the rows that were a multiple of one variable, plus a number.
-    variables : ndarray of int
-    weights, offsets : ndarray
-        Such a row is weight · variable + offset.
-    constants : ndarray, shape (m,)
-        The values of complementarity rows that hold no unknown and are left out.
-    """
-
-    rows: Indices
-    partners: Indices
-    folded: Indices
-    variables: Indices
-    weights: FloatVector
-    offsets: FloatVector
-    constants: FloatVector
-
-
 @dataclass(eq=False, repr=False)
 class ComplementarityModel(NLModel):
     """A linear or nonlinear complementarity problem, or equations; from n on, unknowns are defined variables.
@@ -159,14 +133,18 @@ class ComplementarityModel(NLModel):
     ----------
     arrangement : Arrangement
         The problem in fewer unknowns, definitions put in.
-    pairs : PairRows
+    pairs : ndarray of int
+        The complementarity rows.
+    constants : ndarray, shape (m,)
+        The values of complementarity rows that hold no unknown and are left out.
     beside : SideConditions
         What is held against the answer afterwards.
     """
 
     problem: LCP | NonlinearProblem
     arrangement: Arrangement
-    pairs: PairRows
+    pairs: Indices
+    constants: FloatVector
     beside: SideConditions
 
     @property
@@ -213,13 +191,12 @@ class ComplementarityModel(NLModel):
 
     def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
-        elimination, pairs = self.arrangement.elimination, self.pairs
-        n, duals = self.known.size, self.pairs.constants.copy()
+        elimination = self.arrangement.elimination
+        n, duals = self.known.size, self.constants.copy()
         x, slack = np.append(self.known, np.zeros(self._size - n)), np.zeros(self._size)
         x[self.unknowns] = elimination.expand(z)
         slack[self.unknowns] = elimination.expand_slack(w)
-        duals[pairs.rows] = slack[pairs.partners]
-        x[pairs.variables] = (duals[pairs.folded] - pairs.offsets) / pairs.weights
+        duals[self.pairs] = slack[self.content.partners[self.pairs]]
         return x[:n], duals
 
     @property
@@ -229,7 +206,7 @@ class ComplementarityModel(NLModel):
     @cached_property
     def _is_of_pair(self) -> BoolVector:
         """Which rows of the problem are complementarity rows of the file, shape (n,)."""
-        return np.isin(self.unknowns[self.arrangement.elimination.kept], self.pairs.partners)
+        return np.isin(self.unknowns[self.arrangement.elimination.kept], self.content.partners[self.pairs])
 
     def _without_bounds(self, result: Result, options: dict[str, Any]) -> Result:
         """Return the result, of equations whose unknowns have bounds gone on without these: they excuse no equation."""

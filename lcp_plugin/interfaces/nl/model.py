@@ -16,11 +16,10 @@ from ...core.checks import BoolVector, FloatVector
 from ...core.errors import UnsupportedModel
 from ...core.lcp import LCP
 from ...modeling.assembly import Assembly, PairedRows
-from ...modeling.equations import SMALLEST_PIVOT
 from ...modeling.equilibrium_rows import EquilibriumRows
 from ...modeling.expressions.rows import Rows
 from ...problems.programs.program import QuadraticProgram
-from .answers import ComplementarityModel, EquilibriumModel, NLModel, PairRows, ProgramModel
+from .answers import ComplementarityModel, EquilibriumModel, NLModel, ProgramModel
 from .checks import SideConditions, evaluated, pair_bounds
 from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
@@ -263,7 +262,7 @@ class FileStatement:
             self.known = self._known(self.says_nothing | np.isin(np.arange(self.m), self.inequalities))
             self.expressions = Expressions(self.content, self.known)
         content, found = self.content, self.expressions
-        pairs, equations, folded = self._put_in_auxiliaries()
+        pairs, equations = self.pairs, np.append(self.equations, found.definitions)
         shift = np.zeros(found.offset.size)
         shift[equations] = self.right[equations]
         found.offset = found.offset - shift
@@ -283,9 +282,8 @@ class FileStatement:
         arrangement = assembly.arranged()
         constants = np.zeros(self.m)
         constants[spare] = found.offset[spare]
-        of_pairs = PairRows(pairs, content.partners[pairs], *folded, constants)
         return ComplementarityModel(
-            content, arrangement.problem, found.unknowns, self.known, arrangement, of_pairs, beside
+            content, arrangement.problem, found.unknowns, self.known, arrangement, pairs, constants, beside
         )
 
     def _spare(self, pairs: Indices, equations: Indices) -> Indices:
@@ -316,42 +314,6 @@ class FileStatement:
                 )
         return left
 
-    def _put_in_auxiliaries(self) -> tuple[Indices, Indices, tuple[Any, Any, Any, Any]]:
-        """Put the unknowns that only name the value of a pair's row into it; return pairs and equations left.
-
-        Pyomo writes F >= 0 complements x >= 0 as b == F and a row that holds b alone: the row becomes F, and b is known
-        from its value.
-
-        Notes
-        -----
-        With a b + g = 0 and the row c b + d, it is d − (c/a) g.
-        """
-        content, found = self.content, self.expressions
-        matrix, columns = found.matrix, sp.csc_array(found.matrix)
-        is_free = np.isneginf(content.lower) & np.isposinf(content.upper) & ~self.is_paired
-        is_free = np.append(is_free, np.zeros(content.defined_trees.size, dtype=bool))
-        may_go = is_free[found.unknowns] & (np.diff(columns.indptr)[: found.unknowns.size] == 2)
-        largest = abs(matrix).max(axis=1).toarray().ravel()
-        equations, taken = set(self.equations.tolist()), list[tuple[int, int, float, int]]()
-        for row in self.pairs[np.diff(matrix.indptr)[self.pairs] == 1].tolist():
-            column, weight = int(matrix.indices[matrix.indptr[row]]), float(matrix.data[matrix.indptr[row]])
-            if column >= may_go.size or not may_go[column]:
-                continue
-            both = slice(columns.indptr[column], columns.indptr[column + 1])
-            pivots = dict(zip(columns.indices[both].tolist(), columns.data[both].tolist(), strict=True))
-            del pivots[row]
-            (definition, pivot), = pivots.items()
-            if definition in equations and abs(pivot) >= SMALLEST_PIVOT * largest[definition]:
-                equations.remove(definition)  # it defines one
-                taken.append((row, column, weight, definition))
-        rows, own, weights, definitions = map(np.array, zip(*taken, strict=True)) if taken else (self.pairs[:0],) * 4
-        variables, offsets = found.unknowns[own], found.offset[rows]
-        found.offset[definitions] -= self.right[definitions]
-        if taken:
-            found.put_in(definitions, own)
-        left = np.setdiff1d(np.append(self.equations, found.definitions), definitions)
-        return self.pairs, left, (rows, variables, weights, offsets)
-
 
 class _Assembly(Assembly):
     """The model of a file."""
@@ -374,8 +336,8 @@ class _Assembly(Assembly):
         self.equations.append(PairedRows(rows, self.found.rows(rows)))
 
     def variable_of(self) -> NDArray[np.int64]:
-        """Return 0: what is an array in its own language is not known here."""
-        return np.zeros(self.count, dtype=np.int64)
+        """Return 1 for unknowns without a pair, 0 for the others: what is an array in its own language is not known."""
+        return (~self.is_paired).astype(np.int64)
 
     def names_of(self, columns: NDArray[np.int64]) -> list[str]:
         """Return the first names."""

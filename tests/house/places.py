@@ -35,7 +35,7 @@ NAMED = {
     ),
     "a tableau": ("follow_path", "_exchange", "pivots", "_hold", "_add"),
     "a form of a program": ("DirectForm", "KKTForm", "DualForm", "_is_laplacian", "least_multipliers"),
-    "a derivative": ("Derivative", "settle", "tangents", "adjoints"),
+    "a derivative": ("Derivative", "settle", "solve_steps"),
     "many": (
         "solve_many", "solve_batch", "MixedRun", "BatchRun", "ProgramBatchRun", "QuadraticProgramBatch", "march",
         "march_many",

@@ -1,8 +1,9 @@
 """The derivatives of a march in time on a narrow band: one banded solve a step, on the rows that are free there.
 
 First each z is solved for once more, with w in twice the precision, and its rows are told apart. A tangent goes through
-the steps forwards, an adjoint backwards. Either ends before a step that more digits have to decide, or a small LCP:
-where a row is about degenerate, where the free block is about singular. That step is the caller's.
+the steps forwards, an adjoint backwards: the same systems, or the transposed ones. Either ends before a step that more
+digits have to decide, or a small LCP: where a row is about degenerate, where the free block is about singular. That
+step is the caller's.
 
 Rows whose numbers underflow, as far from the money as nothing is left of a price, count as degenerate: at the bound.
 """
@@ -164,100 +165,67 @@ def settle(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def tangents(  # type: ignore[no-untyped-def]
-    band, propagator, dM, dpropagator, dforcing, lower, upper, states, Z, sides, is_plain, first, before, dz
+def solve_steps(  # type: ignore[no-untyped-def]
+    band, propagator, right, lower, upper, sides, is_plain, first, way, carried, x, of_bounds
 ):
-    """Write how each z changes, from row `first` on; return the row at which that ends.
+    """Write the x with B x + right + C x_before = 0 on the free rows of each step, and add what that is on the others.
+
+    Return the step at which that ends, from `first` on forwards (way = 1) or backwards (−1).
 
     Parameters
     ----------
     band
-        As in `settle`.
-    propagator, dM, dpropagator : tuples
-        Matrices by rows.
-    dforcing : array, shape (k, n), or (1, n) for all steps
+        As in `settle`, transposed for steps backwards.
+    propagator : tuple
+        C by rows, likewise.
+    right : array, shape (k, n)
     lower, upper : arrays, shape (n,)
-        The changes of the bounds.
-    states : array, shape (k + 1, n)
-        What each step began with, and the last answer.
-    Z, sides, is_plain
+        x in the rows at these bounds.
+    sides, is_plain
         What `settle` has found.
-    before : array, shape (n,)
-        The change of the state that the first step begins with, then that of the last.
-    dz : array, shape (k, n)
-        Or (1, n) for the last one alone.
+    carried : array, shape (n,)
+        The x before the first of these steps, then that of the last.
+    x : array, shape (k, n)
+    of_bounds : array, shape (2, n)
+        The sums over the steps with a row at its lower, and at its upper bound.
     """
-    n = before.size
-    h, value, state, change = np.empty(n), np.empty(n), np.empty(n, np.int8), np.empty(n)
-    w, workspace, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
-    for k in range(first, Z.shape[0]):
+    n = carried.size
+    value, w, h, state = np.empty(n), np.empty(n), np.empty(n), np.empty(n, np.int8)
+    workspace, rows = np.empty(n), np.empty((n, band[0].shape[0]))
+    k = first
+    while 0 <= k < right.shape[0]:
         if not is_plain[k]:
-            return k
+            break
         for i in range(n):
-            h[i], state[i] = dforcing[min(k, dforcing.shape[0] - 1), i], sides[k, i]
+            h[i], state[i] = right[k, i], sides[k, i]
             value[i] = 0.0 if state[i] == 0 else lower[i] if state[i] < 0 else upper[i]
-        add_product(propagator[0], propagator[1], propagator[2], before, h)
-        add_product(dM[0], dM[1], dM[2], Z[k], h)
-        add_product(dpropagator[0], dpropagator[1], dpropagator[2], states[k], h)
-        _solve(band, h, value, state, change, rows, workspace)
-        is_regular, rounding = _is_regular(band, h, state, change, w)
-        for i in range(n):
-            if abs(state[i]) == KINK:  # held, if its slack agrees; else a small LCP has to tell
-                is_regular &= (w[i] if state[i] > 0 else -w[i]) * band[3][i] <= rounding
+        add_product(propagator[0], propagator[1], propagator[2], carried, h)
+        _solve(band, h, value, state, x[k], rows, workspace)
+        is_regular, rounding = _is_regular(band, h, state, x[k], w)
+        if way > 0:
+            for i in range(n):
+                if abs(state[i]) == KINK:  # held, if its slack agrees; else a small LCP has to tell
+                    is_regular &= (w[i] if state[i] > 0 else -w[i]) * band[3][i] <= rounding
         if not is_regular:
-            return k
-        to = min(k, dz.shape[0] - 1)
+            break
         for i in range(n):
-            before[i] = dz[to, i] = change[i]
-    return Z.shape[0]
+            carried[i] = x[k, i]
+            of_bounds[0, i] += w[i] if state[i] < 0 else 0.0
+            of_bounds[1, i] += w[i] if state[i] > 0 else 0.0
+        k += way
+    return k
 
 
 @kernel
-def adjoints(  # type: ignore[no-untyped-def]
-    band, propagator, g, of_matrix, of_propagator, states, Z, sides, is_plain, last, after, by_q, by_lower, by_upper,
-    by_M, by_propagator
-):
-    """Add the gradients of a function of z, from row `last` backwards; return the row at which that ends, −1 for none.
+def add_products(matrix, x, y):  # type: ignore[no-untyped-def]
+    """Add A x of each row x to that of y, A by rows."""
+    for k in range(x.shape[0]):
+        add_product(matrix[0], matrix[1], matrix[2], x[k], y[k])
 
-    Parameters
-    ----------
-    band, propagator
-        As in `tangents`, but of the transposed matrices.
-    g : array, shape (k, n), or (0, n) for nothing
-        The gradient by each z.
-    of_matrix, of_propagator : pairs of arrays
-        The row and the column of each entry of M and of the propagator.
-    states, Z, sides, is_plain
-        As in `tangents`.
-    after : array, shape (n,)
-        The gradient by the z of row `last` that later steps give, then that by the state before the first row.
-    by_q : array, shape (k, n)
-        Written to, or (0, n) for nothing.
-    by_lower, by_upper, by_M, by_propagator : arrays, shapes (n,), (n,), and an entry for each of the two matrices
-    """
-    n = after.size
-    right, value, state, multiplier = np.empty(n), np.zeros(n), np.empty(n, np.int8), np.empty(n)
-    w, workspace, rows = np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
-    for k in range(last, -1, -1):
-        if not is_plain[k]:
-            return k
-        for i in range(n):
-            state[i] = sides[k, i]
-            right[i] = -(after[i] + g[k, i]) if g.shape[0] > 0 else -after[i]
-        _solve(band, right, value, state, multiplier, rows, workspace)
-        is_regular, _ = _is_regular(band, right, state, multiplier, w)
-        if not is_regular:
-            return k
-        for i in range(n):
-            multiplier[i] = -multiplier[i]
-            by_lower[i] -= w[i] if state[i] < 0 else 0.0
-            by_upper[i] -= w[i] if state[i] > 0 else 0.0
-            after[i] = 0.0
-            if by_q.shape[0] > 0:
-                by_q[k, i] = multiplier[i]
-        for p in range(by_M.size):
-            by_M[p] += multiplier[of_matrix[0][p]] * Z[k, of_matrix[1][p]]
-        for p in range(by_propagator.size):
-            by_propagator[p] += multiplier[of_propagator[0][p]] * states[k, of_propagator[1][p]]
-        add_product(propagator[0], propagator[1], propagator[2], multiplier, after)
-    return -1
+
+@kernel
+def add_outer(rows, columns, left, right, sums):  # type: ignore[no-untyped-def]
+    """Add Σ_k left_ki right_kj to `sums`, for each pair of a row i and a column j."""
+    for k in range(left.shape[0]):
+        for p in range(sums.size):
+            sums[p] += left[k, rows[p]] * right[k, columns[p]]

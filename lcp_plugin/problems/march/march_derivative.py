@@ -31,16 +31,6 @@ if TYPE_CHECKING:
 CHANGES = ("dM", "dforcing", "dpropagator", "dz0", "dlower", "dupper", "only_last")
 
 
-class Sums(NamedTuple):
-    """The gradient by the state after the steps not yet gone back, and what has been summed up over the others."""
-
-    after: FloatVector
-    lower: FloatVector
-    upper: FloatVector
-    M: FloatVector
-    propagator: FloatVector
-
-
 class Band(NamedTuple):
     """What the compiled loops take of a narrow band: the matrix by its diagonals and by rows, and the propagator."""
 
@@ -66,15 +56,16 @@ def _places(A: sp.csr_array) -> Any:
 
 
 class CompiledSteps:
-    """Some steps that follow each other, by the compiled loops as far as these go.
+    """Some steps that follow each other, by the compiled loops as far as these go; `here` are their numbers.
 
     `states`, shape (count + 1, n), are the one before the first of them, whose number is `first`, and the answers.
     """
 
     def __init__(self, whole: MarchDerivative, first: int, states: FloatVector) -> None:
-        self.whole, self.march, self.band, self.first, self.states = whole, whole.march, whole.band, first, states
+        self.whole, self.march, self.band, self.states = whole, whole.march, whole.band, states
         march, count = whole.march, len(states) - 1
-        self.q = np.array(march.forcing[first : first + count], order="C")
+        self.here = slice(first, first + count)
+        self.q = np.array(march.forcing[self.here], order="C")
         self.z, self.sides = states[1:].copy(), np.zeros((count, states.shape[1]), np.int8)
         self._of_step: tuple[int, Derivative] | None = None
         self.is_plain = np.zeros(count, np.bool_)
@@ -103,45 +94,53 @@ class CompiledSteps:
 
     def jvp(
         self, dM: sp.csr_array, dforcing: FloatVector, dpropagator: sp.csr_array, dlower: FloatVector,
-        dupper: FloatVector, before: FloatVector, dz: FloatVector,
-    ) -> None:
-        """Write the changes of the answers, and that of the state, which comes with that before the first step."""
-        k, propagator = 0, self.march.propagator
-        while k < len(self):
-            if self.band is not None:
-                from .kernels import tangents
+        dupper: FloatVector, before: FloatVector,
+    ) -> FloatVector:
+        """Return the changes of the answers, and write the last one over that of the state before the first step."""
+        from .kernels import add_products
 
-                k = tangents(
-                    self.band.band, self.band.propagator, _by_rows(dM), _by_rows(dpropagator), dforcing, dlower, dupper,
-                    self.states, self.z, self.sides, self.is_plain, k, before, dz,
+        given = np.broadcast_to(dforcing, self.z.shape)
+        right = np.array(given, order="C")
+        add_products(_by_rows(dpropagator), self.states[:-1], right)
+        add_products(_by_rows(dM), self.z, right)
+
+        def alone(k: int) -> FloatVector:
+            dq = given[k] + dpropagator @ self.states[k] + self.march.propagator @ before + dM @ self.at(k).z
+            return self.at(k).jvp(dq=dq, dlower=dlower, dupper=dupper)
+
+        return self._solved(self.whole.band, right, (dlower, dupper), before, np.zeros((2, before.size)), alone, 1)
+
+    def vjp(self, g: FloatVector, after: FloatVector, of_bounds: FloatVector) -> FloatVector:
+        """Return the gradients by q, and add those by both bounds, shape (2, n).
+
+        `after` is the gradient by q of the step behind these, 0 where there is none; then that of the first of these.
+        """
+        nothing = np.zeros(after.size)
+
+        def alone(k: int) -> FloatVector:
+            found, self.z[k] = self.at(k).vjp(g[k] + self.march.propagator.T @ after), self.at(k).z
+            of_bounds[:] += found.lower, found.upper
+            return found.q
+
+        return self._solved(self.whole.transposed, g, (nothing, nothing), after, of_bounds, alone, -1)
+
+    def _solved(
+        self, band: Band | None, right: FloatVector, values: tuple[FloatVector, FloatVector], carried: FloatVector,
+        of_bounds: FloatVector, alone: Callable[[int], FloatVector], way: int,
+    ) -> FloatVector:
+        """Return x of each step, as the compiled loop has it, and that of the steps that it leaves alone."""
+        x, k = np.empty(right.shape), 0 if way > 0 else len(self) - 1
+        while 0 <= k < len(self):
+            if band is not None:
+                from .kernels import solve_steps
+
+                k = solve_steps(
+                    band.band, band.propagator, right, *values, self.sides, self.is_plain, k, way, carried, x, of_bounds
                 )
-            if k < len(self):
-                dq = dforcing[min(k, len(dforcing) - 1)] + dpropagator @ self.states[k] + propagator @ before
-                before[:] = self.at(k).jvp(dq=dq + dM @ self.at(k).z, dlower=dlower, dupper=dupper)
-                dz[min(k, len(dz) - 1)] = before
-                k += 1
-
-    def vjp(self, g: FloatVector, sums: Sums, by_q: FloatVector) -> None:
-        """Add what these steps have to the sums, and write their gradients by q where there is an array for them."""
-        k, march, transposed = len(self) - 1, self.march, self.whole.transposed
-        while k >= 0:
-            if self.band is not None and transposed is not None:
-                from .kernels import adjoints
-
-                k = adjoints(
-                    transposed.band, transposed.propagator, g, *self.whole.places, self.states, self.z, self.sides,
-                    self.is_plain, k, sums.after, by_q, sums.lower, sums.upper, sums.M, sums.propagator,
-                )
-            if k >= 0:
-                found = self.at(k).vjp(sums.after + g[k] if len(g) else sums.after)
-                sums.lower[:] += found.lower
-                sums.upper[:] += found.upper
-                sums.M[:] += found.M.data
-                sums.propagator[:] += found.q[row_numbers(march.propagator)] * self.states[k][march.propagator.indices]
-                sums.after[:] = march.propagator.T @ found.q
-                if len(by_q):
-                    by_q[k] = found.q
-                k -= 1
+            if 0 <= k < len(self):
+                x[k] = carried[:] = alone(k)
+                k += way
+        return x
 
 
 class MarchGradient:
@@ -223,7 +222,7 @@ class MarchDerivative:
         for part in self._parts():
             for k in range(len(part)):
                 rows = part.degenerate(k)
-                found.append(np.column_stack([np.full(rows.size, part.first + k), rows]))
+                found.append(np.column_stack([np.full(rows.size, part.here.start + k), rows]))
         return np.concatenate(found)
 
     @cached_property
@@ -288,16 +287,16 @@ class MarchDerivative:
                 f"{' and '.join(named)} would change q, which a march takes from its forcing; write "
                 f"dforcing=problem.origin.changes({', '.join(f'{name}=…' for name in named)})[\"dq\"]"
             )
-        rows = np.atleast_2d(_rows(np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"))
+        rows = _rows(np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps")
         dM, dpropagator = _matrix(dM, "dM", n), _matrix(dpropagator, "dpropagator", n)
         dM = sp.csr_array(dM + more["dM"]) if "dM" in more else dM
         low, high = _vector(dlower, "dlower", n), _vector(dupper, "dupper", n)
-        before, dz = _vector(dz0, "dz0", n, may_be_number=False).copy(), np.empty((1 if only_last else steps, n))
+        before, dz = _vector(dz0, "dz0", n, may_be_number=False).copy(), np.empty((0 if only_last else steps, n))
         for part in self._parts():
-            here = slice(part.first, part.first + len(part))
-            own = rows[here] if len(rows) > 1 else rows
-            part.jvp(dM, own, dpropagator, low, high, before, dz if only_last else dz[here])
-        return dz if not only_last else dz[0] if steps else before
+            changes = part.jvp(dM, rows[part.here] if rows.ndim > 1 else rows, dpropagator, low, high, before)
+            if not only_last:
+                dz[part.here] = changes
+        return before if only_last else dz
 
     def vjp(self, g: ArrayLike) -> MarchGradient:
         """Return the gradients of a function L of the answers by M, the forcing, the propagator, z0 and the bounds.
@@ -327,31 +326,41 @@ class MarchDerivative:
         array([[-0.15625, -0.09375],
                [-0.375  , -0.125  ]])
         """
+        from .kernels import add_outer
+
         n, steps = self.march.problem.n, len(self)
         rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
-        found = self._back(rows, np.empty((0, n)))
+        M, propagator = self.march.problem.csr, self.march.propagator
+        after, of_bounds = np.zeros(n), np.zeros((2, n))
+        of_M, of_propagator = np.zeros(M.nnz), np.zeros(propagator.nnz)
+        in_M, in_propagator = _places(M), _places(propagator)
+        for part, by_q in self._back(rows, after, of_bounds):
+            add_outer(*in_M, by_q, part.z, of_M)
+            add_outer(*in_propagator, by_q, part.states[:-1], of_propagator)
+        z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
 
         def by_forcing() -> FloatVector:
-            by_q = np.empty((steps, n))
-            self._back(rows, by_q)
-            return by_q
+            forcing = np.empty((steps, n))
+            for part, by_q in self._back(rows, np.zeros(n), np.zeros((2, n))):
+                forcing[part.here] = by_q
+            return forcing
 
-        M, propagator = self.march.problem.matrix.csr, self.march.propagator
         return MarchGradient(
-            found.after, found.lower, found.upper, sp.csr_array((found.M, M.indices, M.indptr), shape=(n, n)),
-            sp.csr_array((found.propagator, propagator.indices, propagator.indptr), shape=(n, n)), by_forcing,
+            z0, *of_bounds, sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n)),
+            sp.csr_array((of_propagator, propagator.indices, propagator.indptr), shape=(n, n)), by_forcing,
         )
 
-    def _back(self, g: FloatVector, by_q: FloatVector) -> Sums:
-        """Return the sums over all steps, and write the gradients by q where there is an array for them."""
-        problem, n = self.march.problem, self.march.problem.n
-        is_last_alone = g.ndim == 1
-        after, of_entries = g.copy() if is_last_alone else np.zeros(n), np.zeros(problem.matrix.csr.nnz)
-        sums = Sums(after, np.zeros(n), np.zeros(n), of_entries, np.zeros(self.march.propagator.nnz))
+    def _back(
+        self, g: FloatVector, after: FloatVector, of_bounds: FloatVector
+    ) -> Iterator[tuple[CompiledSteps, FloatVector]]:
+        """Yield the steps from the last to the first, some at a time, with their gradients by q."""
         for part in self._parts(backwards=True):
-            here = slice(part.first, part.first + len(part))
-            part.vjp(g[:0].reshape(0, n) if is_last_alone else g[here], sums, by_q[here])
-        return sums
+            own = np.zeros(part.z.shape)
+            if g.ndim > 1:
+                own[:] = g[part.here]
+            elif part.here.stop == len(self):
+                own[-1] = g
+            yield part, part.vjp(own, after, of_bounds)
 
     def _parts(self, *, backwards: bool = False) -> Iterator[CompiledSteps]:
         """Yield the steps, some at a time, with what has been found out about each."""
@@ -373,11 +382,6 @@ class MarchDerivative:
     def transposed(self) -> Band | None:
         """What the compiled loop backwards takes: of the transposed matrices."""
         return Band.of(Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T))
-
-    @cached_property
-    def places(self) -> Any:
-        """The row and the column of each entry of M, and of the propagator."""
-        return _places(self.march.problem.csr), _places(self.march.propagator)
 
 
 def _matrix(given: Any, name: str, n: int) -> sp.csr_array:

@@ -593,7 +593,8 @@ MECHANISMS = (
               {f"{PARAMETRIC}.exploring:_Family.solved": Instead(solved_once)}),
     Mechanism("one change", "the next region is that of the case with one change, without a solve",
               {f"{PARAMETRIC}.exploring:_Family.solved": Instead(remembered),
-               f"{PARAMETRIC}.exploring:_Family._region": Instead(of_answers_alone)}),
+               f"{PARAMETRIC}.exploring:_Family._region": Instead(of_answers_alone)},
+              claim="problems/parametric/test_regions.py::test_a_narrow_range_has_its_own_regions"),
     Mechanism("batch loop", "small problems of a batch in one compiled loop",
               {"problems.batches.batch_run:BatchRun._solve_compiled": skipped()},
               "problems/batches/batch_run.py:BatchRun._solve_compiled "
@@ -601,9 +602,10 @@ MECHANISMS = (
     Mechanism("batch of programs", "small programs of a batch judged together",
               {"problems.batches.program_batch:ProgramBatchRun._solve_compiled": skipped()},
               "problems/batches/program_batch.py:ProgramBatchRun._solve_compiled"),
-    Mechanism("threads", "loops shared among threads",
+    Mechanism("threads", "loops shared among threads: batches, worlds and marches 1.55–1.95 × on the wall of two cores",
               {"core.kernels.threads:threads_for.__init__": Instead(lambda old: lambda self, count: old(self, 1))},
-              "core/kernels/threads.py problems/many/chunks.py"),
+              "core/kernels/threads.py problems/many/chunks.py",
+              "core/test_threads.py::test_pieces_run_at_the_same_time"),
 )
 NAMES = {one.name: one for one in MECHANISMS}
 HEAVIEST = (

@@ -20,13 +20,14 @@ from scipy.spatial import HalfspaceIntersection, QhullError
 
 from ...core.checks import FloatVector
 from ...core.deadline import Clock
-from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
+from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...kinds import solve_any
 from ..programs.program import QuadraticProgram
 from .families import ComplementarityFamily, ProgramFamily
 from .regions import Region, Regions
+from .staircases import Columns
 
 BEHIND = 1e-7  # a facet, of the box's width: where the next region is looked for
 CLEARLY_BEHIND = 1e-5  # where a solve is asked, whose tolerance reaches behind a facet
@@ -34,7 +35,6 @@ FLAT = 1e-9  # inner radius, of the box's width: of what is no region
 SINGULAR = 1e-13  # pivot beside the largest
 CROSSED = 1e-9  # of the terms of its own row
 ROUNDED = 1e-15  # of the terms of an unknown: what is left where they cancel
-EVENINGS = 8
 MOST_PARAMETERS = 6
 Case = np.ndarray[Any, np.dtype[np.int8]]
 
@@ -136,7 +136,7 @@ class _Family:
         self.problem = problem
         self.low, self.high = _box(within)
         self.p = self.low.size
-        self.data = kind.over(problem, _changes(problem, parameters, kind.MOVES, self.p), self.p, tolerance)
+        self.data = kind(problem, parameters, (0.0, 0.0), tolerance, self.p)
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -154,10 +154,7 @@ class _Family:
             self.kept = np.append(self.kept[:first], first + _independent(problem, affine(self.data.pair("b"))))
         self.M = plain.csr.toarray()[np.ix_(self.kept, self.kept)]
         q, lower, upper = (affine(side)[self.kept] for side in self.data.rows())
-        D = np.ones(len(q))
-        for _ in range(EVENINGS):  # Ruiz: rows and columns alike
-            largest = np.abs(D[:, None] * self.M * D).max(axis=1, initial=0.0)
-            D *= np.exp2(-np.rint(0.5 * np.log2(np.where(largest > 0.0, largest, 1.0))))
+        D = Columns(self.M).units()
         self.M = D[:, None] * self.M * D
         q, lower, upper = D[:, None] * q, lower / D[:, None], upper / D[:, None]
         self.q, self.lower, self.upper, self.unit = q, lower, upper, D
@@ -385,28 +382,3 @@ def _box(within: Any) -> tuple[FloatVector, FloatVector]:
         raise InvalidOption(f"regions takes up to {MOST_PARAMETERS} parameters, got {low.size}; trace follows one of "
                             "them")
     return low, high
-
-
-def _changes(problem: Any, parameters: Any, names: tuple[str, ...], p: int) -> dict[str, FloatVector]:
-    """Return the change of each vector by θ, shape (size, p), or raise InvalidOption."""
-    if not isinstance(parameters, Mapping) or not parameters:
-        raise InvalidOption(f'parameters must say what depends on θ, as {{"{names[0]}": change}}, got {parameters!r}')
-    found = {}
-    for name, given in parameters.items():
-        if name not in names:
-            raise InvalidOption(f"parameters={{{name!r}: …}} names nothing that moves in {type(problem).__name__}"
-                                f"{did_you_mean(name, names)}; {', '.join(names)} may move")
-        now = getattr(problem, name)
-        try:
-            change = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            change = np.empty(0)
-        change = change[:, None] if change.ndim == 1 and p == 1 else change
-        if change.shape != (now.size, p) or not np.isfinite(change).all():
-            raise InvalidOption(f"parameters[{name!r}] must be finite numbers of shape ({now.size}, {p}): the change "
-                                f"of {name} by each of the {p} parameters, got shape {np.shape(given)}")
-        if (stuck := ~np.isfinite(now) & change.any(axis=1)).any():
-            i = int(np.flatnonzero(stuck)[0])
-            raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; let row {i} of its change be 0")
-        found[str(name)] = change
-    return found

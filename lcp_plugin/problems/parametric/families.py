@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.residuals import Certificate
-from ...core.checks import BoolVector, FloatVector, checked_vector, is_number, read_only
+from ...core.checks import BoolVector, FloatVector, checked_vector, is_number, read_only, real_array
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
@@ -184,9 +184,11 @@ class Family:
     problem : LCP, QuadraticProgram or BoundedLeastSquares
     along : mapping from str to number or array
         What moves, and its change for θ + 1.
-    start, stop : float
-        The values of θ that the path is for.
+    ends : (float, float)
+        The values of θ that a path is for.
     tolerance : float
+    p : int
+        How many parameters there are where changes are by several; 0 on a path.
 
     Attributes
     ----------
@@ -198,36 +200,42 @@ class Family:
 
     MOVES: ClassVar[tuple[str, ...]] = ()
     FIXED: ClassVar[dict[str, str]] = {}
-    p = 1
 
-    @classmethod
-    def over(cls, problem: Any, changes: Mapping[str, FloatVector], p: int, tolerance: float) -> Self:
-        """Return that of p parameters, whose changes have shape (size, p)."""
-        family = cls(problem, {}, 0.0, 0.0, tolerance)
-        family.directions, family.p = {**changes}, p
-        return family
+    def __init__(
+        self, problem: Any, along: Any, ends: tuple[float, float], tolerance: float, p: int = 0
+    ) -> None:
+        self.problem, self.settings, self.ends, self.p = problem, Settings(tolerance=tolerance), ends, max(p, 1)
+        self._word = "parameters" if p else "along"
+        if not isinstance(along, Mapping) or not along:
+            what = f'what depends on θ, as {{"{self.MOVES[0]}": change}}' if p else 'what moves, as {"q": direction}'
+            raise InvalidOption(f"{self._word} must say {what}, got {along!r}")
+        self.directions = {str(name): self._checked(name, change, p) for name, change in along.items()}
 
-    def __init__(self, problem: Any, along: Mapping[str, Any], start: float, stop: float, tolerance: float) -> None:
-        self.problem, self.settings = problem, Settings(tolerance=tolerance)
-        self.ends = (start, stop)
-        self.directions = {name: self._checked(name, change) for name, change in along.items()}
-
-    def _checked(self, name: str, change: Any) -> FloatVector:
+    def _checked(self, name: str, change: Any, p: int) -> FloatVector:
+        """Return the change of a vector, shape (size,), or (size, p) of several parameters."""
+        kind = type(self.problem).__name__
         if name in self.FIXED:
-            raise InvalidOption(f"trace moves vectors of {type(self.problem).__name__}, not {name}: {self.FIXED[name]}")
+            raise InvalidOption(f"vectors of {kind} may move, not {name}: {self.FIXED[name]}")
         if name not in self.MOVES:
             raise InvalidOption(
-                f"along={{{name!r}: …}} names nothing that moves in {type(self.problem).__name__}"
+                f"{self._word}={{{name!r}: …}} names nothing that moves in {kind}"
                 f"{did_you_mean(name, self.MOVES)}; {', '.join(self.MOVES)} may move"
             )
         now: FloatVector = getattr(self.problem, name)
-        step = np.full(now.shape, float(change)) if is_number(change) else checked_vector(change, name, now.size)
-        moved = ~np.isfinite(now) & (step != 0.0)
+        if p:
+            need = f"the change of {name} by each of the {p} parameters must be finite, of shape ({now.size}, {p})"
+            step = real_array(change, need)
+            step = step[:, np.newaxis] if step.ndim == 1 == p else step
+            if step.shape != (now.size, p) or not np.isfinite(step).all():
+                raise InvalidOption(f"{need}, got shape {np.shape(change)}")
+        else:
+            step = np.full(now.shape, float(change)) if is_number(change) else checked_vector(change, name, now.size)
+        moved = ~np.isfinite(now) & (step.T != 0.0)
         if moved.any() and is_number(change):
             step = np.where(np.isfinite(now), step, 0.0)  # one number moves all bounds that there are
         elif moved.any():
-            i = int(np.flatnonzero(moved)[0])
-            raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; let along[{name!r}][{i}] be 0")
+            i = int(np.argwhere(moved)[0][-1])
+            raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; let {self._word}[{name!r}][{i}] be 0")
         return read_only(step)
 
     @property
@@ -592,7 +600,7 @@ def family_of(problem: Any, along: Mapping[str, Any], start: float, stop: float,
         raise InvalidOption(refusal("trace", problem))
     if isinstance(problem, LCP):
         problem.matrix.require_all_rows()
-    family = FAMILIES[type(problem)](problem, along, start, stop, tolerance)
+    family = FAMILIES[type(problem)](problem, along, (start, stop), tolerance)
     if not isinstance(problem, BoundedLeastSquares) and (rows := family.conditions.n) > LARGEST:
         raise UnsuitableProblem(
             f"trace keeps a dense inverse for up to {LARGEST} rows, and this problem has {rows}; "

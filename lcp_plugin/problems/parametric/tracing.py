@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -97,8 +96,6 @@ def trace(problem: Any, along: Any, start: float, stop: float, *, tolerance: flo
 def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance: float) -> Path:
     """Return the path of a problem of ours."""
     clock = Clock()
-    if not isinstance(along, Mapping) or not along:
-        raise InvalidOption(f'along must say what moves, as {{"q": direction}}, got {along!r}')
     return traced(family_of(problem, along, start, stop, tolerance), start, stop, clock)
 
 

@@ -60,6 +60,16 @@ def test_p_matrices_have_regions_over_the_whole_box(seed: int) -> None:
         np.testing.assert_allclose(found.x_at(theta), result.z, atol=1e-7)
 
 
+@pytest.mark.parametrize("width", [1e-3, 1e-6])
+def test_a_narrow_range_has_its_own_regions(width: float) -> None:
+    """Of an actuator that moves by a millionth of what the parameters do: x follows θ inside, as three times three."""
+    program = QuadraticProgram(np.eye(2), [0.0, 0.0], lower=[0.0, -1.0], upper=[width, 1.0])
+    found = regions(program, {"c": -np.eye(2)}, ([-1.0, -2.0], [1.0, 2.0]))
+    assert len(found) == 9
+    assert found.is_solved
+    np.testing.assert_allclose(found.x_at([0.5 * width, 0.5]), [0.5 * width, 0.5], rtol=1e-9)
+
+
 def test_bounds_and_equations_may_move() -> None:
     """The nearest point of a moving box on a moving line: closed form along one parameter."""
     program = QuadraticProgram(np.eye(2), [0.0, 0.0], A=[[1.0, 1.0]], b=[0.0], lower=-1.0, upper=1.0)
@@ -117,8 +127,9 @@ def test_it_tells_what_it_found_and_draws_it() -> None:
 
 
 @pytest.mark.parametrize(("given", "error", "words"), [
-    (({"P": np.eye(2)}, ([0.0], [1.0])), InvalidOption, "c, h, b, lower, upper may move"),
-    (({"c": [1.0]}, ([0.0], [1.0])), InvalidOption, r"shape \(2, 1\): the change of c"),
+    (({"q": [1.0, 0.0]}, ([0.0], [1.0])), InvalidOption, "c, h, b, lower, upper may move"),
+    (({"P": np.eye(2)}, ([0.0], [1.0])), InvalidOption, "may move, not P: x is not piecewise affine in P"),
+    (({"c": [1.0]}, ([0.0], [1.0])), InvalidOption, r"change of c by each .* of shape \(2, 1\), got shape \(1,\)"),
     (({"c": [1.0, 0.0]}, ([1.0], [0.0])), InvalidOption, "low < high"),
     (({"c": [1.0, 0.0]}, 3), InvalidOption, "corners of a box"),
     (({"upper": [1.0, 0.0]}, ([0.0], [1.0])), InvalidOption, r"upper\[0\] is inf and cannot move"),

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...auto import asked_of_solve, solve_lcp
 from ...core.algorithm import Algorithm
-from ...core.errors import InvalidOption, InvalidProblem, LCPError
+from ...core.errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm
 from ...core.kernels.threads import threads_for
 from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
@@ -26,7 +27,7 @@ from ..programs.program import QuadraticProgram
 from ..programs.solving import QuadraticProgramResult, prepare_program, programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
-from .batch_run import BatchResult, BatchRun, CallersOwn
+from .batch_run import BatchResult, BatchRun
 from .contact_batch import ContactBatchResult, ContactBatchRun
 from .mixed_batch import AnswerList, MixedRun
 from .program_batch import ProgramBatchResult, ProgramBatchRun
@@ -327,25 +328,39 @@ def solve_many(problem: Any, Q: Any, algorithm: str | Algorithm = "auto", **opti
         return [found.errors[k] if k in found.errors else found[k] for k in range(len(found))]
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("solve_many", problem))
-    if callable(options.get("callback")):
-        options["callback"] = CallersOwn(options["callback"])
-    problems: list[LCP | None] = []
-    errors: dict[int, LCPError] = {}
-    for k, q in enumerate(_columns(Q, problem.n)):
-        try:
-            problems.append(problem.with_q(q))
-        except LCPError as error:
-            problems.append(None)
-            errors[k] = error
-    starts = None if options.get("z0") is None else [options.pop("z0")] * len(problems)
-    run = BatchRun(Listed(problems, starts, errors), algorithm, options)
-    run.run()
+    columns, callback = _columns(Q, problem.n), options.get("callback")
+    asked_of_solve(algorithm, options)  # what is wrong for all is refused before the first
+    if callable(callback):
+        callback = options["callback"] = _CallersOwn(callback)
     answers: list[Result | LCPError] = []
-    for k in range(len(problems)):
-        answers.append(run.items.errors[k] if k in run.items.errors else run.result_of(k))
-        if isinstance(answers[-1], Result) and answers[-1].status is Status.INTERRUPTED:
-            break
+    for q in columns:
+        try:
+            answers.append(found := solve_lcp(problem.with_q(q), algorithm, **options))
+        except (InvalidOption, UnknownAlgorithm):
+            raise
+        except LCPError as error:
+            if isinstance(callback, _CallersOwn) and error is callback.raised:
+                raise
+            answers.append(error)
+        else:
+            if found.status is Status.INTERRUPTED:
+                break
     return answers
+
+
+class _CallersOwn:
+    """The caller's function, which remembers what it raised: that is no refusal of ours."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self.raised: BaseException | None = None
+
+    def __call__(self, *arguments: Any) -> bool:
+        try:
+            return bool(self._function(*arguments))
+        except BaseException as error:
+            self.raised = error
+            raise
 
 
 def _columns(Q: Any, n: int) -> list[Any]:

@@ -69,23 +69,18 @@ class Items:
 
 
 class Listed(Items):
-    """LCPs of any sizes; None where an error says why there is none."""
+    """LCPs of any sizes."""
 
-    def __init__(
-        self, problems: Sequence[LCP | None], z0: Any = None, errors: dict[int, LCPError] | None = None
-    ) -> None:
+    def __init__(self, problems: Sequence[LCP], z0: Any) -> None:
         super().__init__(len(problems))
-        self.errors |= errors or {}
         if z0 is not None and (isinstance(z0, str) or not hasattr(z0, "__len__") or len(z0) != len(problems)):
             raise InvalidOption(f"z0 must be a list of {len(problems)} starts, one a problem, or None")
         self._problems, self._starts = problems, z0
-        self.sizes = {problem.n for problem in problems if problem is not None}
+        self.sizes = {problem.n for problem in problems}
 
     def problem(self, k: int) -> LCP:
         """Return problem k."""
-        problem = self._problems[k]
-        assert problem is not None
-        return problem
+        return self._problems[k]
 
     def start(self, k: int) -> Any:
         """Return its z0, or None."""
@@ -94,13 +89,13 @@ class Listed(Items):
     def outer(self, left: Any, right: Any) -> Any:
         """Return a list of CSR arrays, on the pattern of each M; None where no z was found."""
         triples = zip(self._problems, left, right, strict=True)
-        return [outer_on_pattern(one.matrix, a, b) if one and a.size == one.n else None for one, a, b in triples]
+        return [outer_on_pattern(one.matrix, a, b) if a.size == one.n else None for one, a, b in triples]
 
     def groups(self, *, every: bool = False) -> Iterator[Group]:
         """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
         for n in sorted(self.sizes if every or self._starts is None else ()):
-            same = [(k, one) for k, one in enumerate(self._problems) if one is not None and one.n == n]
-            items = [k for k, one in same if (is_short if every else takes_the_small_dense_solver)(one)]
+            is_small = is_short if every else takes_the_small_dense_solver
+            items = [k for k, one in enumerate(self._problems) if one.n == n and is_small(one)]
             chosen = [self.problem(k) for k in items]
             if not chosen:
                 continue

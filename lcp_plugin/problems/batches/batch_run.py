@@ -99,7 +99,7 @@ class BatchLoop:
             self.is_interrupted = True
 
     def _solve_or_keep_error(self, k: int) -> None:
-        callback, wishes = self.wishes.get("callback"), dict(self.wishes)
+        wishes = dict(self.wishes)
         if self.limit < np.inf:
             wishes["max_seconds"] = max(self.limit - self.clock.read(), 0.0)
         try:
@@ -107,8 +107,6 @@ class BatchLoop:
         except (InvalidOption, UnknownAlgorithm):
             raise
         except LCPError as error:
-            if isinstance(callback, CallersOwn) and error is callback.raised:
-                raise
             self.errors[k], self.is_open[k] = error, False
 
 
@@ -171,6 +169,31 @@ class BatchAnswers(AnswerSequence[T]):
         return self._answer_of(k)
 
 
+class ComplementarityAnswers(BatchAnswers[T]):
+    """The answers to complementarity problems, in tables.
+
+    Parameters
+    ----------
+    run : BatchRun or ContactBatchRun
+        At its end.
+    """
+
+    def __init__(self, run: Any) -> None:
+        super().__init__(run, run.result_of, run.z, run.iterations)
+        self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
+        self.threads = run.threads
+
+    @property
+    def x(self) -> Any:
+        """The same as z."""
+        return self.z
+
+    @property
+    def objective(self) -> Any:
+        """NaN for each, shape (B,): nothing is minimised."""
+        return np.full(len(self), np.nan)
+
+
 @cache
 def _tiny() -> LCP:
     """Return a problem for which auto takes one compiled call; to state it costs as much as to solve a small one."""
@@ -188,8 +211,7 @@ class BatchRun(BatchLoop):
     """
 
     def __init__(
-        self, items: Items, algorithm: str | Algorithm, wishes: dict[str, Any], *, threads: int = 1,
-        limit: float = np.inf,
+        self, items: Items, algorithm: str | Algorithm, wishes: dict[str, Any], *, threads: int, limit: float
     ) -> None:
         super().__init__(items.count, algorithm, wishes, items.errors, threads=threads, limit=limit)
         self.items, self.first = items, self.policy.first(_tiny())
@@ -220,8 +242,7 @@ class BatchRun(BatchLoop):
 
     def _phases(self) -> Phases | None:
         """Return the phases of the compiled loop that the caller's choice takes; None where it takes none."""
-        is_watched = not self.settings.is_unobserved or self.wishes.get("callback") is not None
-        return None if is_watched else self.first.algorithm.phases_of_small()
+        return self.first.algorithm.phases_of_small() if self.settings.is_unobserved else None
 
     def _run_compiled(self, group: Group, phases: Phases) -> None:
         answers = Answers(*group.shape)
@@ -270,7 +291,7 @@ class BatchRun(BatchLoop):
         return fused_result(certificate, self.policy, self.first, answer, self.settings, share)
 
 
-class BatchResult(BatchAnswers[Result]):
+class BatchResult(ComplementarityAnswers[Result]):
     """The answers to a batch of problems.
 
     Parameters
@@ -303,43 +324,11 @@ class BatchResult(BatchAnswers[Result]):
     """
 
     def __init__(self, run: BatchRun) -> None:
-        super().__init__(run, run.result_of, run.z, run.iterations)
-        self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
-        self.items, self.threads = run.items, run.threads
-
-    @property
-    def x(self) -> Any:
-        """The same as z."""
-        return self.z
-
-    @property
-    def objective(self) -> Any:
-        """NaN for each, shape (B,): nothing is minimised."""
-        return np.full(len(self), np.nan)
+        super().__init__(run)
+        self.items = run.items
 
     @cached_property
     def w(self) -> Any:
         """M z + q of each problem, like z; computed when it is looked at."""
         rows = [np.full(len(z), np.nan) if k in self.errors else self.items.slack(k, z) for k, z in enumerate(self.z)]
         return np.array(rows).reshape(self.z.shape) if isinstance(self.z, np.ndarray) else rows
-
-
-class CallersOwn:
-    """The caller's function, which remembers what it raised: that is no refusal of ours.
-
-    Parameters
-    ----------
-    function : callable
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-        self.raised: BaseException | None = None
-
-    def __call__(self, *arguments: Any) -> bool:
-        """Return the truth of what the function returns."""
-        try:
-            return bool(self._function(*arguments))
-        except BaseException as error:
-            self.raised = error
-            raise

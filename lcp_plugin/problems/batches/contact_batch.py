@@ -16,7 +16,7 @@ from ..cones.methods import SWEEPS_A_STEP
 from ..cones.small import LARGEST, LoopAnswers, run_loop
 from ..cones.solving import ConeResult
 from ..contact import motion_of
-from .batch_run import BatchAnswers
+from .batch_run import ComplementarityAnswers
 from .mixed_batch import MixedRun
 
 
@@ -81,7 +81,7 @@ def _checked_starts(z0: ArrayLike, worlds: FrictionalContactBatch) -> Any:
     return starts
 
 
-class ContactBatchResult(BatchAnswers[ConeResult]):
+class ContactBatchResult(ComplementarityAnswers[ConeResult]):
     """The answers to many worlds.
 
     Parameters
@@ -115,19 +115,8 @@ class ContactBatchResult(BatchAnswers[ConeResult]):
     ITEM = "world"
 
     def __init__(self, run: ContactBatchRun) -> None:
-        super().__init__(run, run.result_of, run.z, run.iterations)
-        self.z, self.relative_residual, self.iterations = run.z, run.residual, run.iterations
-        self.worlds, self.threads = run.worlds, run.threads
-
-    @property
-    def x(self) -> Any:
-        """The same as z."""
-        return self.z
-
-    @property
-    def objective(self) -> Any:
-        """NaN for each, shape (B,): nothing is minimised."""
-        return np.full(len(self), np.nan)
+        super().__init__(run)
+        self.worlds = run.worlds
 
     @cached_property
     def w(self) -> Any:

@@ -12,7 +12,7 @@ from ...core.checks import FloatVector
 from ...core.kind import Kind
 from ...core.settings import Status
 from ...core.solving.answer import NEXT, Answer
-from ..programs.no_minimum import QPInfeasibility, QPUnboundedness
+from ..programs.no_minimum import QPUnboundedness
 from ..programs.program import QuadraticProgram
 from . import EQUILIBRIUM_PROGRAM
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
@@ -166,10 +166,7 @@ class EquilibriumResult(Answer):
         """Return whether bounds that were added follow from the problem."""
         if self.searched is self.problem:
             return True
-        mine, again = self.searched.program, tightened(self.problem).program
-        return mine.matrices is again.matrices and all(
-            np.array_equal(getattr(mine, name), getattr(again, name)) for name in ("c", "lower", "upper", "h", "b")
-        )
+        return _is_same(self.searched.program, tightened(self.problem).program)
 
     def _x_holds(self) -> bool:
         if self.x is None:
@@ -184,7 +181,7 @@ class EquilibriumResult(Answer):
         cases, proof = self.descent
         is_piece = bool(((case_counts(cases) == 1) & (cases & self.problem.all_cases == cases)).all())
         program = relaxations.program(cases)
-        return is_piece and program is not None and _is_of(proof, program) and proof.verify()
+        return is_piece and program is not None and _is_same(proof.program, program) and proof.verify()
 
     def _tree_covers(self) -> bool:
         """Return whether the root has all cases, and the children of every node all that it has."""
@@ -209,7 +206,7 @@ class EquilibriumResult(Answer):
         if program is None or self.lower_bound == -math.inf:
             return True
         if leaf.proof is not None:
-            return _is_of(leaf.proof, program) and leaf.proof.verify()
+            return _is_same(leaf.proof.program, program) and leaf.proof.verify()
         if leaf.dual is None:
             return False
         if relaxations.bound(program, leaf.dual, self.lower_bound) >= self.lower_bound:
@@ -293,9 +290,8 @@ class EquilibriumResult(Answer):
         return f"{self.algorithm}: {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
 
 
-def _is_of(proof: QPInfeasibility | QPUnboundedness, program: QuadraticProgram) -> bool:
-    """Return whether a proof speaks of this program."""
-    mine = proof.program
-    return mine.matrices is program.matrices and all(
-        np.array_equal(getattr(mine, name), getattr(program, name)) for name in ("c", "lower", "upper", "h", "b")
+def _is_same(one: QuadraticProgram, other: QuadraticProgram) -> bool:
+    """Return whether two programs have one matrix and the same vectors."""
+    return one.matrices is other.matrices and all(
+        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("c", "lower", "upper", "h", "b")
     )

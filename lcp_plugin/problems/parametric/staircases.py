@@ -10,7 +10,6 @@ Step 2k of a staircase is its piece at z = p_k, step 2k + 1 that at w = v_{k+1};
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -212,12 +211,6 @@ class Staircases:
                 is_better = order * miss < best
                 steps[is_better], best[is_better] = step, miss[is_better]
         return steps
-
-    @cached_property
-    def moves_corners(self) -> bool:
-        """Whether a row may rest where z is not 0."""
-        finite = np.where(np.isfinite(self.corners[0]), self.corners[0], 0.0)
-        return bool(finite.any() or self.corners[1].any())
 
 
 def _largest(size: Any) -> FloatVector:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,13 +19,10 @@ from ..batches.batch_groups import Group
 from ..batches.batch_items import put
 from ..batches.batch_run import BatchAnswers, BatchResult
 from ..many.chunks import in_chunks
-from ..many.data import rows_of_a_batch
-
-if TYPE_CHECKING:
-    pass
 
 R = TypeVar("R", bound=BatchAnswers[Any])
 CHANGES = ("dM", "dq", "dlower", "dupper")
+NUMBERS = "dlower", "dupper", "dfriction"  # which may be one number
 OF_ARRAYS = "; of contacts as arrays write jvp(**data.changes(dfriction=…)), data that of contact_data"
 
 
@@ -39,17 +36,12 @@ class BatchPart(Linearised):
         from ...methods.small.kernels.workspace import AT_UPPER, BETWEEN
         from .kernels import KINK, settle_all
 
-        self.group, self.threads = group, threads
+        self.group, self.items, self.threads = group, group.items, threads
         self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
         data, found = (group.M, group.q, group.lower, group.upper), (self.z, self.side, self.is_plain)
         in_chunks(lambda first, end: settle_all(*data, first, end, *found), len(z), threads)
         self.free, self.is_upper = self.side % KINK == BETWEEN, self.side % KINK == AT_UPPER
         self.degenerate = self.side >= KINK
-
-    @property
-    def plain(self) -> Any:
-        """Which of the batch the loop has settled."""
-        return self.group.items[self.is_plain]
 
     def changes(self, h: Any, lower: Any, upper: Any) -> list[Any]:
         """Return [dz], NaN where it is one-sided, or a block singular."""
@@ -108,7 +100,7 @@ class BatchGradient:
 
 
 class ManyDerivatives(Generic[R]):
-    """The derivatives of many answers, ``found[k]`` that of answer k.
+    """The derivatives of many answers, ``found[k]`` that of answer k: of some together, of the rest one by one.
 
     Parameters
     ----------
@@ -121,6 +113,8 @@ class ManyDerivatives(Generic[R]):
     errors : dict
         Why item k has none.
     """
+
+    _is_even = True  # whether all vectors are rows of an array
 
     def __init__(self, batch: R, each: Callable[[Any], Any]) -> None:
         self.batch, self._derivative_of = batch, each
@@ -142,13 +136,64 @@ class ManyDerivatives(Generic[R]):
             self._each[k] = self._derivative_of(self.batch[k])
         return self._each[k]
 
-    def _one_by_one(self, items: Sequence[int], ask: Callable[[int], Any]) -> Iterator[tuple[int, Any]]:
-        """Yield what is asked of each item, and note what is wrong with it."""
-        for k in items:
+    @cached_property
+    def _parts(self) -> Sequence[Any]:
+        """Items together: their numbers `items`, and `is_plain`, which of them have what it gives."""
+        raise NotImplementedError
+
+    @cached_property
+    def _left(self) -> list[int]:
+        """The solved items that have it from no part."""
+        is_left = self._is_solved.copy()
+        for part in self._parts:
+            is_left[part.items[part.is_plain]] = False
+        return np.flatnonzero(is_left).tolist()
+
+    def _fill(
+        self, tables: Sequence[Any], of_part: Callable[[Any], Sequence[Any]], of_one: Callable[[int], Sequence[Any]]
+    ) -> list[int]:
+        """Write the rows of all items that have any, and return which of them were asked one by one.
+
+        These are the ones left, and those whose first row is NaN in their part. What is wrong with one is noted.
+        """
+        alone = [*self._left]
+        for part in self._parts:
+            answers = of_part(part)
+            is_done = part.is_plain & ~np.isnan(answers[0]).any(axis=1)
+            for table, answer in zip(tables, answers, strict=True):
+                put(table, part.items[is_done], answer[is_done])
+            alone += part.items[part.is_plain & ~is_done].tolist()
+        for k in alone:
             try:
-                yield k, ask(k)
+                for table, answer in zip(tables, of_one(k), strict=True):
+                    table[k][:] = 0
+                    table[k][: answer.size] = answer
             except LCPError as error:
                 self.errors[k] = error
+        return alone
+
+    def _forget_unasked(self, tables: Sequence[Any], *given: Any) -> None:
+        """Write 0 for the items without a derivative of which functions with these gradients ask for none."""
+        for k in self.errors:
+            rows = [one[k] if not self._is_even or np.ndim(one) > 1 else one for one in given if one is not None]
+            if not any(np.any(np.asarray(row) != 0.0) for row in rows):
+                for table in tables:
+                    table[k][:] = 0.0
+
+    def _given(self, values: Any, name: str, is_there: Any) -> Any:
+        """Return an array like `is_there`, 0 where nothing is; the same for all where its first axis is left out."""
+        shape, own = is_there.shape, is_there.shape[1:]
+        letters = {"dM": "n, n", "dfriction": "k"}.get(name, "n")
+        one = f"({letters})" if len(own) > 1 else f"({letters},)"
+        need = f"{name} must have shape (B, {letters}) or {one}, here {shape} or {own}"
+        given = real_array(values, need)
+        if given.shape not in (shape, own, () if name in NUMBERS else own):
+            raise InvalidProblem(f"{need}, got shape {given.shape}")
+        given = np.broadcast_to(given, shape) if is_there.all() else np.where(is_there, given, 0.0)
+        if not np.isfinite(given).all():
+            at = tuple(np.argwhere(~np.isfinite(given))[0].tolist())
+            raise InvalidProblem(f"{name} must be finite, but {name}{[*at]} = {given[at]}; repair that entry")
+        return given
 
 
 class BatchDerivative(ManyDerivatives[BatchResult]):
@@ -181,28 +226,26 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
     @cached_property
     def z(self) -> Any:
         """The solutions at which the derivatives are taken, shape (B, n) or a list; NaN where there is none."""
-        z = self._gathered(np.nan, lambda part: part.z, lambda one: one.z)
+        z = self._table(np.nan)
+        self._fill([z], lambda part: [part.z], lambda k: [self[k].z])
         return read_only(z) if self._is_even else z
 
     @cached_property
     def free(self) -> Any:
         """The rows that `vjp` takes as free, shape (B, n) or a list, of bool."""
-        return self._gathered(False, lambda part: part.free, lambda one: one.free)
+        free = self._table(False)
+        self._fill([free], lambda part: [part.free], lambda k: [self[k].free])
+        return free
 
     @cached_property
     def degenerate(self) -> Any:
         """The rows that are at a bound and have w = 0, shape (B, n) or a list, of bool."""
-        return self._gathered(
-            False, lambda part: part.degenerate, lambda one: np.isin(np.arange(one.z.size), one.degenerate)
+        degenerate = self._table(False)
+        self._fill(
+            [degenerate], lambda part: [part.degenerate],
+            lambda k: [np.isin(np.arange(degenerate[k].size), self[k].degenerate)],
         )
-
-    def _gathered(self, otherwise: Any, of_part: Callable[..., Any], of_one: Callable[..., Any]) -> Any:
-        table = self._table(otherwise)
-        for part in self._parts:
-            put(table, part.plain, of_part(part)[part.is_plain])
-        for k, answer in self._one_by_one(self._left, lambda k: of_one(self[k])):
-            table[k] = answer
-        return table
+        return degenerate
 
     def jvp(
         self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None, **named: Any
@@ -239,15 +282,14 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         array([[-0.75,  0.5 ],
                [ 0.5 , -0.25]])
         """
-        h, low, high = (rows for rows, _ in map(self._given, (dq, dlower, dupper), ("dq", "dlower", "dupper")))
+        h, low, high = map(self._rows_of, (dq, dlower, dupper), ("dq", "dlower", "dupper"))
         if dM is not None:
             h = _sum(h, self._product(dM))
-        h = _sum(h, self._by_name(named)) if named else h
-        (dz,), left = self._derived(BatchPart.changes, (h, low, high), 1)
-        for k, answer in self._one_by_one(
-            left, lambda k: self[k].jvp(dq=_row(h, k), dlower=_row(low, k), dupper=_row(high, k))
-        ):
-            dz[k] = answer
+        h, dz = _sum(h, self._by_name(named)) if named else h, self._table(np.nan)
+        self._fill(
+            [dz], lambda part: part.changes(*(_chosen(rows, part.items) for rows in (h, low, high))),
+            lambda k: [self[k].jvp(dq=h[k], dlower=low[k], dupper=high[k])],
+        )
         return dz
 
     def vjp(self, g: Any, gw: Any = None) -> BatchGradient:
@@ -278,15 +320,12 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
                [ 0. , -0.5]]), array([[-1.25,  0.  ],
                [ 0.  , -1.  ]]))
         """
-        (rows, is_asked), (by_w, is_asked_too) = self._given(g, "g"), self._given(gw, "gw")
-        tables, left = self._derived(BatchPart.gradients, (rows, by_w), 3)
-        for k, gradient in self._one_by_one(left, lambda k: self[k].vjp(_row(rows, k), _row(by_w, k))):
-            for table, answer in zip(tables, gradient, strict=False):  # its M comes later
-                table[k] = answer
-        for k in self.errors:
-            if not (is_asked[k] or is_asked_too[k]):
-                for table in tables:
-                    table[k] = np.zeros_like(table[k])
+        rows, by_w, tables = self._rows_of(g, "g"), self._rows_of(gw, "gw"), [self._table(np.nan) for _ in range(3)]
+        left = self._fill(
+            tables, lambda part: part.gradients(_chosen(rows, part.items), _chosen(by_w, part.items)),
+            lambda k: [*self[k].vjp(rows[k], by_w[k])][:3],  # its M comes later
+        )
+        self._forget_unasked(tables, g, gw)
         by_q, by_lower, by_upper = tables
         return BatchGradient(by_q, by_lower, by_upper, lambda: self._by_M(by_q, left))
 
@@ -308,59 +347,25 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
                       self._is_solved[group.items], self.batch.threads) for group in self.batch.items.groups(every=True)
         ]
 
-    @cached_property
-    def _left(self) -> list[int]:
-        """The solved problems that the compiled loop has left."""
-        is_left = self._is_solved.copy()
-        for part in self._parts:
-            is_left[part.plain] = False
-        return np.flatnonzero(is_left).tolist()
-
-    def _derived(
-        self, ask: Callable[..., list[Any]], given: Sequence[Any], count: int
-    ) -> tuple[list[Any], list[int]]:
-        """Return so many tables with what is asked of each part, and the problems that are left."""
-        tables, left = [self._table(np.nan) for _ in range(count)], [*self._left]
-        for part in self._parts:
-            answers = ask(part, *(_chosen(rows, part.group.items) for rows in given))
-            is_done = part.is_plain & ~np.isnan(answers[0][:, 0])
-            for table, answer in zip(tables, answers, strict=True):
-                put(table, part.group.items[is_done], answer[is_done])
-            left += part.group.items[part.is_plain & ~is_done].tolist()
-        return tables, left
-
     @property
-    def _is_even(self) -> bool:
+    def _is_even(self) -> bool:  # type: ignore[override]
         return isinstance(self.batch.z, np.ndarray)
 
     def _table(self, value: Any) -> Any:
         return np.full(self.batch.z.shape, value) if self._is_even else [np.full(z.size, value) for z in self.batch.z]
 
-    def _given(self, values: Any, name: str) -> tuple[Any, Any]:
-        """Return rows, one in front for all, and which are not 0; those of unsolved problems may be anything."""
-        if not self._is_even:
-            return self._uneven_rows(values, name)
-        count, n = self.batch.z.shape
-        rows = rows_of_a_batch(np.zeros(n) if values is None else values, name, n)
-        if rows.shape[0] not in (1, count):
-            raise InvalidProblem(f"{name} must have a row for each of the {count} problems, got shape {rows.shape}")
-        is_asked = (rows != 0.0).any(1)
-        if rows.shape[0] == count:
-            rows[~self._is_solved] = 0.0
-        if not np.isfinite(rows).all():
-            k, i = np.argwhere(~np.isfinite(rows))[0].tolist()
-            raise InvalidProblem(f"{name} must be finite, but {name}[{k}, {i}] = {rows[k, i]}; repair that entry")
-        return rows, np.broadcast_to(is_asked, count)
-
-    def _uneven_rows(self, values: Any, name: str) -> tuple[Any, Any]:
-        if values is None or (is_number(values) and name in ("dlower", "dupper")):
+    def _rows_of(self, values: Any, name: str) -> Any:
+        """Return a vector a problem; those of unsolved problems may be anything."""
+        if self._is_even:
+            is_there = np.broadcast_to(self._is_solved[:, np.newaxis], self.batch.z.shape)
+            return self._given(np.zeros(is_there.shape[1]) if values is None else values, name, is_there)
+        if values is None or (is_number(values) and name in NUMBERS):
             values = self._table(float(values or 0.0))
         self._require_one_each(values, name, "vectors")
-        is_asked = np.array([bool(np.any(np.asarray(row) != 0.0)) for row in values], np.bool_)
         rows = self._table(0.0)
         for k in np.flatnonzero(self._is_solved):
             rows[k] = finite_vector(values[k], f"{name}[{k}]", rows[k].size)
-        return rows, is_asked
+        return rows
 
     def _require_one_each(self, values: Any, name: str, things: str) -> None:
         if not isinstance(values, Sequence) or len(values) != len(self):
@@ -394,13 +399,8 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         z[~self._is_solved] = 0.0
         if sp.issparse(dM) or np.ndim(dM) == 2:
             return (rectangular_matrix(dM, "dM", n, n) @ z.T).T
-        need = f"dM must have shape (B, n, n) or (n, n), B = {len(self)}, n = {n}"
-        dM = real_array(dM, need)
-        if dM.shape != (len(self), n, n):
-            raise InvalidProblem(f"{need}, got shape {dM.shape}")
-        if not np.isfinite(dM).all():
-            raise InvalidProblem(f"dM must be finite, but dM{np.argwhere(~np.isfinite(dM))[0].tolist()} is not")
-        return products(dM, z)
+        is_there = np.broadcast_to(self._is_solved[:, np.newaxis, np.newaxis], (len(self), n, n))
+        return products(self._given(dM, "dM", is_there), z)
 
 
 def _sum(rows: Any, others: Any) -> Any:
@@ -408,11 +408,4 @@ def _sum(rows: Any, others: Any) -> Any:
 
 
 def _chosen(rows: Any, items: Any) -> Any:
-    """Return those rows as an array; one row in front stays for all."""
-    if not isinstance(rows, np.ndarray):
-        return np.array([rows[k] for k in items])
-    return rows if len(rows) == 1 else rows[items]
-
-
-def _row(rows: Any, k: int) -> Any:
-    return rows[k if len(rows) > 1 else 0]
+    return rows[items] if isinstance(rows, np.ndarray) else np.array([rows[k] for k in items])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -10,8 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector, read_only, real_array
-from ...core.errors import InvalidProblem
+from ...core.checks import BoolVector, read_only
 from ...core.kind import changes_by_name
 from ...core.lcp import LCP
 from ...core.matrix.matrix import residual_scales
@@ -56,12 +54,31 @@ class _Together(ConeDerivative):
 
     problem: _Worlds
 
-    def __init__(self, problem: _Worlds, z: Any) -> None:
-        self.problem, self.shape = problem, z.shape
+    def __init__(self, problem: _Worlds, z: Any, items: Any, is_solved: Any) -> None:
+        self.problem, self.shape, self.items = problem, z.shape, items
+        self.contacts = z.shape[0], z.shape[1] // problem.d
         self.z = self._refined(z.ravel())
         self.w = problem.slack(self.z)
         self._take_element_at(self.z, self.w)
         self.blocks = FreeBlocks(self._J, self._is_free.reshape(z.shape))
+        self.is_plain = is_solved & (self.blocks.is_regular | self.blocks.is_singular)
+
+    @cached_property
+    def is_degenerate(self) -> Any:
+        """The contacts on the edge of two cases, a row a world."""
+        return np.isin(np.arange(self.problem.slope.size), self.degenerate).reshape(self.contacts)
+
+    def changes(self, change: Any, slopes: Any) -> list[Any]:
+        """Return [dz], a row a world, by changes of W z + b and of friction; NaN where it is one-sided."""
+        more = self.by_friction * np.repeat(slopes.ravel(), self.problem.d)
+        dz = self.tangent(change.ravel(), None, more).reshape(self.shape)
+        dz[self.is_degenerate.any(axis=1)] = np.nan
+        return [dz]
+
+    def rows_of_gradients(self, g: Any, by_w: Any) -> list[Any]:
+        """Return the gradients by b and by friction, a row a world."""
+        by_q, _, by_friction = self.gradients(g.ravel(), by_w.ravel())
+        return [by_q.reshape(self.shape), by_friction.reshape(self.contacts)]
 
     def _take_rows(self, z: Any, w: Any) -> None:
         from ..cones.kernels import derivatives
@@ -196,47 +213,36 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
                 own = slice(k * TOGETHER, (k + 1) * TOGETHER)
                 W = np.where(is_solved[own, :, np.newaxis], worlds.W[own], np.eye(worlds.n))
                 b, at, mu = (np.where(is_solved[own], one[own], 0.0) for one in (worlds.b, z, worlds.friction))
-                parts[k] = _Together(_Worlds(W, b, mu, worlds.dimension), at)
+                parts[k] = _Together(
+                    _Worlds(W, b, mu, worlds.dimension), at, np.arange(len(self))[own], self._is_solved[own]
+                )
 
         in_chunks(derive, len(parts), self.batch.threads)
         return parts
 
-    def _asked(self, ask: Callable[[_Together, slice], Any]) -> Any:
-        """Return what is asked of each part, and of its worlds, as one array."""
-        places = (slice(k * TOGETHER, (k + 1) * TOGETHER) for k in range(len(self._parts)))
-        return np.concatenate([ask(part, own) for part, own in zip(self._parts, places, strict=True)])
-
-    @cached_property
-    def _left(self) -> list[int]:
-        """The solved worlds that are in doubt."""
-        is_known = self._asked(lambda part, _: part.blocks.is_regular | part.blocks.is_singular)
-        return np.flatnonzero(self._is_solved & ~is_known).tolist()
-
     @cached_property
     def z(self) -> Any:
         """The impulses at which the derivatives are taken, shape (B, n); NaN where there are none."""
-        z = self._asked(lambda part, _: part.z.reshape(part.shape))
-        z[~self._is_solved] = np.nan
-        for k in self._left:
-            z[k, :self[k].z.size] = self[k].z
+        z = np.full(self.batch.z.shape, np.nan)
+        self._fill([z], lambda part: [part.z.reshape(part.shape)], lambda k: [self[k].z])
         return read_only(z)
 
     @cached_property
     def degenerate(self) -> Any:
         """The contacts on the edge of two cases, shape (B, k), of bool: there the derivative is one of several."""
-        count = self.batch.worlds.friction.shape[1]
-        degenerate = self._asked(
-            lambda part, _: np.isin(np.arange(part.problem.slope.size), part.degenerate).reshape(-1, count)
+        degenerate, counts = np.zeros(self.batch.worlds.friction.shape, np.bool_), self.batch.worlds.contacts
+        self._fill(
+            [degenerate], lambda part: [part.is_degenerate],
+            lambda k: [np.isin(np.arange(counts[k]), self[k].degenerate)],
         )
-        degenerate &= self._is_solved[:, np.newaxis]
-        for k in self._left:
-            degenerate[k] = np.isin(np.arange(count), self[k].degenerate)
         return degenerate
 
     @cached_property
     def is_singular(self) -> Any:
         """The worlds in which several impulses make one motion, shape (B,), of bool: dz is the least of several."""
-        is_singular = self._is_solved & self._asked(lambda part, _: part.blocks.is_singular)
+        is_singular = np.zeros(len(self), np.bool_)
+        for part in self._parts:
+            is_singular[part.items] = part.is_plain & part.blocks.is_singular
         for k in self._left:
             is_singular[k] = self[k].is_singular
         return is_singular
@@ -276,39 +282,21 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
             For any other name.
         """
         changes_by_name(None, named, CHANGES, BY_HAND)
-        worlds = self.batch.worlds
-        db, dW = self._given(dq, "dq", "n", worlds.b), self._given(dM, "dM", "n, n", worlds.W)
-        slopes = self._given(dfriction, "dfriction", "k", worlds.friction)
-        change = self._moved(db, dW)
-        change = np.zeros(worlds.b.shape) if change is None else change
+        db, dW, slopes = self._by_world(dq, "dq"), self._by_world(dM, "dM"), self._by_world(dfriction, "dfriction")
+        change, dz = self._moved(db, dW), np.full(db.shape, np.nan)
 
-        def tangent(part: _Together, own: slice) -> Any:
-            more = 0.0 if slopes is None else part.by_friction * np.repeat(slopes[own].ravel(), worlds.dimension)
-            return part.tangent(change[own].ravel(), None, more).reshape(part.shape)
-
-        dz = self._asked(tangent)
-        is_left = self._is_solved & self.degenerate.any(axis=1)
-        is_left[self._left] = True
-
-        def alone(k: int) -> Any:
+        def alone(k: int) -> list[Any]:
             own = slice(self[k].z.size)
-            return self[k].jvp(
-                dq=None if db is None else db[k, own], dM=None if dW is None else dW[k, own, own],
-                dfriction=None if slopes is None else slopes[k, :worlds.contacts[k]],
-            )
+            by_matrix = None if dW is None else dW[k, own, own]
+            return [self[k].jvp(dq=db[k, own], dM=by_matrix, dfriction=slopes[k, :self.batch.worlds.contacts[k]])]
 
-        for k, answer in self._one_by_one(np.flatnonzero(is_left).tolist(), alone):
-            dz[k, :answer.size] = answer
-        dz[[*self.errors]] = np.nan
+        self._fill([dz], lambda part: part.changes(change[part.items], slopes[part.items]), alone)
         return dz
 
     def dw(self, dz: ArrayLike, *, dq: ArrayLike | None = None, dM: ArrayLike | None = None) -> Any:
         """Return the changes of the velocities w = W z + b that go with changes dz of z, shape (B, n)."""
-        worlds = self.batch.worlds
-        dz = self._given(dz, "dz", "n", worlds.b)
-        moved = products(worlds.W, dz)
-        change = self._moved(self._given(dq, "dq", "n", worlds.b), self._given(dM, "dM", "n, n", worlds.W))
-        dw = moved if change is None else moved + change
+        dw = products(self.batch.worlds.W, self._by_world(dz, "dz"))
+        dw += self._moved(self._by_world(dq, "dq"), self._by_world(dM, "dM"))
         dw[[*self.errors]] = np.nan
         return dw
 
@@ -327,62 +315,34 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
         InvalidProblem
             For another shape, or numbers that are not finite.
         """
-        worlds = self.batch.worlds
-        gw = np.zeros(worlds.n) if gw is None else gw
-        by_z, by_w = self._given(g, "g", "n", worlds.b), self._given(gw, "gw", "n", worlds.b)
-
-        contacts = worlds.friction.shape[1]
-
-        def gradients(part: _Together, own: slice) -> Any:
-            by_q, _, by_friction = part.gradients(by_z[own].ravel(), by_w[own].ravel())
-            return np.hstack([by_q.reshape(part.shape), by_friction.reshape(-1, contacts)])
-
-        by_q, by_friction = np.split(self._asked(gradients), [worlds.n], axis=1)
+        by_z, by_w = self._by_world(g, "g"), self._by_world(gw, "gw")
+        tables = np.full(by_z.shape, np.nan), np.full(self.batch.worlds.friction.shape, np.nan)
 
         def alone(k: int) -> Any:
             own = slice(self[k].z.size)
-            return self[k].vjp(by_z[k, own], by_w[k, own])
+            gradient = self[k].vjp(by_z[k, own], by_w[k, own])
+            return gradient.q, gradient.friction
 
-        for k, gradient in self._one_by_one(self._left, alone):
-            by_q[k, :gradient.q.size], by_friction[k, :gradient.friction.size] = gradient.q, gradient.friction
-        missing = [k for k in self.errors if _is_asked(g, k) or _is_asked(gw, k)]
-        by_q[missing] = by_friction[missing] = np.nan
-        return ContactBatchGradient(by_q, by_friction, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
+        self._fill(tables, lambda part: part.rows_of_gradients(by_z[part.items], by_w[part.items]), alone)
+        self._forget_unasked(tables, g, gw)
+        return ContactBatchGradient(*tables, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
 
     def _moved(self, db: Any, dW: Any) -> Any:
-        """Return dW z + db, shape (B, n), None where nothing moves."""
-        if dW is None:
-            return db
-        turned = products(dW, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
-        return turned if db is None else db + turned
+        """Return dW z + db, shape (B, n)."""
+        return db if dW is None else products(dW, np.where(self._is_solved[:, np.newaxis], self.z, 0.0)) + db
 
-    def _given(self, values: Any, name: str, size: str, like: Any) -> Any:
-        """Return an array as long as `like`, 0 where there is no contact and no answer; None stays."""
-        if values is None:
+    def _by_world(self, values: Any, name: str) -> Any:
+        """Return changes or gradients world by world, 0 behind the last contact of each; None of no dM."""
+        if name == "dM" and values is None:
             return None
-        worlds, own = self.batch.worlds, like.shape[1:]
-        one = f"({size})" if len(own) > 1 else f"({size},)"
-        need = f"{name} must have shape (B, {size}) or {one}, here {like.shape} or {own}"
-        given = real_array(values, need)
-        if given.shape not in (like.shape, own, () if name == "dfriction" else own):
-            raise InvalidProblem(f"{need}, got shape {given.shape}")
-        rows = worlds.contacts * (1 if size == "k" else worlds.dimension)
-        is_there = (np.arange(own[0]) < rows[:, np.newaxis]) & self._is_solved[:, np.newaxis]
-        if is_there.all():
-            given = np.broadcast_to(given, like.shape)
-        else:
-            is_there = is_there[:, :, np.newaxis] & is_there[:, np.newaxis] if len(own) > 1 else is_there
-            given = np.where(is_there, given, 0.0)
-        if not np.isfinite(given).all():
-            at = tuple(np.argwhere(~np.isfinite(given))[0].tolist())
-            raise InvalidProblem(f"{name} must be finite, but {name}{[*at]} = {given[at]}; repair that entry")
-        return given
-
-
-def _is_asked(rows: Any, k: int) -> bool:
-    """Return whether row k, or the one row for all, is not 0."""
-    array = np.asarray(0.0 if rows is None else rows, np.float64)
-    return bool(np.any((array[k] if array.ndim > 1 else array) != 0.0))
+        worlds, like = self.batch.worlds, self.batch.worlds.friction if name == "dfriction" else self.batch.z
+        counts = worlds.contacts * (1 if name == "dfriction" else worlds.dimension)
+        is_there = (np.arange(like.shape[1]) < counts[:, np.newaxis]) & self._is_solved[:, np.newaxis]
+        if name == "dM":
+            is_whole = is_there.all()
+            is_there = np.broadcast_to(is_there[:, :, np.newaxis], worlds.W.shape)
+            is_there = is_there if is_whole else is_there & is_there.swapaxes(1, 2)
+        return self._given(np.zeros(like.shape[1]) if values is None else values, name, is_there)
 
 
 def _named(which: BoolVector) -> str:

@@ -346,7 +346,7 @@ class MarchDerivative:
             return forcing
 
         return MarchGradient(
-            z0, *of_bounds, sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n)),
+            z0, of_bounds[0], of_bounds[1], sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n)),
             sp.csr_array((of_propagator, propagator.indices, propagator.indptr), shape=(n, n)), by_forcing,
         )
 

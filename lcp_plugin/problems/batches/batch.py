@@ -203,21 +203,20 @@ def solve_batch(
     """
     checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
     programs = _programs_of(M, q, lower, upper, z0)
+    asked: dict[str, Any] = {
+        "tolerance": tolerance, "max_iterations": max_iterations, "prove_infeasibility": prove_infeasibility,
+        "threads": 1,
+    }
     if programs is not None:
         if z0 is not None or absolute_tolerance != 0.0:
             raise InvalidOption("a batch of programs takes no z0 or absolute_tolerance; leave them out")
-        of_each = {
-            "tolerance": tolerance, "max_iterations": max_iterations, "prove_infeasibility": prove_infeasibility,
-            "threads": 1,
-        }
-        return ProgramBatchRun(programs, algorithm, of_each, threads=checked, limit=limit).run()
-    asked = dict(z0=z0, algorithm=algorithm, tolerance=tolerance, max_iterations=max_iterations,
-                 absolute_tolerance=absolute_tolerance, prove_infeasibility=prove_infeasibility)
-    defaults = solve_batch.__kwdefaults__ or {}
+        return ProgramBatchRun(programs, algorithm, asked, threads=checked, limit=limit).run()
+    asked["absolute_tolerance"] = absolute_tolerance
+    every, defaults = {**asked, "algorithm": algorithm, "z0": z0}, {**(solve_batch.__kwdefaults__ or {}), "threads": 1}
+    wishes = {name: wish for name, wish in every.items() if wish is not defaults[name]}
     if isinstance(M, FrictionalContactBatch):
         _refuse_data("contacts", "FrictionalContact(W, b, friction)", q, lower, upper)
-        del asked["z0"]
-        wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
+        wishes.pop("z0", None)
         return ContactBatchRun(M, wishes, z0, threads=checked, limit=limit).run()
     items: Items
     if (kind := kind_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
@@ -232,7 +231,6 @@ def solve_batch(
             if kind_of(one) is None:
                 raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
         _refuse_data("these problems", "new ones", q, lower, upper)
-        wishes = {name: wish for name, wish in asked.items() if wish is not defaults[name]}
         return MixedRun(M, wishes, threads=checked, limit=limit).run()
     if isinstance(M, Sequence) and (not len(M) or any(isinstance(problem, LCP) for problem in M)):
         items = Listed(_checked_list(M, q, lower, upper), z0)
@@ -241,11 +239,7 @@ def solve_batch(
         lower = (0.0 if held is None else held.lower) if lower is None else lower
         upper = (np.inf if held is None else held.upper) if upper is None else upper
         items = Stacked(M, q, lower, upper, z0)
-    wishes = {
-        "tolerance": tolerance, "max_iterations": max_iterations,
-        "absolute_tolerance": absolute_tolerance, "prove_infeasibility": prove_infeasibility, "threads": 1,
-    }
-    return BatchRun(items, algorithm, wishes, threads=checked, limit=limit).run()
+    return BatchRun(items, algorithm, asked, threads=checked, limit=limit).run()
 
 
 def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticProgramBatch | None:

@@ -259,16 +259,12 @@ class _Family:
                     continue  # where a case ends at the box
                 other = region.case.copy()
                 other[unknown] = to
-                beside = found.get(other.tobytes())
-                if beside is not None and beside.holds(point):
-                    continue
-                if any(one.holds(point) for one in found.values()):
-                    continue
-                beside = self._region(other)
-                if beside is None or not beside.holds(point):
+                beside = found.get(other.tobytes()) or self._region(other)
+                if beside is None or not beside.holds(middle):
                     further = middle + CLEARLY_BEHIND * row
-                    case = self.solved(further)
-                    if case is None:  # nothing is feasible there
+                    is_known = any(one.holds(point) for one in found.values())
+                    case = None if is_known else self.solved(further)
+                    if case is None:  # or nothing is feasible there
                         continue
                     beside = self._region(case)
                     if beside is None or not (beside.holds(point) or beside.holds(further)):

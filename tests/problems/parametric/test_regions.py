@@ -60,9 +60,9 @@ def test_p_matrices_have_regions_over_the_whole_box(seed: int) -> None:
         np.testing.assert_allclose(found.x_at(theta), result.z, atol=1e-7)
 
 
-@pytest.mark.parametrize("width", [1e-3, 1e-6])
+@pytest.mark.parametrize("width", [1e-3, 1e-6, 1e-8])
 def test_a_narrow_range_has_its_own_regions(width: float) -> None:
-    """Of an actuator that moves by a millionth of what the parameters do: x follows θ inside, as three times three."""
+    """Of an actuator that moves by a millionth of what parameters do, or less: x follows θ inside, three by three."""
     program = QuadraticProgram(np.eye(2), [0.0, 0.0], lower=[0.0, -1.0], upper=[width, 1.0])
     found = regions(program, {"c": -np.eye(2)}, ([-1.0, -2.0], [1.0, 2.0]))
     assert len(found) == 9

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import shutil
@@ -334,3 +335,17 @@ def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
     assert text.count(old) == 1
     changed.write_text(text.replace(old, new))
     assert in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="") == f"{at} 0 0"
+
+
+def test_garbage_is_collected_again_when_the_last_compilation_ends() -> None:
+    """One within another too; where the caller had stopped the collector it stays stopped."""
+    for was in (True, False):
+        try:
+            gc.enable() if was else gc.disable()
+            with NEW_KERNELS.compiling():
+                with NEW_KERNELS.compiling():
+                    assert not gc.isenabled()
+                assert not gc.isenabled()
+            assert gc.isenabled() is was
+        finally:
+            gc.enable()

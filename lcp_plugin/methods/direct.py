@@ -6,6 +6,7 @@
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | the same, full, diagonal not > 0: budget rows | some pivots of lemke, then as above |
 | M + Mᵀ is PSD, full, diagonal > 0, M not symmetric in any units | lemke, interior_point, feasibility, newton, search |
+| the same, sparse, a factor of M takes 10⁸ operations or more | newton, interior_point, feasibility, lemke, search |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | a bimatrix game | lemke, and what any other has |
 | any other: frictional contact | lemke, interior_point, feasibility, newton, search |
@@ -54,6 +55,7 @@ from ..core.tuning import (
 )
 from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
 from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
+from ..systems.factors import sizes_of_factor
 from .interior_point import InteriorPoint, monotone_rows
 from .lemke import Lemke, has_components_that_fit
 from .lemke.games import is_game
@@ -66,6 +68,7 @@ FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M
 FEWEST_FACTORS = 10  # that an interior point makes as a rule, beside the one that condensing does
 PIVOTS = 2.0
 PIVOTS_BEFORE_PIQP_UP_TO = 2000  # rows: of frictional contact a path takes .1 (600 rows) to .4 (1 800) of PIQP's time
+LARGE_FACTOR = 1e8  # operations; a factor of the program that has M in its rows takes 4 to 11 times as many
 GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
 
 
@@ -135,8 +138,6 @@ def factor_passes(problem: LCP) -> float:
 
 
 def _passes_of_factors(problem: LCP, count: int) -> float:
-    from ..systems.factors import sizes_of_factor
-
     return count * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
 
 
@@ -203,31 +204,34 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     elif newton.algorithm not in left_out and _suits_newton(problem):
         yield newton
         left_out.append(newton.algorithm)
-    if _seems_monotone(problem):
-        order = [interior, check, newton, lemke]
-        is_full = problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2
-        if is_full and not has_positive_diagonal(problem.matrix).all():
-            few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)
-            order = [Choice(few, "some pivots, before a factor of a dense M"), *order]
-        elif is_full and not is_nearly_symmetric(problem.matrix) and monotone_rows(problem.M) is None:
-            order = [replace(lemke, turn=PIVOTS), interior, check, newton]
-    else:
-        interior = replace(interior, because="M is not shown to be monotone, but interior points may do")
-        may_be_p = bool(has_positive_diagonal(problem.matrix).all())
-        newton, lemke = (
-            replace(newton, turn=INTERIOR_STEPS), replace(lemke, turn=PIVOTS if may_be_p else GAME_PIVOTS)
-        )
-        pivots_first = problem.is_dense or problem.n <= (PIVOTS_FIRST_UP_TO if may_be_p else PIVOTS_BEFORE_PIQP_UP_TO)
-        if pivots_first:
-            order = [newton, lemke, interior, check] if may_be_p else [lemke, interior, check, newton]
-        else:
-            order = [newton, interior, check, lemke] if may_be_p else [interior, newton, check, lemke]
+    order = _order(problem, newton, lemke, interior, check)
     chosen = [choice for choice in order if choice.algorithm not in left_out]
     # A factor that fills in is better than no answer.
     chosen = chosen or [choice for choice in order if choice.algorithm in (newton.algorithm, interior.algorithm)]
     runs = {choice.algorithm.name for choice in chosen} | ({check.algorithm.name} if not prove_infeasibility else set())
     words += [said for name, said in too_large.items() if name not in runs]
     yield from chosen
+
+
+def _order(problem: LCP, newton: Choice, lemke: Choice, interior: Choice, check: Choice) -> list[Choice]:
+    """Return them by their prospects, with their turns: what M seems to be, and whether its diagonal is positive."""
+    is_positive, is_symmetric = bool(has_positive_diagonal(problem.matrix).all()), is_nearly_symmetric(problem.matrix)
+    if _seems_monotone(problem):
+        if problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2:
+            if not is_positive:
+                few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)
+                return [Choice(few, "some pivots, before a factor of a dense M"), interior, check, newton, lemke]
+            if not is_symmetric and monotone_rows(problem.M) is None:
+                return [replace(lemke, turn=PIVOTS), interior, check, newton]
+        elif is_positive and not is_symmetric and sizes_of_factor(problem.matrix)[1] > LARGE_FACTOR:
+            return [replace(newton, turn=INTERIOR_STEPS), interior, check, lemke]
+        return [interior, check, newton, lemke]
+    interior = replace(interior, because="M is not shown to be monotone, but interior points may do")
+    newton = replace(newton, turn=INTERIOR_STEPS)
+    lemke = replace(lemke, turn=PIVOTS if is_positive else GAME_PIVOTS)
+    if problem.is_dense or problem.n <= (PIVOTS_FIRST_UP_TO if is_positive else PIVOTS_BEFORE_PIQP_UP_TO):
+        return [newton, lemke, interior, check] if is_positive else [lemke, interior, check, newton]
+    return [newton, interior, check, lemke] if is_positive else [interior, newton, check, lemke]
 
 
 def _too_large(problem: LCP, *, is_kkt: bool) -> dict[str, str]:

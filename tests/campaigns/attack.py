@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
+from scipy.linalg import block_diag
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
@@ -150,7 +150,7 @@ def planted_lcp(rng: Generator) -> Target:
     if rng.random() < 0.5:
         M, w, z = rows[:, None] * M * columns, rows * w, z / columns
     if rng.random() < 0.4:
-        M = sp.block_diag([M, [[1.0, 0.5], [0.0, 1.0]]]).toarray()
+        M = block_diag(M, [[1.0, 0.5], [0.0, 1.0]])
         z, w = np.append(z, [1e12, 1e12]), np.append(w, [0.0, 0.0])
     q = w - M @ z
     judge, exact = lp.LCP(M, q), ExactLCP(M, q)

@@ -246,7 +246,7 @@ def joined(components: list[Component], rng: Generator, *, is_dense: bool) -> Ca
     """The components as one problem, in any order."""
     count = sum(len(component.q) for component in components)
     order = rng.permutation(count)
-    M = sp.block_diag([component.M for component in components], format="csr")[order][:, order]
+    M = sp.block_diag([sp.csr_array(component.M) for component in components], format="csr")[order][:, order]
     M.eliminate_zeros()
     q, lower, upper = (np.concatenate([getattr(component, name) for component in components])[order]
                        for name in ("q", "lower", "upper"))

@@ -321,7 +321,7 @@ def finished(
         G = sp.vstack([G, -sp.csr_array(total[None, :])])
         h = np.append(h, -most - 10.0 ** rng.uniform(-3, 1) * (1.0 + size + abs(most)))
     if recipe.spoilt == "unbounded":
-        P = sp.block_diag([P, np.zeros((2, 2))])
+        P = sp.block_diag([P, sp.csr_array((2, 2))])
         c, lower, upper = np.append(c, [-1.0, 0.5]), np.append(lower, [0.0, 0.0]), np.append(upper, [INF] * 2)
         G, A = (sp.hstack([rows, rows[:, [0]], -rows[:, [0]]]) for rows in (G, A))
         n += 2

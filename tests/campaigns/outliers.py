@@ -36,6 +36,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import block_diag
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from exact import exact_rows, solve_fractions
@@ -326,7 +327,7 @@ def odd_lcp(rng: Generator, largest: int = 5) -> tuple[np.ndarray, np.ndarray, n
             N, other = matrix(rng, 2)
             words.append(other)
             scale = rng.choice((1e-7, 1e-3, 1e7))
-            M = sp.block_diag([M, N]).toarray()
+            M = block_diag(M, N)
             q = np.append(q, scale * integers(rng, 2))
             lower, upper = np.append(lower, [0.0, 0.0]), np.append(upper, [np.inf, np.inf])
         elif word == "tower":
@@ -410,11 +411,11 @@ def odd_program(rng: Generator, *, linear: bool) -> tuple[list[Any], str]:
         elif word == "groups" and n <= 4:
             scale, k = rng.choice((1e-7, 1e7)), 2
             extra = integers(rng, k)
-            G = sp.block_diag([G, integers(rng, 1, k)]).toarray()
+            G = block_diag(G, integers(rng, 1, k))
             h, c = np.append(h, scale), np.append(c, extra)
             A = np.hstack([A, np.zeros((p, k))])
             lower, upper = np.append(lower, [-scale] * k), np.append(upper, [scale] * k)
-            P = None if P is None else sp.block_diag([P, np.eye(k)]).toarray()
+            P = None if P is None else block_diag(P, np.eye(k))
             n, x0 = n + k, np.append(x0, [0.0, 0.0])
     lower, upper = np.minimum(lower, upper), np.maximum(lower, upper)
     return [P, c, G, h, A, b, lower, upper], " ".join(words)
@@ -971,7 +972,8 @@ def contact_case(rng: Generator) -> Outcome:
         qs.append(q)
         planted.append(r)
         mu.append(friction)
-    W, q, r, friction = sp.block_diag(groups, format="csr"), *map(np.concatenate, (qs, planted, mu))
+    W = sp.block_diag([*map(sp.csr_array, groups)], format="csr")
+    q, r, friction = map(np.concatenate, (qs, planted, mu))
     result = lp.solve(lp.FrictionalContact(W, q, friction, dimension=d), max_seconds=SECONDS)
     text = f"{word}: W={W.toarray().tolist()}, b={q.tolist()}, mu={friction.tolist()}, planted {r.tolist()}"
     if result.status.name != "SOLVED":

@@ -407,6 +407,20 @@ def test_where_gauss_seidel_diverges_a_direct_method_solves() -> None:
     assert not solve(LCP(M, -M @ [1.0, 1.0, 1.0]), "pgs").is_solved
 
 
+def test_a_grid_with_strong_flows_is_solved_by_newton() -> None:
+    """K + S, S skew and between any two nodes: sweeps and cycles diverge, and as a program its factors fill."""
+    rng, m = np.random.default_rng(0), 50
+    n = m * m
+    flows = sp.coo_array((5.0 * rng.normal(size=2 * n), rng.integers(n, size=(2, 2 * n))), shape=(n, n)).tocsr()
+    M = sp.csr_array(stencil_matrix((m, m), 4.0, [-1.0, -1.0], [-1.0, -1.0]) + flows - flows.T)
+    z = np.where(rng.random(n) < 0.5, 0.0, rng.random(n))
+    w = np.where(z == 0.0, rng.random(n), 0.0)
+    result = solve(LCP(M, w - M @ z), max_seconds=60.0)
+    assert result.is_solved
+    np.testing.assert_allclose(result.z, z, atol=1e-12)
+    assert [stage.name for stage in result.stages][-1] == "newton"
+
+
 def test_an_infeasible_problem_ends_with_its_proof() -> None:
     """z₁ − z₂ ≥ 1 and z₂ − z₁ ≥ 1 contradict: INFEASIBLE by auto and after a direct method, never after sweeps."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])

@@ -57,7 +57,7 @@ def test_two_groups_in_one_problem_are_right_each(name: str, other: str, ratio: 
     """Neither touches the other: each is right by its own velocities, 1e-7 times the other's or not."""
     groups = [read(f"fc3d_{name}"), read(f"fc3d_{other}")]
     groups[1]["q"] = ratio * groups[1]["q"]
-    W = sp.block_diag([of["M"] for of in groups], format="csr")
+    W = sp.block_diag([sp.csr_array(of["M"]) for of in groups], format="csr")
     q, mu = (np.concatenate([of[key] for of in groups]) for key in ("q", "mu"))
     found = np.split(solve(FrictionalContact(W, q, mu)).x, [groups[0]["q"].size])
     assert max(errors_of_contact(of, r) for of, r in zip(groups, found, strict=True)) <= TOLERANCE

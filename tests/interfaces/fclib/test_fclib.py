@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.linalg import block_diag
 from typer.testing import CliRunner
 
 from lcp_plugin import LCP, FrictionalContact, LCPError, UnreadableFile, UnsupportedModel, load_problem, solve
@@ -81,7 +82,7 @@ def test_a_global_problem(kind: str, tmp_path: Path) -> None:
     """M v = H r + f, u = Hᵀv + w: the impulses are those of the velocities that the contacts then have."""
     rng = np.random.default_rng(3)
     A = rng.normal(size=(2, 4, 4))
-    M = sp.block_diag([a @ a.T + np.eye(4) for a in A]).toarray()
+    M = block_diag(*[a @ a.T + np.eye(4) for a in A])
     H, f, w = rng.normal(size=(8, 6)), rng.normal(size=8), rng.normal(size=6)
     path = write(tmp_path / "g.h5", "fclib_global", {"M": M, "H": H}, kind=kind, f=f, w=w, mu=[0.3, 0.6])
     result = solve(load_problem(path))

@@ -662,7 +662,7 @@ def poured(count: int, seed: int) -> tuple[Any, Any, Any, Any]:
     rng = np.random.default_rng(seed)
     J = rows_of_bodies(3 * count, count, rng)
     blocks = rng.standard_normal((count, 6, 6))
-    mass = sp.block_diag([np.eye(6) + 0.1 * (block + block.T) / 6.0 for block in blocks], format="csr")
+    mass = sp.block_diag([sp.csr_array(np.eye(6) + 0.1 * (block + block.T) / 6.0) for block in blocks], format="csr")
     tangents = np.arange(len(J)) % 3 > 0
     return mass, sp.csr_array(J[~tangents]), sp.csr_array(J[tangents]), -np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], count)
 

@@ -111,7 +111,7 @@ def _changed(row: int, column: int, value: float) -> Callable[[Any, Any], LCP]:
 
 NOT_QUITE = {
     "another order": _in_another_order,
-    "islands one after the other": lambda M, q: LCP(sp.block_diag([M] * 3, format="csr"), np.tile(q, 3)),
+    "islands one after the other": lambda M, q: LCP(sp.block_diag([sp.csr_array(M)] * 3, format="csr"), np.tile(q, 3)),
     "a radius with another contact's impulse": _changed(20, 1, 0.1),
     "an edge in two contacts": _changed(20, 8, -1.0),
     "a speed that lets a normal go": _changed(0, 20, 0.1),

@@ -19,7 +19,7 @@ def scene(bodies: int, contacts: int, seed: int = 0) -> tuple[Any, Any, Any, Any
     spread = rng.normal(size=(bodies, 3, 3))
     inertia = 0.1 * np.eye(3) + 0.02 * spread @ np.swapaxes(spread, 1, 2)
     mass = sp.block_diag([part for m, own in zip(rng.uniform(1, 3, bodies), inertia, strict=True)
-                          for part in (m * np.eye(3), own)], format="csr")
+                          for part in (sp.csr_array(m * np.eye(3)), sp.csr_array(own))], format="csr")
     frames = np.linalg.qr(rng.normal(size=(contacts, 3, 3)))[0]
     J = sp.lil_array((3 * contacts, 6 * bodies))
     first = rng.integers(bodies, size=contacts)
@@ -82,7 +82,8 @@ def test_3_000_contacts_of_1_000_bodies_stay_sparse() -> None:
 def test_the_inverse_goes_component_by_component() -> None:
     """In any order of the rows, of components of several sizes."""
     rng = np.random.default_rng(1)
-    A = sp.block_diag([(B := rng.normal(size=(size, size))) @ B.T + np.eye(size) for size in (1, 3, 2, 3, 1)])
+    halves = [rng.normal(size=(size, size)) for size in (1, 3, 2, 3, 1)]
+    A = sp.block_diag([sp.csr_array(half @ half.T + np.eye(len(half))) for half in halves])
     order = rng.permutation(10)
     A = sp.csr_array(A)[order][:, order]
     inverse = inverse_by_components(A)

@@ -58,7 +58,7 @@ def main(
     "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png", "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
     "solve folder_with_M_and_q/ --json", "solve program.qps --out answer.npz", "solve model.nl",
-    "solve own.npz --plot out.png --grid 500x500", "solve own.npz --plot p.png --rows 0:40 --points xy.npy",
+    "solve own.npz --plot out.png --grid 500x500",
     "solve obstacle-2d --size 500 --backend petsc --out answer",
 )
 def solve(
@@ -91,13 +91,6 @@ def solve(
     grid: Annotated[
         str | None, typer.Option(help="Of a file's unknowns, for the picture: rows x columns, as 500x500.")
     ] = None,
-    rows: Annotated[
-        str | None, typer.Option(help="The rows in the picture, z and w: 0:40,45, or a .npy file of them.")
-    ] = None,
-    points: Annotated[
-        Path | None,
-        typer.Option(help="Coordinates of the rows for the picture: a .npy file, shape (n,), or (n, 2) in a plane."),
-    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Save z and w, or x and its multipliers: an .npz file; with petsc a folder."),
@@ -122,7 +115,7 @@ def solve(
         **({} if tolerance is None else {"tolerance": tolerance}),
     )
     chosen, options = own_algorithm(algorithm, solving.options(relaxation, option or []))
-    picture = solving.Picture.asked(plot, grid, rows, points)
+    picture = solving.Picture.asked(plot, grid)
     if solving.is_model(target):
         return solving.run_model(target, size, backend, chosen, options, settings, picture, out, as_json=json)
     return solving.run(kinds[backend](), target, size, chosen, options, settings, picture, out, as_json=json)

@@ -8,7 +8,6 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
-from zipfile import BadZipFile
 
 import numpy as np
 import typer
@@ -29,7 +28,7 @@ from .terminal import LINE, fitted, show_search, show_step
 
 OWN_FLAGS = ("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "threads", "algorithm")
 WORDS = {"none": None, "true": True, "false": False}
-SHOWN = 20  # variables that a person is told at once
+SHOWN = 20  # variables that are printed
 ON_CONES = ("ConeProblem", "FrictionalContact")
 T = TypeVar("T")
 
@@ -77,92 +76,39 @@ class OneProcess:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What --plot saves: all unknowns, on a grid where one is given, or some rows over their coordinates.
-
-    Attributes
-    ----------
-    path : Path or None
-    grid : tuple of int, optional
-        Rows and columns.
-    rows : array of int or of bool, optional
-    points : array, shape (n,) or (n, 2), optional
-    """
+    """What --plot saves: all unknowns, on a grid of these rows and columns where one is given."""
 
     path: Path | None = None
     grid: tuple[int, ...] | None = None
-    rows: Any = None
-    points: Any = None
 
     @classmethod
-    def asked(cls, path: Path | None, grid: str | None, rows: str | None, points: Path | None) -> Picture:
-        """Return what the options ask for, or raise InvalidOption or UnreadableFile."""
-        given = {"grid": grid, "rows": rows, "points": points}
-        for name, value in given.items():
-            if value is not None and path is None:
-                raise InvalidOption(f"--{name} {value} is for a picture; give --plot FILE as well")
-        if grid is not None and (rows is not None or points is not None):
-            raise InvalidOption("--grid is that of all unknowns; give it without --rows and --points")
-        shape = None if grid is None else checked_grid(grid)
-        return cls(path, shape, _checked_rows(rows), None if points is None else _array_in(points))
-
-    @property
-    def is_of_rows(self) -> bool:
-        """Whether rows or their coordinates are given."""
-        return self.rows is not None or self.points is not None
+    def asked(cls, path: Path | None, grid: str | None) -> Picture:
+        """Return what the options ask for, or raise InvalidOption."""
+        if grid is not None and path is None:
+            raise InvalidOption(f"--grid {grid} is for a picture; give --plot FILE as well")
+        return cls(path, None if grid is None else checked_grid(grid))
 
     def check(self, problem: LCP, scene: Any) -> None:
-        """Raise where there are no such rows, not a place for each, or no such grid."""
-        if not self.is_of_rows and self.grid is None:
+        """Raise where there is no such grid."""
+        if self.grid is None:
             return
-        from ..evidence.plots import checked_rows, checked_shape
+        from ..evidence.plots import checked_shape
 
-        if self.is_of_rows:
-            if problem.is_distributed:
-                raise InvalidOption("--rows and --points are for one process; save with --out and plot that")
-            checked_rows(self.rows, self.points, problem.n)
-        elif scene is not None:
+        if scene is not None:
             raise InvalidOption("--grid is for a file; a scene knows its grid, leave it out")
         checked_shape(self.grid, problem.n)
 
     def save(self, answer: Any, scene: Any = None, march: Sequence[Any] = ()) -> None:
         """Write the picture of an answer: of a scene what it is about, with all steps of a march."""
         assert self.path is not None
-        if scene is not None and not self.is_of_rows:
+        if scene is not None:
             from ..evidence.pictures import draw
 
             draw(answer, self.path, scene, march)
         else:
             from ..evidence.plots import save_plot
 
-            save_plot(answer, self.path, self.grid, rows=self.rows, over=self.points)
-
-
-def _checked_rows(text: str | None) -> Any:
-    """Return the rows that --rows names: numbers and ranges, as 0:40,45, or a .npy file of numbers or truth values."""
-    if text is None:
-        return None
-    if text.endswith(".npy"):
-        return _array_in(Path(text))
-    rows: list[int] = []
-    for part in text.split(","):
-        try:
-            first, *rest = map(int, part.split(":"))
-            rows += range(first, *rest) if rest else [first]
-            found = np.array(rows, dtype=np.intp)
-        except (ValueError, TypeError, OverflowError, MemoryError):
-            raise InvalidOption(f"--rows wants numbers and ranges, as 0:40,45, or a .npy file; got {text!r}") from None
-    return found
-
-
-def _array_in(path: Path) -> Any:
-    """Return the array in a .npy file."""
-    try:
-        with path.open("rb") as file:
-            return np.load(file, allow_pickle=False)
-    except OSError as error:
-        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from None
-    except (ValueError, EOFError, BadZipFile):
-        raise UnreadableFile(f"{path} holds no array; write it with numpy.save, as a .npy file") from None
+            save_plot(answer, self.path, self.grid)
 
 
 def run(
@@ -346,7 +292,6 @@ def run_model(
 
     for name, is_given, whose in (
         ("--size", size is not None, "a scene"), ("--backend", backend != "serial", "LCPs"),
-        ("--rows", picture.rows is not None, "LCPs"), ("--points", picture.points is not None, "LCPs"),
     ):
         if is_given:
             raise InvalidOption(f"{name} is for {whose}, not for this file; leave it out")

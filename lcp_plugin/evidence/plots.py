@@ -29,7 +29,6 @@ from .pictures import ACTIVE, FREE, MOST_DOTS, draw_line, draw_map, draw_residua
 LABELS = ("layer", "row", "column")
 PANEL = (4.9, 4.4)
 SLICES, PANELS = 6, 4  # of a march: as lines, as maps
-BARS = 30
 
 
 def plot_answer(
@@ -77,15 +76,13 @@ def plot_answer(
         raise InvalidOption(f"plot_answer needs what solve returns, got {type(answer).__name__}")
     require_matplotlib()
     if rows is not None or over is not None:
-        return _plot_rows(answer, axes, shape, rows, over, _shown_by_pyplot)
+        return _plot_rows(answer, axes, shape, rows, over)
     if mesh is not None:
-        return _plot_mesh(answer, axes, mesh, component, _shown_by_pyplot)
+        return _plot_mesh(answer, axes, mesh, component)
     return _plotted(answer, axes, shape, _shown_by_pyplot)
 
 
-def _plot_rows(
-    answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, over: Any, new: Callable[..., Any]
-) -> Any:
+def _plot_rows(answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, over: Any) -> Any:
     """Draw z and w of some rows over their coordinates."""
     if shape is not None:
         raise InvalidOption("shape is that of all unknowns on a grid; give it without rows and over")
@@ -93,11 +90,11 @@ def _plot_rows(
         raise InvalidOption(f"rows and over are for the z and w of a Result, got "
                             f"{type(answer).__name__}; leave them out")
     n = answer.z.size
-    chosen, points = checked_rows(rows, over, n)
+    chosen, points = _checked_rows(rows, over, n)
     values = {"z": answer.z[chosen], "w": answer.w[chosen]}
     lower, upper = _bounds(answer)
     active = ((answer.z <= lower) | (answer.z >= upper))[chosen]
-    with _panels(axes, new, len(values), _headline(answer)) as every:
+    with _panels(axes, _shown_by_pyplot, len(values), _headline(answer)) as every:
         for one, (name, numbers) in zip(every, values.items(), strict=False):
             one.set_title(name)
             if points.ndim == 1:
@@ -115,7 +112,7 @@ def _plot_rows(
     return every[0]
 
 
-def _plot_mesh(answer: Any, axes: Any, mesh: Any, component: int | str, new: Callable[..., Any]) -> Any:
+def _plot_mesh(answer: Any, axes: Any, mesh: Any, component: int | str) -> Any:
     """Draw the unknowns of a mesh as colours, with the free boundary, or what rests on a bound, in orange."""
     if not isinstance(answer, Answer) or answer.x is None:
         raise InvalidOption(f"mesh goes with one answer that has an x, got {type(answer).__name__}; of a batch or a "
@@ -129,7 +126,7 @@ def _plot_mesh(answer: Any, axes: Any, mesh: Any, component: int | str, new: Cal
     lower, upper = _bounds(answer)
     active = ((answer.x <= lower) | (answer.x >= upper)).reshape(-1, count).any(axis=1)
     beside = _panel_beside(answer)
-    with _panels(axes, new, 1 if beside is None else 2, _headline(answer)) as every:
+    with _panels(axes, _shown_by_pyplot, 1 if beside is None else 2, _headline(answer)) as every:
         one, name = every[0], _unknown(answer)
         drawn = one.tripcolor(*points.T, triangles, shown, shading="gouraud", cmap=HEIGHTS, rasterized=True)
         label = name if count == 1 else f"‖{name}‖ of a point" if alone is None else f"{name}, component {alone}"
@@ -164,7 +161,7 @@ def _checked_mesh(mesh: Any, n: int) -> tuple[FloatVector, Any, int]:
     return points, cells, n // len(points)
 
 
-def checked_rows(rows: Any, over: Any, n: int) -> tuple[Any, FloatVector]:
+def _checked_rows(rows: Any, over: Any, n: int) -> tuple[Any, FloatVector]:
     """Return the numbers of the rows to draw and a coordinate, or a point in the plane, of each; or raise."""
     chosen = _checked_numbers(rows, n)
     return chosen, _checked_points(over, chosen, n)
@@ -200,15 +197,9 @@ def _checked_points(over: Any, chosen: Any, n: int) -> FloatVector:
     return points if len(points) == chosen.size else points[chosen]
 
 
-def save_plot(
-    answer: Answer, path: Path, shape: Sequence[int] | None = None, *, rows: Any = None, over: Any = None
-) -> None:
+def save_plot(answer: Answer, path: Path, shape: Sequence[int] | None = None) -> None:
     """Write what `plot_answer` draws into a file, .png, .pdf or .svg."""
-    new = require_matplotlib()
-    if rows is None and over is None:
-        save(_plotted(answer, None, shape, new).figure, path)
-    else:
-        save(_plot_rows(answer, None, shape, rows, over, new).figure, path)
+    save(_plotted(answer, None, shape, require_matplotlib()).figure, path)
 
 
 def _plotted(answer: Any, axes: Any, shape: Sequence[int] | None, new: Callable[..., Any]) -> Any:
@@ -328,7 +319,7 @@ def _headline(answer: Answer) -> str:
 
 
 def _panel_beside(answer: Answer) -> Any:
-    """Return what draws how the run went, None where nobody recorded it."""
+    """Return what draws how the run went, None where it was not recorded."""
     if isinstance(answer, EquilibriumResult):
         return partial(_draw_search, answer=answer)
     if not getattr(answer, "history", ()):
@@ -408,7 +399,7 @@ def _plot_batch(
         table = [0 if one is None else answers[k].iterations for k, one in enumerate(status)]
     iterations = np.asarray(table, dtype=np.intp)
     largest = int(iterations.max(initial=0))
-    edges = np.unique(np.linspace(0, largest + 1, min(largest + 1, BARS) + 1).astype(np.intp)) - 0.5
+    edges = np.unique(np.linspace(0, largest + 1, min(largest + 1, 30) + 1).astype(np.intp)) - 0.5
     kinds = [one for one, _ in Counter(status).most_common()]
     counts = [iterations[[other is one for other in status]] for one in kinds]
     names = [f"no {answers.ITEM}" if one is None else one.name for one in kinds]

@@ -18,8 +18,6 @@ from the_command import lcp_plugin
 
 from lcp_plugin import LCP
 from lcp_plugin.commands.cli import app
-from lcp_plugin.commands.solving import Picture
-from lcp_plugin.core.errors import LCPError
 from lcp_plugin.interfaces.nl import write_nl
 from lcp_plugin.interfaces.program_files import ARRAYS, MPS, NL
 
@@ -189,35 +187,6 @@ def test_certify_saves_the_proved_answer() -> None:
     assert not Path("y.npz").exists()
 
 
-def test_rows_of_a_file_are_drawn_over_their_coordinates() -> None:
-    """--rows and --points give a picture of z and w; what does not fit is refused before anything is solved."""
-    LCP(sp.diags_array([np.full(12, 2.0)], offsets=[0]), -np.arange(12.0)).save("p.npz")
-    np.save("x.npy", np.linspace(0.0, 1.0, 12))
-    np.save("plane.npy", np.random.default_rng(0).random((3, 2)))
-    np.save("rows.npy", np.arange(12) % 4 == 0)
-    np.save("space.npy", np.zeros((12, 3)))
-    Path("words.txt").write_text("0.1 0.2", encoding="utf-8")
-    for given in ("--rows 0:6,8", "--points x.npy", "--rows 1:12:4 --points plane.npy", "--rows rows.npy"):
-        done = lcp_plugin("solve", "p.npz", "--plot", "out.png", *given.split())
-        assert done.exit_code == 0, done.output
-        assert Path("out.png").stat().st_size > 5000
-        Path("out.png").unlink()
-    for given, words in (
-        ("--plot out.png --rows 9:14", "rows must be whole numbers from 0 to 11, or 12 truth values, got 12"),
-        ("--plot out.png --rows a:b", "--rows wants numbers and ranges, as 0:40,45, or a .npy file; got 'a:b'"),
-        ("--plot out.png --points space.npy", r"shape (n,) or (n, 2), got shape (12, 3)"),
-        ("--plot out.png --points none.npy", "cannot read none.npy: No such file"),
-        ("--plot out.png --points p.npz", "over must hold real coordinates"),
-        ("--plot out.png --points words.txt", "words.txt holds no array; write it with numpy.save, as a .npy file"),
-        ("--plot out.png --rows 1 --grid 3x4", "give it without --rows and --points"),
-        ("--rows 0:6", "--rows 0:6 is for a picture; give --plot FILE as well"),
-    ):
-        done = lcp_plugin("solve", "p.npz", *given.split())
-        assert done.exit_code == 2, done.output
-        assert words in " ".join(done.output.split())
-        assert not Path("out.png").exists()
-
-
 def test_a_grid_shapes_the_picture_of_a_file() -> None:
     """--grid rows x columns with --plot; what does not fit is refused before anything is drawn."""
     LCP(sp.diags_array([np.full(12, 2.0)], offsets=[0]), -np.arange(12.0)).save("p.npz")
@@ -327,12 +296,3 @@ def test_each_example_in_a_help_page_is_a_command() -> None:
         for words in map(str.split, lines):
             assert words[0] == name
             assert {word for word in words if word.startswith("-")} <= known, words
-
-
-@pytest.mark.parametrize("rows", ["0:4:0", "0:1:2:3", "9" * 20, "broken.npy"])
-def test_rows_that_are_none_are_refused_in_words(rows: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A step of 0, four numbers, a number too large, and a broken archive."""
-    monkeypatch.chdir(tmp_path)
-    Path("broken.npy").write_bytes(b"PK\x03\x04" + bytes(99))
-    with pytest.raises(LCPError, match=r"--rows wants|holds no array"):
-        Picture.asked(Path("p.png"), None, rows, None)

@@ -22,7 +22,7 @@ from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
 from .fclib import SUFFIXES as HDF5
 from .fclib import load_fclib
-from .files.files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys, with_infinities
+from .files.files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read_npz, require_keys
 from .files.matrix_market import read_mat
 from .nl.model import program_in_nl
 
@@ -215,7 +215,6 @@ def _from_arrays(source: Path) -> Stated:
             _require_ranges_alone(source, program, A)
             limits = {"l": -np.inf, "u": np.inf} | _limits(program, "l", "u")
             return Stated(kind.from_ranges(P, c, A, limits["l"], limits["u"], **bounds), constant)
-        program |= {"h": with_infinities(program["h"])} if "h" in program else {}
         return Stated(kind(P, c, A=A, **program, **bounds), constant)
     except InvalidProblem as error:
         raise InvalidProblem(f"{source}: {error}") from error
@@ -251,7 +250,7 @@ def _parts(name: str) -> list[str]:
 def _limits(program: dict[str, Any], *names: str) -> dict[str, Any]:
     """Take the limits of these names out of the arrays; a single number stands for all."""
     found = {name: np.asarray(program.pop(name)) for name in names if name in program}
-    return {name: with_infinities(limit.reshape(()) if limit.size == 1 else limit) for name, limit in found.items()}
+    return {name: limit.reshape(()) if limit.size == 1 else limit for name, limit in found.items()}
 
 
 def _number(value: Any) -> float:

@@ -20,7 +20,6 @@ from .matrix_market import opened, read_mat, read_matrix_market
 if TYPE_CHECKING:
     from ...core.lcp import LCP
 
-INFINITE_BOUND = 1e20
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
 VECTORS = ("q", "lower", "upper")
 MATLAB_BOUNDS = {"lower": ("lower", "lb", "l"), "upper": ("upper", "ub", "u")}  # the names that each may have there
@@ -36,7 +35,6 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
 
         write_nl(problem, target)
         return
-    _refuse_huge_bounds(problem)
     if target.suffix.lower() == ".npz":
         arrays = arrays_of(problem, problem.csr)
         write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
@@ -103,7 +101,7 @@ def load(kind: type[LCP], path: str | PathLike[str]) -> LCP:
     bounds = {}
     for name in ("lower", "upper"):
         if Path(f"{prefix}{name}.mtx").exists():
-            bounds[name] = with_infinities(_read_vector(Path(f"{prefix}{name}.mtx")))
+            bounds[name] = _read_vector(Path(f"{prefix}{name}.mtx"))
     return _problem(kind, prefix + "M.mtx", M, q, bounds)
 
 
@@ -149,20 +147,9 @@ def _save_folder(problem: LCP, folder: Path) -> None:
 
     contents = {folder / "M.mtx": writer(sp.coo_array(problem.csr)), folder / "q.mtx": writer(problem.q.reshape(-1, 1))}
     for name in ("lower", "upper"):
-        bound = np.clip(getattr(problem, name), -INFINITE_BOUND, INFINITE_BOUND)
+        bound = np.nan_to_num(getattr(problem, name), posinf=1e20, neginf=-1e20)  # which is none
         contents[folder / f"{name}.mtx"] = writer(bound.reshape(-1, 1))
     write_whole(contents)
-
-
-def _refuse_huge_bounds(problem: LCP) -> None:
-    for name in ("lower", "upper"):
-        bound = getattr(problem, name)
-        huge = np.isfinite(bound) & (np.abs(bound) >= INFINITE_BOUND)
-        if huge.any():
-            i = int(np.flatnonzero(huge)[0])
-            raise InvalidProblem(
-                f"{name}[{i}] = {bound[i]} would be read back as infinite (|bound| ≥ 1e20); use ±inf or rescale z"
-            )
 
 
 def _load_npz(kind: type[LCP], source: Path) -> LCP:
@@ -172,7 +159,7 @@ def _load_npz(kind: type[LCP], source: Path) -> LCP:
     is_compressed = any(key in content for key in MATRIX_KEYS)
     require_keys(source, content, (*(MATRIX_KEYS if is_compressed else ("M",)), "q"), LAYOUT)
     M = csr_in(source, content) if is_compressed else content["M"]
-    bounds = {name: with_infinities(content[name]) for name in ("lower", "upper") if name in content}
+    bounds = {name: content[name] for name in ("lower", "upper") if name in content}
     return _problem(kind, str(source), M, content["q"], bounds)
 
 
@@ -211,7 +198,7 @@ def _load_mat(kind: type[LCP], source: Path) -> LCP:
             raise UnreadableFile(f"{source} holds {' and '.join(given)}, which say the same; leave one of them out")
         for other in given:
             bound = flat(content[other])
-            bounds[name] = with_infinities(bound[0] if bound.size == 1 else bound)
+            bounds[name] = bound[0] if bound.size == 1 else bound
     return _problem(kind, str(source), content["M"], q, bounds)
 
 
@@ -307,17 +294,6 @@ def flat(values: Any) -> FloatVector:
     """Return a row or a column as a vector."""
     dense: FloatVector = np.asarray(values.toarray() if sp.issparse(values) else values)
     return dense.reshape(-1) if 1 in dense.shape else dense
-
-
-def with_infinities(bound: Any) -> Any:
-    """Return the bound with ±1e20 and beyond read as ±∞, the convention of most file formats."""
-    values = np.asarray(bound)
-    if values.dtype.kind not in "fiu":
-        return values
-    values = values.astype(np.float64)
-    values[values >= INFINITE_BOUND] = np.inf
-    values[values <= -INFINITE_BOUND] = -np.inf
-    return values
 
 
 def _problem(kind: type[LCP], source: str, M: Any, q: Any, bounds: Mapping[str, Any]) -> LCP:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.checks import INFINITE_LIMIT
 from ...core.errors import UnreadableFile
-from ..files.files import INFINITE_BOUND, checked_path
+from ..files.files import checked_path
 from ..files.matrix_market import opened
 from .content import (
     ARITY,
@@ -50,7 +51,6 @@ HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
 IS_AS_STATED = 4  # a bound of this kind may be 1e20
 LINES = 10  # of the head, which are text in binary files too
 MOST_LINE_BYTES = 4096  # a line of the head is never longer
-MOST_DIGITS = 18
 #: Of the lines of the head behind the first: how many numbers must stand there, what they are, and what each is called.
 HEAD = {
     2: (3, "variables, rows, objectives", "variables rows objectives ranges equations logical_rows"),
@@ -169,7 +169,7 @@ def _read_head_line(header: SimpleNamespace, number: int, line: bytes, length: i
     if len(words) < needed or not b"".join(words).isdigit():
         count = needed if needed == len(called) else f"{needed} to {len(called)}"
         raise HeadFault(number, f"{count} whole numbers are needed ({meaning})")
-    if max(map(len, words)) > MOST_DIGITS:
+    if max(map(len, words)) > 18:  # digits
         raise HeadFault(number, "that is more than any file can hold")
     numbers = [int(word) for word in words] + [0] * (len(called) - len(words))
     for name, value in zip(called, numbers, strict=True):
@@ -360,8 +360,8 @@ class _Reader:
             low = numbers[0] if kind in HAVE_LOWER else -math.inf
             high = numbers[-1] if kind in HAVE_UPPER else math.inf
             if kind != IS_AS_STATED:
-                low = -math.inf if low <= -INFINITE_BOUND else low
-                high = math.inf if high >= INFINITE_BOUND else high
+                low = -math.inf if low <= -INFINITE_LIMIT else low
+                high = math.inf if high >= INFINITE_LIMIT else high
             self.bounds[letter].append((low, high, -1, 0))
 
     def _check_partner(self, letter: str, finite: int, variable: int, earlier: set[int]) -> None:

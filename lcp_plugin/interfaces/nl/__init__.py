@@ -34,13 +34,14 @@ does not know: ``atan asin acos``.
 
 **What holds of a complementarity row:** it is ≥ 0 where its variable is at the lower bound, ≤ 0 at the upper one, 0
 between. Its dual is its value. A dual of a program is the derivative of the objective by the row's right-hand side.
-Variables that only name the value of such a row, which Pyomo adds, are put in. Equations without complementarities keep
-the bounds of variables; SOLVED means that they hold. Without an objective all bounds of a variable belong to its
-complementarity, as PATH and AMPL take them, and the message names one that the complementarity does not state where a
-variable stops at it. No unknown gives way to an inequality that has no partner, or to a bound of a variable without a
-complementarity: they are held against the answer, which is STALLED where one does not hold. With an objective they are
-constraints like others, as are bounds that a complementarity does not state. Every answer is held against the rows as
-they stand in the file, by an evaluation of its own.
+Variables that only name the value of such a row, which Pyomo adds, are put in where all is affine. Equations without
+complementarities keep the bounds of variables; SOLVED means that they hold. Without an objective all bounds of a
+variable belong to its complementarity, as PATH and AMPL take them, and the message names one that the complementarity
+does not state where a variable stops at it. No unknown gives way to an inequality that has no partner, or to a bound of
+a variable without a complementarity: they are held against the answer, which is STALLED where one does not hold; a
+variable that stands in such inequalities alone gets the value nearest to its start that they allow. With an objective
+they are constraints like others, as are bounds that a complementarity does not state. Every answer is held against the
+rows as they stand in the file, by an evaluation of its own.
 
 **Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
 complementarity rows, expressions, defined variables, starts, suffixes, names from ``.col`` and ``.row``. What is

@@ -173,16 +173,20 @@ class SideConditions:
         """Return x with the variables that only inequalities hold as near to their start as these let them."""
         if not self.lone.size:
             return x
-        content, rows, own = self.content, self.inequalities, x[self.lone]
-        A = jacobian(content, x, rows)[:, self.lone]
-        rest = evaluated(content, x).rows[rows] - A @ own
-        holds = (np.diff(A.indptr) > 0) & np.isfinite(rest)
-        least, most = ((limit[rows] - rest)[holds] for limit in (content.row_lower, content.row_upper))
-        near = QuadraticProgram.from_ranges(
-            sp.eye_array(own.size), -own, A[holds], least, most, content.lower[self.lone], content.upper[self.lone]
-        )
-        found, x = solve_program(near), x.copy()
-        x[self.lone] = found.x if found.is_solved else own
+        content, rows, start = self.content, self.inequalities, x[self.lone]
+        for _ in range(10):  # one step where the rows are affine
+            A = jacobian(content, x, rows)[:, self.lone]
+            rest = evaluated(content, x).rows[rows] - A @ x[self.lone]
+            holds = (np.diff(A.indptr) > 0) & np.isfinite(rest)
+            least, most = ((limit[rows] - rest)[holds] for limit in (content.row_lower, content.row_upper))
+            near = solve_program(QuadraticProgram.from_ranges(
+                sp.eye_array(start.size), -start, A[holds], least, most, content.lower[self.lone],
+                content.upper[self.lone],
+            ))
+            if not near.is_solved or np.allclose(near.x, x[self.lone], rtol=FEASIBLE, atol=0.0):
+                break
+            x = x.copy()
+            x[self.lone] = near.x
         return x
 
     def violated(self, x: FloatVector, rows: FloatVector, tolerance: float) -> str:

@@ -257,9 +257,11 @@ class FileStatement:
 
     def complementarities(self) -> ComplementarityModel:
         """Return the complementarity problem."""
-        held = np.isnan(self.known)
+        held, before = np.isnan(self.known), self.known
         if self.inequalities.size:
             self.known = self._known(self.says_nothing | np.isin(np.arange(self.m), self.inequalities))
+        self._free_what_equations_define()
+        if not np.array_equal(self.known, before, equal_nan=True):
             self.expressions = Expressions(self.content, self.known)
         content, found = self.content, self.expressions
         pairs, equations = self.pairs, np.append(self.equations, found.definitions)
@@ -285,6 +287,15 @@ class FileStatement:
         return ComplementarityModel(
             content, arrangement.problem, found.unknowns, self.known, arrangement, pairs, constants, beside
         )
+
+    def _free_what_equations_define(self) -> None:
+        """Let variables with equal bounds be unknowns where equations are there for them, and look at the bounds."""
+        content = self.content
+        is_fixed = ~self.is_paired & (content.lower == content.upper)
+        unknowns = np.count_nonzero(np.isnan(self.known) & ~self.is_paired)
+        equations = np.count_nonzero(np.diff(self.expressions.matrix.indptr)[self.equations])
+        if 0 < equations - unknowns == np.count_nonzero(is_fixed):
+            self.known = np.where(is_fixed, np.nan, self.known)
 
     def _spare(self, pairs: Indices, equations: Indices) -> Indices:
         """Return the complementarity rows that hold no unknown, where there are as many equations too many.

@@ -859,3 +859,19 @@ def test_a_variable_of_a_lone_inequality_gives_way_to_it() -> None:
     m.below.deactivate()
     m.above = pe.Constraint(expr=m.t >= m.x + 4)
     assert "above does not hold" in SOLVER.solve(m).solver.message
+    m.above.set_value(m.t**2 + m.z**2 <= m.x)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+
+
+def test_a_variable_with_equal_bounds_is_a_number_or_has_its_equation() -> None:
+    """Beside pairs it is taken for a number; where an equation defines it, the bounds are looked at."""
+    m = pe.ConcreteModel()
+    m.x, m.y = pe.Var(), pe.Var(bounds=(3, 3))
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.x - m.y >= 0))
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    assert (m.x.value, m.y.value) == pytest.approx((3.0, 3.0))
+    m.pair.deactivate()
+    m.own, m.equation = Complementarity(expr=complements(m.x >= 0, m.x - 3 >= 0)), pe.Constraint(expr=m.y == m.x)
+    pe.assert_optimal_termination(SOLVER.solve(m))
+    m.equation.set_value(m.y == m.x + 1)
+    assert "y does not hold, off by" in SOLVER.solve(m).solver.message

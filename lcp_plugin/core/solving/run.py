@@ -28,7 +28,6 @@ from .run_log import Header, RunLog
 
 Callback = Callable[[Sample, FloatVector], Any]
 
-SAMPLE_GROWTH = 1.05
 NO_STEP = object()  # an algorithm has no further one
 WITH_A_CASE = (End.CONVERGED, End.AT_FLOOR, *FAILED)
 DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
@@ -109,40 +108,49 @@ class Run:
 
     def _observe(self, step: Any) -> End | None:
         """Take note of one step; return why the run ends with it, if it does."""
-        state, incumbent = self.state, self.incumbent
         if not isinstance(step, Step):  # as an algorithm of somebody else's may yield
-            name = state.stages[-1].algorithm.name
+            name = self.state.stages[-1].algorithm.name
             raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
-        is_first = state.enter(step, self.clock.read())
+        is_first = self.state.enter(step, self.clock.read())
         if self.settings.absolute_tolerance:
             self.state.stages[-1].least_residual = 0.0  # it speaks of the relative one alone
-        incumbent.unmeasured = step.z
-        known = residual = self.judge.residual_of(step)
-        if known is None and (is_first or self.checks.is_due(state.iteration, step.increment)):
-            residual = self.judge.measure(step.z)
-            state.work += 1.0 if state.iteration > 0 else 0.0  # the start is measured for every problem
-        is_within = residual is not None and self.judge.may_meet_tolerance(residual)
-        if residual is not None:
-            if is_within:  # measured, not proved
-                residual = self.judge.certified(step.z)
-            if known is None and step.increment is not None:
-                self.checks.learn(state.iteration, step.increment, residual)
-            incumbent.offer(step.z, residual)
-            state.stages[-1].note(residual)
-            if state.iteration == 0:
-                self.start_residual = residual
+        residual = self._residual_of(step, is_first)
         end = self._end_with(step, residual)
         if end is None and self.clock.is_interrupted:
             end = End.INTERRUPTED
         if self._is_watched and self._report(step, residual, end is not None):
             end = end or End.INTERRUPTED
-        if step.proof is not None and end is None:
-            if self.judge.accept_proof(step.proof):
-                return End.NO_SOLUTION
-            state.stages[-1].has_no_solution_nearby = getattr(self.judge.proof, "radius", math.inf) < math.inf
-            if self.judge.misses_by_rounding(self.incumbent.z):
-                return End.AT_FLOOR
-        return end
+        return self._end_with_proof(step.proof) if end is None and step.proof is not None else end
+
+    def _residual_of(self, step: Step, is_first: bool) -> float | None:
+        """Return the residual of a step where it is known or due, proved where it may be small enough; keep the best z.
+
+        An algorithm knows it, or it is measured at the first step of a stage and at intervals.
+        """
+        state, judge = self.state, self.judge
+        self.incumbent.unmeasured = step.z
+        known = residual = judge.residual_of(step)
+        if residual is None:
+            if not (is_first or self.checks.is_due(state.iteration, step.increment)):
+                return None
+            residual = judge.measure(step.z)
+            state.work += 1.0 if state.iteration > 0 else 0.0  # the start is measured for every problem
+        if judge.may_meet_tolerance(residual):
+            residual = judge.certified(step.z)
+        if known is None and step.increment is not None:
+            self.checks.learn(state.iteration, step.increment, residual)
+        self.incumbent.offer(step.z, residual)
+        state.stages[-1].note(residual)
+        if state.iteration == 0:
+            self.start_residual = residual
+        return residual
+
+    def _end_with_proof(self, proof: Any) -> End | None:
+        """Return why the run ends with a proof that there is no solution, or none nearby, if it does."""
+        if self.judge.accept_proof(proof):
+            return End.NO_SOLUTION
+        self.state.stages[-1].has_no_solution_nearby = getattr(self.judge.proof, "radius", math.inf) < math.inf
+        return End.AT_FLOOR if self.judge.misses_by_rounding(self.incumbent.z) else None
 
     def _end_with(self, step: Step, residual: float | None) -> End | None:
         """Return why the run ends with this step, or None."""
@@ -189,7 +197,7 @@ class Run:
             if log is not None and is_printed:
                 log.step(stage, sample)
             if is_due:
-                self._next_sample = max(state.iteration + 1, math.ceil(state.iteration * SAMPLE_GROWTH))
+                self._next_sample = max(state.iteration + 1, math.ceil(state.iteration * 1.05))  # geometric
                 bound = self.judge.bound_along_the_run(step.z, state.work)
                 state.samples.append(replace(sample, error_bound=bound))
         return wants_to_stop
@@ -233,37 +241,38 @@ class Run:
         state, settings = self.state, self.settings
         certificate, status = self.ended(start, end)
         stages = state.records()
-        words, proof = dict(self.judge.words), self.judge.proof
-        is_over_at_once = status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None
-        if is_over_at_once:
+        if status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None:
             stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-        if isinstance(self.judge.asked, LCP):
-            if not is_over_at_once and (unused := unused_start(self.problem, self.policy.chosen, start)):
-                stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
-            if status is not Status.SOLVED:
-                policy = self.policy
-                words = advice_of_run(
-                    self.problem, policy.chosen, state.stages, settings.goal, words, policy.left_out
-                )
-                goal, least = settings.goal, settings.least_reference
-                if certificate.relative_above(least) <= goal < certificate.term_above(goal * least):
-                    words = advice_beside_a_wrong_row(words, certificate.wrong_row)
-        if not settings.prove_infeasibility:
-            stalled = words.get(Status.STALLED, Status.STALLED.value)
-            words[Status.STALLED] = f"{stalled}; not proved infeasible: you asked for no proof"
+        elif isinstance(self.judge.asked, LCP) and (unused := unused_start(self.problem, self.policy.chosen, start)):
+            stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
         result = Result(
             z=certificate.z, w=certificate.w, status=status, certificate=certificate,
             tolerance=settings.tolerance, tolerance_on=settings.tolerance_on,
             absolute_tolerance=settings.absolute_tolerance,
             algorithm=name_of(self.policy, stages), iterations=max(state.iteration, 0), work=state.work,
             seconds=self.clock.read(), setup_seconds=state.setup_seconds, history=tuple(state.samples),
-            stages=stages, infeasibility=proof, _asked=self.policy.chosen,
+            stages=stages, infeasibility=self.judge.proof, _asked=self.policy.chosen,
             _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
-            _advice={**words, **self.judge.advice},
+            _advice={**self._advice(certificate, status), **self.judge.advice},
         )
         if self.log is not None:
             self.log.end(result)
         return result
+
+    def _advice(self, certificate: Certificate, status: Status) -> dict[Status, str]:
+        """Return what to do next, by the status."""
+        words, policy, settings = dict(self.judge.words), self.policy, self.settings
+        if isinstance(self.judge.asked, LCP) and status is not Status.SOLVED:
+            words = advice_of_run(
+                self.problem, policy.chosen, self.state.stages, settings.goal, words, policy.left_out
+            )
+            goal, least = settings.goal, settings.least_reference
+            if certificate.relative_above(least) <= goal < certificate.term_above(goal * least):
+                words = advice_beside_a_wrong_row(words, certificate.wrong_row)
+        if not settings.prove_infeasibility:
+            stalled = words.get(Status.STALLED, Status.STALLED.value)
+            words[Status.STALLED] = f"{stalled}; not proved infeasible: you asked for no proof"
+        return words
 
 
 class Incumbent:

@@ -313,19 +313,9 @@ class EquilibriumModel(NLModel):
         InvalidOption
             For any other.
         """
-        from ...problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions  # which load more
+        from ...problems.equilibria.branch_and_bound import minimize_over_solutions  # which loads more
 
-        plain = {one.name: one.default for one in fields(Settings)} | {"algorithm": "auto"}
-        wishes = {name: wish for name, wish in options.items() if name in (*OPTIONS, *TAKEN) and wish is not None}
-        for name, wish in {**options, "algorithm": algorithm}.items():
-            if name not in wishes and wish is not None and wish != plain.get(name):
-                raise InvalidOption(
-                    f"an objective beside complementarities is minimised by SCIP or branch and bound, which takes no "
-                    f"{name}, got {wish!r}; leave it out; taken are {', '.join(TAKEN)}"
-                )
-        wishes.pop("threads", None)
-        if "max_iterations" in wishes:
-            wishes["max_nodes"] = wishes.pop("max_iterations")
+        wishes = _of_search({**options, "algorithm": algorithm})
         result = minimize_over_solutions(self.problem, **{"x0": self.start_or_none(), **wishes})
         x, duals, objective, status, wrong = None, None, None, result.status, ""
         if result.x is not None:
@@ -350,3 +340,22 @@ class EquilibriumModel(NLModel):
         objective = float(values.objectives[0]) if values.objectives.size else 0.0
         bound = self.sign * value + 0.0, (abs(value) + float(values.objective_sizes[:1].sum())) / OBJECTIVE
         return objective, contradiction(content, values, within, FEASIBLE, objective=bound, relative=FEASIBLE)
+
+
+def _of_search(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that a search takes, of those of any model; raise InvalidOption for any other wish."""
+    from ...problems.equilibria.branch_and_bound import OPTIONS
+
+    plain = {one.name: one.default for one in fields(Settings)} | {"algorithm": "auto"}
+    given = {name: wish for name, wish in options.items() if wish is not None}
+    wishes = {name: wish for name, wish in given.items() if name in (*OPTIONS, *TAKEN)}
+    for name, wish in given.items():
+        if name not in wishes and wish != plain.get(name):
+            raise InvalidOption(
+                f"an objective beside complementarities is minimised by SCIP or branch and bound, which takes no "
+                f"{name}, got {wish!r}; leave it out; taken are {', '.join(TAKEN)}"
+            )
+    wishes.pop("threads", None)
+    if "max_iterations" in wishes:
+        wishes["max_nodes"] = wishes.pop("max_iterations")
+    return wishes

@@ -51,9 +51,6 @@ HEIGHT, MOST_COLUMNS, MOST_MAPS = 0.78, 3, 4  # of a panel, as a share of its wi
 MARKED = 7  # markers along a line
 LEGEND_LINE, LETTERS = 0.17, 13  # inches; letters of a title to the inch
 NAME_WIDTH, LETTER_WIDTH = 0.5, 0.055  # inches: of a line and the space beside it in a legend, of a letter of its name
-DEEPEST_BELOW_TOLERANCE = 1e-3
-DIGITS = ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0), tuple(np.arange(1.0, 10.0, 0.2)))
-"""First digits of the ticks, the first set that gives two of them."""
 
 
 def require_matplotlib() -> Any:
@@ -141,7 +138,7 @@ def styles(families: Sequence[str]) -> list[dict[str, Any]]:
 class Line(NamedTuple):
     """One line of a panel: its name, the family that colours it, whether it converges, and how far x spreads.
 
-    `text` stands behind the name where there is something to be told, as its exponent.
+    `text` stands behind the name where there is one, as an exponent.
     """
 
     label: str
@@ -241,7 +238,6 @@ def _draw_panel(axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) ->
     for k, (label, x, y) in enumerate(panel.marks):
         axes.plot([x], [max(y, shown[0])], "Dsv^<>"[k % 6], color=COLOURS["reference"], markerfacecolor="white",
                   markersize=5, label=label, linestyle="none", zorder=5)
-    _tick_width(axes)
     if panel.level is not None:
         axes.axhline(panel.level, color="#777777", linewidth=0.7, linestyle=(0, (4, 3)), zorder=1)
         axes.annotate("tolerance", (1.0, panel.level), (2, 0), xycoords=("axes fraction", "data"),
@@ -256,7 +252,7 @@ def _range(lines: Sequence[Line]) -> tuple[float, float]:
     ends = [line.y[-1] for line in lines if line.converged and line.y[-1] > 0.0]
     starts = [line.y[0] for line in lines if 0.0 < line.y[0] < math.inf]
     least = min(ends, default=min(positive))
-    floor = float(np.median(ends or [least])) * DEEPEST_BELOW_TOLERANCE
+    floor = float(np.median(ends or [least])) * 1e-3  # what lies deeper is left out
     return max(least, floor) / 2.0, 3.0 * max(starts or positive)
 
 
@@ -279,22 +275,6 @@ def _draw(axes: Any, line: Line, look: dict[str, Any], shown: tuple[float, float
     if line.band is not None:
         low, high = line.band
         axes.fill_betweenx(y, _positive(low), high, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
-
-
-def _tick_width(axes: Any) -> None:
-    """Take the small ticks away; where fewer than two powers of ten are left to read a scale from, set others."""
-    axes.minorticks_off()
-    for name in ("x", "y"):
-        if getattr(axes, f"get_{name}scale")() != "log":
-            continue
-        low, high = getattr(axes, f"get_{name}lim")()
-        powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-        for digits in DIGITS:
-            ticks = [value for power in powers for digit in digits if low <= (value := digit * 10.0**power) <= high]
-            if len(ticks) >= 2:
-                break
-        if digits != DIGITS[0]:
-            getattr(axes, f"set_{name}ticks")(ticks, [f"{tick:g}" for tick in ticks])
 
 
 # --- Maps of stability ----------------------------------------------------------------------------------------

@@ -126,7 +126,7 @@ class EndsWithItsCase(Policy):
 class Single(EndsWithItsCase):
     """The caller's choice: one algorithm to the end; where one that ends by itself fails, a look at feasibility.
 
-    Where `prove_infeasibility` is False, nobody looks for a proof.
+    Where `prove_infeasibility` is False, no proof is looked for.
     """
 
     algorithm: Algorithm

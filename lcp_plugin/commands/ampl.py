@@ -205,7 +205,7 @@ def _solve(call: Call) -> int:
                   sizes=(content.row_lower.size, content.lower.size))
     if not call.is_ampl:
         _print(content, call.of_command("wantsol"), message, x, y)
-    if sys.stdout is not None:  # nobody may have opened it
+    if sys.stdout is not None:  # it may not be open
         sys.stdout.flush()
     return EXIT_UNSOLVED if code and not call.writes else 0
 

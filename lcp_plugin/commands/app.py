@@ -29,7 +29,7 @@ app = typer.Typer(
     help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
     epilog=_ending(
         "0 done, 1 ran but not solved (or: answers differ or cannot be compared, a count differs, interrupted), "
-        "2 bad input (told on stderr). "
+        "2 bad input (reported on stderr). "
         "Ctrl-C ends solve and report with what there is so far (1), the others as the shell expects (130)",
         "solve obstacle_2d --plot obstacle.png", "solve --help", "list",
     ),
@@ -75,7 +75,7 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
             try:
                 with LINE:
                     is_done = body(*args, **kwargs) is not False
-                sys.stdout.flush()  # here a reader that has gone, or a full disk, can still be told
+                sys.stdout.flush()  # here a reader that has gone, or a full disk, can still be reported
                 if not is_done:
                     raise typer.Exit(EXIT_UNSOLVED)
                 return

@@ -29,9 +29,7 @@ from ..gallery.scene import build as build_whole
 from .solving import OneProcess, T, refuse_the_problem_itself, require_place
 from .target import scene_text
 
-LARGE_FOR_EACH_RANK = 100_000
 FILES = ("z.npy", "w.npy", "status.json")
-FEW_RANKS = 8
 BY_ROWS = {"obstacle_2d": partial(sphere_layers, 2), "obstacle_3d": partial(sphere_layers, 3)}
 """Scenes that each rank builds for its own rows; every other one is built whole, then cut."""
 SPEAKER = "lcp-plugin"
@@ -114,14 +112,14 @@ class OnRanks(OneProcess):
         return scene.problem, scene
 
     def _note_whole(self, n: int, what: str) -> None:
-        if self.ranks.size > 1 and n > LARGE_FOR_EACH_RANK:
+        if self.ranks.size > 1 and n > 100_000:
             typer.echo(f"note: {what} whole on each of the {self.ranks.size} ranks, then cut", err=True)
 
     def beyond(self) -> tuple[dict[str, Any], list[str]]:
         """Return the number of ranks and their peaks of memory."""
         peaks = [int(peak) for peak in self.ranks.table(peak_memory())[:, 0]]
         megabytes = [round(peak / 1e6) for peak in peaks]
-        each = ", ".join(map(str, megabytes)) if len(peaks) <= FEW_RANKS else f"{min(megabytes)} to {max(megabytes)}"
+        each = ", ".join(map(str, megabytes)) if len(peaks) <= 8 else f"{min(megabytes)} to {max(megabytes)}"
         memory = f"{each} MB a rank" + (f", {sum(megabytes)} MB in all" if len(peaks) > 1 else "")
         return {"ranks": self.ranks.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {memory}"]
 

@@ -74,7 +74,7 @@ def sizes_of(texts: Sequence[str]) -> list[int]:
 
 
 def _of_file(file: Path) -> dict[str, Any]:
-    """Return what a study file says; raise where it cannot be read, or has a word that nobody knows."""
+    """Return what a study file says; raise where it cannot be read, or has an unknown word."""
     try:
         content = tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ..problems.equilibria.branch_and_bound import BranchAndBound
 
 QUIET_SECONDS = 1.0
-REFRESH_SECONDS = 0.2
 BAR = 24  # characters
 
 
@@ -63,7 +62,7 @@ class MovingLine:
             self._draw()
 
     def _move(self) -> None:
-        while not self._ended.wait(REFRESH_SECONDS):
+        while not self._ended.wait(0.2):
             self._draw()
 
     def _draw(self) -> None:

@@ -44,7 +44,7 @@ class Step:
     label : str
         The name of the part at work, where an algorithm has several; the result shows them as its stages.
     least_residual : float
-        No z has a smaller relative residual, as doubles say and nobody has proved: where the run asks for less, `auto`
+        No z has a smaller relative residual, as doubles say, without a proof: where the run asks for less, `auto`
         spends no work on other methods.
     successor : Algorithm, optional
         The same algorithm with what it has learned of M so far, for a problem of the same M and a q nearby; said again

@@ -1,4 +1,4 @@
-"""Who holds the other rows of a matrix; here nobody does.
+"""Which processes hold the other rows of a matrix; here none does.
 
 A vector with space for all that the own rows meet holds the own values first and behind them those of foreign unknowns.
 What is computed from all rows is asked of everybody, so that every process takes the same decisions: all of them ask
@@ -30,7 +30,7 @@ class Communicator:
     is_alone : bool
         True where one process holds all rows.
     is_empty : bool
-        True where nobody needs a foreign value; then nothing is ever sent.
+        True where no process needs a foreign value; then nothing is ever sent.
     size, rank : int
         How many processes there are, and which one this is.
     first : int
@@ -99,7 +99,7 @@ class Communicator:
         return value, row
 
     def together(self, attempt: Callable[[], T]) -> T:
-        """Return what `attempt`, which waits for nobody, gives here; where it fails on one process, raise on all."""
+        """Return what `attempt`, which waits for no other process, gives here; where one fails, raise on all."""
         return attempt()
 
     def from_first(self, attempt: Callable[[], T]) -> T:
@@ -207,7 +207,7 @@ class SharedRows:
         return self.communicator.total(value)
 
     def together(self, attempt: Callable[[], T]) -> T:
-        """Return what `attempt`, which waits for nobody, gives here; where it fails on one process, raise on all."""
+        """Return what `attempt`, which waits for no other process, gives here; where one fails, raise on all."""
         return self.communicator.together(attempt)
 
     def require_same(self, what: str, value: Any, remedy: str, error: Any = None) -> None:

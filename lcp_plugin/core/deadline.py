@@ -1,7 +1,7 @@
 """The clock of a run, the seconds it has left, and what it has compiled.
 
 Compilation counts against no limit, in whichever run inside a run it happens. Locks between threads are open in the
-child of a fork: it has one thread, and nobody else in it could let go.
+child of a fork: it has one thread, and no other could let go.
 """
 
 from __future__ import annotations

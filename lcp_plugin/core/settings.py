@@ -15,7 +15,6 @@ import numpy as np
 from .checks import is_number
 from .errors import InvalidOption, did_you_mean
 
-DEFAULT_MAX_ITERATIONS = 100_000
 NOTHING, BELOW, LARGEST = 2.0**-200, 1.0 - 2.0**-50, 2.0**900  # instead of 0; for rounding; for ∞
 TARGETS = ("residual", "error")
 
@@ -114,7 +113,7 @@ class Settings:
 
     @property
     def is_unobserved(self) -> bool:
-        """True where nobody wants more of the way than that it ends within the tolerance on the residual."""
+        """True where no more is wanted of the run than that it ends within the tolerance on the residual."""
         return not (self.is_on_error or self.record or self.error_bound or self.verbose)
 
     @property
@@ -147,7 +146,7 @@ def _seconds(value: Any, name: str) -> float:
 
 
 def _count(value: Any, name: str) -> int:
-    return DEFAULT_MAX_ITERATIONS if value is None else _whole_number(value, name, 0)
+    return 100_000 if value is None else _whole_number(value, name, 0)
 
 
 def _whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:

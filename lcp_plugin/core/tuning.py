@@ -33,7 +33,7 @@ FULL_CHOLESKY_FROM = 0.02  # share of the entries that are not zero, in no order
 
 # Sizes that a policy never exceeds.
 FULL_CHOLESKY_UP_TO = 1500  # rows: what a dense factor gains grows with them, and what it loses on a band as well
-LINEAR_PROGRAM_UP_TO = 5000  # rows of a linear program, whose factor fills in as nobody has counted: some seconds
+LINEAR_PROGRAM_UP_TO = 5000  # rows of a linear program, whose fill-in is not known before: some seconds
 DENSE_OPERATIONS, SPARSE_OPERATIONS = 2e10, 1e9  # a second, of LAPACK on one thread and of SuperLU, qdldl, our loops
 FACTOR_OPERATIONS_UP_TO = 2e10  # Σ count² over the columns of a factor: 5 to 10 seconds, a 3-D grid of 37³
 PIVOTED_UP_TO = 6000  # rows whose inverse lemke keeps: 0.3 GB

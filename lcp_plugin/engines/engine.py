@@ -61,7 +61,7 @@ class Limits(NamedTuple):
 
 
 class Hint(Enum):
-    """What an engine says of its point: nobody believes it, but it tells where to look."""
+    """What an engine says of its point: it is not believed, but shows where to look."""
 
     OPTIMAL = "optimal"
     INFEASIBLE = "infeasible"

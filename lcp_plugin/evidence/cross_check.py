@@ -34,7 +34,6 @@ from .qp_reference import ACCURATE, PLAIN, Formulation, ReferenceRun, accuracy, 
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
-WORTH_COMPARING = 1e-3
 CLEARLY_DIFFERENT = 1e-6
 PROOF_SECONDS = 20.0  # about, of each answer
 
@@ -210,7 +209,7 @@ def _judged(
         return "not comparable", f"no reference reached {ACCURATE:.0e}, the best is {best}; {said}"
     if claimed and not _keeps_claim(result, ours):
         return "mismatch", f"our answer says {result.status.name}, but {said}; that of {best.name} is accurate"
-    if not residual <= (WORTH_COMPARING if claimed else ACCURATE):
+    if not residual <= (1e-3 if claimed else ACCURATE):
         return "not comparable", f"our answer is inaccurate: {result.status.name}, {said}"
     if not pair.disagreement <= pair.allowance:
         explained = f"the residuals explain {pair.allowance:.1e} of a disagreement of {pair.disagreement:.1e}"

@@ -24,8 +24,6 @@ from ..gallery.scene import Scene
 from .contestants import Contestant, WorkLimit, as_scene_of, checked_names, contestants, fresh, measured_run
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
 
-SAMPLE_GROWTH = 1.08
-WARM_UP_ITERATIONS = 3
 Measure = Callable[[FloatVector], float]
 Progress = Callable[[str], object]
 
@@ -218,7 +216,7 @@ class Recorder(WorkLimit):
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
         """Take in a sample where one is due; return whether the limit of work is reached."""
         if sample.iteration >= self._next:
-            self._next = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLE_GROWTH))
+            self._next = max(sample.iteration + 1, math.ceil(sample.iteration * 1.08))  # geometric
             error, residual = self.measure(z)
             self.points.append(Point(sample.iteration, sample.work, sample.seconds, error=error, residual=residual))
         return super().__call__(sample, z)
@@ -270,7 +268,7 @@ class Bench:
         """Return why the algorithm does not take this problem; empty where it does. Also its warm-up."""
         problem, limit = fresh(self.scene.problem), WorkLimit(math.inf)
         try:
-            measured_run(problem, one.algorithm, limit, z0=self.scene.start, max_iterations=WARM_UP_ITERATIONS)
+            measured_run(problem, one.algorithm, limit, z0=self.scene.start, max_iterations=3)
         except (UnsuitableMatrix, UnsuitableProblem) as error:
             return str(error)
         return ""

@@ -101,8 +101,8 @@ class FreeBoundary:
                 axes.axvline(place, **how)
         elif (self.level < 0.0).any() and (self.level > 0.0).any():
             names = {"color": "colors", "linewidth": "linewidths", "linestyle": "linestyles"}
-            told = {names.get(name, name): value for name, value in how.items()}
-            axes.tricontour(*self.points.T, self.triangles, self.level, levels=[0.0], **told)
+            look = {names.get(name, name): value for name, value in how.items()}
+            axes.tricontour(*self.points.T, self.triangles, self.level, levels=[0.0], **look)
 
 
 def contact_level(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:

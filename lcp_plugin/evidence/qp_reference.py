@@ -34,7 +34,6 @@ from ..systems.factors import factorise
 from .convex_solvers import asked
 
 ACCURATE = 1e-7
-POLISHED = 1e-12
 POLISH_ROUNDS = 3
 
 PLAIN, GAP = "quadratic program", "gap quadratic program"
@@ -51,7 +50,6 @@ class Solver:
 
 
 _TIGHT = {"eps_abs": 1e-10, "eps_rel": 1e-10}
-_TIGHT_GAP = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
 
 # In the order in which they are asked: the most accurate natural residual first. Interior-point methods come last:
 # they leave z_i w_i ≈ tolerance where both vanish, hence a residual of its square root before the polish.
@@ -60,7 +58,7 @@ SOLVERS = {
     "osqp": Solver("OSQP", {**_TIGHT, "max_iter": 1_000_000}, "time_limit"),
     "scs": Solver("SCS", {**_TIGHT, "max_iters": 1_000_000}, "time_limit_secs"),
     "piqp": Solver("PIQP", _TIGHT, None),
-    "clarabel": Solver("CLARABEL", _TIGHT_GAP, "time_limit"),
+    "clarabel": Solver("CLARABEL", {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}, "time_limit"),
     "highs": Solver("HIGHS", {}, "time_limit", largest=2000),
 }
 
@@ -221,7 +219,7 @@ def attempt(formulation: Formulation, name: str, max_seconds: float) -> Referenc
     certificate = None
     if reply.x is not None:
         rough = Certificate.of(scaled.problem, scaled.answer(reply.x[: scaled.c.size]))
-        certificate = polished(rough) if accuracy(rough) > POLISHED else rough
+        certificate = polished(rough) if accuracy(rough) > 1e-12 else rough
         if certificate is not rough:
             notes.append(f"{accuracy(rough):.1e} before we solved the equations on its active set")
     return ReferenceRun(name, certificate, time.perf_counter() - began, "; ".join(notes))

@@ -33,7 +33,6 @@ Progress = Callable[[int, int, str], Any]
 EPSILON = 2.0**-52
 WELL_POSED = 1e-9  # condition × machine epsilon below this: double precision holds nine digits of the answer
 MAX_ITERATIONS, MAX_ITERATIONS_QUICK = 50_000, 5_000
-LARGEST_BOUNDED = 2500
 MISLEADING = 1e-3
 REFUSED, ERROR = "REFUSED", "ERROR"
 RANGES, PROVED = "ranges", "proved ranges"
@@ -265,30 +264,30 @@ def _families(stresses: Any) -> list[str]:
 
 def _cell(family: str, case: StressCase, name: str, algorithm: str | Algorithm, quick: bool) -> Cell | tuple[str, str]:
     """Return the cell, or what was left out and why where the algorithm does not take this kind of problem."""
-    told, certified, error, residual = False, None, math.nan, math.nan
+    is_true, certified, error, residual = False, None, math.nan, math.nan
     try:
         result = _strictly_solved(case, algorithm, MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS)
     except UnsuitableProblem as refusal:
         return f"{name} on {case.stress}", str(refusal)
     except UnsuitableMatrix as refusal:
-        status, told, note = REFUSED, True, str(refusal)
+        status, is_true, note = REFUSED, True, str(refusal)
     except Exception as failure:  # whatever a run raises belongs into the atlas
         status, note = ERROR, f"{type(failure).__name__}: {failure}"
     else:
         lie = lie_in(result, None if case.has_line else case.exact)
-        status, told, note = result.status.name, not lie, lie or _movement(case)
+        status, is_true, note = result.status.name, not lie, lie or _movement(case)
         residual, bound = result.certificate.relative_residual, result.error_bound
         if case.exact is not None and np.isfinite(result.z).all():
             error = relative_error(result.z, case.exact, case.units, has_line=case.has_line)
         certified = None if bound is None else bool(bound.kind == "rigorous" and math.isfinite(bound.infinity))
     lost = _digits_lost(error, case.condition, residual)
-    return Cell(name, case.stress, family, case.condition, status, error, residual, certified, lost, told, note)
+    return Cell(name, case.stress, family, case.condition, status, error, residual, certified, lost, is_true, note)
 
 
 def _strictly_solved(case: StressCase, algorithm: str | Algorithm, limit: int) -> Result:
     with warnings.catch_warnings(), np.errstate(over="warn", divide="warn", invalid="warn", under="ignore"):
         warnings.simplefilter("error")
-        is_bounded = case.problem.n <= LARGEST_BOUNDED
+        is_bounded = case.problem.n <= 2500  # a bound of more unknowns takes longer than the run
         return solve(
             case.problem, algorithm, z0=case.start, max_iterations=limit, error_bound=is_bounded,
             tolerance=case.tolerance, tolerance_on=case.tolerance_on,

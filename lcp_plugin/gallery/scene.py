@@ -41,7 +41,7 @@ class Scene:
     is_symmetric, is_h_plus : bool
         True where M is known to be so.
     is_declared : bool
-        False where nobody has said what M is, as of anybody's own problem; what counts is then found out.
+        False where M is not described, as in a user's own problem; its properties are then computed.
     active_share : float, optional
         Share of components at a bound, in [0, 1]: of `exact`, where it is known, or of `continuum`.
     grid : optional
@@ -148,7 +148,7 @@ class Scene:
 
 
 def _read_only(values: FloatVector, fact: str, n: int) -> FloatVector:
-    """Return a view that cannot be written to, so that nobody spoils the reference by accident."""
+    """Return a view that cannot be written to, so that the reference is not spoilt by accident."""
     if values.shape != (n,):
         raise InvalidProblem(f"{fact} must have shape ({n},) like z, got {values.shape}")
     view = values.view()

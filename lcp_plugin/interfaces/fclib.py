@@ -78,7 +78,7 @@ class _Group:
         return int(array[0])
 
     def matrix(self, name: str, rows: int, columns: int) -> sp.csr_array:
-        """Return a matrix, whose shape the vectors have told."""
+        """Return a matrix, whose shape follows from the vectors."""
         if not self.holds(name):
             raise self.refuse(f"{self.name} lacks {name}, it holds {', '.join(self._content) or 'nothing'}")
         own = _Group(self.source, f"{self.name}/{name}", self._content[name])

@@ -347,7 +347,7 @@ def _stderr_to(target: int) -> Iterator[int]:
     """Send there what is written to stderr, where SCIP's linear solver warns whatever is set; yield where it went."""
     try:
         before = os.dup(2)
-    except OSError:  # nobody has opened it
+    except OSError:  # it is not open
         yield target
         return
     os.dup2(target, 2)

@@ -265,7 +265,7 @@ def statistics(result: Any) -> dict[str, Any]:
 
 
 DERIVATIVES = ("backward", "derivative")
-#: By the problem: its solution as one of our solves left it, and who answers for its derivatives, None for nobody.
+#: By the problem: its solution as one of our solves left it, and what answers for its derivatives, or None.
 _answering: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
 
 

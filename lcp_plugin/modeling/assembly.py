@@ -25,7 +25,7 @@ from .equations import Affine, Elimination, eliminate_definitions, known_ranges,
 from .expressions.program import Program
 from .expressions.rows import Compiler, Rows, assembled
 
-BEGUN = "begun from the values of the variables, which are the last answer where nobody has set others"
+BEGUN = "begun from the values of the variables, which are the last answer unless others were set"
 UNCERTAIN = 1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
 
 

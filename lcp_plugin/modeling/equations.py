@@ -27,8 +27,6 @@ Mask = NDArray[np.bool_]
 SMALLEST_PIVOT = 1e-8  # relative to the largest entry of its row
 MOST_FILL = 4  # times the entries there were
 MOST_DEFINITIONS = 500
-ROUNDING = 4.0 * EPSILON
-SAME = 1e-9
 
 
 @dataclass(eq=False)
@@ -232,7 +230,7 @@ def known_ranges(
         size = (abs(known) @ farthest + np.abs(rows.offset))[row] / np.abs(pivot)
         np.maximum.at(low, column, ends.min(axis=0))
         np.minimum.at(high, column, ends.max(axis=0))
-        np.maximum.at(rounding, column, ROUNDING * size)
+        np.maximum.at(rounding, column, 4.0 * EPSILON * size)
     return low, high, rounding
 
 
@@ -313,7 +311,7 @@ def _mirrored(
             return None
         new_rows = open_rows[np.argsort(row_sums[open_rows], kind="stable")]
         new_columns = open_columns[np.argsort(column_sums[open_columns], kind="stable")]
-        if not np.allclose(row_sums[new_rows], column_sums[new_columns], rtol=SAME, atol=0.0):
+        if not np.allclose(row_sums[new_rows], column_sums[new_columns], rtol=1e-9, atol=0.0):
             return None
         order[new_rows] = new_columns
         weight = weights[paired.size + new_rows]

@@ -23,7 +23,6 @@ from .equations import Elimination
 from .stated_terms import dense_value, values_below
 
 DISAGREEMENT = 1e-9  # of the terms of a row
-ROUNDINGS = 100.0
 
 
 @dataclass(eq=False)
@@ -247,7 +246,7 @@ def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
     elif problem.enclosure is not None:
         lower, upper = problem.enclosure.interval_F(z, z)
         width[left] = upper - lower
-    allowed = DISAGREEMENT * (terms + np.abs(theirs) + np.abs(expected)) + ROUNDINGS * width
+    allowed = DISAGREEMENT * (terms + np.abs(theirs) + np.abs(expected)) + 100.0 * width  # further out
     wrong = np.flatnonzero(np.isfinite(expected) & ~(np.abs(theirs - expected) <= allowed))
     if not wrong.size:
         return None

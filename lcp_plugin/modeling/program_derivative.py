@@ -149,7 +149,7 @@ class ProgramDerivative:
         }
 
     def _require_determined(self, entries: Any) -> None:
-        """Raise where these have several values at the minimum: multipliers may, where nobody asks for them."""
+        """Raise where these have several values at the minimum: multipliers may, where they are not asked for."""
         if not self._at.determined[entries].all():
             raise UnsuitableProblem(NOT_UNIQUE)
 

@@ -144,7 +144,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         found = solve_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
         if guess is not None and "z0" not in options and not found.is_compiled:
             found = replace(found, begun=BEGUN)
-        # What was solved at once begins anew, and is not asked for the z of a problem that nobody has made.
+        # What was solved at once begins anew, and has no z: no complementarity problem was made.
         cache[self.name()] = compiled._replace(z=None if found.is_compiled else found.z)
         if verbose:
             settings.LOGGER.info(found.explain())
@@ -199,7 +199,7 @@ class SolverAnswer:
             Of the user's objective, as cvxpy makes it of this answer.
         """
         if self.status not in (settings.OPTIMAL, settings.OPTIMAL_INACCURATE):
-            return None  # none or, where a limit came first, the best so far, of which nobody claims anything
+            return None  # none or, where a limit came first, the best so far, which is claimed to be nothing
         solution, rows = self.solution, self.solution.program.constraints
         errors = (self.goal, solution.error)
         limit = SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors)))
@@ -258,13 +258,13 @@ def quadratic_program(data: Any) -> QuadraticProgram:
 
 
 def _require_plain(data: Any) -> None:
-    """Raise where the program has integers, or bounds that nobody can tell from those that cvxpy derived."""
+    """Raise where the program has integers, or bounds, which may be ones that cvxpy derived."""
     if len(data.get(settings.BOOL_IDX, ())) or len(data.get(settings.INT_IDX, ())):
         raise UnsolvableModel(NO_INTEGERS)
     if data.get(settings.LOWER_BOUNDS) is not None or data.get(settings.UPPER_BOUNDS) is not None:
         raise SolverError(
-            "this release of cvxpy sends bounds of variables to a solver that takes none, and they cannot be told from "
-            "bounds that it derived itself; state them as constraints"
+            "this release of cvxpy sends bounds of variables to a solver that takes none, and they may be bounds that "
+            "it derived itself; state them as constraints"
         )
 
 

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from ..core.solving.result import Result
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
-STIFF_SPREAD = 1e6
 FAR = 1e-2  # part of ‖z‖∞
 SHIFT, STEPS = 1e-8, 4  # of the largest entry; steps of inverse iteration: 10⁻⁸ beside 10⁻⁶ of it is forgotten
 STILL = 2.0**-44  # of the entries of a row: what rounding makes of a change that leaves it as it is
@@ -60,7 +59,7 @@ def _stiffness(result: Result) -> str:
     spread = result.certificate.scale_spread
     if not result.is_solved:
         return ""
-    if not spread > STIFF_SPREAD:
+    if not spread > 1e6:
         return _nearness_to_singular(result)
     stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"
     if not _is_bound_cheap(result):

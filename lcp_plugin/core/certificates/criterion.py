@@ -389,7 +389,7 @@ class CommonScaling:
 
 
 def hold_at_zero(problem: LCP) -> BoolVector:
-    """Return of which components z° cannot be told from a solution in double precision, shape (components,).
+    """Return in which components z° is a solution up to rounding, shape (components,).
 
     In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
     """

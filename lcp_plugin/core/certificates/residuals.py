@@ -407,7 +407,7 @@ class Certificate:
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
-        """True at that level, where the residual is small, or in its component z° cannot be told from a solution.
+        """True at that level, where the residual is small, or in its component z° is a solution up to rounding.
 
         Rounding as large as the problem itself is no limit reached, but data or a z out of all proportion.
         """

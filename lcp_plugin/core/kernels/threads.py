@@ -1,7 +1,7 @@
 """Compiled loops cut into pieces that several threads take: the rows of one large problem, or many small problems.
 
 A hand-over costs some 50 µs (``python tests/benchmarks tuning``), more where other programs want the cores; so the
-thread that has work to share does what nobody has begun, and waits for no more than what others are in the middle of.
+thread that has work to share does what no thread has begun, and waits only for what others are in the middle of.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class threads_for:  # noqa: N801 - read as a function; a generator takes three t
             self._jobs: SimpleQueue[tuple[_Job, Context] | None] = SimpleQueue()
         with suppress(RuntimeError):  # no more threads may begin: those there are will do
             while self._helpers < helpers:
-                self._helpers += 1  # before Ctrl-C may come: one told to end too many does no harm
+                self._helpers += 1  # before Ctrl-C may come: to end one too many does no harm
                 # threading.Thread.start would wait for ever for a thread that finds no memory to begin with
                 _thread.start_new_thread(_work, (self._jobs,))
         for _ in range(helpers):
@@ -63,7 +63,7 @@ _crew: ContextVar[threads_for | None] = ContextVar("threads", default=None)
 
 
 def threads_now() -> int:
-    """Return how many threads may share what runs here: 1 where nobody said so, and inside a piece of shared work."""
+    """Return how many threads may share what runs here: 1 by default, and inside a piece of shared work."""
     crew = _crew.get()
     return 1 if crew is None else crew.count
 
@@ -128,7 +128,7 @@ class _Job:
             lock.acquire()
 
     def take_part(self) -> None:
-        """Do what nobody has begun; what it shares in turn stays in this thread. After an error nothing is begun."""
+        """Do what no thread has begun; what it shares in turn stays in this thread. After an error nothing is begun."""
         _crew.set(None)
         me = _thread.get_ident()
         for k in self.pieces:
@@ -144,7 +144,7 @@ class _Job:
                 self.at_work[k].release()
 
     def wait(self) -> None:
-        """Let nobody begin any more, and return when nobody is at work; Ctrl-C meanwhile is raised afterwards."""
+        """Let no thread begin any more, and return when none is at work; Ctrl-C meanwhile is raised afterwards."""
         interruption: BaseException | None = None
         while True:
             try:
@@ -155,7 +155,7 @@ class _Job:
                 break
             except BaseException as error:  # Ctrl-C, or no memory: first those at work must have ended
                 interruption = error
-        del self.work  # nothing is left to do; the job may lie where nobody takes it up
+        del self.work  # nothing is left to do; the job may lie where no thread takes it up
         if interruption is not None:
             raise interruption
 

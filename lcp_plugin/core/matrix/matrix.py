@@ -42,7 +42,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         update_wrapper(self, compute)
 
     def __call__(self, matrix: Any, *args: P.args, **kwargs: P.kwargs) -> T:
-        """Return the value, computed where nobody has asked before."""
+        """Return the value, computed where it was not asked for before."""
         key = (self, *args)
         try:
             value: T = matrix._facts[key]
@@ -157,7 +157,7 @@ class Matrix(SharedRows):
     def whole(self, x: FloatVector) -> FloatVector:
         """Return the own part x with the foreign values that the own rows meet behind it, shape (width,).
 
-        That is x itself where nobody needs any; all ranks call.
+        That is x itself where no rank needs any; all ranks call.
         """
         if self.communicator.is_empty:
             return x

@@ -18,7 +18,6 @@ from .matrix import Matrix, fact
 BLOCK = 16_384
 
 # Of the automatic row scaling of NP.
-LARGEST_FACTOR = 2.0
 COUPLED = 0.9  # g θ ℓ stays this far below 1
 ROUNDED = 1e-13  # rows whose entries were rounded miss d_i = Σ|m_ij| by this share
 
@@ -111,7 +110,7 @@ def balanced_factors(
         if not is_dominant:
             break
         with np.errstate(divide="ignore", over="ignore"):
-            quick = np.minimum(LARGEST_FACTOR, 1.0 / np.maximum(1.0 - total, 0.0))
+            quick = np.minimum(2.0, 1.0 / np.maximum(1.0 - total, 0.0))  # a factor is at most 2
             np.minimum(quick, COUPLED / (coupling * updated[rows]), out=factors[rows])
     if not matrix.all_rows(is_dominant):
         factors.fill(1.0)

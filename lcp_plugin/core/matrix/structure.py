@@ -113,7 +113,7 @@ def local_components(matrix: Matrix) -> tuple[IntVector, int]:
 def _joined_components(matrix: Matrix) -> Components | None:
     """Return the components of rows over several ranks: those of each, joined where one of its unknowns is another's.
 
-    What a rank calls a component is told to the others by the values of its unknowns there; few of them meet.
+    A rank gives the others its names of components by the values of its unknowns there; few of them meet.
     """
     from scipy.sparse import coo_array, csgraph
 

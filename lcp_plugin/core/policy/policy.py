@@ -39,7 +39,7 @@ class Policy:
     def last_system(
         self, problem: LCP, z: FloatVector, work: float, is_solved: bool
     ) -> tuple[FloatVector, float] | None:
-        """Return the solution of the linear system of the case that z shows, and its work; None where nobody solves it.
+        """Return the solution of the linear system of the case that z shows, and its work; None where it is not solved.
 
         The case is which unknowns are at which bound; `work` is that of the run, and `is_solved` what it has reached.
         """

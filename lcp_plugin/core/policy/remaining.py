@@ -97,7 +97,7 @@ def _is_asked(problem: LCP, now: Stage) -> bool:
 
 
 def _least_sweeps(problem: LCP, now: Stage, goal: float) -> float:
-    """Return how many sweeps errors that are constant on the free unknowns take, 0 where nobody knows."""
+    """Return how many sweeps errors that are constant on the free unknowns take, 0 where that is not known."""
     if now.z is None or not now.residuals or not goal > 0.0:
         return 0.0
     gain = now.residuals[-1][1] / goal

@@ -11,14 +11,10 @@ from ..algorithm import Algorithm, Step
 from ..checks import BoolVector, FloatVector
 from ..lcp import LCP
 
-STEADY = 0.05
 KEPT_RESIDUALS = 512
 FIRST_CHECK = 10
-CHECK_GROWTH = 1.5
 FIRST_FLOOR_CHECK = 25
 PROGRESS = 0.99
-LONGEST_FRONT = 2000
-RISING = 10
 
 
 @dataclass(frozen=True)
@@ -121,7 +117,7 @@ class Stage:
         (_, first), (_, second), (_, third) = self.residuals[-3:]
         if not min(first, second, third) > 0.0:
             return False
-        return abs(third / second - second / first) <= STEADY * second / first
+        return abs(third / second - second / first) <= 0.05 * second / first  # two rates agree
 
     def steps_to_go(self, goal: float) -> float:
         """Return how many more steps reach that residual, at the stage's own rate."""
@@ -149,7 +145,7 @@ class CheckSchedule:
 
     def learn(self, iteration: int, increment: float, residual: float) -> None:
         """Take note of a measured residual: the next is due half as far again."""
-        self.next_check = max(iteration + 1, math.ceil(max(iteration, FIRST_CHECK) * CHECK_GROWTH))
+        self.next_check = max(iteration + 1, math.ceil(max(iteration, FIRST_CHECK) * 1.5))
         if increment > 0.0:
             self.residual_per_increment = residual / increment
 
@@ -159,7 +155,7 @@ class Progress:
 
     def __init__(self, n: int, max_iterations: int) -> None:
         # A front that crosses the unknowns one a sweep leaves the largest residual as it is until it has passed.
-        self.shortest_window = max(200, 5 * math.ceil(math.log2(max(n, 2))), min(n, LONGEST_FRONT))
+        self.shortest_window = max(200, 5 * math.ceil(math.log2(max(n, 2))), min(n, 2000))  # no longer
         self.max_iterations = max_iterations
         self.window_start: tuple[int, float] | None = None
         self.last_residual, self.rises = math.inf, 0
@@ -174,7 +170,7 @@ class Progress:
         """Return whether a measured residual is not finite, or higher than the one before for ten times in a row."""
         self.rises = self.rises + 1 if residual > self.last_residual else 0
         self.last_residual = residual
-        return self.rises >= RISING or not math.isfinite(residual)
+        return self.rises >= 10 or not math.isfinite(residual)
 
     def is_flat(self, iteration: int, best: float) -> bool:
         """Return whether it is time to ask for the rounding floor: no fall for 25, 50, 100, … steps."""

@@ -1,4 +1,4 @@
-"""What a run that did not solve its problem is told to do: never what has just run, nor the default where that ran."""
+"""What a run that did not solve its problem should do: never what has just run, nor the default where that ran."""
 
 from __future__ import annotations
 

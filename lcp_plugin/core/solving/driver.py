@@ -1,4 +1,4 @@
-"""What `solve` does of an LCP once it is known what is asked: one compiled call where nobody watches, else a run."""
+"""What `solve` does of an LCP once it is known what is asked: one compiled call for an unobserved run, else a run."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class Sample:
     seconds : float
         Seconds of the algorithm so far, set-up included; the clock stands still while a sample is measured.
     residual : float or None
-        The relative one; None in a callback at a step where nobody measured it.
+        The relative one; None in a callback at a step where it was not measured.
     label : str
         The algorithm at work.
     error_bound : float or None
@@ -233,12 +233,12 @@ class Result(Answer):
         bound, *proven = str(self.error_bound or "").splitlines() or [""]
         if self.tolerance_on == "error":
             known = f"{bound} ({asked})" if bound else f"no bound of the error ({asked})"
-            told = [known, residual]
+            lines = [known, residual]
         else:
-            told = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
+            lines = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
         if beside := self._beside:
-            told[-1 if self.tolerance_on == "error" else 0] += f" ({beside})"
-        return "\n".join(["; ".join(told), *proven])
+            lines[-1 if self.tolerance_on == "error" else 0] += f" ({beside})"
+        return "\n".join(["; ".join(lines), *proven])
 
     @property
     def _beside(self) -> str:

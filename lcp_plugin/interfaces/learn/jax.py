@@ -61,7 +61,7 @@ def lcp_layer(
     Raises
     ------
     InvalidOption
-        Where JAX has not been told to calculate in double precision.
+        Where JAX does not calculate in double precision.
     InvalidProblem
         For arrays of another type or shape, and numbers that are no problem.
     NotConverged
@@ -124,7 +124,7 @@ def contact_layer(
     Raises
     ------
     InvalidOption
-        Where JAX has not been told to calculate in double precision.
+        Where JAX does not calculate in double precision.
     InvalidProblem, NotConverged
         As of `lcp_layer`.
 

@@ -335,7 +335,7 @@ def _tensor(values: Any, name: str) -> Any:
 
 
 def _readable(M: Any) -> Any:
-    """Return a CSR tensor, or say what to write where torch lets nobody see its entries."""
+    """Return a CSR tensor, or say what to write where torch hides its entries."""
     try:
         M.crow_indices()
     except RuntimeError as error:

@@ -19,7 +19,6 @@ from ..files.matrix_market import opened
 from .content import MOST_OPTIONS, WITH_TOLERANCE
 
 OPTIONS = "Options"
-NO_CODE = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +132,7 @@ def read_sol(path: str | PathLike[str]) -> SolContent:
         tolerance = float(_next(rest)) if has_tolerance else None
         duals, values = (np.array([float(_next(rest)) for _ in range(k)]) for k in (m_given, n_given))
         ending = next(rest, (0, ""))[1].split()
-        code = int(ending[2]) if len(ending) == 3 and ending[0] == "objno" else NO_CODE
+        code = int(ending[2]) if len(ending) == 3 and ending[0] == "objno" else -1  # none given
     except ValueError as error:
         line = next(rest, (len(lines) + 1, ""))[0] - 1
         raise UnreadableFile(f"cannot read {source}, line {line}: {error}; it is damaged, or "

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 CHEAP_AFTER = (0.01, 0.8)  # how far the residual has to fall until the next cheap bound
 SHARP_EVERY = 0.1
 SHARP_WORTH = 200  # sweeps that a sharp bound may cost
-OUT_OF_STEP = 2.0
 ADVICE = {
     Status.SOLVED: "the error is proved to be within the tolerance",
     Status.PRECISION_LIMIT: (
@@ -103,7 +102,7 @@ class ErrorJudge(Judge):
 
     def _is_sharp_due(self, cheap: ErrorBound, residual: float, iteration: int) -> bool:
         self._sharp_from = min(self._sharp_from, iteration + SHARP_WORTH)
-        if cheap.infinity * self._last_residual <= OUT_OF_STEP * self._last_cheap * residual:
+        if cheap.infinity * self._last_residual <= 2.0 * self._last_cheap * residual:  # it fell alike
             return iteration >= self._sharp_from
         return residual <= SHARP_EVERY * self._last_sharp
 

@@ -39,8 +39,6 @@ from .row_inequality import NearPoint, RowInequality
 
 DENSE_UP_TO = 3000
 SPARSE_UP_TO = 30_000
-INVERSE_ITERATIONS = 30
-SHARES = (0.95, 0.5, 0.1)
 OUTWARD = 1.0 + 2.0**-36  # more than what rounds in sums of 2 · SPARSE_UP_TO terms of one sign
 UNDERFLOW = 1e-290  # far more than all that underflows in a factorisation of a matrix of unit size
 
@@ -232,7 +230,7 @@ def _proven_bound(part: Any, blur: float) -> float | None:
         return None
     estimate = _inverse_iteration(factor.solve, part)
     identity = (sp.eye_array if sp.issparse(part) else np.eye)(part.shape[0])
-    for share in SHARES:
+    for share in (0.95, 0.5, 0.1):  # the first that a factor proves
         shift = share * estimate
         shifted = part - shift * identity
         factor = positive_factor(shifted)
@@ -271,7 +269,7 @@ def _factor_error(factor: Any) -> float:
 def _inverse_iteration(solve: Any, part: Any) -> float:
     """Return the Rayleigh quotient of a vector near the lowest eigenvector; an upper bound but for rounding."""
     x = np.random.default_rng(0).standard_normal(part.shape[0])
-    for _ in range(INVERSE_ITERATIONS):
+    for _ in range(30):  # an estimate, which is proved afterwards
         x /= np.linalg.norm(x)
         x = solve(x)
     return float(x @ (part @ x) / (x @ x))

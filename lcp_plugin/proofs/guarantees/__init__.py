@@ -36,7 +36,6 @@ from .theorems import (
     theorem_of,
 )
 
-WEIGHT_STEPS = 40
 DENSE_SPLITTING = 500
 CLEARLY = 1.0 + 1e-12
 JACOBI = IterationFacts(family=PROJECTED_RELAXATION, relaxation=1.0, acceleration=0.0)
@@ -195,7 +194,7 @@ def _by_better_weights(problem: LCP, facts: IterationFacts) -> Contraction | Non
     """
     for is_damped in (True, False):
         v = np.ones(problem.n)
-        for _ in range(WEIGHT_STEPS):
+        for _ in range(40):
             sums = sums_for(facts, problem, v)
             proof = contraction(facts, problem, v, sums)
             if proof is not None:

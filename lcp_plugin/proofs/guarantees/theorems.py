@@ -27,7 +27,6 @@ AUTOMATIC = (
     "trials of a larger ω are undone where they do not pay, so it converges wherever projected Gauss–Seidel does, and "
     f"M is {{}} ({CRYER})"
 )
-POWER_STEPS = 60
 ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also where it is subnormal
 FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -230,7 +229,7 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVec
     if not spread < 0.5:
         return None
     v = np.ones(n)
-    for _ in range(POWER_STEPS):
+    for _ in range(60):
         grown = np.abs(X) @ (right @ v)
         v = 0.5 * (v + grown / grown.max(initial=1e-300)) if np.isfinite(grown).all() else v
     bounded = _inverse_bound(np.abs(X), error, spread, (right @ v) * (1.0 + unit)) * (1.0 + 4.0 * unit)

@@ -27,7 +27,6 @@ from .linear_constraints import LinearConstraints, without_rounding
 AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
 NEGLIGIBLE = 1e-12
 VIOLATED = 1e-6  # of the terms of its row
-LARGEST_DENOMINATORS = (1, 100, 100_000)
 TIGHT = (1e-9, 1e-7)
 LP_TOLERANCE = 1e-9
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
@@ -243,7 +242,7 @@ class FarkasProgram:
         yield unscaled / np.abs(unscaled).max()
         kept = np.flatnonzero(np.abs(y) > NEGLIGIBLE).tolist()
         for base in dict.fromkeys((1.0, float(np.abs(y[kept]).min()))):
-            for denominator in LARGEST_DENOMINATORS:
+            for denominator in (1, 100, 100_000):  # multipliers of stated models are short
                 near = {i: Fraction(float(y[i]) / base).limit_denominator(denominator) for i in kept}
                 if any(near.values()):
                     yield self._unscaled(near)

@@ -26,7 +26,6 @@ from .linear_constraints import DECISIVE, LinearConstraints
 from .proof import Choices, Closing, Infeasibility, NoSolutionProof, rescaled_multipliers, row_choices
 
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
-UNITS_TRIED = 3
 
 
 @np.errstate(all="ignore")
@@ -110,7 +109,7 @@ def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
     reference = reference_residual(problem)
     constraints = replace(_linear_constraints(problem), reference=reference)
     unit = reference if 0.0 < reference < np.inf else None  # then the optimum is minus the largest margin
-    for _ in range(UNITS_TRIED):
+    for _ in range(3):  # units
         program = FarkasProgram(constraints, unit, effort)
         answer = program.solve()
         if answer is None:

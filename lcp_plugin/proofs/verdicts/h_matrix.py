@@ -29,11 +29,7 @@ from ...systems.graph import block_rows, strong_blocks
 from ..exact.linear_systems import EXACT_SIZE, exact_comparison, exact_weights, has_positive_pivots
 from ..exact.rational import enclosures, rounded_down
 
-CHEAP_SWEEPS = 5
 EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
-REWEIGHTINGS = 3
-TOLERANCES = (0.1, 1e-3, 1e-7)
-COUPLING_SWEEPS = 1_000
 GAINS = (1e-2, 1e-6)  # what a solve with ⟨M⟩ shall leave of its residual
 MOST_STEPS = 30  # a matrix that is not H₊ lets v grow for ever
 
@@ -200,7 +196,7 @@ def _by_row_sums(M: Any) -> HVerdict:
 def _by_sweeps(M: Any, system: ComparisonMatrix) -> HVerdict | None:
     """Take some power steps with (I + D⁻¹|B|)/2, until both Collatz–Wielandt bounds are on one side of 1."""
     x = np.ones(M.shape[0])
-    for sweep in range(CHEAP_SWEEPS):
+    for sweep in range(5):  # a solve costs more
         step = (system.matrix @ x) / system.diagonal
         ratio = 1.0 - step / x
         low, high = float(ratio.min()), float(ratio.max())
@@ -226,9 +222,9 @@ def _proven(M: Any, v: FloatVector, low: float, high: float, how: str) -> HVerdi
 def _by_solving(M: Any, system: ComparisonMatrix) -> HVerdict:
     """Solve (I − D⁻¹|B|)x = weights; weights 1, then |x|, which makes every row's margin relative to its own v."""
     weights = np.ones(M.shape[0])
-    for _ in range(REWEIGHTINGS):
+    for _ in range(3):
         magnitudes = weights
-        for tolerance in TOLERANCES:
+        for tolerance in (0.1, 1e-3, 1e-7):  # a loose solve is often enough
             x = system.solve(system.diagonal * weights, tolerance=tolerance)
             if x is None:
                 return HVerdict(None, "⟨M⟩ is numerically singular, or too large to be factorised")
@@ -292,7 +288,7 @@ def _joined(M: Any, count: int, labels: Any, v: FloatVector, margin: FloatVector
     between = labels[coupling.row] != labels[coupling.col]
     rows, columns, weight = coupling.row[between], coupling.col[between], coupling.data[between]
     factor = np.ones(count)
-    for _ in range(COUPLING_SWEEPS):
+    for _ in range(1_000):  # each raises a factor, or ends
         load = np.bincount(rows, weight * (v * factor[labels])[columns], v.size)
         needed = np.zeros(factor.size)
         np.maximum.at(needed, labels, 2.0 * load / margin)

@@ -28,7 +28,6 @@ from ..exact.linear_systems import Rows, eliminated, exact_rows, has_positive_mi
 LARGEST_SIZE = 20
 SCALED_TO_NOTHING = 2.0**-900  # more than what an entry loses that leaves the range when it is scaled
 OUTWARD = 1.0 + 2.0**-48  # more than the rounding of a bound
-EXACT_PAIRS = 2_000
 LARGEST_WORK = 2.5e12  # of exact arithmetic, in products of bits: some seconds, and enough for any matrix of 10 rows
 ROOT = 1
 
@@ -95,7 +94,7 @@ def nonpositive_pair(M: Any) -> tuple[int, int] | None:
     even = sp.csr_array((M.data / diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
     ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
     suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
-    for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:EXACT_PAIRS]:
+    for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:2_000]:  # the likeliest
         i, j = int(ratios.row[k]), int(ratios.col[k])
         exact = [Fraction(float(M[place])) for place in ((i, i), (j, j), (i, j), (j, i))]
         if exact[0] * exact[1] - exact[2] * exact[3] <= 0:

@@ -136,3 +136,17 @@ def test_a_contradiction_is_named_by_what_came_upon_it(n: int, by: str) -> None:
     result = solve(QuadraticProgram(np.eye(n), np.ones(n), rows, [-1.0, -1.0]))
     assert (result.status.name, result.algorithm) == ("INFEASIBLE", f"auto: {by}")
     assert [stage.name for stage in result.stages] == [by]
+
+
+@pytest.mark.parametrize("name", ["npsor", "psor", "gfp", "multigrid"])
+def test_sweeps_take_residuals_that_equations_define(name: str) -> None:
+    """Minimise ½ |t|² with t = A x − b and x ≥ 0, as cvxpy writes least squares: M has no diagonal, AᵀA has one."""
+    rng = np.random.default_rng(0)
+    (m, n), lower = (12, 6), np.append(np.full(12, -np.inf), np.zeros(6))
+    A, b = rng.standard_normal((m, n)), rng.standard_normal(m)
+    program = QuadraticProgram(
+        np.diag(np.append(np.ones(m), np.zeros(n))), np.zeros(m + n), A=np.hstack([np.eye(m), -A]), b=-b, lower=lower
+    )
+    found, right = solve(program, name), solve(program)
+    assert found.is_solved
+    assert found.objective == pytest.approx(right.objective, rel=1e-9)

@@ -144,8 +144,13 @@ def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array
 
 def _repaired(M: Any, is_copied: bool) -> sp.csr_array:
     """Return M as read-only CSR in doubles, sorted, without duplicates and zeros; another object on its arrays."""
-    if M.format == "csr" and _is_canonical(M):
-        data, indices, indptr = (np.array(part) if is_copied else part for part in (M.data, M.indices, M.indptr))
+    if M.format in ("csr", "csc") and _is_canonical(M):
+        data, indices, indptr = M.data, M.indices, M.indptr
+        if M.format == "csc":  # which is a transpose in rows, and this one's columns are rows of M
+            by_columns = assembled(data, indices, indptr, M.shape[::-1]).tocsc()
+            data, indices, indptr = by_columns.data, by_columns.indices, by_columns.indptr
+        elif is_copied:
+            data, indices, indptr = map(np.array, (data, indices, indptr))
         return assembled(data, indices, indptr, M.shape)
     if M.format == "csr":
         # A fresh array: scipy's own flags may be stale when somebody wrote into M.data.
@@ -167,19 +172,20 @@ def _repaired(M: Any, is_copied: bool) -> sp.csr_array:
 
 
 def _is_canonical(M: Any) -> bool:
-    """Return whether a CSR array holds doubles, none of them 0, its arrays fit together, and its rows are sorted."""
+    """Return whether a compressed array holds doubles, none of them 0, its arrays fit together, and it is sorted."""
     starts, columns, data = M.indptr, M.indices, M.data
+    count, width = M.shape if M.format == "csr" else M.shape[::-1]
     if not (starts.ndim == columns.ndim == data.ndim == 1 and data.dtype == np.float64):
         return False
     if not (starts.dtype == columns.dtype and starts.dtype.kind == "i"):
         return False
-    if starts.size != M.shape[0] + 1 or data.size != columns.size:
+    if starts.size != count + 1 or data.size != columns.size:
         return False
     if starts[0] != 0 or starts[-1] != data.size or not (starts[1:] >= starts[:-1]).all():
         return False
     rises, begin = columns[1:] > columns[:-1], starts[1:-1]
-    rises[begin[(begin > 0) & (begin < data.size)] - 1] = True  # another row
-    is_inside = not data.size or 0 <= columns.min() <= columns.max() < M.shape[1]
+    rises[begin[(begin > 0) & (begin < data.size)] - 1] = True  # another row, or column
+    is_inside = not data.size or 0 <= columns.min() <= columns.max() < width
     return bool(is_inside and rises.all() and np.count_nonzero(data) == data.size)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,7 +29,7 @@ class PIQP(Engine):
     obeys: ClassVar[str] = (
         "verbose prints its own log; max_seconds and Ctrl-C wait for its end, after max_iter steps at the latest"
     )
-    defaults: ClassVar = {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 250}
+    defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 250}
 
     @staticmethod
     @cache
@@ -43,23 +43,24 @@ class PIQP(Engine):
         """Return PIQP's point."""
         import piqp
 
-        is_sparse = sp.issparse(program.P)
-        solver = piqp.SparseSolver() if is_sparse else piqp.DenseSolver()
+        P, G, A, m, p = program.P, program.G, program.A, program.h.size, program.b.size
+        solver = piqp.SparseSolver() if sp.issparse(P) else piqp.DenseSolver()
         for name, value in self.settings.items():
             setattr(solver.settings, name, value)
         solver.settings.verbose = limits.is_verbose
-        made = sp.csc_matrix if is_sparse else np.asfortranarray
-        P, G, A = map(made, (program.P, program.G, program.A))
-        h = None if not program.h.size else program.h
-        solver.setup(
-            P, program.c, *((A, program.b) if program.b.size else (None, None)), None if h is None else G, None, h,
-            program.lower, program.upper,
-        )
+        # Rows of a symmetric P are its columns; PIQP takes no arrays that are read-only.
+        columns = sp.csc_matrix((P.data, P.indices, P.indptr), P.shape, copy=True) if sp.issparse(P) else _by_columns(P)
+        equations = (_by_columns(A), program.b) if p else (None, None)
+        rows = (_by_columns(G), None, program.h) if m else (None, None, None)
+        solver.setup(columns, program.c, *equations, *rows, program.lower, program.upper)
         says = SAYS.get(int(solver.solve()), Hint.GAVE_UP)
         found = solver.result
-        m, p = program.h.size, program.b.size
         multipliers = Multipliers(
             np.array(found.z_u) if m else np.zeros(0), np.array(found.y) if p else np.zeros(0), np.array(found.z_bl),
             np.array(found.z_bu),
         )
         return Point(np.array(found.x), multipliers, 0 if says is Hint.GAVE_UP else int(found.info.iter), says)
+
+
+def _by_columns(A: Any) -> Any:
+    return sp.csc_matrix(A) if sp.issparse(A) else np.asfortranarray(A)

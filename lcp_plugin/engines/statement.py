@@ -1,9 +1,9 @@
 """What an engine is given of a program: rows of one size, if need be in other units, without limits that are far away.
 
 Engines stop by tolerances of their own, beside sizes that they take from the data. So each row is divided by the power
-of two below its largest coefficient; where that does not lead to an answer, unknowns are measured in other units, and
-limits far beyond the others, which mostly stand for "none", are left out. All are ways to a point and nothing else: it
-is judged on the program as it was given, and a limit that it breaks is put back.
+of two below its largest coefficient, if that is not from ½ to 2; where that does not lead to an answer, unknowns are
+measured in other units, and limits far beyond the others, which mostly stand for "none", are left out. All are ways to
+a point and nothing else: it is judged on the program as it was given, and a limit that it breaks is put back.
 """
 
 from __future__ import annotations
@@ -85,12 +85,10 @@ class Prepared(NamedTuple):
         return Point(x, multipliers, point.iterations, point.says)
 
     def inward(self, point: Point) -> Point:
-        """Return a point of the given statement as one of this, the way back of `outward`."""
-        given, unit = point.multipliers, 1.0 if self.unit is None else self.unit
-        inequality = (given.inequality * self.of_inequalities / self.objective)[self.rows]
-        equality = given.equality * self.of_equations / self.objective
-        of_bounds = (one * unit / self.objective for one in (given.lower, given.upper))
-        return point._replace(x=point.x / unit, multipliers=Multipliers(inequality, equality, *of_bounds))
+        """Return a point of the given statement as one of this, in its units: the way back of `outward`."""
+        inequality, equality, *of_bounds = point.multipliers
+        inequality = (inequality * self.of_inequalities)[self.rows]
+        return point._replace(multipliers=Multipliers(inequality, equality * self.of_equations, *of_bounds))
 
 
 def far_limits(given: Statement) -> BoolVector:
@@ -125,13 +123,13 @@ def _largest(A: Any) -> FloatVector:
 
 
 def _power_below(sizes: FloatVector) -> FloatVector:
-    """Return the power of two below each size, ½ for 0."""
-    return np.asarray(np.ldexp(1.0, np.frexp(sizes)[1] - 1))
+    """Return the power of two below each size; 1 from ½ to 2, and for 0, which leaves an array as it is."""
+    return np.where((sizes >= 0.5) & (sizes <= 2.0) | (sizes == 0.0), 1.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1))
 
 
 def _divided(A: Any, sizes: FloatVector) -> Any:
     """Return A with its rows divided by these."""
-    if not sizes.size:
+    if (sizes == 1.0).all():
         return A
     if isinstance(A, np.ndarray):
         return A / sizes[:, np.newaxis]

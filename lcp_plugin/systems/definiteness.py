@@ -9,8 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector
+from ..core.checks import FloatVector, all_hold
 from ..core.kernels.floats import EPSILON
+from ..core.matrix.structure import row_numbers
 from ..core.tuning import CHOLESKY_UP_TO, FULL_CHOLESKY_FROM, FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 
@@ -88,26 +89,29 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     False
     """
     diagonal: FloatVector = P.diagonal()
-    smallest = diagonal.min(initial=np.inf)
-    if smallest < 0.0:
+    if not all_hold(diagonal >= 0.0):
         return False
+    if sp.issparse(P):
+        if is_diagonal(P):
+            return True
+        filled, sizes = np.flatnonzero(diagonal), np.abs(P.data)
+        # A zero on the diagonal of a semidefinite matrix has nothing beside it.
+        if sizes[(diagonal == 0.0)[P.indices]].any():
+            return False
+        if (np.bincount(row_numbers(P), sizes, diagonal.size) - diagonal <= diagonal).all():
+            return True  # no row is less than the sum of its other entries (Gershgorin)
+        is_full = filled.size <= FULL_CHOLESKY_UP_TO and P.nnz > FULL_CHOLESKY_FROM * filled.size**2
+        if filled.size <= CHOLESKY_UP_TO or is_full:
+            P = P.toarray() if filled.size == diagonal.size else P[filled].toarray()[:, filled]
+            diagonal = diagonal[filled]
     # The backward error of a Cholesky factor is as small beside √(p_ii p_jj) as that of the scaled matrix (Demmel).
-    if isinstance(P, np.ndarray) and smallest >= SMALLEST_PIVOT and positive_triangle(P) is not None:
-        return True
-    if is_diagonal(P):
-        return True
-    filled = np.flatnonzero(diagonal)
-    # A zero on the diagonal of a semidefinite matrix has nothing beside it.
-    if filled.size < diagonal.size and (abs(P) @ (diagonal == 0.0).astype(np.float64)).any():
-        return False
-    if sp.issparse(P) and bool(np.all(abs(P) @ np.ones(diagonal.size) - diagonal <= diagonal)):
-        return True  # no row is less than the sum of its other entries (Gershgorin)
-    is_small = filled.size <= CHOLESKY_UP_TO
-    if sp.issparse(P) and (
-        is_small or (filled.size <= FULL_CHOLESKY_UP_TO and P.nnz > FULL_CHOLESKY_FROM * filled.size**2)
-    ):
-        P = P.toarray() if filled.size == diagonal.size else P[filled].toarray()[:, filled]
-        diagonal = diagonal[filled]
+    if isinstance(P, np.ndarray):
+        if all_hold(diagonal >= SMALLEST_PIVOT) and positive_triangle(P) is not None:
+            return True
+        if is_diagonal(P):
+            return True
+        if P[diagonal == 0.0].any():
+            return False
     shift = _margin(diagonal.size, diagonal.size)
     if shift > LARGEST_SHIFT:
         return None

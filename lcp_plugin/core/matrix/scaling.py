@@ -261,7 +261,7 @@ def _between_paths(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> t
 
 def _together(M: sp.csr_array, labels: IntVector, ratio: IntVector, is_symmetric: BoolVector) -> Exponents:
     """Return the exponents of rows and columns fitted together, |M̂| symmetric where some D₁ M D₂ is."""
-    whole, part = map(np.stack, _fitted_together(M))
+    whole, part = map(np.stack, _fitted_together(M.data, row_numbers(M), M.indices, M.shape))
     row, column = whole + np.rint(part).astype(np.int64)
     # Rows beside columns by this ratio, so that |M̂| is symmetric; what M̂ leaves open decides between t and t + 1.
     total = whole[0] + whole[1] - ratio
@@ -293,42 +293,31 @@ def _symmetrising(M: sp.csr_array, labels: IntVector) -> tuple[IntVector, BoolVe
     return ratio, are[labels]
 
 
-def fitted_columns(M: sp.csr_array) -> IntVector:
-    """Return the exponents of the columns that make all entries even, where rows are in any unit; shape (n,).
-
-    Powers of two that multiply columns are found again, but for one number a connected component.
-
-    Examples
-    --------
-    >>> first, second = fitted_columns(sp.csr_array([[1.0, 1024.0], [8.0, 8192.0]]))
-    >>> int(first - second)
-    10
-    """
-    whole, part = _fitted_together(M)
-    exponents: IntVector = whole[1] + np.rint(part[1]).astype(np.int64)
-    return exponents
-
-
 def fitted_units(M: sp.csr_array, right: FloatVector) -> FloatVector:
     """Return units of x, powers of two, in which entries of M and of the right-hand side are of like sizes, shape (n,).
+
+    Powers of two that multiply columns are found again; rows may be in any unit.
 
     Examples
     --------
     >>> fitted_units(sp.csr_array([[1.0, 1024.0], [8.0, 8192.0]]), np.array([4.0, 32.0])).tolist()
     [4.0, 0.00390625]
     """
-    column = np.where(np.isfinite(right), right, 0.0)[:, np.newaxis]
-    exponents = fitted_columns(sp.csr_array(sp.hstack([M, column], format="csr")))
+    m, n = M.shape
+    data = np.append(M.data, np.where(np.isfinite(right), right, 0.0))
+    rows, columns = np.append(row_numbers(M), np.arange(m)), np.append(M.indices, np.full(m, n))
+    whole, part = _fitted_together(data, rows, columns, (m, n + 1))
+    exponents = whole[1] + np.rint(part[1]).astype(np.int64)
     return np.asarray(np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_UNIT, LARGEST_UNIT)))
 
 
-def _fitted_together(M: sp.csr_array) -> tuple[Any, Any]:
+def _fitted_together(data: FloatVector, rows: IntVector, columns: IntVector, shape: tuple[int, int]) -> tuple[Any, Any]:
     """Return the exponents of rows and of columns that make all entries even."""
-    n, kept = M.shape[0], M.data != 0.0
-    mantissas, exponents = np.frexp(np.abs(M.data[kept]))
-    rows, columns = row_numbers(M)[kept], M.indices[kept].astype(np.int64) + n
-    whole, part = _fit(exponents.astype(np.int64), np.log2(mantissas), rows, columns, sum(M.shape))
-    return (-whole[:n], whole[n:]), (-part[:n], part[n:])
+    m, kept = shape[0], data != 0.0
+    mantissas, exponents = np.frexp(np.abs(data[kept]))
+    tails, heads = rows[kept].astype(np.int64), columns[kept].astype(np.int64) + m
+    whole, part = _fit(exponents.astype(np.int64), np.log2(mantissas), tails, heads, sum(shape))
+    return (-whole[:m], whole[m:]), (-part[:m], part[m:])
 
 
 def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector, nodes: int) -> Fit:
@@ -429,8 +418,8 @@ def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> 
     right: Any = np.bincount(rows, ratios, n) - np.bincount(columns, ratios, n)
     degree: Any = np.bincount(rows, minlength=n) + np.bincount(columns, minlength=n)
     weights, found = np.where(degree > 0, degree, 1).astype(np.float64), np.zeros(n)
-    edges = sp.csr_array((np.ones(rows.size), (rows, columns)), shape=(n, n))
-    back = edges.T
+    ends = np.concatenate([rows, columns]), np.concatenate([columns, rows])
+    edges = sp.csr_array((np.ones(2 * rows.size), ends), shape=(n, n))
     residual, direction, before = right, np.zeros(n), 1.0
     least = FITTED * float(np.sqrt(right.dot(right)))
     for _ in range(MOST_STEPS):
@@ -439,7 +428,7 @@ def fitted(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) -> 
         ahead = residual / weights
         slope = float(residual.dot(ahead))
         direction = ahead + (slope / before) * direction
-        image = degree * direction - edges @ direction - back @ direction
+        image = degree * direction - edges @ direction
         length, before = slope / float(direction.dot(image)), slope
         found = found + length * direction
         residual = residual - length * image

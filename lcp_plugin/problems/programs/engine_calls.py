@@ -8,13 +8,13 @@ all others are left out and the engine is asked again; those that its answer bre
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import chain, islice, product
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
 
-from ...core.checks import are_no_limits
+from ...core.checks import are_finite, are_no_limits
 from ...core.deadline import is_over, seconds_left
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.kernels.floats import NEGLIGIBLE
@@ -37,7 +37,7 @@ CALLS = 4  # of an engine for one program
 DENSE_AT_LAST = 1500  # unknowns and rows: an active set sees through numbers that steps between the bounds do not
 PROXIMAL = {"eps_prox": 1e-6, "eta_prox": 1e-12}  # of daqp, where P is nothing beside its prox: until x stands still
 
-Answered = tuple[QPSolution | None, Point]
+Answered = tuple[Iterator[QPSolution], Point]
 
 
 class EngineRun(NamedTuple):
@@ -102,10 +102,10 @@ def engines_for(program: QuadraticProgram) -> Iterator[Engine]:
         yield engine_class("daqp")(**PROXIMAL)
 
 
-def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | None:
-    """Return the answer of an active set to a small program as it stands, if it is surely right; None otherwise.
+def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | Point | None:
+    """Return the answer of an active set to a small program as it stands, if it is surely right; else its point.
 
-    Most small programs end here, in half the time that others take to begin.
+    Most small programs end here, in half the time that others take to begin. None where it is not asked.
     """
     is_asked = program.n and program.matrices.is_judged_by_sums
     engine = next(engines_for(program), None) if is_asked else None
@@ -113,17 +113,26 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | None:
         return None
     with np.errstate(all="ignore"):
         point = engine.answer(_statement(program, is_dense=True), Limits(seconds_left()))
-        for measure, near in product((Errors.above, Errors.beside_own_terms), [point, *without_noise(point)]):
+        has_limits = not are_no_limits(program.lower, program.upper)
+        for measure, near in _ways_to_judge(point):
             x, y = near.x, np.concatenate(near.multipliers)
-            if not are_no_limits(program.lower, program.upper):
+            if has_limits:
                 x = np.clip(x, program.lower, program.upper)
-            if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            if not (are_finite(x) and are_finite(y)):
                 break
             errors = measure(program, x, y)
             if errors.meet(goal) and errors.are_sure(goal):
                 stage = StageRecord(engine.name, engine.solves, point.iterations, 0.0)
                 return EngineRun(QPSolution.of_rows(program, x, y), point.says, stage, True, False, True)
-    return None
+    return point
+
+
+def _ways_to_judge(point: Point) -> Iterator[tuple[Callable[..., Errors], Point]]:
+    """Yield what measures a point, and the point, or the same without noise; the quickest first."""
+    yield Errors.above, point
+    others = list(without_noise(point))
+    yield from ((Errors.above, other) for other in others)
+    yield from ((Errors.beside_own_terms, other) for other in (point, *others))
 
 
 def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: bool = False) -> EngineRun | None:
@@ -137,9 +146,12 @@ def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: boo
 
 
 def run_engine(
-    program: QuadraticProgram, engine: Engine, goal: float, *, is_verbose: bool = False, points: int | None = None
+    program: QuadraticProgram, engine: Engine, goal: float, *, is_verbose: bool = False, points: int | None = None,
+    begun: Point | None = None,
 ) -> EngineRun:
     """Return the best answer of an engine, which ends with the first that meets the goal, or after some points.
+
+    Where it has begun with the program as it stands, with what it has come to.
 
     Raises
     ------
@@ -155,12 +167,11 @@ def run_engine(
     iterations, says, is_optimal, contradicts = 0, Hint.GAVE_UP, False, False
     best: QPSolution | None = None
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
-        for solution, point in islice(_answers(program, engine, is_verbose), points):
+        for near, point in islice(_answers(program, engine, is_verbose, begun), 1 if points else None):
             iterations, says = iterations + point.iterations, point.says
-            if solution is not None:
-                is_optimal = solution.is_minimal(goal)
-                if is_optimal or best is None or solution.error < best.error:
-                    best = solution
+            solution, is_optimal = _best(islice(near, points), goal)
+            if solution is not None and (is_optimal or best is None or solution.error < best.error):
+                best = solution
             if is_optimal or is_over():
                 break
             if says is Hint.INFEASIBLE and (contradicts := program.facts.sees_contradiction(goal, point.multipliers)):
@@ -173,24 +184,42 @@ def run_engine(
     return EngineRun(best, says, stage, is_optimal, contradicts)
 
 
-def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Iterator[Answered]:
+def _best(near: Iterable[QPSolution], goal: float) -> tuple[QPSolution | None, bool]:
+    """Return the first of some points that meets the goal, beside own terms if one does, or the best; and whether."""
+    judged = list[QPSolution]()
+    for solution in near:
+        if solution.is_minimal(goal, is_beside_own=True):
+            return solution, True
+        judged.append(solution)
+    for solution in sorted(judged, key=lambda one: sum(one.own_errors)):  # what acts takes as long as an engine
+        if solution.is_minimal(goal):
+            return solution, True
+    return min(judged, key=lambda one: one.error, default=None), False
+
+
+def _answers(
+    program: QuadraticProgram, engine: Engine, is_verbose: bool, begun: Point | None
+) -> Iterator[Answered]:
     """Yield the points of an engine, polished and as they came, of one statement of the program after the other."""
     refuse_nonconvex(program)
     reduction = Reduction(program)
     if not program.matrices.is_small:
         reduction = reduction.then(FoldedRows.of)
     given = _statement(reduction.reduced)
-    yield from _points(reduction, Prepared.of(given), engine, is_verbose)
+    prepared = Prepared.of(given)
+    point = _asked(engine, prepared, is_verbose) if begun is None else prepared.inward(begun)
+    yield from _points(reduction, prepared, point)
     is_far = far_limits(given)
     units = reduction.reduced.facts.fitted_units
     if (units != 1.0).any():
-        yield from _points(reduction, Prepared.of(given, None, units), engine, is_verbose)
+        prepared = Prepared.of(given, None, units)
+        yield from _points(reduction, prepared, _asked(engine, prepared, is_verbose))
     for _ in range(CALLS if is_far.any() else 0):
-        prepared, x = Prepared.of(given, is_far, units), None
-        for solution, point in _points(reduction, prepared, engine, is_verbose):
-            yield solution, point
-            x = x if solution is None else prepared.outward(point).x
-        if x is None:
+        prepared = Prepared.of(given, is_far, units)
+        point = _asked(engine, prepared, is_verbose)
+        yield from _points(reduction, prepared, point)
+        x = point.x * units
+        if not np.isfinite(x).all():
             return
         broken = np.concatenate([given.G @ x - given.h, given.lower - x, x - given.upper]) > 0.0
         if not (is_far & broken).any():
@@ -198,39 +227,51 @@ def _answers(program: QuadraticProgram, engine: Engine, is_verbose: bool) -> Ite
         is_far = is_far & ~broken
 
 
-def _points(reduction: Reduction, prepared: Prepared, engine: Engine, is_verbose: bool) -> Iterator[Answered]:
-    """Yield the point of an engine and what becomes of it, first the polished one, in which what is 0 is 0.
+def _asked(engine: Engine, prepared: Prepared, is_verbose: bool) -> Point:
+    """Return the point of an engine; where no unknown is left, all that is to say is whether the rows hold."""
+    statement = prepared.statement
+    if not statement.c.size:
+        empty, of_rows = np.zeros(0), (np.zeros(statement.h.size), np.zeros(statement.b.size))
+        return Point(empty, Multipliers(*of_rows, empty, empty), 0, Hint.GAVE_UP)
+    try:
+        return engine.answer(statement, Limits(seconds_left(), is_verbose))
+    except Exception as error:  # whatever another package raises of an option's value
+        if not engine.options:
+            raise
+        given = ", ".join(f"{name}={value!r}" for name, value in engine.options.items())
+        raise InvalidOption(f"{engine.name} does not take {given}: {_in_short(error)}") from error
+
+
+def _points(reduction: Reduction, prepared: Prepared, point: Point) -> Iterator[Answered]:
+    """Yield what becomes of an engine's point, and that: polished and as it came, then at 0 and at rest.
 
     Where the engine has only a word and no point, no solution either.
     """
-    if prepared.statement.c.size:
-        try:
-            point = engine.answer(prepared.statement, Limits(seconds_left(), is_verbose))
-        except Exception as error:  # whatever another package raises of an option's value
-            if not engine.options:
-                raise
-            given = ", ".join(f"{name}={value!r}" for name, value in engine.options.items())
-            raise InvalidOption(f"{engine.name} does not take {given}: {_in_short(error)}") from error
-    else:  # what is left to say is whether the rows hold
-        empty, (m, p) = np.zeros(0), (prepared.statement.h.size, prepared.statement.b.size)
-        multipliers = Multipliers(np.zeros(m), np.zeros(p), empty, empty)
-        point = Point(empty, multipliers, 0, Hint.GAVE_UP)
     if point.says is Hint.INFEASIBLE:
-        yield None, point._replace(multipliers=_contradiction(reduction, prepared, point))
+        yield iter(()), point._replace(multipliers=_contradiction(reduction, prepared, point))
+        point = point._replace(iterations=0)
     if not np.isfinite(np.concatenate([point.x, *point.multipliers])).all():
-        if point.says is not Hint.INFEASIBLE:
-            yield None, point
+        yield iter(()), point
         return
-    cases = polished(prepared.statement, point)
-    first = [] if is_over() else list(islice(cases, 1))
-    steps = point.iterations
+    statement, polishes = prepared.statement, list[Point]()
+
+    def polish() -> Iterator[Point]:
+        for one in () if is_over() else polished(statement, point):
+            polishes.append(one)
+            yield one
+
+    def solutions(*points: Iterable[Point]) -> Iterator[QPSolution]:
+        for one in chain(*points):
+            for near in chain([one], without_noise(one)):
+                if (solution := _solution(reduction, prepared, near)) is not None:
+                    yield solution
+
+    has_limits = statement.h.size or np.isfinite(statement.lower).any() or np.isfinite(statement.upper).any()
+    yield solutions(polish(), [point]) if has_limits else solutions([point], polish()), point
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
-    at_zero = (one._replace(x=np.zeros(one.x.size)) for one in (first or [point])[:1])
-    for one in chain(first, [point], cases, at_zero, at_rest(prepared.statement, first or [point])):
-        for near in chain([one], without_noise(one)):
-            if (solution := _solution(reduction, prepared, near)) is not None:
-                yield solution, one._replace(iterations=steps)
-                steps = 0
+    first = (polishes or [point])[0]
+    at_zero = first._replace(x=np.zeros(first.x.size))
+    yield solutions([at_zero], at_rest(statement, first)), point._replace(iterations=0)
 
 
 def without_noise(point: Point) -> Iterator[Point]:
@@ -248,20 +289,19 @@ def _in_short(error: Exception) -> str:
     return str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
 
 
-def at_rest(statement: Statement, points: Sequence[Point]) -> Iterator[Point]:
+def at_rest(statement: Statement, point: Point) -> Iterator[Point]:
     """Yield a point without what is rounding beside its equations, where no force is left: no multiplier is, either.
 
     Of residuals that an equation defines, as cvxpy's t = A x − b where t = 0, nothing else is known.
     """
-    for point in points[:1]:
-        A, b, x = as_csr(statement.A), statement.b, point.x
-        terms = np.maximum(np.abs(b), largest_in_rows(A, np.abs(A.data * x[A.indices])))
-        noise = np.zeros(x.size)
-        with np.errstate(all="ignore"):
-            np.maximum.at(noise, A.indices, NEGLIGIBLE * np.repeat(terms, np.diff(A.indptr)) / np.abs(A.data))
-        x = np.where(np.abs(x) <= noise, 0.0, x)
-        if not (statement.P @ x + statement.c).any():
-            yield point._replace(x=x, multipliers=Multipliers(*(np.zeros_like(one) for one in point.multipliers)))
+    A, b, x = as_csr(statement.A), statement.b, point.x
+    terms = np.maximum(np.abs(b), largest_in_rows(A, np.abs(A.data * x[A.indices])))
+    noise = np.zeros(x.size)
+    with np.errstate(all="ignore"):
+        np.maximum.at(noise, A.indices, NEGLIGIBLE * np.repeat(terms, np.diff(A.indptr)) / np.abs(A.data))
+    x = np.where(np.abs(x) <= noise, 0.0, x)
+    if not (statement.P @ x + statement.c).any():
+        yield point._replace(x=x, multipliers=Multipliers(*(np.zeros_like(one) for one in point.multipliers)))
 
 
 def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:

@@ -159,10 +159,12 @@ class QuadraticProgram:
         equal, sides = np.flatnonzero(is_equality), above.size + below.size
         order, signs = np.concatenate([above, below, equal]), np.ones(sides + equal.size)
         signs[above.size : sides] = -1.0
-        picked = rows[order]
-        ends, data = picked.indptr, picked.data * np.repeat(signs, np.diff(picked.indptr))
+        begins, counts = rows.indptr[order], np.diff(rows.indptr)[order]
+        ends = np.append(0, np.cumsum(counts))
+        places = np.arange(ends[-1]) + np.repeat(begins - ends[:-1], counts)
+        data, columns = rows.data[places] * np.repeat(signs, counts), rows.indices[places]
         G, equations = (
-            assembled(data[ends[first] : ends[last]], picked.indices[ends[first] : ends[last]],
+            assembled(data[ends[first] : ends[last]], columns[ends[first] : ends[last]],
                       ends[first : last + 1] - ends[first], (last - first, n))
             for first, last in ((0, sides), (sides, order.size))
         )

@@ -157,18 +157,22 @@ class QPSolution:
         """
         if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
-        return bool(self._own_errors.meet(float(tolerance)) or self._errors.meet(float(tolerance)))
+        return bool(self.own_errors.meet(float(tolerance)) or self._errors.meet(float(tolerance)))
 
-    def is_minimal(self, tolerance: float = 1e-6) -> bool:
-        """Return whether x is stationary, and no negative curvature acts at it: what SOLVED says of a program."""
-        return self.is_stationary(tolerance) and not bends(self.program, self.x, tolerance)
+    def is_minimal(self, tolerance: float = 1e-6, *, is_beside_own: bool = False) -> bool:
+        """Return whether x is stationary, and no negative curvature acts at it: what SOLVED says of a program.
+
+        Or whether a quicker look says so already, beside the own terms of rows and columns alone.
+        """
+        is_met = bool(self.own_errors.meet(tolerance)) if is_beside_own else self.is_stationary(tolerance)
+        return is_met and not bends(self.program, self.x, tolerance)
 
     def is_sure(self, tolerance: float = 1e-6) -> bool:
         """Return whether x is stationary, and no exact proof of unboundedness may beat it: none is looked for.
 
         The gradient is 0 to a thousandth of the tolerance, or the program falls nowhere for ever.
         """
-        is_small = self._own_errors.gap <= SURE * tolerance  # which nothing that acts makes smaller
+        is_small = self.own_errors.gap <= SURE * tolerance  # which nothing that acts makes smaller
         return (is_small and self._errors.are_sure(tolerance)) or (
             self.is_stationary(tolerance) and self.program.facts.falls_nowhere
         )
@@ -178,7 +182,7 @@ class QPSolution:
 
         Along a direction d of descent Pd = 0 and all constraints hold: cᵀd ≥ 0 whatever slack there is.
         """
-        return bool(self._own_errors.dual <= SURE * tolerance) or self.program.facts.falls_nowhere
+        return bool(self.own_errors.dual <= SURE * tolerance) or self.program.facts.falls_nowhere
 
     def holds_surely(self, tolerance: float = 1e-6) -> bool:
         """Return whether x holds all constraints so well that no proof of a contradiction may beat it."""
@@ -195,13 +199,13 @@ class QPSolution:
         return float(self._errors.gap)
 
     @cached_property
-    def _own_errors(self) -> Errors:
+    def own_errors(self) -> Errors:
         """Bounds of the errors from above, in half the time."""
         return Errors.beside_own_terms(self.program, self.x, self.multipliers)
 
     @cached_property
     def _errors(self) -> Errors:
-        return self._own_errors.or_excused(self.program, self.x, self.multipliers)
+        return self.own_errors.or_excused(self.program, self.x, self.multipliers)
 
     @cached_property
     def proof(self) -> QPInfeasibility | QPUnboundedness | None:

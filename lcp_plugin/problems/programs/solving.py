@@ -458,10 +458,11 @@ def _at_once(
     """
     prove_infeasibility = options.get("prove_infeasibility", True)
     try:
-        if (sure := solved_as_given(program, goal)) is not None:
-            return sure.stage.name, sure
+        begun = solved_as_given(program, goal)
+        if isinstance(begun, EngineRun):
+            return begun.stage.name, begun
         for engine in engines_for(program):
-            run = run_engine(program, engine, goal)
+            run, begun = run_engine(program, engine, goal, begun=begun), None
             if run.is_optimal:
                 return engine.name, run
             is_hint = run.says in (Hint.INFEASIBLE, Hint.UNBOUNDED)

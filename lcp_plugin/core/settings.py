@@ -123,6 +123,7 @@ class Settings:
 
 
 BESIDE = ("z0", "callback")  # what else belongs to a run
+MOST = 2**53  # steps, nodes and threads that anybody counts
 OF_SOLVE = (*BESIDE, *(setting.name for setting in fields(Settings)))  # what no algorithm has to offer
 
 
@@ -152,7 +153,7 @@ def _count(value: Any, name: str) -> int:
 def _whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise InvalidOption(f"{name} must be a whole number ≥ {least}{otherwise}, got {value!r}")
-    return int(value)
+    return min(int(value), MOST)
 
 
 def _choice(value: Any, name: str, choices: tuple[str, ...]) -> str:

@@ -14,7 +14,7 @@ from ...engines import ENGINES, engine_class
 from ...engines.daqp import INFEASIBLE
 from ...engines.engine import beside_bounds
 from ..programs.contradictions import contradicting_multipliers
-from ..programs.criterion import Terms, measured, program_goal
+from ..programs.criterion import NO_EXCUSE, Terms, measured, program_goal
 from ..programs.program_matrices import may_be_small
 from ..programs.solution import QPSolution
 from ..programs.solving import QuadraticProgramResult, solve_program
@@ -177,9 +177,15 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
     @cached_property
     def objective(self) -> Any:
         """½ xᵀP x + cᵀx of each, shape (B,), NaN where a proof says that there is no minimum; made when looked at."""
-        P, x = self.programs.P, self.x
-        Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
-        values = ((0.5 * Px + self.programs.vectors["c"]) * x).sum(axis=1)
+        P, c, x = self.programs.P, self.programs.vectors["c"], self.x
+
+        def values_of(P: Any, c: Any, x: Any) -> Any:
+            Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
+            return ((0.5 * Px + c) * x).sum(axis=1)
+
+        values, terms = values_of(P, c, x), values_of(abs(P), np.abs(c), np.abs(x))
+        for i in np.flatnonzero(x.shape[1] * EPSILON * terms > NO_EXCUSE * np.abs(values)).tolist():
+            values[i] = self.programs[i].objective(x[i])  # where terms cancel
         return np.where([status in PROVEN for status in self.status], np.nan, values)
 
 

@@ -33,6 +33,7 @@ class CentralPath:
     It begins `near` impulses in the cones, shape (n,), and their velocities; else in the middle of the cones.
     """
 
+    @np.errstate(all="ignore")
     def __init__(self, problem: Blocks, M: Any, near: FloatVector | None = None) -> None:
         self.problem, self.M = problem, M
         k, d = problem.slope.size, int(problem.sizes.max(initial=1))

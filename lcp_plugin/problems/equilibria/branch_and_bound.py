@@ -82,7 +82,7 @@ def minimize_over_solutions(
     UnsupportedModel
         Where a proof is asked for and pieces are not convex; where SCIP does not know a function.
     InvalidOption
-        Where the tolerance is not positive, a limit is negative, or the problem is of another kind.
+        Where the tolerance is not between 0 and 1, a limit is negative, or the problem is of another kind.
 
     Notes
     -----
@@ -104,8 +104,8 @@ def minimize_over_solutions(
         raise InvalidOption(
             f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}; solve takes every kind"
         )
-    if not (is_number(tolerance) and tolerance > 0):
-        raise InvalidOption(f"tolerance must be a number > 0, got {tolerance!r}")
+    if not (is_number(tolerance) and 0.0 < tolerance < 1.0):
+        raise InvalidOption(f"tolerance must be a number > 0 and < 1, as it is relative, got {tolerance!r}")
     for name, limit in {"max_nodes": max_nodes, "max_seconds": max_seconds}.items():
         if limit is not None and not (is_number(limit) and limit >= 0):
             raise InvalidOption(f"{name} must be a number ≥ 0, got {limit!r}")

@@ -729,3 +729,10 @@ def test_a_bad_start_of_bodies_costs_no_more_than_none() -> None:
         assert result.is_solved
         assert "infeasibility" not in result.algorithm
         np.testing.assert_allclose(result.z, near, atol=1e-7 * np.abs(near).max())
+
+
+def test_a_start_beyond_all_sizes_harms_nothing() -> None:
+    """From impulses of 1e300 the central path is asked at last, and nothing overflows into a warning."""
+    W = [[1.0, 0.0, 1.0, 2.0], [0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 2.0], [2.0, 0.0, 2.0, 4.0]] + 1e-10 * np.eye(4)
+    contacts = FrictionalContact(W, [-2.0, 0.0, 2.0, -2.0], [1.0, 0.5], dimension=2)
+    assert solve(contacts, z0=np.full(4, 1e300)).is_solved

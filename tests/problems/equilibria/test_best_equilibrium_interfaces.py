@@ -105,6 +105,8 @@ def test_what_is_not_taken_is_said() -> None:
     m.bent = pe.Constraint(expr=pe.exp(m.y) >= 1)
     with pytest.raises(UnsupportedModel, match=r"prove=True needs affine rows.*leave it out"):
         solver.solve(m, options={"prove": True})
+    with pytest.raises(InvalidOption, match="tolerance must be a number > 0 and < 1, as it is relative, got 1"):
+        solver.solve(bard(), options={"tolerance": 1})
     with pytest.raises(InvalidOption, match="takes no algorithm, got 'psor'"):
         solver.solve(bard(), options={"algorithm": "psor"})
 

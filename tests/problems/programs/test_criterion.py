@@ -178,3 +178,5 @@ def test_an_objective_is_right_where_its_terms_cancel() -> None:
     curved = sum(Fraction(P[i, j]) * exact[i] * exact[j] for i in range(4) for j in range(4)) / 2
     for form in (P, sp.csr_array(P)):
         assert QuadraticProgram(form, c).objective(x) == pytest.approx(float(linear + curved), rel=1e-12)
+    batch = solve_batch([QuadraticProgram(P, cost, lower=-1e10, upper=1e10) for cost in (c, 2.0 * c)])
+    assert batch.objective == pytest.approx([one.objective for one in batch], rel=1e-12)

@@ -20,6 +20,8 @@ without bounds needs |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (
 tolerance beside its cost for entries of A and b that differ from those given by no more than that relative rounding:
 b_i moved by r_i − y_i, and column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small,
 so that its rounding hides nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0.
+And ½ Σ weights ρ² is at most √tolerance of ½ Σ weights (|A||x| + |b|)² at the point of the box nearest to 0: what
+rounding may hide far out, where columns cancel, is no more than it may cost to stay.
 All that is compared is in the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their
 squares) and columns change nothing but rounding. It cannot see what such a change of A decides: columns that depend on
 others up to rounding, where no bound stops them. For a LinearOperator, whose entries nobody knows, SOLVED means a small
@@ -41,11 +43,13 @@ from ...core.certificates.criterion import within
 from ...core.checks import BoolVector, FloatVector
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import TINY
+from ...core.rounding import compensated_product
 from ...systems.equilibration import power_of_two
 from .data import LARGEST_SCALE, BoundedLeastSquares
 from .enclosures import NOTHING, OUTWARD, Ball, Enclosures, largest_residuals, typical_rounding
 
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
+NEARLY = 1e-9  # of a cost that rounding may be
 IS_NEAR = 1  # what LSMR says then
 ENOUGH = 0.8  # of the 1 that (AᵀWp)_j is to be, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
@@ -93,6 +97,7 @@ class Optimality:
         duals = _dual_points(judged, dual)
         duals = _with_shrunk(enclosures, x, duals) if enclosures.problem.l1.any() else duals
         judged.value, judged.dual = _beside_cost(enclosures.problem, x, residual, duals, tolerance)
+        judged.value = max(judged.value, min(enclosures.share_of_rounding(residual[1]) ** 2, 1.0))
         return judged
 
     @classmethod
@@ -121,6 +126,14 @@ class Optimality:
     def is_at_rounding_level(self) -> bool:
         """Whether no component of it is larger than what rounding explains."""
         return self._largest[2]
+
+    @property
+    def sharp_residual(self) -> FloatVector:
+        """A x − b, computed without rounding where that is more than 1e-9 of the cost."""
+        problem, (r, slip) = self.enclosures.problem, self.residual
+        if not problem.has_entries or problem.weighted(slip) @ np.abs(r) <= NEARLY * problem.cost(self.x, r):
+            return r
+        return compensated_product(sp.csr_array(problem.A), self.x, -problem.b)[0]
 
     @cached_property
     def _largest(self) -> tuple[float, float, bool]:

@@ -106,6 +106,17 @@ class Enclosures:
         value = value + added
         return value, OUTWARD * (radius + 4.0 * EPSILON * (np.abs(value) + np.abs(added)) + TINY * (x != 0.0))
 
+    def share_of_rounding(self, slip: FloatVector) -> float:
+        """Return ½ Σ weights slip² beside ½ Σ weights (|A||x| + |b|)² at the x of [lower, upper] nearest to 0."""
+        hidden = float(self.problem.weighted(slip) @ slip)
+        return hidden / self._terms_at_start if hidden > 0.0 else 0.0
+
+    @cached_property
+    def _terms_at_start(self) -> float:
+        problem = self.problem
+        terms = self._sums(problem.nearest_to_zero, NOTHING, by_rows=True)[1] + np.abs(problem.b)
+        return float(problem.weighted(terms) @ terms) + TINY
+
     @cached_property
     def reference(self) -> tuple[float, float]:
         """What residuals are measured against; see the class."""

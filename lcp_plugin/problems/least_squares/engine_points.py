@@ -150,6 +150,9 @@ def nonnegative_as_given(
         if not x.dot(x) < LARGEST:
             return None
         residual, of_A = A @ x - b, np.abs(A)
+        rounding = (2 * x.size + 8) * UNIT * (of_A @ x + np.abs(b))
+        if not rounding.dot(rounding) ** 2 <= tolerance * b.dot(b) ** 2:
+            return None
         value = _nonnegative_optimality(A, of_A, x, residual, 0.0)
         if value <= tolerance:
             return x, residual, residual, value
@@ -158,7 +161,6 @@ def nonnegative_as_given(
             return None
         solved, info = lapack().dgels(columns, residual)[1:]
         y = residual - columns @ solved[: columns.shape[1]]
-        rounding = (2 * x.size + 8) * UNIT * (of_A @ x + np.abs(b))
         off = np.maximum(np.abs(residual - y) - rounding, 0.0)
         value = _nonnegative_optimality(A, of_A, x, y, 0.5 * float(off.dot(off)))
     return (x, residual, y, value) if info == 0 and value <= tolerance else None

@@ -119,7 +119,7 @@ def solve_least_squares(
     from .run import run_stages
 
     judged, status, steps = run_stages(problem, settings, start, clock)
-    x, residual, value = judged.x, judged.residual[0], judged.value
+    x, residual, value = judged.x, judged.sharp_residual, judged.value
     return _result_of(problem, settings.tolerance, x, residual, judged.dual, value, status, steps, clock)
 
 

@@ -792,3 +792,30 @@ def test_what_is_answered_as_it_stands_is_right_by_the_certificate(seed: int) ->
         assert judged.value <= value + 1e-15
         assert value <= 1e-8
         np.testing.assert_array_equal(residual, A @ x - problem.b)
+
+
+FAR: dict[str, tuple[Any, Any, Any, float]] = {  # columns that cancel far out, the least cost by fractions
+    "limits for none": (
+        [[-4.0, -4.0, 1.0, -3.0], [2.0, -1.0, -1.0, 4.0]], [2.0, 4.0], {"upper": [1e19, 1e8, 1e6, 1e8]}, 0.0
+    ),
+    "a slight penalty": (
+        [[-2.0, -3.0, -2.0], [-2.0, 2.0, -2.0], [3.0, -2.0, 3.0]], [4.0, 0.0, -3.0], {"l1": 1e-11}, 0.8864468864645788
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAR)
+def test_rounding_far_out_hides_no_cost(name: str) -> None:
+    """Where columns cancel far out the residual is rounding, a million times the cost at 0: that is no answer."""
+    A, b, bounds, least = FAR[name]
+    result = solve(BoundedLeastSquares(A, b, lower=-np.inf, **bounds))
+    assert result.is_solved and abs(result.cost - least) <= 1e-8
+
+
+def test_a_cost_is_that_of_its_x() -> None:
+    """Near columns that depend on each other x is large and the residual cancels: its cost is right to 1e-7."""
+    A, b = [[2.0, 2.0], [1.0, 1.0 + 1e-12], [3.0, 3.0]], [1.0, 2.0, 3.0]
+    result = solve(BoundedLeastSquares(A, b, lower=-np.inf))
+    off = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, result.x.tolist(), strict=True)) - Fraction(right)
+           for row, right in zip(A, b, strict=True)]
+    assert result.cost == pytest.approx(float(sum(one * one for one in off) / 2), rel=1e-7)

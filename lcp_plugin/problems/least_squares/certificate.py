@@ -20,7 +20,7 @@ without bounds needs |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (
 tolerance beside its cost for entries of A and b that differ from those given by no more than that relative rounding:
 b_i moved by r_i − y_i, and column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small,
 so that its rounding hides nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0.
-And ½ Σ weights ρ² is at most √tolerance of ½ Σ weights (|A||x| + |b|)² at the point of the box nearest to 0: what
+And ½ Σ weights ρ² is at most 10⁻⁴ of ½ Σ weights (|A||x| + |b|)² at the point of the box nearest to 0: what
 rounding may hide far out, where columns cancel, is no more than it may cost to stay.
 All that is compared is in the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their
 squares) and columns change nothing but rounding. It cannot see what such a change of A decides: columns that depend on
@@ -97,7 +97,8 @@ class Optimality:
         duals = _dual_points(judged, dual)
         duals = _with_shrunk(enclosures, x, duals) if enclosures.problem.l1.any() else duals
         judged.value, judged.dual = _beside_cost(enclosures.problem, x, residual, duals, tolerance)
-        judged.value = max(judged.value, min(enclosures.share_of_rounding(residual[1]) ** 2, 1.0))
+        if enclosures.hides_costs(residual[1]):
+            judged.value = 1.0
         return judged
 
     @classmethod
@@ -128,10 +129,11 @@ class Optimality:
         return self._largest[2]
 
     @property
+    @np.errstate(over="ignore", invalid="ignore")
     def sharp_residual(self) -> FloatVector:
         """A x − b, computed without rounding where that is more than 1e-9 of the cost."""
         problem, (r, slip) = self.enclosures.problem, self.residual
-        if not problem.has_entries or problem.weighted(slip) @ np.abs(r) <= NEARLY * problem.cost(self.x, r):
+        if not problem.has_entries or not problem.weighted(slip) @ np.abs(r) > NEARLY * problem.cost(self.x, r):
             return r
         return compensated_product(sp.csr_array(problem.A), self.x, -problem.b)[0]
 

@@ -21,6 +21,7 @@ Ball = tuple[FloatVector, FloatVector]
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
 NOTHING = np.empty(0)
 SMALLEST_NORMAL = 2.0**-1022  # smaller products may vanish
+MOST_HIDDEN = 1e-4  # of what stands at the start
 GRAM_UP_TO = 3000  # columns; AᵀWA is factorised
 
 
@@ -106,10 +107,10 @@ class Enclosures:
         value = value + added
         return value, OUTWARD * (radius + 4.0 * EPSILON * (np.abs(value) + np.abs(added)) + TINY * (x != 0.0))
 
-    def share_of_rounding(self, slip: FloatVector) -> float:
-        """Return ½ Σ weights slip² beside ½ Σ weights (|A||x| + |b|)² at the x of [lower, upper] nearest to 0."""
-        hidden = float(self.problem.weighted(slip) @ slip)
-        return hidden / self._terms_at_start if hidden > 0.0 else 0.0
+    @np.errstate(over="ignore", invalid="ignore")
+    def hides_costs(self, slip: FloatVector) -> bool:
+        """Return whether rounding by slip, shape (m,), costs much beside the terms of A x − b at the x nearest to 0."""
+        return not self.problem.weighted(slip) @ slip <= MOST_HIDDEN * self._terms_at_start
 
     @cached_property
     def _terms_at_start(self) -> float:

@@ -26,7 +26,7 @@ from ...engines.piqp import PIQP
 from ...engines.polish import polished
 from ...systems.factors import lapack
 from .data import ROWS, BoundedLeastSquares, ScaledLeastSquares
-from .enclosures import NOTHING, OUTWARD, clipped
+from .enclosures import MOST_HIDDEN, NOTHING, OUTWARD, clipped
 from .steps import FacePoint
 
 NNLS_UP_TO = 600  # columns or rows, whichever are fewer: it frees one column at a time
@@ -151,7 +151,7 @@ def nonnegative_as_given(
             return None
         residual, of_A = A @ x - b, np.abs(A)
         rounding = (2 * x.size + 8) * UNIT * (of_A @ x + np.abs(b))
-        if not rounding.dot(rounding) ** 2 <= tolerance * b.dot(b) ** 2:
+        if not rounding.dot(rounding) <= MOST_HIDDEN * b.dot(b):
             return None
         value = _nonnegative_optimality(A, of_A, x, residual, 0.0)
         if value <= tolerance:

@@ -122,7 +122,8 @@ class Run:
         if point.dual is not None:
             if self._is_certified(point, point.dual):
                 return True
-            if self.problem.has_entries and self._hides_costs(point):  # steps from there would stay there
+            slip = self.enclosures.residual(self.problem.scaled.to_caller(point.x))[1]
+            if self.enclosures.hides_costs(slip):  # steps from there would stay there
                 return False
         scaled, size = point.steepness(self.enclosures.reference)
         if not self._smallest <= scaled:
@@ -142,10 +143,6 @@ class Run:
         if self.best is None or self.is_solved or judged.is_better(self.best):
             self.best = judged
         return self.is_solved
-
-    def _hides_costs(self, point: FacePoint) -> bool:
-        slip = self.enclosures.residual(self.problem.scaled.to_caller(point.x))[1]
-        return not self.enclosures.share_of_rounding(slip) ** 2 <= self.settings.tolerance
 
     def _has_small_gap(self, judged: Optimality) -> bool:
         """Return whether the gap of an operator's x, of which the gradient alone says little, is small as well."""

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
 
+INFINITE = 1e30  # limits of rows that PIQP leaves out, and prints that it does
 SAYS = {1: Hint.OPTIMAL, -1: Hint.STOPPED, -2: Hint.INFEASIBLE, -3: Hint.UNBOUNDED}
 
 
@@ -51,13 +52,16 @@ class PIQP(Engine):
         # Rows of a symmetric P are its columns; PIQP takes no arrays that are read-only.
         columns = sp.csc_matrix((P.data, P.indices, P.indptr), P.shape, copy=True) if sp.issparse(P) else _by_columns(P)
         equations = (_by_columns(A), program.b) if p else (None, None)
-        rows = (_by_columns(G), None, program.h) if m else (None, None, None)
+        is_limit = program.h < INFINITE
+        G, h = (G, program.h) if is_limit.all() else (G[is_limit], program.h[is_limit])
+        rows = (_by_columns(G), None, h) if h.size else (None, None, None)
         solver.setup(columns, program.c, *equations, *rows, program.lower, program.upper)
         says = SAYS.get(int(solver.solve()), Hint.GAVE_UP)
         found = solver.result
+        of_rows = np.zeros(m)
+        of_rows[is_limit] = found.z_u
         multipliers = Multipliers(
-            np.array(found.z_u) if m else np.zeros(0), np.array(found.y) if p else np.zeros(0), np.array(found.z_bl),
-            np.array(found.z_bu),
+            of_rows, np.array(found.y) if p else np.zeros(0), np.array(found.z_bl), np.array(found.z_bu)
         )
         return Point(np.array(found.x), multipliers, 0 if says is Hint.GAVE_UP else int(found.info.iter), says)
 

@@ -226,3 +226,13 @@ def test_a_record_changes_no_bit() -> None:
         assert np.array_equal(plain.x, recorded.x)
         assert (plain.algorithm, plain.history) == (recorded.algorithm, ())
         assert [sample.iteration for sample in recorded.history] == [0, recorded.iterations]
+
+
+@pytest.mark.parametrize("form", [np.asarray, sp.csr_array])
+def test_piqp_prints_nothing_of_limits_far_away(form: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    """A row whose limit is 1e45 of its coefficients is left out before PIQP says so on the terminal."""
+    program = QuadraticProgram(form(np.eye(2)), [-1.0, -2.0], G=form(np.array([[1e-30, 0.0], [1.0, 1.0]])), h=[1e15, 1])
+    result = solve(program, "piqp")
+    assert result.is_solved
+    assert result.solution.inequality == pytest.approx([0.0, 1.0])
+    assert not any(capfd.readouterr())

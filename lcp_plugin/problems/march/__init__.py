@@ -8,20 +8,18 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
 
 from ...auto import asked_of_solve, solve_lcp
 from ...core.algorithm import Algorithm, FusedSolve
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector, check_kind, checked_vector, is_number, read_only, real_array
+from ...core.checks import FloatVector, check_kind, is_number, read_only, real_array
 from ...core.deadline import Clock
-from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
-from ...core.kind import kind_of, refusal
+from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...core.matrix.scaling import scaling_of
 from ...core.matrix.structure import connected_components
 from ...core.policy.policy import Policy
-from ...core.settings import OF_SOLVE, Settings, Status
+from ...core.settings import Settings, Status
 from ...core.solving.driver import fused_result
 from ...core.solving.result import Result
 from ...kinds import solve_any
@@ -168,34 +166,6 @@ class _Answers(Results[FloatVector]):
 
     def __repr__(self) -> str:
         return f"<z of {len(self)} steps, each of shape ({self._march.problem.n},): z[k] is that of step k>"
-
-
-def march_one(
-    problem: LCP | Blocks, forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
-    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
-) -> March:
-    """Return one march; see :func:`lcp_plugin.march`."""
-    if (kind := kind_of(problem)) is None or "march" not in kind.ways:
-        raise InvalidOption(refusal("march", problem))
-    if isinstance(problem, LCP):
-        problem.matrix.require_all_rows()
-    offsets, rows = checked_forcing(forcing, problem.n), checked_propagator(propagator, problem.n)
-    if given := [name for name in ("lower", "upper") if name in wishes]:
-        raise InvalidOption(
-            f"march has no option {given[0]!r}: the bounds are the problem's, problem.with_q(problem.q, {given[0]}=…); "
-            f"several marches, each with its own, take {given[0]} of shape (m, n)"
-        )
-    if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
-        raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
-    if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:
-        raise InvalidOption(f"keep_every must be an integer ≥ 1, got {keep_every!r}; 1 keeps every answer")
-    if isinstance(problem, LCP):
-        asked_of_solve(algorithm, wishes)  # what is wrong is refused before the first step
-    limit = Settings(max_seconds=max_seconds).max_seconds
-    state = problem.nearest_to_zero if z0 is None else checked_vector(z0, "z0", problem.n)
-    done = begun(problem, offsets, rows, state, int(keep_every), algorithm, wishes)
-    take_steps(done, len(offsets), algorithm, wishes, limit=limit)
-    return done
 
 
 def propagator_remark(problem: LCP | Blocks, propagator: sp.csr_array) -> str:

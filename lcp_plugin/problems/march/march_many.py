@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,10 +16,10 @@ from ...core.algorithm import Algorithm
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
-from ...core.errors import InvalidOption, InvalidProblem
-from ...core.kind import refusal
+from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
+from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
-from ...core.settings import Settings, Status, checked_threads
+from ...core.settings import OF_SOLVE, Settings, Status, checked_threads
 from ...core.solving.driver import fused_result
 from ...core.solving.result import Result
 from ...methods.banded import Banded
@@ -27,20 +27,22 @@ from ...systems.factors import bands
 from ..cones.data import Blocks
 from ..many.chunks import in_chunks
 from ..many.data import length_of_all, rows_of_a_batch
-from . import BLOCK, March, begun, checked_forcing, checked_propagator, march_one, needs_no_scaling, take_steps
+from . import BLOCK, March, begun, checked_forcing, checked_propagator, needs_no_scaling, take_steps
 
 SIDE_BY_SIDE = 16  # as the compiled loop has space for
 
 
 @np.errstate(under="ignore")
 def march(
-    problem: LCP | Blocks | Sequence[LCP], forcing: ArrayLike, propagator: Any = -1.0, *, z0: ArrayLike | None = None,
-    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1, **wishes: Any,
+    problem: LCP | Blocks | Sequence[LCP], forcing: ArrayLike, propagator: Any = -1.0, *,
+    lower: ArrayLike | None = None, upper: ArrayLike | None = None, z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1,
+    threads: int | None = None, **wishes: Any,
 ) -> Any:
     """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
 
-    Where forcing, z0, or ``lower=`` or ``upper=`` in the place of an LCP's own bounds have an axis more in front, or
-    where problem or propagator is a list, these are as many marches, which are taken together where that is quicker.
+    Where forcing, z0, lower or upper have an axis more in front, or where problem or propagator is a list, these are as
+    many marches, which are taken together where that is quicker.
 
     Parameters
     ----------
@@ -51,10 +53,14 @@ def march(
     propagator : number or array or sparse array, shape (n, n), or a list of m of these
         What the z of one step adds to the q of the next; a number stands for a multiple of the identity. An implicit
         Euler step (I + Δt A) z = z_before has −1.
+    lower, upper : number or array, shape (n,) or (m, n), optional
+        In the place of an LCP's own bounds.
     z0 : array, shape (n,) or (m, n), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
         In seconds, for all marches together: the step under way then is the last one.
+    threads : int, optional
+        How many threads there may be; by default all that the process may use. The bits do not depend on it.
     keep_every : int
         One result in so many stays in memory, and the last; the others are computed again when they are looked at, so
         that what is given must not change, and an algorithm of yours has to give the same iterates each time. √k of k
@@ -66,7 +72,7 @@ def march(
     -------
     March, or a list of m of them
         A sequence of k Results; of fewer where a step was not solved, which is the last one then, where its q
-        overflows (``error`` says so), or after Ctrl-C.
+        overflows (``error`` says so), or after Ctrl-C. That ends the other marches, too, and so does a callback.
 
     Raises
     ------
@@ -78,7 +84,9 @@ def march(
     Each step starts from the answer of the one before, and is judged as any other problem. On narrow bands, where
     `auto` takes `banded`, all steps run in one compiled loop, certificates included. Elsewhere `auto` chooses afresh
     in the first two steps; later ones begin with the method that ended the step before. Where few rows have a bound,
-    as in contact, the others are eliminated by one factor, once for all steps, if that pays.
+    as in contact, the others are eliminated by one factor, once for all steps, if that pays. Several marches are taken
+    together where their matrices are tridiagonal, with no positive entry off the diagonal and entries in the same
+    places, and `auto` takes `banded`: by one factor of M where the rows at bounds come first, each step judged.
 
     A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
     propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only
@@ -106,119 +114,80 @@ def march(
     >>> [done.z[-1].round(3) for done in march([rod, stiffer], [[-1, 0], [-1, 0]], z0=[1, 1])]
     [array([0.781, 0.469]), array([0.722, 0.528])]
     """
-    if _are_many(problem, forcing, propagator, z0, wishes):
-        return march_many(
-            cast(LCP, problem), forcing, propagator, z0=z0, algorithm=algorithm, max_seconds=max_seconds,
-            keep_every=keep_every, **wishes,
-        )
-    return march_one(
-        cast("LCP | Blocks", problem), forcing, propagator, z0=z0, algorithm=algorithm, max_seconds=max_seconds,
-        keep_every=keep_every, **wishes,
-    )
+    of_states = lower, upper, z0
+    are_many = isinstance(problem, (list, tuple)) or _is_one_a_march(propagator) or _has_more_axes(forcing, of_states)
+    problems = list(problem) if isinstance(problem, (list, tuple)) else [problem]
+    if not problems:
+        return []
+    clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
+    if not are_many and threads is not None:
+        wishes["threads"] = threads
+    states = {name: values for name, values in zip(("lower", "upper", "z0"), of_states, strict=True)
+              if values is not None}
+    marches = _begin(problems, forcing, propagator, states, keep_every, algorithm, wishes, are_many=are_many)
+    if not are_many:
+        take_steps(marches[0], len(marches[0].forcing), algorithm, wishes, limit=limit)
+        return marches[0]
+    try:
+        _Steps(marches, algorithm, wishes, limit, clock).take(checked_threads(threads))
+    except KeyboardInterrupt:
+        for done in marches:
+            done.all_solved = done.all_solved and len(done) == len(done.forcing)
+    return marches
 
 
-def _are_many(problem: Any, forcing: Any, propagator: Any, z0: Any, wishes: dict[str, Any]) -> bool:
+def march_many(problem: Any, *given: Any, **named: Any) -> list[March]:
+    """Return what :func:`march` does, a list of one march as well."""
+    marches: list[March] = march(problem if isinstance(problem, (list, tuple)) else [problem], *given, **named)
+    return marches
+
+
+def _has_more_axes(forcing: Any, of_states: tuple[Any, ...]) -> bool:
     """Return whether one of these has an axis for several marches."""
-    if isinstance(problem, (list, tuple)) or _is_one_a_march(propagator):
-        return True
-    of_states: tuple[Any, ...] = z0, wishes.get("lower"), wishes.get("upper")
     try:
         return np.ndim(forcing) == 3 or any(np.ndim(one) == 2 for one in of_states)
     except ValueError:  # rows of different lengths, which one march refuses in words
         return False
 
 
-@np.errstate(under="ignore")
-def march_many(
-    problem: LCP | Sequence[LCP], forcing: ArrayLike, propagator: Any = -1.0, *, lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",
-    max_seconds: float | None = None, keep_every: int = 1, threads: int | None = None, **wishes: Any,
+def _begin(
+    problems: list[Any], forcing: ArrayLike, propagator: Any, states: dict[str, Any], keep_every: int,
+    algorithm: str | Algorithm, wishes: dict[str, Any], *, are_many: bool,
 ) -> list[March]:
-    """Return the steps in time of several forcings, bounds, states, matrices or propagators.
-
-    Parameters
-    ----------
-    problem : LCP, or a list of m
-        Gives M, and the bounds where no others are given; its own q is not used. Of a list, each march has its own,
-        all of one size.
-    forcing : array, shape (m, k, n), or (k, n) for all marches
-    propagator
-        As for :func:`lcp_plugin.march`, or a list of m of these.
-    lower, upper : number or array, shape (m, n) or (n,), optional
-        The bounds of each march, or of all.
-    z0 : array, shape (m, n) or (n,), optional
-        The state of each march before the first step, or of all; by default the point within its bounds nearest to 0.
-    max_seconds : float, optional
-        In seconds, for all together.
-    threads : int, optional
-        How many threads there may be; by default all that the process may use. The bits do not depend on it.
-    algorithm, keep_every, **wishes
-        As for :func:`lcp_plugin.march`.
-
-    Returns
-    -------
-    list of March
-        One a march, in order. One that ends early is as that of :func:`lcp_plugin.march`, and stops the others only
-        after Ctrl-C, or where a callback ends it.
-
-    Raises
-    ------
-    InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
-        As :func:`lcp_plugin.march`, before the first step.
-
-    Notes
-    -----
-    Where M is tridiagonal, with no positive entry off the diagonal, and `auto` takes `banded`, the steps of marches
-    whose matrices have entries in the same places are taken together, by one factor of M where the rows at bounds come
-    first, and each step is judged. Others are taken one march after the other.
-
-    Examples
-    --------
-    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0])
-    >>> [done.z[-1].round(3) for done in march_many(rod, [[-1, 0], [-1, 0]], upper=[[1, 1], [0.5, 1]], z0=[1, 1])]
-    [array([0.781, 0.469]), array([0.5  , 0.333])]
-    """
-    problems: list[LCP] = list(problem) if isinstance(problem, (list, tuple)) else [cast(LCP, problem)]
+    """Return the marches before their first steps; whatever is wrong is refused."""
+    way, n = "march_many" if are_many else "march", getattr(problems[0], "n", 0)
     for j, one in enumerate(problems):
-        if not isinstance(one, LCP):
-            raise InvalidOption(refusal("march_many", one))
-        if one.n != problems[0].n:
+        kind = kind_of(one)
+        if kind is None or way not in kind.ways:
+            raise InvalidOption(refusal(way, one))
+        if not isinstance(one, LCP) and states.keys() - {"z0"}:
+            raise InvalidOption(f"lower and upper of a march are bounds of an LCP; a {kind.word} has none")
+        if one.n != n:
             raise InvalidProblem(
-                f"all problems must have one size, got n = {problems[0].n}, and {one.n} of problem {j}; "
+                f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
                 "march along those of one size at a time"
             )
-    if not problems:
-        return []
-    n, clock, limit = problems[0].n, Clock(problems[0].matrix), Settings(max_seconds=max_seconds).max_seconds
-    given = checked_forcing(forcing, n, "(m, k, n), or (k, n) for all marches", (2, 3))
+        if isinstance(one, LCP):
+            one.matrix.require_all_rows()
+    if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
+        raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
+    if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:
+        raise InvalidOption(f"keep_every must be an integer ≥ 1, got {keep_every!r}; 1 keeps every answer")
+    shape, axes = ("(m, k, n), or (k, n) for all marches", (2, 3)) if are_many else ("(k, n), a row a step", (2,))
+    given = checked_forcing(forcing, n, shape, axes)
     offsets = [given] if given.ndim == 2 else list(given)
     propagators = [checked_propagator(C, n) for C in (propagator if _is_one_a_march(propagator) else [propagator])]
-    rows = {name: rows_of_a_batch(values, name, n)
-            for name, values in (("lower", lower), ("upper", upper), ("z0", z0)) if values is not None}
+    rows = {name: rows_of_a_batch(values, name, n) if are_many else [values] for name, values in states.items()}
+    if isinstance(problems[0], LCP):
+        asked_of_solve(algorithm, wishes)
     several: dict[str, Any] = {"problem": problems, "forcing": offsets, "propagator": propagators, **rows}
-    count = length_of_all({name: len(given) for name, given in several.items() if len(given) != 1})
     marches: list[March] = []
-    for j in range(count):
-        of_march, C = problems[min(j, len(problems) - 1)], propagators[min(j, len(propagators) - 1)]
-        offset = offsets[min(j, len(offsets) - 1)]
-        own = {name: given[min(j, len(given) - 1)] for name, given in rows.items()}
-        start = own.pop("z0", None)
-        of_march = of_march.with_q(of_march.q, **own) if own else of_march
-        if not marches:  # what all share is checked once
-            done = march_one(of_march, offset[:0], C, z0=start, algorithm=algorithm, keep_every=keep_every, **wishes)
-            propagators[0] = done.propagator  # a shared one is one object
-        else:
-            of_march.matrix.require_all_rows()
-            state = of_march.nearest_to_zero if start is None else checked_vector(start, "z0", n)
-            done = begun(of_march, offset, C, state, done.keep_every, algorithm, wishes)
-        done.forcing = offset
-        marches.append(done)
-    steps = _Steps(marches, algorithm, wishes, limit, clock)
-    try:
-        steps.take(checked_threads(threads))
-    except KeyboardInterrupt:
-        for done in marches:
-            done.all_solved = done.all_solved and len(done) == len(done.forcing)
+    for j in range(length_of_all({name: len(one) for name, one in several.items() if len(one) != 1})):
+        own = {name: one[min(j, len(one) - 1)] for name, one in several.items()}
+        stated, bounds = own["problem"], {name: own[name] for name in ("lower", "upper") if name in own}
+        stated = stated.with_q(stated.q, **bounds) if bounds else stated
+        state = checked_vector(own["z0"], "z0", n) if "z0" in own else stated.nearest_to_zero
+        marches.append(begun(stated, own["forcing"], own["propagator"], state, int(keep_every), algorithm, wishes))
     return marches
 
 

@@ -15,7 +15,17 @@ import scipy.sparse as sp
 from exact import LOWER, UPPER, exact_rows, solve_fractions
 from exact_derivatives import distance, exact, piece_at, product
 
-from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, derivative, march, solve
+from lcp_plugin import (
+    LCP,
+    FrictionalContact,
+    InvalidOption,
+    InvalidProblem,
+    Status,
+    UnsuitableProblem,
+    derivative,
+    march,
+    solve,
+)
 from lcp_plugin.methods.banded import Banded
 from lcp_plugin.problems.march import March, propagator_remark
 from lcp_plugin.problems.march.march_derivative import MarchDerivative
@@ -552,12 +562,14 @@ def test_the_vega_of_marches_of_several_matrices_is_a_difference() -> None:
 
 
 def test_what_a_march_says_of_its_answers_and_bounds() -> None:
-    """Its z says how many there are; bounds as options are refused with both ways to state them."""
-    rod = LCP([[3, -1], [-1, 3]], [0, 0])
-    assert repr(march(rod, [[-1, 0]] * 3).z) == "<z of 3 steps, each of shape (2,): z[k] is that of step k>"
+    """Its z says how many there are; bounds given to one march are those of its problem."""
+    rod, cool = LCP([[3, -1], [-1, 3]], [0, 0]), [[-1, 0]] * 3
+    assert repr(march(rod, cool).z) == "<z of 3 steps, each of shape (2,): z[k] is that of step k>"
     for algorithm in ("auto", "psor"):
-        with pytest.raises(InvalidOption, match=r"problem.with_q\(problem.q, lower=…\); several .* shape \(m, n\)"):
-            march(rod, [[-1, 0]], lower=0.0, algorithm=algorithm)
+        held, stated = march(rod, cool, upper=0.4, algorithm=algorithm), march(rod.with_q(rod.q, upper=0.4), cool)
+        np.testing.assert_allclose(held.z[-1], stated.z[-1], rtol=1e-7)
+    with pytest.raises(InvalidOption, match="are bounds of an LCP; a FrictionalContact has none"):
+        march(FrictionalContact(np.eye(3), [-1.0, 0.0, 0.0], 0.5), np.zeros((2, 3)), lower=0.0)
 
 
 def test_one_march_that_ends_early_does_not_stop_the_others() -> None:

@@ -137,7 +137,25 @@ def march(
 
 
 def march_many(problem: Any, *given: Any, **named: Any) -> list[March]:
-    """Return what :func:`march` does, a list of one march as well."""
+    """Return what :func:`march` does of several marches, a list also of one.
+
+    Parameters
+    ----------
+    problem : LCP, or a list of m
+    *given, **named
+        As for :func:`march`.
+
+    Returns
+    -------
+    list of March
+        One a march, in order.
+
+    Examples
+    --------
+    >>> rod = LCP([[3, -1], [-1, 3]], [0, 0])
+    >>> [done.z[-1].round(3) for done in march_many(rod, [[-1, 0], [-1, 0]], z0=[1, 1])]
+    [array([0.781, 0.469])]
+    """
     marches: list[March] = march(problem if isinstance(problem, (list, tuple)) else [problem], *given, **named)
     return marches
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import gc
 import os
 import re
@@ -282,7 +283,7 @@ def test_cache_is_the_user_s(tmp_path: Path) -> None:
         "from numba import config, njit\n"
         "before = config.CACHE_DIR\n"
         "from lcp_plugin.core.kernels import splitting_sweeps as kernels\n"
-        "print(config.CACHE_DIR == before, kernels.split_rows.stats.cache_path)"
+        "print(config.CACHE_DIR == before, kernels.splitting_sweep.stats.cache_path)"
     )
     said = in_a_new_process(code, XDG_CACHE_HOME=str(tmp_path / "user"), NUMBA_CACHE_DIR="")
     unchanged, _, path = said.partition(" ")
@@ -349,3 +350,36 @@ def test_garbage_is_collected_again_when_the_last_compilation_ends() -> None:
             assert gc.isenabled() is was
         finally:
             gc.enable()
+
+
+def _decorators(function: ast.FunctionDef) -> set[str]:
+    return {name.id for each in function.decorator_list for name in ast.walk(each) if isinstance(name, ast.Name)}
+
+
+def test_python_calls_kernels_alone() -> None:
+    """No function of Python calls a helper of its own file, or one that it imports: there is no wrapper for that."""
+    package = Path(lcp_plugin.__file__).parent
+    trees = {path.with_suffix(""): ast.parse(path.read_text(encoding="utf-8")) for path in package.rglob("*.py")}
+    helpers = {
+        path: {function.name for function in tree.body if isinstance(function, ast.FunctionDef)
+               if _decorators(function) & {"helper", "inlined"}}
+        for path, tree in trees.items()
+    }  # fmt: skip
+    assert sum(map(len, helpers.values())) > 50
+    for path, tree in trees.items():
+        known = set(helpers[path])
+        for each in ast.walk(tree):
+            if isinstance(each, ast.ImportFrom) and each.level:
+                module = path.parents[each.level - 1].joinpath(*(each.module or "").split("."))
+                known |= {name.name for name in each.names} & helpers.get(module, set())
+        for function in ast.walk(tree):
+            if isinstance(function, ast.FunctionDef) and not _decorators(function) & {"kernel", "helper", "inlined"}:
+                calls = {
+                    call.func.id for call in ast.walk(function)
+                    if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
+                }
+                assert not calls & known or _makes_kernels(function), f"{path}: {function.name} calls {calls & known}"
+
+
+def _makes_kernels(function: ast.FunctionDef) -> bool:
+    return any(isinstance(each, ast.FunctionDef) and _decorators(each) & {"kernel"} for each in ast.walk(function))

@@ -26,6 +26,8 @@ from platformdirs import user_cache_path
 from ..deadline import NEW_KERNELS, Lock, compiling
 from .compiler import config, event, njit
 
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # C calls none of them
+OF_HELPERS: dict[str, Any] = OPTIONS | {"no_cpython_wrapper": True}  # nor Python these
 IN_ANY_ORDER = {"fastmath": {"reassoc", "contract", "nnan", "nsz"}, "forceinline": True}  # sums of terms, none NaN
 ROOM = 2**20  # bytes that a folder must take
 _lock = Lock()
@@ -62,13 +64,16 @@ def cache_folder() -> Path:
 def kernel(function: Any) -> Any:
     """Compile a function that Python calls; what it writes to is named in its docstring."""
     with _kept_on_disk() as is_kept, suppress(RuntimeError):  # the function stands in no file, as in a frozen program
-        return njit(nogil=True, error_model="numpy", cache=is_kept)(function)
-    return helper(function)
+        return njit(cache=is_kept, **OPTIONS)(function)
+    return njit(**OPTIONS)(function)
 
 
 def helper(function: Any = None, **options: Any) -> Any:
-    """Compile a function that kernels call: not kept by itself, but as a part of these."""
-    return njit(nogil=True, error_model="numpy", **options)(function) if function else partial(helper, **options)
+    """Compile a function that kernels call: not kept by itself, but as a part of these. Python must not call it.
+
+    There is no wrapper that would take Python's objects: a call ends the process.
+    """
+    return njit(**(OF_HELPERS | options))(function) if function else partial(helper, **options)
 
 
 def inlined(function: Any) -> Any:

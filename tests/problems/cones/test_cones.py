@@ -22,6 +22,7 @@ from cone_families import (
     wall,
 )
 from contact_families import rows_of_bodies
+from numba import njit
 from published_problems import errors_of_contact
 from scipy.linalg import block_diag
 
@@ -689,6 +690,15 @@ def test_the_velocities_of_bodies_are_a_system_of_less_work(monkeypatch: pytest.
     assert found.work < 0.8 * other.work
 
 
+def from_python(helper: Any) -> Any:
+    """Return a function of Python that calls a helper, which only compiled functions may."""
+    @njit(error_model="numpy")
+    def call(*arguments):  # type: ignore[no-untyped-def]
+        return helper(*arguments)
+
+    return call
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_factor_of_blocks_solves_what_a_dense_one_does(seed: int) -> None:
     """LU of blocks of different sizes, in the order of least degree, leaves what rounding leaves."""
@@ -701,13 +711,13 @@ def test_a_factor_of_blocks_solves_what_a_dense_one_does(seed: int) -> None:
     K = K @ np.swapaxes(K, 1, 2) + 0.3 * rng.standard_normal((k, 3, 3))
     R, inverse = rng.standard_normal(3 * k), rng.standard_normal((k, 3, 3))
     starts, step = 3 * np.arange(k + 1), np.empty(3 * k)
-    behind = gather_arms(starts, mass.indptr, mass.indices, J.indptr, J.indices, J.data)
-    structure = structure_of_bodies(behind, np.ones(k, np.bool_))
+    behind = from_python(gather_arms)(starts, mass.indptr, mass.indices, J.indptr, J.indices, J.data)
+    structure = from_python(structure_of_bodies)(behind, np.ones(k, np.bool_))
     length = structure[5][-1]
     U, L, room = np.empty(length), np.empty(length), max(structure[4].max(), 3 * structure[7].max())
-    assert factor_of_bodies((mass.indptr, mass.indices, mass.data), behind, np.ones(k, np.bool_), K, structure, U, L,
-                            np.empty(room, np.int64), np.empty(room))
-    step_of_bodies(starts, behind, structure, U, L, inverse, K, R, np.empty(mass.shape[0]), step)
+    assert from_python(factor_of_bodies)((mass.indptr, mass.indices, mass.data), behind, np.ones(k, np.bool_), K,
+                                         structure, U, L, np.empty(room, np.int64), np.empty(room))
+    from_python(step_of_bodies)(starts, behind, structure, U, L, inverse, K, R, np.empty(mass.shape[0]), step)
     dense = J.toarray()
     moved = -np.einsum("kij,kj->ki", inverse, R.reshape(k, 3)).ravel()
     system = mass.toarray() + dense.T @ np.einsum("kij,kjn->kin", K, dense.reshape(k, 3, -1)).reshape(3 * k, -1)

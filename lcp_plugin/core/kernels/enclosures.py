@@ -15,10 +15,11 @@ import numpy as np
 
 from .compilation import helper, inlined, kernel
 from .compiler import float64, lower_builtin, type_callable, types, uintp
-from .floats import EPSILON, TINY, UNIT
+from .floats import EPSILON, LARGEST, TINY, UNIT
 from .rows import clamp
 
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
+ROUNDINGS = 2.0**-50  # of a few operations
 ROWS_AT_ONCE = 1024
 
 
@@ -81,34 +82,6 @@ def of_terms(total, errors, size, terms):  # type: ignore[no-untyped-def]
     return high, abs(low) + size * (4.0 * terms + 8.0) * UNIT
 
 
-@inlined
-def outward(value, error):  # type: ignore[no-untyped-def]
-    """Return `error` and what the rounding of value ± error and of `error` itself may add to it; 0 for 0."""
-    is_tiny = (abs(value) < MAY_UNDERFLOW) & (error > 0.0)
-    widened = error + (abs(value) + error) * 2.0**-51 + (TINY if is_tiny else 0.0)
-    return widened if error > 0.0 else 0.0
-
-
-@inlined
-def _difference(a, b):  # type: ignore[no-untyped-def]
-    """Return fl(a − b) and a bound of its error, 0 where it is exact or b infinite."""
-    value, error = split_sum(a, -b)
-    return value, outward(value, abs(error)) if abs(value) < np.inf else 0.0
-
-
-@inlined
-def _quotient(a, b, error):  # type: ignore[no-untyped-def]
-    """Return fl(a / b), b > 0, and a bound of its distance from the quotient by b of any number in a ± error.
-
-    A quotient beyond the doubles is ±∞, and its distance 0: no bound of a row is larger.
-    """
-    value = a / b
-    is_exact = (error == 0.0) & ((a == 0.0) | ((fused(value, b, -a) == 0.0) & (abs(a) > MAY_UNDERFLOW)))
-    is_exact |= (abs(value) == np.inf) & (abs(a) > 2.0 * error)
-    least = TINY if (abs(value) < MAY_UNDERFLOW) & (not is_exact) else 0.0
-    return value, outward(value, 0.0 if is_exact else error / b + abs(value) * UNIT + least)
-
-
 @helper
 def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-def]
     """Return a bound of what underflow takes from the products of a row and from their rounding errors."""
@@ -162,16 +135,24 @@ row_sums = summing_rows(False)
 
 @inlined
 def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-def]
-    """Return bounds of |mid(z − upper, z − lower, w / scale)| for any w in slack ± slip."""
-    step, slip_step = _quotient(slack, scale, slip)
-    below, slip_below = _difference(z, upper)
-    above, slip_above = _difference(z, lower)
-    bottom = clamp(step - slip_step, below - slip_below, above - slip_above)
-    top = clamp(step + slip_step, below + slip_below, above + slip_above)
+    """Return bounds of |mid(z − upper, z − lower, w / scale)| for any w in slack ± slip.
+
+    The rounding of the quotient, which cancellation may uncover, and its underflow are added to the slip. Differences
+    never underflow: they are right to one rounding, for which mid, monotone in each, is widened. What is exact stays
+    so. A quotient beyond the doubles is ±∞: no bound of a row is larger.
+    """
+    step, (below, lost_below), (above, lost_above) = slack / scale, split_sum(z, -upper), split_sum(z, -lower)
+    is_exact = (slip == 0.0) & (fused(step, scale, -slack) == 0.0) & ((abs(slack) > MAY_UNDERFLOW) | (slack == 0.0))
+    size = abs(step) if abs(step) < LARGEST else LARGEST
+    slip = 0.0 if is_exact else (slip / scale + size * UNIT) * (1.0 + ROUNDINGS) + 4.0 * TINY
+    bottom, top = clamp(step - slip, below, above), clamp(step + slip, below, above)
     is_finite = (abs(slack) < np.inf) & (slip < np.inf) & (abs(z) < np.inf)
     least = bottom if bottom > -top else -top
     most = top if top > -bottom else -bottom
-    return least if is_finite & (least > 0.0) else 0.0, abs(most) if is_finite else np.inf  # no −0
+    is_rounded = (slip > 0.0) | (abs(lost_below) > 0.0) | (abs(lost_above) > 0.0)
+    wider = ROUNDINGS if is_rounded else 0.0
+    least = least * (1.0 - wider) if is_finite & (least > 0.0) else 0.0
+    return least, abs(most) * (1.0 + wider) if is_finite else np.inf  # no −0
 
 
 @kernel

@@ -86,14 +86,15 @@ def steps(problem: LCP, z0: FloatVector, phases: Phases) -> Iterator[Step]:
         unit = int(np.frexp(np.abs(arrays[0]).max())[1])
         in_unit = (read_only(np.ldexp(vector, unit)) for vector in arrays[2:])  # bounds and start; w = M z + q stays
         arrays = read_only(np.ldexp(arrays[0], -unit)), arrays[1], *in_unit
+        answers.forget(0, 1)
         kernels.run_all(*arrays, *phases, *limits, kernels.NONE_YET, *workspace, *answers.arrays)
     if state[kernels.PHASE] == kernels.UNUSUAL:
         return
-    phase = int(answers.work[0, :3].argmax())
+    phase = int(answers.work[0].argmax())
     while True:
         z = np.clip(np.ldexp(answers.z[0], -unit), problem.lower, problem.upper) if unit else answers.z[0]
         if np.isfinite(z).all():
-            residual, work = np.ldexp(answers.residual[0], -unit), answers.work[0, kernels.TOTAL]
+            residual, work = np.ldexp(answers.residual[0], -unit), answers.work[0].sum()
             yield Step(z, residual=float(residual), work=float(work), label=PARTS[phase])
         run_phases(arrays, phases, *limits, answers, steps=kernels.ONE_MORE, workspace=workspace)
         if not answers.made.any():
@@ -134,6 +135,7 @@ def run_phases(
     arrays = tuple(read_only(array) if array.flags.writeable else array for array in arrays)  # one signature for all
     workspace, steps = workspace or new_workspace(arrays[0].shape[1]), ALL if steps is None else steps
     limits = tolerance, max_iterations, first, end
+    answers.forget(first, end)
     if run_all(*arrays, *phases, *limits, steps, *workspace, *answers.arrays):
         follow_all(*arrays[:4], tolerance, first, end, *workspace, *answers.arrays)
     answers.judge(first, end, tolerance)
@@ -149,8 +151,8 @@ class Answers:
         The relative one of z, enclosed; ∞ where that would be beyond the tolerance.
     terms : array, shape (count,)
         The term residual beside it.
-    made, work : arrays, shapes (count, 3) and (count, 4)
-        Steps of each phase; passes over M of each phase and of all.
+    made, work : arrays, shape (count, 3)
+        Steps of each phase; passes over M.
     has_converged : array of bool, shape (count,)
         Where z is SOLVED, once these were judged.
     needs_path : array of bool, shape (count,)
@@ -158,14 +160,20 @@ class Answers:
     """
 
     def __init__(self, count: int, n: int) -> None:
-        self.z, (self.residual, self.terms) = np.empty((count, n)), np.empty((2, count))
-        self.made, self.work = np.zeros((count, 3), np.int64), np.empty((count, 4))
+        self.z, (self.residual, self.terms) = np.empty((count, n)), np.full((2, count), np.inf)
+        self.made, self.work = np.zeros((count, 3), np.int64), np.zeros((count, 3))
         self.has_converged, self.needs_path = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
 
     @property
     def arrays(self) -> tuple[Any, ...]:
         """All of them, in the order in which the kernel takes them."""
         return self.z, self.residual, self.terms, self.made, self.work, self.needs_path
+
+    def forget(self, first: int, end: int) -> None:
+        """Forget what a run before has written of these problems."""
+        part = slice(first, end)
+        self.residual[part] = self.terms[part] = np.inf
+        self.made[part], self.work[part], self.needs_path[part] = 0, 0.0, False
 
     def judge(self, first: int, end: int, tolerance: float) -> None:
         """Judge the problems first ≤ k < end, each of one component in its own units."""
@@ -177,7 +185,7 @@ class Answers:
             return None
         phases = zip(PARTS, self.made[k].tolist(), self.work[k].tolist(), strict=False)
         parts = tuple((label, count, spent) for label, count, spent in phases if spent > 0.0)
-        return FusedSolve(self.z[k], self.residual[k].item(), self.terms[k].item(), self.work[k, 3].item(), parts)
+        return FusedSolve(self.z[k], self.residual[k].item(), self.terms[k].item(), self.work[k].sum().item(), parts)
 
 
 def as_batch(array: Any) -> Any:

@@ -14,16 +14,15 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.checks import DENSE_ABOVE_DENSITY
-from ....core.kernels.compilation import IN_ANY_ORDER, helper, inlined, kernel
+from ....core.kernels.compilation import helper, inlined, kernel
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL, SURELY_RIGHT
 from ....core.kernels.rows import residual_of_row, wrong_part
-from .small_systems import solve_free
+from .small_systems import row_times, solve_free
 from .tableau import follow_path
 from .workspace import AT_LOWER, AT_UPPER, BETWEEN, FOUND, KEPT, LOWER, SCALE, SIDE, STATE, UPPER, Q, W, Z
 
 SWEEP, ROUND, PIVOT, OVER, BEGINNING, UNUSUAL = 0, 1, 2, 3, 4, 5
-TOTAL = 3  # behind the work of the phases
 ALL, NONE_YET, ONE_MORE = -1, 0, 1  # steps that a call takes: the first two begin, the last goes on
 
 # The row STATE: what comes next, how many of these were made, the fewest swaps of a round so far, rounds without fewer,
@@ -58,15 +57,6 @@ def look_at(M, k, real):  # type: ignore[no-untyped-def]
         is_positive &= is_usable
         real[SCALE, i] = d if is_usable else largest if largest > 0.0 else 1.0
     return max(nonzeros, 1), most < USUAL[1] and least > USUAL[0], is_positive, difference == 0.0
-
-
-@helper(**IN_ANY_ORDER)
-def row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
-    """Return Σ m_ij x_j over j < end, x that row of `real`."""
-    total = 0.0
-    for j in range(end):
-        total += M[k, i, j] * real[point, j]
-    return total
 
 
 @helper
@@ -258,18 +248,14 @@ def run_all(  # type: ignore[no-untyped-def]
     """Solve the problems first ≤ item < end of a batch; an array with one row in front stands for all of them.
 
     Written are z, shape (B, n), `residual` (B,), the relative one, enclosed, or ∞, and `terms` (B,), the term residual
-    beside it; `made` (B, 3): steps of each phase, `work` (B, 4): passes of each phase and of all; and `needs_path` (B,)
-    where pivots are to follow; their number is returned. Where one problem is watched, `steps` says how far a call
-    goes, a tolerance below 0 that nothing is enclosed, and `residual` is the absolute one. No column of `starts` stands
-    for z°.
+    beside it; `made` and `work` (B, 3): steps and passes of each phase; and `needs_path` (B,) where pivots are to
+    follow; their number is returned. What is not reached stays as it was: ∞, 0, False. Where one problem is watched,
+    `steps` says how far a call goes, a tolerance below 0 that nothing is enclosed, and `residual` is the absolute one.
+    No column of `starts` stands for z°.
     """
     n, is_enclosed, paths = M.shape[1], tolerance >= 0.0, 0
     for item in range(first, end):
         k, least, most, is_dense, count = item if M.shape[0] > 1 else 0, 1.0, 1.0, True, -1
-        residual[item], terms[item], needs_path[item] = np.inf, np.inf, False
-        for phase in range(3):
-            made[item, phase], work[item, phase] = 0, 0.0
-        work[item, TOTAL] = 0.0
         if steps == ONE_MORE:
             count, limit = 0, 1
         else:
@@ -282,7 +268,7 @@ def run_all(  # type: ignore[no-untyped-def]
                 least, most = ends(M, k, real, is_dense)
             has_start = starts.shape[1] > 0 and most > 0.0
             after = _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n)
-            work[item, after] = work[item, TOTAL] = n * n / nonzeros
+            work[item, after] = n * n / nonzeros
             if is_usual and most == 0.0:
                 residual[item], terms[item] = 0.0, 0.0
             is_usual &= not is_enclosed or (least > 0.0 and USUAL[0] < most < USUAL[1])
@@ -302,7 +288,6 @@ def run_all(  # type: ignore[no-untyped-def]
             else:
                 made[item, phase] += 1
                 work[item, phase] += touched / whole[STATE, NONZEROS]
-                work[item, TOTAL] += touched / whole[STATE, NONZEROS]
             count += 1
             residual[item], terms[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
             if residual[item] <= tolerance and terms[item] <= tolerance:
@@ -336,8 +321,7 @@ def follow_all(  # type: ignore[no-untyped-def]
             after = moved(M, k, real, FOUND, False)
             size = after if after <= size else moved(M, k, real, KEPT, False)
         made[item, PIVOT] += 1
-        passes = (pivots + 4.0) * n * (n + 1.0) / nonzeros
-        work[item, PIVOT], work[item, TOTAL] = work[item, PIVOT] + passes, work[item, TOTAL] + passes
+        work[item, PIVOT] += (pivots + 4.0) * n * (n + 1.0) / nonzeros
         is_dense = is_kept_dense(nonzeros, n)
         residual[item], terms[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
         for i in range(n):

@@ -380,16 +380,6 @@ MECHANISMS = (
               {"methods.multigrid.multigrid_run:MultigridRun._krylov": nothing()},
               "methods/multigrid/multigrid_run.py:MultigridRun._krylov "
               "systems/hierarchy/truncation.py:KrylovCorrection"),
-    Mechanism("equal rows", "rows of a grid with the same entries are taken at once",
-              {"systems.hierarchy.grids:runs_of_equal_rows":
-               Instead(lambda old: lambda matrix, _, rows: old(matrix, np.arange(rows), rows)),
-               "systems.hierarchy.galerkin:_usual_step": says(0)},
-              "systems/hierarchy/grids.py:runs_of_equal_rows systems/hierarchy/grids.py:_reaches "
-              "systems/hierarchy/grids.py:_with_gaps systems/hierarchy/grids.py:without "
-              "systems/hierarchy/grids.py:_cut "
-              "systems/hierarchy/grids.py:mark_equal systems/hierarchy/grids.py:unlike_rows "
-              "systems/hierarchy/sweeps.py:_add_products systems/hierarchy/sweeps.py:_place "
-              "systems/hierarchy/galerkin.py:_mark_repeats systems/hierarchy/galerkin.py:_repeats"),
     # --- interior points
     Mechanism("descents", "active sets of falling objective where a dense program has bounds only",
               {f"{INTERIOR}:ConvexProgram.descents": nothing()}, "methods/primal"),

@@ -13,7 +13,7 @@ from lcp_plugin.core.checks import read_only
 from lcp_plugin.core.kernels.threads import threads_for
 from lcp_plugin.core.matrix.symmetry import is_symmetric_entrywise
 from lcp_plugin.gallery.stencil import balanced_matrix
-from lcp_plugin.systems.hierarchy import coarsening, galerkin, grids, levels, sweeps, vectors
+from lcp_plugin.systems.hierarchy import coarsening, galerkin, levels, sweeps, vectors
 from lcp_plugin.systems.hierarchy.grids import Hierarchy, Operator, RowBlocks
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
@@ -431,76 +431,6 @@ def test_blocks_of_one_kind_do_not_meet() -> None:
     wind = gallery.parse("convection_diffusion:size=300").problem.csr
     for matrix, scales_rows in ((wind, True), (gallery.parse("obstacle_2d:size=100").problem.csr, False)):
         assert levels.build_hierarchy(matrix, scales_rows=scales_rows).grids[0].blocks.edges.size == 2
-
-
-WITH_RUNS = [
-    "obstacle_2d:size=40", "obstacle_3d:size=34", "journal_bearing:size=40,eccentricity=0.9",
-    "rotated_anisotropy:size=40", "convection_diffusion:size=40,diffusion=0.01",
-    "coefficient_jumps:size=64,contrast=1e2", "random_h_plus:n=500",
-]
-
-
-@pytest.mark.parametrize("text", WITH_RUNS)
-def test_runs_of_equal_rows_change_nothing_but_rounding(text: str) -> None:
-    """Sweeps, residuals and products over runs of equal rows are those row by row, on every grid."""
-    generator = np.random.default_rng(0)
-    hierarchy = levels.build_hierarchy(gallery.parse(text).problem.csr)
-    for grid in hierarchy.grids:
-        one_by_one = np.array([[0, grid.n, 0]])
-        one_by_one.flags.writeable = False
-        b, start, free = generator.normal(size=grid.n), generator.normal(size=grid.n), generator.random(grid.n) < 0.7
-        inverse, lower, upper = grid.inverse * free, np.full(grid.n, -0.1), np.full(grid.n, 0.2)
-        found = []
-        for which in (grid.runs, one_by_one):
-            rows = *grid.rows[:4], which
-            vectors = tuple(map(read_only, (grid.inverse, b, lower, upper)))
-            x, z, residual = np.empty(grid.n), start.copy(), np.empty(grid.n)
-            sweeps.first_sweep(rows, grid.blocks, inverse, b, x)
-            results = [x.copy()]
-            sweeps.residual_after_first_sweep(rows, grid.blocks, inverse, np.zeros(0), b, x, residual)
-            results.append(residual.copy())
-            for backward in (True, False):
-                sweeps.sweep(rows, grid.blocks, inverse, backward, b, x)
-                sweeps.projected_sweep(rows, grid.blocks, vectors, 1.1, backward, z)
-                results += [x.copy(), z.copy()]
-            is_free, changed = np.ones(grid.n, np.bool_), np.zeros(grid.n, np.bool_)
-            numbers = sweeps.free_rows(rows, vectors, z, False, is_free, changed, residual)
-            sweeps.free_product(rows, inverse, start, x)
-            found.append([*results, residual, x, np.array(numbers)])
-        for ours, plain in zip(*found, strict=True):
-            np.testing.assert_allclose(ours, plain, rtol=0, atol=1e-11 * np.abs(plain).max())
-
-
-@pytest.mark.parametrize("text", WITH_RUNS)
-def test_repeated_rows_of_a_product_are_copied_bit_for_bit(text: str) -> None:
-    """A coarse matrix has the same bits whether or not rows that repeat are copied."""
-    hierarchy = levels.build_hierarchy(gallery.parse(text).problem.csr)
-    for grid, below, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
-        computed = galerkin.galerkin_product(
-            grid.matrix.arrays, transfer.prolongation.arrays, transfer.restriction.arrays, below.n
-        )
-        for ours, plain in zip(below.matrix.arrays, computed, strict=True):
-            np.testing.assert_array_equal(ours, plain)
-
-
-@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 0.2))
-def test_what_changed_drops_out_of_runs(seed: int, share: float) -> None:
-    """EqualRows cover all rows once, in order; those taken at once hold no changed row and are equal rows."""
-    grid = levels.build_hierarchy(gallery.parse("obstacle_2d:size=40").problem.csr, coarsest=10_000).grids[0]
-    changed = np.random.default_rng(seed).random(grid.n) < share
-    left = grids.without(grid.runs, changed)
-    assert left[0, 0] == 0
-    assert left[-1, 1] == grid.n
-    assert np.array_equal(left[1:, 0], left[:-1, 1])
-    indptr, indices, data = grid.matrix.arrays
-    for first, end, reach in left:
-        if reach > 0:
-            assert not changed[first:end].any()
-            row = slice(indptr[first], indptr[first + 1])
-            for i in range(first, end):
-                other = slice(indptr[i], indptr[i + 1])
-                assert np.array_equal(data[row], data[other])
-                assert np.array_equal(indices[row] - first, indices[other] - i)
 
 
 @pytest.mark.parametrize("threads", [1, 3])

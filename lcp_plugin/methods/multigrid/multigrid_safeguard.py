@@ -187,7 +187,7 @@ class GridProblem:
         if not self.is_projected_type:
             sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z)
             return
-        indptr, _, indices, data, _ = self.grid.rows
+        indptr, _, indices, data = self.grid.rows
         self.new[self.q.size:] = z[self.q.size:]
         kernels.splitting_sweep(
             indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new

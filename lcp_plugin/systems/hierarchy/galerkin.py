@@ -23,12 +23,11 @@ from ...core.kernels.compilation import inlined, kernel
 from ...core.kernels.compiler import uintp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
-from .grids import SMALLEST_PIECE, EqualRows, joined, mark_equal, run_at
+from .grids import SMALLEST_PIECE, joined
 
 Indices = NDArray[Any]
 
 SMALLEST_PIVOT = 1e-300  # its inverse is finite
-STEPS_SEEN = 1000  # rows either side of the middle
 
 
 def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVector) -> Arrays:
@@ -70,24 +69,11 @@ def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> floa
     return sum(piece(first, min(first + SMALLEST_PIECE, rows)) for first in range(0, rows, SMALLEST_PIECE))
 
 
-def galerkin_product(
-    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int, runs: EqualRows | None = None
-) -> Arrays:
-    """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows.
-
-    Where the runs of equal rows of M are given, a row that must equal the one before is copied, not computed.
-    """
-    indptr, indices, _ = matrix
+def galerkin_product(matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int) -> Arrays:
+    """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows."""
     n = restriction[0].size - 1
-    step, repeats = 0, np.zeros(indptr.size - 1, np.uint8)
-    if runs is not None and n > 1:
-        step = _usual_step(restriction[0], restriction[1])
-        if step > 0:
-            is_same = np.zeros(prolongation[0].size - 1, np.uint8)
-            share(partial(mark_equal, step, *prolongation, is_same), is_same.size, SMALLEST_PIECE)
-            _mark_repeats(step, runs, indptr, indices, is_same, repeats)
     longest = int(np.diff(prolongation[0]).max(initial=1))
-    operands = *matrix, *prolongation, *restriction, step, repeats, longest
+    operands = *matrix, *prolongation, *restriction, longest
     return joined(share(lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE))
 
 
@@ -118,53 +104,10 @@ def _enlarged(values: Any, size: int, capacity: int) -> Any:
     return larger
 
 
-def _usual_step(r_indptr: Indices, r_indices: Indices) -> int:
-    """Return by how many fine unknowns a row of R most often is further than the one before; 0 for backwards."""
-    rows = r_indptr.size - 1
-    some = r_indptr[max(rows // 2 - STEPS_SEEN, 0) : rows // 2 + STEPS_SEEN]
-    steps, times = np.unique(np.diff(r_indices[some[some < r_indices.size]]), return_counts=True)
-    return max(int(steps[np.argmax(times)]), 0) if steps.size else 0
-
-
-@kernel
-def _mark_repeats(step, runs, indptr, indices, is_same, repeats):  # type: ignore[no-untyped-def]
-    """Mark the rows i of M P that are those of i − step with each column one further, as `is_same` says of P.
-
-    Both flags are bytes.
-    """
-    one = uintp(1)
-    for s in range(runs.shape[0]):
-        first, end = uintp(runs[s, 0]), uintp(runs[s, 1])
-        begin = first + uintp(step)
-        if runs[s, 2] > 0 and begin < end:  # the rows meet the same neighbours
-            for p in range(begin, end):
-                repeats[p] = 1
-            for k in range(uintp(indptr[begin]), uintp(indptr[begin + one])):
-                to = uintp(indices[k])
-                for p in range(end - begin):
-                    repeats[begin + p] &= is_same[to + p]
-
-
-@inlined
-def _repeats(row, step, repeats, r_indptr, r_indices, r_data):  # type: ignore[no-untyped-def]
-    """Return whether that row of R M P is the one before with each column one further."""
-    one = uintp(1)
-    k, end, before = uintp(r_indptr[row]), uintp(r_indptr[row + one]), uintp(r_indptr[row - one])
-    if end - k != k - before:
-        return False
-    while k < end:
-        i = r_indices[k]
-        if not (repeats[uintp(i)] and i == r_indices[before] + step and r_data[k] == r_data[before]):
-            return False
-        k += one
-        before += one
-    return True
-
-
 @kernel
 def _product_rows(  # type: ignore[no-untyped-def]
     indptr, indices, data, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
-    step, repeats, longest, first, next_row, end, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
+    longest, first, next_row, end, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
 ):
     """Compute the rows [first, end) of R M P from `next_row` on; return the first that may not fit, or `end`.
 
@@ -175,14 +118,6 @@ def _product_rows(  # type: ignore[no-untyped-def]
     size = uintp(c_indptr[next_row - first])
     for row in range(uintp(next_row), uintp(end)):
         begin, own = size, row - uintp(first)
-        if step > 0 and own > 0 and _repeats(row, step, repeats, r_indptr, r_indices, r_data):
-            if capacity - size < size - uintp(c_indptr[own - one]):
-                return row
-            for k in range(uintp(c_indptr[own - one]), begin):
-                c_indices[size], c_data[size] = c_indices[k] + 1, c_data[k]
-                size += one
-            c_indptr[own + one] = size
-            continue
         count = uintp(0)
         for a in range(uintp(r_indptr[row]), uintp(r_indptr[row + one])):
             i = uintp(r_indices[a])
@@ -233,28 +168,13 @@ def mark_rows(*operands: Any) -> None:
 
 
 @kernel
-def _mark_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, runs, is_free_changed, is_row_changed, touched, first_row, end_row
-):
+def _mark_rows(indptr, indices, is_free_changed, is_row_changed, touched, first, end):  # type: ignore[no-untyped-def]
     """All three flags are bytes."""
     one = uintp(1)
-    s = run_at(first_row, runs)
-    while s < runs.shape[0] and runs[s, 0] < end_row:
-        first, end = uintp(max(first_row, runs[s, 0])), uintp(min(end_row, runs[s, 1]))
-        for i in range(first, end):
-            touched[i] = is_row_changed[i]
-        if runs[s, 2] > 0:  # the rows meet the same neighbours
-            for k in range(uintp(indptr[first]), uintp(indptr[first + one])):
-                to = uintp(indices[k])
-                for p in range(end - first):
-                    touched[first + p] |= is_free_changed[to + p]
-        else:
-            for i in range(first, end):
-                k, last = uintp(indptr[i]), uintp(indptr[i + one])
-                while k < last and not touched[i]:
-                    touched[i] = is_free_changed[uintp(indices[k])]
-                    k += one
-        s += 1
+    for i in range(uintp(first), uintp(end)):
+        touched[i] = is_row_changed[i]
+        for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
+            touched[i] |= is_free_changed[uintp(indices[k])]
 
 
 def update_product(*operands: Any) -> tuple[float, int]:

@@ -3,30 +3,20 @@
 Threads share a grid by blocks of rows, no row of which meets one of the next block but one. A sweep takes the even
 blocks first and then the odd ones, backward the other way round: a Gauss–Seidel sweep in an order that the matrix alone
 decides, whoever takes which block. Rows of a new matrix are written in pieces, which are joined.
-
-In runs of equal rows neighbours in a grid have the same entries at the same distance from the diagonal. Over a run a
-product with M is a sum of shifted vectors, each times a number: no index and no entry of M is read again, and a
-processor takes several rows at once. A Gauss–Seidel sweep does so in blocks, which reach no further than to the nearest
-unknown that the sweep has to have done before; only the neighbour just before waits for its turn.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import Arrays, BoolVector, FloatVector
+from ...core.checks import Arrays, FloatVector
 from ...core.communicator import ALONE, Communicator, SharedRows
-from ...core.kernels.compilation import inlined, kernel
-from ...core.kernels.compiler import uintp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
-
-EqualRows = NDArray[np.int64]
 
 NO_WEIGHT = np.zeros(0)
 NO_WEIGHT.flags.writeable = False
@@ -69,14 +59,13 @@ class Transfer:
 
 @dataclass(frozen=True, eq=False)
 class Grid(SharedRows):
-    """One grid: its matrix with every diagonal entry stored, where those stand, equal rows, inverses of the pivots.
+    """One grid: its matrix with every diagonal entry stored, where those stand, inverses of the pivots.
 
     A pivot is the diagonal entry, plus its weight where other processes sweep at the same time.
     """
 
     matrix: Operator
     split: NDArray[Any]
-    runs: EqualRows
     blocks: RowBlocks
     inverse: FloatVector
     communicator: Communicator = ALONE
@@ -99,9 +88,9 @@ class Grid(SharedRows):
         return largest / least if 0.0 < least < np.inf else np.inf
 
     @property
-    def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector, EqualRows]:
+    def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector]:
         """The matrix as sweeps take it."""
-        return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data, self.runs
+        return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data
 
     def dense(self, values: FloatVector) -> NDArray[np.float64]:
         """Return the matrix with these values in the place of its own, of a grid that nobody shares."""
@@ -170,15 +159,13 @@ class RowBlocks(NamedTuple):
         return max(SHARED_FROM // max(2 * int(self.edges[1]), 1), 1)
 
 
-def blocks_of(matrix: Arrays, unlike: NDArray[Any], rows: int, *, may_cut: bool) -> RowBlocks:
-    """Return the blocks of that many rows; one where it may not be cut, or would be for nothing.
-
-    Only the rows that are `unlike` the one before need be looked at: the others reach as far.
-    """
+def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
+    """Return the blocks of that many rows; one where it may not be cut, or would be for nothing."""
     indptr, indices, _ = matrix
     count, reach = 0, 0
     if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
-        reach = int(max((unlike - indices[indptr[unlike]]).max(), (indices[indptr[unlike + 1] - 1] - unlike).max()))
+        row = np.arange(rows)
+        reach = int(max((row - indices[indptr[:rows]]).max(), (indices[indptr[1 : rows + 1] - 1] - row).max()))
         count = min(MOST_BLOCKS, rows // max(SMALLEST_BLOCK, REACHES * reach)) // 2 * 2
     if count < FEWEST:
         count, reach = 1, 0
@@ -229,120 +216,13 @@ def rows_from_kernel(kernel: Any, operands: tuple[Any, ...], more: int, smallest
     return joined(list(pieces)), sum(counts)
 
 
-SHORTEST = 16  # rows; fewer are taken one by one
-LONGEST_REACH = 1024  # rows, whose sums stay in the fastest cache
-
-
-def unlike_rows(matrix: Arrays, rows: int, weight: FloatVector) -> NDArray[np.int64]:
-    """Return which of the own rows, so many, are not that before with each column one further; weights count, too."""
-    is_same = np.zeros(rows, np.uint8)
-    share(partial(mark_equal, 1, *matrix, is_same), rows, SMALLEST_PIECE)
-    if weight.size:
-        is_same[1:] &= weight[1:] == weight[:-1]
-    return np.flatnonzero(is_same == 0)
-
-
-def runs_of_equal_rows(matrix: Arrays, unlike: NDArray[np.int64], rows: int) -> EqualRows:
-    """Return the runs of the own rows, shape (count, 3): first row, row behind the last, and reach.
-
-    The reach is the number of rows that a sweep may take at once, 0 where they are unlike and taken one by one.
-    """
-    begins = np.append(unlike, rows)
-    is_long = begins[1:] - begins[:-1] >= SHORTEST
-    first, end = begins[:-1][is_long], begins[1:][is_long]
-    if first.size == 0:
-        return _with_gaps(rows, first, end, end)
-    reach = _reaches(*matrix[:2], first)
-    return _with_gaps(rows, *(column[reach >= SHORTEST] for column in (first, end, reach)))
-
-
-def _reaches(indptr: NDArray[Any], indices: NDArray[Any], first: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return how near to the diagonal the nearest entry of these rows stands that is no neighbour's."""
-    size = indptr[first + 1] - indptr[first]
-    begin = np.cumsum(size) - size
-    entries = np.arange(size.sum()) + np.repeat(indptr[first] - begin, size)
-    distance = np.abs(indices[entries].astype(np.int64) - np.repeat(first, size))
-    distance[(distance <= 1) | (distance > LONGEST_REACH)] = LONGEST_REACH
-    return np.minimum.reduceat(distance, begin)
-
-
-def _with_gaps(
-    rows: int, first: NDArray[np.int64], end: NDArray[np.int64], reach: NDArray[np.int64]
-) -> EqualRows:
-    """Return the runs with one of unlike rows wherever rows are left before, between and behind them."""
-    found = np.zeros((2 * first.size + 1, 3), np.int64)
-    found[1::2, 0], found[1::2, 1], found[1::2, 2] = first, end, reach
-    found[2::2, 0], found[:-1:2, 1], found[-1, 1] = end, first, rows
-    found = found[found[:, 0] < found[:, 1]]
-    found.flags.writeable = False
-    return found
-
-
-def without(runs: EqualRows, changed: BoolVector) -> EqualRows:
-    """Return the runs that are left when the rows marked in `changed`, shape (rows,), are like no other."""
-    found = np.empty((changed.size // (SHORTEST // 2) + 2, 3), np.int64)
-    left = found[: _cut(runs, changed, found)].copy()
-    left.flags.writeable = False
-    return left
-
-
-@inlined
-def run_at(row, runs):  # type: ignore[no-untyped-def]
-    """Return which run that row belongs to."""
-    low, high = 0, runs.shape[0] - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        if runs[middle, 0] <= row:
-            low = middle
-        else:
-            high = middle - 1
-    return low
-
-
-@kernel
-def find_pivots(indptr, indices, data, weight, smallest, split, inverse, first, end):  # type: ignore[no-untyped-def]
-    """Write where the diagonal entries stand, and the inverse pivots: 0 of a diagonal entry that is not above that."""
-    for i in range(uintp(first), uintp(end)):
-        k = uintp(indptr[i])
-        while uintp(indices[k]) < i:
-            k += uintp(1)
-        split[i] = k
-        pivot = data[k] + weight[i] if weight.size > 0 else data[k]
-        inverse[i] = 1.0 / pivot if data[k] > smallest else 0.0
-
-
-@kernel
-def mark_equal(step, indptr, indices, data, is_same, first, end):  # type: ignore[no-untyped-def]
-    """Mark the rows i that are those of i − step with each column one further; the flags are bytes."""
-    one, step = uintp(1), uintp(step)
-    for i in range(max(step, uintp(first)), uintp(end)):
-        k, last = uintp(indptr[i]), uintp(indptr[i + one])
-        before = uintp(indptr[i - step])
-        same = last - k == uintp(indptr[i - step + one]) - before
-        while same and k < last:
-            same = data[k] == data[before] and indices[k] == indices[before] + 1
-            k += one
-            before += one
-        is_same[i] = same
-
-
-@kernel
-def _cut(runs, changed, found):  # type: ignore[no-untyped-def]
-    """Write what is left of the runs into `found`; return how many there are."""
-    count = 0
-    for s in range(runs.shape[0]):
-        first, end, reach = runs[s, 0], runs[s, 1], runs[s, 2]
-        while first < end:
-            is_changed, last = reach == 0 or changed[uintp(first)], first + 1
-            if reach == 0:
-                last = end
-            while last < end and changed[uintp(last)] == is_changed:
-                last += 1
-            is_unlike = is_changed or last - first < SHORTEST
-            if is_unlike and count > 0 and found[count - 1, 2] == 0:
-                found[count - 1, 1] = last
-            else:
-                found[count, 0], found[count, 1], found[count, 2] = first, last, 0 if is_unlike else reach
-                count += 1
-            first = last
-    return count
+def pivots(matrix: Operator, rows: int, weight: FloatVector, smallest: float) -> tuple[NDArray[Any], FloatVector]:
+    """Return where the diagonal entries of so many rows stand, and the inverse pivots: 0 of an entry not above that."""
+    indptr, indices, data = matrix.arrays
+    row = np.repeat(np.arange(rows, dtype=indices.dtype), np.diff(indptr[: rows + 1]))
+    split = np.flatnonzero(indices[: row.size] == row).astype(indptr.dtype)
+    diagonal = data[split]
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        inverse = np.where(diagonal > smallest, 1.0 / (diagonal + weight if weight.size else diagonal), 0.0)
+    split.flags.writeable = inverse.flags.writeable = False
+    return split, inverse

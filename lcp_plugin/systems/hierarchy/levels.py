@@ -28,10 +28,8 @@ from .grids import (
     Operator,
     Transfer,
     blocks_of,
-    find_pivots,
+    pivots,
     rows_from_kernel,
-    runs_of_equal_rows,
-    unlike_rows,
 )
 from .vectors import scaling_of_unknowns
 
@@ -164,13 +162,9 @@ def grid_of(
 ) -> Grid:
     """Return the grid of a matrix, whose first rows (all by default) are the own ones; whether it `may_cut` sweeps."""
     rows = matrix.indptr.size - 1 if own is None else own
-    split, inverse = np.empty(rows, matrix.indptr.dtype), np.empty(rows)
-    operands = *matrix.arrays, weight, galerkin.SMALLEST_PIVOT, split, inverse
-    share(partial(find_pivots, *operands), rows, SMALLEST_PIECE)
-    split.flags.writeable = inverse.flags.writeable = False
-    unlike = unlike_rows(matrix.arrays, rows, weight)
-    blocks = blocks_of(matrix.arrays, unlike, rows, may_cut=may_cut)
-    return Grid(matrix, split, runs_of_equal_rows(matrix.arrays, unlike, rows), blocks, inverse, communicator, weight)
+    split, inverse = pivots(matrix, rows, weight, galerkin.SMALLEST_PIVOT)
+    blocks = blocks_of(matrix.arrays, rows, may_cut=may_cut)
+    return Grid(matrix, split, blocks, inverse, communicator, weight)
 
 
 def chosen_kinds(
@@ -289,7 +283,7 @@ def _coarser(
             return None
     prolongation, restricting = Operator(p_indptr, p_indices, p_data), Operator(*restriction)
     rows = galerkin.galerkin_product(
-        grid.matrix.arrays, prolongation.arrays, restricting.arrays, count + others.size, grid.runs
+        grid.matrix.arrays, prolongation.arrays, restricting.arrays, count + others.size
     )
     if not communicator.is_empty:
         met = p_indices[: int(p_indptr[grid.n])]

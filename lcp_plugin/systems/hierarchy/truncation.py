@@ -13,7 +13,7 @@ from ...core.checks import FloatVector, read_only
 from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu
 from . import galerkin, sweeps, vectors
-from .grids import Grid, Hierarchy, without
+from .grids import Grid, Hierarchy
 from .vectors import add_both, add_within, dot, largest_product, span
 
 COARSEST_SWEEPS = 10  # there and back, where it is shared by processes or large
@@ -29,14 +29,12 @@ class TruncatedGrid:
         self.new_values = None if is_finest else grid.matrix.data.copy()  # the finest keeps the matrix as it is
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
-        self.runs = grid.runs
         self.inverse = grid.inverse.copy()
         self.is_free = np.ones(grid.width, np.bool_)
         self.free_changed = np.zeros(grid.width, np.bool_)
         self.is_interpolated = np.ones(grid.width, np.bool_)  # free, and not held by what is fixed
         self.held = np.zeros(0, np.intp)
         self.row_changed = np.zeros(n, np.bool_)
-        self.has_changed = np.zeros(n, np.bool_)  # since all unknowns were free
         self.touched = np.zeros(grid.width, np.bool_)
         self.is_whole = True  # nothing was ever fixed here, or it was released again
         self.x, self.b, self.residual = (np.zeros(size) for size in (grid.width, n, grid.width))
@@ -75,21 +73,13 @@ class TruncatedGrid:
             self.new_values[:] = self.grid.matrix.data
         self.free_changed[:] = False
         self.row_changed[:] = False
-        self.has_changed[:] = False
-        self.runs = self.grid.runs
         return float(self.values.size)
 
     @property
     def rows(self) -> tuple[Any, ...]:
         """The truncated matrix as sweeps take it."""
         matrix = self.grid.matrix
-        return matrix.indptr, self.grid.split, matrix.indices, self.values, self.runs
-
-    def note_changed_rows(self) -> None:
-        """Take note of rows that were computed again: they are like no other."""
-        self.forget_factor()
-        self.has_changed |= self.row_changed
-        self.runs = without(self.grid.runs, self.has_changed)
+        return matrix.indptr, self.grid.split, matrix.indices, self.values
 
 
 class Truncation:
@@ -131,7 +121,7 @@ class Truncation:
             level.grid.fetch_flags(level.free_changed)
             flags = level.free_changed, level.row_changed, level.touched
             galerkin.mark_rows(
-                matrix.indptr, matrix.indices, level.grid.runs, *(flag.view(np.uint8) for flag in flags)
+                matrix.indptr, matrix.indices, *(flag.view(np.uint8) for flag in flags)
             )
             if vectors.find_held(
                 matrix.indptr, matrix.indices, matrix.data, level.values, level.is_free, level.touched,
@@ -143,7 +133,7 @@ class Truncation:
             level.grid.fetch_flags(level.free_changed)
             if level.free_changed.any():
                 galerkin.mark_rows(
-                    matrix.indptr, matrix.indices, level.grid.runs, level.free_changed.view(np.uint8),
+                    matrix.indptr, matrix.indices, level.free_changed.view(np.uint8),
                     level.touched.view(np.uint8), level.touched.view(np.uint8),
                 )
             level.grid.fetch_flags(level.touched)
@@ -156,7 +146,7 @@ class Truncation:
                 below.grid.weight, below.inverse, below.is_free, below.free_changed, below.row_changed,
             )
             below.is_whole = False
-            below.note_changed_rows()
+            below.forget_factor()
             self.work += matrix.indices.size + transfer.restriction.indices.size + products
             if level.grid.total_of(changed) == 0:
                 break

@@ -18,6 +18,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.kernels.compilation import kernel
@@ -257,11 +258,8 @@ def transposed_sweep(indptr, indices, data, inverse, backward, residual, x):  # 
                 residual[uintp(indices[k])] -= data[k] * change
 
 
-@kernel
-def add_transposed_product(indptr, indices, data, factor, x, to):  # type: ignore[no-untyped-def]
-    """Add factor · Aᵀx to `to`, by the rows of A."""
-    one = uintp(1)
-    for i in range(uintp(x.size)):
-        if x[i] != 0.0:
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                to[uintp(indices[k])] += factor * (data[k] * x[i])
+def add_transposed_product(
+    indptr: Any, indices: Any, data: FloatVector, factor: float, x: FloatVector, to: FloatVector
+) -> None:
+    """Add factor · Aᵀx to `to`, A by rows."""
+    to += factor * (sp.csc_array((data, indices, indptr), shape=(to.size, x.size)) @ x)

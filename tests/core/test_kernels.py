@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -96,12 +97,8 @@ def compressed(dense: np.ndarray, width: type) -> Compressed:
     arrays = (matrix.indptr.astype(width), matrix.indices.astype(width), matrix.data)
     for array in arrays:
         array.flags.writeable = False  # as an LCP keeps them
-    splits = {}
-    for backward in (False, True):
-        splits[backward] = np.empty(len(dense), dtype=width)
-        kernels.split_rows(arrays[0], arrays[1], backward, splits[backward])
-        splits[backward].flags.writeable = False
-    return Compressed(dense, arrays, splits)
+    given = SimpleNamespace(shape=dense.shape, indptr=arrays[0], indices=arrays[1])
+    return Compressed(dense, arrays, {way: kernels.row_splits(given, backward=way) for way in (False, True)})
 
 
 def shapes() -> dict[str, np.ndarray]:

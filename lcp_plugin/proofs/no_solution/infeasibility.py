@@ -14,11 +14,11 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...core.certificates.criterion import CommonScaling, RowScaling, reference_residual
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
-from ...systems.graph import compressed_rows
 from ...systems.null_space import null_space_by_rows, null_space_of
 from ..exact.rational import Rational
 from .free_motion import falling_directions
@@ -154,15 +154,27 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
     if not rows.size:
         return None
-    from .kernels import is_missed
-
-    if not is_missed(*compressed_rows(problem.M), problem.q, problem.lower, problem.upper, rows):
+    if not _is_missed(problem, rows):
         return None
     for k, sign in _linear_constraints(problem, rows).contradictory_rows():
         proof = _proven(problem, {int(rows[k]): sign})
         if proof is not None:
             return proof
     return None
+
+
+def _is_missed(problem: LCP, rows: Any) -> bool:
+    """Return whether z within the bounds miss the sign that w has to have in one of the rows, to rounding."""
+    entries = sp.csr_array(problem.M[rows])
+    M, j = entries.data, entries.indices
+    row = np.repeat(np.arange(rows.size), np.diff(entries.indptr))
+    with np.errstate(all="ignore"):
+        first, second = (np.where(M != 0.0, M * bounds[j], 0.0) for bounds in (problem.lower, problem.upper))
+        lowest, highest = (
+            np.bincount(row, ends(first, second), rows.size) + problem.q[rows] for ends in (np.minimum, np.maximum)
+        )
+    is_below, is_above = np.isinf(problem.upper[rows]) & (highest < 0.0), np.isinf(problem.lower[rows]) & (lowest > 0.0)
+    return bool((is_below | is_above).any())
 
 
 @dataclass(slots=True)

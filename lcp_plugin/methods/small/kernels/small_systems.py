@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.kernels.compilation import IN_ANY_ORDER, helper
-from .workspace import AT_UPPER, BETWEEN, FOUND, FREE, LOWER, SCALE, SIDE, UPPER, Q
+from .workspace import AT_UPPER, BETWEEN, FOUND, FREE, HELD_AT, LOWER, SCALE, SIDE, UPPER, Q
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290
@@ -24,12 +24,12 @@ def row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
 def solve_free(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped-def]
     """Write FOUND with every variable at its bound where SIDE says so, and w_i = 0 on the other rows.
 
-    Returns the number of those, or −1 where their block is singular to working precision: FOUND is 0 there then.
+    Returns the number of those, or −1 where their block is singular to working precision: FOUND is what it was then.
     """
     n, free, is_solved = M.shape[1], np.int64(0), False
     for i in range(n):
         side = whole[SIDE, i]
-        real[FOUND, i] = 0.0 if side == BETWEEN else real[UPPER if side == AT_UPPER else LOWER, i]
+        real[HELD_AT, i] = 0.0 if side == BETWEEN else real[UPPER if side == AT_UPPER else LOWER, i]
         whole[FREE, free] = i
         free += side == BETWEEN
     for attempt in range(0 if is_symmetric else 1, 2):
@@ -40,15 +40,18 @@ def solve_free(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-unty
             unit = 1.0 if attempt == 0 else real[SCALE, i]
             for j in range(free):
                 matrix[p, j] = M[k, i, whole[FREE, j]] / unit
-            matrix[p, free] = -(real[Q, i] + row_times(M, k, i, n, real, FOUND)) / unit
+            matrix[p, free] = -(real[Q, i] + row_times(M, k, i, n, real, HELD_AT)) / unit
         is_solved = eliminate(matrix, n, free, attempt == 0)
     if not is_solved:
         return -1
     substitute(matrix, free)
     for p in range(free):
-        is_solved &= abs(matrix[p, free]) < LARGEST
-        real[FOUND, whole[FREE, p]] = matrix[p, free]
-    return free if is_solved else -1
+        if not abs(matrix[p, free]) < LARGEST:
+            return -1
+        real[HELD_AT, whole[FREE, p]] = matrix[p, free]
+    for i in range(n):
+        real[FOUND, i] = real[HELD_AT, i]
+    return free
 
 
 @helper
@@ -66,18 +69,22 @@ def eliminate(matrix, n, free, is_symmetric=False):  # type: ignore[no-untyped-d
     """Eliminate below the diagonal with partial pivoting; return whether no column was all rounding.
 
     Without pivoting, and all on and above the diagonal, where it is symmetric: then whether every pivot was clearly
-    positive. Four columns are eliminated at a time, their rows copied behind the others.
+    positive. Four columns are eliminated at a time, their rows copied behind the others; the row behind these holds
+    what a symmetric block's diagonal was before them.
     """
     largest = 0.0
     for i in range(free):
         if is_symmetric:
-            matrix[n + 4, i] = matrix[i, i]
+            matrix[n + 4, i] = 0.0
         for j in range(free):
             largest = max(largest, abs(matrix[i, j]))
     for begin in range(0, free, 4):
         end = min(begin + 4, free)
         if is_symmetric:
             for i in range(begin, free):
+                if not matrix[i, i] > CANCELLED * matrix[n + 4, i]:
+                    return False
+                matrix[n + 4, i] = matrix[i, i]
                 for p in range(begin, min(i, end)):
                     matrix[i, p] = matrix[p, i]
         for p in range(begin, end):

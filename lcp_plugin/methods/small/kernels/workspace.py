@@ -15,7 +15,7 @@ from ....core.kernels.compilation import inlined
 # Rows of `real`: the problem, the point, what a search for the next point needs, what a path needs.
 # Of numpy's integers, as numba compiles a function anew for each of Python's that is passed to it.
 Q, LOWER, UPPER, SCALE, Z, W, FOUND, KEPT = np.arange(8)
-WIDTH, BASE, ROW_UNIT, UNIT, LOW, HIGH, DISTANCE, PIVOT_ROW = np.arange(8, 16)
+WIDTH, BASE, ROW_UNIT, UNIT, LOW, HIGH, DISTANCE, HELD_AT = np.arange(8, 16)
 
 # Rows of `whole`.
 SIDE, STATE, FREE, BASIC, PLACE, OTHER, CANDIDATE = 0, 1, 2, 3, 4, 5, 6

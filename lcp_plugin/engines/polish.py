@@ -6,7 +6,7 @@ step solves
     [P_FF + δ I   C_WFᵀ] [Δx_F]   [what is left of the gradient]
     [C_WF         −δ I ] [Δy_W] = [what is left of the rows    ],
 
-some times with the same factor: for δ > 0 it exists in any order (Vanderbei 1995, doi:10.1137/0805005), and the
+a few times with the same factor: for δ > 0 it exists in any order (Vanderbei 1995, doi:10.1137/0805005), and the
 repeated steps tend to a solution of the system without δ, the nearest one where there are several.
 """
 
@@ -23,7 +23,6 @@ from ..core.matrix.structure import row_numbers
 from .engine import Multipliers, Point, Statement
 
 STEPS = 5
-SLOW, SMALL = 0.25, 2.0**-40  # of the step before, and beside x and y: what further steps would change
 SHIFT = 2.0**-26  # δ beside the largest entry of its row: √ε
 
 
@@ -58,18 +57,13 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
         return
     moved = np.count_nonzero(free)
     x, y = np.where(at_lower, lower, np.where(at_upper, upper, x)), np.where(acts, y, 0.0)
-    before = np.inf
     for _ in range(STEPS):
         gradient = program.P @ x + program.c + transposed @ y
         step = solve(np.concatenate([-gradient[free], (right - rows @ x)[acts]]))
-        size = np.abs(step).max(initial=0.0)
-        if not np.isfinite(size):
+        if not np.isfinite(step).all():
             return
         x[free] += step[:moved]
         y[acts] += step[moved:]
-        if size > SLOW * before or size <= SMALL * max(np.abs(x).max(initial=0.0), np.abs(y).max(initial=0.0)):
-            break
-        before = size
     # Multipliers of bounds take what the gradient leaves there.
     x, y = np.clip(x, lower, upper), np.append(np.maximum(y[:m], 0.0), y[m:])
     gradient = program.P @ x + program.c + transposed @ y

@@ -169,7 +169,7 @@ def run_engine(
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         for near, point in islice(_answers(program, engine, is_verbose, begun), 1 if points else None):
             iterations, says = iterations + point.iterations, point.says
-            solution, is_optimal = _best(islice(near, points), goal)
+            solution, is_optimal = _best(islice(near, points), goal, in_order=points is not None)
             if solution is not None and (is_optimal or best is None or solution.error < best.error):
                 best = solution
             if is_optimal or is_over():
@@ -184,11 +184,14 @@ def run_engine(
     return EngineRun(best, says, stage, is_optimal, contradicts)
 
 
-def _best(near: Iterable[QPSolution], goal: float) -> tuple[QPSolution | None, bool]:
-    """Return the first of some points that meets the goal, beside own terms if one does, or the best; and whether."""
+def _best(near: Iterable[QPSolution], goal: float, *, in_order: bool) -> tuple[QPSolution | None, bool]:
+    """Return the first of some points that meets the goal, beside own terms if one does, or the best; and whether.
+
+    In order where proofs rest on the multipliers as they came: what is rounding may be what a bound needs.
+    """
     judged = list[QPSolution]()
     for solution in near:
-        if solution.is_minimal(goal, is_beside_own=True):
+        if solution.is_minimal(goal, is_beside_own=not in_order):
             return solution, True
         judged.append(solution)
     for solution in sorted(judged, key=lambda one: sum(one.own_errors)):  # what acts takes as long as an engine

@@ -96,6 +96,7 @@ def steps(problem: LCP, z0: FloatVector, phases: Phases) -> Iterator[Step]:
         if np.isfinite(z).all():
             residual, work = np.ldexp(answers.residual[0], -unit), answers.work[0].sum()
             yield Step(z, residual=float(residual), work=float(work), label=PARTS[phase])
+        answers.forget(0, 1)
         run_phases(arrays, phases, *limits, answers, steps=kernels.ONE_MORE, workspace=workspace)
         if not answers.made.any():
             return
@@ -135,7 +136,6 @@ def run_phases(
     arrays = tuple(read_only(array) if array.flags.writeable else array for array in arrays)  # one signature for all
     workspace, steps = workspace or new_workspace(arrays[0].shape[1]), ALL if steps is None else steps
     limits = tolerance, max_iterations, first, end
-    answers.forget(first, end)
     if run_all(*arrays, *phases, *limits, steps, *workspace, *answers.arrays):
         follow_all(*arrays[:4], tolerance, first, end, *workspace, *answers.arrays)
     answers.judge(first, end, tolerance)
@@ -183,9 +183,10 @@ class Answers:
         """Return the answer of problem k, None where there is none."""
         if not self.has_converged[k]:
             return None
-        phases = zip(PARTS, self.made[k].tolist(), self.work[k].tolist(), strict=False)
+        work = self.work[k].tolist()
+        phases = zip(PARTS, self.made[k].tolist(), work, strict=False)
         parts = tuple((label, count, spent) for label, count, spent in phases if spent > 0.0)
-        return FusedSolve(self.z[k], self.residual[k].item(), self.terms[k].item(), self.work[k].sum().item(), parts)
+        return FusedSolve(self.z[k], self.residual[k].item(), self.terms[k].item(), sum(work), parts)
 
 
 def as_batch(array: Any) -> Any:

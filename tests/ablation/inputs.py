@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Container, Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -818,6 +819,23 @@ def piles() -> Iterator[Input]:
         yield Input("piles", f"cones {case}", lambda rng=rng: cancelled_diagonals(rng()), solve, by_violation)
 
 
+def moving_piles(count: int = 30, steps: int = 90, every: int = 3) -> Iterator[Input]:
+    """Steps of spheres poured into a box, each from the impulses before, judged by its projections."""
+    from benchmarks.cones import Pile
+
+    judge = next(published_contacts()).judge
+    pile, kept = Pile(count), dict[Any, Any]()
+    for step in range(steps):
+        problem, rows, pairs = pile.contacts()
+        start = np.concatenate([kept.get(pair, np.zeros(3)) for pair in pairs])
+        result = solve(problem, z0=start)
+        kept = dict(zip(pairs, result.z.reshape(-1, 3), strict=True))
+        pile.move(rows, result.z)
+        if step % every == 0:
+            yield Input("piles in time", str(step), partial(deepcopy, problem),
+                        lambda problem, start=start: solve(problem, z0=start), judge)
+
+
 def nonlinear(count: int = 30) -> Iterator[Input]:
     from nonlinear_families import KINDS, planted
 
@@ -965,7 +983,7 @@ SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "outliers": outliers, "certify": certified, "certify, published": published_answers, "equilibria": equilibria,
     "followers without bounds": followers_without_bounds,
     "least squares": least_squares, "least squares, larger": large_least_squares, "cones": cones,
-    "published contacts": published_contacts, "piles": piles,
+    "published contacts": published_contacts, "piles": piles, "piles in time": moving_piles,
     "nonlinear": nonlinear, "nonlinear, vanishing": vanishing_slopes,
     "nonlinear, proved": proved_nonlinear, "methods by name": named_methods, "engines by name": named_engines,
     "cones by name": named_over_cones,

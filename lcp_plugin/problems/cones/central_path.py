@@ -23,18 +23,14 @@ Cones = NDArray[np.float64]  # shape (k, d)
 
 LEAST_SLOPE = 1e-3  # of the cones that the path is in: Newton's steps have the caller's
 TO_THE_BOUNDARY = 0.9
-WARM = 0.1  # of a start from nothing, added to the impulses and velocities that a path begins near
 SHORT, CENTRED = 0.1, (0.5, 0.9)  # a step that is no longer goes to the path instead, to these parts of σ
 
 
 class CentralPath:
-    """The point x, y on its way, each of shape (k, d), of a problem with one pattern for the rows of a block of M.
-
-    It begins `near` impulses in the cones, shape (n,), and their velocities; else in the middle of the cones.
-    """
+    """The point x, y on its way, each of shape (k, d), of a problem with one pattern for the rows of a block of M."""
 
     @np.errstate(all="ignore")
-    def __init__(self, problem: Blocks, M: Any, near: FloatVector | None = None) -> None:
+    def __init__(self, problem: Blocks, M: Any) -> None:
         self.problem, self.M = problem, M
         k, d = problem.slope.size, int(problem.sizes.max(initial=1))
         self.slope = np.maximum(problem.slope, LEAST_SLOPE)
@@ -43,11 +39,6 @@ class CentralPath:
         speed = float(np.abs(problem.q.reshape(k, d) / self.scale).max(initial=0.0)) or 1.0
         self.x, self.y = np.zeros((k, d)), np.zeros((k, d))
         self.x[:, 0], self.y[:, 0] = speed / np.median(problem.scale), speed
-        if near is not None:
-            u = problem.slack(near).reshape(k, d)
-            u[:, 0] = np.maximum(u[:, 0], 0.0) + self.slope * np.linalg.norm(u[:, 1:], axis=1)
-            self.x = WARM * self.x + near.reshape(k, d) * self.scale
-            self.y = WARM * self.y + u / self.scale
         self.identity, self.entries = np.broadcast_to(np.eye(d), (k, d, d)).copy(), np.empty(self.M.nnz)
 
     @property

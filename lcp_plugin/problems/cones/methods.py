@@ -32,7 +32,7 @@ STEPS_A_SHARE = 60  # of Newton's method for one share of friction
 NEAR_THE_PATH, AT_ITS_END = 1e-6, 1e-10  # the residuals that end them
 PROGRAMS = 5  # convex ones without
 NEAR, LAST_STEPS = 1e-5, 30  # the residual from where Newton's steps follow the central path, and how many do
-MOST_STEPS, MOST_WARM_STEPS, NO_GAIN = 80, 30, 12  # of the central path, and those without a new best
+MOST_STEPS, NO_GAIN = 80, 12  # of the central path, and those without a new best
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d, in the systems of Newton's steps
 SPREAD = 1.0
 ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
@@ -360,13 +360,7 @@ def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[A
 
 @dataclass(frozen=True, kw_only=True)
 class InteriorPoint(ConeAlgorithm):
-    """Primal–dual interior point on De Saxcé's cones, scaled after Nesterov and Todd; Newton's steps end it.
-
-    Parameters
-    ----------
-    is_warm : bool
-        The path begins near the start that is given.
-    """
+    """Primal–dual interior point on De Saxcé's cones, scaled after Nesterov and Todd; Newton's steps end it."""
 
     name = "interior_point"
     needs = "contacts with friction, and a factor that fits"
@@ -375,16 +369,14 @@ class InteriorPoint(ConeAlgorithm):
     reference = "Acary, Armand, Nguyen, Shpakovych 2024, doi:10.1080/10556788.2023.2296438"
     is_monotone = False
 
-    is_warm: bool = False
-
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a factor, then Newton's steps from the best point."""
         if not problem.has_friction:
             raise UnsuitableProblem('interior_point takes contacts with friction; try algorithm="fixed_point"')
         best, residual, since = z0, math.inf, 0
         yield Step(z0, residual=relative_residual(problem, z0))
-        path = CentralPath(problem, closed_matrix(problem), z0 if self.is_warm else None)
-        for _ in range(MOST_WARM_STEPS if self.is_warm else MOST_STEPS):
+        path = CentralPath(problem, closed_matrix(problem))
+        for _ in range(MOST_STEPS):
             work = path.step()
             if work is None or residual <= NEAR or since > NO_GAIN:
                 break

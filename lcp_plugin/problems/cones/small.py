@@ -27,7 +27,7 @@ ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before 
 FIRST_ROUNDS = 3
 NEWTON_STEPS, LONG_STEPS = 20, 50  # of a run: where all rounds follow, and where the first do
 CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER, EASIER)
-STEP_ROUNDS, STEP_NEWTON = np.array([10, 0, 50, 0]), 40  # the same of bodies, each from the one before
+STEP_ROUNDS, STEP_NEWTON = np.array([10, 0, 30, 100, 300, 0]), 40  # the same of bodies; see solve_step
 STEP_PROXIMAL = 1e-8  # at the least: of bodies, 1 / that is in the system
 SPREAD = 0.3  # of the mean of |z_i|: as far as starts are moved at random
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
@@ -40,7 +40,7 @@ class LoopAnswers(NamedTuple):
     ----------
     z : array, shape (B, n)
     made : array, shape (B, 2)
-        Sweeps, and steps of Newton's method.
+        Sweeps, and steps of Newton's method; of bodies (1, 3), with those of the central path.
     residual : array, shape (B,)
         Upper bounds of their relative residuals; ∞ where there is none.
     is_proved : array of bool, shape (B,)
@@ -133,7 +133,7 @@ def solve_contacts(problem: Blocks, settings: Settings, *, start: FloatVector) -
     """Return what the loop over the velocities of bodies makes of their contacts, from a start in the cones."""
     from .step_kernels import solve_step
 
-    z, made, proved, M = np.array(start), np.zeros(2, np.int64), np.full(2, np.inf), problem.rows.csr
+    z, made, proved, M = np.array(start), np.zeros(3, np.int64), np.full(2, np.inf), problem.rows.csr
     starts, *others = problem.arrays
     constants = (PROXIMAL, SHORTEST, DECREASE, STEP_PROXIMAL, HARDER, EASIER)
     solve_step(

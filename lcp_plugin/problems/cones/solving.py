@@ -68,6 +68,7 @@ WORST = (
 MUCH_FRICTION = 1.0  # beyond, sliding may jam even where W is definite
 NEARBY = "from a point nearby"
 FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
+MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
 SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
 
 
@@ -242,15 +243,16 @@ def result_of(
     known: tuple[ConeCertificate, Status] | None = None,
 ) -> ConeResult:
     """Return the result of a problem, the k-th of those that the compiled loop has run, after these seconds."""
-    sweeps, newton = found.made[k].tolist()
+    sweeps, newton, *path = found.made[k].tolist()
     stages = []
     if sweeps or not newton:
         rounds = sweeps // SWEEPS_A_STEP
         stages.append(StageRecord("npgs", SWEEPS if sweeps else NOTHING_TO_DO, rounds, sweeps + rounds + 1.0))
-    if newton:
+    if newton or path:
         unknowns = problem.n if problem.bodies is None else min(problem.n, problem.bodies.mass.shape[-1])
         passes = unknowns**3 / (3.0 * max(problem.nonzeros, 1)) + 2.0
-        stages.append(StageRecord("newton", FOLLOWS, newton, newton * passes))
+        stages += [StageRecord("interior_point", MIDDLE, steps, steps * passes) for steps in path if steps]
+        stages += [StageRecord("newton", FOLLOWS, newton, newton * passes)] * (newton > 0)
     proved = ConeCertificate.proved(problem, found.z[k], float(found.residual[k])), Status.SOLVED
     certificate, status = known or proved
     return ConeResult(
@@ -340,11 +342,10 @@ class ConeAuto(Policy):
 
     def _stages(self, *, is_warm: bool, was_tried: bool) -> Iterator[Choice]:
         """Yield what comes in turn; where the compiled loop `was_tried`, what it did not do."""
-        middle = Choice(InteriorPoint(), "from the middle of the impulses that make the same motion Newton converges")
+        middle = Choice(InteriorPoint(), MIDDLE)
         if is_warm and not was_tried:
             yield Choice(Newton(), "a start that is given is near: Newton's steps from there come first")
         if is_warm and self._problem.has_friction:
-            yield Choice(InteriorPoint(is_warm=True), "the path from near a given start is short", from_start=True)
             yield middle
         if not was_tried:
             yield Choice(NPGS(), SWEEPS, from_start=is_warm)

@@ -2,7 +2,8 @@
 
 A step of Newton, (R_z + R_w (W + ε D)) s = −R with W = J m⁻¹ Jᵀ, is a system over the velocities v of the bodies: with
 A = R_z + ε R_w D of each contact, s = −A⁻¹(R + R_w J v) and (m + Jᵀ A⁻¹ R_w J) v = −Jᵀ A⁻¹ R, however many contacts
-there are. One factor serves further steps while they gain.
+there are. One factor serves further steps while they gain. Where a step is short the impulses that make the motion are
+many, and a central path leads to the middle of them.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ import numpy as np
 
 from ...core.kernels.compilation import helper, kernel
 from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
-from .block_factors import (
-    column_of,
-    eliminate_in_order,
-    factor_blocks,
-    lay_out,
-    link,
-    solve_blocks,
+from .body_kernels import (
+    factor_of_bodies,
+    gather_arms,
+    invert,
+    label_components,
+    step_of_bodies,
+    structure_of_bodies,
 )
 from .kernels import (
     OUTWARD,
@@ -32,33 +33,15 @@ from .kernels import (
     sweep_once,
 )
 from .methods import EXACT, GAIN
+from .path_kernels import begin_path, follow_path
 from .small_kernels import SMALLEST_SCALE, copy, product, put_back, references
 
 WORTH = 0.1  # of the residual: what a step leaves at the most where its factor serves another one
 SHORT = 0.3  # a step: sweeps name other cases
+NEAR, NEARER = 1e-3, 0.01  # the residual from where Newton's steps follow a path; times that where these fail
+NEWTON_NEAR, PATH_STEPS, FEW = 8, 30, 12  # Newton's steps there, those of a path, and Newton's before it
+WARM, FURTHER = 0.01, 10.0  # of a start from nothing, added to what a path begins near; times that of the next path
 AGAIN = 3  # steps more by one factor
-
-
-@helper
-def root_of(labels, i):  # type: ignore[no-untyped-def]
-    """Return the first of the set that i is in, and shorten the way there."""
-    while labels[i] != i:
-        labels[i] = labels[labels[i]]
-        i = labels[i]
-    return i
-
-
-@helper
-def label_components(indptr, indices, labels):  # type: ignore[no-untyped-def]
-    """Give each row the number of the first row of its connected component."""
-    for i in range(labels.size):
-        labels[i] = i
-    for i in range(labels.size):
-        for p in range(indptr[i], indptr[i + 1]):
-            one, other = root_of(labels, i), root_of(labels, indices[p])
-            labels[max(one, other)] = min(one, other)
-    for i in range(labels.size):
-        labels[i] = root_of(labels, i)
 
 
 @helper
@@ -87,174 +70,6 @@ def scale_blocks(starts, begins, others, norms, closed_indptr, closed, diagonal,
 
 
 @helper
-def gather_arms(starts, mass_indptr, mass_indices, indptr, indices, data):  # type: ignore[no-untyped-def]
-    """Return the bodies behind rows J: unknowns that the mass matrix links, and neighbours that meet the same contacts.
-
-    These are the body of each unknown, its number there, and the sizes of bodies; and the blocks of J: those of a
-    contact, which body each is of, where it begins in an array, and that.
-    """
-    v = mass_indptr.size - 1
-    labels, body_of = np.empty(v, np.int64), np.empty(v, np.int64)
-    inside, place = np.empty(v, np.int64), np.empty(v, np.int64)
-    sizes = np.zeros(v, np.int64)
-    label_components(mass_indptr, mass_indices, labels)
-    contacts, seen, met, shared = starts.size - 1, np.full(v, -1), np.zeros(v + 1, np.int64), np.zeros(v, np.int64)
-    for k in range(contacts):
-        for p in range(indptr[starts[k]], indptr[starts[k + 1]]):
-            i = indices[p]
-            if seen[i] != k:
-                seen[i] = k
-                met[i] += 1
-                shared[i] += i > 0 and seen[i - 1] == k
-                if i + 1 < v and seen[i + 1] == k:
-                    shared[i + 1] += 1
-    for i in range(1, v):
-        if 2 * shared[i] > max(met[i], met[i - 1]):
-            one, other = root_of(labels, i - 1), root_of(labels, i)
-            labels[max(one, other)] = min(one, other)
-    bodies = 0
-    for i in range(v):
-        labels[i] = root_of(labels, i)
-    seen[:] = -1
-    for i in range(v):
-        if labels[i] == i:
-            body_of[i] = bodies
-            bodies += 1
-        else:
-            body_of[i] = body_of[labels[i]]
-        inside[i] = sizes[body_of[i]]
-        sizes[body_of[i]] += 1
-    touched = np.zeros(contacts + 1, np.int64)
-    at_body, at_arm = np.empty(data.size, np.int64), np.empty(data.size + 1, np.int64)
-    count, length = 0, 0
-    for k in range(contacts):
-        for p in range(indptr[starts[k]], indptr[starts[k + 1]]):
-            body = body_of[indices[p]]
-            if seen[body] != k:
-                seen[body], at_body[count], at_arm[count] = k, body, length
-                count, length = count + 1, length + sizes[body] * (starts[k + 1] - starts[k])
-        touched[k + 1] = count
-    at_arm[count] = length
-    arms = np.zeros(length)
-    for k in range(contacts):
-        for at in range(touched[k], touched[k + 1]):
-            place[at_body[at]] = at_arm[at]
-        for i in range(starts[k], starts[k + 1]):
-            for p in range(indptr[i], indptr[i + 1]):
-                body = body_of[indices[p]]
-                arms[place[body] + (i - starts[k]) * sizes[body] + inside[indices[p]]] = data[p]
-    return body_of, inside, sizes[:bodies], touched, at_body, at_arm, arms
-
-
-@helper
-def structure_of(links, nodes, sizes):  # type: ignore[no-untyped-def]
-    """Return the place of each node in the elimination, and the panels' structure."""
-    place, degrees, near = np.empty(nodes, np.int64), np.empty(nodes, np.int64), np.empty(nodes + 64, np.int64)
-    total = eliminate_in_order(links, nodes, place, degrees, near)
-    begins, later, columns = np.empty(nodes + 1, np.int64), np.empty(total, np.int64), np.empty(total, np.int64)
-    widths, panels, firsts = np.empty(nodes, np.int64), np.empty(nodes + 1, np.int64), np.empty(nodes + 1, np.int64)
-    lay_out(links, nodes, place, sizes, begins, later, columns, widths, panels, firsts, near)
-    return place, begins, later, columns, widths, panels, firsts
-
-
-@helper
-def invert(A, size, inverse):  # type: ignore[no-untyped-def]
-    """Write the inverse of A, which is overwritten, by elimination with pivots."""
-    for i in range(size):
-        for j in range(size):
-            inverse[i, j] = 1.0 if i == j else 0.0
-    for p in range(size):
-        best = p
-        for i in range(p + 1, size):
-            best = i if abs(A[i, p]) > abs(A[best, p]) else best
-        for j in range(size):
-            A[p, j], A[best, j] = A[best, j], A[p, j]
-            inverse[p, j], inverse[best, j] = inverse[best, j], inverse[p, j]
-        pivot = A[p, p]
-        for j in range(size):
-            A[p, j], inverse[p, j] = A[p, j] / pivot, inverse[p, j] / pivot
-        for i in range(size):
-            if i != p:
-                factor = A[i, p]
-                for j in range(size):
-                    A[i, j] -= factor * A[p, j]
-                    inverse[i, j] -= factor * inverse[p, j]
-
-
-@helper
-def factor_of_bodies(  # type: ignore[no-untyped-def]
-    mass, bodies, is_free, by_speed, structure, U, L, targets, total
-):
-    """Write m + Jᵀ A⁻¹ R_w J and factor it; return whether that was possible."""
-    mass_indptr, mass_indices, mass_data = mass
-    body_of, inside, sizes, touched, at_body, at_arm, arms = bodies
-    place, begins, later, columns, widths, panels, _, own = structure
-    U[:], L[:] = 0.0, 0.0
-    for i in range(body_of.size):
-        for p in range(mass_indptr[i], mass_indptr[i + 1]):
-            where = place[body_of[i]]
-            U[panels[where] + inside[i] * widths[where] + inside[mass_indices[p]]] += mass_data[p]
-    m = by_speed.shape[1]
-    for k in range(is_free.size):
-        if not is_free[k]:
-            continue
-        for one in range(touched[k], touched[k + 1]):
-            width, arm = sizes[at_body[one]], at_arm[one]
-            for r in range(width):
-                for i in range(m):
-                    value = 0.0
-                    for j in range(m):
-                        value += arms[arm + j * width + r] * by_speed[k, j, i]
-                    total[r * m + i] = value
-            for other in range(touched[k], touched[k + 1]):
-                p, q, long, reach = place[at_body[one]], place[at_body[other]], sizes[at_body[other]], at_arm[other]
-                if p <= q:
-                    first = panels[p] + column_of(p, q, begins, later, columns)
-                    panel, down, along = U, widths[p], 1
-                else:
-                    first = panels[q] + column_of(q, p, begins, later, columns)
-                    panel, down, along = L, 1, widths[q]
-                for r in range(width):
-                    for c in range(long):
-                        value = 0.0
-                        for i in range(m):
-                            value += total[r * m + i] * arms[reach + i * long + c]
-                        panel[first + r * down + c * along] += value
-    return factor_blocks(sizes.size, own, begins, later, columns, widths, panels, U, L, targets, total)
-
-
-@helper
-def step_of_bodies(starts, bodies, structure, U, L, inverse, by_speed, R, x, step):  # type: ignore[no-untyped-def]
-    """Write the step that the factor gives for the residual R."""
-    _, _, sizes, touched, at_body, at_arm, arms = bodies
-    place, begins, later, columns, widths, panels, firsts, own = structure
-    x[:] = 0.0
-    for k in range(starts.size - 1):
-        first, m = starts[k], starts[k + 1] - starts[k]
-        for i in range(m):
-            value = 0.0
-            for j in range(m):
-                value -= inverse[k, i, j] * R[first + j]
-            step[first + i] = value
-        for at in range(touched[k], touched[k + 1]):
-            width, here = sizes[at_body[at]], firsts[place[at_body[at]]]
-            for i in range(m):
-                for r in range(width):
-                    x[here + r] += arms[at_arm[at] + i * width + r] * step[first + i]
-    solve_blocks(sizes.size, own, begins, later, columns, widths, panels, firsts, U, L, x)
-    for k in range(starts.size - 1):
-        first, m = starts[k], starts[k + 1] - starts[k]
-        for at in range(touched[k], touched[k + 1]):
-            width, here = sizes[at_body[at]], firsts[place[at_body[at]]]
-            for j in range(m):
-                speed = 0.0
-                for r in range(width):
-                    speed += arms[at_arm[at] + j * width + r] * x[here + r]
-                for i in range(m):
-                    step[first + i] -= by_speed[k, i, j] * speed
-
-
-@helper
 def prepare_step(  # type: ignore[no-untyped-def]
     known, bodies, z, w, epsilon, x, way, by_z, by_w, inverse, by_speed, is_free
 ):
@@ -280,21 +95,6 @@ def prepare_step(  # type: ignore[no-untyped-def]
 
 
 @helper
-def structure_of_bodies(bodies, is_free):  # type: ignore[no-untyped-def]
-    """Return the structure of the system of bodies that share a contact that is not open."""
-    _, _, sizes, touched, at_body, _, _ = bodies
-    links = np.zeros((sizes.size, (sizes.size + 63) // 64), np.uint64)
-    for k in range(is_free.size):
-        if is_free[k]:
-            for one in range(touched[k], touched[k + 1]):
-                for other in range(touched[k], one):
-                    link(links, at_body[one], at_body[other])
-    own = sizes.copy()
-    place, begins, later, columns, widths, panels, firsts = structure_of(links, sizes.size, own)
-    return place, begins, later, columns, widths, panels, firsts, own
-
-
-@helper
 def _newton(known, mass, bodies, weights, goal, shortest, most_steps, constants, z, w, R, memory):  # type: ignore[no-untyped-def]
     """Take Newton's steps to the goal, or until one is `shortest`; return the largest residual and how many.
 
@@ -313,8 +113,7 @@ def _newton(known, mass, bodies, weights, goal, shortest, most_steps, constants,
     start, step, at_start, along = room[0], room[1], room[2], room[3]
     largest, size = measure(*known, weights, z, w, R)
     sizes = np.full(memory, size)
-    structure = structure_of_bodies(bodies, was_free)
-    U, L, targets, total = np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0)
+    structure, factor = structure_of_bodies(bodies, was_free, m)
     is_new, made, widest = True, 0, proximal
     while made < most_steps and largest > goal and size < np.inf:
         epsilon, is_found = max(min(widest, 0.1 * largest), least_proximal), False
@@ -324,21 +123,16 @@ def _newton(known, mass, bodies, weights, goal, shortest, most_steps, constants,
                 is_new = is_new or is_free[k] != was_free[k]
                 was_free[k] = is_free[k]
             if is_new:
-                structure = structure_of_bodies(bodies, is_free)
-                widths, panels, own = structure[4], structure[5], structure[7]
-                U, L = np.empty(panels[own.size]), np.empty(panels[own.size])
-                longest = 0
-                for p in range(own.size):
-                    longest = max(longest, widths[p], own[p] * m)
-                targets, total, is_new = np.empty(longest, np.int64), np.empty(longest), False
-            is_found = is_found and factor_of_bodies(mass, bodies, is_free, by_speed, structure, U, L, targets, total)
+                structure, factor = structure_of_bodies(bodies, is_free, m)
+                is_new = False
+            is_found = is_found and factor_of_bodies(mass, bodies, is_free, by_speed, structure, factor)
             if not is_found:
                 epsilon = harder * epsilon
         if not is_found:
             return largest, made
         made += 1
         for again in range(AGAIN + 1):
-            step_of_bodies(starts, bodies, structure, U, L, inverse, by_speed, R, speeds, step)
+            step_of_bodies(starts, bodies, structure, factor, inverse, by_speed, R, speeds, step)
             length, allowed, before = 1.0, size, size
             for earlier in sizes:
                 allowed = max(allowed, earlier)
@@ -379,10 +173,11 @@ def solve_step(  # type: ignore[no-untyped-def]
 ):
     """Solve the contacts of bodies from z, which gets the answer: sweeps, then steps of Newton's method, in turns.
 
-    After sweeps Newton's method ends where a step is short, without them it goes on.
+    At first Newton's method ends where a step is short; without sweeps it goes on, for a FEW steps but in the last
+    turn. Later sweeps are followed by the central path, and Newton's steps from near its end.
 
-    `made` gets how many sweeps and Newton's steps it took, `proved` bounds of the relative residual and of the term
-    residual: ∞ where M shows several units or the goal was not reached.
+    `made` gets how many sweeps, Newton's steps and steps of the path it took, `proved` bounds of the relative residual
+    and of the term residual: ∞ where M shows several units or the goal was not reached.
     """
     blocks, n = slope.size, q.size
     of_row = np.empty(n, np.int64)
@@ -416,6 +211,7 @@ def solve_step(  # type: ignore[no-untyped-def]
     bodies = gather_arms(starts, mass_indptr, mass_indices, J_indptr, J_indices, J_data)
     b, x, y, before = of_one[0], of_one[1], of_one[2], of_one[3]
     largest = measure(*known, weights, z, w, R)[0]
+    path, share = np.empty((2, blocks, m)), WARM
     for turn in range(rounds.size):
         if largest <= goal:
             break
@@ -427,8 +223,27 @@ def solve_step(  # type: ignore[no-untyped-def]
                 x, y, before
             )
         made[0] += rounds[turn]
-        shortest = SHORT if rounds[turn] else 0.0
-        largest, taken = _newton(known, mass, bodies, weights, goal, shortest, most_steps, constants, z, w, R, memory)
+        if turn and rounds[turn]:
+            measure(*known, weights, z, w, R)
+            begin_path(starts, slope, q, scale, share, z, w, path[0], path[1])
+            copy(z, swept)
+            near, left, largest = NEAR, PATH_STEPS, np.inf
+            while left > 0 and largest > goal:
+                largest, taken = follow_path(known, mass, bodies, weights, near, left, path[0], path[1], z, w, R)
+                left, made[2] = left - taken, made[2] + taken
+                if not largest <= near:
+                    break
+                copy(z, swept)
+                largest, taken = _newton(
+                    known, mass, bodies, weights, goal, SHORT, NEWTON_NEAR, constants, z, w, R, memory
+                )
+                near, made[1] = NEARER * near, made[1] + taken
+            share = FURTHER * share
+            if largest > goal:
+                copy(swept, z)
+            continue
+        shortest, allowed = 0.0 if turn else SHORT, FEW if 0 < turn < rounds.size - 1 else most_steps
+        largest, taken = _newton(known, mass, bodies, weights, goal, shortest, allowed, constants, z, w, R, memory)
         made[1] += taken
     if largest <= goal:
         put_back(starts, weights, origin, z)

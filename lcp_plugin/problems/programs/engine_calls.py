@@ -50,7 +50,7 @@ class EngineRun(NamedTuple):
     says : Hint
         What the engine says of its last one.
     stage : StageRecord
-    is_optimal : bool
+    meets_goal : bool
         Whether that solution meets the goal.
     contradicts : bool
         Whether the constraints are seen to contradict, which has ended the run; nothing is proved.
@@ -61,7 +61,7 @@ class EngineRun(NamedTuple):
     solution: QPSolution
     says: Hint
     stage: StageRecord
-    is_optimal: bool
+    meets_goal: bool
     contradicts: bool
     is_sure: bool = False
 
@@ -71,7 +71,7 @@ class EngineRun(NamedTuple):
         Of a contradiction only where the solution is not optimal, or the engine has called the program infeasible.
         """
         solution, facts = self.solution, self.solution.program.facts
-        is_met = self.is_optimal and (self.says is not Hint.INFEASIBLE or solution.holds_surely(goal))
+        is_met = self.meets_goal and (self.says is not Hint.INFEASIBLE or solution.holds_surely(goal))
         if self.is_sure or solution.is_sure(goal) or (is_met and solution.balances_surely(goal)):
             return None
         return facts.accepted_proof(goal, is_met=is_met)
@@ -164,24 +164,24 @@ def run_engine(
         raise UnsuitableProblem(
             f"{engine.name} solves {engine.solves}, but P has nonzeros; take \"piqp\", or give P = None"
         )
-    iterations, says, is_optimal, contradicts = 0, Hint.GAVE_UP, False, False
+    iterations, says, meets_goal, contradicts = 0, Hint.GAVE_UP, False, False
     best: QPSolution | None = None
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         for near, point in islice(_answers(program, engine, is_verbose, begun), 1 if points else None):
             iterations, says = iterations + point.iterations, point.says
-            solution, is_optimal = _best(islice(near, points), goal, in_order=points is not None)
-            if solution is not None and (is_optimal or best is None or solution.error < best.error):
+            solution, meets_goal = _best(islice(near, points), goal, in_order=points is not None)
+            if solution is not None and (meets_goal or best is None or solution.error < best.error):
                 best = solution
-            if is_optimal or is_over():
+            if meets_goal or is_over():
                 break
             if says is Hint.INFEASIBLE and (contradicts := program.facts.sees_contradiction(goal, point.multipliers)):
                 break
     if best is None:
         nearest, nothing = np.clip(0.0, program.lower, program.upper), np.zeros(sum(program.matrices.sizes))
         best = QPSolution.of_rows(program, nearest, nothing)
-        is_optimal = not contradicts and best.is_minimal(goal)
+        meets_goal = not contradicts and best.is_minimal(goal)
     stage = StageRecord(engine.name, engine.solves, iterations, 0.0)
-    return EngineRun(best, says, stage, is_optimal, contradicts)
+    return EngineRun(best, says, stage, meets_goal, contradicts)
 
 
 def _best(near: Iterable[QPSolution], goal: float, *, in_order: bool) -> tuple[QPSolution | None, bool]:

@@ -274,7 +274,8 @@ class QPUnboundedness:
 
     def __str__(self) -> str:
         how = f"checked exactly{within(self.radius, 'x and multipliers')}"
-        along = "a direction from a feasible point"
+        missed = f"point that misses constraints by {self.violation:.1e} of their terms, at most"
+        along = f"a direction from a {missed if self.violation else 'feasible point'}"
         if self.is_free_motion:
             along += f", as nothing holds {moved_unknowns(self.direction)}: P maps it to 0, and no constraint ends it"
         return f"unbounded: the objective falls without end along {along} ({how})"

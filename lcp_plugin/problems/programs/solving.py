@@ -263,26 +263,26 @@ def _solved(
     if algorithm in ENGINES if is_name else isinstance(algorithm, Engine):
         return _solved_by_engine(program, algorithm, tolerance, options)
     guess, is_auto = options.pop("guess", None), is_name and algorithm == "auto"
-    is_one_call = _takes_one_call(algorithm, tolerance, options)
+    may_ask_engines = _may_ask_engines(algorithm, tolerance, options)
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
-    if is_one_call and (decided := _by_engines(program, tolerance, options, clock)) is not None:
+    if may_ask_engines and (decided := _by_engines(program, tolerance, options, clock)) is not None:
         return decided
-    may_ask = is_auto and prove_infeasibility and sp.issparse(program.P) and (
+    may_be_unheld = is_auto and prove_infeasibility and sp.issparse(program.P) and (
         program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None
     )
     # What is asked before a run, between its stages, and after it knows of the limit by this.
     with _limit(options):
-        unheld = _unheld(program, goal) if may_ask else None
+        unheld = _unheld(program, goal) if may_be_unheld else None
         if unheld is not None:
             if options.get("verbose"):
                 say(f"{unheld.status.name}: the program is {unheld}")
             return _without_minimum(program, unheld, BY_FACTOR, tolerance, clock.read())
         result, solution, proof = _by_run(program, algorithm, tolerance, guess, options)
-    is_optimal = solution.is_minimal(goal)
+    meets_goal = solution.is_minimal(goal)
     if proof is None and prove_infeasibility and not ended_by_caller(result, options) and not solution.is_sure(goal):
-        proof = program.facts.accepted_proof(goal, is_met=is_optimal and solution.holds_surely(goal))
-    is_nearly = solution.is_minimal(max(goal, NEARLY)) or (not is_optimal and _contradicts_by_rounding(program))
-    status = _status(result, is_optimal, is_nearly, proof)
+        proof = program.facts.accepted_proof(goal, is_met=meets_goal and solution.holds_surely(goal))
+    is_nearly = solution.is_minimal(max(goal, NEARLY)) or (not meets_goal and _contradicts_by_rounding(program))
+    status = _status(result, meets_goal, is_nearly, proof)
     if options.get("verbose") and status is not result.status:
         say(f"{status.name}: {ADVICE.get(status, status.value) if proof is None else proof}")
     if proof is not None:
@@ -344,15 +344,15 @@ def _solved_by_engine(
     clock, goal = Clock(), program_goal(tolerance)
     with time_limit(min(settings.max_seconds, seconds_left())):
         run = run_engine(program, engine, goal, is_verbose=settings.verbose)
-        is_optimal, proof = run.is_optimal, None
+        meets_goal, proof = run.meets_goal, None
         if settings.prove_infeasibility:
             proof = run.proof(goal)
     is_nearly = run.says is Hint.OPTIMAL and run.solution.is_minimal(max(goal, NEARLY))
-    is_nearly |= not is_optimal and _contradicts_by_rounding(program)
+    is_nearly |= not meets_goal and _contradicts_by_rounding(program)
     why = Status.STALLED
     if run.says is Hint.STOPPED:
         why = Status.MAX_SECONDS if clock.read() >= settings.max_seconds else Status.MAX_ITERATIONS
-    status = proof.status if proof is not None else Status.SOLVED if is_optimal else (
+    status = proof.status if proof is not None else Status.SOLVED if meets_goal else (
         Status.PRECISION_LIMIT if is_nearly else why
     )
     solution = run.solution if proof is None else QPSolution.without_multipliers(program, run.solution.x)
@@ -423,18 +423,21 @@ def _without_minimum(
 
 
 def _status(
-    result: Result, is_optimal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
+    result: Result, meets_goal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
 ) -> Status:
+    """Return the proof's status, or that of a limit that came first; otherwise what the program's residuals say.
+
+    Whether the run is solved, stalled or without a solution was judged in its units, not in the program's.
+    """
     if proof is not None:
         return proof.status
-    if result.status in (Status.SOLVED, Status.PRECISION_LIMIT):
-        return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
-    if result.status is Status.STALLED or result.has_no_solution:  # in the run's units, not the program's
-        return Status.SOLVED if is_optimal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
-    return result.status
+    judged = (Status.SOLVED, Status.PRECISION_LIMIT, Status.STALLED)
+    if result.status not in judged and not result.has_no_solution:
+        return result.status
+    return Status.SOLVED if meets_goal else Status.PRECISION_LIMIT if is_nearly else Status.STALLED
 
 
-def _takes_one_call(algorithm: Any, tolerance: float, options: dict[str, Any]) -> bool:
+def _may_ask_engines(algorithm: Any, tolerance: float, options: dict[str, Any]) -> bool:
     """Return whether engines may be asked: no callback wants the steps. Refuse what is wrong."""
     is_auto = isinstance(algorithm, str) and algorithm == "auto"
     if options or not is_auto or not isinstance(tolerance, float):
@@ -463,7 +466,7 @@ def _at_once(
             return begun.stage.name, begun
         for engine in engines_for(program):
             run, begun = run_engine(program, engine, goal, begun=begun), None
-            if run.is_optimal:
+            if run.meets_goal:
                 return engine.name, run
             is_hint = run.says in (Hint.INFEASIBLE, Hint.UNBOUNDED)
             if prove_infeasibility and is_hint and (proof := program.facts.accepted_proof(goal)) is not None:

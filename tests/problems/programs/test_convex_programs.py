@@ -851,6 +851,16 @@ def test_merely_convex_models(objective: str) -> None:
     assert value == pytest.approx(problem.solve(solver=cp.CLARABEL), abs=1e-5)
 
 
+def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
+    """Rows that contradict each other by rounding: no point is feasible, and the words do not say that one is."""
+    found = solve(QuadraticProgram(None, [-1.0, -1.0, -1.0], [[-4, -1, 2], [4, 1, -2]], [2e6, -2000000.001]))
+    assert found.status is Status.UNBOUNDED
+    assert found.proof is not None
+    assert 0.0 < found.proof.violation <= 1e-9
+    assert "feasible point" not in found.explain()
+    assert f"misses constraints by {found.proof.violation:.1e}" in found.explain()
+
+
 def test_infeasible_and_unbounded_carry_their_proof() -> None:
     """The status comes with a proof that can be checked again, in extra_stats; values are None."""
     x = cp.Variable(3)

@@ -260,21 +260,16 @@ def traffic(scene: Scene) -> str:
 
 
 def _cycle_bytes(hierarchy: Any) -> float:
-    """Two passes over each matrix, where rows are unlike; one over P and its transpose; 13 reads or writes a row."""
+    """Two passes over each matrix; one over P and its transpose; 13 reads or writes a row."""
     moved = 0.0
     for grid, transfer in zip(hierarchy.grids, hierarchy.transfers, strict=False):
-        moved += 2.0 * _entry_bytes(grid.matrix) * _unlike_entries(grid) + 13.0 * grid.inverse.itemsize * grid.n
+        moved += 2.0 * _entry_bytes(grid.matrix) * grid.matrix.data.size + 13.0 * grid.inverse.itemsize * grid.n
         moved += sum(_entry_bytes(way) * way.data.size for way in (transfer.prolongation, transfer.restriction))
     return moved
 
 
 def _entry_bytes(matrix: Any) -> int:
     return int(matrix.data.itemsize + matrix.indices.itemsize)
-
-
-def _unlike_entries(grid: Any) -> int:
-    alone = grid.runs[grid.runs[:, 2] == 0]
-    return int((grid.matrix.indptr[alone[:, 1]] - grid.matrix.indptr[alone[:, 0]]).sum())
 
 
 def growth(sizes: tuple[int, ...]) -> Iterator[str]:

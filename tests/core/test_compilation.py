@@ -92,7 +92,7 @@ kernels = {
     kernel for name, module in list(sys.modules.items()) if name.startswith("lcp_plugin")
     for kernel in vars(module).values() if isinstance(kernel, Dispatcher) and kernel.stats.cache_path
 }
-print(len(kernels) > 40, *[
+print(len(kernels) > 30, *[
     kernel.py_func.__name__ for kernel in kernels
     if len(kernel.overloads) > len({widths(signature) for signature in kernel.overloads})
 ])
@@ -311,8 +311,8 @@ def test_shell_completes_scenes_and_algorithms() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("systems/hierarchy/grids.py", "    return low\n", "    return runs.shape[0]\n"),
-    ("systems/hierarchy/galerkin.py", "touched[i] = is_row_changed[i]", "touched[i] = 0 * is_row_changed[i]"),
+    ("core/kernels/enclosures.py", "return least, abs(most) * (1.0 + wider)", "return least, 0.0 * abs(most)"),
+    ("problems/cones/kernels.py", "least[k], most[k] = block_bounds(", "least[k], scale[k] = block_bounds("),
 ])
 def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
     file: str, old: str, new: str, tmp_path: Path
@@ -321,13 +321,13 @@ def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
     package = Path(lcp_plugin.__file__).parent
     shutil.copytree(package, tmp_path / "lcp_plugin", ignore=shutil.ignore_patterns("__pycache__"))
     code = (
-        "import numpy as np\nfrom lcp_plugin.systems.hierarchy import galerkin\n"
-        "flag, touched = np.ones(1, np.uint8), np.zeros(1, np.uint8)\n"
-        "operands = np.array([0, 0]), np.zeros(0, np.int64), np.array([[0, 1, 0]]), flag, flag, touched\n"
-        "galerkin.mark_rows(*operands)\n"
-        "print(galerkin.__file__, touched[0], sum(galerkin._mark_rows.stats.cache_hits.values()))"
+        "import numpy as np\nfrom lcp_plugin.problems.cones import kernels\n"
+        "nothing, one, most = np.zeros(1), np.ones(1), np.zeros(1)\n"
+        "kernels.bounds(np.array([0, 1]), nothing, False, nothing, np.full(1, np.inf), one, 2.0 * one, nothing,"
+        " one.copy(), nothing.copy(), most)\n"
+        "print(kernels.__file__, int(most[0]), sum(kernels.bounds.stats.cache_hits.values()))"
     )
-    at = str(tmp_path / "lcp_plugin" / "systems" / "hierarchy" / "galerkin.py")
+    at = str(tmp_path / "lcp_plugin" / "problems" / "cones" / "kernels.py")
     cache = str(tmp_path / "cache")
     for hits in "01":
         assert in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="") == f"{at} 1 {hits}"

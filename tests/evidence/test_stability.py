@@ -111,7 +111,8 @@ def test_a_power_of_two_as_unit_changes_no_count(name: str, exponent: int) -> No
     problem = scene.problem
     scaled = LCP(problem.csr, np.ldexp(problem.q, exponent), lower=problem.lower, upper=problem.upper)
     result = solve(scaled, name)
-    assert (result.status, result.iterations, result.work) == (plain.status, plain.iterations, plain.work)
+    assert (result.status, result.iterations) == (plain.status, plain.iterations)
+    assert result.work == pytest.approx(plain.work, rel=1e-14)  # stages add up in their order
     assert np.array_equal(result.z, np.ldexp(plain.z, exponent))
 
 

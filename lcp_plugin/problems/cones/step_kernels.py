@@ -39,7 +39,8 @@ from .small_kernels import SMALLEST_SCALE, copy, product, put_back, references
 WORTH = 0.1  # of the residual: what a step leaves at the most where its factor serves another one
 SHORT = 0.3  # a step: sweeps name other cases
 NEAR, NEARER = 1e-3, 0.01  # the residual from where Newton's steps follow a path; times that where these fail
-NEWTON_NEAR, PATH_STEPS, FEW = 8, 30, 12  # Newton's steps there, those of a path, and Newton's before it
+# Newton's steps there, those of a path, and Newton's before it: numba compiles once more for a plain 8 or 30.
+NEWTON_NEAR, PATH_STEPS, FEW = np.int64(8), np.int64(30), np.int64(12)
 WARM, FURTHER = 0.01, 10.0  # of a start from nothing, added to what a path begins near; times that of the next path
 AGAIN = 3  # steps more by one factor
 
@@ -102,7 +103,7 @@ def _newton(known, mass, bodies, weights, goal, shortest, most_steps, constants,
     """
     starts, slope, friction, lower, upper, indptr, indices, data, _, scale = known
     proximal, halvings, decrease, least_proximal, harder, easier = constants
-    m, n, blocks = 1, z.size, slope.size
+    m, n, blocks = np.int64(1), z.size, slope.size
     for k in range(blocks):
         m = max(m, starts[k + 1] - starts[k])
     room_of_blocks = np.empty((4, blocks, m, m))

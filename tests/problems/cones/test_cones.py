@@ -115,6 +115,7 @@ def test_an_interior_point_solves_what_many_contacts_determine_many_times(edge: 
     assert floor == pytest.approx(weight, rel=1e-6)
 
 
+@pytest.mark.full  # half a minute of compilation
 @pytest.mark.parametrize("share", [0.98, 0.0])
 def test_a_path_from_near_the_answer_is_shorter(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """The path over velocities solves a wall alone: from nothing, and in fewer steps from that of a little less weight.
@@ -675,6 +676,7 @@ def poured(count: int, seed: int) -> tuple[Any, Any, Any, Any]:
     return mass, sp.csr_array(J[~tangents]), sp.csr_array(J[tangents]), -np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], count)
 
 
+@pytest.mark.full  # half a minute of compilation
 @pytest.mark.parametrize("seed", range(4))
 def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
     """What is found by the velocities of bodies holds for W alone, from nothing and from an answer nearby."""
@@ -686,6 +688,7 @@ def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
         assert solve(alone, z0=result.z, max_iterations=0).is_solved
 
 
+@pytest.mark.full  # half a minute of compilation
 def test_the_velocities_of_bodies_are_a_system_of_less_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of bodies with three times as many contacts, from a start, a step of Newton takes less work than on W."""
     *contacts, velocities = poured(40, 0)
@@ -706,6 +709,7 @@ def from_python(helper: Any) -> Any:
     return call
 
 
+@pytest.mark.full  # half a minute of compilation
 @pytest.mark.parametrize("seed", range(3))
 def test_a_factor_of_blocks_solves_what_a_dense_one_does(seed: int) -> None:
     """LU of blocks of different sizes, in the order of least degree, leaves what rounding leaves."""
@@ -731,6 +735,7 @@ def test_a_factor_of_blocks_solves_what_a_dense_one_does(seed: int) -> None:
     np.testing.assert_allclose(step, moved, atol=1e-10 * np.abs(moved).max())
 
 
+@pytest.mark.full  # half a minute of compilation
 def test_a_bad_start_of_bodies_costs_no_more_than_none() -> None:
     """Where the loop on velocities fails from a far start, sweeps from no start answer: nothing looks for a proof."""
     rng = np.random.default_rng(0)

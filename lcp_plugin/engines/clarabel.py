@@ -57,7 +57,8 @@ class Clarabel(Engine):
         right = np.concatenate([program.b, program.h[rows], -program.lower[below], program.upper[above]])
         kinds = [(clarabel.ZeroConeT, p), (clarabel.NonnegativeConeT, right.size - p)]
         found = clarabel.DefaultSolver(
-            sp.csc_matrix(sp.triu(program.P)), program.c, sp.csc_matrix(sp.vstack([*map(sp.csr_array, parts)])), right,
+            sp.csc_matrix(sp.triu(sp.csr_array(program.P))), program.c,
+            sp.csc_matrix(sp.vstack([*map(sp.csr_array, parts)])), right,
             [cone(size) for cone, size in kinds if size], settings,
         ).solve()
         y, every = np.array(found.z), Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))

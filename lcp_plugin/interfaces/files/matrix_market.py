@@ -10,6 +10,7 @@ import os
 import warnings
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +158,8 @@ def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], lis
             raise UnreadableFile(f"cannot read {source}: {other} is {what}; save a matrix of numbers")
         names = [name for name in kinds if name in wanted]
         file.seek(0)
-        found = loadmat(file, variable_names=names) if names else {}
+        arrays = {"spmatrix": False} if "spmatrix" in signature(loadmat).parameters else {}  # an older scipy has none
+        found = loadmat(file, variable_names=names, **arrays) if names else {}
     return {name: _checked(found[name], name, source) for name in names}, list(kinds)
 
 

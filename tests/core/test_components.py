@@ -34,7 +34,7 @@ def two_grids(*units: float, side: int = 20, seed: int = 0) -> tuple[LCP, np.nda
     z = rng.integers(1, 5, (len(units), n)) * (rng.random((len(units), n)) < 0.3)
     q = (z == 0) * 1.0 - (M @ z.T).T
     size = np.repeat(units, n)
-    return LCP(sp.block_diag([M] * len(units), format="csr"), size * q.ravel()), size * z.ravel()
+    return LCP(sp.block_diag([sp.csr_array(M)] * len(units), format="csr"), size * q.ravel()), size * z.ravel()
 
 
 # --- One component wrong, and small beside another -------------------------------------------------------------------
@@ -195,7 +195,7 @@ def test_batches_have_the_bits_of_single_solves() -> None:
 def test_marches_take_each_step_in_units_of_its_own() -> None:
     """Two rods in units 1e9 apart, on narrow bands: every step is right in both."""
     T = 3.0 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
-    rods = LCP(sp.block_diag([T, T], format="csr"), np.zeros(40))
+    rods = LCP(sp.block_diag([sp.csr_array(T)] * 2, format="csr"), np.zeros(40))
     forcing = np.broadcast_to(np.repeat([-1e9, -1.0], 20), (5, 40))
     steps = march(rods, forcing)
     assert steps.all_solved

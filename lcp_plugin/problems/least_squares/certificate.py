@@ -20,8 +20,8 @@ without bounds needs |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (
 tolerance beside its cost for entries of A and b that differ from those given by no more than that relative rounding:
 b_i moved by r_i − y_i, and column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small,
 so that its rounding hides nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0.
-And ½ Σ weights ρ² is at most 10⁻⁴ of ½ Σ weights (|A||x| + |b|)² at the point of the box nearest to 0: what
-rounding may hide far out, where columns cancel, is no more than it may cost to stay.
+And in each connected component of A ½ Σ weights ρ² is at most 10⁻⁴ of ½ Σ weights (|A||x| + |b|)² at the point of the
+box nearest to 0: what rounding may hide far out, where columns cancel, is no more than it may cost to stay.
 All that is compared is in the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their
 squares) and columns change nothing but rounding. It cannot see what such a change of A decides: columns that depend on
 others up to rounding, where no bound stops them. For a LinearOperator, whose entries nobody knows, SOLVED means a small
@@ -97,7 +97,7 @@ class Optimality:
         duals = _dual_points(judged, dual)
         duals = _with_shrunk(enclosures, x, duals) if enclosures.problem.l1.any() else duals
         judged.value, judged.dual = _beside_cost(enclosures.problem, x, residual, duals, tolerance)
-        if enclosures.hides_costs(residual[1]):
+        if enclosures.hides_costs(residual):
             judged.value = 1.0
         return judged
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from ...core.checks import FloatVector, assembled
 from ...core.kernels.floats import EPSILON, TINY, UNIT
@@ -21,7 +23,7 @@ Ball = tuple[FloatVector, FloatVector]
 OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
 NOTHING = np.empty(0)
 SMALLEST_NORMAL = 2.0**-1022  # smaller products may vanish
-MOST_HIDDEN = 1e-4  # of what stands at the start
+MOST_HIDDEN, NOTHING_BESIDE = 1e-4, 1e-12  # of what stands at the start, and of the whole cost
 GRAM_UP_TO = 3000  # columns; AᵀWA is factorised
 
 
@@ -108,15 +110,34 @@ class Enclosures:
         return value, OUTWARD * (radius + 4.0 * EPSILON * (np.abs(value) + np.abs(added)) + TINY * (x != 0.0))
 
     @np.errstate(over="ignore", invalid="ignore")
-    def hides_costs(self, slip: FloatVector) -> bool:
-        """Return whether rounding by slip, shape (m,), costs much beside the terms of A x − b at the x nearest to 0."""
-        return not self.problem.weighted(slip) @ slip <= MOST_HIDDEN * self._terms_at_start
+    def hides_costs(self, residual: Ball) -> bool:
+        """Return whether rounding costs much beside the terms of A x − b at the x nearest to 0, in some component.
+
+        Rows of a connected component of A share columns: what stands in others says nothing of them. Rounding that is
+        nothing beside the whole cost hides none.
+        """
+        hidden, start = self.problem.weighted(residual[1]) * residual[1], self._terms_at_start
+        if (hidden <= MOST_HIDDEN * start).all():
+            return False  # in each row, which needs no components
+        of_hidden, of_start = (np.bincount(self._components, terms) for terms in (hidden, start))
+        sure = np.maximum(np.abs(residual[0]) - residual[1], 0.0)
+        whole = float(self.problem.weighted(sure) @ sure)
+        return not bool((of_hidden <= np.maximum(MOST_HIDDEN * of_start, NOTHING_BESIDE * whole) + TINY).all())
 
     @cached_property
-    def _terms_at_start(self) -> float:
+    def _terms_at_start(self) -> FloatVector:
+        """Of each row of A x − b, squared and weighted."""
         problem = self.problem
         terms = self._sums(problem.nearest_to_zero, NOTHING, by_rows=True)[1] + np.abs(problem.b)
-        return float(problem.weighted(terms) @ terms) + TINY
+        return np.asarray(problem.weighted(terms) * terms)
+
+    @cached_property
+    def _components(self) -> NDArray[np.int32]:
+        """The component of each row, shape (m,): rows and columns of A are joined by its entries."""
+        A, (m, n) = sp.coo_array(self.problem.A), self.problem.shape
+        joined = sp.csr_array((np.ones(A.nnz), (A.row, m + A.col)), shape=(m + n, m + n))
+        labels: NDArray[np.int32] = connected_components(joined, directed=False)[1]
+        return labels[:m]
 
     @cached_property
     def reference(self) -> tuple[float, float]:

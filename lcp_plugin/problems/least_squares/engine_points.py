@@ -151,7 +151,7 @@ def nonnegative_as_given(
             return None
         residual, of_A = A @ x - b, np.abs(A)
         rounding = (2 * x.size + 8) * UNIT * (of_A @ x + np.abs(b))
-        if not rounding.dot(rounding) <= MOST_HIDDEN * b.dot(b):
+        if not rounding.max(initial=0.0) ** 2 <= MOST_HIDDEN * np.square(b[b != 0.0]).min(initial=np.inf):
             return None
         value = _nonnegative_optimality(A, of_A, x, residual, 0.0)
         if value <= tolerance:

@@ -122,8 +122,8 @@ class Run:
         if point.dual is not None:
             if self._is_certified(point, point.dual):
                 return True
-            slip = self.enclosures.residual(self.problem.scaled.to_caller(point.x))[1]
-            if self.enclosures.hides_costs(slip):  # steps from there would stay there
+            residual = self.enclosures.residual(self.problem.scaled.to_caller(point.x))
+            if self.enclosures.hides_costs(residual):  # steps from there would stay there
                 return False
         scaled, size = point.steepness(self.enclosures.reference)
         if not self._smallest <= scaled:

@@ -19,6 +19,7 @@ from campaigns import least_squares as campaign
 from campaigns.least_squares import Case, Exact, complaint
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
@@ -811,6 +812,17 @@ def test_rounding_far_out_hides_no_cost(name: str) -> None:
     result = solve(BoundedLeastSquares(A, b, lower=-np.inf, **bounds))
     assert result.is_solved
     assert abs(result.cost - least) <= 1e-8
+
+
+@pytest.mark.parametrize("far", [1e8, 1e14, 1e19])
+@pytest.mark.parametrize("name", FAR)
+def test_no_large_row_elsewhere_excuses_rounding(name: str, far: float) -> None:
+    """A row and a column of their own, however large, say nothing of the others."""
+    A, b, bounds, least = FAR[name]
+    own = {"l1": 0.0, "upper": np.inf}
+    bounds = {key: np.append(np.broadcast_to(value, len(A[0])), own[key]) for key, value in bounds.items()}
+    result = solve(BoundedLeastSquares(block_diag(A, 1.0), [*b, far], lower=-np.inf, **bounds))
+    assert not result.is_solved or abs(result.cost - least) <= 1e-8
 
 
 def test_a_cost_is_that_of_its_x() -> None:

@@ -754,30 +754,32 @@ def cones(count: int = 60) -> Iterator[Input]:
         yield Input("cones", str(case), partial(state, case), solve, judge)
 
 
+def by_cones(problem: Any, result: Any) -> str:
+    """Judge impulses by the projections of r − ρ (u + μ ‖u_T‖ n) on the cones of friction."""
+    if not result.is_solved:
+        return OPEN
+    r, mu = result.z.reshape(-1, 3), np.broadcast_to(problem.friction, (result.z.size // 3,))
+    u = (problem.W @ result.z + problem.q).reshape(-1, 3)
+    rho = 1.0 / np.maximum(problem.W.diagonal().reshape(-1, 3).max(axis=1), 1e-300)
+    pushed = r - rho[:, None] * np.column_stack([u[:, 0] + mu * np.linalg.norm(u[:, 1:], axis=1), u[:, 1:]])
+    normal, tangent = pushed[:, 0], np.linalg.norm(pushed[:, 1:], axis=1)
+    is_inside, is_polar = tangent <= mu * normal, mu * tangent <= -normal
+    length = np.where(is_inside, normal, np.where(is_polar, 0.0, (normal + mu * tangent) / (1.0 + mu**2)))
+    share = np.where(is_inside, 1.0, np.divide(mu * length, tangent, out=np.zeros_like(tangent), where=tangent > 0))
+    nearest = np.column_stack([length, share[:, None] * pushed[:, 1:]])
+    return SOLVED if np.abs(r - nearest).max() <= LOOSE * max(np.abs(r).max(), 1e-12) else FALSE
+
+
 def published_contacts() -> Iterator[Input]:
-    """Contacts with friction of the Siconos collection, judged by the projections of r − ρ (u + μ ‖u_T‖ n)."""
+    """Contacts with friction of the Siconos collection."""
 
     def state(file: Path) -> FrictionalContact:
         with np.load(file) as f:
             W = sp.csr_array((f["data"], f["indices"], f["indptr"]), shape=tuple(f["shape"]))
             return FrictionalContact(W, f["q"], f["mu"])
 
-    def judge(problem: Any, result: Any) -> str:
-        if not result.is_solved:
-            return OPEN
-        r, mu = result.z.reshape(-1, 3), np.broadcast_to(problem.friction, (result.z.size // 3,))
-        u = (problem.W @ result.z + problem.q).reshape(-1, 3)
-        rho = 1.0 / np.maximum(problem.W.diagonal().reshape(-1, 3).max(axis=1), 1e-300)
-        pushed = r - rho[:, None] * np.column_stack([u[:, 0] + mu * np.linalg.norm(u[:, 1:], axis=1), u[:, 1:]])
-        normal, tangent = pushed[:, 0], np.linalg.norm(pushed[:, 1:], axis=1)
-        is_inside, is_polar = tangent <= mu * normal, mu * tangent <= -normal
-        length = np.where(is_inside, normal, np.where(is_polar, 0.0, (normal + mu * tangent) / (1.0 + mu**2)))
-        share = np.where(is_inside, 1.0, np.divide(mu * length, tangent, out=np.zeros_like(tangent), where=tangent > 0))
-        nearest = np.column_stack([length, share[:, None] * pushed[:, 1:]])
-        return SOLVED if np.abs(r - nearest).max() <= LOOSE * max(np.abs(r).max(), 1e-12) else FALSE
-
     for file in sorted(DATA.glob("fc3d_*.npz")):
-        yield Input("published contacts", file.stem, partial(state, file), solve, judge)
+        yield Input("published contacts", file.stem, partial(state, file), solve, by_cones)
 
 
 def piles() -> Iterator[Input]:
@@ -823,7 +825,6 @@ def moving_piles(count: int = 30, steps: int = 90, every: int = 3) -> Iterator[I
     """Steps of spheres poured into a box, each from the impulses before, judged by its projections."""
     from benchmarks.cones import Pile
 
-    judge = next(published_contacts()).judge
     pile, kept = Pile(count), dict[Any, Any]()
     for step in range(steps):
         problem, rows, pairs = pile.contacts()
@@ -833,7 +834,7 @@ def moving_piles(count: int = 30, steps: int = 90, every: int = 3) -> Iterator[I
         pile.move(rows, result.z)
         if step % every == 0:
             yield Input("piles in time", str(step), partial(deepcopy, problem),
-                        lambda problem, start=start: solve(problem, z0=start), judge)
+                        lambda problem, start=start: solve(problem, z0=start), by_cones)
 
 
 def nonlinear(count: int = 30) -> Iterator[Input]:

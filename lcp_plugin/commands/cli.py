@@ -297,7 +297,7 @@ def report(
     ] = Path("report"),
     quick: Annotated[bool, typer.Option("--quick", help="Small problems: about a minute.")] = False,
 ) -> bool:
-    """Write one page on error against time and stability; after Ctrl-C of what there is."""
+    """Write one page on error against time; after Ctrl-C of what there is."""
     from ..evidence.drawing import require_matplotlib
     from ..evidence.report.page import collect, plan, require_jinja, write_report
     from ..gallery import Scene

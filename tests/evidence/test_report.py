@@ -30,7 +30,6 @@ from lcp_plugin.evidence.report.page import (
     plan,
     write_report,
 )
-from lcp_plugin.evidence.stability import stability_atlas
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 TINY = ["half_active:n=64", "paper_example_1:n=64", "obstacle_bumps:size=9", "market_equilibrium:goods=4,activities=4"]
@@ -43,8 +42,6 @@ def collected() -> Collected:
     parts = plan(TINY, quick=True)
     for part in parts:
         found.contents[part.kind, part.name] = part.compute(lambda text: None)
-    atlas = stability_atlas(["psor", "npsor"], ["far starts", "ranges"], quick=True)
-    found.contents["atlas", "far starts"] = atlas
     return found
 
 
@@ -65,7 +62,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
     page = (folder / "index.html").read_text(encoding="utf-8")
     fetched = re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page)
     assert fetched == []
-    assert page.count("<svg") == 2 * len(TINY) + 1
+    assert page.count("<svg") == 2 * len(TINY)
     ids = re.findall(r'\bid="([^"]*)"', page)
     assert len(ids) == len(set(ids))
     references = set(re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', page))
@@ -76,7 +73,7 @@ def test_page_needs_no_other_file(folder: Path) -> None:
 def test_page_says_everything(folder: Path, collected: Collected) -> None:
     """Each section stands there, with every scene, its axis, and why something was left out."""
     page = html.unescape((folder / "index.html").read_text(encoding="utf-8"))
-    for anchor in ("scenes", "stability", "reading", "machine"):
+    for anchor in ("scenes", "reading", "machine"):
         assert f'id="{anchor}"' in page
     for name, report in collected.of("scene").items():
         assert name in page
@@ -88,9 +85,9 @@ def test_page_says_everything(folder: Path, collected: Collected) -> None:
 def test_tables_lie_beside_the_page(folder: Path) -> None:
     """The figures are there as CSV and JSON too."""
     names = {path.name for path in folder.iterdir()}
-    assert names >= {"index.html", "report.json", "curves.csv", "left_out.csv", "stability.csv"}
+    assert names >= {"index.html", "report.json", "curves.csv", "left_out.csv"}
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert {part["kind"] for part in content["parts"]} == {"scene", "atlas"}
+    assert {part["kind"] for part in content["parts"]} == {"scene"}
 
 
 HARNESS = """<!DOCTYPE html><meta charset="utf-8"><link rel="icon" href="data:,"><body><script>
@@ -180,20 +177,8 @@ def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> Non
         assert found[width]["cut"] == [], "\n".join(found[width]["cut"])
         assert found[width]["fetched"] == []
         assert found[width]["width"] <= int(width)
-        assert found[width]["figures"] == 2 * len(TINY) + 1
+        assert found[width]["figures"] == 2 * len(TINY)
         assert found[width]["empty"] == 0
-
-
-@pytest.mark.full
-def test_hidden_errors_are_told(tmp_path: Path) -> None:
-    """SOLVED speaks of the residual: where the exact answer is far off, the page says so, cell by cell."""
-    atlas = stability_atlas(["newton"], ["stiffness"], quick=True)
-    assert atlas.misleading
-    write_report(Collected({("atlas", "stiffness"): atlas}), tmp_path, is_quick=False)
-    page = html.unescape((tmp_path / "index.html").read_text(encoding="utf-8"))
-    assert f"error above a thousandth ({len(atlas.misleading)})" in page
-    for cell in atlas.misleading:
-        assert page.count(cell.stress) >= 1
 
 
 # --- The plan -------------------------------------------------------------------------------------------------

@@ -23,11 +23,13 @@ from ..core.matrix.structure import row_numbers
 from .engine import Multipliers, Point, Statement
 
 STEPS = 5
-SHIFT = 2.0**-26  # δ beside the largest entry of its row: √ε
+SHIFTS = 2.0**-26, 2.0**-50  # δ beside the largest entry of its row: √ε, and where P is nearly singular
 
 
 def polished(program: Statement, point: Point) -> Iterator[Point]:
-    """Yield the point after the step, one of Newton's on min(multiplier, slack) = 0; none where a system is singular.
+    """Yield the point after the step, one of Newton's on min(multiplier, slack) = 0, and after it with a smaller δ.
+
+    None where a system is singular.
 
     Parameters
     ----------
@@ -41,7 +43,7 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
     >>> none = np.zeros((0, 1)), np.zeros(0)
     >>> program = Statement(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
     >>> near = Multipliers(np.zeros(0), np.zeros(0), np.zeros(1), np.array([0.9]))
-    >>> (found,) = polished(program, Point(np.array([1.99]), near, 0, None))
+    >>> found, _ = polished(program, Point(np.array([1.99]), near, 0, None))
     >>> found.x, found.multipliers.upper
     (array([2.]), array([1.]))
     """
@@ -53,23 +55,24 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
     at_lower = (-pull > x - lower) & ~at_upper | (lower == upper)
     acts = np.append(y[:m] > np.abs(right[:m] - program.G @ x), np.ones(right.size - m, np.bool_))
     free, transposed = ~(at_lower | at_upper), rows.T
-    if (solve := _solver(_block(program.P, free, free), _block(rows, acts, free))) is None:
-        return
-    moved = np.count_nonzero(free)
+    moved, blocks = np.count_nonzero(free), (block(program.P, free, free), block(rows, acts, free))
     x, y = np.where(at_lower, lower, np.where(at_upper, upper, x)), np.where(acts, y, 0.0)
-    for _ in range(STEPS):
-        gradient = program.P @ x + program.c + transposed @ y
-        step = solve(np.concatenate([-gradient[free], (right - rows @ x)[acts]]))
-        if not np.isfinite(step).all():
+    for shift in SHIFTS:
+        if (solve := shifted_solver(*blocks, shift)) is None:
             return
-        x[free] += step[:moved]
-        y[acts] += step[moved:]
-    # Multipliers of bounds take what the gradient leaves there.
-    x, y = np.clip(x, lower, upper), np.append(np.maximum(y[:m], 0.0), y[m:])
-    gradient = program.P @ x + program.c + transposed @ y
-    below = np.where(x == program.lower, np.maximum(gradient, 0.0), 0.0)
-    above = np.where(x == program.upper, np.maximum(-gradient, 0.0), 0.0)
-    yield point._replace(x=x, multipliers=Multipliers(y[:m], y[m:], below, above))
+        for _ in range(STEPS):
+            gradient = program.P @ x + program.c + transposed @ y
+            step = solve(np.concatenate([-gradient[free], (right - rows @ x)[acts]]))
+            if not np.isfinite(step).all():
+                return
+            x[free] += step[:moved]
+            y[acts] += step[moved:]
+        # Multipliers of bounds take what the gradient leaves there.
+        near, of_rows = np.clip(x, lower, upper), np.append(np.maximum(y[:m], 0.0), y[m:])
+        gradient = program.P @ near + program.c + transposed @ of_rows
+        below = np.where(near == program.lower, np.maximum(gradient, 0.0), 0.0)
+        above = np.where(near == program.upper, np.maximum(-gradient, 0.0), 0.0)
+        yield point._replace(x=near, multipliers=Multipliers(of_rows[:m], of_rows[m:], below, above))
 
 
 def _stacked(G: Any, A: Any) -> Any:
@@ -82,7 +85,7 @@ def _stacked(G: Any, A: Any) -> Any:
     return assembled(entries, places, np.append(G.indptr, G.nnz + A.indptr[1:]), (G.shape[0] + A.shape[0], A.shape[1]))
 
 
-def _block(A: Any, is_row: BoolVector, is_column: BoolVector) -> Any:
+def block(A: Any, is_row: BoolVector, is_column: BoolVector) -> Any:
     """Return some rows and columns."""
     if not sp.issparse(A):
         return A[is_row][:, is_column]
@@ -93,8 +96,11 @@ def _block(A: Any, is_row: BoolVector, is_column: BoolVector) -> Any:
     return assembled(A.data[kept], number[A.indices[kept]], np.append(0, np.cumsum(counts)), shape)
 
 
-def _solver(P: Any, C: Any) -> Callable[[FloatVector], FloatVector] | None:
-    """Return what solves with the matrix above, by LDLᵀ where it is sparse; None where no factor is found."""
+def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], FloatVector] | None:
+    """Return what solves with the matrix above, by LDLᵀ where it is sparse; None where no factor is found.
+
+    δ is `shift` times the largest entry of its row.
+    """
     m, n = C.shape
     if m + n == 0:
         return np.copy
@@ -104,7 +110,7 @@ def _solver(P: Any, C: Any) -> Callable[[FloatVector], FloatVector] | None:
 
         K = np.block([[P, C.T], [C, np.zeros((m, m))]])
         size = np.abs(K).max(axis=0)
-        factor, pivots, info = lapack.dgetrf(K + np.diag(SHIFT * signs * np.where(size > 0.0, size, 1.0)))
+        factor, pivots, info = lapack.dgetrf(K + np.diag(shift * signs * np.where(size > 0.0, size, 1.0)))
         return None if info else lambda right: lapack.dgetrs(factor, pivots, right)[0]
     import qdldl
 
@@ -115,7 +121,7 @@ def _solver(P: Any, C: Any) -> Callable[[FloatVector], FloatVector] | None:
     # Columns of the upper triangle are rows of the lower one, those of P and of C, each with its diagonal entry last.
     below = columns < rows_of_P
     ends = np.append(np.cumsum(np.append(0, below))[begins[1:]], np.count_nonzero(below) + C.indptr[1:])
-    diagonal = np.append(P.diagonal(), np.zeros(m)) + SHIFT * signs * np.where(size > 0.0, size, 1.0)
+    diagonal = np.append(P.diagonal(), np.zeros(m)) + shift * signs * np.where(size > 0.0, size, 1.0)
     upper = sp.csc_matrix((
         np.insert(np.append(entries[below], C.data), ends, diagonal),
         np.insert(np.append(columns[below], C.indices), ends, np.arange(n + m)),

@@ -422,6 +422,10 @@ MECHANISMS = (
     Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
               {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, np.zeros(1)))},
               "problems/programs/criterion.py:Acting"),
+    Mechanism("Newton's falls", "what is SOLVED costs no more than where Newton's steps lead",
+              {f"{PROGRAMS}.newton_falls:newton_fall": says(0.0)}, "problems/programs/newton_falls.py",
+              "problems/programs/test_criterion.py::"
+              "test_what_is_solved_of_a_nearly_singular_curvature_is_right"),
     Mechanism("folded rows", "rows with one entry become bounds",
               {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)}),
     Mechanism("defined variables", "what an equation alone defines is put in before a run",

@@ -214,7 +214,7 @@ def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
     )
     rough = run_engine(program, engine_class("daqp")(), 1e-9).solution
     multipliers = Multipliers(rough.inequality, rough.equality, rough.lower, rough.upper)
-    (found,) = polished(statement, Point(x + 1e-4, multipliers, 0, Hint.GAVE_UP))
+    found, _ = polished(statement, Point(x + 1e-4, multipliers, 0, Hint.GAVE_UP))
     assert np.abs(found.x - x).max() <= 1e-12
 
 

@@ -91,7 +91,7 @@ class ProgramBatchRun(BatchLoop):
             errors = measured(
                 Terms.of_dense(P, C, self.x[items], y), c, d, m, lower, upper, self.x[items], y, *of_bounds
             )
-            is_solved = np.isfinite(x).all(axis=1) & errors.meet(program_goal(self.settings.tolerance))
+            is_solved = np.isfinite(x).all(axis=1) & errors.decide(program_goal(self.settings.tolerance))
         self.is_open[items] = ~is_solved
         self.status[np.flatnonzero(is_solved) + items.start] = Status.SOLVED
         self.residual[items] = np.where(is_solved, errors.largest, np.nan)

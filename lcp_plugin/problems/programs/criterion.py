@@ -10,8 +10,8 @@ included:
   bounds' multipliers), or beside ω times the smallest |b_k u_k| / u_j of unknowns off their bounds, b_k the largest
   of |c_k| and |p_kl x_l|, where that is larger; a multiplier of a wrong sign beside the same without ω, divided by the
   largest coefficient of its row.
-- **gap**: Σ |y_i (d_i − c_i x)| over rows and bounds + Σ |x_j left_j| + the rounding of xᵀP x, beside
-  Σ |c_j x_j| + |xᵀP x|.
+- **gap**: Σ |y_i (d_i − c_i x)| over rows and bounds + Σ |x_j left_j| + the rounding of xᵀP x, or where that is larger
+  what Newton's steps from x lower the objective by, beside Σ |c_j x_j| + |xᵀP x|.
 
 Of units u of the unknowns there are two, the caller's and fitted ones: the smaller size counts.
 
@@ -35,6 +35,7 @@ from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...core.rounding import compensated_product
+from .newton_falls import newton_fall
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -45,7 +46,8 @@ SHARE = 0.1  # of a larger tolerance
 SURE = 1e-3  # of what is called optimal: no exact proof that there is no minimum beats an answer within that
 STRICT = 1e3  # times a tolerance below 1e-9: what is asked of a program's own residuals
 ACTS = 1e-6  # ω
-NO_EXCUSE = 1e-9  # measures beside own terms that need no other size
+NO_EXCUSE = 1e-9  # measures beside own terms that need no other size, and nothing falls beside which
+NEARLY = 1e-3  # measures beyond that are not even inaccurately optimal
 LEAST_OBJECTIVE = 2.0**-900  # beside which what underflows is nothing
 SMALLEST = 2.0**-1074  # added to sizes: an error beside 0 is beyond every goal, and 0 stays 0
 total, most = np.add.reduce, np.maximum.reduce  # what an array's methods come to, of small arrays in half the time
@@ -61,6 +63,13 @@ class Errors(NamedTuple):
     def meet(self, goal: float) -> Any:
         """Return whether all are small: the criterion, of everybody who calls a program optimal."""
         return (self.primal <= constraint_tolerance(goal)) & (self.dual <= goal) & (self.gap <= goal)
+
+    def decide(self, goal: float) -> Any:
+        """Return whether measures beside own terms are so small that what acts, and Newton's steps, change nothing.
+
+        With a rest γ of the gradient along a direction of curvature κ the objective falls by γ²/2κ.
+        """
+        return self.meet(goal) & (self.largest <= NO_EXCUSE)
 
     def are_sure(self, goal: float) -> bool:
         """Return whether they meet the goal so well that no exact proof of the contrary may beat them."""
@@ -97,9 +106,14 @@ class Errors(NamedTuple):
         with np.errstate(all="ignore"):
             terms = Terms.of(program, x, split[0])
             acting = None if is_beside_own else Acting.of(program, terms, x, split)
-            return cls.of_numbers(
+            found = cls.of_numbers(
                 measured(terms, program.c, limits, m, program.lower, program.upper, x, *split, acting, program.P)
             )
+            if is_beside_own or not (program.matrices.has_curvature and found.largest <= NEARLY):
+                return found
+            fall = newton_fall(program, x, *split, rounding_of_gradient(terms, program.c))
+            objective = float(np.abs(program.c) @ np.abs(x)) + abs(float(x @ terms.product))
+            return found._replace(gap=max(found.gap, fall / (objective + SMALLEST)))
 
     @classmethod
     def above(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
@@ -156,6 +170,16 @@ class Errors(NamedTuple):
     def of_numbers(cls, found: Errors) -> Errors:
         """Return those of one program as floats: what is no number is beyond every goal."""
         return cls(*(math.inf if math.isnan(one) else float(one) for one in found))
+
+
+def rounding_of_gradient(terms: Terms, c: FloatVector) -> FloatVector:
+    """Return what rounding may be of each component of P x + c + Cᵀy."""
+    return np.asarray(_rounding(terms) * (terms.product_size + terms.pull_size + np.abs(c)))
+
+
+def _rounding(terms: Terms) -> float:
+    """Return that of a sum of so many terms, beside the sum of their sizes."""
+    return 2.0 * (terms.summands + 4) * EPSILON
 
 
 BEYOND = Errors(math.inf, math.inf, math.inf)
@@ -326,7 +350,7 @@ def measured(
         Of one program: P x is computed again, exactly, where its rounding might hide a cost. Without it that counts
         in full.
     """
-    rounding = 2.0 * (terms.summands + 4) * EPSILON
+    rounding = _rounding(terms)
     value, row_size, size = terms.value, terms.size, terms.largest
     wrong = np.minimum(y[..., :m], 0.0)
     known = np.isfinite(d)

@@ -107,7 +107,7 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | Point
 
     Most small programs end here, in half the time that others take to begin. None where it is not asked.
     """
-    is_asked = program.n and program.matrices.is_judged_by_sums
+    is_asked = program.matrices.is_small and program.matrices.is_judged_by_sums
     engine = next(engines_for(program), None) if is_asked else None
     if engine is None or not engine.ends_with_a_case or program.matrices.negative_curvature:
         return None
@@ -121,7 +121,7 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | Point
             if not (are_finite(x) and are_finite(y)):
                 break
             errors = measure(program, x, y)
-            if errors.meet(goal) and errors.are_sure(goal):
+            if errors.decide(goal) and errors.are_sure(goal):
                 stage = StageRecord(engine.name, engine.solves, point.iterations, 0.0)
                 return EngineRun(QPSolution.of_rows(program, x, y), point.says, stage, True, False, True)
     return point

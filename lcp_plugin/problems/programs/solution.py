@@ -157,14 +157,14 @@ class QPSolution:
         """
         if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
-        return bool(self.own_errors.meet(float(tolerance)) or self._errors.meet(float(tolerance)))
+        return bool(self.own_errors.decide(float(tolerance)) or self._errors.meet(float(tolerance)))
 
     def is_minimal(self, tolerance: float = 1e-6, *, is_beside_own: bool = False) -> bool:
         """Return whether x is stationary, and no negative curvature acts at it: what SOLVED says of a program.
 
         Or whether a quicker look says so already, beside the own terms of rows and columns alone.
         """
-        is_met = bool(self.own_errors.meet(tolerance)) if is_beside_own else self.is_stationary(tolerance)
+        is_met = bool(self.own_errors.decide(tolerance)) if is_beside_own else self.is_stationary(tolerance)
         return is_met and not bends(self.program, self.x, tolerance)
 
     def is_sure(self, tolerance: float = 1e-6) -> bool:

@@ -610,6 +610,15 @@ def test_a_full_program_gives_a_full_matrix() -> None:
         assert np.array_equal(problem.csr.toarray(), expected)
 
 
+def test_a_linear_program_under_a_limit_of_seconds_is_refuted() -> None:
+    """Few rows, but too many unknowns for an active set: Σ x = 1 and x₀ = 2 contradict each other."""
+    rows = sp.csr_array(np.vstack([np.ones(240), np.eye(1, 240)]))
+    program = QuadraticProgram(None, np.arange(1.0, 241.0), A=rows, b=[1.0, 2.0], lower=0.0)
+    result = solve(program, max_seconds=60.0)
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.verify()
+
+
 NONCONVEX = {
     "concave": (-np.eye(2), "smallest eigenvalue of P is -1"),
     "a saddle": ([[1.0, 2.0], [2.0, 1.0]], "smallest eigenvalue of P is -1"),

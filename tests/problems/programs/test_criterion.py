@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import qpsolvers
 import scipy.sparse as sp
+from campaigns.outliers import ExactProgram, exact
+from numpy.random import Generator
 
 from lcp_plugin import QPSolver, QuadraticProgram, QuadraticProgramBatch, Status, solve, solve_batch
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
@@ -180,3 +182,80 @@ def test_an_objective_is_right_where_its_terms_cancel() -> None:
         assert QuadraticProgram(form, c).objective(x) == pytest.approx(float(linear + curved), rel=1e-12)
     batch = solve_batch([QuadraticProgram(P, cost, lower=-1e10, upper=1e10) for cost in (c, 2.0 * c)])
     assert batch.objective == pytest.approx([one.objective for one in batch], rel=1e-12)
+
+
+# --- A cost along a direction in which P is nearly singular, beside products that cancel -----------------------------
+
+
+def wrong_by(data: tuple[Any, ...], x: Any) -> float:
+    """By how much ½ xᵀP x + cᵀx misses the least value beside Σ |c_j x_j| + |xᵀP x|, by all cases in fractions."""
+    P, c, G, h = data
+    n, point = len(c), exact(x)
+    program = ExactProgram(P, c, G, h, np.zeros((0, n)), [], [-np.inf] * n, [np.inf] * n)
+    linear = sum(cost * value for cost, value in zip(program.c, point, strict=True))
+    size = sum(abs(cost * value) for cost, value in zip(program.c, point, strict=True))
+    size += abs(2 * (program.value(point) - linear))
+    least = program.optimum()
+    assert least is not None
+    off = abs(program.value(point) - program.value(least))
+    return float(off / size) if size else float(off > 0)
+
+
+NEARLY_SINGULAR = (
+    np.array([[1.000000000001, 0, -3], [0, 1e-12, 0], [-3, 0, 9.000000000001]]), [0.30000000000000004, -2, -4e-6],
+    [[0.0, -2, -2], [1, 0, 1]], [4002.0, -999],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
+@pytest.mark.parametrize("algorithm", ["auto", "daqp", "piqp", "clarabel"])
+def test_products_that_cancel_hide_no_cost(algorithm: str, kind: Any) -> None:
+    """c₁ is all that is left of its component, 7e-8 of its terms, and 2 % of the objective: it is SOLVED beyond."""
+    P, c, G, h = NEARLY_SINGULAR
+    result = solve(QuadraticProgram(kind(P), c, kind(G), h), algorithm)
+    assert result.is_solved
+    assert wrong_by(NEARLY_SINGULAR, result.x) <= 1e-6
+
+
+def test_products_that_cancel_hide_no_cost_in_a_batch() -> None:
+    """Each of a batch is judged as by itself."""
+    P, c, G, h = NEARLY_SINGULAR
+    for answer in solve_batch([QuadraticProgram(P, c, G, h), QuadraticProgram(P, c, G, np.multiply(h, 2.0))]):
+        assert wrong_by((P, c, G, answer.program.h), answer.x) <= 1e-6 or not answer.is_solved
+
+
+def nearly_singular(rng: Generator) -> tuple[Any, ...]:
+    """P of integers, of low rank, and 1e-6 to 1e-13 on its diagonal; costs of several sizes; far rows."""
+    n, m, least = int(rng.integers(2, 5)), int(rng.integers(0, 4)), 10.0 ** -rng.integers(6, 14)
+    B = rng.integers(-3, 4, (int(rng.integers(1, n)), n)) * (rng.random((1, n)) < 0.7)
+    P = B.T @ B + np.diag(least * 10.0 ** rng.integers(-2, 3, n) ** (rng.random() < 0.5))
+    c = rng.integers(-3, 4, n) * 10.0 ** rng.integers(-6, 2, n) + 0.1 * 3 * (rng.random() < 0.3)
+    return P, c, rng.integers(-2, 3, (m, n)).astype(float), rng.integers(-3, 4, m) * 10.0 ** rng.integers(0, 7, m)
+
+
+def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
+    """A nearly singular P in any basis, and an unknown that has nearly all of the objective."""
+    n, least = int(rng.integers(2, 4)), 10.0 ** -rng.uniform(6, 13)
+    basis = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    sizes = np.where(rng.random(n) < 0.5, 1.0, least)
+    sizes[0], sizes[-1] = 1.0, least
+    P = np.diag(np.append(np.zeros(n), 10.0 ** rng.uniform(-13, 0)))
+    P[:n, :n] = basis @ np.diag(sizes) @ basis.T
+    P = 0.5 * (P + P.T) + least * np.diag(np.append(np.ones(n), 0.0))
+    c, m = np.append(basis @ 10.0 ** rng.uniform(-8, 1, n), -(10.0 ** rng.uniform(-3, 3))), int(rng.integers(0, 3))
+    return P, c, rng.integers(-2, 3, (m, n + 1)).astype(float), abs(rng.normal(size=m)) * 10.0 ** rng.integers(0, 12, m)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-9, 1e-12])
+@pytest.mark.parametrize("draw", [nearly_singular, beside_a_large_part])
+def test_what_is_solved_of_a_nearly_singular_curvature_is_right(
+    draw: Callable[[Generator], Any], tolerance: float, draws: Callable[[int], range]
+) -> None:
+    """The objective is right to ten times the goal wherever SOLVED is said, and it is in most draws."""
+    rng, results = np.random.default_rng(3), []
+    for _ in draws(1000):
+        data = draw(rng)
+        results.append(solve(QuadraticProgram(*data), tolerance=tolerance))
+        if results[-1].is_solved:
+            assert wrong_by(data, results[-1].x) <= 10.0 * program_goal(tolerance), data
+    assert sum(result.is_solved for result in results) >= 0.6 * len(results)

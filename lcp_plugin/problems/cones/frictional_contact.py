@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, checked_vector, read_only, real_array, rectangular_matrix
+from ...core.checks import FloatVector, checked_vector, read_only, real_array, rectangular_matrix, restored
 from ...core.errors import InvalidProblem, LCPError
 from ...core.kind import Kind
 from ...core.lcp import LCP
@@ -267,6 +267,8 @@ class FrictionalContactBatch:
 
         arrays = {"W": self.W, "b": self.b, "mu": self.friction, "contacts": self.contacts}
         save_arrays(path, {**arrays, "dimension": np.array(self.dimension)}, "a batch of contact problems")
+
+    __setstate__ = restored
 
     def __len__(self) -> int:
         return len(self.b)

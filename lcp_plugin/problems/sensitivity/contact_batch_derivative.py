@@ -13,6 +13,7 @@ from ...core.checks import BoolVector, read_only
 from ...core.kind import changes_by_name
 from ...core.lcp import LCP
 from ...core.matrix.matrix import residual_scales
+from ...core.rounding import fresh_copies
 from ...systems.least_norm import FreeBlocks, products, solved
 from ..batches.contact_batch import ContactBatchResult
 from ..cones.data import Blocks
@@ -86,7 +87,7 @@ class _Together(ConeDerivative):
         problem, (count, n), d = self.problem, self.shape, self.problem.d
         by_z = np.empty((problem.slope.size, d, d))
         self._by_w = np.empty_like(by_z)
-        derivatives(*problem.arrays, *map(read_only, (z, w, problem.scale)), by_z, self._by_w)
+        derivatives(*problem.arrays, *fresh_copies(z, w, problem.scale), by_z, self._by_w)
         self._is_free = np.repeat(self._by_w.any(axis=(1, 2)), d)
         by_w = self._by_w.reshape(count, n // d, d, d)
         self._J = np.matmul(by_w, problem.W.reshape(count, n // d, d, n)).reshape(count, n, n)

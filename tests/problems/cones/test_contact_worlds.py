@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from lcp_plugin import (
     InvalidOption,
     InvalidProblem,
     Status,
+    derivative,
     solve,
     solve_batch,
 )
@@ -29,6 +31,7 @@ def never_one_by_one(*_: Any, **__: Any) -> Any:
     raise AssertionError("solved by itself")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("is_warm", [False, True])
 def test_worlds_are_answered_as_each_by_itself(is_warm: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bits of solve, on any number of threads, no item by itself; residuals hold with 60 digits."""
@@ -161,3 +164,20 @@ def test_worlds_are_taken_one_by_one(index: Any) -> None:
     worlds: Any = FrictionalContact(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
     with pytest.raises(TypeError, match=r"worlds\[i\], i a whole number"):
         worlds[index]
+
+
+def test_unpickled_worlds_compile_nothing_again() -> None:
+    """Their arrays are read-only as before, and one contact and many are differentiated by the same kernel."""
+    from lcp_plugin.problems.cones.kernels import derivatives
+    from lcp_plugin.problems.cones.small_kernels import solve_each
+
+    def compiled() -> tuple[int, int]:
+        return len(solve_each.signatures), len(derivatives.signatures)
+
+    worlds = FrictionalContact(np.stack([np.eye(3)] * 2), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5)
+    solve_batch([*worlds])
+    derivative(solve(worlds[0])).vjp(np.ones(3))
+    before = compiled()
+    for each in (worlds, pickle.loads(pickle.dumps(worlds))):
+        derivative(solve_batch(each)).vjp(np.ones((2, 3)))
+    assert compiled() == before

@@ -4,10 +4,10 @@
     python -m pytest --full -n 2    everything
 
 In the full suite alone run tests with the mark ``full``: benchmarks, the report's page, the atlas, the collection,
-examples, faults, and whatever takes seconds. Of a parametrised test with the mark ``sampled`` the quick suite runs as
-few rows as touch every value of every parameter once, or with ``sampled(k)`` k rows in even steps. What is left out is
-deselected, not skipped. A test that draws its problems from a campaign has the fixture ``draws``: a quarter of them in
-the quick suite. A test that is named on the command line, as in
+examples, faults, and whatever takes seconds. Of a parametrised test the quick suite runs four rows in even steps, with
+the mark ``sampled(k)`` k, and with ``sampled`` as few as touch every value of every parameter once. What is left out
+is deselected, not skipped. A test that draws its problems from a campaign has the fixture ``draws``:
+an eighth of them in the quick suite. A test that is named on the command line, as in
 ``tests/methods/newton/test_newton.py::test_x``, always runs.
 
 Hypothesis: nothing is drawn by chance, so that a suite that passed passes again; random draws are for
@@ -19,12 +19,14 @@ BLAS gets one thread where the environment names no number: several processes of
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -32,7 +34,9 @@ from hypothesis import HealthCheck, settings
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy is loaded; processes that tests begin inherit it
 
 # profile: examples in the quick suite, in the full one
-EXAMPLES = {"few": (5, 30), "default": (15, 80), "many": (40, 150)}
+EXAMPLES = {"few": (4, 30), "default": (8, 80), "many": (20, 150)}
+ROWS = 4  # of a parametrised test in the quick suite
+WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -56,19 +60,48 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def draws(pytestconfig: pytest.Config) -> Callable[[int], range]:
-    """So many problems of a campaign are drawn in the full suite, a quarter of them in the quick one."""
+    """So many problems of a campaign are drawn in the full suite, an eighth of them in the quick one."""
     is_full = bool(pytestconfig.getoption("--full"))
-    return lambda count: range(count if is_full else count // 4)
+    return lambda count: range(count if is_full else count // 8)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Let the command compile what is not compiled yet before workers begin a whole suite: each would, by itself."""
+    """Let the command compile what is not compiled yet while workers collect a whole suite."""
     config = session.config
     has_workers = config.getoption("numprocesses", None) and not hasattr(config, "workerinput")
     if has_workers and not config.getoption("file_or_dir"):
         print("kernels are compiled where none are kept", flush=True)
-        subprocess.run([sys.executable, "-m", "lcp_plugin", "warm-up"], check=False, stdout=subprocess.DEVNULL)
+        config.stash[WARM_UP] = subprocess.Popen(
+            [sys.executable, "-m", "lcp_plugin", "warm-up"], stdout=subprocess.DEVNULL
+        )
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Let no worker begin before kernels are compiled: each would, by itself."""
+    if WARM_UP in node.config.stash:
+        node.config.stash[WARM_UP].wait()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each worker files that lie side by side, which share what they load; who is done early takes from others."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.getoption("dist") == "load" else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Look for no garbage while tests are collected, which takes a quarter of the time, and rarely after."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.set_threshold(10_000)
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -78,18 +111,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     rows = defaultdict(list)
     for item in items:
         if not item.get_closest_marker("full"):
-            rows[item.nodeid.partition("[")[0] if item.get_closest_marker("sampled") else item.nodeid].append(item)
-    chosen = {item for tests in rows.values() for item in (tests if len(tests) == 1 else sample(tests))}
+            rows[item.nodeid.partition("[")[0]].append(item)
+    chosen = {item for tests in rows.values() for item in sample(tests)}
     config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
     items[:] = [item for item in items if item in chosen]
 
 
 def sample(rows: list[pytest.Item]) -> list[pytest.Item]:
-    """Return those rows of a parametrised test that the quick suite runs."""
+    """Return those rows of a test that the quick suite runs."""
     mark = rows[0].get_closest_marker("sampled")
-    assert mark is not None
-    if mark.args:
-        count = min(mark.args[0], len(rows))
+    if mark is None or mark.args:
+        count = min(mark.args[0] if mark else ROWS, len(rows))
         return [rows[k * len(rows) // count] for k in range(count)]
     # A value of one parameter is the same object in all rows.
     values = {row: {(name, id(value)) for name, value in row.callspec.params.items()} for row in rows}

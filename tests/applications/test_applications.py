@@ -30,9 +30,6 @@ from .table import (
     written,
 )
 
-SUBPACKAGES = ("newton", "multigrid", "interior_point", "lemke", "banded", "small", "direct", "search",
-               "programs", "proofs", "equilibria", "contact", "reformulations")  # fmt: skip
-
 
 def worse(*, full: bool, name: str, everything: bool = False) -> list[str]:
     """Measure one application, or what the table has of it; return its rows that became worse, with what to do."""
@@ -52,6 +49,7 @@ def rewriting(full: bool, name: str) -> str:
     return f"to write the table anew, and to say why: python tests/applications {name}{' --full' * full}"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", entries())
 def test_small_applications_cost_no_more_than_the_table_says(name: str, pytestconfig: pytest.Config) -> None:
     """Status, counted work and error of auto in all units and of the best named methods.
@@ -83,6 +81,7 @@ def test_every_application_has_its_rows(full: bool) -> None:
     assert len(entries()) >= 40
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", entries())
 def test_every_application_has_a_source(name: str) -> None:
     """The docstring says what it is and where that stands."""
@@ -177,6 +176,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, str(Path(__file__).parent), *arguments], capture_output=True, text=True)
 
 
+@pytest.mark.full
 def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
     """Nothing changed since the table was written: a summary alone, and with --dry-run the file stays as it is."""
     file = path_of(full=False)
@@ -188,6 +188,7 @@ def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
     assert file.read_bytes() == before
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("arguments", "told"), [("papr", "unknown application 'papr'.*paper"), ("--against none", "no table in none")]
 )

@@ -52,7 +52,6 @@ def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedPro
 # --- solve -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(8)
 @pytest.mark.parametrize("scene", SMALL_SCENES)
 def test_scene_is_solved(scene: str) -> None:
     """Every scene is solved at the default settings: exit code 0, and the story names scene, size and status."""
@@ -78,7 +77,6 @@ def test_file_is_solved(path: str) -> None:
     assert "psor: " in done.stdout
 
 
-@pytest.mark.sampled(6)
 @pytest.mark.parametrize("name", REGISTRY)
 def test_every_algorithm_can_be_named(name: str) -> None:
     """Each registered algorithm runs from the command line and is named in the story."""
@@ -509,6 +507,7 @@ def test_exit_codes_are_documented() -> None:
 # --- as a process ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_version() -> None:
     """``python -m lcp_plugin --version`` prints name and version."""
     done = in_a_process("--version")

@@ -74,6 +74,7 @@ def rows(path: str = "study.csv") -> list[dict[str, str]]:
 # --- Own names, wherever a name is taken ----------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("module", ["mine.py", "mine"])
 def test_a_module_in_the_current_folder_is_found(module: str) -> None:
     """solve, check, analyze and report take ``module:function`` and ``module:Class``, with options and parameters."""
@@ -170,6 +171,7 @@ def test_a_study_file_says_the_same_and_options_go_before_it(here: Path) -> None
     assert ": 1 row\n" in run("study", "s.toml", "-a", "pgs", "--size", "9").output
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -261,7 +261,6 @@ def test_components_are_brought_to_like_references_by_powers_of_two() -> None:
 # --- The campaign ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
 @pytest.mark.parametrize("first", range(len(campaign.ASKED)))
 def test_the_campaign_finds_nothing(first: int) -> None:
     """Some of its problems, asked in every way; see campaigns/components.py."""

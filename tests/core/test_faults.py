@@ -188,6 +188,7 @@ KEEPS_THE_IMPORT_LOCK = """
 """
 
 
+@pytest.mark.full
 def test_an_import_that_was_interrupted_keeps_no_thread_waiting() -> None:
     """Python may keep the lock of its imports after Ctrl-C: numba is loaded all the same."""
     assert in_a_process(textwrap.dedent(KEEPS_THE_IMPORT_LOCK)).stdout.split() == ["True", "False"]
@@ -204,6 +205,7 @@ COMPILED_IN_TWO_THREADS = """
 """
 
 
+@pytest.mark.full
 def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
     """In a process without kept code, numba is set up once: neither thread compiles by half of its tables."""
     done = in_a_process(COMPILED_IN_TWO_THREADS, NUMBA_CACHE_DIR=str(tmp_path))
@@ -228,6 +230,7 @@ KEPT_KERNEL = """
 """
 
 
+@pytest.mark.full
 def test_ctrl_c_while_kept_code_is_loaded_breaks_no_later_call(tmp_path: Path) -> None:
     """Numba's modules that kept code needs are imported to their end: half of one could not be imported again."""
     (tmp_path / "kernel.py").write_text(textwrap.dedent(KEPT_KERNEL), encoding="utf-8")
@@ -236,7 +239,7 @@ def test_ctrl_c_while_kept_code_is_loaded_breaks_no_later_call(tmp_path: Path) -
     assert [done.stdout.split() for done in found] == [["6.0", "0"], ["6.0", "1"]], found[-1].stderr
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.full
 @pytest.mark.parametrize("seconds", [0.01 + 0.04 * k for k in range(15)])
 @pytest.mark.parametrize("call", ["small", "large", "program", "analyze"])
 def test_ctrl_c_while_a_first_call_loads_breaks_no_later_call(call: str, seconds: float) -> None:

@@ -353,6 +353,7 @@ def test_repeated_runs_agree_bit_for_bit(name: str) -> None:
     assert np.array_equal(first, run_of(name, again, 30))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["npsor", "psor", "maor", "gfp"])
 def test_threads_share_a_problem(name: str) -> None:
     """Eight runs at once on one problem, its cache still empty, give the bits of a run alone."""

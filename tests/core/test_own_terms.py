@@ -108,6 +108,7 @@ def test_no_row_is_explained_by_a_number_that_does_not_act() -> None:
         assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)
 
 
+@pytest.mark.full
 def test_an_answer_where_a_limit_comes_first_ends_with_its_case() -> None:
     """Heavy stands on light by psor: what becomes SOLVED at the last step allowed carries the weight, too."""
     mass = np.array([1e8, 1.0, 1.0, 1.0, 1.0, 1.0, 1e8])
@@ -158,6 +159,7 @@ def test_a_diagonal_entry_of_1e12_may_leave_no_solution() -> None:
         assert solve(LCP(M, q)).status is not Status.SOLVED
 
 
+@pytest.mark.full
 def test_integers_with_tiny_diagonals_by_all_cases() -> None:
     """A slice of the campaign: no SOLVED is false, planted ones included."""
     assert tiny_diagonals.main(["--cases", "300", "--seed", "3"]) == 0

@@ -571,7 +571,6 @@ def same(one: Any, other: Any) -> bool:
     return first.shape == second.shape and first.tobytes() == second.tobytes()
 
 
-@settings(max_examples=60)
 @given(problem=scaled_lcps(strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices().map(sp.csr_array)) |
                              strategies.lcps(bounds=True), 300, 300))
 def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:

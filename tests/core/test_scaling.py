@@ -39,6 +39,7 @@ def test_any_units_change_no_status_and_the_residual_by_less_than_a_hundred(kind
         assert max(residuals) <= (4.0 if kind in WITHOUT_DIAGONAL else 100.0) * min(residuals)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("units", ["mixed", "smooth"])
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in (grid, jumps)])
 def test_the_residual_tells_right_from_wrong_in_any_units(kind: Any, units: str) -> None:

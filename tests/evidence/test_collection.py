@@ -38,6 +38,7 @@ def test_declared_solutions_are_exact() -> None:
     assert not wrong
 
 
+@pytest.mark.full
 def test_exhaustive_search_agrees_with_every_small_entry() -> None:
     """Up to twelve unknowns the declared truth is what an exact, independent search finds."""
     for entry in ENTRIES:
@@ -152,7 +153,6 @@ def test_farkas_vectors_are_checked() -> None:
 # --- What auto makes of them ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(30)
 @pytest.mark.parametrize("entry", ENTRIES, ids=named)
 def test_auto_says_the_truth(entry: Entry) -> None:
     """Solvable: solved to 1e-9 or as far as rounding permits; else proven infeasible, or searched without a find."""

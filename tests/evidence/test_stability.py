@@ -284,7 +284,6 @@ def test_a_huge_tolerance_accepts_the_start(name: str) -> None:
 # --- Nearly singular ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(8)
 @EVERY_ALGORITHM
 def test_nearly_singular_matrices_are_never_lied_about(name: str) -> None:
     """On H₊-matrices with ρ up to 1 − 1e-6 the status holds in rational arithmetic, whatever the error of z."""

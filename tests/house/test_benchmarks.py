@@ -20,6 +20,7 @@ from lcp_plugin.evidence.paper_tables import cells, published
 QUICK = ("sweeps", "paper-at-scale", "programs", "certificates")  # half a second together
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in BENCHMARKS]
 )
@@ -44,6 +45,7 @@ def test_benchmarks_are_listed() -> None:
     assert all(purpose in done.stdout for purpose in BENCHMARKS.values())
 
 
+@pytest.mark.full
 def test_a_benchmark_runs_by_its_name() -> None:
     """A named benchmark prints its lines and exits with 0."""
     done = benchmarks("sweeps", "--quick")
@@ -51,6 +53,7 @@ def test_a_benchmark_runs_by_its_name() -> None:
     assert "products" in done.stdout
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -44,35 +44,37 @@ def parameters(thing: Any) -> dict[str, str]:
     return {name: str(p.annotation) for name, p in given.items() if name not in ("self", "cls") and name[0] != "_"}
 
 
-@pytest.mark.parametrize("name", DESCRIBED)
-def test_help_tells_what_goes_in_and_what_comes_out(name: str) -> None:
+def test_help_tells_what_goes_in_and_what_comes_out() -> None:
     """A summary; an entry for each parameter, with shape or unit where it has one; what is returned."""
-    thing = DESCRIBED[name]
-    told, said = sections(thing), entries(thing)
-    assert re.match(r"\S.*[.:,;\w]$", told[""].splitlines()[0])
-    assert not re.search(r"\S +-{4,}", inspect.getdoc(thing) or ""), "a section's title has run into its text"
-    for parameter, annotation in parameters(thing).items():
-        assert parameter in said, f"{parameter} is not described"
-        if re.search("FloatVector|ArrayLike|NDArray", annotation):
-            assert re.search(r"shape|length|As in", said[parameter]), f"{parameter}: which shape?"
-        if "seconds" in parameter:
-            assert re.search(r"[Ss]econd|units", said[parameter].partition("\n")[2]), f"{parameter}: which unit?"
-    returns = is_function(thing) and inspect.signature(inspect.unwrap(thing)).return_annotation
-    if returns and returns not in ("None", "Scene"):  # the first line of a scene says what the scene is
-        is_told = re.search(r"\b([Rr]eturn|Yield|Solve|Raise)", told[""]) or {"Returns", "Yields"} & set(told)
-        assert is_told, "what comes back?"
+    for name, thing in DESCRIBED.items():
+        told, said = sections(thing), entries(thing)
+        assert re.match(r"\S.*[.:,;\w]$", told[""].splitlines()[0]), name
+        assert not re.search(r"\S +-{4,}", inspect.getdoc(thing) or ""), f"{name}: a section's title in its text"
+        for parameter, annotation in parameters(thing).items():
+            assert parameter in said, f"{name}: {parameter} is not described"
+            if re.search("FloatVector|ArrayLike|NDArray", annotation):
+                assert re.search(r"shape|length|As in", said[parameter]), f"{name}: {parameter}: which shape?"
+            if "seconds" in parameter:
+                unit = re.search(r"[Ss]econd|units", said[parameter].partition("\n")[2])
+                assert unit, f"{name}: {parameter}: which unit?"
+        returns = is_function(thing) and inspect.signature(inspect.unwrap(thing)).return_annotation
+        if returns and returns not in ("None", "Scene"):  # the first line of a scene says what the scene is
+            is_told = re.search(r"\b([Rr]eturn|Yield|Solve|Raise)", told[""]) or {"Returns", "Yields"} & set(told)
+            assert is_told, f"{name}: what comes back?"
 
 
-@pytest.mark.parametrize("name", [name for name, thing in DESCRIBED.items() if is_function(thing)])
-def test_help_tells_what_is_raised(name: str) -> None:
+def test_help_tells_what_is_raised() -> None:
     """Every error that the function's own lines raise stands in its Raises section."""
-    thing = inspect.unwrap(DESCRIBED[name])
-    tree = ast.parse(textwrap.dedent(inspect.getsource(thing)))
-    raised = {node.exc.func.id for node in ast.walk(tree)
-              if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name)}
-    assert not {error for error in raised if error not in sections(thing).get("Raises", "")}
+    for name, described in DESCRIBED.items():
+        if is_function(described):
+            thing = inspect.unwrap(described)
+            tree = ast.parse(textwrap.dedent(inspect.getsource(thing)))
+            calls = [one.exc for one in ast.walk(tree) if isinstance(one, ast.Raise) and isinstance(one.exc, ast.Call)]
+            raised = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
+            assert not {error for error in raised if error not in sections(thing).get("Raises", "")}, name
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", REGISTRY)
 def test_an_algorithm_names_its_source(name: str) -> None:
     """The class says where the method comes from, with a doi unless it is the paper that has none."""

@@ -229,6 +229,7 @@ def test_mutated_commands_end_in_zero_one_or_two(
         assert LCP.load("p.npz").q.tolist() == PROBLEM.q.tolist()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_models_by_chance_are_answered_by_the_executable(seed: int, tmp_path: Path) -> None:
     """A .sol with a code of AMPL's table and what read_nl says; what is solved meets rows, pairs and bounds."""

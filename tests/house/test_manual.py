@@ -87,6 +87,7 @@ def test_every_link_leads_to_a_page_and_an_anchor_of_it(pages: dict[Path, Page])
     assert followed > 1000
 
 
+@pytest.mark.full
 def test_no_page_needs_a_network(pages: dict[Path, Page]) -> None:
     """What a page loads lies beside it; the search alone has scripts, and they fetch nothing."""
     for file, page in pages.items():
@@ -125,6 +126,7 @@ def test_every_guide_has_a_picture_that_an_example_draws() -> None:
         assert guide.picture in drawn
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", TRADES)
 def test_a_trade_is_told_on_one_screen(name: str) -> None:
     """Words, code that prints, a picture, what was checked and the time, in this order and in at most 60 lines."""
@@ -222,6 +224,7 @@ def test_the_manual_in_a_browser(folder: Path, tmp_path: Path) -> None:
     assert "guide.contact.html" in found["search.html?q=from_contacts 1280"]["links"]
 
 
+@pytest.mark.full
 def test_every_public_name_has_its_place(folder: Path) -> None:
     """A page or an anchor of its own tells each; no two files differ by case alone."""
     addresses = site.Site().addresses
@@ -276,6 +279,7 @@ def formulas_in(text: str) -> list[str]:
     return found
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("text", "formulas"), [
     ("z with lower ≤ z ≤ upper and w = M z + q complementary", ["z", "lower ≤ z ≤ upper", "w = M z + q"]),
     ("where ‖z_k − z_{k−1}‖_v ≤ cᵏ, n = 20 000 rows", ["‖z_k − z_{k−1}‖_v ≤ cᵏ", "n = 20 000"]),

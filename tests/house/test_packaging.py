@@ -89,6 +89,7 @@ def test_the_source_archive_can_be_tested(built: Path) -> None:
     assert needed <= names
 
 
+@pytest.mark.full
 def test_the_source_archive_builds_the_same_wheel(built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Byte for byte, from an unpacked archive and an hour later: what is uploaded can be built again by anybody."""
     import hatchling.build

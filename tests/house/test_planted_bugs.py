@@ -89,6 +89,7 @@ def as_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(judge, "PHASES", (Phase.generate,))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", BUGS)
 def test_planted_bugs_are_found(name: str) -> None:
     """One bug, put alone into a correct solver, is found within 500 problems of the class it is meant for."""
@@ -102,6 +103,7 @@ def damped(solver: Solver, omega: float = 0.15) -> Solver:
     return functools.wraps(solver)(functools.partial(solver, omega=omega))
 
 
+@pytest.mark.full
 def test_nan_that_passes_as_solved_is_found() -> None:
     """A sweep that diverges on free rows until z is NaN gives up; with a check that NaN passes it is found."""
     options = {"matrices": DOMINANT, "bounds": True, "may_give_up": True}
@@ -112,6 +114,7 @@ def test_nan_that_passes_as_solved_is_found() -> None:
         assert_solves(damped(psor, 40.0), max_examples=60, **options)
 
 
+@pytest.mark.full
 def test_ignored_relaxation_is_found() -> None:
     """Where convergence needs ω < 2/(1 + |μ|) ≤ 1, a sweep without ω fails and the damped one does not."""
     ignoring = planted(psor, "z[i] - omega * (M", "z[i] - (M")
@@ -128,6 +131,7 @@ def test_correct_solvers_pass(solver: Solver) -> None:
         assert_solves(solver, matrices=DOMINANT, bounds=True, max_examples=MANY)
 
 
+@pytest.mark.full
 def test_correct_solver_gives_up_where_there_is_no_solution() -> None:
     """The toy without a bug claims nothing on problems that have no solution."""
     with np.errstate(all="ignore"):

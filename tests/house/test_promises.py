@@ -225,11 +225,13 @@ def others_bits() -> list[dict[str, Any]]:
         return list(pool.map(lambda environment: bits_in_a_process(**environment), settings))
 
 
+@pytest.mark.full
 def test_processes_agree(own_bits: dict[str, Any], others_bits: list[dict[str, Any]]) -> None:
     """“The same call gives the same bits”: z, status, counts, samples, bounds and reports of a process started anew."""
     assert others_bits[0] == own_bits
 
 
+@pytest.mark.full
 def test_thread_counts_agree(own_bits: dict[str, Any], others_bits: list[dict[str, Any]]) -> None:
     """“The number of threads changes no bit”: sweeps with three threads for numba and BLAS, and with ours."""
     three = others_bits[1]
@@ -279,6 +281,7 @@ def given_matrices() -> dict[str, Any]:
     return forms | {form: sp.coo_array(M.astype(float)).asformat(form) for form in ("csc", "coo", "dia", "bsr")}
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("form", given_matrices())
 def test_nothing_given_changes(form: str) -> None:
     """“Nothing you hand over is modified”: matrix, q, bounds, start and batch, in any form, by any call."""

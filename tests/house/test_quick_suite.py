@@ -15,27 +15,28 @@ HERE = Path(__file__).parents[1]
 class Row:
     """One row of a test with the parameters a and b."""
 
-    def __init__(self, count: tuple[int, ...], a: str, b: str) -> None:
-        self.count, self.callspec = count, SimpleNamespace(params={"a": a, "b": b})
+    def __init__(self, mark: pytest.Mark | None, a: str, b: str) -> None:
+        self.mark, self.callspec = mark, SimpleNamespace(params={"a": a, "b": b})
 
     def get_closest_marker(self, name: str) -> Any:
-        return pytest.mark.sampled(*self.count).mark
+        return self.mark
 
 
-def rows(*count: int) -> list[Any]:
+def rows(mark: pytest.MarkDecorator | None = None) -> list[Any]:
     """Rows with three values of one and four of the other."""
-    return [Row(count, a, b) for a in "xyz" for b in "1234"]
+    return [Row(mark and mark.mark, a, b) for a in "xyz" for b in "1234"]
 
 
 def test_sampled_rows_touch_every_value(request: pytest.FixtureRequest) -> None:
-    """Four rows touch three values and four; with a number, so many rows in even steps."""
+    """Four rows touch three values and four; with a number, so many rows in even steps, and four without a mark."""
     sample = request.config.pluginmanager.get_plugin(str(HERE / "conftest.py")).sample
-    chosen = [row.callspec.params for row in sample(rows())]
+    chosen = [row.callspec.params for row in sample(rows(pytest.mark.sampled))]
     assert len(chosen) == 4
     assert {row["a"] for row in chosen} == {*"xyz"}
     assert {row["b"] for row in chosen} == {*"1234"}
-    assert [row.callspec.params["b"] for row in sample(rows(3))] == ["1", "1", "1"]
-    assert len(sample(rows(100))) == 12
+    assert [row.callspec.params["b"] for row in sample(rows(pytest.mark.sampled(3)))] == ["1", "1", "1"]
+    assert len(sample(rows(pytest.mark.sampled(100)))) == 12
+    assert [row.callspec.params["b"] for row in sample(rows())] == ["1", "4", "3", "2"]
 
 
 def test_ci_runs_everything_after_the_readme_s_command() -> None:

@@ -207,6 +207,7 @@ def test_a_start_near_the_answer_saves_the_engine(storage: str) -> None:
     assert "z0 was not used" in solve(problem, "interior_point", z0=np.full(60, 1e3)).explain()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("n", [20, 200])
 def test_where_m_is_not_monotone_the_run_ends_by_itself(n: int) -> None:
     """The program is not convex: few steps, and a status that tells what was reached."""

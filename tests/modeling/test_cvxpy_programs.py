@@ -76,7 +76,6 @@ def test_bounds_that_cvxpy_sends_are_refused() -> None:
         qp_solver.quadratic_program({**data, "lower_bounds": np.zeros(data["n_var"])})
 
 
-@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", [
     {"nonneg": True}, {"nonpos": True}, {"bounds": [-0.25, 0.5]}, {"symmetric": True},
     {"sparsity": ([0, 1], [1, 0])}, {},

@@ -348,6 +348,7 @@ def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:
         ComplementarityProblem([complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)]).solve()
 
 
+@pytest.mark.full
 def test_method_is_known_after_any_modelling_name() -> None:
     """Touching a modelling name registers the method; importing the package alone loads no cvxpy."""
     code = (
@@ -375,6 +376,7 @@ for method in ('LCP', 'lcp'):
 """
 
 
+@pytest.mark.full
 def test_method_is_known_whichever_comes_first() -> None:
     """lcp_plugin before cvxpy and no name of ours: the method is there, and nothing of ours stays with imports."""
     assert printed_by(LATER).splitlines() == 2 * ["True [1. 1.]"]
@@ -383,6 +385,7 @@ def test_method_is_known_whichever_comes_first() -> None:
     assert printed_by(earlier + asked) == "True True"
 
 
+@pytest.mark.full
 def test_a_cvxpy_that_cannot_be_imported_is_waited_for(tmp_path: Path) -> None:
     """What an import raises is raised, and the method is registered once one succeeds."""
     (tmp_path / "cvxpy.py").write_text("raise ImportError('broken')\n")

@@ -372,7 +372,6 @@ def solved(problem: Any, **options: Any) -> None:
         problem.solve(method="LCP", tolerance=1e-12, **options)
 
 
-@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("make", [*MODELS, *PROGRAMS], ids=lambda make: make.__name__)
 def test_derivatives_agree_with_differences_of_solves(make: Callable[[Any], Parts], seed: int) -> None:

@@ -239,6 +239,7 @@ def without_minimum(kind: str, n: int) -> Any:
     return cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(C.T @ C)) + rng.standard_normal(n) @ x))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
 def test_the_first_failure_ends_in_a_proof(kind: str) -> None:
     """A program without minimum gets its status with a proof before other methods are tried; the callback is called."""

@@ -83,6 +83,7 @@ def test_textbook_matrices(name: str, sparse: bool) -> None:
     assert all(report.evidence.values())
 
 
+@pytest.mark.full
 def test_campaign_in_small() -> None:
     """Random matrices of all kinds: no wrong verdict, none undecided at |1 − ρ| ≥ 1e-10, all proofs hold."""
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
@@ -93,6 +94,7 @@ def test_campaign_in_small() -> None:
     assert run.returncode == 0, run.stdout + run.stderr
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("n", [40, 600])
 @pytest.mark.parametrize("distance", [1e-9, 1e-12])
 def test_both_sides_of_singular(n: int, distance: float) -> None:
@@ -466,7 +468,7 @@ def test_no_matrix(M: object) -> None:
         analyze(M)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_graded_matrices_against_rational_arithmetic(seed: int) -> None:
     """Verdicts, guarantees and bounds on 35 matrices of entries from 1e-300 to 1e300; the campaign judges thousands."""

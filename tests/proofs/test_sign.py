@@ -24,6 +24,7 @@ def stages_of(result: Any) -> list[str]:
     return [stage.name for stage in result.stages]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("k", [4, 10, 50])
 def test_a_negated_m_matrix_is_decided_by_one_linear_solve(k: int) -> None:
     """−M an M-matrix and z ≥ 0: z = −M⁻¹q solves the problem, or a proof says that nothing does."""
@@ -38,6 +39,7 @@ def test_a_negated_m_matrix_is_decided_by_one_linear_solve(k: int) -> None:
         assert max(infeasible.work, feasible.work) < 20.0
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("bounds", [{"lower": -1.0}, {"lower": np.r_[-np.inf, np.zeros(15)]}])
 def test_lower_bounds_may_be_any(bounds: dict[str, Any]) -> None:
     """The same holds for lower bounds of any kind, free rows included, as far as a proof can be had."""
@@ -51,6 +53,7 @@ def test_lower_bounds_may_be_any(bounds: dict[str, Any]) -> None:
     assert statuses <= {Status.SOLVED, Status.INFEASIBLE}
 
 
+@pytest.mark.full
 def test_ninety_thousand_unknowns_of_the_wrong_sign_take_no_factor() -> None:
     """Neither interior_point nor newton is tried, and advice and explanation ask for the sign of M."""
     n = 90_000

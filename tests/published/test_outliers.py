@@ -24,6 +24,7 @@ HEAVY = [[1e-8, -1e-8, 0], [-1e-8, 1 + 1e-8, -1], [0, -1, 1 + 1e-8]]
 HALF_SPACES = [np.diag([2.0, 2.0]), [-300.0, -500.0], [[3.0, 1.0], [1.0, 4.0]], [10.0, 10.0], np.zeros((0, 2)), []]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_answer_is_false(kind: str, draws: Callable[[int], range]) -> None:
     """No SOLVED beside the conditions and every judge, no proof beside a solution, no exception."""

@@ -240,6 +240,7 @@ def test_every_rank_occurs() -> None:
     """Semidefinite matrices of size 3 have each rank from 0 to 3, in fractions."""
     ranks = Counter()
 
+    @settings.get_profile("many")
     @given(positive_semidefinite_matrices(3))
     def collect(matrix: np.ndarray) -> None:
         ranks[rank(exact_rows(matrix))] += 1
@@ -562,6 +563,7 @@ def test_a_counterexample_can_be_copied() -> None:
     assert "problem=LCP([[1.0, 0.0], [0.0, 1.0]], [0.0, 0.0])" in "\n".join(caught.value.__notes__)
 
 
+@pytest.mark.full
 def test_hypothesis_loads_with_the_strategies_only() -> None:
     """``import lcp_plugin`` leaves hypothesis alone; the first use of ``lcp_plugin.strategies`` loads it."""
     code = (

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lcp_plugin import gallery
+from lcp_plugin import LCP, gallery
 from lcp_plugin.core.checks import read_only
 from lcp_plugin.core.kernels.threads import threads_for
 from lcp_plugin.core.matrix.symmetry import is_symmetric_entrywise
@@ -206,8 +206,7 @@ def test_a_matrix_without_geometry_is_noticed_early(entries: int) -> None:
         (generator.random(n * entries), (np.repeat(np.arange(n), entries), generator.integers(0, n, n * entries))),
         shape=(n, n),
     )
-    M = sp.csr_array(sp.diags_array(B.sum(axis=1) + 1e-3) - B)
-    M.sum_duplicates()
+    M = LCP(sp.diags_array(B.sum(axis=1) + 1e-3) - B, np.zeros(n)).csr
     hierarchy = build_hierarchy(M)
     assert not hierarchy.is_helpful
     assert len(hierarchy.grids) == 1

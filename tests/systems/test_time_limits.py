@@ -39,6 +39,7 @@ def test_no_sparse_factor_is_begun_that_would_end_after_the_limit(name: str, mon
     assert np.isfinite(result.z).all()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("factorise", [
     factors.cholesky, factors.dense_lu, lambda M: factors.factorise(sp.csr_array(M), bandwidth=(60, 4)),
 ])  # fmt: skip
@@ -53,6 +54,7 @@ def test_no_factor_is_begun_that_would_end_after_the_limit(factorise: Callable[[
         assert factorise(M) is not None
 
 
+@pytest.mark.full
 def test_a_program_ends_where_its_factor_would_end_after_the_limit() -> None:
     """A dense program of 1 000 unknowns with max_seconds=.001 ends with MAX_SECONDS, and a point."""
     random = np.random.default_rng(0)

@@ -163,6 +163,7 @@ def test_other_files_are_told_apart(tmp_path: Path) -> None:
         LCP.load(local(tmp_path / "block.h5"))
 
 
+@pytest.mark.full
 def test_without_h5py_the_words_say_what_to_install(tmp_path: Path) -> None:
     """And nothing else of the package asks for it."""
     path = local(tmp_path / "block.h5")

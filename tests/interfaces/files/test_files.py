@@ -535,7 +535,7 @@ def test_damaged_stream_is_refused(tmp_path: Path) -> None:
         assert load_damaged(tmp_path / "p.npz", bytes(damaged)) is None
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "content",
     [b"", b"PK\x03\x04" + bytes(50), b"no archive at all", array_bytes(np.ones(3)), archive(True)[:-1]],
@@ -648,7 +648,7 @@ ENORMOUS = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage")
 @pytest.mark.parametrize("what", ENORMOUS)
 def test_a_short_file_that_announces_much_takes_no_memory(what: str, tmp_path: Path) -> None:

@@ -116,7 +116,6 @@ def test_each_cell_works_or_names_the_command_that_does(name: str, command: str)
 SOLUTIONS = {"lcp": [2.5, 0.0], "saved": [2.5, 0.0], "folder": [2.5, 0.0], "qp": [2.0, 0.0], "fit": [1.5, 0.0]}
 
 
-@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", [name for name in FILES if name not in ("qp.qps", "lp.mps", "qp.nl", "folder/M.mtx")])
 def test_solve_saves_and_tells_the_answer(name: str) -> None:
     """--out holds z or x, --json one object with the status, and a person reads the first values of x."""
@@ -187,22 +186,23 @@ def test_certify_saves_the_proved_answer() -> None:
     assert not Path("y.npz").exists()
 
 
-def test_a_grid_shapes_the_picture_of_a_file() -> None:
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("name", ["p.npz", "qp.npz"])
+def test_a_grid_shapes_the_picture_of_a_file(name: str) -> None:
     """--grid rows x columns with --plot; what does not fit is refused before anything is drawn."""
     LCP(sp.diags_array([np.full(12, 2.0)], offsets=[0]), -np.arange(12.0)).save("p.npz")
     np.savez("qp.npz", P=np.eye(12), q=-np.arange(12.0), A=np.ones((1, 12)), u=[5.0])
-    for name in ("p.npz", "qp.npz"):
-        for grid in ("3x4", "3×4", "2x2x3", "12"):
-            assert lcp_plugin("solve", name, "--plot", "out.png", "--grid", grid).exit_code == 0
-        for words, pattern in (
-            ("--plot out.png --grid 3x5", r"shape \(3, 5\) is that of 15 unknowns, and the problem has 12"),
-            ("--plot out.png --grid 3by4", "--grid wants whole numbers, rows x columns, as --grid 500x500; got '3by4'"),
-            ("--plot out.png --grid 0x4", "--grid wants whole numbers"),
-            ("--grid 3x4", "--grid 3x4 is for a picture; give --plot FILE as well"),
-        ):
-            done = lcp_plugin("solve", name, *words.split())
-            assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
-            assert re.match(f"lcp-plugin: {pattern}", done.stderr), done.stderr
+    for grid in ("3x4", "3×4", "2x2x3", "12"):
+        assert lcp_plugin("solve", name, "--plot", "out.png", "--grid", grid).exit_code == 0
+    for words, pattern in (
+        ("--plot out.png --grid 3x5", r"shape \(3, 5\) is that of 15 unknowns, and the problem has 12"),
+        ("--plot out.png --grid 3by4", "--grid wants whole numbers, rows x columns, as --grid 500x500; got '3by4'"),
+        ("--plot out.png --grid 0x4", "--grid wants whole numbers"),
+        ("--grid 3x4", "--grid 3x4 is for a picture; give --plot FILE as well"),
+    ):
+        done = lcp_plugin("solve", name, *words.split())
+        assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+        assert re.match(f"lcp-plugin: {pattern}", done.stderr), done.stderr
     assert lcp_plugin("solve", "murty:n=4", "--plot", "out.png", "--grid", "2x2").exit_code == 2
 
 
@@ -239,7 +239,7 @@ def mistakes() -> dict[str, str]:
     }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("command", CELLS)
 def test_mistakes_cost_one_line(command: str) -> None:
     """Missing, empty, damaged, misnamed, a folder, without q, with NaN: exit code 2 and a line that names the file."""

@@ -234,6 +234,7 @@ def test_it_tells_what_it_is_asked(capsys: Any) -> None:
     assert mark.startswith("* not where an objective")
 
 
+@pytest.mark.full
 def test_a_call_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     """The version loads not even numpy; a linear problem no cvxpy, typer, rich or what other problems need."""
     write_nl(SOLVABLE, tmp_path / "m.nl")

@@ -197,7 +197,6 @@ def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
         read(tmp_path, text)
 
 
-@pytest.mark.sampled(60)
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("seed", range(170))
 def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path: Path, form: str, seed: int) -> None:
@@ -222,6 +221,7 @@ def require_refused_or_valid(folder: Path, data: bytes) -> None:
     assert peak <= 10 * len(data) + 300_000
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("form", "end"), [("text", b"n1.0\n"), ("little", b"n" + struct.pack("<d", 1.0))])
 def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
     """A tree of 10⁵ levels is read, and refused where its end is missing; nothing recurs."""

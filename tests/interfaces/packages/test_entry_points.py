@@ -143,6 +143,7 @@ BROKEN = [
 ]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("text", "attribute", "message"), [case[1:] for case in BROKEN], ids=[c[0] for c in BROKEN])
 def test_a_broken_entry_says_what_and_whose(text: str, attribute: str, message: str, install: Install) -> None:
     """A broken or foreign entry raises UnknownAlgorithm with package, fault and remedy; `list` goes on."""

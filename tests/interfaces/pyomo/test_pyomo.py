@@ -31,7 +31,6 @@ from lcp_plugin.pyomo import write_nl
 SOLVER = pe.SolverFactory("lcp_plugin")
 
 
-@pytest.mark.sampled(14)
 @pytest.mark.parametrize("name", MODELS)
 def test_published_models_are_solved_as_published(name: str) -> None:
     """Of each model the answer is optimal, holds in Pyomo's own expressions, and is the published one."""
@@ -45,6 +44,7 @@ def test_published_models_are_solved_as_published(name: str) -> None:
     assert min(off, default=0.0) <= case.digits
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(5))
 def test_random_models_are_read_as_pyomo_evaluates_them_solved_and_left_alone(seed: int) -> None:
     """F and Jacobian to 1e-12, the planted answer found, every pair satisfied in Pyomo, the model as it was."""
@@ -735,6 +735,7 @@ def walked() -> dict[str, tuple[Callable[[Any], None], str]]:
     }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", list(walked()))
 def test_every_kind_of_model_ends_alike_in_both_interfaces(name: str) -> None:
     """Condition, values loaded now or later, suffixes and the time limit; nothing is loaded where there is nothing."""
@@ -771,6 +772,7 @@ def test_the_name_with_a_hyphen_is_the_same_solver() -> None:
     assert factory("lcp-plugin").solve(simple()).solution_status.name == "optimal"
 
 
+@pytest.mark.full
 def test_pyomo_is_loaded_by_its_interface_alone_and_asked_for_in_words() -> None:
     """``import lcp_plugin`` loads no Pyomo; without it the interface says what to install."""
     code = (

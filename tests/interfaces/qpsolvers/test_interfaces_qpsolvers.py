@@ -155,6 +155,7 @@ def test_registering_twice_changes_nothing() -> None:
         assert names.count(NAME) == 1
 
 
+@pytest.mark.full
 def test_qpsolvers_is_loaded_by_its_interface_alone() -> None:
     """Neither import nor a solve loads it; without it the interface says what to install."""
     code = (

@@ -24,6 +24,7 @@ def hard_followers(seed: int, pairs: int = 42) -> EquilibriumProgram:
     return EquilibriumProgram(program, 4 + np.arange(pairs), 4 + pairs + np.arange(pairs))
 
 
+@pytest.mark.full
 def test_followers_that_take_long_do_not_keep_scip_waiting() -> None:
     """A leader over 42 pairs, whose followers no method solves quickly: a point, and its proof, within the limit."""
     result = minimize_over_solutions(hard_followers(0), max_seconds=20.0)

@@ -214,6 +214,7 @@ def test_half_a_second_keeps_the_best_point() -> None:
     assert "next: raise max_seconds" in result.explain()
 
 
+@pytest.mark.full
 def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """INTERRUPTED with an equilibrium, no traceback; the handler is Python's again, SCIP's model is gone."""
     models, before = [], signal.getsignal(signal.SIGINT)

@@ -76,6 +76,7 @@ def of_each(rng: np.random.Generator, given: Marches) -> tuple[list[LCP], list[s
     return problems, [sp.csr_array(given.propagator * share) for share in shares[1]]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("own", [False, True])
 def test_the_residual_of_each_step_is_bounded(kind: str, own: bool) -> None:

@@ -57,6 +57,7 @@ def drawn(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.standard_normal((n, n)), rng.standard_normal(n)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 def test_the_status_agrees_with_all_complementary_bases(n: int) -> None:
     """SOLVED where one of the 2ⁿ bases solves in exact arithmetic, else a proof that verifies; never neither."""
@@ -72,6 +73,7 @@ def test_the_status_agrees_with_all_complementary_bases(n: int) -> None:
         assert solve(problem, prove_infeasibility=False).is_solved is result.is_solved
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("block", range(6))
 def test_what_doubles_exclude_is_never_believed_unverified(block: int) -> None:
     """Degenerate problems with boxes, free and fixed rows: the tree, repaired exactly, ends as the search does."""
@@ -112,6 +114,7 @@ def test_random_problems_are_decided() -> None:
     assert all(batch[k].infeasibility.verify() for k in range(200) if batch.status[k] in PROVEN)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["auto", "newton", "lemke", "interior_point"])
 def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     """STALLED with words that say why, and no proof, where prove_infeasibility=True ends INFEASIBLE."""
@@ -123,6 +126,7 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     assert "not proved infeasible: you asked for no proof" in result.advice
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [0, 1, 3, 4])
 def test_solutions_are_looked_for_where_no_proof_is(seed: int) -> None:
     """What the search of all cases finds with proofs, it finds with prove_infeasibility=False: it saves no answers."""
@@ -143,6 +147,7 @@ def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
     assert "in double precision every case contradicts" in result.advice
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("prove_infeasibility", [True, False])
 def test_a_batch_answers_as_solve_does(prove_infeasibility: bool) -> None:
     """Status, z and iterations, bit for bit; of boxes and warm starts too."""

@@ -335,6 +335,7 @@ HOPELESS: dict[str, Any] = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", HOPELESS)
 def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
     """INFEASIBLE with a proof that verifies, and whose margin no point is below."""
@@ -484,15 +485,15 @@ def test_a_small_residual_with_another_case_is_solved_on() -> None:
     assert result.z == pytest.approx([1e6, 1e6, 1e6], rel=1e-9)
 
 
-def test_solved_means_solved_where_diagonals_cancel() -> None:
+def test_solved_means_solved_where_diagonals_cancel(draws: Any) -> None:
     """Cones over small M that are not monotone: what is called SOLVED is so in 50 digits, block by block."""
     solved = 0
-    for seed in range(60):
+    for seed in draws(60):
         problem = cancelled_diagonals(np.random.default_rng(seed))
         result = solve(problem, max_iterations=100, prove_infeasibility=False)
         solved += result.is_solved
         assert not result.is_solved or violation(problem, result.z) <= 1e-6, seed
-    assert solved >= 15
+    assert solved >= len(draws(60)) // 4
 
 
 def together(*problems: FrictionalContact) -> FrictionalContact:
@@ -502,6 +503,7 @@ def together(*problems: FrictionalContact) -> FrictionalContact:
     return FrictionalContact(W, b, mu)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seeds", [(0, 2), (4, 6), (7, 8), (11, 13), (14, 15)])
 def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
     """Velocities 1 : 1e-7 in one problem, 70 contacts each, SOLVED alone: so are both."""
@@ -608,6 +610,7 @@ def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
         assert exact_relative_residual(result.problem, result.z) <= 1e-8
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("masses", [2.0 ** np.arange(19), 2.0 ** np.arange(20), [1.0, 1e2, 1e4, 1e6]])
 def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
     """Four contacts a box in space carry what is above; no start at random takes part."""
@@ -640,6 +643,7 @@ def test_a_tiny_normal_entry_is_no_limit() -> None:
         solve(problem).require_solved()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("case", [136, 584])
 def test_planted_contacts_that_jam_are_solved_along_their_friction(case: int) -> None:
     """Two of the campaign's, thirty contacts with μ of nearly 2: by auto and by name, no start at random."""

@@ -47,6 +47,7 @@ def impulses(problem: LCP, z: Any) -> np.ndarray:
     return np.column_stack([motion.normal, motion.tangential]).ravel()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_change_of_the_data_moves_the_impulses_as_differences_do(name: str) -> None:
     """By each name jvp is the one-sided difference of all impulses, to 1e-5, whether contacts open, stick or slip."""

@@ -26,7 +26,7 @@ def solved(problem: cp.Problem, **options: Any) -> Any:
     return problem.solver_stats.extra_stats
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", list(COLLECTION))
 def test_published_optima_are_found_and_proved(name: str) -> None:
     """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
@@ -111,6 +111,7 @@ def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(monkeypatch
     assert found.lower_bound <= 2.0
 
 
+@pytest.mark.full
 def test_bounds_from_a_monotone_lower_level_keep_every_solution() -> None:
     """0 ≤ z ⟂ M z + N x + q ≥ 0 with M ≻ 0 keeps z in an ellipsoid, whose bounds are near; verify() sees others."""
     rng = np.random.default_rng(5)
@@ -148,6 +149,7 @@ def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
     assert result.x is None
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e-6, 1.0, 1e9])
 @pytest.mark.parametrize("prove", [False, True])
 def test_the_unit_of_the_objective_changes_no_answer(unit: float, prove: bool) -> None:

@@ -104,6 +104,7 @@ def test_the_gap_of_a_lasso_bounds_what_an_x_costs_too_much(
         assert excess <= Fraction(duality_gap(problem, point))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("form", [np.asarray, sp.csr_array, aslinearoperator])
 @pytest.mark.parametrize("bounds", [{}, {"upper": 0.2}, {"lower": 0.0}])
 def test_large_lassos_are_solved_without_doubling(form: Any, bounds: dict[str, Any]) -> None:
@@ -141,6 +142,7 @@ def test_a_convex_solver_agrees() -> None:
     assert result.gap <= 1e-8 * result.cost
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 @pytest.mark.parametrize("l1", [1e-1, 1e-6, 1e-11])
 def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:
@@ -183,6 +185,7 @@ def test_the_lcp_of_a_lasso_has_its_answer(form: str) -> None:
     assert abs(solution.cost - best) <= 1e-6 * best
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("lower", [-INF, 0.0])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_penalties_far_below_the_data_are_no_trouble(lower: float, seed: int) -> None:

@@ -395,6 +395,7 @@ def strikes(n: int, k: int, count: int) -> tuple[LCP, np.ndarray, sp.csr_array]:
     return LCP(sp.csr_array(sp.eye_array(n) + A / (2 * k)), np.zeros(n)), payoff, propagator
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("keep_every", [1, 9])
 def test_strikes_at_once_are_those_one_by_one(keep_every: int) -> None:
     """Bit for bit, on any number of threads, with results that say the same."""
@@ -468,7 +469,8 @@ def volatilities(n: int, k: int, count: int) -> tuple[list[LCP], np.ndarray, lis
     return problems, payoff, [sp.csr_array(A - sp.eye_array(n)) for A in halves]
 
 
-@pytest.mark.parametrize("keep_every", [1, 9])
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("keep_every", [9, 1])
 def test_marches_whose_matrices_differ_are_those_one_by_one(keep_every: int) -> None:
     """Bit for bit, on any number of threads: M, bounds and propagators of their own, or one propagator for all."""
     problems, payoff, propagators = volatilities(120, 100, 41)

@@ -27,6 +27,7 @@ def marched(steps: marches.Steps, **options: object) -> object:
     return march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0, **options)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", SMALL)
 def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
     """Every step is SOLVED, with the z that solve() finds for its q, to 1e-8 of the largest."""
@@ -40,6 +41,7 @@ def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
         state = z
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["basket", "parabolic", "contact"])
 def test_a_march_gives_the_same_bits_however_it_is_looked_at(name: str) -> None:
     """The same bits in two runs, for any number of threads, and where answers are computed once more."""
@@ -93,6 +95,7 @@ def with_jumps(rng: np.random.Generator) -> LCP:
     return gallery.build("random_h_plus", n=3000).problem
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("make", [without_diagonal, with_jumps])
 def test_where_steps_teach_nothing_a_march_costs_no_more(make: Callable[..., LCP]) -> None:
     """Where the free set jumps at every step, all steps together take at most a tenth more work than solves do."""

@@ -126,7 +126,7 @@ def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
         assert one.sharp_relative_residual(result.z, certificate.problem.residual_scale) <= 1e-8
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("n", [2, 20, 100])
 def test_planted_problems_are_solved(kind: str, n: int) -> None:
@@ -367,7 +367,7 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
     assert term_residuals(at, x, F(x))[0] > 0.1
 
 
-@pytest.mark.sampled
+@pytest.mark.full
 @pytest.mark.parametrize("has_jacobian", [False, True])
 @pytest.mark.parametrize("x0", [
     [0, 0, 0], [2, 0, 0], *(pytest.param(x0, marks=pytest.mark.full) for x0 in (
@@ -445,6 +445,7 @@ def test_a_derivative_is_not_refused_where_x_is_small() -> None:
         solve_nonlinear(wrong, [1e-12, 1e-12])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(-10.0 / x**2)])
 def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian: Callable[..., Any] | None) -> None:
     """10/x − 1 from 100: what is SOLVED is 10, and never an x so far away that F = −1 there."""
@@ -519,7 +520,7 @@ HOPELESS = {
 }
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", HOPELESS)
 def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -547,7 +548,6 @@ UNSOLVABLE = {
 }
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("algorithm", ["auto", *REGISTRY])
 @pytest.mark.parametrize("name", UNSOLVABLE)
 def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:
@@ -927,6 +927,7 @@ def test_only_a_solution_has_a_derivative() -> None:
         derivative(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), max_iterations=1))
 
 
+@pytest.mark.full
 def test_a_far_start_of_a_large_problem_costs_few_factorisations():
     """−Δu = 5 eᵘ under a ceiling of 3 on 11³ points, from the ceiling, where no linearisation is worth solving."""
     m, ceiling = 11, 3.0

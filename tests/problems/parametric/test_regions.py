@@ -27,6 +27,7 @@ def by_daqp(program: QuadraticProgram) -> np.ndarray | None:
     return np.array(x) if flag == 1 else None
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("horizon", [2, 4])
 def test_a_double_integrator_has_its_law_everywhere(horizon: int) -> None:
     """At 300 drawn states x is daqp's, and there is none where daqp finds none; no region is missing."""
@@ -42,6 +43,7 @@ def test_a_double_integrator_has_its_law_everywhere(horizon: int) -> None:
             np.testing.assert_allclose(x, expected, atol=1e-6)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_p_matrices_have_regions_over_the_whole_box(seed: int) -> None:
     """Of an LCP with a P-matrix and two or three parameters: the regions fill the box, z is that of `solve`."""
@@ -183,6 +185,7 @@ def test_ordinary_data_have_their_regions(name: str) -> None:
     assert len(found) == count
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("unit", [1e6, 1e-6])
 def test_units_change_no_region(unit: float) -> None:
     """In other units of x, or all costs times 1e9, has as many regions."""
@@ -228,6 +231,7 @@ def test_integer_programs_have_the_x_of_daqp(seed: int) -> None:
             np.testing.assert_allclose(x, expected, atol=1e-6)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("far", [1e6, 1e12, 1e19])
 @pytest.mark.parametrize("where", ["row", "bound", "cost"])
 def test_a_number_that_nobody_reaches_changes_no_region(far: float, where: str) -> None:

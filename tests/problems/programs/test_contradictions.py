@@ -112,6 +112,7 @@ def test_a_limit_of_rounding_size_is_met_or_refuted_at_once(
         assert row @ result.x <= 1e-6 * TINY + 1e-12 * np.abs(row * result.x).max()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 @pytest.mark.parametrize("P", [np.eye(2), np.zeros((2, 2))])
 def test_rounding_in_the_place_of_0_is_named_at_once(P: np.ndarray, slope: float) -> None:
@@ -124,6 +125,7 @@ def test_rounding_in_the_place_of_0_is_named_at_once(P: np.ndarray, slope: float
         np.testing.assert_array_equal(result.x, 0.0)
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")  # where the interval is as wide as rounding
 def test_dqcp_is_bisected(monkeypatch: pytest.MonkeyPatch) -> None:
     """(v₀ + 2 v₁ + 1)/(v₀ + v₁ + 1) over [0, 3]² is 1 at v₁ = 0: each of cvxpy's feasibility problems is decided."""

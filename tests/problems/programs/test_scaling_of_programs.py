@@ -122,6 +122,7 @@ def test_a_small_tolerance_is_asked_of_the_program_too() -> None:
                 assert result.solution.error <= 1e-9
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("case", range(15))
 def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
     """Dense, sparse, degenerate, rank deficient, linear; with a minimum, infeasible, unbounded; units of 10^±12."""

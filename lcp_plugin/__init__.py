@@ -47,6 +47,7 @@ _MOVED = {  # public names of before: these still work for one release, with a w
     "evidence.cross_check": "CrossCheck cross_validate",
     "evidence.error_against_time": "error_against_time",
     "evidence.results": "Study",
+    "evidence.stability": "stability_atlas",
     "evidence.study": "study",
     "interfaces.qpsolvers": "register_with_qpsolvers",
     "interfaces.quantecon": "lemke",

@@ -22,6 +22,7 @@ ELSEWHERE = {
     "evidence.exporting": "Table save_tables",
     "evidence.results": "Row",
     "evidence.report.page": "Collected collect plan write_report",
+    "evidence.stability": "Atlas Cell",
     "modeling.constraint": "Complements Side",
     "modeling.registration": "solve_model",
     "methods.search": "Solution",

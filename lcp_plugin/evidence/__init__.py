@@ -7,7 +7,8 @@ spectral radius that papers print (``--save radius=table.tex``). In Python: `stu
 ``lcp-plugin report`` writes one page, ``index.html``, which needs no other file and no network, and the same figures as
 CSV and JSON. Scenes and your own files stand in it side by side, each with the paper's methods at its settings and at
 ours, beside their relatives; without either, a choice of scenes. ``lcp-plugin tables`` computes the paper's tables
-again. In Python: `error_against_time`, `cross_validate`, and `gallery` for the scenes.
+again. In Python: `error_against_time`, `stability_atlas`, `cross_validate`, and `gallery` for the scenes.
+`stability_atlas(names, ["ranges"]).plot()` is a map a method.
 
 Other packages. No package is best at everything. As far as we know, none of these bounds the error of an answer.
 

@@ -1,4 +1,4 @@
-"""What all pictures share, style, colours, files, SVG inside a page; figures of many lines, readable in grey.
+"""What all pictures share, style, colours, files, SVG inside a page; figures of many lines, readable in grey; and maps.
 
 Colours of families are those of Okabe and Ito. matplotlib loads when the first figure is asked for.
 """
@@ -47,7 +47,7 @@ JOURNAL = {"font.size": 8.0, "axes.titlesize": 8.5}
 COLUMN, PAGE = 3.5, 7.1
 """Inches: the width of a journal's column, and of its page."""
 
-HEIGHT, MOST_COLUMNS = 0.78, 3  # of a panel, as a share of its width; panels side by side
+HEIGHT, MOST_COLUMNS, MOST_MAPS = 0.78, 3, 4  # of a panel, as a share of its width; panels and maps side by side
 MARKED = 7  # markers along a line
 LEGEND_LINE, LETTERS = 0.17, 13  # inches; letters of a title to the inch
 NAME_WIDTH, LETTER_WIDTH = 0.5, 0.055  # inches: of a line and the space beside it in a legend, of a letter of its name
@@ -275,3 +275,45 @@ def _draw(axes: Any, line: Line, look: dict[str, Any], shown: tuple[float, float
     if line.band is not None:
         low, high = line.band
         axes.fill_betweenx(y, _positive(low), high, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
+
+
+# --- Maps of stability ----------------------------------------------------------------------------------------
+
+
+def draw_maps(
+    maps: Mapping[str, Mapping[tuple[str, str], str]], outcomes: Mapping[str, tuple[str, str]], title: str,
+    width: float | None = None,
+) -> Any:
+    """Return a figure with a map a name, rows × columns of outcomes, each in its colour and with its sign."""
+    rows, extents = (list(dict.fromkeys(place[k] for one in maps.values() for place in one)) for k in (0, 1))
+    columns = min(len(maps), MOST_MAPS)
+    lines, width = -(-len(maps) // columns), width or (PAGE if columns > 1 else COLUMN)
+    with styled(JOURNAL | {"axes.grid": False}):
+        from matplotlib.patches import Patch
+
+        height = 0.7 + lines * (0.3 + 0.55 * width / columns)
+        figure = require_matplotlib()(figsize=(width, height), layout="constrained")
+        every = figure.subplots(lines, columns, squeeze=False)
+        for k, axes in enumerate(every.ravel()):
+            if k >= len(maps):
+                axes.set_axis_off()
+                continue
+            name, found = list(maps.items())[k]
+            for (row, extent), outcome in found.items():
+                x, y = extents.index(extent), rows.index(row)
+                colour, sign = outcomes[outcome]
+                axes.fill_between([x - 0.5, x + 0.5], y - 0.5, y + 0.5, facecolor=colour, edgecolor="white",
+                                  linewidth=0.8)
+                axes.text(x, y, sign, ha="center", va="center", fontsize=LABEL_SIZE)
+            axes.set_title(name)
+            axes.set(xlim=(-0.5, len(extents) - 0.5), ylim=(len(rows) - 0.5, -0.5))
+            axes.set_xticks(range(0, len(extents), 2), extents[::2], fontsize=LABEL_SIZE)
+            axes.set_yticks(range(len(rows)), rows if k % columns == 0 else [""] * len(rows), fontsize=LABEL_SIZE)
+            axes.tick_params(length=0)
+            if k + columns >= len(maps):
+                axes.set_xlabel("stiffness 10^k: k", fontsize=LABEL_SIZE)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=9)
+        signs = [Patch(facecolor=colour, edgecolor="#999999", label=f"{name} {sign}".strip(), linewidth=0.5)
+                 for name, (colour, sign) in outcomes.items()]
+        figure.legend(handles=signs, loc="outside lower center", ncols=max(1, int(width / 1.4)), fontsize=LABEL_SIZE)
+    return figure

@@ -11,19 +11,15 @@ import argparse
 import sys
 import warnings
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from atlas import stability_atlas
-from exact_answers import lie_in
-from stresses import StressCase, planted, rescaled
 
 from lcp_plugin import LCP
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.evidence.exact_answers import lie_in
+from lcp_plugin.evidence.stability import stability_atlas
+from lcp_plugin.evidence.stresses import StressCase, planted, rescaled
 
 SPREADS = (0, 3, 30, 100, 300)
 

@@ -37,6 +37,7 @@ from lcp_plugin.engines import engine_class
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.curves import Report, performance_profile
 from lcp_plugin.evidence.error_against_time import error_against_time
+from lcp_plugin.evidence.stability import Atlas, stability_atlas
 from lcp_plugin.modeling.registration import ComplementarityProblem
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
@@ -650,11 +651,15 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "error_against_time progress": lambda p, wrong: error_against_time(p, ["psor"], progress=wrong),
     "cross_validate reference": lambda p, wrong: cross_validate(p, reference=wrong),
     "cross_validate algorithm": lambda p, wrong: cross_validate(p, algorithm=wrong),
+    "stability_atlas algorithms": lambda p, wrong: stability_atlas(wrong, ["sizes"]),
+    "stability_atlas stresses": lambda p, wrong: stability_atlas(["psor"], wrong),
+    "stability_atlas progress": lambda p, wrong: stability_atlas(["psor"], ["sizes"], progress=wrong),
     "gallery parse": lambda p, wrong: gallery.parse(wrong),
     "gallery build": lambda p, wrong: gallery.build(wrong),
     "report against": lambda p, wrong: REPORT.plot(against=wrong),
     "report save": lambda p, wrong: REPORT.save(wrong),
     "profile save": lambda p, wrong: performance_profile([REPORT]).save(wrong),
+    "atlas save": lambda p, wrong: Atlas((), ()).save(wrong),
     "ComplementarityProblem": lambda p, wrong: ComplementarityProblem(wrong),
 }
 REPORT = Report("", "", 1, 1, "residual", 1e-8, 1, 0.0, ())

@@ -26,6 +26,7 @@ from lcp_plugin.evidence.contestants import contestants
 from lcp_plugin.evidence.curves import Curve, Point
 from lcp_plugin.evidence.exporting import Table, save_tables
 from lcp_plugin.evidence.results import COLUMNS, VIEWS, Row, Study
+from lcp_plugin.evidence.stability import HIDDEN, OUTCOMES, WRONG, Atlas, Cell, stability_atlas
 from lcp_plugin.evidence.study import study
 
 
@@ -398,6 +399,58 @@ def test_a_view_that_does_not_exist_is_refused() -> None:
     ):
         with pytest.raises(InvalidOption, match=words):
             call()
+
+
+# --- Maps of stability ----------------------------------------------------------------------------------------
+
+
+def test_a_map_tells_wrong_from_hidden_from_honest() -> None:
+    """A lie, or an error that condition × residual does not explain, is wrong; explained it is hidden; else honest."""
+    def cell(status: str, error: float, condition: float, *, told: bool = True, family: str = "ranges") -> Cell:
+        lost = max(0.0, math.log10(error / (condition * 1e-9))) if error else 0.0
+        return Cell("psor", "contrast 1e8", family, condition, status, error, 1e-9, None, lost, told)
+
+    assert cell("SOLVED", 1e-7, 10.0).outcome == "right"
+    assert cell("SOLVED", 0.1, 1e9).outcome == HIDDEN
+    assert cell("SOLVED", 0.1, 10.0).outcome == WRONG
+    assert cell("SOLVED", 0.1, 1e9, family="proved ranges").outcome == WRONG
+    assert cell("SOLVED", 0.0, 10.0, told=False).outcome == WRONG
+    assert cell("ERROR", 0.0, 10.0, told=False).outcome == "raised an error"
+    assert cell("STALLED", 0.5, 10.0).outcome == "says that it failed"
+    assert cell("REFUSED", 0.0, 10.0).outcome == "refused"
+
+
+@pytest.mark.full
+def test_nothing_is_wrong_but_solved_and_a_proved_error_hides_nothing(tmp_path: Path) -> None:
+    """Over all ranges no method is wrong; SOLVED by a proved error is right everywhere it is said."""
+    pytest.importorskip("matplotlib")
+    atlas = stability_atlas(["auto", "npsor", "psor", "newton"], ["ranges", "proved ranges"], quick=True)
+    outcomes = {family: {cell.outcome for cell in atlas.cells if cell.family == family}
+                for family in ("ranges", "proved ranges")}
+    assert WRONG not in outcomes["ranges"]
+    assert outcomes["proved ranges"] == {"right", "says that it failed"}
+    assert not atlas.lies
+    for family in outcomes:
+        figure = atlas.plot(family=family)
+        atlas.save(tmp_path / "map.png", family=family)
+        assert [axes.get_title("left") for axes in figure.axes] == ["auto", "npsor", "psor", "newton"]
+        assert len(figure.legends[0].get_texts()) == len(OUTCOMES)
+
+
+def test_a_method_of_one_s_own_has_its_map() -> None:
+    """The atlas takes objects beside names, and tells from each other one that raises and one that gives up."""
+    atlas = stability_atlas([Damped(), Damped(fails=True), "psor"], ["far starts"], quick=True)
+    found = {name: {cell.outcome for cell in atlas.cells if cell.algorithm == name}
+             for name in ("damped", "damped fails=True", "psor")}
+    assert found == {
+        "damped": {"right", "says that it failed"}, "damped fails=True": {"raised an error"}, "psor": {"right"}
+    }
+
+
+def test_an_atlas_without_ranges_has_no_map() -> None:
+    """What is missing is named."""
+    with pytest.raises(InvalidOption, match="this atlas has no 'ranges'"):
+        Atlas(()).plot()
 
 
 def test_two_methods_of_one_name_are_refused() -> None:

@@ -9,23 +9,17 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.core.certificates.criterion import rounding_of_data
-from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.core.errors import UnsuitableProblem
-from lcp_plugin.core.lcp import LCP
-from lcp_plugin.core.matrix.scaling import scaled
-from lcp_plugin.core.settings import Status
-from lcp_plugin.core.solving.result import Result
-from lcp_plugin.proofs.exact.linear_systems import solved_nearby
-from lcp_plugin.proofs.exact.rational import (
-    exact_residuals,
-    exact_slack,
-    is_exact_solution,
-    power_of_two,
-    rational_rows,
-)
-from lcp_plugin.proofs.no_solution.proof import exactly_weighted
-from lcp_plugin.systems.equilibration import equilibrating_exponents
+from ..core.certificates.criterion import rounding_of_data
+from ..core.checks import FloatVector
+from ..core.errors import UnsuitableProblem
+from ..core.lcp import LCP
+from ..core.matrix.scaling import scaled
+from ..core.settings import Status
+from ..core.solving.result import Result
+from ..proofs.exact.linear_systems import solved_nearby
+from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution, power_of_two, rational_rows
+from ..proofs.no_solution.proof import exactly_weighted
+from ..systems.equilibration import equilibrating_exponents
 
 Answer = tuple[Fraction, ...]
 States = list[int]

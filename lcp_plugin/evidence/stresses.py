@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from exact_answers import Answer, condition_of_answer, exact_answer
 
-from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.core.lcp import LCP
-from lcp_plugin.gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
-from lcp_plugin.proofs.exact.rational import exact_slack
+from ..core.checks import FloatVector
+from ..core.lcp import LCP
+from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
+from ..proofs.exact.rational import exact_slack
+from .exact_answers import Answer, condition_of_answer, exact_answer
 
 LARGEST_INTEGER = 9
 
@@ -155,7 +155,7 @@ MOST = {"contrast": 14, "aspect": 30, "margin": 14}
 
 
 def ranges(quick: bool) -> Iterator[StressCase]:
-    """Yield four kinds of stiffness, each from 10^0 to the ends of double precision."""
+    """Yield four kinds of stiffness, each from 10^0 to the ends of double precision: the maps of `Atlas.plot`."""
     base = half_active("", grid(4, 5.0))
     for k in (0, 2, 4, 6, 8, 10, 12, 14, 16, 30, 100):
         tiny, factors = 10.0**-k, 10.0 ** np.resize([k, -k, 0, k / 2], base.problem.n)

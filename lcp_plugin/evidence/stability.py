@@ -5,26 +5,43 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, fields
 from itertools import product
+from typing import Any, ClassVar
 
 import numpy as np
-from exact_answers import lie_in, relative_error
-from stresses import FAMILIES, StressCase
 
-from lcp_plugin import Result, solve
-from lcp_plugin.algorithms import REGISTRY, Algorithm
-from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.evidence.contestants import contestants
+from ..algorithms import REGISTRY
+from ..api import solve
+from ..core.algorithm import Algorithm
+from ..core.errors import (
+    InvalidOption,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    did_you_mean,
+)
+from ..core.solving.result import Result
+from .contestants import checked_names, contestants
+from .drawing import draw_maps
+from .exact_answers import lie_in, relative_error
+from .exporting import Exported
+from .stresses import FAMILIES, StressCase
+
+Progress = Callable[[int, int, str], Any]
 
 EPSILON = 2.0**-52
 WELL_POSED = 1e-9  # condition × machine epsilon below this: double precision holds nine digits of the answer
 MAX_ITERATIONS, MAX_ITERATIONS_QUICK = 50_000, 5_000
 MISLEADING = 1e-3
 REFUSED, ERROR = "REFUSED", "ERROR"
-PROVED = "proved ranges"
+RANGES, PROVED = "ranges", "proved ranges"
 WRONG, HIDDEN = "wrong but SOLVED", "z off by condition × residual"
+OUTCOMES = {  # colour and sign
+    "right": ("#DDEBF7", ""), "says that it failed": ("#BDBDBD", "–"), "refused": ("#FFFFFF", "/"),
+    "raised an error": ("#7A7A7A", "!"),
+    HIDDEN: ("#FDD49E", "≈"), WRONG: ("#B2182B", "✗"),
+}
 
 
 @dataclass(frozen=True)
@@ -73,9 +90,10 @@ class Cell:
         """True where condition × machine epsilon < 1e-9."""
         return self.condition * EPSILON < WELL_POSED
 
+
     @property
     def outcome(self) -> str:
-        """What a reader learns of it, in a few words."""
+        """One of `OUTCOMES`, the colours of a map."""
         if self.status in (REFUSED, ERROR):
             return "refused" if self.status == REFUSED else "raised an error"
         is_off = self.status == "SOLVED" and self.true_error > MISLEADING
@@ -85,7 +103,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Atlas:
+class Atlas(Exported):
     """How each algorithm coped with each kind of difficult data.
 
     Attributes
@@ -95,6 +113,8 @@ class Atlas:
     skipped : tuple of (str, str)
         What was left out, and why.
     """
+
+    columns: ClassVar = tuple(field.name for field in fields(Cell))
 
     cells: tuple[Cell, ...]
     skipped: tuple[tuple[str, str], ...] = ()
@@ -139,32 +159,104 @@ class Atlas:
         lines += [f"left out: {what}: {reason}" for what, reason in self.skipped]
         return "\n".join(lines)
 
+    def plot(self, *, family: str = RANGES, width: float | None = None) -> Any:
+        """Return a figure with a map a method, how far each kind of stiffness may go; `save` writes it into a file.
+
+        Parameters
+        ----------
+        family : {"ranges", "proved ranges"}
+            SOLVED by the residual, as `solve` does it, or by a proved error, ``tolerance_on="error"``.
+        width : float, optional
+            Of the figure, inches.
+        """
+        maps: dict[str, dict[tuple[str, str], str]] = {}
+        for cell in self.cells:
+            if cell.family == family:
+                kind, _, extent = cell.stress.partition(" 1e")
+                maps.setdefault(cell.algorithm, {})[kind, extent] = cell.outcome
+        if not maps:
+            raise InvalidOption(f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])')
+        title = "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error"
+        return draw_maps(maps, OUTCOMES, title, width)
+
+    def to_content(self) -> dict[str, Any]:
+        """Return what JSON can hold: numbers that are not finite become the texts "inf" and "nan"."""
+        cells = [{key: _plain(value) for key, value in asdict(cell).items()} for cell in self.cells]
+        return {"cells": cells, "skipped": [list(entry) for entry in self.skipped]}
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return one row a cell, in the columns of the CSV."""
+        return [tuple(asdict(cell).values()) for cell in self.cells]
+
 
 def stability_atlas(
-    algorithms: Iterable[str | Algorithm] | None = None, stresses: Iterable[str] = tuple(FAMILIES), *,
+    algorithms: Iterable[str | Algorithm] | None = None,
+    stresses: Iterable[str] | None = None,
+    *,
     quick: bool = False,
+    progress: Progress | None = None,
 ) -> Atlas:
     """Return how each algorithm copes with each kind of difficult data, compared with exact answers.
 
     Parameters
     ----------
     algorithms : iterable of str and Algorithm, optional
-        All registered names and "auto" by default.
-    stresses : iterable of str
-        Names of `FAMILIES`.
+        As :func:`lcp_plugin.evidence.error_against_time.error_against_time` takes them; all registered names and "auto"
+        by default.
+    stresses : iterable of str, optional
+        Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range",
+        "cancellation", "one ulp", "ranges", "proved ranges" (the maps). All by default.
     quick : bool
         Fewer iterations, and a smaller large problem.
+    progress : callable, optional
+        Called as ``progress(done, total, label)`` after every cell.
+
+    Returns
+    -------
+    Atlas
+        The same call gives the same atlas: no clock is asked.
+
+    Raises
+    ------
+    UnknownAlgorithm, InvalidOption
+        Where a name does not exist.
 
     Notes
     -----
-    No clock is asked: the same call gives the same atlas. Within a run every warning of NumPy is an error, so that no
-    overflow is silent.
+    Within a run every warning of NumPy is an error, so that no overflow is silent.
+
+    Examples
+    --------
+    >>> atlas = stability_atlas(["psor"], ["far starts"])
+    >>> [cell.status for cell in atlas.cells], atlas.lies
+    (['SOLVED', 'SOLVED', 'SOLVED'], ())
     """
+    if progress is not None and not callable(progress):
+        raise InvalidOption(f"progress must be callable as progress(done, total, label), got {progress!r}")
     entrants = contestants(["auto", *REGISTRY] if algorithms is None else algorithms)
-    cases = [(family, case) for family in stresses for case in FAMILIES[family](quick)]
-    found = [_cell(family, case, one.label, one.algorithm, quick) for (family, case), one in product(cases, entrants)]
-    cells = tuple(cell for cell in found if isinstance(cell, Cell))
-    return Atlas(cells, tuple(cell for cell in found if not isinstance(cell, Cell)))
+    families = _families(stresses)
+    cases = [(family, case) for family in families for case in FAMILIES[family](quick)]
+    cells: list[Cell] = []
+    skipped: list[tuple[str, str]] = []
+    total = len(cases) * len(entrants)
+    for done, ((family, case), one) in enumerate(product(cases, entrants), start=1):
+        found = _cell(family, case, one.label, one.algorithm, quick)
+        if isinstance(found, Cell):
+            cells.append(found)
+        else:
+            skipped.append(found)
+        if progress is not None:
+            progress(done, total, f"{case.stress}: {one.label}")
+    return Atlas(tuple(cells), tuple(skipped))
+
+
+def _families(stresses: Any) -> list[str]:
+    """Return the names of the families, all by default, or raise InvalidOption where one is none."""
+    chosen = list(FAMILIES) if stresses is None else checked_names(stresses, "stresses")
+    for name in chosen:
+        if name not in FAMILIES:
+            raise InvalidOption(f"unknown stress {name!r}{did_you_mean(name, FAMILIES)}")
+    return chosen
 
 
 def _cell(family: str, case: StressCase, name: str, algorithm: str | Algorithm, quick: bool) -> Cell | tuple[str, str]:
@@ -221,3 +313,7 @@ def _line(cell: Cell) -> str:
         f"{cell.status:<16} {cell.algorithm:<15} {cell.stress:<38} condition {cell.condition:.0e}, "
         f"residual {cell.residual:.0e}, error {cell.true_error:.0e}{note}"
     )
+
+
+def _plain(value: Any) -> Any:
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

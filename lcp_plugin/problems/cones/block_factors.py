@@ -124,25 +124,28 @@ def column_of(p, other, begins, later, columns):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _subtract(first, width, size, left, place, right, targets, panel, total):  # type: ignore[no-untyped-def]
-    """Subtract from a row of a panel the sum over the `size` rows of left[:, place] · right[:, first:], at targets."""
-    row = total[:width - first]
-    row[:] = 0.0
-    a = 0
-    while a + 3 <= size:
-        one, two, three = left[a * width + place], left[(a + 1) * width + place], left[(a + 2) * width + place]
-        x, y = right[a * width + first:(a + 1) * width], right[(a + 1) * width + first:(a + 2) * width]
-        z = right[(a + 2) * width + first:(a + 3) * width]
-        for c in range(row.size):
-            row[c] += one * x[c] + two * y[c] + three * z[c]
-        a += 3
-    while a < size:
-        one, x = left[a * width + place], right[a * width + first:(a + 1) * width]
-        for c in range(row.size):
-            row[c] += one * x[c]
-        a += 1
-    for c in range(row.size):
-        panel[targets[first + c]] -= row[c]
+def _subtract(first, width, size, left, column, rows, right, targets, panel, wide):  # type: ignore[no-untyped-def]
+    """Subtract from the rows of a panel the sums over `size` rows of left[:, column + row] · right[:, first:]."""
+    if first == width:
+        return
+    begin, is_run = targets[first], targets[width - 1] - targets[first] == width - 1 - first
+    for a in range(0, size, 3):  # three products at once
+        b, c = min(a + 1, size - 1), min(a + 2, size - 1)
+        x, y = right[a * width + first:(a + 1) * width], right[b * width + first:(b + 1) * width]
+        z = right[c * width + first:(c + 1) * width]
+        for r in range(rows):
+            one, two, three = left[a * width + column + r], left[b * width + column + r], left[c * width + column + r]
+            if c == b:
+                three = 0.0
+            if b == a:
+                two = 0.0
+            if is_run:
+                row = panel[r * wide + begin:r * wide + begin + x.size]
+                for i in range(x.size):
+                    row[i] -= one * x[i] + two * y[i] + three * z[i]
+            else:
+                for i in range(x.size):
+                    panel[r * wide + targets[first + i]] -= one * x[i] + two * y[i] + three * z[i]
 
 
 @helper
@@ -187,10 +190,9 @@ def factor_blocks(  # type: ignore[no-untyped-def]
                     theirs += 1
                 for c in range(sizes[later[other]]):
                     targets[columns[other] + c] = columns[theirs] + c
-            for r in range(sizes[q]):
-                begin, end = panels[q] + r * widths[q], panels[q] + (r + 1) * widths[q]
-                _subtract(first, width, size, lower, first + r, own, targets, U[begin:end], total)
-                _subtract(first + sizes[q], width, size, own, first + r, lower, targets, L[begin:end], total)
+            theirs_U, theirs_L = U[panels[q]:panels[q + 1]], L[panels[q]:panels[q + 1]]
+            _subtract(first, width, size, lower, first, sizes[q], own, targets, theirs_U, widths[q])
+            _subtract(first + sizes[q], width, size, own, first, sizes[q], lower, targets, theirs_L, widths[q])
     return True
 
 

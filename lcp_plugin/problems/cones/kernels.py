@@ -18,7 +18,7 @@ OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: at the apex or a bound, in
 LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for one block
 TURN = 0.5  # radians a step of Newton turns at the most
 ACCURATE = 1e-14
-LARGEST = float(np.finfo(np.float64).max)
+LARGEST, LEAST = float(np.finfo(np.float64).max), float(np.finfo(np.float64).tiny)
 FIRST = np.int64(0)  # row of a block by itself; numba compiles a function anew for a 0 of Python's
 
 
@@ -370,11 +370,12 @@ def fill_blocks(  # type: ignore[no-untyped-def]
             for i in range(first, end):
                 for p in range(closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width):
                     largest = max(largest, abs(closed[p]))
-            if largest > 0.0:
-                for i in range(first, end):
-                    for p in range(closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width):
-                        total += (closed[p] / largest) ** 2
-            norms[at] = min(largest * np.sqrt(total), LARGEST)
+            unit = max(largest, LEAST)
+            share = 1.0 / unit
+            for i in range(first, end):
+                for p in range(closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width):
+                    total += (closed[p] * share) ** 2
+            norms[at] = min(unit * np.sqrt(total), LARGEST)
             if other == k:
                 norms[at] /= np.sqrt(end - first)
                 if end - first == 1:
@@ -534,14 +535,20 @@ def measure_at(starts, slope, friction, lower, upper, scale, weights, z, w, R): 
 
 
 @helper
-def measure(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-):
-    """Write w and R; return the largest ‖R_k‖ times weights, and their norm."""
+def velocities(indptr, indices, data, q, z, w):  # type: ignore[no-untyped-def]
+    """Write w = M z + q."""
     for i in range(q.size):
         w[i] = q[i]
         for p in range(indptr[i], indptr[i + 1]):
             w[i] += data[p] * z[indices[p]]
+
+
+@helper
+def measure(  # type: ignore[no-untyped-def]
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+):
+    """Write w and R; return the largest ‖R_k‖ times weights, and their norm."""
+    velocities(indptr, indices, data, q, z, w)
     return measure_at(starts, slope, friction, lower, upper, scale, weights, z, w, R)
 
 

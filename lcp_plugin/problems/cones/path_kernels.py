@@ -13,7 +13,7 @@ import numpy as np
 from ...core.kernels.compilation import helper
 from .body_kernels import factor_of_bodies, invert, step_of_bodies, structure_of_bodies
 from .central_path import LEAST_SLOPE, TO_THE_BOUNDARY
-from .kernels import FIRST, measure, project, tangent_of
+from .kernels import FIRST, measure_at, project, tangent_of, velocities
 
 REGULAR = 1e-10  # of d, in the blocks of a system
 SHORT, JAMMED = 0.1, 4  # a step; so many in turn lead nowhere
@@ -80,7 +80,7 @@ def longest(x, dx, y, dy):  # type: ignore[no-untyped-def]
 @helper
 def follow_path(known, mass, bodies, weights, near, most_steps, x, y, z, w, R):  # type: ignore[no-untyped-def]
     """Take steps to a point z near the end of the path, or until they jam; return the largest residual and how many."""
-    starts, slope, _, lower, upper, _, _, _, q, scale = known
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale = known
     blocks, m = x.shape
     by_contact, of_rows, of_one = np.empty((6, blocks, m)), np.empty((2, q.size)), np.empty((2, m, m))
     dx, dy, c, at, moved, slip = (
@@ -90,15 +90,19 @@ def follow_path(known, mass, bodies, weights, near, most_steps, x, y, z, w, R): 
     scalings = np.empty((3, blocks, m, m))
     H, root, inverse, is_closed = scalings[0], scalings[1], scalings[2], np.ones(blocks, np.bool_)
     structure, room = structure_of_bodies(bodies, is_closed, m)
-    largest, first_mean, first_left, jammed = np.inf, 0.0, 0.0, 0
-    for made in range(most_steps):
+    first_mean, first_left, made, jammed = 0.0, 0.0, 0, 0
+    while True:
         mean, most_left = 0.0, 0.0
         for k in range(blocks):
             mu = max(slope[k], LEAST_SLOPE)
             for i in range(m):
                 mean += x[k, i] * y[k, i] / blocks
                 z[starts[k] + i] = x[k, i] / (mu if i == 0 else 1.0)
-        measure(*known, weights, z, w, R)
+        velocities(indptr, indices, data, q, z, w)
+        project(starts, slope, lower, upper, z)
+        largest = measure_at(starts, slope, friction, lower, upper, scale, weights, z, w, R)[0]
+        if largest <= near or made == most_steps or jammed == JAMMED:
+            return largest, made
         for k in range(blocks):
             first, mu, speed = starts[k], max(slope[k], LEAST_SLOPE), tangent_of(y[k], FIRST, m)
             _scale(x[k], y[k], H[k], root[k])
@@ -168,12 +172,4 @@ def follow_path(known, mass, bodies, weights, near, most_steps, x, y, z, w, R): 
                         x[k, i], y[k, i] = x[k, i] + length * dx[k, i], y[k, i] + length * dy[k, i]
                     else:
                         after += (x[k, i] + length * dx[k, i]) * (y[k, i] + length * dy[k, i]) / blocks
-        for k in range(blocks):
-            for i in range(m):
-                z[starts[k] + i] = x[k, i] / (max(slope[k], LEAST_SLOPE) if i == 0 else 1.0)
-        project(starts, slope, lower, upper, z)
-        largest = measure(*known, weights, z, w, R)[0]
-        jammed = jammed + 1 if length < SHORT else 0
-        if largest <= near or jammed == JAMMED:
-            return largest, made + 1
-    return largest, most_steps
+        made, jammed = made + 1, jammed + 1 if length < SHORT else 0

@@ -27,7 +27,7 @@ ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before 
 FIRST_ROUNDS = 3
 NEWTON_STEPS, LONG_STEPS = 20, 50  # of a run: where all rounds follow, and where the first do
 CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER, EASIER)
-STEP_ROUNDS, STEP_NEWTON = np.array([10, 0, 30, 100, 300, 0]), 40  # the same of bodies; see solve_step
+STEP_ROUNDS, STEP_NEWTON = np.array([10, 30, 0, 0, 300, 0]), 40  # the same of bodies; see solve_step
 STEP_PROXIMAL = 1e-8  # at the least: of bodies, 1 / that is in the system
 SPREAD = 0.3  # of the mean of |z_i|: as far as starts are moved at random
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
@@ -80,8 +80,8 @@ def solve_small(
     first = problems[0]
     arrays = tuple(_stacked([getter(problem) for problem in problems]) for getter in _ARRAYS)
     z = np.array(arrays[-2] if start is None else start[np.newaxis])
-    return run_loop(first.arrays[0], arrays, z, settings, in_chunks, has_friction=first.has_friction,
-                    is_warm=start is not None)
+    (starts,) = read_only_views(first.starts)
+    return run_loop(starts, arrays, z, settings, in_chunks, has_friction=first.has_friction, is_warm=start is not None)
 
 
 def run_loop(
@@ -107,7 +107,7 @@ def run_loop(
     count, n = z.shape
     rounds, steps = (ROUNDS, NEWTON_STEPS) if n <= ALL_ROUNDS_UP_TO else (ROUNDS[:FIRST_ROUNDS], LONG_STEPS)
     rounds = np.concatenate([[0], rounds]) if is_warm else rounds
-    made, proved = np.zeros((count, 2), np.int64), np.full((count, 2), np.inf)
+    made, proved = np.zeros((count, 2), np.int64), np.zeros((count, 2)) + np.inf
 
     def solve_chunk(begin: int, end: int) -> None:
         solve_each(

@@ -8,7 +8,18 @@ from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
 from ...methods.small.kernels.small_systems import eliminate, substitute
-from .kernels import OUTWARD, block_bounds, block_derivative, measure, own_terms, project, sweep_once
+from .body_kernels import label_components
+from .kernels import (
+    OUTWARD,
+    block_bounds,
+    block_derivative,
+    count_blocks,
+    fill_blocks,
+    measure,
+    own_terms,
+    project,
+    sweep_once,
+)
 from .methods import EXACT, GAIN, LEAST_PROXIMAL
 
 LAST_STEPS = 2  # where the system is singular and a proximal term left in it
@@ -32,60 +43,28 @@ def put_back(starts, weights, origin, z):  # type: ignore[no-untyped-def]
 
 
 @helper
-def gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
-    """Write M as CSR, its diagonal blocks, the norms of its blocks, 1/‖M_kk‖, and d; return whether M is in one unit.
-
-    The rows of a block have one pattern. `norms` are the entries of the LCP of block norms, but for signs.
-    """
-    filled, largest, least, shows_none = 0, 0.0, np.inf, True
-    norms[:], diagonal[:] = 0.0, 0.0
+def scale_blocks(starts, begins, others, norms, closed_indptr, closed, diagonal, steps, scale):  # type: ignore[no-untyped-def]
+    """Write the diagonal blocks, 1/‖M_kk‖, and d; return whether M is in one unit."""
+    largest, least, shows_none = 0.0, np.inf, True
     for k in range(scale.size):
-        first, end = starts[k], starts[k + 1]
-        for i in range(first, end):
-            indptr[i] = filled
-            for j in range(M.shape[1]):
-                is_stored = False
-                for inner in range(first, end):
-                    is_stored = is_stored or M[inner, j] != 0.0
-                if is_stored:
-                    indices[filled], data[filled] = j, M[i, j]
-                    filled += 1
-        row = 0.0
-        for other in range(scale.size):
-            most, total = 0.0, 0.0
-            for i in range(first, end):
-                for j in range(starts[other], starts[other + 1]):
-                    most, total = max(most, abs(M[i, j])), total + M[i, j] * M[i, j]
-            norms[k, other] = max(most, np.sqrt(total))
-            if other == k:
-                steps[k] = 1.0 / norms[k, k] if norms[k, k] > 0.0 else 0.0
-                norms[k, k] /= np.sqrt(end - first)
-            row = max(row, norms[k, other])
-        for i in range(first, end):
-            for j in range(first, end):
-                diagonal[k, i - first, j - first] = M[i, j]
-        own = norms[k, k]
-        serves = own >= SMALLEST_SCALE * row and own > 0.0 and (end - first > 1 or M[first, first] > 0.0)
-        scale[k] = own if serves else row if row > 0.0 else 1.0
-        largest, least = max(largest, row), min(least, own)
-        shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= own
-    indptr[M.shape[0]] = filled
+        first, end, before = starts[k], starts[k + 1], 0
+        size, row, own = end - first, 0.0, 0.0
+        for at in range(begins[k], begins[k + 1]):
+            row = max(row, abs(norms[at]))
+            if others[at] < k:
+                before += starts[others[at] + 1] - starts[others[at]]
+            if others[at] == k:
+                own = norms[at]
+        total = 0.0
+        for i in range(size):
+            for j in range(size):
+                diagonal[k, i, j] = closed[closed_indptr[first + i] + before + j]
+                total += diagonal[k, i, j] ** 2
+        steps[k] = 1.0 / np.sqrt(total) if total > 0.0 else 0.0
+        scale[k] = own if own >= SMALLEST_SCALE * row and own > 0.0 else row if row > 0.0 else 1.0
+        largest, least = max(largest, row), min(least, abs(own))
+        shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= abs(own)
     return shows_none or largest * 2.0**-SPREAD <= least
-
-
-@helper
-def label(norms, labels):  # type: ignore[no-untyped-def]
-    """Give each block the number of the first block in its connected component."""
-    for k in range(labels.size):
-        labels[k] = k
-    has_changed = True
-    while has_changed:
-        has_changed = False
-        for k in range(labels.size):
-            for j in range(labels.size):
-                if norms[k, j] > 0.0 and labels[j] != labels[k]:
-                    labels[j] = labels[k] = min(labels[j], labels[k])
-                    has_changed = True
 
 
 @helper
@@ -123,14 +102,68 @@ def references(  # type: ignore[no-untyped-def]
 
 
 @helper
-def newton_step(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w, J, place,
-    step
-):
+def begin(starts, slope, friction, lower, upper, indptr, indices, data, q, origin, z):  # type: ignore[no-untyped-def]
+    """Return whether M is in one unit and references are known; what runs know, and room for them.
+
+    These are the blocks with M closed and d, the diagonal blocks, components, and six arrays of blocks and six of rows:
+    1/‖M_kk‖, d, references, weights and two for bounds; w, R, the rounding of w and three others.
+    """
+    blocks, n, m = slope.size, q.size, np.int64(1)
+    of_row = np.empty(n, np.int64)
+    for k in range(blocks):
+        m = max(m, starts[k + 1] - starts[k])
+        for i in range(starts[k], starts[k + 1]):
+            of_row[i] = k
+    begins, closed_indptr = np.empty(blocks + 1, indices.dtype), np.empty(n + 1, indices.dtype)
+    count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
+    others, norms = np.empty(begins[blocks], indices.dtype), np.empty(begins[blocks])
+    closed_indices, closed = np.empty(closed_indptr[n], indices.dtype), np.empty(closed_indptr[n])
+    fill_blocks(starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed)
+    diagonal, labels = np.empty((blocks, m, m)), np.empty(blocks, np.int64)
+    of_blocks, of_rows = np.empty((6, blocks)), np.empty((6, n))
+    steps, scale, reference = of_blocks[0], of_blocks[1], of_blocks[2]
+    weights, least, most = of_blocks[3], of_blocks[4], of_blocks[5]
+    w, R, slip, swept = of_rows[0], of_rows[1], of_rows[2], of_rows[4]
+    is_known = scale_blocks(starts, begins, others, norms, closed_indptr, closed, diagonal, steps, scale)
+    if is_known:
+        label_components(begins, others, labels)
+        copy(origin, swept)
+        product(closed_indptr, closed_indices, closed, q, swept, w, slip)
+        is_known = references(
+            starts, slope, friction, lower, upper, swept, w, slip, scale, labels, R, least, most, reference, weights
+        )
+    if is_known:
+        put_back(starts, weights, origin, z)
+    known = starts, slope, friction, lower, upper, closed_indptr, closed_indices, closed, q, scale
+    return is_known, known, diagonal, labels, of_blocks, of_rows
+
+
+@helper
+def settle(known, origin, labels, of_blocks, of_rows, z, proved):  # type: ignore[no-untyped-def]
+    """Take the answer into the cones; write bounds of its relative residual and of its term residual into `proved`."""
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale = known
+    reference, weights, least, most = of_blocks[2], of_blocks[3], of_blocks[4], of_blocks[5]
+    w, R, slip, start, swept, terms = of_rows[0], of_rows[1], of_rows[2], of_rows[3], of_rows[4], of_rows[5]
+    put_back(starts, weights, origin, z)
+    project(starts, slope, lower, upper, z)
+    product(indptr, indices, data, q, z, w, slip)
+    own_terms(*known, labels, z, w, start, terms, R, swept, least, most, weights)
+    proved[0] = proved[1] = 0.0
+    for k in range(slope.size):
+        most[k] = block_bounds(k, starts, slope, friction, lower, upper, z, w, slip, scale, R)[1]
+        if most[k] > 0.0:
+            proved[0] = max(proved[0], OUTWARD * most[k] / reference[k])
+            proved[1] = max(proved[1], weights[k])
+
+
+@helper
+def newton_step(known, z, w, R, epsilon, room, step):  # type: ignore[no-untyped-def]
     """Write the step s of (R_z + R_w (M + ε D)) s = −R; return whether there is one.
 
     Of open blocks, and of rows at bounds, s = −R; the system is that of the others, whose rows `place` numbers.
     """
+    starts, slope, friction, lower, upper, indptr, indices, data, _, scale = known
+    by_z, by_w, J, place, x, way = room
     n = np.int64(0)  # numpy's: one signature of `eliminate`
     for k in range(slope.size):
         block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
@@ -169,25 +202,17 @@ def newton_step(  # type: ignore[no-untyped-def]
 
 
 @helper
-def _newton(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, goal, most_steps,
-    constants, z, w, R, start, sizes, x, way, by_z, by_w, J, place, step
-):
+def _newton(known, weights, goal, most_steps, memory, constants, z, w, R, start, step, room):  # type: ignore[no-untyped-def]
     """Take Newton's steps, with a nonmonotone line search, to the goal; return the largest residual and how many."""
     proximal, halvings, decrease, least_proximal, harder, easier = constants
-    largest, size = measure(
-        starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-    )
-    sizes[:] = size
+    largest, size = measure(*known, weights, z, w, R)
+    sizes = np.full(memory, size)
     widest = proximal
     for made in range(most_steps):
         if largest <= goal or not size < np.inf:
             return largest, made
         epsilon = max(min(widest, 0.1 * largest), least_proximal)
-        while epsilon <= 1.0 and not newton_step(
-            starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, way, by_z, by_w,
-            J, place, step,
-        ):
+        while epsilon <= 1.0 and not newton_step(known, z, w, R, epsilon, room, step):
             epsilon *= harder
         if epsilon > 1.0:
             return largest, made
@@ -198,9 +223,7 @@ def _newton(  # type: ignore[no-untyped-def]
         for _ in range(halvings):
             for i in range(z.size):
                 z[i] = start[i] + length * step[i]
-            largest, size = measure(
-                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-            )
+            largest, size = measure(*known, weights, z, w, R)
             if size <= (1.0 - decrease * length) * allowed:
                 break
             length *= 0.5
@@ -210,6 +233,19 @@ def _newton(  # type: ignore[no-untyped-def]
             widest = easier * epsilon  # the term itself keeps the step short
         sizes[made % sizes.size] = size
     return largest, most_steps
+
+
+@helper
+def compress(M, indptr, indices, data):  # type: ignore[no-untyped-def]
+    """Write a dense M as CSR."""
+    filled = 0
+    for i in range(M.shape[0]):
+        indptr[i] = filled
+        for j in range(M.shape[1]):
+            if M[i, j] != 0.0:
+                indices[filled], data[filled] = j, M[i, j]
+                filled += 1
+    indptr[M.shape[0]] = filled
 
 
 @kernel
@@ -231,30 +267,22 @@ def solve_each(  # type: ignore[no-untyped-def]
     for k in range(blocks):
         m = max(m, starts[k + 1] - starts[k])
     indptr, indices, data = np.empty(n + 1, np.int32), np.empty(n * n, np.int32), np.empty(n * n)
-    diagonal, norms, labels = np.empty((blocks, m, m)), np.empty((blocks, blocks)), np.empty(blocks, np.int64)
-    steps, scale, reference, weights = np.empty(blocks), np.empty(blocks), np.empty(blocks), np.empty(blocks)
-    least, most, sizes = np.empty(blocks), np.empty(blocks), np.empty(memory)
-    b, x, y, before = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
-    by_z, by_w, step, place = np.empty((blocks, m, m)), np.empty((blocks, m, m)), np.empty(n), np.empty(n, np.int64)
-    w, R, slip, start, swept = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    J = np.empty((n + 4, n + 1))
+    by_z, by_w, of_one = np.empty((blocks, m, m)), np.empty((blocks, m, m)), np.empty((4, m))
+    b, x, y, before = of_one[0], of_one[1], of_one[2], of_one[3]
+    room = by_z, by_w, np.empty((n + 4, n + 1)), np.empty(n, np.int64), x, y
     for number in range(item, end_item):
         made[number], proved[number] = 0, np.inf
-        slope, lower, upper = slopes[number], lowers[number], uppers[number]
-        q, z, origin = offsets[number], points[number], origins[number]
-        if not gather(matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale):
+        z, origin = points[number], origins[number]
+        compress(matrices[number], indptr, indices, data)
+        is_known, known, diagonal, labels, of_blocks, of_rows = begin(
+            starts, slopes[number], friction, lowers[number], uppers[number], indptr, indices, data, offsets[number],
+            origin, z,
+        )
+        if not is_known:
             continue
-        label(norms, labels)
-        copy(origin, swept)
-        product(indptr, indices, data, q, swept, w, slip)
-        if not references(
-            starts, slope, friction, lower, upper, swept, w, slip, scale, labels, R, least, most, reference, weights
-        ):
-            continue
-        put_back(starts, weights, origin, z)
-        largest = measure(
-            starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-        )[0]
+        steps, weights = of_blocks[0], of_blocks[3]
+        w, R, start, swept, step = of_rows[0], of_rows[1], of_rows[3], of_rows[4], of_rows[5]
+        largest = measure(*known, weights, z, w, R)[0]
         random, newton_steps = 1, 0
         copy(z, swept)
         for turn in range(rounds.size):
@@ -262,9 +290,7 @@ def solve_each(  # type: ignore[no-untyped-def]
                 break
             copy(swept, z)
             for _ in range(rounds[turn]):
-                sweep_once(
-                    starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, y, before
-                )
+                sweep_once(*known[:9], diagonal, steps, z, b, x, y, before)
             made[number, 0] += rounds[turn]
             copy(z, swept)
             if turn % 2:
@@ -276,44 +302,27 @@ def solve_each(  # type: ignore[no-untyped-def]
                     random = (1103515245 * random + 12345) % 2147483648
                     z[i] += spread * (random / 1073741824.0 - 1.0)
             largest, taken = _newton(
-                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, goal, most_steps,
-                constants, z, w, R, start, sizes, x, y, by_z, by_w, J, place, step,
+                known, weights, goal, most_steps, memory, constants, z, w, R, start, step, room
             )
             newton_steps += taken
         made[number, 1] = newton_steps
-        if largest <= goal:
-            pays = newton_steps > 0 or 3 * made[number, 0] >= n  # a last system costs less than the run did
-            for _ in range(LAST_STEPS):
-                if largest <= EXACT or not pays:
-                    break
-                copy(z, start)
-                epsilon = 0.0
-                while epsilon <= LEAST_PROXIMAL and not newton_step(
-                    starts, slope, friction, lower, upper, indptr, indices, data, z, w, R, scale, epsilon, x, y, by_z,
-                    by_w, J, place, step,
-                ):
-                    epsilon = max(2.0 * epsilon, LEAST_PROXIMAL)
-                if epsilon > LEAST_PROXIMAL:
-                    break
-                made[number, 1] += 1
-                for i in range(n):
-                    z[i] += step[i]
-                before_it, largest = largest, measure(
-                    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
-                )[0]
-                if not largest < before_it:
-                    copy(start, z)
-                    break
-            put_back(starts, weights, origin, z)
-            project(starts, slope, lower, upper, z)
-            product(indptr, indices, data, q, z, w, slip)
-            own_terms(
-                starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, start, step, R,
-                swept, least, most, weights,
-            )
-            proved[number, 0] = proved[number, 1] = 0.0
-            for k in range(blocks):
-                most[k] = block_bounds(k, starts, slope, friction, lower, upper, z, w, slip, scale, R)[1]
-                if most[k] > 0.0:
-                    proved[number, 0] = max(proved[number, 0], OUTWARD * most[k] / reference[k])
-                    proved[number, 1] = max(proved[number, 1], weights[k])
+        if not largest <= goal:
+            continue
+        pays = newton_steps > 0 or 3 * made[number, 0] >= n  # a last system costs less than the run did
+        for _ in range(LAST_STEPS):
+            if largest <= EXACT or not pays:
+                break
+            copy(z, start)
+            epsilon = 0.0
+            while epsilon <= LEAST_PROXIMAL and not newton_step(known, z, w, R, epsilon, room, step):
+                epsilon = max(2.0 * epsilon, LEAST_PROXIMAL)
+            if epsilon > LEAST_PROXIMAL:
+                break
+            made[number, 1] += 1
+            for i in range(n):
+                z[i] += step[i]
+            before_it, largest = largest, measure(*known, weights, z, w, R)[0]
+            if not largest < before_it:
+                copy(start, z)
+                break
+        settle(known, origin, labels, of_blocks, of_rows, z, proved[number])

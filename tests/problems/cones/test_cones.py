@@ -103,6 +103,15 @@ def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
     assert exact_relative_residual(problem, result.z) <= tolerance
 
 
+@pytest.mark.parametrize("name", ["npgs", "newton"])
+def test_a_run_ends_with_the_linear_system_of_its_cases(name: str) -> None:
+    """Of a cone and a singular M: the tolerance is 1e-8, and the answer has all digits."""
+    rng = np.random.default_rng([0, 882])
+    rng.random()
+    problem, _ = planted_cones(int(rng.integers(1, 9)), rng, rank=float(rng.choice([0.4, 1.0])))
+    assert solve(problem, name).residual <= 1e-13
+
+
 @pytest.mark.parametrize("edge", [2, 3])
 def test_an_interior_point_solves_what_many_contacts_determine_many_times(edge: int) -> None:
     """A wall of bricks, four contacts a face: SOLVED, every brick stands, and the floor carries the weight."""
@@ -115,6 +124,16 @@ def test_an_interior_point_solves_what_many_contacts_determine_many_times(edge: 
     assert floor == pytest.approx(weight, rel=1e-6)
 
 
+@pytest.mark.parametrize(("contacts", "bodies", "case"), [(30, 5, 44), (60, 12, 34)])
+def test_the_central_path_spares_starts_at_random(contacts: int, bodies: int, case: int) -> None:
+    """Many contacts of few bodies, W alone, which Newton's method leaves open: the path solves them."""
+    rng = np.random.default_rng([1, case])
+    problem, _, _ = planted_contacts(contacts, bodies, 10.0 ** rng.uniform(0.0, 5.0), rng)
+    result = solve(problem).require_solved()
+    assert exact_relative_residual(problem, result.z) <= 1e-8
+    assert "from a point nearby" not in result.explain()
+
+
 @pytest.mark.full  # half a minute of compilation
 @pytest.mark.parametrize("share", [0.98, 0.0])
 def test_a_path_from_near_the_answer_is_shorter(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,7 +141,7 @@ def test_a_path_from_near_the_answer_is_shorter(share: float, monkeypatch: pytes
 
     That is what steps of a moving pile need whose impulses Newton's method does not find.
     """
-    monkeypatch.setattr("lcp_plugin.problems.cones.small.STEP_ROUNDS", np.array([0, 1, 0]))
+    monkeypatch.setattr("lcp_plugin.problems.cones.small.STEP_ROUNDS", np.array([0, 1, 0, 0, 0, 0]))
     monkeypatch.setattr("lcp_plugin.problems.cones.small.STEP_NEWTON", 0)
     problem, _ = wall(4, 4)
     start = share * solve(problem, "interior_point").z

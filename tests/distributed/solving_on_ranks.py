@@ -394,10 +394,6 @@ def derivatives_are_those_of_one_process(comm: Any) -> None:
     dz = found.jvp(dq=dq[own], dlower=dlower[own], dupper=1.0)
     near(dz, true)
     near(found.dw(dz, dq=dq[own]), one.dw(true, dq=dq))
-    if found.is_unique:
-        bounds = comm.allgather(found.jvp_bound(dz, dq=dq[own], dlower=dlower[own], dupper=1.0))
-        assert len(set(bounds)) == 1
-        assert 0.0 < bounds[0] <= 1e-8
     only_here = np.where(np.arange(n) < 5, 1.0, 0.0)  # the first rank alone has anything to say
     near(found.jvp(dlower=only_here[own]), one.jvp(dlower=only_here))
     for arguments in ((g,), (g, gw), (0.0 * g, only_here)):

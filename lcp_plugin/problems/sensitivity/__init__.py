@@ -27,9 +27,7 @@ from ...core.lcp import LCP
 from ...core.matrix.symmetry import has_symmetric_entries
 from ...core.solving.result import Result
 from ...proofs.bounds.active_rows import ActiveRows, proven_rows, settled_rows
-from ...proofs.bounds.error_bounds import ErrorBound, error_bound, relative_to
-from ...proofs.bounds.row_inequality import distance_above
-from ...proofs.bounds.solution_bounds import block_error_bound
+from ...proofs.bounds.error_bounds import ErrorBound, error_bound
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
 from ...systems.linearised import Linearised
@@ -299,50 +297,6 @@ class Derivative(Linearised):
             return one_sided(self.problem, self._rows, h, moved)
         dz: FloatVector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
         return dz
-
-    def jvp_bound(
-        self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
-        dupper: ArrayLike | None = None, **named: Any,
-    ) -> float:
-        """Return a bound of ‖dz − dz*‖∞/‖dz‖∞, dz* the derivative in exact arithmetic at the exact solution.
-
-        Rigorous for the stored doubles, rounding and the error of z included: a dz of `jvp` has some ε κ(M_FF).
-
-        Parameters
-        ----------
-        dz : array, shape (n,)
-            Any, such as what `jvp` returns for the same changes.
-        dM, dq, dlower, dupper, **named
-            As for `jvp`.
-
-        Raises
-        ------
-        InvalidProblem
-            For another shape, or numbers that are not finite.
-        UnsuitableProblem
-            Where `is_unique` is not True.
-
-        Examples
-        --------
-        >>> from lcp_plugin import LCP, solve
-        >>> found = derivative(solve(LCP([[3, 1], [1, 3]], [-5, 3])))
-        >>> dz = found.jvp(dq=[1, 0])
-        >>> found.jvp_bound(dz, dq=[1, 0]) < 1e-15, 0.9e-3 < found.jvp_bound(1.001 * dz, dq=[1, 0]) < 2e-3
-        (True, True)
-        """
-        bound = self.bound
-        if not self.is_unique or bound is None or bound.near is None:
-            raise UnsuitableProblem(
-                f"an error bound needs a derivative that is proven to exist, and is_unique is {self.is_unique}: M must "
-                "be an H₊-matrix or have a positive definite symmetric part, and no row be near degenerate"
-            )
-        free = self._rows.free
-        dM, dq = self._with_named(dM, dq, named)
-        dz, moved, b = self._own_part(dz, "dz"), self._moved(dlower, dupper), self._optional(dq, "dq")
-        y = block_error_bound(self._system, np.where(free, dz, moved), b, self._matrix_change(dM), bound.near)
-        error = np.where(free, y, distance_above(moved, np.zeros(dz.size), dz))
-        sizes = float(error.max(initial=0.0)), float(np.abs(dz).max(initial=0.0))
-        return relative_to(*self.problem.matrix.each_largest(*sizes))
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, **named: Any) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""

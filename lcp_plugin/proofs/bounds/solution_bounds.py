@@ -1,16 +1,12 @@
 """How far a point is from the solution, by what M has: a v > 0 with ⟨M⟩v > 0, or a bound of its smallest eigenvalue.
 
-**A linear system** with a block of M. Let |M_FF x| ≤ s. With ⟨M_FF⟩v ≥ u > 0 and t = max s_i/u_i, ⟨M_FF⟩|x| ≤ s ≤
-t ⟨M_FF⟩v, so that |x| ≤ t v; a v of M serves each of its principal blocks. With λ ≤ the eigenvalues of
-C (M_FF + M_FFᵀ)/2 C, C = diag(c) > 0, λ‖C⁻¹x‖₂² ≤ xᵀM_FF x ≤ ‖C⁻¹x‖₂‖C s‖₂, so that ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ.
-
-**A complementarity problem**: by v row by row (:mod:`.row_inequality`). By λ: with e = z − z*, any S = diag(s) > 0 and
-r_i = mid(z_i − upper_i, z_i − lower_i, s_i w_i), the point z − r is the projection of z − S w to the bounds. Its
-variational inequality at z*, and that of z* at z − r, add up row by row to
+By v row by row (:mod:`.row_inequality`). By λ, no larger than the eigenvalues of C (M + Mᵀ)/2 C, C = diag(c) > 0: with
+e = z − z*, any S = diag(s) > 0 and r_i = mid(z_i − upper_i, z_i − lower_i, s_i w_i), the point z − r is the projection
+of z − S w to the bounds. Its variational inequality at z*, and that of z* at z − r, add up row by row to
 
     (M e)_i e_i ≤ (M e)_i r_i + e_i r_i/s_i − r_i²/s_i,   hence   eᵀM e ≤ eᵀ(Mᵀ + S⁻¹) r,
 
-and in the unit of C that is ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ: never more than (1 + ‖M‖)‖r‖/λ where S = C = I, and much
+and as λ‖C⁻¹e‖₂² ≤ eᵀM e, ‖C⁻¹e‖₂ ≤ ‖C (Mᵀ + S⁻¹) r‖₂ / λ: never more than (1 + ‖M‖)‖r‖/λ where S = C = I, and much
 less where r is smooth.
 """
 
@@ -31,11 +27,10 @@ from ...core.matrix.structure import Components, connected_components
 from ...core.rounding import compensated_product, gamma
 from ...systems.equilibration import unit_diagonal
 from ...systems.factors import PositiveFactor, factor_fits, positive_factor
-from ...systems.free_systems import FreeSystem
 from ..exact.upward import product_above, quotient_above, sum_above
 from ..verdicts import Weights, comparison_weights
 from ..verdicts.verdicts import eigenvalue_proven
-from .row_inequality import NearPoint, RowInequality
+from .row_inequality import RowInequality
 
 DENSE_UP_TO = 3000
 SPARSE_UP_TO = 30_000
@@ -61,11 +56,6 @@ class HPlusBounds:
     method: ClassVar[str] = "v-certificate"
     kind: ClassVar[str] = "rigorous"
 
-    def of_solution(self, size: FloatVector) -> FloatVector:
-        """Return a bound of |x| for every x with |M x| ≤ size, shape (own,)."""
-        share = quotient_above(size, self.weights.margin)
-        return product_above(np.float64(self.matrix.largest_of(share)), self.weights.high)
-
     def of_error(self, at: RowInequality) -> FloatVector:
         """Return a bound of |z − z*|, shape (own,); the least t v that is one."""
         return product_above(at.inflation(self.weights), self.weights.high)
@@ -84,10 +74,6 @@ class DefiniteBounds:
         """Whether it is a proof: "rigorous" or "estimate"."""
         return "rigorous" if self.eigenvalue.is_rigorous else "estimate"
 
-    def of_solution(self, size: FloatVector) -> FloatVector:
-        """Return a bound of |x| for every x with |M x| ≤ size, shape (n,)."""
-        return norm_bound(size, self.eigenvalue)
-
     def of_error(self, at: RowInequality) -> FloatVector:
         """Return a bound of |z − z*|, shape (n,)."""
         y = two_norm_bound(at.problem, at, self.eigenvalue)
@@ -105,12 +91,6 @@ def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
         return HPlusBounds(matrix, found)
     eigenvalue = None if matrix.is_distributed else smallest_eigenvalue_bound(matrix)
     return None if eigenvalue is None else DefiniteBounds(eigenvalue)
-
-
-def _of_solution(matrix: Matrix, size: FloatVector) -> FloatVector:
-    bounds = bounds_of(matrix)
-    is_proved = bounds is not None and bounds.kind == "rigorous"
-    return bounds.of_solution(size) if bounds is not None and is_proved else np.full(size.size, np.inf)
 
 
 @fact
@@ -171,15 +151,9 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     blurred, blurred_radius = compensated_product(absolute, blur, blur * inverse_step)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
     size = sum_above(size, 4.0 * TINY)  # products may have underflowed
-    return norm_bound(size, eigenvalue, connected_components(problem.matrix))
-
-
-def norm_bound(size: FloatVector, eigenvalue: EigenvalueBound, several: Components | None = None) -> FloatVector:
-    """Return c_i ‖C s‖₂/λ of each component, rounded up, (n,): |x| is no larger where ‖C⁻¹x‖₂ ≤ ‖C s‖₂/λ there."""
-    scale = eigenvalue.scale
-    scaled = product_above(scale, size)
-    norm = np.asarray(norm_above(scaled) if several is None else _norms_above(scaled, several)[several.labels])
-    bound = product_above(scale, quotient_above(norm, np.float64(eigenvalue.value)))
+    several, even = connected_components(problem.matrix), product_above(eigenvalue.scale, size)
+    norm = np.asarray(norm_above(even) if several is None else _norms_above(even, several)[several.labels])
+    bound = product_above(eigenvalue.scale, quotient_above(norm, np.float64(eigenvalue.value)))
     return np.where(np.isnan(bound), np.inf, bound)
 
 
@@ -284,68 +258,3 @@ def _lanczos_estimate(part: Any) -> float | None:
     except ArpackNoConvergence:
         return None
     return 0.9 * value if value > 0.0 else None
-
-
-@np.errstate(all="ignore")
-def block_solution_bound(system: FreeSystem, size: FloatVector) -> FloatVector:
-    """Return a bound on the free rows of |x| for every x with |M_FF x| ≤ size_F, shape (n,).
-
-    ∞ where M_FF is neither proven an H₊-matrix nor proven to have a positive definite symmetric part; on ranks the
-    whole of M must be an H₊-matrix.
-
-    Parameters
-    ----------
-    size : array, shape (n,)
-        Not negative; on ranks the own part.
-
-    Examples
-    --------
-    >>> system = FreeSystem(Matrix([[2.0, 1.0], [1.0, 2.0]]), np.array([True, True]))
-    >>> block_solution_bound(system, np.array([1.0, 0.0])) >= [2 / 3, 1 / 3]
-    array([ True,  True])
-    """
-    if system.matrix.is_distributed:
-        return _of_solution(system.matrix, np.where(system.free, size, 0.0))
-    bound = np.zeros(size.size)
-    if system.rows.size:
-        bound[system.free] = _of_solution(system.principal, size[system.free])
-    return bound
-
-
-@np.errstate(all="ignore")
-def block_error_bound(
-    system: FreeSystem, x: FloatVector, b: FloatVector, A: Any | None, z: NearPoint
-) -> FloatVector:
-    """Return a bound of |x − x*|, shape (n,), where (M x* + A z* + b)_F = 0 and x* = x elsewhere.
-
-    Parameters
-    ----------
-    x, b : array, shape (n,)
-        On ranks the own parts.
-    A : array or CSR array, shape (n, n), or None
-    z : NearPoint
-        z* is no farther from it than its own bound.
-
-    Examples
-    --------
-    >>> system = FreeSystem(Matrix([[2.0, 1.0], [1.0, 2.0]]), np.array([True, False]))
-    >>> z = NearPoint(np.ones(2), np.zeros(2), np.zeros(2))
-    >>> block_error_bound(system, np.array([1.5, 0.0]), np.zeros(2), -4.0 * np.eye(2), z) >= [0.5, 0.0]
-    array([ True,  True])
-    """
-    matrix, blur = system.matrix, np.zeros(x.size)
-    terms = [(matrix.csr_rows, matrix.whole(x), b)]
-    if A is not None:
-        blur = _sum_bound([(sp.csr_array(abs(A)), z.y, blur)], blur)
-        terms += [(sp.csr_array(A), part, np.zeros(x.size)) for part in (z.high, z.low)]
-    return np.where(system.free, block_solution_bound(system, _sum_bound(terms, blur)), 0.0)
-
-
-def _sum_bound(terms: list[tuple[Any, FloatVector, FloatVector]], blur: FloatVector) -> FloatVector:
-    """Return an upper bound of |Σ (A x + b)| + blur, shape (n,), for terms (A, x, b), A as CSR."""
-    high = low = np.zeros(blur.size)
-    for A, x, b in terms:
-        value, radius = compensated_product(A, x, b)
-        high, low, blur = sum_above(high, value), sum_above(low, -value), sum_above(blur, radius)
-    bound = sum_above(np.maximum(high, low), blur)
-    return np.where(np.isnan(bound), np.inf, bound)

@@ -16,10 +16,11 @@ import numpy as np
 import scipy.sparse as sp
 from binary_nl import write_form
 from scipy.optimize import linprog
+from sol_files import read_sol
 
 from lcp_plugin import LCPError
 from lcp_plugin.commands import ampl
-from lcp_plugin.interfaces.nl import read_nl, read_sol
+from lcp_plugin.interfaces.nl import read_nl
 from lcp_plugin.interfaces.nl.answers import CODES
 from lcp_plugin.interfaces.nl.checks import evaluated
 from lcp_plugin.interfaces.nl.content import NLContent, Token, Trees

@@ -27,6 +27,9 @@ import scipy.sparse as sp
 from pyomo.mpec import Complementarity
 from pyomo.mpec import complements as complementary
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from sol_files import read_sol
+
 import lcp_plugin.pyomo
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
@@ -163,7 +166,7 @@ def from_pyomo(problem: EquilibriumProgram) -> Said:
 def from_ampl(problem: EquilibriumProgram) -> Said:
     """Return what the executable writes: no bound, and a value at its x."""
     from lcp_plugin.commands.ampl import main
-    from lcp_plugin.interfaces.nl import read_nl, read_sol
+    from lcp_plugin.interfaces.nl import read_nl
 
     with tempfile.TemporaryDirectory() as folder:
         stub = Path(folder) / "m"

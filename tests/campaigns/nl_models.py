@@ -22,8 +22,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from random_nl_models import drawn_words, judged, random_model
+from sol_files import read_sol
 
-from lcp_plugin.interfaces.nl import read_sol, write_nl
+from lcp_plugin.interfaces.nl import write_nl
 
 
 def by_process(stub: Path, words: list[str]) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from kinds_of_problems import SAMPLES, Sample
 from nl_content import content_of
+from sol_files import read_sol
 from typer.testing import CliRunner
 
 from lcp_plugin import (
@@ -56,7 +57,7 @@ from lcp_plugin.core.solving.answer import Answer
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.study import study
-from lcp_plugin.interfaces.nl import read_nl, read_sol, write_nl
+from lcp_plugin.interfaces.nl import read_nl, write_nl
 from lcp_plugin.interfaces.nl.answers import CODES
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.kinds import KINDS, options_of

@@ -16,9 +16,10 @@ import scipy.sparse as sp
 from binary_nl import write_form
 from fresh_process import printed_by
 from nl_content import content_of
+from sol_files import read_sol
 
 from lcp_plugin.commands import ampl, cli
-from lcp_plugin.interfaces.nl import read_sol, write_nl
+from lcp_plugin.interfaces.nl import write_nl
 from lcp_plugin.interfaces.nl.content import NLContent, Trees
 
 Z, W = np.array([1.5, 0.0, 2.0]), np.array([0.0, 0.25, 0.0])

@@ -16,10 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_nl import difference, mutilated, random_content
 from relations import bits
+from sol_files import read_sol
 
 from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, solve
 from lcp_plugin.core import errors
-from lcp_plugin.interfaces.nl import read_content, read_nl, read_sol, write_nl, write_sol
+from lcp_plugin.interfaces.nl import read_content, read_nl, write_nl, write_sol
 from lcp_plugin.interfaces.nl.content import Trees
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
@@ -312,31 +313,6 @@ def read_by_pyomo(path: Path, x: object, y: object, options: tuple[int, ...]) ->
         assert [old.solution(0).variable[f"v{j}"]["Value"] for j in range(len(values))] == values
 
 
-@pytest.mark.parametrize("old", [b"Options", b"\n2\n2\n", b"3\n1\n", b"0.25"])
-def test_a_damaged_answer_is_refused_with_its_line(tmp_path: Path, old: bytes) -> None:
-    """A missing block, wrong counts and words for numbers are an UnreadableFile."""
-    write_sol(tmp_path / "m.sol", "fine", [0.25], [1.0, 2.0], (3, 1, 1, 0), 0)
-    data = (tmp_path / "m.sol").read_bytes()
-    assert data.count(old) == 1
-    (tmp_path / "m.sol").write_bytes(data.replace(old, b"\n99\n98\n" if old.startswith(b"\n") else b"Opt"))
-    with pytest.raises(errors.UnreadableFile, match=r"line \d+: "):
-        read_sol(tmp_path / "m.sol")
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_mutilated_answer_is_refused_or_valid(tmp_path: Path, seed: int) -> None:
-    """Whatever happened to a .sol file, reading it gives a content or an UnreadableFile with its line."""
-    rng = np.random.default_rng(seed)
-    write_sol(tmp_path / "m.sol", "one\ntwo", rng.standard_normal(4), rng.standard_normal(3), (3, 1, 1, 0), 0)
-    (tmp_path / "m.sol").write_bytes(mutilated((tmp_path / "m.sol").read_bytes(), rng))
-    refused = ""
-    try:
-        found = read_sol(tmp_path / "m.sol")
-    except errors.UnreadableFile as error:
-        refused = str(error)
-    assert re.search(r"line \d+: ", refused) if refused else (found.rows >= 0 and found.variables >= 0)
-
-
 def test_wrong_calls_are_told(tmp_path: Path) -> None:
     """What is no content, no path, no answer, or lacks its sizes is refused in words."""
     path = tmp_path / "m.nl"
@@ -344,8 +320,6 @@ def test_wrong_calls_are_told(tmp_path: Path) -> None:
     for call, kind, words in (
         (lambda: write_nl("m.nl", path), errors.InvalidProblem, "of an LCP, a QuadraticProgram, .* got str"),
         (lambda: read_content(None), errors.InvalidOption, "path must be"),  # type: ignore[arg-type]
-        (lambda: read_sol(path), errors.UnreadableFile, "no line says Options"),
-        (lambda: read_sol(tmp_path), errors.UnreadableFile, "directory"),
         (lambda: write_sol(path, "", None, None, (0,), 0), errors.InvalidProblem, r"give sizes=\(m, n\)"),
         (lambda: write_sol(path, "", [1], [2], (0,), 0, sizes=(1, 2)), errors.InvalidProblem, r"x must have the shape"),
     ):

@@ -18,13 +18,13 @@ import pyscipopt
 import pytest
 from pyomo.mpec import Complementarity
 from pyomo.mpec import complements as complementary
+from sol_files import read_sol
 
 import lcp_plugin.pyomo
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
 from lcp_plugin.commands import ampl, cli
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnsupportedModel
 from lcp_plugin.interfaces import scip
-from lcp_plugin.interfaces.nl import read_sol
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.equilibrium_program import SmoothPart
 

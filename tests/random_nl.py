@@ -10,11 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin.interfaces.nl.content import (
-    BINARY_OPERATORS,
-    NARY_OPERATORS,
-    PIECEWISE_OPERATOR,
-    TERNARY_OPERATORS,
-    UNARY_OPERATORS,
+    NARY,
+    OPERATOR_NAMES,
+    PIECEWISE,
     NLContent,
     Suffix,
     Token,
@@ -98,11 +96,9 @@ def _trees(rng: Any, reach: Any) -> Trees:
 
 
 def _operator(rng: Any) -> tuple[float, int]:
-    operators, count = [
-        (UNARY_OPERATORS, 1), (BINARY_OPERATORS, 2), (TERNARY_OPERATORS, 3), (NARY_OPERATORS, int(rng.integers(1, 5))),
-        ((PIECEWISE_OPERATOR,), 2 * int(rng.integers(2, 4))),
-    ][rng.choice(5, p=[0.3, 0.4, 0.1, 0.15, 0.05])]  # fmt: skip
-    return float(rng.choice(operators)), count
+    counts = {1: 1, 2: 2, 3: 3, NARY: int(rng.integers(1, 5)), PIECEWISE: 2 * int(rng.integers(2, 4))}
+    arity = int(rng.choice([*counts], p=[0.3, 0.4, 0.1, 0.15, 0.05]))
+    return float(rng.choice([*OPERATOR_NAMES[arity]])), counts[arity]
 
 
 def _suffixes(rng: Any, counts: list[int]) -> list[Suffix]:

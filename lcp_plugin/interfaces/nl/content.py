@@ -13,22 +13,28 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 
 Indices = NDArray[np.int64]
-NARY, PIECEWISE = -1, -2  # in ARITY: a number of operands follows; a number of slopes
-UNARY_OPERATORS = (13, 14, 15, 16, 34, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46, 47, 49, 50, 51, 52, 53, 77)
-BINARY_OPERATORS = (
-    0, 1, 2, 3, 4, 5, 6, 20, 21, 22, 23, 24, 28, 29, 30, 48, 55, 56, 57, 58, 62, 63, 66, 67, 68, 69, 73, 76, 78,
-)
-TERNARY_OPERATORS = (35, 65, 72)
-NARY_OPERATORS = (11, 12, 54, 59, 60, 61, 70, 71, 74, 75)
-PIECEWISE_OPERATOR = 64
-#: How many operands an operator has.
-ARITY = {
-    **dict.fromkeys(UNARY_OPERATORS, 1),
-    **dict.fromkeys(BINARY_OPERATORS, 2),
-    **dict.fromkeys(TERNARY_OPERATORS, 3),
-    **dict.fromkeys(NARY_OPERATORS, NARY),
-    PIECEWISE_OPERATOR: PIECEWISE,
+NARY, PIECEWISE = -1, -2  # instead of a number of operands: that follows; a number of slopes does
+#: AMPL's operators by how many operands they have.
+OPERATOR_NAMES: dict[int, dict[int, str]] = {
+    1: {
+        13: "floor", 14: "ceil", 15: "abs", 16: "unary -", 34: "not", 37: "tanh", 38: "tan", 39: "sqrt", 40: "sinh",
+        41: "sin", 42: "log10", 43: "log", 44: "exp", 45: "cosh", 46: "cos", 47: "atanh", 49: "atan", 50: "asinh",
+        51: "asin", 52: "acosh", 53: "acos", 77: "square",
+    },
+    2: {
+        0: "+", 1: "-", 2: "*", 3: "/", 4: "mod", 5: "^", 6: "less", 20: "or", 21: "and", 22: "<", 23: "<=", 24: "=",
+        28: ">=", 29: ">", 30: "<>", 48: "atan2", 55: "div", 56: "precision", 57: "round", 58: "trunc", 62: "atleast",
+        63: "atmost", 66: "exactly", 67: "not atleast", 68: "not atmost", 69: "not exactly", 73: "<==>", 76: "^",
+        78: "^",
+    },
+    3: {35: "if", 65: "if", 72: "==>"},
+    NARY: {
+        11: "min", 12: "max", 54: "+", 59: "count", 60: "numberof", 61: "numberof", 70: "forall", 71: "exists",
+        74: "alldiff", 75: "not alldiff",
+    },
+    PIECEWISE: {64: "piecewise-linear term"},
 }
+ARITY = {number: arity for arity, names in OPERATOR_NAMES.items() for number in names}
 SUFFIX_KIND, SUFFIX_IS_REAL = 3, 4  # bits of the first number of an S segment
 PARTNER = 5  # the kind of a complementarity row
 MOST_OPTIONS = 9

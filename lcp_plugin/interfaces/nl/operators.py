@@ -14,18 +14,10 @@ import numpy as np
 from ...core.errors import UnsupportedModel
 from ...modeling.expressions import functions
 from ...modeling.expressions.functions import Function
-from .content import NLContent, Token, Trees
+from .content import OPERATOR_NAMES, NLContent, Token, Trees
 
 T = TypeVar("T")
 NUMBER, VARIABLE, OPERATOR = int(Token.NUMBER), int(Token.VARIABLE), int(Token.OPERATOR)
-#: What is not taken; none of it is smooth everywhere.
-REFUSED = {
-    4: "mod", 6: "less", 11: "min", 12: "max", 13: "floor", 14: "ceil", 15: "abs", 20: "or", 21: "and", 22: "<",
-    23: "<=", 24: "=", 28: ">=", 29: ">", 30: "<>", 34: "not", 35: "if", 48: "atan2", 55: "div", 56: "precision",
-    57: "round", 58: "trunc", 59: "count", 60: "numberof", 61: "numberof", 62: "atleast", 63: "atmost",
-    64: "piecewise-linear term", 65: "if", 66: "exactly", 67: "not atleast", 68: "not atmost", 69: "not exactly",
-    70: "forall", 71: "exists", 72: "==>", 73: "<==>", 74: "alldiff", 75: "not alldiff",
-}
 REMEDIES = {
     "abs": "abs(x) is x + 2 s with s >= 0 complements x + s >= 0",
     "max": "max(a, b) is a + s with s >= 0 complements a + s - b >= 0",
@@ -45,34 +37,18 @@ class Arithmetic(Enum):
     SQUARE = "square"
 
 
-OPERATORS: dict[int, Arithmetic | Function] = {
-    0: Arithmetic.SUM,
-    1: Arithmetic.DIFFERENCE,
-    2: Arithmetic.PRODUCT,
-    3: Arithmetic.QUOTIENT,
-    5: Arithmetic.POWER,
-    16: Arithmetic.NEGATION,
-    37: functions.TANH,
-    38: functions.TAN,
-    39: functions.power(0.5),
-    40: functions.SINH,
-    41: functions.SIN,
-    42: functions.LOG10,
-    43: functions.LOG,
-    44: functions.EXP,
-    45: functions.COSH,
-    46: functions.COS,
-    47: functions.ATANH,
-    49: functions.ATAN,
-    50: functions.ASINH,
-    51: functions.ASIN,
-    52: functions.ACOSH,
-    53: functions.ACOS,
-    54: Arithmetic.SUM,
-    76: Arithmetic.POWER,
-    77: Arithmetic.SQUARE,
-    78: Arithmetic.POWER,
+#: What is taken; nothing else is smooth everywhere.
+RULES: dict[str, Arithmetic | Function] = {
+    **{one.value: one for one in Arithmetic},
+    "sqrt": functions.power(0.5),
+    **{one.name: one for one in (
+        functions.ACOS, functions.ACOSH, functions.ASIN, functions.ASINH, functions.ATAN, functions.ATANH,
+        functions.COS, functions.COSH, functions.EXP, functions.LOG, functions.LOG10, functions.SIN, functions.SINH,
+        functions.TAN, functions.TANH,
+    )},
 }
+NAMES = {number: name for names in OPERATOR_NAMES.values() for number, name in names.items()}
+OPERATORS = {number: RULES[name] for number, name in NAMES.items() if name in RULES}
 FOLDED: dict[Arithmetic, Any] = {
     Arithmetic.SUM: lambda *a: sum(a),
     Arithmetic.DIFFERENCE: lambda a, b: a - b,
@@ -124,7 +100,7 @@ def _refusal(content: NLContent, kind: Token, value: float) -> str:
         is_named = kind is Token.CALL and value < len(content.functions)
         what = content.functions[int(value)] if is_named else "with a text"
         return f"calls the external function {what}; write it with elementary functions"
-    name = REFUSED.get(int(value), f"number {value:g}")
+    name = NAMES.get(int(value), f"number {value:g}")
     remedy = REMEDIES.get(name, "state it by sums, products, powers and smooth functions")
     return f"holds the operator {name}, which is not smooth or not known here; {remedy}"
 

@@ -16,15 +16,6 @@ from ..core.rounding import lower_end, upper_end
 from .comparison_sums import comparison_product, exact_comparison_row
 
 
-def compressed_rows(M: Any) -> tuple[Any, Any, Any]:
-    """Return indptr, indices and data of a canonical CSR array, read-only; of an ndarray all entries, zeros as well."""
-    if sp.issparse(M):
-        return read_only(M.indptr), read_only(M.indices), read_only(M.data)
-    m, n = M.shape
-    starts, columns = np.arange(m + 1, dtype=np.int32) * np.int32(n), np.arange(n, dtype=np.int32)
-    return read_only(starts), read_only(np.tile(columns, m)), read_only(np.ascontiguousarray(M).reshape(-1))
-
-
 def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> sp.csr_array:
     """Return left_i right_j in the places of M's entries; on ranks those of the own rows, columns of all.
 

@@ -214,18 +214,3 @@ def solve_steps(  # type: ignore[no-untyped-def]
             of_bounds[1, i] += w[i] if state[i] > 0 else 0.0
         k += way
     return k
-
-
-@kernel
-def add_products(matrix, x, y):  # type: ignore[no-untyped-def]
-    """Add A x of each row x to that of y, A by rows."""
-    for k in range(x.shape[0]):
-        add_product(matrix[0], matrix[1], matrix[2], x[k], y[k])
-
-
-@kernel
-def add_outer(rows, columns, left, right, sums):  # type: ignore[no-untyped-def]
-    """Add Σ_k left_ki right_kj to `sums`, for each pair of a row i and a column j."""
-    for k in range(left.shape[0]):
-        for p in range(sums.size):
-            sums[p] += left[k, rows[p]] * right[k, columns[p]]

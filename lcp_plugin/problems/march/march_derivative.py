@@ -47,12 +47,14 @@ class Band(NamedTuple):
         return cls(given, _by_rows(matrix.csr), _by_rows(propagator))
 
 
+def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVector:
+    """Return Σ_k left_ki right_kj in the places of A's entries."""
+    sums: FloatVector = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
+    return sums
+
+
 def _by_rows(A: sp.csr_array) -> Any:
     return A.indptr.astype(np.int64), A.indices.astype(np.int64), read_only(A.data)  # one signature of a loop
-
-
-def _places(A: sp.csr_array) -> Any:
-    return row_numbers(A).astype(np.int64), A.indices.astype(np.int64)
 
 
 class CompiledSteps:
@@ -97,12 +99,8 @@ class CompiledSteps:
         dupper: FloatVector, before: FloatVector,
     ) -> FloatVector:
         """Return the changes of the answers, and write the last one over that of the state before the first step."""
-        from .kernels import add_products
-
         given = np.broadcast_to(dforcing, self.z.shape)
-        right = np.array(given, order="C")
-        add_products(_by_rows(dpropagator), self.states[:-1], right)
-        add_products(_by_rows(dM), self.z, right)
+        right = np.array(given + (dpropagator @ self.states[:-1].T).T + (dM @ self.z.T).T, order="C")
 
         def alone(k: int) -> FloatVector:
             dq = given[k] + dpropagator @ self.states[k] + self.march.propagator @ before + dM @ self.at(k).z
@@ -326,17 +324,14 @@ class MarchDerivative:
         array([[-0.15625, -0.09375],
                [-0.375  , -0.125  ]])
         """
-        from .kernels import add_outer
-
         n, steps = self.march.problem.n, len(self)
         rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
         M, propagator = self.march.problem.csr, self.march.propagator
         after, of_bounds = np.zeros(n), np.zeros((2, n))
         of_M, of_propagator = np.zeros(M.nnz), np.zeros(propagator.nnz)
-        in_M, in_propagator = _places(M), _places(propagator)
         for part, by_q in self._back(rows, after, of_bounds):
-            add_outer(*in_M, by_q, part.z, of_M)
-            add_outer(*in_propagator, by_q, part.states[:-1], of_propagator)
+            of_M += _outer_on(M, by_q, part.z)
+            of_propagator += _outer_on(propagator, by_q, part.states[:-1])
         z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
 
         def by_forcing() -> FloatVector:

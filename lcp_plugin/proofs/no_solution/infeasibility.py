@@ -130,7 +130,7 @@ def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstrai
     """Return what z has to satisfy in these rows but for complementarity; what misses it has a residual as large."""
     kept = np.zeros(problem.n)
     return LinearConstraints(
-        problem.csr[rows], problem.q[rows], problem.upper[rows] == np.inf, problem.lower[rows] == -np.inf,
+        sp.csr_array(problem.M[rows]), problem.q[rows], problem.upper[rows] == np.inf, problem.lower[rows] == -np.inf,
         problem.lower, problem.upper, problem.residual_scale[rows], (kept, kept),
     )
 
@@ -154,27 +154,11 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
     if not rows.size:
         return None
-    if not _is_missed(problem, rows):
-        return None
     for k, sign in _linear_constraints(problem, rows).contradictory_rows():
         proof = _proven(problem, {int(rows[k]): sign})
         if proof is not None:
             return proof
     return None
-
-
-def _is_missed(problem: LCP, rows: Any) -> bool:
-    """Return whether z within the bounds miss the sign that w has to have in one of the rows, to rounding."""
-    entries = sp.csr_array(problem.M[rows])
-    M, j = entries.data, entries.indices
-    row = np.repeat(np.arange(rows.size), np.diff(entries.indptr))
-    with np.errstate(all="ignore"):
-        first, second = (np.where(M != 0.0, M * bounds[j], 0.0) for bounds in (problem.lower, problem.upper))
-        lowest, highest = (
-            np.bincount(row, ends(first, second), rows.size) + problem.q[rows] for ends in (np.minimum, np.maximum)
-        )
-    is_below, is_above = np.isinf(problem.upper[rows]) & (highest < 0.0), np.isinf(problem.lower[rows]) & (lowest > 0.0)
-    return bool((is_below | is_above).any())
 
 
 @dataclass(slots=True)

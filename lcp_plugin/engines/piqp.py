@@ -30,7 +30,7 @@ class PIQP(Engine):
     obeys: ClassVar[str] = (
         "verbose prints its own log; max_seconds and Ctrl-C wait for its end, after max_iter steps at the latest"
     )
-    defaults: ClassVar = {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 250}
+    defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 250}
 
     @staticmethod
     @cache

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import BoolVector, FloatVector, assembled
+from ..core.matrix.matrix import largest_entry, largest_in_rows
 from .engine import Multipliers, Point, Statement
 
 FAR = 1e3  # times the largest of all smaller limits
@@ -60,10 +61,10 @@ class Prepared(NamedTuple):
         if unit is not None:
             G, A, c, lower, upper = _columns(G, unit), _columns(A, unit), c * unit, lower / unit, upper / unit
             P = _columns(_divided(P, 1.0 / unit), unit)
-            objective = _power_below(np.array([max(np.abs(c).max(initial=0.0), _largest(P).max(initial=0.0))]))[0]
+            objective = _power_below(np.array([max(largest_entry(c), largest_entry(P))]))[0]
             P, c = P / objective, c / objective
         of_inequalities, of_equations = (
-            _power_below(_largest(one)) if one.shape[0] else np.zeros(0) for one in (G, A)
+            _power_below(largest_in_rows(one)) if one.shape[0] else np.zeros(0) for one in (G, A)
         )
         rows = slice(None) if is_row.all() else np.flatnonzero(is_row)
         size = of_inequalities[rows]
@@ -103,23 +104,13 @@ def far_limits(given: Statement) -> BoolVector:
     >>> far_limits(Statement(np.eye(1), np.ones(1), none, np.zeros(0), np.ones((1, 1)), np.ones(1), *bounds)).tolist()
     [True, False]
     """
-    of_rows = np.abs(given.h) / _power_below(_largest(given.G))
+    of_rows = np.abs(given.h) / _power_below(largest_in_rows(given.G))
     limits = np.concatenate([of_rows, np.abs(given.lower), np.abs(given.upper)])
-    known = np.concatenate([limits, np.abs(given.b) / _power_below(_largest(given.A))])
+    known = np.concatenate([limits, np.abs(given.b) / _power_below(largest_in_rows(given.A))])
     sizes = np.sort(known[np.isfinite(known) & (known > 0.0)])
     gaps = np.flatnonzero(sizes[1:] > FAR * sizes[:-1])
     is_far: BoolVector = np.isfinite(limits) & (limits > (sizes[gaps[-1]] if gaps.size else np.inf))
     return is_far
-
-
-def _largest(A: Any) -> FloatVector:
-    """Return the largest |entry| of each row."""
-    if isinstance(A, np.ndarray):
-        return np.asarray(np.abs(A).max(axis=1, initial=0.0))
-    largest, filled = np.zeros(A.shape[0]), np.flatnonzero(np.diff(A.indptr))
-    if filled.size:
-        largest[filled] = np.maximum.reduceat(np.abs(A.data), A.indptr[filled])
-    return largest
 
 
 def _power_below(sizes: FloatVector) -> FloatVector:

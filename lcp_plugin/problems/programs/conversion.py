@@ -16,6 +16,7 @@ from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, program_goal
 from .program import QuadraticProgram, asymmetry_of
+from .program_matrices import sums_and_terms
 from .reductions import DefinedVariables, FoldedRows, Reduction
 from .solution import QPSolution
 
@@ -326,7 +327,7 @@ class QPOrigin:
         if not (np.isfinite(folded.lower) | np.isfinite(folded.upper)).any():
             return self._whole(x, np.append(y, np.zeros(2 * x.size)))
         # What the bounds have to balance, μ_lower − μ_upper.
-        reduced_cost = folded.P @ x + folded.c + folded.matrices.sum_of_rows(y)
+        reduced_cost = folded.P @ x + folded.c + sums_and_terms(folded.matrices.rows, y)[0]
         at_lower = np.where(np.isfinite(folded.lower), np.maximum(reduced_cost, 0.0), 0.0)
         at_upper = np.where(np.isfinite(folded.upper), np.maximum(-reduced_cost, 0.0), 0.0)
         return self._whole(x, np.concatenate([y, at_lower, at_upper]))

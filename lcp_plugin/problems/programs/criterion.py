@@ -33,12 +33,12 @@ import scipy.sparse as sp
 from ...core.checks import FloatVector, all_hold, are_no_limits
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.structure import row_numbers
 from ...core.rounding import compensated_product
 from .newton_falls import newton_fall
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
+    from .program_matrices import ProgramMatrices
 
 PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
 CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
@@ -216,7 +216,7 @@ class Terms(NamedTuple):
         """Return those of a program at x, with multipliers y of the rows of G and A."""
         matrices = program.matrices
         if matrices.has_sparse_rows or not isinstance(program.P, np.ndarray):
-            return cls.of_sparse(program.P, matrices.rows, x, y)
+            return cls.of_sparse(matrices, x, y)
         return cls.of_dense(program.P, matrices.dense_rows, x, y)
 
     @classmethod
@@ -231,20 +231,15 @@ class Terms(NamedTuple):
         )
 
     @classmethod
-    def of_sparse(cls, P: Any, C: sp.csr_array, x: FloatVector, y: FloatVector) -> Terms:
-        """Return those of CSR arrays, or of an ndarray P."""
-        numbers, n = row_numbers(C), C.shape[1]
-        of_columns, count = C.data * y[numbers], np.bincount(C.indices, minlength=n)
-        sizes, largest = np.abs(of_columns), np.zeros(n)
+    def of_sparse(cls, matrices: ProgramMatrices, x: FloatVector, y: FloatVector) -> Terms:
+        """Return those of a program with CSR arrays among its matrices."""
+        P, C, (of_rows, numbers, summands) = matrices.sparse_P, matrices.rows, matrices.places
+        of_columns, largest = C.data * y[of_rows], np.zeros(x.size)
+        sizes = np.abs(of_columns)
         np.maximum.at(largest, C.indices, sizes)
-        if sp.issparse(P):
-            of_P = _sums(P.data * x[P.indices], P, row_numbers(P))
-        else:
-            products = P * x
-            of_P = products.sum(axis=1), np.abs(products).sum(axis=1), np.abs(products).max(axis=1)
         return cls(
-            *_sums(C.data * x[C.indices], C, numbers), _summed(C.indices, of_columns, n), _summed(C.indices, sizes, n),
-            largest, *of_P, int(max(np.diff(C.indptr).max(initial=0), count.max(initial=0), x.size)),
+            *_sums(C.data * x[C.indices], C, of_rows), _summed(C.indices, of_columns, x.size),
+            _summed(C.indices, sizes, x.size), largest, *_sums(P.data * x[P.indices], P, numbers), summands,
         )
 
 

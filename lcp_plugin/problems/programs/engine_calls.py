@@ -332,7 +332,7 @@ def _statement(program: QuadraticProgram, *, is_dense: bool = False) -> Statemen
     elif matrices.is_dense:
         P, G, A = (one if isinstance(one, np.ndarray) else one.toarray() for one in (program.P, program.G, program.A))
     else:
-        P, G, A = map(as_csr, (program.P, program.G, program.A))
+        P, G, A = matrices.sparse_P, as_csr(program.G), as_csr(program.A)
     return Statement(P, program.c, G, program.h, A, program.b, program.lower, program.upper)
 
 

@@ -105,6 +105,12 @@ class ProgramMatrices:
         return read_only(np.ascontiguousarray(self.P.diagonal()))
 
     @cached_property
+    def places(self) -> tuple[Any, Any, int]:
+        """The row of each entry of [G; A] and of P as CSR, and the most terms that a column of [G; A] has, or n."""
+        C, n = self.rows, self.P.shape[0]
+        return row_numbers(C), row_numbers(self.sparse_P), int(np.bincount(C.indices, minlength=1).max(initial=n))
+
+    @cached_property
     def components(self) -> Indices:
         """Which of the parts that P, G and A do not connect each unknown is in, shape (n,)."""
         if self.P.shape[0] < 2:
@@ -202,13 +208,6 @@ class ProgramMatrices:
         minus = assembled(-C.data, C.indices, C.indptr, (size - n, size))
         M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
         return Matrix.of_own_rows(M)  # canonical, as its blocks are
-
-    def sum_of_rows(self, y: FloatVector) -> FloatVector:
-        """Return [Gᵀ Aᵀ] y, row after row; nothing is transposed."""
-        if not self.has_sparse_rows:
-            return np.asarray((self.dense_rows * y[:, np.newaxis]).sum(axis=0))
-        terms = self.rows.data * y[row_numbers(self.rows)]
-        return np.asarray(np.bincount(self.rows.indices, terms, self.P.shape[0]), dtype=np.float64)
 
     def of_rows(self, left: Indices) -> ProgramMatrices:
         """Return the matrices with these rows of [G; A] only."""

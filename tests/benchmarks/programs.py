@@ -127,7 +127,8 @@ def controller(horizon: int, growth: float, rng: np.random.Generator) -> Case:
     F, B = dynamics(growth, rng)
     (states, inputs), steps = B.shape, np.eye(horizon)
     A = sp.hstack([
-        sp.kron(steps, sp.eye_array(states)) - sp.kron(sp.eye_array(horizon, k=-1), F), -sp.kron(steps, sp.csr_array(B)),
+        sp.kron(steps, sp.eye_array(states)) - sp.kron(sp.eye_array(horizon, k=-1), F),
+        -sp.kron(steps, sp.csr_array(B)),
     ])
     b = np.append(F @ rng.standard_normal(states), np.zeros((horizon - 1) * states))
     P = sp.diags_array(np.repeat([1.0, 0.1], [horizon * states, horizon * inputs]))

@@ -152,7 +152,6 @@ def mean_coupling(matrix: Matrix) -> float:
     if matrix.processes > 1 or not (diagonal > 0.0).all():
         return np.inf
     with np.errstate(all="ignore"):
-        M, root = matrix.csr, np.sqrt(diagonal)
-        both = sp.csr_array(abs(M).multiply(abs(M).T))
-        both.setdiag(0.0)
-        return float(((np.sqrt(both) @ (1.0 / root)) / root).max(initial=0.0))
+        M, root = abs(matrix.csr), np.sqrt(diagonal)
+        both = M if has_symmetric_entries(matrix) else np.sqrt(M).multiply(np.sqrt(M).T)
+        return float(((both @ (1.0 / root)) / root).max(initial=1.0)) - 1.0

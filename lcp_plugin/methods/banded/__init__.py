@@ -121,7 +121,7 @@ class Banded(Algorithm):
             yield Step(z0, 0.0)
             return
         costs = *_costs(band, problem), 1.0
-        vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(kernels.SLOTS, np.int64)
+        vectors, sets, memory = np.empty((4, n)), np.empty((4, n), np.int8), np.empty(kernels.SLOTS, np.int64)
         memory[kernels.WAY], goes_on = kernels.BEGINNING, True
         given = (
             band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, problem.q,

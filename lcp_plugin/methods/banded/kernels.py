@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import helper, inlined, kernel
+from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.enclosures import residual_ends
 from ...core.kernels.floats import SURELY_RIGHT
-from ...core.kernels.rows import residual_of_row, wrong_part
+from ...core.kernels.rows import clamp, residual_of_row, wrong_part
 from .march_kernels import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
@@ -31,13 +31,14 @@ def _measured(bands, below, q, lower, upper, scale, z, w, target):  # type: igno
         w[i] = 0.0
     for k in range(width):
         shift = k - below
-        for i in range(max(0, -shift), min(n, n - shift)):
+        for i in range(-shift if shift < 0 else 0, n if shift < 0 else n - shift):
             w[i] += bands[k, i] * z[i + shift]
     largest, is_finite = 0.0, True
     for i in range(n):
         w[i] += q[i]
         step, above, beyond = w[i] / scale[i], z[i] - lower[i], z[i] - upper[i]
-        largest = max(largest, abs(residual_of_row(step, z[i], lower[i], upper[i])))
+        r = abs(residual_of_row(step, z[i], lower[i], upper[i]))
+        largest = r if r > largest else largest
         is_finite &= (abs(w[i]) < np.inf) & (abs(z[i]) < np.inf)
         target[i] = -1 if above <= step or lower[i] == upper[i] else 1 if beyond >= step else 0
     return largest if is_finite else np.inf
@@ -48,15 +49,17 @@ def _load(bands, below, weights, q, value, state, rows, right):  # type: ignore[
     """Fill the rows of the free block, each from its first column on, and what is right of them."""
     width, n = bands.shape
     for i in range(n):
-        first = max(0, below - i)
+        first = below - i if i < below else 0
         for k in range(width):
             rows[i, k] = 0.0
         if state[i] != 0:
             rows[i, below - first], right[i] = 1.0, value[i]
             continue
         total = -q[i]
-        for k in range(first, min(width, n - i + below)):
+        for k in range(first, width):
             j = i + k - below
+            if j >= n:
+                break
             if state[j] == 0:
                 rows[i, k - first] = bands[k, i] * weights[i]
             else:
@@ -74,7 +77,7 @@ def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: 
     width, n = bands.shape
     _load(bands, below, weights, q, value, state, rows, right)
     for k in range(n):
-        last, best = min(n, k + below + 1), k
+        last, best = k + below + 1 if k + below < n else n, k
         for i in range(k + 1, last):
             if abs(rows[i, 0]) > abs(rows[best, 0]):
                 best = i
@@ -92,22 +95,23 @@ def eliminate(bands, below, weights, q, value, state, z, rows, right):  # type: 
             rows[i, width - 1] = 0.0
     for k in range(n - 1, -1, -1):
         total = right[k]
-        for m in range(1, min(width, n - k)):
+        for m in range(1, width if width < n - k else n - k):
             total -= rows[k, m] * z[k + m]
         z[k] = total / rows[k, 0]
 
 
 @helper
-def _choose(n, bands, q, lower, upper, value, state, target, memory, workspace):  # type: ignore[no-untyped-def]
-    """Fill state with the bounds that are to hold, and value with the z there."""
+def _choose(n, bands, q, lower, upper, value, sets, memory, stops, joined):  # type: ignore[no-untyped-def]
+    """Fill sets[0] with the bounds that are to hold, and value with the z there."""
+    state, target = sets[0], sets[1]
     if memory[WAY] == DIRECT:
         side, sign = memory[SIDE], float(memory[SIDE])
-        is_held, is_free, stops, slack, blocks = workspace
+        is_held, is_free = sets[2], sets[3]
         for i in range(n):
             near, far = (lower[i], upper[i]) if side > 0 else (upper[i], lower[i])
             is_held[i] = lower[i] == upper[i] or target[i] == side
             value[i] = sign * (far if is_held[i] else near)
-        if not find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks):
+        if not find_contacts(bands, q, sign, value, is_held, is_free, stops, joined):
             memory[WAY] = BLOCKS
         for i in range(n):
             value[i] *= sign
@@ -151,7 +155,8 @@ def _goes_on(state, target, memory):  # type: ignore[no-untyped-def]
         for i in range(state.size):
             lot = (lot * 1103515245 + 12345) % 2**31
             target[i] = target[i] if lot < 2**30 else state[i]
-    memory[FEWEST_WRONG], memory[FEWEST_HELD] = min(wrong, memory[FEWEST_WRONG]), min(held, memory[FEWEST_HELD])
+    memory[FEWEST_WRONG] = wrong if wrong < memory[FEWEST_WRONG] else memory[FEWEST_WRONG]
+    memory[FEWEST_HELD] = held if held < memory[FEWEST_HELD] else memory[FEWEST_HELD]
     return memory[HALVES_LEFT] >= 0
 
 
@@ -164,13 +169,13 @@ def step(  # type: ignore[no-untyped-def]
         _begin(is_direct, lower, upper, memory, halves)
         memory[LAST_WAY] = BEGINNING
         return _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), True
-    workspace = _workspace_for_contacts(z.size)
-    return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace)
+    stops, joined = np.empty(z.size + 1, np.int64), np.empty((z.size + 1, 7))
+    return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, stops, joined)
 
 
 @helper
 def _advanced(  # type: ignore[no-untyped-def]
-    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace
+    bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, stops, joined
 ):
     """Go to the z of the active set in sets[1], taken into the bounds; return its ‖r‖∞, and whether to go on.
 
@@ -184,7 +189,7 @@ def _advanced(  # type: ignore[no-untyped-def]
         for i in range(n):
             value[i] = 0.0
     else:
-        _choose(n, bands, q, lower, upper, value, state, target, memory, workspace)
+        _choose(n, bands, q, lower, upper, value, sets, memory, stops, joined)
     memory[LAST_WAY] = memory[WAY]
     right = w if is_refined else q
     if memory[WAY] == DIRECT:
@@ -197,7 +202,7 @@ def _advanced(  # type: ignore[no-untyped-def]
     goes_on = _goes_on(state, target, memory)
     is_outside = False
     for i in range(n):
-        inside = min(max(z[i], lower[i]), upper[i])
+        inside = clamp(z[i], lower[i], upper[i])
         is_outside |= inside != z[i]
         z[i] = inside
     if is_outside:
@@ -219,13 +224,6 @@ def _beside_terms(indptr, indices, data, q, lower, upper, z, w):  # type: ignore
         ratio = wrong / terms
         largest = largest if ratio <= largest else ratio
     return largest * largest
-
-
-@inlined
-def _workspace_for_contacts(n):  # type: ignore[no-untyped-def]
-    """Return what `_choose` works in."""
-    is_held, is_free, stops = np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty(n + 1, np.int64)
-    return is_held, is_free, stops, np.empty(n + 1), np.empty((n + 1, 6))
 
 
 @helper
@@ -291,9 +289,9 @@ def run_all(  # type: ignore[no-untyped-def]
         the term residual of z.
     """
     n = Q.shape[1]
-    vectors, sets, memory = np.empty((4, n)), np.empty((2, n), np.int8), np.empty(SLOTS, np.int64)
-    rows, smallest, largest = np.empty((n, bands.shape[0])), np.empty(n), np.empty(n)
-    workspace = _workspace_for_contacts(n)
+    vectors, sets, memory = np.empty((6, n)), np.empty((4, n), np.int8), np.empty(SLOTS, np.int64)
+    rows, stops, joined = np.empty((n, bands.shape[0])), np.empty(n + 1, np.int64), np.empty((n + 1, 7))
+    smallest, largest = vectors[4], vectors[5]
     for k in range(Q.shape[0]):
         rounds[k, 0] = rounds[k, 1] = 0
         ends[k, 0] = ends[k, 1] = ends[k, 2] = np.inf
@@ -304,7 +302,7 @@ def run_all(  # type: ignore[no-untyped-def]
                 z[i] = Z[k - 1, i]
             add_product(propagator_indptr, propagator_indices, propagator_data, z, q)
             for i in range(n):
-                z[i] = min(max(z[i], lower[i]), upper[i])
+                z[i] = clamp(z[i], lower[i], upper[i])
         for i in range(n):  # a start that may be written to, as z: one signature of what follows
             vectors[1, i] = nearest[i]
         residual_ends(indptr, indices, data, 0, vectors[1], q, vectors[1], lower, upper, scale, smallest, largest)
@@ -313,7 +311,7 @@ def run_all(  # type: ignore[no-untyped-def]
         residual, goes_on = _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), least > 0.0
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = _advanced(
-                bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, workspace
+                bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, stops, joined
             )
             direct, blocks = direct + (memory[LAST_WAY] == DIRECT), blocks + (memory[LAST_WAY] == BLOCKS)
         if least > 0.0 and residual / most <= tolerance:

@@ -311,7 +311,7 @@ def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
 
 
 @helper
-def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks):  # type: ignore[no-untyped-def]
+def find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # type: ignore[no-untyped-def]
     """Fill is_free with the rows that are not at their bound in the least z ≥ value with w ≥ 0, complementary.
 
     Parameters
@@ -323,11 +323,11 @@ def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks)
         1, or −1: the problem is the one of −z, with −q.
     value : array, shape (n,)
         The bound of each row, −∞ for none.
-    is_held : array of bool, shape (n,)
+    is_held : array of flags, shape (n,)
         The rows that stay at their value whatever their w is.
-    is_free : array of bool, shape (n,)
-    stops, slack, blocks : arrays, shapes (n + 1,) of int64, (n + 1,) and (n + 1, 6)
-        Workspace: the rows at their bounds so far, their w, and the free rows before each.
+    is_free : array of flags, shape (n,)
+    stops, blocks : arrays, shapes (n + 1,) of int64 and (n + 1, 7)
+        Workspace: the rows at their bounds so far; the free rows before each, and its w.
 
     Returns
     -------
@@ -344,7 +344,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks)
         is_free[i] = (not is_held[i]) and (here == -np.inf or w < c * after)
         if not is_free[i]:
             top += 1
-            stops[top], slack[top], left = i, w, here
+            stops[top], blocks[top, 6], left = i, w, here
             blocks[top, 0], blocks[top, 1], blocks[top, 2] = block[0], block[1], block[2]
             blocks[top, 3], blocks[top, 4], blocks[top, 5] = block[3], block[4], block[5]
             block = EMPTY
@@ -355,7 +355,7 @@ def find_contacts(bands, q, sign, value, is_held, is_free, stops, slack, blocks)
         while top > 0 and after > -np.inf:  # a row without bound becomes free next, and then they are looked at
             k = stops[top]
             a, d, c = -bands[0, k], bands[1, k], -bands[2, k]
-            if is_held[k] or not slack[top] < c * (block[0] + block[1] * left + block[2] * after):
+            if is_held[k] or not blocks[top, 6] < c * (block[0] + block[1] * left + block[2] * after):
                 break
             is_free[k] = True
             kept = blocks[top]

@@ -104,10 +104,8 @@ def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(seed: int, n:
 
 
 @njit(error_model="numpy")
-def contacts(  # type: ignore[no-untyped-def]
-    M, q, sign, value, is_held, is_free, stops, slack, blocks
-):
-    return find_contacts(M, q, sign, value, is_held, is_free, stops, slack, blocks)
+def contacts(M, q, sign, value, is_held, is_free, stops, blocks):  # type: ignore[no-untyped-def]
+    return find_contacts(M, q, sign, value, is_held, is_free, stops, blocks)
 
 
 @pytest.mark.sampled(1)
@@ -124,7 +122,7 @@ def test_contacts_are_those_of_the_exact_answer(sign: float) -> None:
         z = np.where(contact, value, np.where(value > -np.inf, value, 0.0) + rng.integers(1, 99, n))
         w = np.where(held, rng.integers(-9, 9, n), np.where(contact, rng.integers(1, 9, n), 0))
         is_free = np.empty(n, dtype=np.bool_)
-        workspace = np.empty(n + 1, np.int64), np.empty(n + 1), np.empty((n + 1, 6))
+        workspace = np.empty(n + 1, np.int64), np.empty((n + 1, 7))
         assert contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *workspace)
         np.testing.assert_array_equal(is_free, ~contact)
 

@@ -17,7 +17,7 @@ from ....core.checks import DENSE_ABOVE_DENSITY
 from ....core.kernels.compilation import helper, inlined, kernel
 from ....core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, with_term
 from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL, SURELY_RIGHT
-from ....core.kernels.rows import residual_of_row, wrong_part
+from ....core.kernels.rows import clamp, residual_of_row, wrong_part
 from .small_systems import row_times, solve_free
 from .tableau import follow_path
 from .workspace import AT_LOWER, AT_UPPER, BETWEEN, FOUND, KEPT, LOWER, SCALE, SIDE, STATE, UPPER, Q, W, Z
@@ -37,7 +37,7 @@ RELAXATION = 1.7
 USUAL = (1e-130, 1e130)  # magnitudes whose products stay in range
 
 
-@inlined
+@helper
 def look_at(M, k, real):  # type: ignore[no-untyped-def]
     """Fill in SCALE; return (nonzeros, all usual, the diagonal positive, M symmetric)."""
     n = M.shape[1]
@@ -56,7 +56,7 @@ def look_at(M, k, real):  # type: ignore[no-untyped-def]
         is_usable = d > 0.0 and d >= NEGLIGIBLE_DIAGONAL * largest
         is_positive &= is_usable
         real[SCALE, i] = d if is_usable else largest if largest > 0.0 else 1.0
-    return max(nonzeros, 1), most < USUAL[1] and least > USUAL[0], is_positive, difference == 0.0
+    return nonzeros if nonzeros else 1, most < USUAL[1] and least > USUAL[0], is_positive, difference == 0.0
 
 
 @helper
@@ -91,7 +91,7 @@ def moved(M, k, real, point, has_slack):  # type: ignore[no-untyped-def]
     """
     n, largest, is_same = M.shape[1], 0.0, has_slack
     for i in range(n):
-        real[Z, i] = min(max(real[point, i], real[LOWER, i]), real[UPPER, i])
+        real[Z, i] = clamp(real[point, i], real[LOWER, i], real[UPPER, i])
         is_same &= real[Z, i] == real[point, i]
     if not is_same:
         slack(M, k, real, Z)
@@ -101,7 +101,7 @@ def moved(M, k, real, point, has_slack):  # type: ignore[no-untyped-def]
     return largest
 
 
-@inlined
+@helper
 def take(q, lower, upper, item, real, n):  # type: ignore[no-untyped-def]
     """Copy a problem's vectors, Z at the point of its box nearest to 0."""
     of_q, of_lower, of_upper = (
@@ -109,10 +109,10 @@ def take(q, lower, upper, item, real, n):  # type: ignore[no-untyped-def]
     )  # fmt: skip
     for i in range(n):
         real[Q, i], real[LOWER, i], real[UPPER, i] = q[of_q, i], lower[of_lower, i], upper[of_upper, i]
-        real[Z, i] = min(max(0.0, real[LOWER, i]), real[UPPER, i])
+        real[Z, i] = clamp(0.0, real[LOWER, i], real[UPPER, i])
 
 
-@inlined
+@helper
 def _begin(  # type: ignore[no-untyped-def]
     starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n
 ):
@@ -147,8 +147,9 @@ def _step(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
             slack(M, k, real, FOUND)
             changes = classify(real, whole, n, FOUND)
             whole[STATE, MADE] += 1
-            whole[STATE, IDLE] = 0 if changes < whole[STATE, FEWEST] else whole[STATE, IDLE] + 1
-            whole[STATE, FEWEST] = min(changes, whole[STATE, FEWEST])
+            whole[STATE, IDLE] += 1
+            if changes < whole[STATE, FEWEST]:
+                whole[STATE, FEWEST], whole[STATE, IDLE] = changes, 0
             is_long = whole[STATE, IDLE] >= IDLE_ROUNDS or whole[STATE, MADE] >= ROUNDS
             if whole[STATE, TO_THE_END]:
                 is_long = whole[STATE, MADE] > n + 1  # enough where M is an M-matrix
@@ -163,7 +164,7 @@ def _step(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
             total = row_times(M, k, i, i, real, KEPT)
             z, lower, upper, scale = real[Z, i], real[LOWER, i], real[UPPER, i], real[SCALE, i]
             r = residual_of_row(real[W, i] / scale, z, lower, upper)
-            new = min(max(z - (2.0 * r + total / scale) * pivot, lower), upper)
+            new = clamp(z - (2.0 * r + total / scale) * pivot, lower, upper)
             real[FOUND, i], real[KEPT, i] = new, new - z
         touched = 1.5 * n * n
         whole[STATE, MADE] += 1
@@ -195,7 +196,8 @@ def ends(M, k, real, is_dense):  # type: ignore[no-untyped-def]
             total, errors, size = with_term(total, errors, size, h, a, b)
         high, slip = of_terms(total, errors, size, terms)
         smallest, largest = row_ends(high, slip, real[SCALE, i], real[Z, i], real[LOWER, i], real[UPPER, i])
-        least, most = max(least, smallest), max(most, np.inf if is_small else largest)
+        largest = np.inf if is_small else largest
+        least, most = smallest if smallest > least else least, largest if largest > most else most
     return least, most
 
 
@@ -223,7 +225,7 @@ def beside_terms(M, k, real):  # type: ignore[no-untyped-def]
     return largest * largest
 
 
-@inlined
+@helper
 def enclosed(M, k, real, size, least, most, is_dense, tolerance):  # type: ignore[no-untyped-def]
     """Return upper bounds of the relative and of the term residual of Z, ∞ where `size` is no such hope.
 

@@ -149,7 +149,7 @@ class LCP:
     @cached_property
     def nearest_to_zero(self) -> FloatVector:
         """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
-        return read_only(np.clip(0.0, self.lower, self.upper))
+        return read_only(np.minimum(np.maximum(0.0, self.lower), self.upper))  # twice as quick as clip
 
     def slack(self, z: ArrayLike) -> FloatVector:
         """Return w = M z + q, shape (n,).

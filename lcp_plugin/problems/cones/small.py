@@ -162,4 +162,6 @@ _ARRAYS: tuple[Callable[[Blocks], Any], ...] = (
 
 def _stacked(arrays: list[Any]) -> Any:
     """Return the arrays of all problems as one, read-only: one signature of the loop for one problem and for many."""
-    return read_only(np.ascontiguousarray(arrays[0])[np.newaxis] if len(arrays) == 1 else np.stack(arrays))
+    stacked = np.ascontiguousarray(arrays[0])[np.newaxis] if len(arrays) == 1 else np.stack(arrays)
+    stacked.flags.writeable = False
+    return stacked

@@ -250,11 +250,13 @@ def _points(reduction: Reduction, prepared: Prepared, point: Point) -> Iterator[
 
     Where the engine has only a word and no point, no solution either.
     """
+    told = point
     if point.says is Hint.INFEASIBLE:
-        yield iter(()), point._replace(multipliers=_contradiction(reduction, prepared, point))
-        point = point._replace(iterations=0)
+        told = point._replace(multipliers=_contradiction(reduction, prepared, point))
+        yield iter(()), told
+        told = told._replace(iterations=0)
     if not np.isfinite(np.concatenate([point.x, *point.multipliers])).all():
-        yield iter(()), point
+        yield iter(()), told
         return
     statement, polishes = prepared.statement, list[Point]()
 
@@ -270,11 +272,11 @@ def _points(reduction: Reduction, prepared: Prepared, point: Point) -> Iterator[
                     yield solution
 
     has_limits = statement.h.size or np.isfinite(statement.lower).any() or np.isfinite(statement.upper).any()
-    yield solutions(polish(), [point]) if has_limits else solutions([point], polish()), point
+    yield solutions(polish(), [point]) if has_limits else solutions([point], polish()), told
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     first = (polishes or [point])[0]
     at_zero = first._replace(x=np.zeros(first.x.size))
-    yield solutions([at_zero], at_rest(statement, first)), point._replace(iterations=0)
+    yield solutions([at_zero], at_rest(statement, first)), told._replace(iterations=0)
 
 
 def without_noise(point: Point) -> Iterator[Point]:

@@ -158,3 +158,9 @@ def test_constraints_with_a_point_show_no_contradiction() -> None:
         d = C @ x + np.where(np.arange(8) < 6, rng.random(8) * (k % 2), 0.0)
         for reach in (INF, 1.0):
             assert contradicting_multipliers(C, d, 6, x - reach, x + reach, 1e-6) is None
+
+
+def test_what_an_engine_says_of_a_program_without_its_zero_rows_is_read_as_of_that() -> None:
+    """The least x² with 2 + 2e-8 ≤ x ≤ 2 − 2e-8 and 0 x ≤ −6e-9: the engine is asked with fewer rows."""
+    program = QuadraticProgram([[2.0]], [0.0], G=[[-1.0], [2.0], [0.0], [1.0]], h=[-2.00000002, 10, -6e-9, 1.99999998])
+    assert not solve(program).is_solved

@@ -422,6 +422,11 @@ MECHANISMS = (
     Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
               {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, np.zeros(1)))},
               "problems/programs/criterion.py:Acting"),
+    Mechanism("hidden costs", "far out, where columns cancel, rounding hides no cost that a nearer point has not",
+              {"problems.least_squares.enclosures:Enclosures.hidden_costs": says((np.zeros(1), np.zeros(1, np.bool_)))},
+              "problems/least_squares/certificate.py:_basic problems/least_squares/certificate.py:_near_answer",
+              "problems/least_squares/test_least_squares.py::"
+              "test_no_large_row_that_shares_columns_excuses_rounding"),
     Mechanism("Newton's falls", "what is SOLVED costs no more than where Newton's steps lead",
               {f"{PROGRAMS}.newton_falls:newton_fall": says(0.0)}, "problems/programs/newton_falls.py",
               "problems/programs/test_criterion.py::"

@@ -20,8 +20,11 @@ without bounds needs |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (
 tolerance beside its cost for entries of A and b that differ from those given by no more than that relative rounding:
 b_i moved by r_i − y_i, and column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small,
 so that its rounding hides nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0.
-And in each connected component of A ½ Σ weights ρ² is at most 10⁻⁴ of ½ Σ weights (|A||x| + |b|)² at the point of the
-box nearest to 0: what rounding may hide far out, where columns cancel, is no more than it may cost to stay.
+And rounding hides no cost that another x has not: in each row weights ρ² is at most 10⁻⁴ of weights (|A||x| + |b|)² at
+the point of the box nearest to 0, or nothing beside the whole cost; or in those rows together, where it is neither, at
+most 10⁴ times what it is at an answer found from there, or at a basic solution: far out, where columns cancel, what
+rounding may hide is more, and no large row that shares these columns excuses it. Of an A of more than 10⁶ places the
+first is asked of each connected component.
 All that is compared is in the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their
 squares) and columns change nothing but rounding. It cannot see what such a change of A decides: columns that depend on
 others up to rounding, where no bound stops them. For a LinearOperator, whose entries nobody knows, SOLVED means a small
@@ -47,7 +50,11 @@ from ...core.rounding import compensated_product
 from ...systems.equilibration import power_of_two
 from .data import LARGEST_SCALE, BoundedLeastSquares
 from .enclosures import NOTHING, OUTWARD, Ball, Enclosures, largest_residuals, typical_rounding
+from .refined_steps import refined_steps
+from .steps import FacePoint, through_orthants
 
+UNAVOIDABLE = 1e4  # times what rounding costs at an answer near 0: that is no cost which is hidden
+INDEPENDENT = 2.0**-40  # of the longest column: what is left of one that depends on others is shorter
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
 NEARLY = 1e-9  # of a cost that rounding may be
 IS_NEAR = 1  # what LSMR says then
@@ -97,7 +104,7 @@ class Optimality:
         duals = _dual_points(judged, dual)
         duals = _with_shrunk(enclosures, x, duals) if enclosures.problem.l1.any() else duals
         judged.value, judged.dual = _beside_cost(enclosures.problem, x, residual, duals, tolerance)
-        if enclosures.hides_costs(residual):
+        if judged.hides_costs:
             judged.value = 1.0
         return judged
 
@@ -106,6 +113,27 @@ class Optimality:
         """Return that of an x of which nothing is proved: no time is left."""
         residual = enclosures.problem.product(x) - enclosures.problem.b
         return cls(enclosures, x, (residual, np.full(residual.size, np.inf)), 1.0, residual)
+
+    @property
+    @np.errstate(all="ignore")
+    def hides_costs(self) -> bool:
+        """Whether rounding costs much in some rows, and all of them far less at a nearer point that fits as well.
+
+        That is a basic solution without bounds; where rounding is far less there, what an active set finds from near 0.
+        Of a large A, whether it costs much in some connected component.
+        """
+        enclosures, problem = self.enclosures, self.enclosures.problem
+        hidden, is_much = enclosures.hidden_costs(self.residual)
+        if not is_much.any():
+            return False
+        if not problem.is_cheap_to_copy:
+            return enclosures.hides_beside_components(hidden, self.residual)
+
+        def is_avoided_at(point: FloatVector) -> bool:
+            slip = enclosures.residual(point)[1]
+            return not hidden[is_much].sum() <= UNAVOIDABLE * float((problem.weighted(slip) * slip)[is_much].sum())
+
+        return is_avoided_at(_basic(enclosures)) and is_avoided_at(_near_answer(enclosures))
 
     def meets(self, tolerance: float) -> bool:
         """Return whether x is SOLVED; an operator's asks for a small gap besides."""
@@ -146,6 +174,33 @@ class Optimality:
         return largest_residuals(
             *gradient, self.x, problem.lower, problem.upper, problem.l1, problem.column_scales, problem.has_entries
         )
+
+
+def _basic(enclosures: Enclosures) -> FloatVector:
+    """Return a least squares solution without bounds of few columns, those furthest apart, refined once; it is kept."""
+    if enclosures.basic is None:
+        from scipy.linalg import qr, solve_triangular
+
+        problem, scaled = enclosures.problem, enclosures.problem.scaled
+        Q, R, columns = qr(scaled.dense(), mode="economic", pivoting=True, check_finite=False)
+        rank = int(np.count_nonzero(np.abs(R.diagonal()) > INDEPENDENT * np.abs(R).max(initial=0.0)))
+        chosen, x = columns[:rank], np.zeros(scaled.n)
+        for _ in range(2):  # beside one large b the others are rounding at first
+            left = problem.root_weights * compensated_product(sp.csr_array(problem.A), x, -problem.b)[0]
+            step = solve_triangular(R[:rank, :rank], Q[:, :rank].T @ left, check_finite=False)
+            x[chosen] -= step / scaled.columns[chosen]
+        enclosures.basic = x
+    return enclosures.basic
+
+
+def _near_answer(enclosures: Enclosures) -> FloatVector:
+    """Return the point that an active set finds from the point of the box nearest to 0; it is kept."""
+    if enclosures.near_answer is None:
+        scaled = enclosures.problem.scaled
+        start = FacePoint(scaled, scaled.nearest_to_zero)
+        *_, last = through_orthants(refined_steps)(start)
+        enclosures.near_answer = scaled.to_caller(last.x)
+    return enclosures.near_answer
 
 
 def _beside_cost(

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from ...core.checks import FloatVector, assembled
+from ...core.checks import BoolVector, FloatVector, assembled
 from ...core.kernels.floats import EPSILON, TINY, UNIT
 from ...core.matrix.matrix import Matrix
 from ...core.rounding import gamma
@@ -39,10 +39,15 @@ class Enclosures:
     reference : (float, float)
         A lower bound of ‖AᵀWb‖∞ in the caller's units, and with columns of about unit length. Where AᵀWb is 0, of the
         gradient at the point of [lower, upper] nearest to 0; where that is 0 as well, that point is the answer.
+    basic, near_answer : ndarray, shape (n,), or None
+        A least squares solution of independent columns without bounds, and an answer that was found from near 0, once
+        somebody has asked.
     """
 
     def __init__(self, problem: BoundedLeastSquares) -> None:
         self.problem = problem
+        self.basic: FloatVector | None = None
+        self.near_answer: FloatVector | None = None
 
     def residual(self, x: FloatVector) -> Ball:
         """Return A x − b."""
@@ -110,19 +115,25 @@ class Enclosures:
         return value, OUTWARD * (radius + 4.0 * EPSILON * (np.abs(value) + np.abs(added)) + TINY * (x != 0.0))
 
     @np.errstate(over="ignore", invalid="ignore")
-    def hides_costs(self, residual: Ball) -> bool:
-        """Return whether rounding costs much beside the terms of A x − b at the x nearest to 0, in some component.
+    def hidden_costs(self, residual: Ball) -> tuple[FloatVector, BoolVector]:
+        """Return what rounding may cost in each row, and in which rows that is much.
 
-        Rows of a connected component of A share columns: what stands in others says nothing of them. Rounding that is
-        nothing beside the whole cost hides none.
+        It is not beside the terms of A x − b at the x nearest to 0, nor what is nothing beside the whole cost.
         """
-        hidden, start = self.problem.weighted(residual[1]) * residual[1], self._terms_at_start
-        if (hidden <= MOST_HIDDEN * start).all():
-            return False  # in each row, which needs no components
-        of_hidden, of_start = (np.bincount(self._components, terms) for terms in (hidden, start))
+        hidden = self.problem.weighted(residual[1]) * residual[1]
+        most = np.maximum(MOST_HIDDEN * self._terms_at_start, self._nothing_beside(residual))
+        return hidden, ~(hidden <= most)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def hides_beside_components(self, hidden: FloatVector, residual: Ball) -> bool:
+        """Return whether it is much beside all such terms of a connected component of A, whose rows share columns."""
+        of_hidden, of_start = (np.bincount(self._components, terms) for terms in (hidden, self._terms_at_start))
+        return not bool((of_hidden <= np.maximum(MOST_HIDDEN * of_start, self._nothing_beside(residual))).all())
+
+    def _nothing_beside(self, residual: Ball) -> float:
+        """Return what is nothing beside the whole cost."""
         sure = np.maximum(np.abs(residual[0]) - residual[1], 0.0)
-        whole = float(self.problem.weighted(sure) @ sure)
-        return not bool((of_hidden <= np.maximum(MOST_HIDDEN * of_start, NOTHING_BESIDE * whole) + TINY).all())
+        return NOTHING_BESIDE * float(self.problem.weighted(sure) @ sure) + TINY
 
     @cached_property
     def _terms_at_start(self) -> FloatVector:

@@ -15,7 +15,7 @@ from ...core.policy.stages import Progress
 from ...core.settings import Settings, Status
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
-from .enclosures import Enclosures
+from .enclosures import NOTHING, Enclosures
 from .engine_points import engine_points
 from .refined_steps import refined_steps
 from .steps import FacePoint, Take, projected_steps, through_orthants
@@ -113,8 +113,14 @@ class Run:
                 yield lambda start: islice(through_orthants(projected_steps)(start), 1, patience)
             yield lambda start: engine_points(start.problem.whole)
             if problem.is_cheap_to_copy:
-                yield lambda start: islice(through_orthants(refined_steps)(start), 1, None)
+                yield lambda start: islice(through_orthants(refined_steps)(self._within_rounding(start)), 1, None)
         yield lambda start: islice(through_orthants(projected_steps)(start), 1, None)
+
+    def _within_rounding(self, start: FacePoint) -> FacePoint:
+        """Return where to begin: near 0 where a point was so far out that its rounding hides costs."""
+        if self.enclosures.near_answer is None:
+            return start
+        return FacePoint(start.problem, self.problem.scaled.nearest_to_zero)
 
     def _is_seen(self, point: FacePoint) -> bool:
         """Take note of a point; return whether it is what was asked for."""
@@ -122,8 +128,9 @@ class Run:
         if point.dual is not None:
             if self._is_certified(point, point.dual):
                 return True
-            residual = self.enclosures.residual(self.problem.scaled.to_caller(point.x))
-            if self.enclosures.hides_costs(residual):  # steps from there would stay there
+            x = self.problem.scaled.to_caller(point.x)
+            residual = self.enclosures.residual(x)
+            if Optimality(self.enclosures, x, residual, 1.0, NOTHING).hides_costs:  # steps from there would stay there
                 return False
         scaled, size = point.steepness(self.enclosures.reference)
         if not self._smallest <= scaled:

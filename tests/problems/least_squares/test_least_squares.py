@@ -832,6 +832,34 @@ def test_no_large_row_elsewhere_excuses_rounding(name: str, far: float) -> None:
     assert not result.is_solved or abs(result.cost - least) <= 1e-8
 
 
+def test_no_large_row_that_shares_columns_excuses_rounding(draws: Callable[[int], range]) -> None:
+    """A row of b up to 1e18 with small entries in all columns: far out, at limits up to 1e19, it hides no cost."""
+    rng = np.random.default_rng(0)
+    for _ in draws(200):
+        A, b = rng.integers(-4, 5, (2, 4)).astype(float), rng.integers(-4, 5, 2).astype(float)
+        upper = np.append(10.0 ** rng.integers(5, 20, 4), np.inf)
+        shared = np.append(np.full(4, 10.0 ** rng.integers(-12, -2)), 1.0)
+        rows, right = np.vstack([np.column_stack([A, np.zeros(2)]), shared]), [*b, 10.0 ** rng.integers(8, 19)]
+        result = solve(BoundedLeastSquares(rows, right, lower=-np.inf, upper=upper))
+        least = 0.5 * np.square(A @ np.linalg.lstsq(A, b)[0] - b).sum()
+        off = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, result.x.tolist(), strict=False)) - Fraction(one)
+               for row, one in zip(A.tolist(), b.tolist(), strict=True)]
+        assert result.is_solved
+        assert float(sum(one * one for one in off) / 2) <= least + 1e-6
+
+
+def test_rounding_that_every_answer_has_is_no_hidden_cost() -> None:
+    """Equations of right side 0 that large x must meet: what rounding leaves of them is as much at any answer."""
+    A, b = [[3.0, -2.0, 2.0], [-1.0, -3.0, 2.0], [1.0, -2.0, -2.0]], [1e15, -3.0, -2.0]
+    bounds = {"lower": [0.0, 0.0, -np.inf], "upper": [np.inf, 1.0, np.inf]}
+    assert solve(BoundedLeastSquares(A, b, **bounds)).is_solved
+    rng = np.random.default_rng(1)
+    x = np.repeat(np.maximum(rng.normal(size=30), 0.0), 2)
+    pairs = np.kron(np.eye(30), [[1.0, -1.0]])
+    rows = np.vstack([rng.normal(size=(40, 60)), pairs])
+    assert solve(BoundedLeastSquares(rows, rows @ x)).is_solved
+
+
 def test_a_cost_is_that_of_its_x() -> None:
     """Near columns that depend on each other x is large and the residual cancels: its cost is right to 1e-7."""
     A, b = [[2.0, 2.0], [1.0, 1.0 + 1e-12], [3.0, 3.0]], [1.0, 2.0, 3.0]

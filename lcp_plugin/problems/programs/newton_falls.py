@@ -31,6 +31,7 @@ TOUCHING = 1e-7  # of a row's terms, between it and its limit
 HELD = 1e-6  # of the terms of C_W d: a step along which they are more is none
 
 
+@np.errstate(divide="ignore", invalid="ignore")  # a limit that d leads away from
 def newton_fall(
     program: QuadraticProgram, x: FloatVector, y: FloatVector, of_lower: FloatVector, of_upper: FloatVector,
     blur: FloatVector,
@@ -48,8 +49,8 @@ def newton_fall(
     --------
     >>> from lcp_plugin import QuadraticProgram
     >>> none, program = np.zeros(0), QuadraticProgram([[1, 0], [0, 1e-12]], [-1, -1e-6], upper=[9, 1e5])
-    >>> newton_fall(program, np.ones(2), none, np.zeros(2), np.zeros(2), np.full(2, 1e-16))
-    0.0949...
+    >>> round(newton_fall(program, np.ones(2), none, np.zeros(2), np.zeros(2), np.full(2, 1e-16)), 6)
+    0.094999
     """
     matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
     P = program.P

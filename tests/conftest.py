@@ -1,6 +1,6 @@
 """Two suites from one set of tests: the quick one, which ``python -m pytest`` runs, and everything.
 
-    python -m pytest -n 2           every subpackage of the package and every promise once, in some five minutes
+    python -m pytest -n 2           every subpackage of the package and every promise once, in some two minutes
     python -m pytest --full -n 2    everything
 
 In the full suite alone run tests with the mark ``full``: benchmarks, the report's page, the atlas, the collection,

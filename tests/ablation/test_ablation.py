@@ -105,6 +105,7 @@ def test_false_answers_are_seen() -> None:
     assert inputs.residual(problem, np.array([0.75, 0.1])) > 1e-3
 
 
+@pytest.mark.full
 def test_unknown_names_are_refused() -> None:
     """Exit code 2, and the names that there are."""
     done = subprocess.run([sys.executable, str(HERE), "bandid"], capture_output=True, text=True, check=False)

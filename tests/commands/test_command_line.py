@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from scenes import SMALL
 from the_command import lcp_plugin
 
-from lcp_plugin import LCP, Status, __version__, gallery, solve
+from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.commands.cli import run
 from lcp_plugin.engines import ENGINES, engine_class
@@ -480,6 +480,7 @@ def test_tables_agree_with_the_paper() -> None:
     assert not re.search(r"\bNO\b", done.stdout)
 
 
+@pytest.mark.full
 def test_tables_notice_a_wrong_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     """One printed figure changed by one: the cell says NO, the total 47, and the exit code is 1."""
     content = paper_tables.published()
@@ -505,13 +506,6 @@ def test_exit_codes_are_documented() -> None:
 
 
 # --- as a process ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.full
-def test_version() -> None:
-    """``python -m lcp_plugin --version`` prints name and version."""
-    done = in_a_process("--version")
-    assert (done.returncode, done.stdout.decode().split()) == (0, ["lcp-plugin", __version__])
 
 
 def test_installed_command_is_this_one() -> None:

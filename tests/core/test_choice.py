@@ -408,6 +408,7 @@ def test_where_gauss_seidel_diverges_a_direct_method_solves() -> None:
     assert not solve(LCP(M, -M @ [1.0, 1.0, 1.0]), "pgs").is_solved
 
 
+@pytest.mark.full
 def test_a_grid_with_strong_flows_is_solved_by_newton() -> None:
     """K + S, S skew and between any two nodes: sweeps and cycles diverge, and as a program its factors fill."""
     rng, m = np.random.default_rng(0), 50

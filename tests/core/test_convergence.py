@@ -306,7 +306,7 @@ def random_h_plus(n: int, seed: int) -> np.ndarray:
     return M * np.exp2(generator.integers(-8, 9, size=n))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("matrices", [random_h_plus, positive_definite], ids=["H₊", "SPD"])
 def test_automatic_relaxation_never_fails_where_gauss_seidel_converges(matrices: Any) -> None:
     """On 100 random problems of each class PSOR is SOLVED wherever PGS is, and on the whole not slower."""
@@ -325,14 +325,6 @@ def test_automatic_relaxation_never_fails_where_gauss_seidel_converges(matrices:
 
 
 # --- The paper's tables ------------------------------------------------------------------------------------
-
-
-def test_the_paper_s_tables_are_reproduced() -> None:
-    """All 48 iteration counts are those of the paper, and at least 44 residuals to the printed digits."""
-    cells = list(paper_tables.cells())
-    assert len(cells) == 48
-    assert [cell for cell in cells if not cell.same_iterations] == []
-    assert sum(cell.same_residual for cell in cells) >= 44
 
 
 @pytest.mark.parametrize(("example", "expected"), [(1, [13, 15, 16, 16, 16, 16]), (2, [10, 11, 11, 11, 11, 11])])

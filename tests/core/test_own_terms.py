@@ -100,6 +100,7 @@ def test_what_fell_under_attack_is_refused() -> None:
         assert not Certificate.of(LCP(M, q), false).meets(Settings())
 
 
+@pytest.mark.full
 def test_no_row_is_explained_by_a_number_that_does_not_act() -> None:
     """w_3 = .5 where z_3 = 1: neither SOLVED nor rounding, though m_34 = −1e19 would hide it."""
     M = [[0.0, -3.0, 2.0, -1.0], [3.0, -3.0, 3.0, 1.0], [1.0, -2.0, 2.0, -1e19], [1.0, -3.0, 1.0, -2.0]]
@@ -147,6 +148,7 @@ def test_rows_where_no_double_is_nearer_are_right() -> None:
     assert not Certificate.of(problem, false).meets(Settings())
 
 
+@pytest.mark.full
 def test_a_diagonal_entry_of_1e12_may_leave_no_solution() -> None:
     """w_4 = −3.3e-13 and −2.2e-12 are all of their rows; without them w_1 > 0 where z_1 > 0."""
     for M, q in (

@@ -317,7 +317,7 @@ SCENES = [("obstacle_2d", {"size": 400}, "multigrid"), ("convection_diffusion", 
           ("random_h_plus", {"n": 40_000}, "auto")]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "size", "algorithm"), SCENES)
 def test_the_number_of_threads_changes_no_bit(name: str, size: dict[str, int], algorithm: str) -> None:
     """“The number of threads changes no bit”: z, w, every residual and count, with 1 to 4 threads of one solve."""

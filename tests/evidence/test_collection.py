@@ -32,6 +32,7 @@ def test_names_are_unique_and_sources_are_given() -> None:
     assert all(entry.source for entry in ENTRIES)
 
 
+@pytest.mark.full
 def test_declared_solutions_are_exact() -> None:
     """Each declared solution is complementary in rational arithmetic, without any tolerance."""
     wrong = [e.name for e in ENTRIES if e.solution is not None and not ExactData(e.problem).is_solution(e.solution)]

@@ -353,6 +353,7 @@ def names_in(figure: Any) -> set[str]:
     return {*beside, *(text.get_text() for legend in legends for text in legend.get_texts())}
 
 
+@pytest.mark.full
 def test_names_stand_where_they_hide_nothing() -> None:
     """Two curves, or twelve, have their names below the axes, and the axes keep most of the figure."""
     few = error_against_time(gallery.build("obstacle_2d", size=12), ["npgs", "psor"], repeats=1).plot()

@@ -312,6 +312,7 @@ def test_the_paper_s_tables_compile_without_a_warning(tmp_path: Path) -> None:
 # --- Views: pictures ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_pictures_are_as_wide_as_a_column_or_a_page() -> None:
     """One problem makes 3.5 inches, several 7.1; names with their exponents stand below each panel."""
     pytest.importorskip("matplotlib")

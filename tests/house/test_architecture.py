@@ -240,6 +240,7 @@ def test_star_import_needs_no_hypothesis() -> None:
     assert asked == 3 * ["lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"]
 
 
+@pytest.mark.full
 def test_layers_ask_for_their_frameworks() -> None:
     """The help of ``lcp_plugin.interfaces.learn`` needs none of them; each layer says in words what to install."""
     code = (

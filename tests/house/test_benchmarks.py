@@ -79,6 +79,7 @@ def test_scipy_baselines_compute_the_same_iterates() -> None:
     np.testing.assert_allclose(first, second, rtol=0, atol=1e-14)
 
 
+@pytest.mark.full
 def test_paper_tables_are_reproduced() -> None:
     """All 48 iteration counts equal the paper's, and at least 44 residuals to the printed digits."""
     computed = list(cells())

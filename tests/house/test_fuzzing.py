@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -231,9 +232,11 @@ def test_mutated_commands_end_in_zero_one_or_two(
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(4))
-def test_models_by_chance_are_answered_by_the_executable(seed: int, tmp_path: Path) -> None:
+def test_models_by_chance_are_answered_by_the_executable(
+    seed: int, tmp_path: Path, draws: Callable[[int], range]
+) -> None:
     """A .sol with a code of AMPL's table and what read_nl says; what is solved meets rows, pairs and bounds."""
-    for case in range(25):
+    for case in draws(25):
         rng = np.random.default_rng([seed, case])
         content, words = random_model(rng), drawn_words(rng)
         said = judged(content, words, tmp_path / "m")

@@ -238,6 +238,7 @@ def test_every_public_name_has_its_place(folder: Path) -> None:
     assert len(files) == len({*files})
 
 
+@pytest.mark.full
 def test_every_example_has_its_picture_its_code_and_what_it_printed(folder: Path) -> None:
     """Beside the story; the start page shows all of them."""
     start = Page((folder / "index.html").read_text(encoding="utf-8"))

@@ -123,7 +123,7 @@ def test_ignored_relaxation_is_found() -> None:
     assert_solves(damped(psor), matrices=ROTATING, max_examples=MANY)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("solver", [psor, least_index])
 def test_correct_solvers_pass(solver: Solver) -> None:
     """The toys without a bug pass many problems, with bounds too, and with problems that have no solution."""

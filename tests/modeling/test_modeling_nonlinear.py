@@ -772,6 +772,7 @@ def test_no_start_is_said_in_words() -> None:
         ComplementarityProblem(complements(x >= -10, cp.log(x - 5))).solve()
 
 
+@pytest.mark.full
 def test_a_model_without_solution_is_not_called_solved() -> None:
     """exp(x) + 1 = 0 has none: the status is honest, and x keeps the best iterate."""
     x = cp.Variable()

@@ -11,7 +11,7 @@ import pytest
 COMMAND = [sys.executable, str(Path(__file__).parent)]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "code", "printed"), [
     ("cvxpy.InfeasibleProblems", 0, "2 passed, 0 failed, 0 not asked"), ("no such test", 1, "0 passed"),
 ])

@@ -85,7 +85,7 @@ def near_singular_problem(seed: int) -> LCP:
     return LCP(M, rng.integers(-20, 21, n) / 10, upper=upper)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("block", range(10))
 def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> None:
     """Whatever M `analyze` proves H₊ or definite has a rigorous bound, which no exact solution violates."""
@@ -277,6 +277,7 @@ def test_a_dominant_large_matrix_needs_no_linear_solve(monkeypatch, unit) -> Non
         assert bound.kind == "rigorous"
 
 
+@pytest.mark.full
 def test_large_matrix_with_both_signs() -> None:
     """A large H₊-matrix that is no Z-matrix is sharpened by a Krylov method."""
     generator = np.random.default_rng(0)

@@ -187,6 +187,7 @@ def test_p_recursion_against_minors() -> None:
     assert outcomes == {True, False}
 
 
+@pytest.mark.full
 def test_p_at_twenty_rows() -> None:
     """With n = 20 a definite matrix in other units of rows and columns passes, one with a bad minor of 3 rows fails."""
     rng = np.random.default_rng(2)
@@ -468,7 +469,7 @@ def test_no_matrix(M: object) -> None:
         analyze(M)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("seed", range(4))
 def test_graded_matrices_against_rational_arithmetic(seed: int) -> None:
     """Verdicts, guarantees and bounds on 35 matrices of entries from 1e-300 to 1e300; the campaign judges thousands."""

@@ -392,6 +392,7 @@ def test_minors_that_rounding_hides_are_settled_in_integers(
     assert is_p_matrix_by_recursion(sp.csr_array(M)) is None
 
 
+@pytest.mark.full
 def test_ten_rows_are_always_decided() -> None:
     """However many minors rounding hides, and however long the numbers are, up to n = 10 there is an answer."""
     rng = np.random.default_rng(0)

@@ -167,6 +167,7 @@ def test_a_linear_complementarity_problem_within_a_radius() -> None:
     assert solve(LCP(DECIMAL, -np.array(MET), lower=-np.inf)).status is Status.SOLVED
 
 
+@pytest.mark.full
 def test_certify_proves_nothing_within_a_radius() -> None:
     """What `certify` says holds of all x: a proof within a radius proves neither infeasible nor unbounded."""
     infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)

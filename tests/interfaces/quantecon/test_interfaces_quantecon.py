@@ -46,6 +46,7 @@ def test_same_path_on_random_problems(n: int) -> None:
                 np.testing.assert_allclose(ours.z, theirs.z, rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.full
 def test_their_own_tests_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test of QuantEcon's function passes with ours in its place."""
     from quantecon.optimize.tests import test_lcp_lemke as their_tests
@@ -116,6 +117,7 @@ def test_what_is_refused(error: type[Exception], given: dict[str, Any], words: s
         lemke(**{"M": M, "q": q, **given})
 
 
+@pytest.mark.full
 def test_games_of_quantecon() -> None:
     """What comes back from a NormalFormGame, or from its payoffs, QuantEcon finds to be an equilibrium."""
     from quantecon.game_theory import NormalFormGame, Player
@@ -130,6 +132,7 @@ def test_games_of_quantecon() -> None:
         assert game.is_nash((equilibrium.row_strategy, equilibrium.column_strategy), tol=1e-9)
 
 
+@pytest.mark.full
 def test_a_game_has_two_players() -> None:
     """A game of three is refused, and payoffs of one player alone."""
     from quantecon.game_theory import NormalFormGame

@@ -107,6 +107,7 @@ class _Broken:
             raise ImportError("libscip.so.10: cannot open shared object file")
 
 
+@pytest.mark.full
 def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path: Path) -> None:
     """A leader that is not convex gets a point, no bound, and both ways out, from arrays, cvxpy, Pyomo and AMPL."""
     solver = pe.SolverFactory("lcp_plugin")
@@ -204,6 +205,7 @@ def test_scip_prints_nothing(capfd: Any) -> None:
 # --- Limits and Ctrl-C ---
 
 
+@pytest.mark.full
 def test_half_a_second_keeps_the_best_point() -> None:
     """The status is MAX_SECONDS, x an equilibrium, and no bound is above its value."""
     result = minimize_over_solutions(knapsack(), max_seconds=0.5)

@@ -108,7 +108,7 @@ def contacts(M, q, sign, value, is_held, is_free, stops, blocks):  # type: ignor
     return find_contacts(M, q, sign, value, is_held, is_free, stops, blocks)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_contacts_are_those_of_the_exact_answer(sign: float) -> None:
     """Every row in contact, and no other, is found in one pass; rows that are held stay at their value."""

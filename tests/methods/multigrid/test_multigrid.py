@@ -350,6 +350,7 @@ def test_a_warm_start_pays() -> None:
     assert np.abs(warm.z - anew.z).max() <= 1e-6
 
 
+@pytest.mark.full
 def test_a_march_in_time_needs_few_corrections() -> None:
     """Where the free boundary moves by many rows a step, a warm start still ends within 6 corrections on average."""
     scene = gallery.build("american_put_march", size=20_001, steps=20)
@@ -365,6 +366,7 @@ def test_a_march_in_time_needs_few_corrections() -> None:
     assert corrections <= 6 * 20
 
 
+@pytest.mark.full
 def test_runs_in_threads_share_the_hierarchy_and_nothing_else() -> None:
     """Eight runs at once on one prepared matrix give what they give one after the other."""
     problem = prepare(gallery.build("coefficient_jumps", size=70).problem)

@@ -149,6 +149,7 @@ def test_what_is_proven_about_multigrid() -> None:
     assert not convergence_guarantee(LCP([[2.0, -1.0], [-0.5, 2.0]], [0.0, 0.0]), "multigrid").is_guaranteed
 
 
+@pytest.mark.full
 def test_a_run_that_hands_over_ends_sooner() -> None:
     """Where there are sweeps only and they creep, a run that is to hand over ends; by name it goes on."""
     generator, n = np.random.default_rng(5), 1000

@@ -126,7 +126,7 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     assert "not proved infeasible: you asked for no proof" in result.advice
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("seed", [0, 1, 3, 4])
 def test_solutions_are_looked_for_where_no_proof_is(seed: int) -> None:
     """What the search of all cases finds with proofs, it finds with prove_infeasibility=False: it saves no answers."""

@@ -143,6 +143,7 @@ def corners(problem: LCP, pattern: tuple[str, ...]) -> set[tuple[float, ...]]:
     return found
 
 
+@pytest.mark.full
 def test_vertices_are_those_of_a_plain_enumeration() -> None:
     """On singular integer problems, boxes and degenerate ones among them, each face has exactly its vertices."""
     rng, faces = np.random.default_rng(5), 0

@@ -219,6 +219,7 @@ def test_programs_without_a_minimum_come_with_a_proof() -> None:
     assert unproved.status.tolist() == [Status.STALLED, Status.STALLED, Status.SOLVED]
 
 
+@pytest.mark.full
 def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows, equations and bounds that contradict each other by Farkas multipliers chosen first: no linear program."""
     def never(*given: Any, **options: Any) -> Any:

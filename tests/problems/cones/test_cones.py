@@ -662,7 +662,7 @@ def test_a_tiny_normal_entry_is_no_limit() -> None:
         solve(problem).require_solved()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("case", [136, 584])
 def test_planted_contacts_that_jam_are_solved_along_their_friction(case: int) -> None:
     """Two of the campaign's, thirty contacts with μ of nearly 2: by auto and by name, no start at random."""

@@ -68,6 +68,7 @@ def test_in_the_plane_one_tangent_a_contact() -> None:
     np.testing.assert_allclose(solve(problem).motion.body_velocities, [0.0, 0.0, 0.5, 0.0], atol=1e-8)
 
 
+@pytest.mark.full
 def test_3_000_contacts_of_1_000_bodies_stay_sparse() -> None:
     """A dense W would have 81 million entries; this one has as many as contacts share bodies."""
     mass, normals, tangents, velocities = scene(1000, 3000)

@@ -71,6 +71,7 @@ def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
     np.testing.assert_allclose(result.x[:3], [1000003.0, 4e-7 / 15, 2e-8], rtol=1e-6)
 
 
+@pytest.mark.full
 def test_random_programs_agree_with_all_their_pieces(draws: Callable[[int], range]) -> None:
     """Status, value, bound and verify() hold against every piece, and verify() sees each of a dozen damages."""
     pytest.importorskip("highspy", reason="solves the pieces")

@@ -35,6 +35,7 @@ def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(monkey
     np.testing.assert_allclose(own.value, invested.value, atol=1e-4)
 
 
+@pytest.mark.full
 def test_where_an_equilibrium_is_known_one_is_returned(without_scip: None) -> None:
     """The variables hold an equilibrium: with no time at all the answer is no worse."""
     problem, _ = network()

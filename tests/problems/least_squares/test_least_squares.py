@@ -182,6 +182,7 @@ def test_a_thousand_small_problems_as_by_scipy_nnls() -> None:
             np.testing.assert_allclose(result.x, x, atol=1e-8)
 
 
+@pytest.mark.full
 def test_boxed_problems_as_by_scipy_bvls() -> None:
     """Boxes, one-sided and free columns: no more than the cost of scipy.optimize.lsq_linear(method="bvls")."""
     rng = np.random.default_rng(1)

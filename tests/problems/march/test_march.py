@@ -62,6 +62,7 @@ def test_answers_that_were_not_kept_are_the_same_bits(algorithm: str, keep_every
     np.testing.assert_array_equal(again.z[4], at_once.z[4])
 
 
+@pytest.mark.full
 def test_a_march_that_keeps_little_takes_little_memory() -> None:
     """Of 1600 steps, one in 40 kept, no more than a tenth of what keeping all takes."""
     taken = {}
@@ -469,7 +470,7 @@ def volatilities(n: int, k: int, count: int) -> tuple[list[LCP], np.ndarray, lis
     return problems, payoff, [sp.csr_array(A - sp.eye_array(n)) for A in halves]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("keep_every", [9, 1])
 def test_marches_whose_matrices_differ_are_those_one_by_one(keep_every: int) -> None:
     """Bit for bit, on any number of threads: M, bounds and propagators of their own, or one propagator for all."""

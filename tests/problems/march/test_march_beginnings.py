@@ -95,7 +95,7 @@ def with_jumps(rng: np.random.Generator) -> LCP:
     return gallery.build("random_h_plus", n=3000).problem
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("make", [without_diagonal, with_jumps])
 def test_where_steps_teach_nothing_a_march_costs_no_more(make: Callable[..., LCP]) -> None:
     """Where the free set jumps at every step, all steps together take at most a tenth more work than solves do."""

@@ -328,7 +328,7 @@ def test_no_solution_is_said_honestly() -> None:
         result.require_solved()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("F", "lower"),
     [

@@ -437,6 +437,7 @@ def short_lcp(seed: int) -> tuple[LCP, np.ndarray] | None:
     return (LCP(M, q), dq) if np.linalg.eigvalsh(M + M.T)[0] > 0.0 else None
 
 
+@pytest.mark.full
 def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
     """Where z and w both vanish but for rounding the path is right; of data of one decimal a fifth was refused."""
     path = trace(LCP([[5.0]], [-1.0]), {"q": [-3.0]}, 1.5, -1.0).require_solved()

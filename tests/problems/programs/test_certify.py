@@ -201,7 +201,7 @@ def test_where_all_terms_vanish_the_comparison_is_exact() -> None:
     assert certify(QuadraticProgram(None, [1, -1e-17], lower=0, upper=1), [0.0, 0.0]).verdict == "disproved"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.full
 @pytest.mark.parametrize("seed", range(3))
 def test_climbing_proves_nothing_wrong(seed: int) -> None:
     """Points that a climber leads to where certify measures little: none that is off by more than 1 % is proved."""

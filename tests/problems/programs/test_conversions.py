@@ -354,6 +354,7 @@ def test_bimatrix_games(name: str) -> None:
     assert found.regret < 1e-14
 
 
+@pytest.mark.full
 def test_a_game_of_players_is_taken_as_it_is() -> None:
     """Players hold their own action first; a game of two by three actions is that of (A, B), and so is QuantEcon's."""
     A, B = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]]), np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])

@@ -32,6 +32,7 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     "core.solving.result": ({"proofs"}, "explain() says what may mislead, guarantee what is proved"),
     "core.solving.answer": ({"evidence"}, "plot() of every answer"),
     "problems.many.answers": ({"evidence"}, "plot() of many answers"),
+    "problems.contact": ({"cones"}, "auto begins with the cones behind a pyramid's LCP"),
     "problems.parametric.path": ({"evidence"}, "plot() of a path"),
     "problems.parametric.tracing": ({"modeling"}, "trace takes a cvxpy problem as well"),
     "problems.parametric.regions": ({"evidence"}, "plot() of regions"),

@@ -52,8 +52,8 @@ class Blocks:
         Block i has the rows starts[i] … starts[i + 1] − 1; one row is no cone.
     slope : ndarray, shape (k,)
         μ of the cones; 0 elsewhere.
-    has_friction : bool
-        Whether the slack of a cone is û.
+    has_friction : int
+        Whether the slack of a cone is û; more than 1: how many edges the pyramids have that are the cones.
     """
 
     problem_kind: ClassVar[Kind]
@@ -62,7 +62,7 @@ class Blocks:
     criterion: None = None  # no program is behind it
     is_distributed = False
 
-    def __init__(self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: bool) -> None:
+    def __init__(self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: int) -> None:
         self.rows, self.starts, self.slope, self.has_friction = rows, read_only(starts), read_only(slope), has_friction
         self._facts: dict[Any, Any] = {}  # of M alone: problems that differ in q share them
         self._lock = Lock()

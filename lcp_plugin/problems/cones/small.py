@@ -86,7 +86,7 @@ def solve_small(
 
 def run_loop(
     starts: Starts, arrays: tuple[Any, ...], z: NDArray[np.float64], settings: Settings,
-    in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None, *, has_friction: bool, is_warm: bool,
+    in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None, *, has_friction: int, is_warm: bool,
 ) -> LoopAnswers:
     """Return what the loop makes of problems of the same blocks, from the rows of z, shape (B, n), which it overwrites.
 
@@ -98,8 +98,10 @@ def run_loop(
         M, (B, n, n), q, lower, upper and z°, (B, n) each, and slope, (B, k): contiguous, read-only.
     z, settings, in_chunks
         As of :func:`solve_small`.
-    has_friction, is_warm : bool
-        Whether the slack of a cone is û, and whether Newton's steps come before sweeps.
+    has_friction : int
+        As of :class:`Blocks`.
+    is_warm : bool
+        Whether Newton's steps come before sweeps.
     """
     from .small_kernels import solve_each
 

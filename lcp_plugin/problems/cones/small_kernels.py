@@ -145,7 +145,7 @@ def settle(known, origin, labels, of_blocks, of_rows, z, proved):  # type: ignor
     reference, weights, least, most = of_blocks[2], of_blocks[3], of_blocks[4], of_blocks[5]
     w, R, slip, start, swept, terms = of_rows[0], of_rows[1], of_rows[2], of_rows[3], of_rows[4], of_rows[5]
     put_back(starts, weights, origin, z)
-    project(starts, slope, lower, upper, z)
+    project(starts, slope, friction, lower, upper, z)
     product(indptr, indices, data, q, z, w, slip)
     own_terms(*known, labels, z, w, start, terms, R, swept, least, most, weights)
     proved[0] = proved[1] = 0.0

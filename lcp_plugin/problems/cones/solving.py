@@ -449,7 +449,7 @@ class ConeJudge(Judge):
         if several is not None:
             problem = problem.part(several.labels == several.labels[block])
         if not problem.has_friction or problem.slope.max(initial=0.0) > MUCH_FRICTION:
-            return problem.has_friction
+            return bool(problem.has_friction)
         W = problem.rows.csr
         return bool(problem.slope.any()) and is_positive_definite(0.5 * (W + W.T)) is not True
 

@@ -181,7 +181,7 @@ def test_one_side_alone_ends_too() -> None:
     for _ in range(200):
         problem, z = planted(tridiagonal_m(30, rng), rng, boxes=True)
         band, scale = band_of(problem.csr), problem.residual_scale
-        vectors, sets, memory = np.empty((4, 30)), np.empty((2, 30), np.int8), np.empty(kernels.SLOTS, np.int64)
+        vectors, sets, memory = np.empty((4, 30)), np.empty((4, 30), np.int8), np.empty(kernels.SLOTS, np.int64)
         data = problem.q, problem.lower, problem.upper
         now = rng.normal(scale=50.0, size=30)
         given = band.entries, 1, True, band.weights, scale, *data, now, vectors, sets, memory, np.empty((30, 3)), 200

@@ -8,18 +8,7 @@ from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
 from ...methods.small.kernels.small_systems import eliminate, substitute
-from .body_kernels import label_components
-from .kernels import (
-    OUTWARD,
-    block_bounds,
-    block_derivative,
-    count_blocks,
-    fill_blocks,
-    measure,
-    own_terms,
-    project,
-    sweep_once,
-)
+from .kernels import OUTWARD, block_bounds, block_derivative, measure, own_terms, project, sweep_once
 from .methods import EXACT, GAIN, LEAST_PROXIMAL
 
 LAST_STEPS = 2  # where the system is singular and a proximal term left in it
@@ -43,28 +32,59 @@ def put_back(starts, weights, origin, z):  # type: ignore[no-untyped-def]
 
 
 @helper
-def scale_blocks(starts, begins, others, norms, closed_indptr, closed, diagonal, steps, scale):  # type: ignore[no-untyped-def]
-    """Write the diagonal blocks, 1/‖M_kk‖, and d; return whether M is in one unit."""
-    largest, least, shows_none = 0.0, np.inf, True
+def gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # type: ignore[no-untyped-def]
+    """Write M as CSR, its diagonal blocks, the norms of its blocks, 1/‖M_kk‖, and d; return whether M is in one unit.
+
+    The rows of a block have one pattern. `norms` are the entries of the LCP of block norms, but for signs.
+    """
+    filled, largest, least, shows_none = 0, 0.0, np.inf, True
     for k in range(scale.size):
-        first, end, before = starts[k], starts[k + 1], 0
-        size, row, own = end - first, 0.0, 0.0
-        for at in range(begins[k], begins[k + 1]):
-            row = max(row, abs(norms[at]))
-            if others[at] < k:
-                before += starts[others[at] + 1] - starts[others[at]]
-            if others[at] == k:
-                own = norms[at]
-        total = 0.0
-        for i in range(size):
-            for j in range(size):
-                diagonal[k, i, j] = closed[closed_indptr[first + i] + before + j]
-                total += diagonal[k, i, j] ** 2
-        steps[k] = 1.0 / np.sqrt(total) if total > 0.0 else 0.0
-        scale[k] = own if own >= SMALLEST_SCALE * row and own > 0.0 else row if row > 0.0 else 1.0
-        largest, least = max(largest, row), min(least, abs(own))
-        shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= abs(own)
+        first, end = starts[k], starts[k + 1]
+        for i in range(first, end):
+            indptr[i] = filled
+            for j in range(M.shape[1]):
+                is_stored = False
+                for inner in range(first, end):
+                    is_stored = is_stored or M[inner, j] != 0.0
+                if is_stored:
+                    indices[filled], data[filled] = j, M[i, j]
+                    filled += 1
+        row = 0.0
+        for other in range(scale.size):
+            most, total = 0.0, 0.0
+            for i in range(first, end):
+                for j in range(starts[other], starts[other + 1]):
+                    most, total = max(most, abs(M[i, j])), total + M[i, j] * M[i, j]
+            norms[k, other] = max(most, np.sqrt(total))
+            if other == k:
+                steps[k] = 1.0 / norms[k, k] if norms[k, k] > 0.0 else 0.0
+                norms[k, k] /= np.sqrt(end - first)
+            row = max(row, norms[k, other])
+        for i in range(first, end):
+            for j in range(first, end):
+                diagonal[k, i - first, j - first] = M[i, j]
+        own = norms[k, k]
+        serves = own >= SMALLEST_SCALE * row and own > 0.0 and (end - first > 1 or M[first, first] > 0.0)
+        scale[k] = own if serves else row if row > 0.0 else 1.0
+        largest, least = max(largest, row), min(least, own)
+        shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= own
+    indptr[M.shape[0]] = filled
     return shows_none or largest * 2.0**-SPREAD <= least
+
+
+@helper
+def label(norms, labels):  # type: ignore[no-untyped-def]
+    """Give each block the number of the first block in its connected component."""
+    for k in range(labels.size):
+        labels[k] = k
+    has_changed = True
+    while has_changed:
+        has_changed = False
+        for k in range(labels.size):
+            for j in range(labels.size):
+                if norms[k, j] > 0.0 and labels[j] != labels[k]:
+                    labels[j] = labels[k] = min(labels[j], labels[k])
+                    has_changed = True
 
 
 @helper
@@ -102,40 +122,19 @@ def references(  # type: ignore[no-untyped-def]
 
 
 @helper
-def begin(starts, slope, friction, lower, upper, indptr, indices, data, q, origin, z):  # type: ignore[no-untyped-def]
-    """Return whether M is in one unit and references are known; what runs know, and room for them.
-
-    These are the blocks with M closed and d, the diagonal blocks, components, and six arrays of blocks and six of rows:
-    1/‖M_kk‖, d, references, weights and two for bounds; w, R, the rounding of w and three others.
-    """
-    blocks, n, m = slope.size, q.size, np.int64(1)
-    of_row = np.empty(n, np.int64)
-    for k in range(blocks):
-        m = max(m, starts[k + 1] - starts[k])
-        for i in range(starts[k], starts[k + 1]):
-            of_row[i] = k
-    begins, closed_indptr = np.empty(blocks + 1, indices.dtype), np.empty(n + 1, indices.dtype)
-    count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
-    others, norms = np.empty(begins[blocks], indices.dtype), np.empty(begins[blocks])
-    closed_indices, closed = np.empty(closed_indptr[n], indices.dtype), np.empty(closed_indptr[n])
-    fill_blocks(starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed)
-    diagonal, labels = np.empty((blocks, m, m)), np.empty(blocks, np.int64)
-    of_blocks, of_rows = np.empty((6, blocks)), np.empty((6, n))
-    steps, scale, reference = of_blocks[0], of_blocks[1], of_blocks[2]
-    weights, least, most = of_blocks[3], of_blocks[4], of_blocks[5]
+def refer(known, origin, labels, of_blocks, of_rows, z):  # type: ignore[no-untyped-def]
+    """Write the references of components, and put unknowns that nothing acts on back to z°; return whether all act."""
+    starts, slope, friction, lower, upper, indptr, indices, data, q, scale = known
+    reference, weights, least, most = of_blocks[2], of_blocks[3], of_blocks[4], of_blocks[5]
     w, R, slip, swept = of_rows[0], of_rows[1], of_rows[2], of_rows[4]
-    is_known = scale_blocks(starts, begins, others, norms, closed_indptr, closed, diagonal, steps, scale)
-    if is_known:
-        label_components(begins, others, labels)
-        copy(origin, swept)
-        product(closed_indptr, closed_indices, closed, q, swept, w, slip)
-        is_known = references(
-            starts, slope, friction, lower, upper, swept, w, slip, scale, labels, R, least, most, reference, weights
-        )
-    if is_known:
-        put_back(starts, weights, origin, z)
-    known = starts, slope, friction, lower, upper, closed_indptr, closed_indices, closed, q, scale
-    return is_known, known, diagonal, labels, of_blocks, of_rows
+    copy(origin, swept)
+    product(indptr, indices, data, q, swept, w, slip)
+    if not references(
+        starts, slope, friction, lower, upper, swept, w, slip, scale, labels, R, least, most, reference, weights
+    ):
+        return False
+    put_back(starts, weights, origin, z)
+    return True
 
 
 @helper
@@ -235,19 +234,6 @@ def _newton(known, weights, goal, most_steps, memory, constants, z, w, R, start,
     return largest, most_steps
 
 
-@helper
-def compress(M, indptr, indices, data):  # type: ignore[no-untyped-def]
-    """Write a dense M as CSR."""
-    filled = 0
-    for i in range(M.shape[0]):
-        indptr[i] = filled
-        for j in range(M.shape[1]):
-            if M[i, j] != 0.0:
-                indices[filled], data[filled] = j, M[i, j]
-                filled += 1
-    indptr[M.shape[0]] = filled
-
-
 @kernel
 def solve_each(  # type: ignore[no-untyped-def]
     item, end_item, starts, friction, slopes, lowers, uppers, matrices, offsets, origins, goal, rounds, most_steps,
@@ -270,18 +256,22 @@ def solve_each(  # type: ignore[no-untyped-def]
     by_z, by_w, of_one = np.empty((blocks, m, m)), np.empty((blocks, m, m)), np.empty((4, m))
     b, x, y, before = of_one[0], of_one[1], of_one[2], of_one[3]
     room = by_z, by_w, np.empty((n + 4, n + 1)), np.empty(n, np.int64), x, y
+    diagonal, norms, labels = np.empty((blocks, m, m)), np.empty((blocks, blocks)), np.empty(blocks, np.int64)
+    of_blocks, of_rows = np.empty((6, blocks)), np.empty((6, n))
+    steps, scale, weights = of_blocks[0], of_blocks[1], of_blocks[3]
+    w, R, start, swept, step = of_rows[0], of_rows[1], of_rows[3], of_rows[4], of_rows[5]
     for number in range(item, end_item):
         made[number], proved[number] = 0, np.inf
         z, origin = points[number], origins[number]
-        compress(matrices[number], indptr, indices, data)
-        is_known, known, diagonal, labels, of_blocks, of_rows = begin(
-            starts, slopes[number], friction, lowers[number], uppers[number], indptr, indices, data, offsets[number],
-            origin, z,
-        )
-        if not is_known:
+        if not gather(matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale):
             continue
-        steps, weights = of_blocks[0], of_blocks[3]
-        w, R, start, swept, step = of_rows[0], of_rows[1], of_rows[3], of_rows[4], of_rows[5]
+        label(norms, labels)
+        known = (
+            starts, slopes[number], friction, lowers[number], uppers[number], indptr, indices, data, offsets[number],
+            scale,
+        )
+        if not refer(known, origin, labels, of_blocks, of_rows, z):
+            continue
         largest = measure(*known, weights, z, w, R)[0]
         random, newton_steps = 1, 0
         copy(z, swept)

@@ -11,11 +11,19 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.kernels.compilation import helper, kernel
-from .body_kernels import factor_of_bodies, gather_arms, invert, step_of_bodies, structure_of_bodies
-from .kernels import block_derivative, measure, measure_at, project, sweep
+from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
+from .body_kernels import (
+    factor_of_bodies,
+    gather_arms,
+    invert,
+    label_components,
+    step_of_bodies,
+    structure_of_bodies,
+)
+from .kernels import block_derivative, count_blocks, fill_blocks, measure, measure_at, project, sweep
 from .methods import EXACT, GAIN
 from .path_kernels import begin_path, follow_path
-from .small_kernels import begin, copy, settle
+from .small_kernels import SMALLEST_SCALE, copy, refer, settle
 
 WORTH = 0.1  # of the residual: what a step leaves at the most where its factor serves another one
 HALVES = 4  # steps of Newton's method that halve the residual, or are its last
@@ -24,6 +32,61 @@ NEWTON_NEAR, PATH_STEPS = np.int64(8), np.int64(30)  # steps of both; numba comp
 SHARES = (0.01, 0.1, 0.001, 0.01, 1.0)  # of a start from nothing, added to what each path begins near
 FROM_NOTHING = 1  # which of them begins near no impulse, not near what sweeps have left
 AGAIN = 3  # steps more by one factor
+
+
+@helper
+def scale_blocks(starts, begins, others, norms, closed_indptr, closed, diagonal, steps, scale):  # type: ignore[no-untyped-def]
+    """Write the diagonal blocks, 1/‖M_kk‖, and d; return whether M is in one unit."""
+    largest, least, shows_none = 0.0, np.inf, True
+    for k in range(scale.size):
+        first, end, before = starts[k], starts[k + 1], 0
+        size, row, own = end - first, 0.0, 0.0
+        for at in range(begins[k], begins[k + 1]):
+            row = max(row, abs(norms[at]))
+            if others[at] < k:
+                before += starts[others[at] + 1] - starts[others[at]]
+            if others[at] == k:
+                own = norms[at]
+        total = 0.0
+        for i in range(size):
+            for j in range(size):
+                diagonal[k, i, j] = closed[closed_indptr[first + i] + before + j]
+                total += diagonal[k, i, j] ** 2
+        steps[k] = 1.0 / np.sqrt(total) if total > 0.0 else 0.0
+        scale[k] = own if own >= SMALLEST_SCALE * row and own > 0.0 else row if row > 0.0 else 1.0
+        largest, least = max(largest, row), min(least, abs(own))
+        shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= abs(own)
+    return shows_none or largest * 2.0**-SPREAD <= least
+
+
+@helper
+def begin(starts, slope, friction, lower, upper, indptr, indices, data, q, origin, z):  # type: ignore[no-untyped-def]
+    """Return whether M is in one unit and references are known; what runs know, and room for them.
+
+    These are the blocks with M closed and d, the diagonal blocks, components, and six arrays of blocks and six of rows:
+    1/‖M_kk‖, d, references, weights and two for bounds; w, R, the rounding of w and three others.
+    """
+    blocks, n, m = slope.size, q.size, np.int64(1)
+    of_row = np.empty(n, np.int64)
+    for k in range(blocks):
+        m = max(m, starts[k + 1] - starts[k])
+        for i in range(starts[k], starts[k + 1]):
+            of_row[i] = k
+    begins, closed_indptr = np.empty(blocks + 1, indices.dtype), np.empty(n + 1, indices.dtype)
+    count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
+    others, norms = np.empty(begins[blocks], indices.dtype), np.empty(begins[blocks])
+    closed_indices, closed = np.empty(closed_indptr[n], indices.dtype), np.empty(closed_indptr[n])
+    fill_blocks(starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed)
+    diagonal, labels = np.empty((blocks, m, m)), np.empty(blocks, np.int64)
+    of_blocks, of_rows = np.empty((6, blocks)), np.empty((6, n))
+    is_known = scale_blocks(
+        starts, begins, others, norms, closed_indptr, closed, diagonal, of_blocks[0], of_blocks[1]
+    )
+    known = starts, slope, friction, lower, upper, closed_indptr, closed_indices, closed, q, of_blocks[1]
+    if is_known:
+        label_components(begins, others, labels)
+        is_known = refer(known, origin, labels, of_blocks, of_rows, z)
+    return is_known, known, diagonal, labels, of_blocks, of_rows
 
 
 @helper

@@ -285,6 +285,16 @@ def of_answers_alone(old: Any) -> Any:
     return lambda family, case: old(family, case) if case is family._answer else None
 
 
+def if_pyramids(old: Any, note: Callable[[], None]) -> Any:
+    def first(self: Any, problem: Any) -> Any:
+        found = old(self, problem)
+        if found.algorithm.name == "pyramids":
+            note()
+        return found
+
+    return first
+
+
 def is_late(choice: Any) -> bool:
     return choice.because.startswith(("sweeps until", "from a point nearby"))
 
@@ -366,6 +376,10 @@ MECHANISMS = (
     Mechanism("games", "paths of Lemke and Howson on bimatrix games",
               {"methods.lemke.games:bimatrix_players": says(None)},
               "methods/lemke/games.py methods/lemke/pivoting_path.py:_lemke_howson"),
+    Mechanism("pyramids", "contacts with friction pyramids as cones of three unknowns each",
+              {"auto:Auto.first": Instead(lambda old: lambda self, problem: self._by_numbers(problem), if_pyramids)},
+              "problems/cones/pyramids.py problems/cones/kernels.py:_face problems/cones/kernels.py:_slide_on_pyramid "
+              "problems/cones/kernels.py:_edge_at problems/contact.py:Contacts.method"),
     Mechanism("damped steps", "a line search on the function of Fischer and Burmeister",
               {f"{NEWTON}:damped_steps": nothing()},
               "methods/newton/semismooth_newton.py:damped_steps methods/newton/semismooth_newton.py:_full_step "

@@ -313,8 +313,9 @@ def test_nothing_global_changes(name: str) -> None:
     def raises(sample: Any, z: np.ndarray) -> None:
         raise ZeroDivisionError
 
+    surroundings()  # loads numba's threads, which the next line lists
+    threads = blas_threads()  # sets a variable of the environment where threadpoolctl is loaded
     before = surroundings()
-    threads = blas_threads()
     problem = gallery.build("random_h_plus", n=20).problem
     for call in (
         lambda: solve(problem, name, max_iterations=30),

@@ -24,6 +24,7 @@ from .methods import NPGS, SWEEPS_A_STEP, Newton
 from .small import LARGEST, run_loop
 
 ACCURATE = Settings(tolerance=1e-9)  # the last steps of Newton's method make exact what is so near
+ROUNDING = 2.0**-40  # of the largest impulse of friction, between it and one that slides
 SWEEPS, NEWTON_STEPS = (3, 3, 10), 40  # steps of npgs, and of Newton's method after each, of larger problems
 
 
@@ -54,7 +55,7 @@ class Pyramids(Algorithm):
             if found.is_proved[0]:
                 (sweeps, steps), r = found.made[0].tolist(), found.z[0]
                 work = (sweeps + sweeps / SWEEPS_A_STEP + steps * k) * W.size / max(problem.nonzeros, 1)
-                yield Step(_whole(contacts.edges, r, W @ r + free.ravel()), work=work)
+                yield Step(_whole(contacts.edges, mu, r, W @ r + free.ravel()), work=work)
             return
         cones = Blocks(LCP(W, free.ravel(), lower=-np.inf, upper=np.inf), starts, mu, has_friction=m)
         swept = r.ravel()
@@ -64,15 +65,20 @@ class Pyramids(Algorithm):
             for step in islice(Newton(seed=turn % 2).iterates(cones, swept.copy()), 1, 1 + NEWTON_STEPS):
                 r = cones.projected(step.z)
                 work = step.work * cones.nonzeros / max(problem.nonzeros, 1)
-                yield Step(_whole(contacts.edges, r, cones.slack(r)), work=work)
+                yield Step(_whole(contacts.edges, mu, r, cones.slack(r)), work=work)
 
 
-def _whole(edges: Any, r: FloatVector, u: FloatVector) -> FloatVector:
-    """Return z = (p, β, λ) from impulses r in the pyramids and the velocities u that they make."""
+def _whole(edges: Any, mu: FloatVector, r: FloatVector, u: FloatVector) -> FloatVector:
+    """Return z = (p, β, λ) from impulses r in the pyramids and the velocities u that they make.
+
+    β is 0 on one edge where r is on the other, and λ where r is within: what is left of r or u there is rounding.
+    """
     m, (p, x, y) = len(edges), r.reshape(-1, 3).T
     turn, contact = 2.0 * np.pi / m, np.arange(p.size)
     beside, beta = np.floor(np.arctan2(y, x) / turn).astype(np.int64), np.zeros((p.size, m))
     for one, other, sign in ((beside, beside + 1, 1.0), (beside + 1, beside, -1.0)):
         way = edges[other % m]
-        beta[contact, one % m] = np.maximum(sign * (x * way[:, 1] - y * way[:, 0]) / np.sin(turn), 0.0)
-    return np.concatenate([p, beta.ravel(), (u.reshape(-1, 3)[:, 1:] @ edges.T).max(axis=1)])
+        share = sign * (x * way[:, 1] - y * way[:, 0]) / np.sin(turn)
+        beta[contact, one % m] = np.where(share > ROUNDING * mu * p, share, 0.0)
+    slides = beta.sum(axis=1) >= (1.0 - ROUNDING) * mu * p
+    return np.concatenate([p, beta.ravel(), np.where(slides, (u.reshape(-1, 3)[:, 1:] @ edges.T).max(axis=1), 0.0)])

@@ -92,6 +92,14 @@ def test_groups_of_contacts_in_units_of_their_own_are_solved() -> None:
     solve(LCP.from_contacts(W, 0.5, free, 8)).require_solved()
 
 
+@pytest.mark.parametrize("unit", [1e-150, 1e-30, 1e30, 1e150])
+def test_the_unit_of_impulses_changes_nothing(unit: float) -> None:
+    """λ of a contact that sticks is 0, not what rounding leaves of its velocity."""
+    data = planted(30, 15, 10.0, np.random.default_rng(0))
+    result = solve(LCP.from_contacts(unit * data.W, data.friction, data.velocities, 8)).require_solved()
+    assert [stage.name for stage in result.stages] == ["pyramids"]
+
+
 def test_what_the_cones_leave_open_goes_the_way_of_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the compiled loop proves nothing, auto does what it does with the same arrays."""
     problem = problem_of(planted(30, 15, 10.0, np.random.default_rng(0)))

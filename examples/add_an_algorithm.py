@@ -52,7 +52,9 @@ class Extragradient(Algorithm):
     needs: ClassVar[str] = "monotone M"
     solves: ClassVar[str] = "PSD, symmetric or not, for step < 1"
     cost: ClassVar[str] = "2 products with M"
-    reference: ClassVar[str] = "Korpelevich 1976; Facchinei, Pang 2003, chapter 12, doi:10.1007/b97544"
+    reference: ClassVar[str] = (
+        "Korpelevich 1976; Facchinei, Pang 2003, chapter 12, doi:10.1007/b97544"
+    )
     is_monotone: ClassVar[bool] = False  # its residual may rise on the way
 
     step: float = 0.9
@@ -65,10 +67,17 @@ class Extragradient(Algorithm):
 
     def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
         """Yield z0, then one step an iteration, for ever."""
-        z, length = z0.copy(), self.step / scipy.sparse.linalg.norm(problem.csr)  # the Frobenius norm is ≥ ‖M‖
+        z, length = (
+            z0.copy(),
+            self.step / scipy.sparse.linalg.norm(problem.csr),
+        )  # the Frobenius norm is ≥ ‖M‖
         while True:
             yield Step(z, work=2.0)
-            ahead = np.clip(z - length * problem.slack(z), problem.lower, problem.upper) if self.looks_ahead else z
+            ahead = (
+                np.clip(z - length * problem.slack(z), problem.lower, problem.upper)
+                if self.looks_ahead
+                else z
+            )
             z = np.clip(z - length * problem.slack(ahead), problem.lower, problem.upper)
 
 
@@ -95,21 +104,36 @@ def worst_of_random_problems() -> float:
 def way_through(game: LCP, algorithm: Extragradient) -> np.ndarray:
     """Return the iterates of a run, one a row, and print how it ended."""
     way: list[np.ndarray] = []
-    result = solve(game, algorithm, z0=[0.65, 0.5], max_iterations=150, callback=lambda _, z: way.append(z.copy()))
+    result = solve(
+        game,
+        algorithm,
+        z0=[0.65, 0.5],
+        max_iterations=150,
+        callback=lambda _, z: way.append(z.copy()),
+    )
     how = "with" if algorithm.looks_ahead else "without"
-    print(f"{how} the look ahead: {result.status.name}, {result.iterations} iterations, z = {result.z.round(6)}")
+    print(
+        f"{how} the look ahead: {result.status.name}, {result.iterations} iterations, z = {result.z.round(6)}"
+    )
     return np.array(way)
 
 
 def main(out: Path = Path()) -> None:
     """Test the algorithm, and draw its way through a game into the folder OUT."""
-    game = LCP([[0.0, 1.0], [-1.0, 0.0]], [-0.5, 0.5], upper=1.0)  # matching pennies: each tosses a coin
+    game = LCP(
+        [[0.0, 1.0], [-1.0, 0.0]], [-0.5, 0.5], upper=1.0
+    )  # matching pennies: each tosses a coin
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(5.4, 5.0), layout="constrained")
-    for looks_ahead, colour, label in ((False, "#D55E00", "without the look ahead"), (True, "#0072B2", "with it")):
+    for looks_ahead, colour, label in (
+        (False, "#D55E00", "without the look ahead"),
+        (True, "#0072B2", "with it"),
+    ):
         way = way_through(game, Extragradient(looks_ahead=looks_ahead))
         axes.plot(*way[:40].T, ".-", color=colour, markersize=4, linewidth=0.8, label=label)
-    print(f"check: the largest error on random problems with exact answers is {worst_of_random_problems():.1e}")
+    print(
+        f"check: the largest error on random problems with exact answers is {worst_of_random_problems():.1e}"
+    )
 
     axes.plot(0.5, 0.5, "k*", markersize=12, label="equilibrium")
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.25), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])

@@ -35,12 +35,18 @@ def main(out: Path = Path()) -> None:
     spot, payoff = STRIKE * np.exp(x), np.maximum(STRIKE - STRIKE * np.exp(x), 0.0)
     diffusion, drift = 0.5 * (VOLATILITY / h) ** 2, 0.5 * (RATE - 0.5 * VOLATILITY**2) / h
     below, above = time_step * (drift - diffusion), -time_step * (drift + diffusion)
-    M = sp.diags_array([below, 1 + time_step * RATE - below - above, above], offsets=[-1, 0, 1], shape=(SIZE, SIZE))
+    M = sp.diags_array(
+        [below, 1 + time_step * RATE - below - above, above], offsets=[-1, 0, 1], shape=(SIZE, SIZE)
+    )
     edge = np.zeros(SIZE)
-    edge[0] = below * payoff[0]  # deep in the money it is exercised; far out of the money it is worth nothing
+    edge[0] = (
+        below * payoff[0]
+    )  # deep in the money it is exercised; far out of the money it is worth nothing
 
     lower = payoff[1:-1]
-    march_back = march(LCP(M, edge, lower=lower), np.broadcast_to(edge, (STEPS, SIZE)), propagator=-1.0, z0=lower)
+    march_back = march(
+        LCP(M, edge, lower=lower), np.broadcast_to(edge, (STEPS, SIZE)), propagator=-1.0, z0=lower
+    )
     steps = [step.require_solved() for step in march_back]
     value, seconds = steps[-1].z, sum(step.seconds for step in steps)
     edges = [free_boundary(step, coordinates=x[1:-1]).positions for step in steps]
@@ -49,24 +55,40 @@ def main(out: Path = Path()) -> None:
 
     some = np.array([70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0, 140.0])
     ours = np.interp(np.log(some / STRIKE), x[1:-1], value)
-    tree = gallery.binomial_put(some, strike=STRIKE, rate=RATE, volatility=VOLATILITY, maturity=MATURITY, steps=1000)
+    tree = gallery.binomial_put(
+        some, strike=STRIKE, rate=RATE, volatility=VOLATILITY, maturity=MATURITY, steps=1000
+    )
     for price, mine, theirs in zip(some, ours, tree, strict=True):
         print(f"spot {price:5.0f}   LCP {mine:8.4f}   tree {theirs:8.4f}")
-    print(f"check: the prices differ from a binomial tree by at most {abs(ours - tree).max():.4f} EUR")
+    print(
+        f"check: the prices differ from a binomial tree by at most {abs(ours - tree).max():.4f} EUR"
+    )
 
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.2), layout="constrained")
     left.plot(spot, payoff, color="#999999", linestyle="--", label="exercise at once")
     left.plot(spot[1:-1], value, color="#0072B2", linewidth=1.8, label="value of the option")
-    left.plot(some, tree, "o", color="#D55E00", markersize=5, markerfacecolor="white", label="binomial tree")
-    left.set(xlim=(50, 160), ylim=(0, 50), xlabel="spot price S (EUR)", ylabel="EUR", title="Value today")
+    left.plot(
+        some,
+        tree,
+        "o",
+        color="#D55E00",
+        markersize=5,
+        markerfacecolor="white",
+        label="binomial tree",
+    )
+    left.set(
+        xlim=(50, 160), ylim=(0, 50), xlabel="spot price S (EUR)", ylabel="EUR", title="Value today"
+    )
     left.legend()
     years = np.linspace(0, MATURITY, STEPS + 1)[::-1]
     right.plot(years, boundary, color="#D55E00", linewidth=1.8)
     right.fill_between(years, boundary, 60, color="#D55E00", alpha=0.12, linewidth=0)
     right.text(0.45, 65, "exercise", color="#D55E00", fontsize=11)
     right.text(0.25, 88, "wait", color="#0072B2", fontsize=11)
-    right.set(xlim=(0, MATURITY), ylim=(60, 102), xlabel="time (years)", ylabel="spot price S (EUR)")
+    right.set(
+        xlim=(0, MATURITY), ylim=(60, 102), xlabel="time (years)", ylabel="spot price S (EUR)"
+    )
     right.set_title("Early exercise: the free boundary")
     figure.savefig(out / "american_put.png", dpi=150)
 

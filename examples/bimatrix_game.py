@@ -57,27 +57,57 @@ def main(out: Path = Path()) -> None:
     equilibria = [problem.origin.recover(solution.z) for solution in all_solutions(problem)]
     for k, found in enumerate(equilibria, start=1):
         payoffs = ", ".join(f"{payoff:.3f}" for payoff in found.payoffs)
-        print(f"{k}  row {found.row_strategy.round(3)}  column {found.column_strategy.round(3)}  payoffs {payoffs}  "
-              f"regret {found.regret:.0e}")
+        print(
+            f"{k}  row {found.row_strategy.round(3)}  column {found.column_strategy.round(3)}  payoffs {payoffs}  "
+            f"regret {found.regret:.0e}"
+        )
     ours = np.array([[*found.row_strategy, *found.column_strategy] for found in equilibria])
     apart = [abs(ours - one).max(axis=1).min() for one in by_supports()]
-    print(f"check: {len(ours)} equilibria here, {len(apart)} by supports; the same up to {max(apart):.1e}")
+    print(
+        f"check: {len(ours)} equilibria here, {len(apart)} by supports; the same up to {max(apart):.1e}"
+    )
 
     plt.style.use(STYLE)
     figure, panels = plt.subplots(1, 2, figsize=(9.4, 4.4), layout="constrained")
     corners = np.array([[0, 0], [1, 0], [0.5, np.sqrt(3) / 2]])
     for axes, player in zip(panels, ("row", "column"), strict=True):
         axes.fill(*corners.T, facecolor="#f4f4f4", edgecolor="#999999")
-        for corner, name, shift in zip(corners, "ABC", [(-14, -20), (14, -20), (0, 14)], strict=True):
-            axes.annotate(f"only {name}", corner, shift, textcoords="offset points", ha="center", color="#555555")
+        for corner, name, shift in zip(
+            corners, "ABC", [(-14, -20), (14, -20), (0, 14)], strict=True
+        ):
+            axes.annotate(
+                f"only {name}",
+                corner,
+                shift,
+                textcoords="offset points",
+                ha="center",
+                color="#555555",
+            )
         for k, found in enumerate(equilibria, start=1):
             strategy = getattr(found, f"{player}_strategy")
             is_pure = strategy.max() > 0.999
-            axes.plot(*(strategy @ corners), "o", color="#D55E00" if is_pure else "#0072B2", markersize=15)
-            axes.annotate(str(k), strategy @ corners, ha="center", va="center_baseline", color="white", fontsize=9)
-        axes.set(aspect="equal", xlim=(-0.15, 1.15), ylim=(-0.15, 1.05), title=f"{player.capitalize()} player")
+            axes.plot(
+                *(strategy @ corners), "o", color="#D55E00" if is_pure else "#0072B2", markersize=15
+            )
+            axes.annotate(
+                str(k),
+                strategy @ corners,
+                ha="center",
+                va="center_baseline",
+                color="white",
+                fontsize=9,
+            )
+        axes.set(
+            aspect="equal",
+            xlim=(-0.15, 1.15),
+            ylim=(-0.15, 1.05),
+            title=f"{player.capitalize()} player",
+        )
         axes.set_axis_off()
-    figure.suptitle("All equilibria: orange pure, blue mixed; the same number is the same equilibrium", fontsize=11)
+    figure.suptitle(
+        "All equilibria: orange pure, blue mixed; the same number is the same equilibrium",
+        fontsize=11,
+    )
     figure.savefig(out / "bimatrix_game.png", dpi=150)
 
 

@@ -25,7 +25,9 @@ FRICTIONS = (0.2, 0.4, 0.7)
 
 def speed_after(angle: float, friction: float) -> tuple[float, float]:
     """Return the block's speed after all steps, in m/s, and the share of its weight on the lower corner."""
-    mass = np.diag([MASS, MASS, MASS * (WIDTH**2 + HEIGHT**2) / 12])  # down the slope, away from it, turning
+    mass = np.diag(
+        [MASS, MASS, MASS * (WIDTH**2 + HEIGHT**2) / 12]
+    )  # down the slope, away from it, turning
     corners = np.array([[-WIDTH / 2, -HEIGHT / 2], [WIDTH / 2, -HEIGHT / 2]])
     normals = np.column_stack([np.zeros(2), np.ones(2), corners[:, 0]])
     tangents = np.column_stack([np.ones(2), np.zeros(2), -corners[:, 1]])
@@ -33,7 +35,9 @@ def speed_after(angle: float, friction: float) -> tuple[float, float]:
     velocity, result = np.zeros(3), None
     for _ in range(STEPS):
         problem = LCP.from_contacts((mass, normals, tangents), friction, velocity + pull)
-        result = solve(problem, z0=None if result is None else result.z, tolerance=1e-12).require_solved()
+        result = solve(
+            problem, z0=None if result is None else result.z, tolerance=1e-12
+        ).require_solved()
         motion = problem.origin.recover(result)
         impulse = normals.T @ motion.normal + tangents.T @ motion.tangential[:, 0]
         velocity = velocity + pull + impulse / np.diag(mass)
@@ -48,20 +52,35 @@ def main(out: Path = Path()) -> None:
     for friction, colour in zip(FRICTIONS, ("#0072B2", "#D55E00", "#009E73"), strict=True):
         angles = np.radians(degrees)
         found = np.array([speed_after(angle, friction) for angle in angles])
-        expected = STEPS * STEP * GRAVITY * np.maximum(np.sin(angles) - friction * np.cos(angles), 0.0)
+        expected = (
+            STEPS * STEP * GRAVITY * np.maximum(np.sin(angles) - friction * np.cos(angles), 0.0)
+        )
         worst = max(worst, abs(found[:, 0] - expected).max())
         left.plot(degrees, expected, color=colour, linewidth=1.6)
         left.plot(degrees, found[:, 0], "o", color=colour, markersize=3)
-        left.annotate(f"μ = {friction:g}", (np.degrees(np.arctan(friction)), 0.0), (-2, 8), color=colour, ha="right",
-                      textcoords="offset points")
+        left.annotate(
+            f"μ = {friction:g}",
+            (np.degrees(np.arctan(friction)), 0.0),
+            (-2, 8),
+            color=colour,
+            ha="right",
+            textcoords="offset points",
+        )
         right.plot(degrees, 100 * found[:, 1], color=colour, linewidth=1.6)
         slides = degrees[found[:, 0] > 1e-9]
         limit = np.degrees(np.arctan(friction))
         print(f"μ = {friction:g}: it slides from {slides[0]:g}° on, tan θ > μ from {limit:.2f}°")
     print(f"check: the speeds differ from the closed form by {worst:.1e} m/s")
-    left.set(xlabel="slope (degrees)", ylabel=f"speed after {STEPS * STEP:g} s (m/s)",
-             title="Lines: closed form. Dots: step by step")
-    right.set(xlabel="slope (degrees)", ylabel="weight on the lower corner (%)", title="It leans on what is below")
+    left.set(
+        xlabel="slope (degrees)",
+        ylabel=f"speed after {STEPS * STEP:g} s (m/s)",
+        title="Lines: closed form. Dots: step by step",
+    )
+    right.set(
+        xlabel="slope (degrees)",
+        ylabel="weight on the lower corner (%)",
+        title="It leans on what is below",
+    )
     figure.savefig(out / "block_on_incline.png", dpi=150)
 
 

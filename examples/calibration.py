@@ -40,13 +40,23 @@ def planted(strike: np.ndarray, years: np.ndarray) -> np.ndarray:
 
 def matrix(below: float, above: float, centre: float) -> sp.csr_array:
     """Return a tridiagonal matrix with constant diagonals."""
-    return sp.csr_array(sp.diags_array([below, centre, above], offsets=[-1, 0, 1], shape=(SIZE, SIZE)))
+    return sp.csr_array(
+        sp.diags_array([below, centre, above], offsets=[-1, 0, 1], shape=(SIZE, SIZE))
+    )
 
 
-def prices(sigma: np.ndarray, strike: np.ndarray, years: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
+def prices(
+    sigma: np.ndarray, strike: np.ndarray, years: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return price and vega of each put, and what they took in seconds."""
-    reach, dt = 6 * BEGIN * np.sqrt(years), years / STEPS  # six standard deviations either way of today's price
-    h, x = 2 * reach / (SIZE + 1), np.log(SPOT / strike)[:, None] + reach[:, None] * np.linspace(-1, 1, SIZE + 2)
+    reach, dt = (
+        6 * BEGIN * np.sqrt(years),
+        years / STEPS,
+    )  # six standard deviations either way of today's price
+    h, x = (
+        2 * reach / (SIZE + 1),
+        np.log(SPOT / strike)[:, None] + reach[:, None] * np.linspace(-1, 1, SIZE + 2),
+    )
     payoff = np.maximum(strike[:, None] * (1 - np.exp(x)), 0.0)
     diffusion, drift = 0.5 * (sigma / h) ** 2, 0.5 * (RATE - 0.5 * sigma**2) / h
     below, above = dt * (drift - diffusion), -dt * (drift + diffusion)
@@ -55,15 +65,22 @@ def prices(sigma: np.ndarray, strike: np.ndarray, years: np.ndarray) -> tuple[np
     edge[:, :, 0] = np.array([below, *by_sigma]) * payoff[:, 0]
 
     began = time.perf_counter()
-    problems = [LCP(matrix(a, c, 1 + k * RATE - a - c), np.zeros(SIZE), lower=g)
-                for a, c, k, g in zip(below, above, dt, payoff[:, 1:-1], strict=True)]
+    problems = [
+        LCP(matrix(a, c, 1 + k * RATE - a - c), np.zeros(SIZE), lower=g)
+        for a, c, k, g in zip(below, above, dt, payoff[:, 1:-1], strict=True)
+    ]
     forcing = np.broadcast_to(edge[0][:, None], (sigma.size, STEPS, SIZE))
     marches = march(problems, forcing, propagator=-1.0, z0=payoff[:, 1:-1])
     marched = time.perf_counter()
     node = SIZE // 2  # that of today's price
-    value, vega = np.array([one[-1].require_solved().z[node] for one in marches]), np.empty(sigma.size)
+    value, vega = (
+        np.array([one[-1].require_solved().z[node] for one in marches]),
+        np.empty(sigma.size),
+    )
     for j, (one, da, dc) in enumerate(zip(marches, *by_sigma, strict=True)):
-        vega[j] = derivative(one).jvp(dM=matrix(da, dc, -da - dc), dforcing=edge[1, j], only_last=True)[node]
+        vega[j] = derivative(one).jvp(
+            dM=matrix(da, dc, -da - dc), dforcing=edge[1, j], only_last=True
+        )[node]
     return value, vega, marched - began, time.perf_counter() - marched
 
 
@@ -71,41 +88,68 @@ def main(out: Path = Path()) -> None:
     """Quote 500 puts, find their volatilities again, save a picture into the folder OUT."""
     strike, years = (grid.ravel() for grid in np.meshgrid(STRIKES, YEARS))
     right = planted(strike, years)
-    quotes = np.array([
-        gallery.binomial_put(np.array([SPOT]), strike=k, rate=RATE, volatility=s, maturity=t, steps=LEVELS)[0]
-        for k, s, t in zip(strike, right, years, strict=True)
-    ])
+    quotes = np.array(
+        [
+            gallery.binomial_put(
+                np.array([SPOT]), strike=k, rate=RATE, volatility=s, maturity=t, steps=LEVELS
+            )[0]
+            for k, s, t in zip(strike, right, years, strict=True)
+        ]
+    )
     sigma, misses = np.full(strike.size, BEGIN), []
     prices(sigma[:2], strike[:2], years[:2])  # compiles, once on a machine
     for _ in range(AT_MOST):
         value, vega, to_march, to_differentiate = prices(sigma, strike, years)
         misses.append(abs(value / quotes - 1))
-        print(f"{sigma.size} prices in {to_march:.2f} s, their vegas in {to_differentiate:.2f} s; "
-              f"prices off by up to {misses[-1].max():.1e}")
+        print(
+            f"{sigma.size} prices in {to_march:.2f} s, their vegas in {to_differentiate:.2f} s; "
+            f"prices off by up to {misses[-1].max():.1e}"
+        )
         if misses[-1].max() < RIGHT:
             break
         sigma = sigma - np.log(value / quotes) * value / vega
     step, off = 1e-4, 100 * abs(sigma - right)
-    bumped = (prices(sigma + step, strike, years)[0] - prices(sigma - step, strike, years)[0]) / (2 * step)
+    bumped = (prices(sigma + step, strike, years)[0] - prices(sigma - step, strike, years)[0]) / (
+        2 * step
+    )
     print(f"check: all quotes are met to {misses[-1].max():.1e}, relatively")
-    print(f"check: the volatilities differ from the planted ones by at most {off.max():.3f} percentage points")
-    print(f"check: vega differs from a central difference by at most {abs(bumped / vega - 1).max():.1e}, relatively")
+    print(
+        f"check: the volatilities differ from the planted ones by at most {off.max():.3f} percentage points"
+    )
+    print(
+        f"check: vega differs from a central difference by at most {abs(bumped / vega - 1).max():.1e}, relatively"
+    )
 
     plt.style.use(STYLE)
     figure, (left, middle, last) = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
     shape = YEARS.size, STRIKES.size
-    field = left.pcolormesh(STRIKES, YEARS, 100 * sigma.reshape(shape), cmap="cividis", shading="gouraud")
+    field = left.pcolormesh(
+        STRIKES, YEARS, 100 * sigma.reshape(shape), cmap="cividis", shading="gouraud"
+    )
     figure.colorbar(field, ax=left, label="volatility (%)")
     left.set(xlabel="strike (EUR)", ylabel="maturity (years)", title="500 puts, a volatility each")
     for k, colour in zip((0, 5, 19), ("#D55E00", "#0072B2", "#009E73"), strict=True):
         middle.plot(STRIKES, 100 * planted(STRIKES, np.full(STRIKES.size, YEARS[k])), color=colour)
-        middle.plot(STRIKES, 100 * sigma.reshape(shape)[k], "o", color=colour, markersize=4, markerfacecolor="white",
-                    label=f"{YEARS[k]:.2g} years")
-    middle.set(xlabel="strike (EUR)", ylabel="volatility (%)", title="found (dots), planted (lines)")
+        middle.plot(
+            STRIKES,
+            100 * sigma.reshape(shape)[k],
+            "o",
+            color=colour,
+            markersize=4,
+            markerfacecolor="white",
+            label=f"{YEARS[k]:.2g} years",
+        )
+    middle.set(
+        xlabel="strike (EUR)", ylabel="volatility (%)", title="found (dots), planted (lines)"
+    )
     middle.legend()
     last.semilogy([miss.max() for miss in misses], "o-", color="#0072B2", label="largest")
     last.semilogy([np.median(miss) for miss in misses], "o--", color="#999999", label="median")
-    last.set(xlabel="Newton step", ylabel="price beside its quote, relative miss", title="500 marches a step")
+    last.set(
+        xlabel="Newton step",
+        ylabel="price beside its quote, relative miss",
+        title="500 marches a step",
+    )
     last.legend()
     figure.savefig(out / "calibration.png", dpi=150)
 

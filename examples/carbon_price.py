@@ -29,9 +29,12 @@ def market(tax: cp.Expression | float) -> tuple[cp.Expression, list[cp.Constrain
     rise = price[1] - price[0]
     answers = [
         complements(made >= 0, COST + 0.5 * made + tax * EMITS - price >= 0),
-        complements(carried >= 0, rent - cp.hstack([rise, -rise]) >= 0), complements(rent >= 0, LIMIT - carried >= 0),
+        complements(carried >= 0, rent - cp.hstack([rise, -rise]) >= 0),
+        complements(rent >= 0, LIMIT - carried >= 0),
     ]
-    welfare = 12 * cp.sum(eaten) - cp.sum_squares(eaten) / 2 - COST @ made - cp.sum_squares(made) / 4
+    welfare = (
+        12 * cp.sum(eaten) - cp.sum_squares(eaten) / 2 - COST @ made - cp.sum_squares(made) / 4
+    )
     return welfare - DAMAGE * (EMITS @ made), answers, made
 
 
@@ -42,7 +45,9 @@ def main(out: Path = Path()) -> None:
     problem = cp.Problem(cp.Maximize(welfare), answers)
     best = problem.solve(method="LCP", prove=True)
     print(problem.solver_stats.extra_stats.explain())
-    print(f"carbon price {float(tax.value):.3f}, made {made.value.round(3).tolist()}, welfare {best:.4f}")
+    print(
+        f"carbon price {float(tax.value):.3f}, made {made.value.round(3).tolist()}, welfare {best:.4f}"
+    )
     grid, values = np.linspace(0, 6, 25), []
     for one in grid:
         own, pairs, _ = market(float(one))

@@ -41,14 +41,21 @@ MOST = 1.0  # mm, of the lift
 def main(out: Path = Path()) -> None:
     """Find the bolts, prove them cheapest, compare, and save a picture into the folder OUT."""
     K = _stiffness()
-    pressure = np.where((np.arange(POINTS) >= SEALS[0]) & (np.arange(POINTS) <= SEALS[-1]), PRESSURE, 0.0)
+    pressure = np.where(
+        (np.arange(POINTS) >= SEALS[0]) & (np.arange(POINTS) <= SEALS[-1]), PRESSURE, 0.0
+    )
     price = 1.0 + 0.8 * np.sin(np.arange(POINTS)) ** 2
     is_bolt = np.isin(np.arange(POINTS), list(BOLTS))
 
     lift, bolts = cp.Variable(POINTS, nonneg=True), cp.Variable(POINTS, bounds=[0, LARGEST])
     force = K @ lift - pressure + bolts
     contact = complements(lift >= 0, force >= 0)
-    limits = [lift <= MOST, force <= 2 * LARGEST, bolts[~is_bolt] == 0, force[list(SEALS)] >= BEARING]
+    limits = [
+        lift <= MOST,
+        force <= 2 * LARGEST,
+        bolts[~is_bolt] == 0,
+        force[list(SEALS)] >= BEARING,
+    ]
     problem = cp.Problem(cp.Minimize(price @ bolts), [contact, *limits])
     problem.solve(method="LCP")
     result, found, pull = problem.solver_stats.extra_stats, lift.value, bolts.value
@@ -59,8 +66,10 @@ def main(out: Path = Path()) -> None:
 
     again = solve(LCP(K, pull - pressure), "lemke").require_solved()
     cost = _by_integers(K, pressure, price, is_bolt)
-    print(f"check: the contact problem alone gives the same lift up to {abs(again.z - found).max():.1e} mm; "
-          f"the cost of an integer program differs by {abs(cost - problem.value):.1e}")
+    print(
+        f"check: the contact problem alone gives the same lift up to {abs(again.z - found).max():.1e} mm; "
+        f"the cost of an integer program differs by {abs(cost - problem.value):.1e}"
+    )
     _draw(found, again.w, pull, out)
 
 
@@ -70,7 +79,9 @@ def _stiffness() -> sp.csr_array:
     return sp.csr_array(STIFFNESS * 1e-3 * (bend.T @ bend) + 0.05 * sp.eye_array(POINTS))
 
 
-def _by_integers(K: sp.csr_array, pressure: np.ndarray, price: np.ndarray, is_bolt: np.ndarray) -> float:
+def _by_integers(
+    K: sp.csr_array, pressure: np.ndarray, price: np.ndarray, is_bolt: np.ndarray
+) -> float:
     """Return the cost that a mixed-integer program finds, with MOST and 2 LARGEST as bounds of both sides."""
     n, identity, nothing = POINTS, np.eye(POINTS), np.zeros((POINTS, POINTS))
     stiffness = K.toarray()
@@ -78,19 +89,30 @@ def _by_integers(K: sp.csr_array, pressure: np.ndarray, price: np.ndarray, is_bo
     rows = [
         (np.hstack([stiffness, identity, nothing]), pressure + least, np.full(n, np.inf)),
         (np.hstack([identity, nothing, -MOST * identity]), np.full(n, -np.inf), np.zeros(n)),
-        (np.hstack([stiffness, identity, 2 * LARGEST * identity]), np.full(n, -np.inf), pressure + 2 * LARGEST),
+        (
+            np.hstack([stiffness, identity, 2 * LARGEST * identity]),
+            np.full(n, -np.inf),
+            pressure + 2 * LARGEST,
+        ),
     ]
     found = milp(
-        np.concatenate([np.zeros(n), price, np.zeros(n)]), integrality=np.repeat([0, 0, 1], n),
-        bounds=(np.zeros(3 * n), np.concatenate([np.full(n, MOST), np.where(is_bolt, LARGEST, 0.0), np.ones(n)])),
-        constraints=[LinearConstraint(*row) for row in rows], options={"mip_rel_gap": 1e-9},
+        np.concatenate([np.zeros(n), price, np.zeros(n)]),
+        integrality=np.repeat([0, 0, 1], n),
+        bounds=(
+            np.zeros(3 * n),
+            np.concatenate([np.full(n, MOST), np.where(is_bolt, LARGEST, 0.0), np.ones(n)]),
+        ),
+        constraints=[LinearConstraint(*row) for row in rows],
+        options={"mip_rel_gap": 1e-9},
     )
     return float(found.fun)
 
 
 def _draw(lift: np.ndarray, force: np.ndarray, bolts: np.ndarray, out: Path) -> None:
     plt.style.use(STYLE)
-    figure, (above, below) = plt.subplots(2, 1, figsize=(9.0, 5.4), sharex=True, layout="constrained")
+    figure, (above, below) = plt.subplots(
+        2, 1, figsize=(9.0, 5.4), sharex=True, layout="constrained"
+    )
     points = np.arange(POINTS)
     above.fill_between(points, lift, color="#0072B2", alpha=0.25)
     above.plot(points, lift, color="#0072B2", linewidth=2)

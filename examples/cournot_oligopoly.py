@@ -48,9 +48,14 @@ def main(out: Path = Path()) -> None:
     print(market.solver_stats.extra_stats)
     closed = next(rise for rise, output in zip(RISES, outputs, strict=True) if output[4] == 0.0)
     print(f"the fifth firm closes when its cost has risen by {closed:g}")
-    regret = max(earned_alone(output, COST + rise * np.eye(5)[4]) for rise, output in zip(RISES, outputs, strict=True))
-    print(f"check: the published outputs differ by {abs(outputs[0] - PUBLISHED).max():.1e}, "
-          f"and alone no firm could earn more than {regret:.1e} besides")
+    regret = max(
+        earned_alone(output, COST + rise * np.eye(5)[4])
+        for rise, output in zip(RISES, outputs, strict=True)
+    )
+    print(
+        f"check: the published outputs differ by {abs(outputs[0] - PUBLISHED).max():.1e}, "
+        f"and alone no firm could earn more than {regret:.1e} besides"
+    )
 
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
@@ -58,12 +63,23 @@ def main(out: Path = Path()) -> None:
         curve = np.array(outputs)[:, i]
         axes.plot(RISES, curve, color=colour, linewidth=1.8)
         lift = {0: -9, 1: 1, 2: 12, 3: -9}.get(i, 0)  # four lines end close together
-        axes.annotate(f" firm {i + 1}", (RISES[-1], curve[-1]), (0, lift), color=colour, va="center",
-                      textcoords="offset points")
+        axes.annotate(
+            f" firm {i + 1}",
+            (RISES[-1], curve[-1]),
+            (0, lift),
+            color=colour,
+            va="center",
+            textcoords="offset points",
+        )
     axes.axvline(closed, color="#bbbbbb", linewidth=0.8)
     axes.annotate(" firm 5 closes", (closed, 6), color="#555555")
-    axes.set(title="What each firm makes while the cost of the fifth rises", xlabel="rise of the cost of firm 5",
-             ylabel="output", xlim=(0, 46), ylim=(0, None))
+    axes.set(
+        title="What each firm makes while the cost of the fifth rises",
+        xlabel="rise of the cost of firm 5",
+        ylabel="output",
+        xlim=(0, 46),
+        ylim=(0, None),
+    )
     figure.savefig(out / "cournot_oligopoly.png", dpi=150)
 
 
@@ -77,7 +93,9 @@ def earned_alone(output: np.ndarray, cost: np.ndarray) -> float:
             made = cost[i] * q + beta / (1 + beta) * SCALE ** (-1 / beta) * q ** ((1 + beta) / beta)
             return made - q * (5000 / (others + q)) ** (1 / ELASTICITY)
 
-        most = max(most, loss(output[i]) - minimize_scalar(loss, bounds=(0.0, 200.0), method="bounded").fun)
+        most = max(
+            most, loss(output[i]) - minimize_scalar(loss, bounds=(0.0, 200.0), method="bounded").fun
+        )
     return most
 
 

@@ -31,7 +31,7 @@ SIZE, WEIGHT, NOISE = 96, 0.28, 0.2  # pixels, λ, standard deviation in units o
 
 def drawn() -> np.ndarray:
     """Return a picture made of a disc, a bar, a triangle and a slope, shape (SIZE, SIZE), values in [0, 1]."""
-    y, x = np.mgrid[0:1:SIZE * 1j, 0:1:SIZE * 1j]
+    y, x = np.mgrid[0 : 1 : SIZE * 1j, 0 : 1 : SIZE * 1j]
     picture = np.full((SIZE, SIZE), 0.15)
     picture[(x > 0.55) & (y > 0.1) & (y < 0.45) & (x < 0.92)] = 0.6
     picture[np.hypot(x - 0.3, y - 0.3) < 0.2] = 1.0
@@ -55,13 +55,21 @@ def main(out: Path = Path()) -> None:
     below = 0.5 * (noisy @ noisy - clean @ clean)
     rms = [np.sqrt(np.mean((picture - truth.ravel()) ** 2)) for picture in (noisy, clean)]
     print(f"distance from the true picture: {rms[0]:.3f} with noise, {rms[1]:.3f} without")
-    print(f"check: the energy {above:.6f} is at most {(above - below) / above:.1e} above the least, relatively")
+    print(
+        f"check: the energy {above:.6f} is at most {(above - below) / above:.1e} above the least, relatively"
+    )
 
     plt.style.use(STYLE)
     figure, panels = plt.subplots(1, 3, figsize=(11.4, 4.2), layout="constrained")
-    titles = ["True picture", f"With noise: rms error {rms[0]:.3f}", f"Total variation: rms error {rms[1]:.3f}"]
+    titles = [
+        "True picture",
+        f"With noise: rms error {rms[0]:.3f}",
+        f"Total variation: rms error {rms[1]:.3f}",
+    ]
     for axes, picture, title in zip(panels, (truth, noisy, clean), titles, strict=True):
-        axes.imshow(picture.reshape(truth.shape), cmap="gray", vmin=-0.2, vmax=1.2, interpolation="nearest")
+        axes.imshow(
+            picture.reshape(truth.shape), cmap="gray", vmin=-0.2, vmax=1.2, interpolation="nearest"
+        )
         axes.set_title(title)
         axes.set_axis_off()
     figure.savefig(out / "denoise_picture.png", dpi=150)

@@ -41,8 +41,12 @@ class Membrane:
         self.area = (self.nodes[1] - self.nodes[0]) ** 2
         x, y = np.meshgrid(1.9 * self.nodes, 1.9 * self.nodes + 0.15)
         self.heart = ((x**2 + y**2 - 1) ** 3 < x**2 * y**3).ravel()
-        second_difference = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(SIZE, SIZE))
-        M = sp.kron(second_difference, sp.eye_array(SIZE)) + sp.kron(sp.eye_array(SIZE), second_difference)
+        second_difference = sp.diags_array(
+            [-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(SIZE, SIZE)
+        )
+        M = sp.kron(second_difference, sp.eye_array(SIZE)) + sp.kron(
+            sp.eye_array(SIZE), second_difference
+        )
         self.problem = prepare(LCP(M, np.zeros(SIZE**2), lower=FLOOR))
         self.height, self.history, self.seconds = None, [], [0.0, 0.0]
 
@@ -55,7 +59,9 @@ class Membrane:
         at = derivative(result)
         self.height = at.z
         gap = self.heart * (at.z - FLOOR)
-        surplus = np.where(at.z > FLOOR, 0.0, problem.slack(at.z) / self.area) - PRESSURE * self.heart
+        surplus = (
+            np.where(at.z > FLOOR, 0.0, problem.slack(at.z) / self.area) - PRESSURE * self.heart
+        )
         loss = 0.5 * (gap @ gap + BETA * (surplus @ surplus))
         gradient = self.area * at.vjp(gap, BETA * surplus / self.area).q
         self.seconds[0] += solved - began
@@ -70,7 +76,12 @@ def relative_difference(membrane: Membrane) -> float:
     load, direction = np.full(SIZE**2, 8.0), rng.standard_normal(SIZE**2)
     step = 1e-4
     slope = membrane(load)[1] @ direction
-    return abs((membrane(load + step * direction)[0] - membrane(load - step * direction)[0]) / (2 * step) / slope - 1)
+    return abs(
+        (membrane(load + step * direction)[0] - membrane(load - step * direction)[0])
+        / (2 * step)
+        / slope
+        - 1
+    )
 
 
 def main(out: Path = Path()) -> None:
@@ -78,16 +89,28 @@ def main(out: Path = Path()) -> None:
     error = relative_difference(Membrane())
     membrane = Membrane()
     limits = {"maxfun": EVALUATIONS, "maxiter": EVALUATIONS, "maxcor": 20, "gtol": 0.0, "ftol": 0.0}
-    load = minimize(membrane, np.zeros(SIZE**2), jac=True, method="L-BFGS-B", bounds=[(0, None)] * SIZE**2,
-                    options=limits).x
+    load = minimize(
+        membrane,
+        np.zeros(SIZE**2),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(0, None)] * SIZE**2,
+        options=limits,
+    ).x
     membrane(load)
     forward, backward = membrane.seconds
     touches, heart = membrane.height == FLOOR, membrane.heart
-    print(f"{len(membrane.history)} solves with {load.size} unknowns: {forward:.1f} s, and gradients {backward:.1f} s; "
-          f"L falls from {membrane.history[0]:.1e} to {membrane.history[-1]:.1e}")
-    print(f"it touches at {touches[heart].mean():.1%} of the heart's nodes, and at {touches[~heart].sum()} others; "
-          f"{membrane.problem.n - touches.sum()} nodes are free")
-    print(f"check: in a random direction the gradient differs from a difference by {error:.1e}, relatively")
+    print(
+        f"{len(membrane.history)} solves with {load.size} unknowns: {forward:.1f} s, and gradients {backward:.1f} s; "
+        f"L falls from {membrane.history[0]:.1e} to {membrane.history[-1]:.1e}"
+    )
+    print(
+        f"it touches at {touches[heart].mean():.1%} of the heart's nodes, and at {touches[~heart].sum()} others; "
+        f"{membrane.problem.n - touches.sum()} nodes are free"
+    )
+    print(
+        f"check: in a random direction the gradient differs from a difference by {error:.1e}, relatively"
+    )
 
     plt.style.use(STYLE)
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(12, 3.9), layout="constrained")
@@ -96,7 +119,9 @@ def main(out: Path = Path()) -> None:
         (left, membrane.height, "cividis", "Height of the membrane", 0.0),
         (middle, load, "magma", "The load that was found", np.percentile(load, 99.5)),
     ):
-        image = axes.imshow(field.reshape(shape), origin="lower", extent=(-1, 1, -1, 1), cmap=colours, vmax=top)
+        image = axes.imshow(
+            field.reshape(shape), origin="lower", extent=(-1, 1, -1, 1), cmap=colours, vmax=top
+        )
         figure.colorbar(image, ax=axes, pad=0.02)
         axes.set(title=title, xticks=[-1, 0, 1], yticks=[-1, 0, 1], xlabel="x", ylabel="y")
         axes.grid(visible=False)
@@ -106,7 +131,11 @@ def main(out: Path = Path()) -> None:
     left.text(0, 0, "touches", color="#D55E00", ha="center", fontsize=11)
     left.text(0, 0.72, "wanted", color="white", ha="center", fontsize=9)
     right.semilogy(membrane.history, ".-", color="#0072B2", linewidth=1.5)
-    right.set(title="How far it is from what is wanted", xlabel="solves, each with its gradient", ylabel="L")
+    right.set(
+        title="How far it is from what is wanted",
+        xlabel="solves, each with its gradient",
+        ylabel="L",
+    )
     figure.savefig(out / "designed_contact.png", dpi=150)
 
 

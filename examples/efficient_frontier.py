@@ -24,15 +24,30 @@ from lcp_plugin import QuadraticProgram, trace
 from lcp_plugin.evidence.drawing import STYLE
 
 ASSETS, LIMIT = 10, 0.4
-NAMES = ("bonds", "utilities", "food", "health", "banks", "energy", "cars", "tech", "chips", "biotech")
+NAMES = (
+    "bonds",
+    "utilities",
+    "food",
+    "health",
+    "banks",
+    "energy",
+    "cars",
+    "tech",
+    "chips",
+    "biotech",
+)
 
 
 def market() -> tuple[np.ndarray, np.ndarray]:
     """Return yearly returns and covariances: three factors, and risks of each asset's own."""
     rng = np.random.default_rng(11)
-    loads = np.column_stack([np.linspace(0.02, 0.22, ASSETS), 0.06 * rng.standard_normal((ASSETS, 2))])
+    loads = np.column_stack(
+        [np.linspace(0.02, 0.22, ASSETS), 0.06 * rng.standard_normal((ASSETS, 2))]
+    )
     own = np.linspace(0.03, 0.15, ASSETS)
-    return np.linspace(0.02, 0.11, ASSETS) + 0.01 * rng.standard_normal(ASSETS), loads @ loads.T + np.diag(own**2)
+    return np.linspace(0.02, 0.11, ASSETS) + 0.01 * rng.standard_normal(
+        ASSETS
+    ), loads @ loads.T + np.diag(own**2)
 
 
 def critical_line(mean: np.ndarray, risk: np.ndarray, theta: float) -> np.ndarray:
@@ -40,7 +55,9 @@ def critical_line(mean: np.ndarray, risk: np.ndarray, theta: float) -> np.ndarra
     free, full = np.ones(ASSETS, dtype=bool), np.zeros(ASSETS, dtype=bool)
     for _ in range(200):
         k, shares = free.sum(), np.where(full, LIMIT, 0.0)
-        system = np.block([[risk[np.ix_(free, free)], np.ones((k, 1))], [np.ones((1, k)), np.zeros((1, 1))]])
+        system = np.block(
+            [[risk[np.ix_(free, free)], np.ones((k, 1))], [np.ones((1, k)), np.zeros((1, 1))]]
+        )
         right = np.append((theta * mean - risk @ shares)[free], 1.0 - shares.sum())
         *own, price = np.linalg.solve(system, right)
         shares[free] = own
@@ -59,28 +76,42 @@ def critical_line(mean: np.ndarray, risk: np.ndarray, theta: float) -> np.ndarra
 def main(out: Path = Path()) -> None:
     """Trace the frontier, compare it with the critical line, and save a picture into the folder OUT."""
     mean, risk = market()
-    program = QuadraticProgram(risk, np.zeros(ASSETS), A=np.ones((1, ASSETS)), b=[1], lower=0, upper=LIMIT)
+    program = QuadraticProgram(
+        risk, np.zeros(ASSETS), A=np.ones((1, ASSETS)), b=[1], lower=0, upper=LIMIT
+    )
     path = trace(program, {"c": -mean}, 0.0, 3.0).require_solved()
     print(path.explain())
 
     thetas = np.concatenate([path.breakpoints, np.linspace(0.0, 3.0, 301)])
-    difference = max(abs(path.at(theta).x - critical_line(mean, risk, theta)).max() for theta in thetas)
-    print(f"check: the shares of the critical line differ by {difference:.1e} at {thetas.size} risk tolerances")
+    difference = max(
+        abs(path.at(theta).x - critical_line(mean, risk, theta)).max() for theta in thetas
+    )
+    print(
+        f"check: the shares of the critical line differ by {difference:.1e} at {thetas.size} risk tolerances"
+    )
     price = path.at(0.5).solution.equality[0]
     slope = path.derivative(0.5)
-    print(f"at θ = 0.5 a further per cent invested costs {-price / 100:.2e}; a larger θ buys "
-          f"{NAMES[int(np.argmax(slope.x))]} and sells {NAMES[int(np.argmin(slope.x))]}")
+    print(
+        f"at θ = 0.5 a further per cent invested costs {-price / 100:.2e}; a larger θ buys "
+        f"{NAMES[int(np.argmax(slope.x))]} and sells {NAMES[int(np.argmin(slope.x))]}"
+    )
 
     plt.style.use(STYLE)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11.0, 4.6), width_ratios=[1, 1.3], layout="constrained")
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11.0, 4.6), width_ratios=[1, 1.3], layout="constrained"
+    )
     fine = np.unique(np.concatenate([np.linspace(p.begin, p.end, 30) for p in path.pieces]))
-    for values, style in ((path.x(fine), {"color": "#0072B2", "linewidth": 2}),
-                          (path.x(path.breakpoints), {"color": "#D55E00", "marker": "o", "linestyle": "none"})):
+    for values, style in (
+        (path.x(fine), {"color": "#0072B2", "linewidth": 2}),
+        (path.x(path.breakpoints), {"color": "#D55E00", "marker": "o", "linestyle": "none"}),
+    ):
         spread = np.sqrt(np.einsum("ki,ij,kj->k", values, risk, values))
         left.plot(100 * spread, 100 * values @ mean, **style)
     left.plot(100 * np.sqrt(np.diag(risk)), 100 * mean, ".", color="#999999")
     for name, x, y in zip(NAMES, 100 * np.sqrt(np.diag(risk)), 100 * mean, strict=True):
-        left.annotate(name, (x, y), xytext=(4, -3), textcoords="offset points", fontsize=7.5, color="#777777")
+        left.annotate(
+            name, (x, y), xytext=(4, -3), textcoords="offset points", fontsize=7.5, color="#777777"
+        )
     left.set(xlabel="risk: standard deviation, % a year", ylabel="expected return, % a year")
     left.set_title(f"The frontier and its {len(path.breakpoints)} corner portfolios")
     colours = plt.get_cmap("viridis")(np.linspace(0.05, 0.95, ASSETS))
@@ -92,7 +123,9 @@ def main(out: Path = Path()) -> None:
     right.set_xticks([0, 0.1, 0.5, 1, 2, 3])
     right.set_title("Shares, affine in θ between corners (over the root of θ)")
     handles, labels = right.get_legend_handles_labels()
-    right.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8)
+    right.legend(
+        handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8
+    )
     figure.savefig(out / "efficient_frontier.png", dpi=150)
 
 

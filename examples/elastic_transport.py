@@ -27,7 +27,9 @@ from lcp_plugin.evidence.drawing import STYLE
 
 MARKETS = "New York", "Chicago", "Topeka"
 CAPACITY, DEMAND = np.array([350.0, 600.0]), np.array([325.0, 300.0, 275.0])  # cases
-DISTANCE = np.array([[2.5, 1.7, 1.8], [2.5, 1.8, 1.4]])  # thousand miles, from Seattle and San Diego
+DISTANCE = np.array(
+    [[2.5, 1.7, 1.8], [2.5, 1.8, 1.4]]
+)  # thousand miles, from Seattle and San Diego
 ELASTICITY = np.array([1.5, 1.2, 2.0])
 FREIGHT = 0.09  # thousand dollars a case and thousand miles
 LEFT = np.linspace(1.0, 0.0, 51)  # share of San Diego's capacity
@@ -37,15 +39,29 @@ def main(out: Path = Path()) -> None:
     """Follow the equilibrium while a plant closes, compare with the greatest surplus, save a picture into OUT."""
     flow, at_plant, at_market = cp.Variable((2, 3)), cp.Variable(2), cp.Variable(3)
     capacity = cp.Parameter(2, value=CAPACITY)
-    profit = cp.reshape(at_plant, (2, 1), order="C") + FREIGHT * DISTANCE - cp.reshape(at_market, (1, 3), order="C")
-    plants = [complements(flow >= 0, profit >= 0), complements(at_plant >= 0, capacity - cp.sum(flow, axis=1) >= 0)]
+    profit = (
+        cp.reshape(at_plant, (2, 1), order="C")
+        + FREIGHT * DISTANCE
+        - cp.reshape(at_market, (1, 3), order="C")
+    )
+    plants = [
+        complements(flow >= 0, profit >= 0),
+        complements(at_plant >= 0, capacity - cp.sum(flow, axis=1) >= 0),
+    ]
 
-    fixed = cp.Problem(cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - DEMAND >= 0)])
+    fixed = cp.Problem(
+        cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - DEMAND >= 0)]
+    )
     fixed.solve(method="LCP")
     usual = at_market.value
 
-    demand = cp.multiply(DEMAND * usual**ELASTICITY, cp.hstack([at_market[j] ** -e for j, e in enumerate(ELASTICITY)]))
-    elastic = cp.Problem(cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - demand >= 0)])
+    demand = cp.multiply(
+        DEMAND * usual**ELASTICITY,
+        cp.hstack([at_market[j] ** -e for j, e in enumerate(ELASTICITY)]),
+    )
+    elastic = cp.Problem(
+        cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - demand >= 0)]
+    )
     sold, prices = [], []
     for share in LEFT:
         capacity.value = CAPACITY * [1.0, share]
@@ -56,20 +72,30 @@ def main(out: Path = Path()) -> None:
 
     x, bought = cp.Variable((2, 3), nonneg=True), cp.Variable(3)
     gain = sum(
-        usual[j] * DEMAND[j] ** (1 / e) / (1 - 1 / e) * cp.power(bought[j], 1 - 1 / e) for j, e in enumerate(ELASTICITY)
+        usual[j] * DEMAND[j] ** (1 / e) / (1 - 1 / e) * cp.power(bought[j], 1 - 1 / e)
+        for j, e in enumerate(ELASTICITY)
     )
     surplus = cp.Maximize(gain - FREIGHT * cp.sum(cp.multiply(DISTANCE, x)))
     convex = cp.Problem(surplus, [bought == cp.sum(x, axis=0), cp.sum(x, axis=1) <= capacity])
     convex.solve(solver="CLARABEL", tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
     differs = abs(bought.value - sold[-1]).max()
-    print(f"check: without San Diego, sales differ from those of the greatest surplus by {differs:.1e} cases")
+    print(
+        f"check: without San Diego, sales differ from those of the greatest surplus by {differs:.1e} cases"
+    )
 
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.7), layout="constrained")
-    for axes, curves, title in ((left, sold, "Cases sold"), (right, prices, "Price (thousand dollars a case)")):
-        for curve, name, colour in zip(np.transpose(curves), MARKETS, ("#0072B2", "#D55E00", "#009E73"), strict=True):
+    for axes, curves, title in (
+        (left, sold, "Cases sold"),
+        (right, prices, "Price (thousand dollars a case)"),
+    ):
+        for curve, name, colour in zip(
+            np.transpose(curves), MARKETS, ("#0072B2", "#D55E00", "#009E73"), strict=True
+        ):
             axes.plot(1 - LEFT, curve, color=colour, linewidth=1.8, label=name)
-        axes.set(title=title, xlabel="lost share of San Diego's capacity", xlim=(0, 1), ylim=(0, None))
+        axes.set(
+            title=title, xlabel="lost share of San Diego's capacity", xlim=(0, 1), ylim=(0, None)
+        )
         axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     left.legend()
     figure.savefig(out / "elastic_transport.png", dpi=150)

@@ -45,7 +45,9 @@ def main(out: Path = Path()) -> None:
     algorithms = ["npgs", "npsor", "pgs", "psor", "gfp", "newton", "multigrid", "auto"]
     report = error_against_time(problem, algorithms, repeats=2, tolerance=1e-10)
     print(report)
-    fastest = min((curve for curve in report.curves if curve.is_solved), key=lambda curve: curve.seconds)
+    fastest = min(
+        (curve for curve in report.curves if curve.is_solved), key=lambda curve: curve.seconds
+    )
     print(f"fastest here: {fastest.label}, {fastest.seconds:.3g} s")
 
     z = solve(problem, fastest.label, tolerance=1e-10).require_solved().z
@@ -53,7 +55,9 @@ def main(out: Path = Path()) -> None:
     hot = np.where(z < HOTTEST, 0.0, HOTTEST)
     second = spsolve(problem.csr[warm][:, warm].tocsc(), -(problem.slack(hot))[warm])
     apart = abs(z[warm] - second).max()
-    print(f"check: with the same {problem.n - warm.size} hottest points a linear solve differs by {apart:.1e}")
+    print(
+        f"check: with the same {problem.n - warm.size} hottest points a linear solve differs by {apart:.1e}"
+    )
     report.save(out / "error_against_time.png")
 
 

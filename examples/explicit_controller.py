@@ -32,11 +32,21 @@ def controller() -> tuple[QuadraticProgram, dict[str, np.ndarray]]:
     cost[-2:, -2:] = solve_discrete_are(A, B, np.eye(2), 0.1 * np.eye(1))  # of all later steps
     powers = [np.linalg.matrix_power(A, k) for k in range(HORIZON + 1)]
     free = np.vstack(powers[1:])
-    forced = np.block([[powers[i - j] @ B if j <= i else np.zeros((2, 1)) for j in range(HORIZON)]
-                       for i in range(HORIZON)])
+    forced = np.block(
+        [
+            [powers[i - j] @ B if j <= i else np.zeros((2, 1)) for j in range(HORIZON)]
+            for i in range(HORIZON)
+        ]
+    )
     P = forced.T @ cost @ forced + 0.1 * np.eye(HORIZON)
-    program = QuadraticProgram((P + P.T) / 2, np.zeros(HORIZON), G=np.vstack([forced, -forced]),
-                               h=np.full(4 * HORIZON, ROOM), lower=-1.0, upper=1.0)
+    program = QuadraticProgram(
+        (P + P.T) / 2,
+        np.zeros(HORIZON),
+        G=np.vstack([forced, -forced]),
+        h=np.full(4 * HORIZON, ROOM),
+        lower=-1.0,
+        upper=1.0,
+    )
     return program, {"c": forced.T @ cost @ free, "h": np.vstack([-free, free])}
 
 
@@ -51,15 +61,19 @@ def main(out: Path = Path()) -> None:
         states = [np.array(start)]
         for _ in range(12):
             force = table.x_at(states[-1])[0]
-            worst = max(worst, abs(force - solve(table.at(states[-1]), "daqp").require_solved().x[0]))
+            worst = max(
+                worst, abs(force - solve(table.at(states[-1]), "daqp").require_solved().x[0])
+            )
             states.append(A @ states[-1] + B[:, 0] * force)
         carts.append(np.array(states))
     many = np.random.default_rng(0).uniform(-ROOM, ROOM, (3600, 2))
     table.x_at(many[:10])
     began = time.perf_counter()
     law = table.x_at(many)
-    print(f"{len(many)} states, of which {np.isfinite(law[:, 0]).mean():.0%} can be held: "
-          f"{(time.perf_counter() - began) / len(many) * 1e6:.1f} µs each")
+    print(
+        f"{len(many)} states, of which {np.isfinite(law[:, 0]).mean():.0%} can be held: "
+        f"{(time.perf_counter() - began) / len(many) * 1e6:.1f} µs each"
+    )
     print(f"check: along four drives the forces differ from daqp's by {worst:.1e}")
 
     plt.style.use(STYLE)
@@ -68,7 +82,11 @@ def main(out: Path = Path()) -> None:
     for states in carts:
         left.plot(*states.T, "o-", color="#D55E00", markersize=3, linewidth=1.2)
         right.step(range(12), table.x_at(states[:-1])[:, 0], where="post", linewidth=1.6)
-    left.set(xlabel="position", ylabel="speed", title=f"{len(table)} regions, coloured by the next force; four drives")
+    left.set(
+        xlabel="position",
+        ylabel="speed",
+        title=f"{len(table)} regions, coloured by the next force; four drives",
+    )
     right.set(xlabel="second", ylabel="force", title="What the motor does", ylim=(-1.1, 1.1))
     figure.savefig(out / "explicit_controller.png", dpi=150)
 

@@ -24,21 +24,55 @@ import typer
 from lcp_plugin import complements
 from lcp_plugin.evidence.drawing import STYLE
 
-GOODS = "capital, later", "food, clothes", "durables", "capital, now", "skilled work", "unskilled work"
-ACTIVITIES = "durables 1", "durables 2", "food 1", "food 2", "food 3", "keeping", "building 1", "building 2"
-OWNED = np.array([
-    [0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [1, 2, 1.5, 1, 2],
-    [3, 0.1, 2, 1, 6], [5, 0.1, 6, 0.1, 0.1], [0.1, 7, 0.1, 8, 0.5],
-])
-WANTED = np.array([
-    [4, 0.4, 2, 5, 3], [2, 4, 2, 5, 4], [3.2, 1, 1.5, 4.5, 2],
-    [0, 0, 0, 0, 0], [0.2, 0, 0.5, 0, 0], [0, 0.6, 0, 0.2, 0.2],
-])
+GOODS = (
+    "capital, later",
+    "food, clothes",
+    "durables",
+    "capital, now",
+    "skilled work",
+    "unskilled work",
+)
+ACTIVITIES = (
+    "durables 1",
+    "durables 2",
+    "food 1",
+    "food 2",
+    "food 3",
+    "keeping",
+    "building 1",
+    "building 2",
+)
+OWNED = np.array(
+    [
+        [0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0],
+        [1, 2, 1.5, 1, 2],
+        [3, 0.1, 2, 1, 6],
+        [5, 0.1, 6, 0.1, 0.1],
+        [0.1, 7, 0.1, 8, 0.5],
+    ]
+)
+WANTED = np.array(
+    [
+        [4, 0.4, 2, 5, 3],
+        [2, 4, 2, 5, 4],
+        [3.2, 1, 1.5, 4.5, 2],
+        [0, 0, 0, 0, 0],
+        [0.2, 0, 0.5, 0, 0],
+        [0, 0.6, 0, 0.2, 0.2],
+    ]
+)
 ELASTICITY = np.array([1.2, 1.6, 0.8, 0.5, 0.6])
-TECHNIQUE = np.array([
-    [4, 4, 1.6, 1.6, 1.6, 0.9, 7, 8], [0, 0, 6, 8, 7, 0, 0, 0], [4, 3.5, 0, 0, 0, 0, 0, 0],
-    [-5.3, -5, -2, -2, -2, -1, -4, -5], [-2, -1, -2, -4, -1, 0, -3, -2], [-1, -6, -3, -1, -8, 0, -1, -8],
-])
+TECHNIQUE = np.array(
+    [
+        [4, 4, 1.6, 1.6, 1.6, 0.9, 7, 8],
+        [0, 0, 6, 8, 7, 0, 0, 0],
+        [4, 3.5, 0, 0, 0, 0, 0, 0],
+        [-5.3, -5, -2, -2, -2, -1, -4, -5],
+        [-2, -1, -2, -4, -1, 0, -3, -2],
+        [-1, -6, -3, -1, -8, 0, -1, -8],
+    ]
+)
 
 
 def main(out: Path = Path()) -> None:
@@ -47,7 +81,11 @@ def main(out: Path = Path()) -> None:
     share = WANTED / WANTED.sum(axis=0)
     prices, levels = cp.Variable(goods), cp.Variable(activities)
     incomes = cp.Variable(ELASTICITY.size - 1)
-    prices.value, levels.value, incomes.value = np.ones(goods), np.ones(activities), OWNED.sum(axis=0)[1:]
+    prices.value, levels.value, incomes.value = (
+        np.ones(goods),
+        np.ones(activities),
+        OWNED.sum(axis=0)[1:],
+    )
 
     money = OWNED.sum(axis=0)[0]  # the unit: what the first consumer has
     earned = cp.hstack([money, incomes])
@@ -56,23 +94,34 @@ def main(out: Path = Path()) -> None:
         index = share[:, h] @ prices ** (1 - elasticity)
         bought += earned[h] / index * cp.multiply(share[:, h], prices**-elasticity)
     market = complements(prices >= 0, TECHNIQUE @ levels + OWNED.sum(axis=1) - bought >= 0)
-    economy = cp.Problem(cp.Minimize(0), [
-        market, complements(levels >= 0, -TECHNIQUE.T @ prices >= 0), incomes == OWNED[:, 1:].T @ prices,
-    ])
+    economy = cp.Problem(
+        cp.Minimize(0),
+        [
+            market,
+            complements(levels >= 0, -TECHNIQUE.T @ prices >= 0),
+            incomes == OWNED[:, 1:].T @ prices,
+        ],
+    )
     economy.solve(method="LCP")
     print(economy.solver_stats.extra_stats)
 
     p, y, income = prices.value, levels.value, np.append(money, incomes.value)
     baskets = [basket(p, income[h], share[:, h], ELASTICITY[h]) for h in range(income.size)]
     left = TECHNIQUE @ y + OWNED.sum(axis=1) - np.sum(baskets, axis=0)
-    print(f"the first consumer's own budget, which nobody stated, is kept up to {abs(OWNED[:, 0] @ p - money):.1e}")
+    print(
+        f"the first consumer's own budget, which nobody stated, is kept up to {abs(OWNED[:, 0] @ p - money):.1e}"
+    )
     most = abs(left).max()
-    print(f"check: with the baskets of a convex solver, markets differ from cleared ones by {most:.1e} units")
+    print(
+        f"check: with the baskets of a convex solver, markets differ from cleared ones by {most:.1e} units"
+    )
 
     plt.style.use(STYLE)
     figure, (left_axes, right_axes) = plt.subplots(1, 2, figsize=(9.6, 3.8), layout="constrained")
     left_axes.barh(GOODS, p, color="#0072B2")
-    left_axes.set(title="Prices that clear every market", xlabel="price (the first consumer's income is 9.1)")
+    left_axes.set(
+        title="Prices that clear every market", xlabel="price (the first consumer's income is 9.1)"
+    )
     profit = TECHNIQUE.T @ p
     colours = np.where(y > 1e-9, "#D55E00", "#bbbbbb")
     right_axes.barh(ACTIVITIES, y, color=colours)

@@ -32,8 +32,10 @@ def pressure(half_length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, Fr
     """Return angles in degrees, places along the shaft in radii, the pressure over both, and where the film tears."""
     scene = gallery.journal_bearing(size=SIZE, eccentricity=ECCENTRICITY, half_length=half_length)
     result = solve(scene.problem).require_solved()
-    print(f"length {2 * half_length:.0f} radii: {result.algorithm}, {result.iterations} iterations, "
-          f"the film is torn at {np.mean(result.z == 0):.0%} of the nodes")
+    print(
+        f"length {2 * half_length:.0f} radii: {result.algorithm}, {result.iterations} iterations, "
+        f"the film is torn at {np.mean(result.z == 0):.0%} of the nodes"
+    )
     angle, along = scene.coordinates
     torn = free_boundary(result, coordinates=(np.degrees(angle), along))
     return np.degrees(angle), along, scene.picture(result.z), torn
@@ -41,12 +43,17 @@ def pressure(half_length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, Fr
 
 def very_long() -> tuple[float, np.ndarray]:
     """Return the angle θc in degrees where the film tears, and the pressure at whole degrees up to it."""
+
     def slope(angle: float, torn: float) -> float:
-        return ECCENTRICITY * (np.cos(angle) - np.cos(torn)) / (1 + ECCENTRICITY * np.cos(angle)) ** 3
+        return (
+            ECCENTRICITY * (np.cos(angle) - np.cos(torn)) / (1 + ECCENTRICITY * np.cos(angle)) ** 3
+        )
 
     torn = brentq(lambda end: quad(slope, 0, end, args=(end,))[0], np.pi * 1.01, np.pi * 1.9)
     degrees = np.arange(np.degrees(torn))
-    return np.degrees(torn), np.array([quad(slope, 0, np.radians(angle), args=(torn,))[0] for angle in degrees])
+    return np.degrees(torn), np.array(
+        [quad(slope, 0, np.radians(angle), args=(torn,))[0] for angle in degrees]
+    )
 
 
 def main(out: Path = Path()) -> None:
@@ -56,9 +63,13 @@ def main(out: Path = Path()) -> None:
     ends = long_edge.segments.reshape(-1, 2)
     middle, torn_at = long_film[:, SIZE // 2], ends[abs(ends[:, 0] - width[SIZE // 2]).argmin(), 1]
     torn, exact = very_long()
-    print(f"the long film tears at {torn_at:.1f}°, by quadrature at {torn:.1f}° (step {angle[1] - angle[0]:.1f}°)")
-    print(f"check: the largest pressure differs from quadrature by {abs(middle.max() / exact.max() - 1):.2%}, "
-          f"the place where the film tears by {abs(torn_at - torn):.2f}°")
+    print(
+        f"the long film tears at {torn_at:.1f}°, by quadrature at {torn:.1f}° (step {angle[1] - angle[0]:.1f}°)"
+    )
+    print(
+        f"check: the largest pressure differs from quadrature by {abs(middle.max() / exact.max() - 1):.2%}, "
+        f"the place where the film tears by {abs(torn_at - torn):.2f}°"
+    )
 
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.8, 4.2), layout="constrained")
@@ -71,9 +82,22 @@ def main(out: Path = Path()) -> None:
     left.grid(visible=False)
     right.fill_between(angle, middle, color="#0072B2", alpha=0.15, linewidth=0)
     right.plot(angle, middle, color="#0072B2", linewidth=1.8, label="20 radii long")
-    right.plot(range(len(exact))[::12], exact[::12], "o", color="#D55E00", markerfacecolor="white", label="quadrature")
+    right.plot(
+        range(len(exact))[::12],
+        exact[::12],
+        "o",
+        color="#D55E00",
+        markerfacecolor="white",
+        label="quadrature",
+    )
     right.plot(angle, film[:, SIZE // 2], color="#009E73", linestyle="--", label="2 radii long")
-    right.set(xlim=(0, 360), ylim=(0, None), xticks=range(0, 361, 90), xlabel="angle θ (degrees)", ylabel="pressure")
+    right.set(
+        xlim=(0, 360),
+        ylim=(0, None),
+        xticks=range(0, 361, 90),
+        xlabel="angle θ (degrees)",
+        ylabel="pressure",
+    )
     right.set_title(f"In the middle of the shaft; the long film tears at {torn:.0f}°")
     right.legend(loc="upper right")
     figure.savefig(out / "journal_bearing.png", dpi=150)

@@ -29,7 +29,9 @@ SAMPLES, GENES, TRUE = 80, 200, {3: 2.0, 17: -1.5, 60: 1.0, 101: 1.0, 150: -0.7}
 
 def measured(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return expressions of genes that vary in groups, and what they make with noise."""
-    A = rng.standard_normal((SAMPLES, GENES)) + np.repeat(rng.standard_normal((SAMPLES, GENES // 10)), 10, axis=1)
+    A = rng.standard_normal((SAMPLES, GENES)) + np.repeat(
+        rng.standard_normal((SAMPLES, GENES // 10)), 10, axis=1
+    )
     x = np.zeros(GENES)
     x[list(TRUE)] = list(TRUE.values())
     return A, A @ x + 1.5 * rng.standard_normal(SAMPLES)
@@ -41,7 +43,9 @@ def main(out: Path = Path()) -> None:
     A, b = measured(rng)
     fresh, seen = measured(rng)
     most = abs(A.T @ b).max()
-    path = trace(BoundedLeastSquares(A, b, lower=-np.inf), {"l1": 1}, most, most / 100).require_solved()
+    path = trace(
+        BoundedLeastSquares(A, b, lower=-np.inf), {"l1": 1}, most, most / 100
+    ).require_solved()
     print(path.explain())
 
     best, least = most, np.inf
@@ -52,8 +56,10 @@ def main(out: Path = Path()) -> None:
         if (error := np.sum((r0 + penalty * r1) ** 2)) < least:
             best, least = penalty, error
     chosen = path.at(best)
-    print(f"the best λ is {best:.3f} of {most:.1f}: {np.count_nonzero(chosen.x)} genes, the five true ones "
-          f"{'among them' if chosen.x[list(TRUE)].all() else 'not all among them'}")
+    print(
+        f"the best λ is {best:.3f} of {most:.1f}: {np.count_nonzero(chosen.x)} genes, the five true ones "
+        f"{'among them' if chosen.x[list(TRUE)].all() else 'not all among them'}"
+    )
 
     differences = []
     for penalty in np.geomspace(most, most / 100, 20):
@@ -63,26 +69,49 @@ def main(out: Path = Path()) -> None:
     model = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(A @ x - b) + parameter * cp.norm1(x)))
     stated = trace(model, parameter, most, best).require_solved()
     in_cvxpy = abs(stated.at(best)[x] - chosen.x).max()
-    print(f"check: twenty solves differ from the path by at most {max(differences):.1e}, and cvxpy's by {in_cvxpy:.1e}")
+    print(
+        f"check: twenty solves differ from the path by at most {max(differences):.1e}, and cvxpy's by {in_cvxpy:.1e}"
+    )
 
     plt.style.use(STYLE)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11.0, 4.6), width_ratios=[1.5, 1], layout="constrained")
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11.0, 4.6), width_ratios=[1.5, 1], layout="constrained"
+    )
     values = path.x(path.breakpoints)
     for j in np.flatnonzero(values.any(axis=0)):
         if j in TRUE:
-            left.plot(path.breakpoints, values[:, j], linewidth=2, label=f"gene {j}, in truth {TRUE[j]:g}")
+            left.plot(
+                path.breakpoints, values[:, j], linewidth=2, label=f"gene {j}, in truth {TRUE[j]:g}"
+            )
         else:
             left.plot(path.breakpoints, values[:, j], color="#bbbbbb", linewidth=0.8, zorder=1)
     left.axvline(best, color="#222222", linestyle=":", label="best on fresh measurements")
-    left.set(xscale="log", xlim=(most, most / 100), ylim=(-1.6, 3.4), xlabel="penalty λ", ylabel="coefficient")
+    left.set(
+        xscale="log",
+        xlim=(most, most / 100),
+        ylim=(-1.6, 3.4),
+        xlabel="penalty λ",
+        ylabel="coefficient",
+    )
     left.set_title(f"Genes come in one after the other: {len(path)} exact pieces")
     left.legend(loc="upper left", fontsize=8)
     penalties = np.geomspace(most, most / 100, 400)
     x_at = path.x(penalties)
     for name, one, other, colour in (("fresh", fresh, seen, "#D55E00"), ("own", A, b, "#0072B2")):
-        right.plot(penalties, np.mean((x_at @ one.T - other) ** 2, axis=1), color=colour, label=f"{name} measurements")
+        right.plot(
+            penalties,
+            np.mean((x_at @ one.T - other) ** 2, axis=1),
+            color=colour,
+            label=f"{name} measurements",
+        )
     right.plot(best, least / SAMPLES, "o", color="#D55E00")
-    right.set(xscale="log", yscale="log", xlim=(most, most / 100), xlabel="penalty λ", ylabel="mean squared error")
+    right.set(
+        xscale="log",
+        yscale="log",
+        xlim=(most, most / 100),
+        xlabel="penalty λ",
+        ylabel="mean squared error",
+    )
     right.set_title("The best point, found on the pieces")
     right.legend()
     figure.savefig(out / "lasso_path.png", dpi=150)

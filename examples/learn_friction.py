@@ -73,7 +73,9 @@ class Fit:
 
     def learn(self) -> np.ndarray:
         """Return the coefficients of least squares."""
-        return least_squares(self.distances, GUESS, self.derivative, xtol=1e-12, ftol=1e-14, gtol=1e-14).x
+        return least_squares(
+            self.distances, GUESS, self.derivative, xtol=1e-12, ftol=1e-14, gtol=1e-14
+        ).x
 
 
 def main(out: Path = Path()) -> None:
@@ -84,27 +86,56 @@ def main(out: Path = Path()) -> None:
     by_friction = noisy.derivative(learned)
     spread = NOISE * np.sqrt(np.diag(np.linalg.inv(by_friction.T @ by_friction)))
     for k in range(3):
-        print(f"sledge {k + 1}: planted {PLANTED[k]:.4f}, guessed {GUESS[k]:.4f}, "
-              f"learned {learned[k]:.4f} ± {spread[k]:.4f}")
+        print(
+            f"sledge {k + 1}: planted {PLANTED[k]:.4f}, guessed {GUESS[k]:.4f}, "
+            f"learned {learned[k]:.4f} ± {spread[k]:.4f}"
+        )
     print(f"{len(noisy.tried)} films of {STEPS} steps")
-    print(f"check: from a film without noise the coefficients differ from the planted ones by "
-          f"{abs(exact - PLANTED).max():.1e}, from one with {1000 * NOISE:g} mm of noise by "
-          f"{abs(learned - PLANTED).max():.1e}")
+    print(
+        f"check: from a film without noise the coefficients differ from the planted ones by "
+        f"{abs(exact - PLANTED).max():.1e}, from one with {1000 * NOISE:g} mm of noise by "
+        f"{abs(learned - PLANTED).max():.1e}"
+    )
 
     plt.style.use(STYLE)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.4), width_ratios=[1.5, 1], layout="constrained")
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(10.4, 4.4), width_ratios=[1.5, 1], layout="constrained"
+    )
     seconds, places, guessed = STEP * np.arange(1, STEPS + 1), film(learned)[0], film(GUESS)[0]
     for k, colour in enumerate(("#0072B2", "#D55E00", "#009E73")):
         behind = -0.6 * k
-        left.plot(seconds[::6], behind + noisy.measured[::6, k], ".", color=colour, markersize=4, alpha=0.55)
+        left.plot(
+            seconds[::6],
+            behind + noisy.measured[::6, k],
+            ".",
+            color=colour,
+            markersize=4,
+            alpha=0.55,
+        )
         left.plot(seconds, behind + places[:, k], color=colour, linewidth=1.6)
         left.plot(seconds, behind + guessed[:, k], color=colour, linewidth=1, linestyle=(0, (4, 3)))
-        left.text(seconds[-1] + 0.1, behind + places[-1, k], f"sledge {k + 1}", color=colour, va="center")
+        left.text(
+            seconds[-1] + 0.1, behind + places[-1, k], f"sledge {k + 1}", color=colour, va="center"
+        )
         right.plot([one[k] for one in noisy.tried], "o-", color=colour, linewidth=1.6, markersize=4)
         right.axhline(PLANTED[k], color=colour, linewidth=1, linestyle=":")
-        right.text(len(noisy.tried) - 1, PLANTED[k] + 0.007, f"planted {PLANTED[k]:.2f}", color=colour, ha="right")
-    left.set(xlabel="time (s)", ylabel="position (m)", title="Dots: measured. Dashed: the first guess. Lines: learned")
-    right.set(xlabel="films computed", ylabel="friction coefficient μ", title="Learning, by the exact derivative")
+        right.text(
+            len(noisy.tried) - 1,
+            PLANTED[k] + 0.007,
+            f"planted {PLANTED[k]:.2f}",
+            color=colour,
+            ha="right",
+        )
+    left.set(
+        xlabel="time (s)",
+        ylabel="position (m)",
+        title="Dots: measured. Dashed: the first guess. Lines: learned",
+    )
+    right.set(
+        xlabel="films computed",
+        ylabel="friction coefficient μ",
+        title="Learning, by the exact derivative",
+    )
     figure.savefig(out / "learn_friction.png", dpi=150)
 
 

@@ -52,15 +52,21 @@ def condensed(A: np.ndarray, B: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, 
     """Return M and F of the plan: the cost is ½ uᵀM u + (F x)ᵀu and what does not depend on u."""
     powers = [np.linalg.matrix_power(A, k) for k in range(AHEAD + 1)]
     free = np.vstack(powers[1:])
-    forced = np.block([[powers[k - j] @ B if j <= k else 0.0 * B for j in range(AHEAD)] for k in range(AHEAD)])
+    forced = np.block(
+        [[powers[k - j] @ B if j <= k else 0.0 * B for j in range(AHEAD)] for k in range(AHEAD)]
+    )
     weights = block_diag(*[COSTS] * (AHEAD - 1), P)
     return forced.T @ weights @ forced + EFFORT * np.eye(AHEAD), forced.T @ weights @ free
 
 
-def planned_by_a_conic_solver(A: np.ndarray, B: np.ndarray, P: np.ndarray, x0: np.ndarray) -> np.ndarray:
+def planned_by_a_conic_solver(
+    A: np.ndarray, B: np.ndarray, P: np.ndarray, x0: np.ndarray
+) -> np.ndarray:
     """Return the plan from one state, with states and inputs as unknowns."""
     x, u = cp.Variable((AHEAD + 1, 4)), cp.Variable((AHEAD, 1))
-    states = cp.sum([cp.quad_form(x[k], COSTS) for k in range(1, AHEAD)]) + cp.quad_form(x[AHEAD], cp.psd_wrap(P))
+    states = cp.sum([cp.quad_form(x[k], COSTS) for k in range(1, AHEAD)]) + cp.quad_form(
+        x[AHEAD], cp.psd_wrap(P)
+    )
     motion = [x[0] == x0, x[1:] == x[:-1] @ A.T + u @ B.T, cp.abs(u) <= LIMIT]
     cp.Problem(cp.Minimize(states + EFFORT * cp.sum_squares(u)), motion).solve(solver="CLARABEL")
     return u.value[:, 0]
@@ -82,7 +88,9 @@ def main(out: Path = Path()) -> None:
         iterations.append(result.iterations)
         states.append(A @ states[-1] + B @ result.z[:1])
     x, u = np.array(states), np.array(inputs)
-    print(f"{len(u)} plans of {AHEAD} steps, each from the one before; {max(iterations)} iterations at most")
+    print(
+        f"{len(u)} plans of {AHEAD} steps, each from the one before; {max(iterations)} iterations at most"
+    )
 
     places, speeds = np.linspace(-5, 5, 81), np.linspace(-2, 2, 81)
     grid = np.stack([*np.meshgrid(places, speeds), *np.zeros((2, 81, 81))], axis=-1).reshape(-1, 4)
@@ -91,11 +99,20 @@ def main(out: Path = Path()) -> None:
     law = np.array([answer.require_solved().z[0] for answer in answers])
     print(f"{len(grid)} states as one batch: {perf_counter() - begun:.1f} s")
 
-    conic = max(abs(solve(program.with_q(F @ x[k]), tolerance=1e-12).z - planned_by_a_conic_solver(A, B, P, x[k])).max()
-                for k in (0, 10, 20))
+    conic = max(
+        abs(
+            solve(program.with_q(F @ x[k]), tolerance=1e-12).z
+            - planned_by_a_conic_solver(A, B, P, x[k])
+        ).max()
+        for k in (0, 10, 20)
+    )
     near = 0.002 * np.random.default_rng(0).standard_normal((50, 4))
-    linear = max(abs(answer.z[0] + (K @ state)[0]) for answer, state in
-                 zip(solve_batch(program, near @ F.T, tolerance=1e-12), near, strict=True))
+    linear = max(
+        abs(answer.z[0] + (K @ state)[0])
+        for answer, state in zip(
+            solve_batch(program, near @ F.T, tolerance=1e-12), near, strict=True
+        )
+    )
     print(f"check: plans differ from a conic solver's by {conic:.1e} m/s²")
     print(f"check: where no limit acts, inputs differ from −K x by {linear:.1e} m/s²")
 
@@ -103,22 +120,37 @@ def main(out: Path = Path()) -> None:
     for _ in u:
         cut.append(A @ cut[-1] + B @ np.clip(-K @ cut[-1], -LIMIT, LIMIT))
     plt.style.use(STYLE)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.0), layout="constrained", width_ratios=[1.15, 1])
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(9.6, 4.0), layout="constrained", width_ratios=[1.15, 1]
+    )
     time = STEP * np.arange(len(x))
     left.plot(time, x[:, 0], color=BLUE, label="trolley (m)")
     left.plot(time, x[:, 0] + ROPE * x[:, 2], color=ORANGE, label="load (m)")
-    left.plot(time, np.array(cut)[:, 0], ":", color=BLUE, linewidth=1.2, label="trolley, linear law cut off (m)")
+    left.plot(
+        time,
+        np.array(cut)[:, 0],
+        ":",
+        color=BLUE,
+        linewidth=1.2,
+        label="trolley, linear law cut off (m)",
+    )
     left.step(time[:-1], u, where="post", color=GREEN, linewidth=1.2, label="acceleration (m/s²)")
     left.axhspan(-LIMIT, LIMIT, color=GREEN, alpha=0.08, linewidth=0)
     left.set(xlabel="time (s)", title="The load arrives and hangs still", xlim=(0, SECONDS))
     left.legend(fontsize=8, loc="lower right")
     law = law.reshape(81, 81)
-    drawn = right.contourf(places, speeds, law, levels=1.001 * np.linspace(-LIMIT, LIMIT, 22), cmap="PuOr")
+    drawn = right.contourf(
+        places, speeds, law, levels=1.001 * np.linspace(-LIMIT, LIMIT, 22), cmap="PuOr"
+    )
     edges = [-0.999 * LIMIT, 0.999 * LIMIT]
-    right.contour(places, speeds, law, levels=edges, colors="#333333", linewidths=1.0, linestyles="-")
+    right.contour(
+        places, speeds, law, levels=edges, colors="#333333", linewidths=1.0, linestyles="-"
+    )
     right.text(-4.7, -1.7, "limit reached", fontsize=8, color="white")
     right.text(2.5, 1.6, "limit reached", fontsize=8, color="white")
-    right.set(xlabel="place (m)", ylabel="speed (m/s)", title="First acceleration of a plan, rope at rest")
+    right.set(
+        xlabel="place (m)", ylabel="speed (m/s)", title="First acceleration of a plan, rope at rest"
+    )
     right.grid(visible=False)
     figure.colorbar(drawn, ax=right, label="m/s²", ticks=[-LIMIT, 0.0, LIMIT])
     figure.savefig(out / "model_predictive_control.png", dpi=150)

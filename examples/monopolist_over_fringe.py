@@ -26,7 +26,9 @@ def main(out: Path = Path()) -> None:
     problem = cp.Problem(cp.Maximize(cp.multiply(price, x) - x), [fringe, price == 10 - x - y])
     income = problem.solve(method="LCP")
     print(problem.solver_stats.extra_stats.explain())
-    print(f"the monopolist sells {x.value:.3f} at {price.value:.3f}, the fringe {y.value:.3f}: income {income:.4f}")
+    print(
+        f"the monopolist sells {x.value:.3f} at {price.value:.3f}, the fringe {y.value:.3f}: income {income:.4f}"
+    )
     print(f"check: the income differs from the formula's 12.5 by {abs(income - 12.5):.1e}")
 
     outputs = np.linspace(0, 10, 201)

@@ -30,7 +30,9 @@ from lcp_plugin import complements
 from lcp_plugin.evidence.drawing import STYLE
 
 SIDE = 3  # nodes along each side of the town
-TOWN = [(i, i + 1) for i in range(SIDE**2) if (i + 1) % SIDE] + [(i, i + SIDE) for i in range(SIDE * (SIDE - 1))]
+TOWN = [(i, i + 1) for i in range(SIDE**2) if (i + 1) % SIDE] + [
+    (i, i + SIDE) for i in range(SIDE * (SIDE - 1))
+]
 ROADS = np.array(TOWN + [(j, i) for i, j in TOWN])
 PLACES = np.array([(i % SIDE, i // SIDE) for i in range(SIDE**2)])
 HIGHWAY = [(0, 1), (1, 2), (3, 4), (4, 5), (1, 4), (4, 7)]  # the owner's
@@ -45,30 +47,44 @@ def main(out: Path = Path()) -> None:
     costs = np.where(is_highway, 1.0, rng.integers(2, 7, len(ROADS)).astype(float))
     arcs = np.arange(len(ROADS))
     incidence = sp.csr_array((np.ones(arcs.size), (ROADS[:, 0], arcs))) - sp.csr_array(
-        (np.ones(arcs.size), (ROADS[:, 1], arcs)), shape=(SIDE**2, arcs.size))
+        (np.ones(arcs.size), (ROADS[:, 1], arcs)), shape=(SIDE**2, arcs.size)
+    )
 
     tolls = cp.Variable(arcs.size, bounds=[0, MOST])
     constraints, income = [tolls[~is_highway] == 0], 0
     for (start, end), number in TRIPS.items():
         demand = np.zeros(SIDE**2)
         demand[start], demand[end] = number, -number
-        flow, price = cp.Variable(arcs.size, bounds=[0, number]), cp.Variable(SIDE**2, bounds=[-MOST, MOST])
+        flow, price = (
+            cp.Variable(arcs.size, bounds=[0, number]),
+            cp.Variable(SIDE**2, bounds=[-MOST, MOST]),
+        )
         constraints += [incidence @ flow == demand, price[end] == 0]
         constraints.append(complements(flow >= 0, costs + tolls - incidence.T @ price >= 0))
         income += demand @ price - costs @ flow
     problem = cp.Problem(cp.Maximize(income), constraints)
     history: list[tuple[float, float]] = []
-    problem.solve(method="LCP", callback=lambda search: history.append((-search.value, -search.lower_bound)))
+    problem.solve(
+        method="LCP", callback=lambda search: history.append((-search.value, -search.lower_bound))
+    )
     result = problem.solver_stats.extra_stats
     history.append((-result.value, -result.lower_bound))
     print(f"income {problem.value:.6f}, {problem.status}: {result!r}")
-    print("tolls:", {tuple(road): round(float(toll), 3) for road, toll in zip(ROADS.tolist(), tolls.value, strict=True)
-                     if toll > 1e-6})
+    print(
+        "tolls:",
+        {
+            tuple(road): round(float(toll), 3)
+            for road, toll in zip(ROADS.tolist(), tolls.value, strict=True)
+            if toll > 1e-6
+        },
+    )
     print("all bounds checked again:", result.verify())
     by_integers = _by_integers(costs, is_highway, incidence)
     earned = _earned(costs, tolls.value * (1 - 1e-6))
-    print(f"check: the income of an integer program differs by {abs(problem.value - by_integers):.1e}; cheapest paths "
-          f"at tolls lower by a millionth earn less by {(problem.value - earned) / problem.value:.1e}, relatively")
+    print(
+        f"check: the income of an integer program differs by {abs(problem.value - by_integers):.1e}; cheapest paths "
+        f"at tolls lower by a millionth earn less by {(problem.value - earned) / problem.value:.1e}, relatively"
+    )
     _draw(tolls.value, is_highway, history, out)
 
 
@@ -93,14 +109,25 @@ def _by_integers(costs: np.ndarray, is_highway: np.ndarray, incidence: sp.csr_ar
             ({"flow": whole}, demand, demand),
             ({"toll": identity, "price": -whole.T}, -costs, np.full(m, np.inf)),
             ({"flow": identity, "choice": -number * identity}, np.full(m, -np.inf), np.zeros(m)),
-            ({"toll": identity, "price": -whole.T, "choice": slack * identity}, np.full(m, -np.inf), slack - costs),
+            (
+                {"toll": identity, "price": -whole.T, "choice": slack * identity},
+                np.full(m, -np.inf),
+                slack - costs,
+            ),
         ):
             block = np.zeros((least.size, size))
             for name, part in parts.items():
-                block[:, {"flow": flow, "choice": choice, "price": price, "toll": np.arange(m)}[name]] = part
+                block[
+                    :, {"flow": flow, "choice": choice, "price": price, "toll": np.arange(m)}[name]
+                ] = part
             rows.append(block), low.append(least), high.append(most)
-    found = milp(objective, integrality=is_whole, bounds=(lower, upper), options={"mip_rel_gap": 1e-9},
-                 constraints=LinearConstraint(np.vstack(rows), np.concatenate(low), np.concatenate(high)))
+    found = milp(
+        objective,
+        integrality=is_whole,
+        bounds=(lower, upper),
+        options={"mip_rel_gap": 1e-9},
+        constraints=LinearConstraint(np.vstack(rows), np.concatenate(low), np.concatenate(high)),
+    )
     return -found.fun
 
 
@@ -108,7 +135,10 @@ def _earned(costs: np.ndarray, tolls: np.ndarray) -> float:
     """Return what drivers on cheapest paths pay."""
     graph = sp.csr_array((costs + tolls, (ROADS[:, 0], ROADS[:, 1])))
     _, before = shortest_path(graph, return_predecessors=True)
-    toll_of, earned = {tuple(road): toll for road, toll in zip(ROADS.tolist(), tolls, strict=True)}, 0.0
+    toll_of, earned = (
+        {tuple(road): toll for road, toll in zip(ROADS.tolist(), tolls, strict=True)},
+        0.0,
+    )
     for (start, end), number in TRIPS.items():
         path = [end]
         while path[-1] != start:
@@ -117,26 +147,51 @@ def _earned(costs: np.ndarray, tolls: np.ndarray) -> float:
     return earned
 
 
-def _draw(tolls: np.ndarray, is_highway: np.ndarray, history: list[tuple[float, float]], out: Path) -> None:
+def _draw(
+    tolls: np.ndarray, is_highway: np.ndarray, history: list[tuple[float, float]], out: Path
+) -> None:
     plt.style.use(STYLE)
     figure, (town, search) = plt.subplots(1, 2, figsize=(10.4, 4.4), layout="constrained")
     for road, toll, is_owned in zip(ROADS, tolls, is_highway, strict=True):
         (x, y), (dx, dy) = PLACES[road[0]], PLACES[road[1]] - PLACES[road[0]]
         colour = "#D55E00" if is_owned else "#BBBBBB"
-        town.annotate("", (x + 0.9 * dx, y + 0.9 * dy), (x + 0.1 * dx, y + 0.1 * dy), zorder=3 if is_owned else 2,
-                      arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 2.5 if is_owned else 1.2})
+        town.annotate(
+            "",
+            (x + 0.9 * dx, y + 0.9 * dy),
+            (x + 0.1 * dx, y + 0.1 * dy),
+            zorder=3 if is_owned else 2,
+            arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 2.5 if is_owned else 1.2},
+        )
         if is_owned:
-            town.text(x + 0.5 * dx, y + 0.5 * dy, f"{toll:.1f}", ha="center", va="center", zorder=5,
-                      bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": colour})
+            town.text(
+                x + 0.5 * dx,
+                y + 0.5 * dy,
+                f"{toll:.1f}",
+                ha="center",
+                va="center",
+                zorder=5,
+                bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": colour},
+            )
     town.plot(*PLACES.T, "o", color="#0072B2", markersize=9)
     for place, (x, y) in enumerate(PLACES):
         town.text(x - 0.07, y + 0.07, str(place), ha="right")
     town.set(xlim=(-0.4, SIDE - 0.6), ylim=(-0.4, SIDE - 0.6), aspect="equal", xticks=[], yticks=[])
     town.set_title("The owner's roads and their tolls")
-    town.set_xlabel(", ".join(f"{number:g} drive {start} → {end}" for (start, end), number in TRIPS.items()))
+    town.set_xlabel(
+        ", ".join(f"{number:g} drive {start} → {end}" for (start, end), number in TRIPS.items())
+    )
     incomes, bounds = zip(*history, strict=True)
-    search.step(range(len(history)), bounds, where="post", color="#777777", label="no tolls earn more")
-    search.step(range(len(history)), incomes, where="post", color="#0072B2", linewidth=2, label="best tolls so far")
+    search.step(
+        range(len(history)), bounds, where="post", color="#777777", label="no tolls earn more"
+    )
+    search.step(
+        range(len(history)),
+        incomes,
+        where="post",
+        color="#0072B2",
+        linewidth=2,
+        label="best tolls so far",
+    )
     search.set(xlabel="nodes of the search", ylabel="income", title="The gap closes")
     search.legend()
     figure.savefig(out / "network_tolls.png", dpi=150)

@@ -33,13 +33,22 @@ def least_squares(axes: plt.Axes, random: np.random.Generator) -> float:
     """Unmix a spectrum into non-negative parts; return the distance from scipy's answer."""
     wave, centres = np.linspace(0, 10, 200), np.linspace(1, 9, 12)
     A = np.exp(-((wave[:, None] - centres) ** 2))
-    b = A @ (random.uniform(0, 2, 12) * (random.uniform(size=12) < 0.5)) + 0.05 * random.standard_normal(200)
+    b = A @ (
+        random.uniform(0, 2, 12) * (random.uniform(size=12) < 0.5)
+    ) + 0.05 * random.standard_normal(200)
     x = solve(LCP(A.T @ A, -A.T @ b), tolerance=1e-12).require_solved().z
     axes.plot(wave, b, ".", color="#aaaaaa", markersize=3, label="measured")
     axes.fill_between(wave, A @ x, color=BLUE, alpha=0.15, linewidth=0)
     axes.plot(wave, A @ x, color=BLUE, linewidth=1.5, label="sum of the parts")
-    axes.vlines(centres[x > 0], 0, x[x > 0], color=ORANGE, linewidth=3, label="parts, none negative")
-    axes.set(xlabel="wavelength", ylabel="intensity", title="Non-negative least squares", ylim=(-0.2, 2.6))
+    axes.vlines(
+        centres[x > 0], 0, x[x > 0], color=ORANGE, linewidth=3, label="parts, none negative"
+    )
+    axes.set(
+        xlabel="wavelength",
+        ylabel="intensity",
+        title="Non-negative least squares",
+        ylim=(-0.2, 2.6),
+    )
     axes.legend(fontsize=8, loc="upper right")
     return abs(x - scipy.optimize.nnls(A, b)[0]).max()
 
@@ -48,8 +57,14 @@ def classifier(axes: plt.Axes, random: np.random.Generator) -> float:
     """Separate two clouds; return the relative gap between the primal and the dual objective."""
     side = np.repeat([1.0, -1.0], 40)
     x = random.standard_normal((80, 2)) + np.outer(side, [1.2, 0.8])
-    dual = LCP.from_qp((side[:, None] * x) @ (side[:, None] * x).T, -np.ones(80), A=side[None, :], b=[0.0],
-                       lower=0.0, upper=PENALTY)
+    dual = LCP.from_qp(
+        (side[:, None] * x) @ (side[:, None] * x).T,
+        -np.ones(80),
+        A=side[None, :],
+        b=[0.0],
+        lower=0.0,
+        upper=PENALTY,
+    )
     alpha = dual.origin.recover(solve(dual, tolerance=1e-12).require_solved()).x
     normal = (alpha * side) @ x
     on_margin = (alpha > 1e-6) & (alpha < PENALTY - 1e-6)
@@ -57,10 +72,23 @@ def classifier(axes: plt.Axes, random: np.random.Generator) -> float:
     primal = 0.5 * normal @ normal + PENALTY * np.maximum(1 - side * (x @ normal + offset), 0).sum()
     for sign, colour in ((1, BLUE), (-1, GREEN)):
         axes.plot(*x[side == sign].T, "o" if sign > 0 else "s", color=colour, markersize=4)
-    axes.plot(*x[alpha > 1e-6].T, "o", color=ORANGE, markersize=9, markerfacecolor="none", label="support vectors")
+    axes.plot(
+        *x[alpha > 1e-6].T,
+        "o",
+        color=ORANGE,
+        markersize=9,
+        markerfacecolor="none",
+        label="support vectors",
+    )
     across = np.array([-4.0, 4.0])
     for level, style in ((-1, ":"), (0, "-"), (1, ":")):
-        axes.plot(across, (level - offset - normal[0] * across) / normal[1], style, color="#333333", linewidth=1)
+        axes.plot(
+            across,
+            (level - offset - normal[0] * across) / normal[1],
+            style,
+            color="#333333",
+            linewidth=1,
+        )
     axes.set(xlim=(-4, 4), ylim=(-3.6, 3.9), xlabel="first feature", ylabel="second feature")
     axes.set_title("Support vector machine")
     axes.legend(fontsize=8, loc="upper right")
@@ -71,20 +99,35 @@ def portfolio(axes: plt.Axes, random: np.random.Generator) -> float:
     """Mix six funds for many tastes of return; return the largest distance from a conic solver's portfolio."""
     mean = np.array([2.0, 3.5, 5.0, 6.5, 8.0, 9.0])  # percent a year
     factor = random.standard_normal((6, 6)) * np.linspace(1, 7, 6)[:, None]
-    covariance, tastes = factor @ factor.T + np.diag(np.linspace(1, 5, 6) ** 2), np.linspace(0, 40, 41)
+    covariance, tastes = (
+        factor @ factor.T + np.diag(np.linspace(1, 5, 6) ** 2),
+        np.linspace(0, 40, 41),
+    )
     budget = {"A": np.ones((1, 6)), "b": [1.0], "lower": 0.0}
     problems = [LCP.from_qp(covariance, -taste * mean, **budget) for taste in tastes]
-    mixes = np.array([p.origin.recover(solve(p, tolerance=1e-12).require_solved()).x for p in problems])
+    mixes = np.array(
+        [p.origin.recover(solve(p, tolerance=1e-12).require_solved()).x for p in problems]
+    )
     x, taste = cp.Variable(6, nonneg=True), cp.Parameter(nonneg=True)
-    model = cp.Problem(cp.Minimize(cp.quad_form(x, covariance) / 2 - taste * (mean @ x)), [cp.sum(x) == 1])
+    model = cp.Problem(
+        cp.Minimize(cp.quad_form(x, covariance) / 2 - taste * (mean @ x)), [cp.sum(x) == 1]
+    )
     apart = []
     for k in (0, 10, 20, 40):
         taste.value = tastes[k]
         model.solve(solver="CLARABEL")
         apart.append(abs(mixes[k] - x.value).max())
     colours = plt.get_cmap("cividis")(np.linspace(0.05, 0.95, 6))
-    axes.stackplot(tastes, 100 * mixes.T, colors=colours, labels=[f"{value:g} %" for value in mean], alpha=0.9)
-    axes.set(xlim=(0, 40), ylim=(0, 100), xlabel="taste r of return", ylabel="share (%)", title="Portfolio")
+    axes.stackplot(
+        tastes, 100 * mixes.T, colors=colours, labels=[f"{value:g} %" for value in mean], alpha=0.9
+    )
+    axes.set(
+        xlim=(0, 40),
+        ylim=(0, 100),
+        xlabel="taste r of return",
+        ylabel="share (%)",
+        title="Portfolio",
+    )
     axes.legend(title="return a year", fontsize=8, loc="upper right", frameon=True, framealpha=0.85)
     return max(apart)
 
@@ -94,9 +137,13 @@ def main(out: Path = Path()) -> None:
     plt.style.use(STYLE)
     figure, panels = plt.subplots(1, 3, figsize=(12.6, 4.0), layout="constrained")
     random = np.random.default_rng(3)
-    print(f"check: least squares differ from scipy's nnls by {least_squares(panels[0], random):.1e}")
+    print(
+        f"check: least squares differ from scipy's nnls by {least_squares(panels[0], random):.1e}"
+    )
     print(f"check: the classifier's duality gap is {classifier(panels[1], random):.1e}")
-    print(f"check: the portfolios differ from those of a conic solver by {portfolio(panels[2], random):.1e}")
+    print(
+        f"check: the portfolios differ from those of a conic solver by {portfolio(panels[2], random):.1e}"
+    )
     figure.savefig(out / "nnls_svm_portfolio.png", dpi=150)
 
 

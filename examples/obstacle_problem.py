@@ -34,7 +34,9 @@ def main(out: Path = Path()) -> None:
     ball = np.where(r < 0.9, np.sqrt(1 - np.minimum(r, 0.9) ** 2), -1.0)
     contact_radius = brentq(lambda radius: radius**2 * (1 - np.log(radius / 2)) - 1, 0.1, 0.9)
     strength = contact_radius**2 / np.sqrt(1 - contact_radius**2)
-    exact = np.where(r < contact_radius, ball, -strength * np.log(np.maximum(r, contact_radius) / 2))
+    exact = np.where(
+        r < contact_radius, ball, -strength * np.log(np.maximum(r, contact_radius) / 2)
+    )
 
     second_difference = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(SIZE, SIZE))
     identity = sp.eye_array(SIZE)
@@ -48,13 +50,22 @@ def main(out: Path = Path()) -> None:
     print(result.explain())
     touches = result.z == problem.lower  # exactly at the bound, no tolerance needed
     inside = r[1:-1, 1:-1].ravel()
-    print(f"it touches at {touches.sum()} of {problem.n} nodes, up to the radius {inside[touches].max():.4f}")
-    print(f"check: free boundary at r* = {contact_radius:.4f}; the heights differ from the closed form by "
-          f"{abs(result.z - exact[1:-1, 1:-1].ravel()).max():.1e} (mesh width {nodes[1] - nodes[0]:.3f})")
+    print(
+        f"it touches at {touches.sum()} of {problem.n} nodes, up to the radius {inside[touches].max():.4f}"
+    )
+    print(
+        f"check: free boundary at r* = {contact_radius:.4f}; the heights differ from the closed form by "
+        f"{abs(result.z - exact[1:-1, 1:-1].ravel()).max():.1e} (mesh width {nodes[1] - nodes[0]:.3f})"
+    )
 
     scene = gallery.Scene(
-        problem=problem, description="A membrane over a ball", grid=(SIZE, SIZE), coordinates=(nodes[1:-1],) * 2,
-        axis_labels=("y", "x"), unknown="height u", active_means="the membrane touches",
+        problem=problem,
+        description="A membrane over a ball",
+        grid=(SIZE, SIZE),
+        coordinates=(nodes[1:-1],) * 2,
+        axis_labels=("y", "x"),
+        unknown="height u",
+        active_means="the membrane touches",
     )
     draw(result, out / "obstacle_problem.png", scene)
 

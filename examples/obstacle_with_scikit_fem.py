@@ -85,19 +85,25 @@ def main(out: Path = Path()) -> None:
     errors = np.empty((len(ELEMENTS), len(NODES)))
     for (row, name), (column, count) in product(enumerate(ELEMENTS), enumerate(NODES)):
         mesh = disk(count)
-        basis = Basis(mesh, ElementTriP1()) if name == "linear" else Basis(curved(mesh), ElementTriP2())
+        basis = (
+            Basis(mesh, ElementTriP1()) if name == "linear" else Basis(curved(mesh), ElementTriP2())
+        )
         u, result = membrane(basis)
         off = u - exact(radii(basis))
         errors[row, column] = np.sqrt(off @ mass.assemble(basis) @ off)
         if count == PICTURED:
             problem, touches = result.certificate.problem, radii(basis)[u == ball(radii(basis))]
-            print(f"{name}: n = {problem.n}, {result.status.name} by {result.algorithm}\n  it touches at "
-                  f"{touches.size} nodes up to the radius {touches.max():.4f} (r* = {CONTACT:.4f}); H₊-matrix: "
-                  f"{analyze(problem).is_h_plus}\n  {error_bound(problem, result.z)}")
+            print(
+                f"{name}: n = {problem.n}, {result.status.name} by {result.algorithm}\n  it touches at "
+                f"{touches.size} nodes up to the radius {touches.max():.4f} (r* = {CONTACT:.4f}); H₊-matrix: "
+                f"{analyze(problem).is_h_plus}\n  {error_bound(problem, result.z)}"
+            )
     widths = np.sqrt(np.pi / np.array(NODES)) * EDGE
     orders = [np.polyfit(np.log(widths), np.log(row), 1)[0] for row in errors]
-    print(f"check: the heights differ from the closed form by {errors[1, -1]:.1e} in L²; that falls like "
-          f"{' and '.join(f'h^{order:.2f}' for order in orders)}, off 2 and 2.5 by {abs(orders - EXPECTED).max():.2f}")
+    print(
+        f"check: the heights differ from the closed form by {errors[1, -1]:.1e} in L²; that falls like "
+        f"{' and '.join(f'h^{order:.2f}' for order in orders)}, off 2 and 2.5 by {abs(orders - EXPECTED).max():.2f}"
+    )
     draw(out, widths, errors, orders)
 
 
@@ -106,7 +112,9 @@ def draw(out: Path, widths: np.ndarray, errors: np.ndarray, orders: list[float])
     mesh = disk(PICTURED)
     u, _ = membrane(Basis(mesh, ElementTriP1()))
     plt.style.use(STYLE)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.4, 4.3), layout="constrained", width_ratios=[1.15, 1])
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(9.4, 4.3), layout="constrained", width_ratios=[1.15, 1]
+    )
     image = left.tripcolor(*mesh.p, mesh.t.T, u, shading="gouraud", cmap=HEIGHTS)
     left.triplot(*mesh.p, mesh.t.T, color="white", linewidth=0.25)
     touches = u == ball(np.hypot(*mesh.p))
@@ -116,10 +124,17 @@ def draw(out: Path, widths: np.ndarray, errors: np.ndarray, orders: list[float])
     figure.colorbar(image, ax=left, shrink=0.85).outline.set_visible(False)
     left.set(aspect="equal", title="Height; dots: where it touches, circle: r*")
     left.set_axis_off()
-    for name, colour, error, order in zip(ELEMENTS, ("#0072B2", "#009E73"), errors, orders, strict=True):
+    for name, colour, error, order in zip(
+        ELEMENTS, ("#0072B2", "#009E73"), errors, orders, strict=True
+    ):
         right.loglog(widths, error, "o-", color=colour, linewidth=1.5)
-        right.annotate(f"{name} elements: h^{order:.2f}", (widths[-1], error[-1]), (16, -6),
-                       textcoords="offset points", color=colour)
+        right.annotate(
+            f"{name} elements: h^{order:.2f}",
+            (widths[-1], error[-1]),
+            (16, -6),
+            textcoords="offset points",
+            color=colour,
+        )
     right.set(title="Error in L² against the mesh width h", xlabel="h", xticks=widths)
     right.set_xticklabels([f"{width:.2f}" for width in widths])
     right.minorticks_off()

@@ -30,7 +30,12 @@ from lcp_plugin.evidence.drawing import STYLE
 from lcp_plugin.problems.march.march_derivative import MarchDerivative
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
-SIZE, MARCHES, STEPS, KEPT = 5999, 10, 120, 12  # unknowns, marches, steps of each; every twelfth is drawn
+SIZE, MARCHES, STEPS, KEPT = (
+    5999,
+    10,
+    120,
+    12,
+)  # unknowns, marches, steps of each; every twelfth is drawn
 LEVELS = 1001, 4001, 4001  # of the trees for each Greek
 
 Leg = tuple[MarchDerivative, float, float]  # of one march: the shares of A in M and in C
@@ -42,9 +47,15 @@ def operator(x: np.ndarray) -> tuple[sp.sparray, np.ndarray, list[tuple[sp.sparr
     slope = sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (2 * h)
     curvature = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / h**2
     D, R = 0.5 * (slope - curvature), identity - slope
-    spot = STRIKE * np.exp(x)  # the ends need no more: the first price is exercised, at the last the put is worthless
+    spot = STRIKE * np.exp(
+        x
+    )  # the ends need no more: the first price is exercised, at the last the put is worthless
     payoff, shift = np.maximum(STRIKE - spot, 0.0), -spot * np.heaviside(-np.rint(x / h), 0.5)
-    return VOLATILITY**2 * D + RATE * R, payoff, [(0 * D, shift), (2 * VOLATILITY * D, 0 * x), (R, 0 * x)]
+    return (
+        VOLATILITY**2 * D + RATE * R,
+        payoff,
+        [(0 * D, shift), (2 * VOLATILITY * D, 0 * x), (R, 0 * x)],
+    )
 
 
 def legs(A: sp.sparray, payoff: np.ndarray) -> list[Leg]:
@@ -61,23 +72,34 @@ def legs(A: sp.sparray, payoff: np.ndarray) -> list[Leg]:
 
 
 def forwards(
-    spot: np.ndarray, done: list[Leg], payoff: np.ndarray, changes: list[tuple[sp.sparray, np.ndarray]]
+    spot: np.ndarray,
+    done: list[Leg],
+    payoff: np.ndarray,
+    changes: list[tuple[sp.sparray, np.ndarray]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return times to maturity, the exercise boundary at each, and from the second on delta, vega, rho; (.., 3, n)."""
     boundary, kept, tangents = [STRIKE], [], [dg for _, dg in changes]
     for found, half, old in done:
-        moves = [found.jvp(dM=half * dA, dpropagator=old * dA, dlower=dg, dz0=dV)
-                 for (dA, dg), dV in zip(changes, tangents, strict=True)]
+        moves = [
+            found.jvp(dM=half * dA, dpropagator=old * dA, dlower=dg, dz0=dV)
+            for (dA, dg), dV in zip(changes, tangents, strict=True)
+        ]
         tangents = [dV[-1] for dV in moves]
-        for k in range(len(found) - 1, 0, -KEPT)[::-1] if old else ():  # the damping steps are not drawn
+        for k in (
+            range(len(found) - 1, 0, -KEPT)[::-1] if old else ()
+        ):  # the damping steps are not drawn
             boundary.append(spot[(found.march.z[k] > payoff).argmax()])
             kept.append([moves[0][k] / spot, *(dV[k] for dV in moves[1:])])
     of_march = np.arange(MARCHES + 1)
-    years = np.interp(np.linspace(0, MARCHES, len(boundary)), of_march, MATURITY * (of_march / MARCHES) ** 2)
+    years = np.interp(
+        np.linspace(0, MARCHES, len(boundary)), of_march, MATURITY * (of_march / MARCHES) ** 2
+    )
     return years, np.array(boundary), np.array(kept)
 
 
-def backwards(node: int, done: list[Leg], changes: list[tuple[sp.sparray, np.ndarray]]) -> np.ndarray:
+def backwards(
+    node: int, done: list[Leg], changes: list[tuple[sp.sparray, np.ndarray]]
+) -> np.ndarray:
     """Return how the price at one node changes with the shift of the payoff, the volatility and the rate."""
     weights, greeks = np.zeros(SIZE), np.zeros(len(changes))
     weights[node] = 1.0
@@ -88,17 +110,26 @@ def backwards(node: int, done: list[Leg], changes: list[tuple[sp.sparray, np.nda
     return greeks + [weights @ dg for _, dg in changes]
 
 
-def tree(spot: np.ndarray, rate: float, volatility: float, years: np.ndarray, levels: int) -> np.ndarray:
+def tree(
+    spot: np.ndarray, rate: float, volatility: float, years: np.ndarray, levels: int
+) -> np.ndarray:
     """Return American puts by a tree with an odd number of levels, shape (points,)."""
+
     def probability(d: np.ndarray) -> np.ndarray:
         scaled = d**2 * (levels + 1 / 6) / (levels + 1 / 3 + 0.1 / (levels + 1)) ** 2
         return 0.5 + np.copysign(0.5, d) * np.sqrt(1 - np.exp(-scaled))
 
-    spread, growth, ups = volatility * np.sqrt(years), np.exp(rate * years / levels), np.arange(levels + 1)
+    spread, growth, ups = (
+        volatility * np.sqrt(years),
+        np.exp(rate * years / levels),
+        np.arange(levels + 1),
+    )
     d2 = (np.log(spot / STRIKE) + rate * years) / spread - spread / 2
     p, share = probability(d2), probability(d2 + spread)
     up, down = growth * share / p, growth * (1 - share) / (1 - p)
-    price = spot[:, None] * np.exp(ups * np.log(up)[:, None] + (levels - ups) * np.log(down)[:, None])
+    price = spot[:, None] * np.exp(
+        ups * np.log(up)[:, None] + (levels - ups) * np.log(down)[:, None]
+    )
     falls, rises, back = np.array([(1 - p) / growth, p / growth, 1 / down])[..., None]
     value = np.maximum(STRIKE - price, 0.0)
     for _ in range(levels):
@@ -110,10 +141,17 @@ def tree(spot: np.ndarray, rate: float, volatility: float, years: np.ndarray, le
 def tree_greeks(spot: np.ndarray, years: np.ndarray) -> np.ndarray:
     """Return delta, vega and rho by fourth-order differences of the extrapolated tree, shape (3, points)."""
     found = np.zeros((3, spot.size))
-    for greek, ((ds, dv, dr), levels) in enumerate(zip(np.diag([1.0, 0.012, 0.007]), LEVELS, strict=True)):
+    for greek, ((ds, dv, dr), levels) in enumerate(
+        zip(np.diag([1.0, 0.012, 0.007]), LEVELS, strict=True)
+    ):
         for k, weight in ((-2, 1), (-1, -8), (1, 8), (2, -1)):
             data = spot + k * ds, RATE + k * dr, VOLATILITY + k * dv, years
-            found[greek] += weight / 12 / (ds + dv + dr) * (2 * tree(*data, 2 * levels + 1) - tree(*data, levels))
+            found[greek] += (
+                weight
+                / 12
+                / (ds + dv + dr)
+                * (2 * tree(*data, 2 * levels + 1) - tree(*data, levels))
+            )
     return found
 
 
@@ -123,30 +161,65 @@ def main(out: Path = Path()) -> None:
     spot, (A, payoff, changes) = STRIKE * np.exp(x), operator(x)
     done = legs(A, payoff)
     years, boundary, kept = forwards(spot, done, payoff, changes)
-    at = np.array([100, 100, 100, 80, 60])  # three prices today, the last of them along the boundary
+    at = np.array(
+        [100, 100, 100, 80, 60]
+    )  # three prices today, the last of them along the boundary
     prices = np.array([100.0, 120.0, *1.15 * boundary[at[2:]]])
-    ours = np.array([[np.interp(price, spot, one) for one in kept[k - 1]] for price, k in zip(prices, at, strict=True)])
+    ours = np.array(
+        [
+            [np.interp(price, spot, one) for one in kept[k - 1]]
+            for price, k in zip(prices, at, strict=True)
+        ]
+    )
     theirs = tree_greeks(prices, years[at]).T
     for price, left, mine, other in zip(prices, years[at], ours, theirs, strict=True):
-        print(f"spot {price:6.2f}, {left:.2f} years left: delta, vega, rho {mine.round(4)}   tree {other.round(4)}")
+        print(
+            f"spot {price:6.2f}, {left:.2f} years left: delta, vega, rho {mine.round(4)}   tree {other.round(4)}"
+        )
     off = abs(ours / theirs - 1).max(axis=0)
-    print("check: delta differs from the tree's by {:.1e}, vega by {:.1e}, rho by {:.1e}, relatively".format(*off))
+    print(
+        "check: delta differs from the tree's by {:.1e}, vega by {:.1e}, rho by {:.1e}, relatively".format(
+            *off
+        )
+    )
     node, to_spot = SIZE // 2, np.array([1 / STRIKE, 1.0, 1.0])
     both = backwards(node, done, changes) * to_spot / kept[-1][:, node]
     print(f"check: backwards they are the same at the money to {abs(both - 1).max():.1e}")
     plt.style.use(STYLE)
-    figure, panels = plt.subplots(2, 3, figsize=(11, 6.2), layout="constrained", height_ratios=[1.35, 1])
+    figure, panels = plt.subplots(
+        2, 3, figsize=(11, 6.2), layout="constrained", height_ratios=[1.35, 1]
+    )
     shown, today = slice(*np.searchsorted(spot, (60, 150)), 5), MATURITY - years
     names = ("delta", "vega (EUR per 1.00 of σ)", "rho (EUR per 1.00 of r)")
     for greek, (name, (above, below)) in enumerate(zip(names, panels.T, strict=True)):
         field, colours = kept[:, greek, shown].T, ("cividis", "viridis", "viridis_r")[greek]
-        figure.colorbar(above.pcolormesh(today[1:], spot[shown], field, cmap=colours, shading="gouraud"), ax=above)
+        figure.colorbar(
+            above.pcolormesh(today[1:], spot[shown], field, cmap=colours, shading="gouraud"),
+            ax=above,
+        )
         above.fill_between(today, boundary, 60, color="white", linewidth=0)
         above.plot(today, boundary, color="#D55E00", linewidth=2)
-        above.plot(today[at], prices, "o", color="#D55E00", markersize=4, markerfacecolor="white", clip_on=False)
-        above.set(xlim=(0, MATURITY), ylim=(60, 150), title=name, xlabel="time (years)", ylabel="S (EUR)")
+        above.plot(
+            today[at],
+            prices,
+            "o",
+            color="#D55E00",
+            markersize=4,
+            markerfacecolor="white",
+            clip_on=False,
+        )
+        above.set(
+            xlim=(0, MATURITY), ylim=(60, 150), title=name, xlabel="time (years)", ylabel="S (EUR)"
+        )
         below.plot(spot[shown], field[:, -1], color="#0072B2", linewidth=1.8, label="derivative")
-        below.plot(prices[:3], theirs[:3, greek], "o", color="#D55E00", markerfacecolor="white", label="tree")
+        below.plot(
+            prices[:3],
+            theirs[:3, greek],
+            "o",
+            color="#D55E00",
+            markerfacecolor="white",
+            label="tree",
+        )
         below.set(xlim=(60, 150), xlabel="spot price S (EUR)", title=f"{name.split()[0]} today")
         above.text(0.3, 63, "exercise", color="#D55E00")
     panels[1, 0].legend(loc="lower right")

@@ -63,7 +63,9 @@ class DampedJacobi(Algorithm):
         z = z0
         while True:
             yield Step(z)
-            z = np.clip(z - self.omega * problem.slack(z) / problem.diagonal, problem.lower, problem.upper)
+            z = np.clip(
+                z - self.omega * problem.slack(z) / problem.diagonal, problem.lower, problem.upper
+            )
 
 
 def loop_in_numpy(M: Any, q: Any, omega: float = 0.7) -> int:
@@ -82,14 +84,20 @@ def loop_in_numpy(M: Any, q: Any, omega: float = 0.7) -> int:
 def main(out: Path = Path()) -> None:
     """Measure, print the tables, the last one as LaTeX too, and save the figure into the folder OUT."""
     methods = ["npsor", "psor", "multigrid", "auto", DampedJacobi()]
-    results = study([chain, plate, scattered], methods, SIZES, repeats=2)  # out="results.csv" would keep the rows
+    results = study(
+        [chain, plate, scattered], methods, SIZES, repeats=2
+    )  # out="results.csv" would keep the rows
     tables = results.table("iterations")
     for table in tables:
         print(table.title, table.to_markdown(), sep="\n\n")
     print(tables[-1].to_latex())
     results.save("work", out / "paper_study.png")
 
-    ours = [row.curve.iterations for row in results.rows if row.curve.label == "damped" and row.problem != "plate"]
+    ours = [
+        row.curve.iterations
+        for row in results.rows
+        if row.curve.label == "damped" and row.problem != "plate"
+    ]
     theirs = [loop_in_numpy(*family(n)) for family in (chain, scattered) for n in SIZES]
     apart = max(abs(a - b) for a, b in zip(ours, theirs, strict=True))
     print(f"check: a loop in NumPy takes as many sweeps up to {apart}")

@@ -36,7 +36,9 @@ def main(out: Path = Path()) -> None:
     h = nodes[1] - nodes[0]
     distance = 1 - np.maximum(abs(nodes[:, None]), abs(nodes))
     second_difference = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(SIZE, SIZE))
-    M = sp.kron(second_difference, sp.eye_array(SIZE)) + sp.kron(sp.eye_array(SIZE), second_difference)
+    M = sp.kron(second_difference, sp.eye_array(SIZE)) + sp.kron(
+        sp.eye_array(SIZE), second_difference
+    )
     problem = prepare(LCP(M, np.zeros(SIZE**2), lower=-np.inf, upper=distance.ravel()))
 
     loads = -2 * TWISTS[:, None] * np.full(SIZE**2, h**2)
@@ -46,30 +48,50 @@ def main(out: Path = Path()) -> None:
         start = warm[-1].z
     cold = solve_batch(problem, loads, algorithm="newton")
     for name, results in (("each from the one before", warm), ("each from nothing", cold)):
-        print(f"{len(results)} problems, {name:<25} {sum(one.iterations for one in results):5d} iterations, "
-              f"{sum(one.work for one in results):7.0f} passes over M")
+        print(
+            f"{len(results)} problems, {name:<25} {sum(one.iterations for one in results):5d} iterations, "
+            f"{sum(one.work for one in results):7.0f} passes over M"
+        )
 
     torque = np.array([2 * h**2 * one.z.sum() for one in warm])
     whole = np.ptp(nodes) ** 2
-    plastic = np.array([free_boundary(one, coordinates=(nodes, nodes)).area / whole for one in warm])
+    plastic = np.array(
+        [free_boundary(one, coordinates=(nodes, nodes)).area / whole for one in warm]
+    )
     elastic, fully_plastic = 0.1406 * 2**4 * TWISTS, 8 / 3
-    print(f"check: the first torque differs from the elastic one by {abs(torque[0] / elastic[0] - 1):.2%}, "
-          f"the last from the fully plastic one by {abs(torque[-1] / fully_plastic - 1):.2%}")
+    print(
+        f"check: the first torque differs from the elastic one by {abs(torque[0] / elastic[0] - 1):.2%}, "
+        f"the last from the fully plastic one by {abs(torque[-1] / fully_plastic - 1):.2%}"
+    )
 
     plt.style.use(STYLE)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.4), width_ratios=[1.35, 1], layout="constrained")
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(10.4, 4.4), width_ratios=[1.35, 1], layout="constrained"
+    )
     left.plot(TWISTS, torque, color="#0072B2", linewidth=2, label="torque")
     left.plot(TWISTS, elastic, "--", color="#777777", label="all elastic")
     left.axhline(fully_plastic, color="#777777", linestyle=":", label="all plastic")
     left.plot(TWISTS, plastic, color="#D55E00", linewidth=2, label="plastic share of the section")
-    left.set(xlim=(0, 5), ylim=(0, 3), xlabel="twist α (yield stress ÷ shear modulus and half side)")
+    left.set(
+        xlim=(0, 5), ylim=(0, 3), xlabel="twist α (yield stress ÷ shear modulus and half side)"
+    )
     left.set(ylabel="torque, share", title="The bar yields")
     left.legend(loc="center right", bbox_to_anchor=(1, 0.55))
-    for twist, colour in zip((1.0, 1.5, 2.5, 5.0), ("#E9C46A", "#E69F00", "#D55E00", "#7F2704"), strict=True):
+    for twist, colour in zip(
+        (1.0, 1.5, 2.5, 5.0), ("#E9C46A", "#E69F00", "#D55E00", "#7F2704"), strict=True
+    ):
         k = np.argmin(abs(TWISTS - twist))
         free_boundary(warm[k], coordinates=(nodes, nodes)).draw(right, color=colour, linewidth=2)
         right.plot([], [], color=colour, linewidth=2, label=f"α = {twist:g}")
-    right.set(aspect="equal", xlim=(-1, 1), ylim=(-1, 1), xticks=[-1, 0, 1], yticks=[-1, 0, 1], xlabel="x", ylabel="y")
+    right.set(
+        aspect="equal",
+        xlim=(-1, 1),
+        ylim=(-1, 1),
+        xticks=[-1, 0, 1],
+        yticks=[-1, 0, 1],
+        xlabel="x",
+        ylabel="y",
+    )
     right.set_title("The plastic zones grow from the sides")
     right.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     figure.savefig(out / "parameter_study.png", dpi=150)

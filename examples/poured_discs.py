@@ -25,8 +25,14 @@ DISCS, RADIUS, MASS, GRAVITY, FRICTION = 30, 0.1, 1.0, 9.81, 0.4  # m, kg, m/s²
 STEP, STEPS, HALF, REACH = 0.01, 1000, 0.5, 0.03  # s, of the box and of what may touch: m
 MASSES = np.tile([MASS, MASS, 0.5 * MASS * RADIUS**2], DISCS)  # sideways, up, turning
 FILM = (0, 30, 60, 120, 999)  # steps
-WALLS = ((0.0, 1.0, 0.0), (1.0, 0.0, HALF), (-1.0, 0.0, HALF))  # a normal, and how far behind the origin it stands
-Contact = tuple[int, int, np.ndarray, float]  # a disc, another or −1 − a wall, the normal towards the disc, the gap
+WALLS = (
+    (0.0, 1.0, 0.0),
+    (1.0, 0.0, HALF),
+    (-1.0, 0.0, HALF),
+)  # a normal, and how far behind the origin it stands
+Contact = tuple[
+    int, int, np.ndarray, float
+]  # a disc, another or −1 − a wall, the normal towards the disc, the gap
 
 
 def near(at: np.ndarray) -> list[Contact]:
@@ -78,31 +84,53 @@ def main(out: Path = Path()) -> None:
         result = solve(problem, z0=start)
         seconds.append(time.perf_counter() - began)
         unsolved += not result.is_solved
-        kept = {(i, j): impulse for (i, j, *_), impulse in zip(contacts, result.z.reshape(-1, 2), strict=True)}
+        kept = {
+            (i, j): impulse
+            for (i, j, *_), impulse in zip(contacts, result.z.reshape(-1, 2), strict=True)
+        }
         velocities = result.motion.body_velocities
         at = at + STEP * velocities.reshape(DISCS, 3)[:, :2]
-    lifted = sum(
-        float(impulse @ [normal[1], normal[0]]) for (_, j, normal, _), impulse in
-        zip(contacts, result.z.reshape(-1, 2), strict=True) if j < 0
-    ) / STEP
+    lifted = (
+        sum(
+            float(impulse @ [normal[1], normal[0]])
+            for (_, j, normal, _), impulse in zip(contacts, result.z.reshape(-1, 2), strict=True)
+            if j < 0
+        )
+        / STEP
+    )
     weight, overlap = DISCS * MASS * GRAVITY, max(-min(gap for *_, gap in near(at)), 0.0)
-    print(f"{STEPS} steps, {len(contacts)} contacts at the end; {1e3 * np.median(seconds):.1f} ms a step, "
-          f"{unsolved} not solved")
-    print(f"check: floor and walls carry the weight up to {abs(lifted / weight - 1.0):.1e}, "
-          f"discs overlap by {overlap / RADIUS:.1e} of their radius")
+    print(
+        f"{STEPS} steps, {len(contacts)} contacts at the end; {1e3 * np.median(seconds):.1f} ms a step, "
+        f"{unsolved} not solved"
+    )
+    print(
+        f"check: floor and walls carry the weight up to {abs(lifted / weight - 1.0):.1e}, "
+        f"discs overlap by {overlap / RADIUS:.1e} of their radius"
+    )
 
     plt.style.use(STYLE)
-    figure, axes = plt.subplots(1, len(FILM), figsize=(12.0, 4.6), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(
+        1, len(FILM), figsize=(12.0, 4.6), sharey=True, layout="constrained"
+    )
     for panel, (number, places) in zip(axes, film.items(), strict=True):
         for k, centre in enumerate(places):
-            panel.add_patch(Circle(centre, RADIUS, facecolor=plt.get_cmap("viridis")(k / DISCS), alpha=0.8))
+            panel.add_patch(
+                Circle(centre, RADIUS, facecolor=plt.get_cmap("viridis")(k / DISCS), alpha=0.8)
+            )
         panel.plot([-HALF, -HALF, HALF, HALF], [2.0, 0.0, 0.0, 2.0], color="black", linewidth=1.2)
-        panel.set(xlim=(-HALF - 0.05, HALF + 0.05), ylim=(-0.05, 2.0), aspect="equal", xticks=[-0.5, 0.5],
-                  title=f"{number * STEP:.1f} s")
+        panel.set(
+            xlim=(-HALF - 0.05, HALF + 0.05),
+            ylim=(-0.05, 2.0),
+            aspect="equal",
+            xticks=[-0.5, 0.5],
+            title=f"{number * STEP:.1f} s",
+        )
     pushes = np.array([impulse[0] for impulse in kept.values()])
     for (i, j, normal, _), push in zip(contacts, pushes, strict=True):
         end = at[j] if j >= 0 else at[i] - RADIUS * normal
-        axes[-1].plot(*np.transpose([at[i], end]), color="#D55E00", linewidth=6.0 * push / pushes.max())
+        axes[-1].plot(
+            *np.transpose([at[i], end]), color="#D55E00", linewidth=6.0 * push / pushes.max()
+        )
     axes[0].set_ylabel("m")
     figure.suptitle("Discs poured into a box; at the end, lines as wide as the contacts press")
     figure.savefig(out / "poured_discs.png", dpi=150)

@@ -37,22 +37,36 @@ def main(out: Path = Path()) -> None:
     curve = np.arange(hot[0] - 40, hot[0])  # the contact is smooth: √(limit − u) is straight there
     slope, offset = np.polyfit((curve + 1) / (n + 1), np.sqrt(LIMIT - slab[curve]), 1)
     exact = np.sqrt(2) * np.arctanh(np.sqrt(1 - np.exp(-LIMIT))) / np.sqrt(HEAT * np.exp(LIMIT))
-    print(f"check: the cooled part of a slab begins at {-offset / slope:.4f} of its width, which differs from the "
-          f"integral by {abs(-offset / slope - exact):.1e}")
+    print(
+        f"check: the cooled part of a slab begins at {-offset / slope:.4f} of its width, which differs from the "
+        f"integral by {abs(-offset / slope - exact):.1e}"
+    )
 
     line, eye = laplacian(SIZE), sp.eye_array(SIZE)
-    A, x = (sp.kron(line, eye) + sp.kron(eye, line)) * (SIZE + 1.0) ** 2, np.arange(1, SIZE + 1) / (SIZE + 1)
+    A, x = (
+        (sp.kron(line, eye) + sp.kron(eye, line)) * (SIZE + 1.0) ** 2,
+        np.arange(1, SIZE + 1) / (SIZE + 1),
+    )
     u, cooled, story = heap(A)
     print(story)
-    print(f"cooling takes away {cooled.sum() / (HEAT * np.exp(u)).sum():.0%} of the heat, from "
-          f"{np.mean(u >= LIMIT):.0%} of the area")
+    print(
+        f"cooling takes away {cooled.sum() / (HEAT * np.exp(u)).sum():.0%} of the heat, from "
+        f"{np.mean(u >= LIMIT):.0%} of the area"
+    )
 
-    frozen = LCP(A, -HEAT * np.exp(u), lower=-np.inf, upper=np.full(u.size, LIMIT))  # the heat as it is at the answer
+    frozen = LCP(
+        A, -HEAT * np.exp(u), lower=-np.inf, upper=np.full(u.size, LIMIT)
+    )  # the heat as it is at the answer
     edge = free_boundary(Certificate.of(frozen, u), coordinates=(x, x))
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 4.1), layout="constrained")
-    for axes, values, title in ((left, u, "Temperature"), (right, cooled, "Heat that is taken away")):
-        picture = axes.pcolormesh(x, x, values.reshape(SIZE, SIZE), cmap=HEIGHTS, shading="nearest", rasterized=True)
+    for axes, values, title in (
+        (left, u, "Temperature"),
+        (right, cooled, "Heat that is taken away"),
+    ):
+        picture = axes.pcolormesh(
+            x, x, values.reshape(SIZE, SIZE), cmap=HEIGHTS, shading="nearest", rasterized=True
+        )
         figure.colorbar(picture, ax=axes, shrink=0.85).outline.set_visible(False)
         edge.draw(axes, color="white", linewidth=1.2)
         axes.set(title=title, aspect="equal", xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
@@ -62,7 +76,9 @@ def main(out: Path = Path()) -> None:
 
 def laplacian(n: int) -> sp.csr_array:
     """Return tridiag(−1, 2, −1)."""
-    return sp.csr_array(sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1]))
+    return sp.csr_array(
+        sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    )
 
 
 def heap(A: sp.csr_array) -> tuple[np.ndarray, np.ndarray, object]:

@@ -38,29 +38,43 @@ def main(out: Path = Path()) -> None:
     """Turn the slope through a half circle, compare directions and speeds, save a picture into the folder OUT."""
     W, directions = np.eye(3) / MASS, np.radians(np.linspace(0.0, 180.0, 181))
     expected = STEP * GRAVITY * (np.sin(SLOPE) - FRICTION * np.cos(SLOPE))
-    exact = [solve(FrictionalContact(W, pull(one), FRICTION), tolerance=1e-12).require_solved() for one in directions]
+    exact = [
+        solve(FrictionalContact(W, pull(one), FRICTION), tolerance=1e-12).require_solved()
+        for one in directions
+    ]
     slips = np.array([one.motion.slip[0] for one in exact])
     aside = np.array([drift(slip, one) for slip, one in zip(slips, directions, strict=True)])
     speeds = np.linalg.norm(slips, axis=1)
-    print(f"check: with the cone it slides at most {abs(aside).max():.1e}° aside, and its speed is off by "
-          f"{abs(speeds - expected).max():.1e} m/s")
+    print(
+        f"check: with the cone it slides at most {abs(aside).max():.1e}° aside, and its speed is off by "
+        f"{abs(speeds - expected).max():.1e} m/s"
+    )
     plt.style.use(STYLE)
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
     for edges, colour in EDGES.items():
         found = []
         for one in directions:
             problem = LCP.from_contacts(W, FRICTION, pull(one)[None], directions=edges)
-            found.append(problem.origin.recover(solve(problem, tolerance=1e-12).require_solved()).slip[0])
+            found.append(
+                problem.origin.recover(solve(problem, tolerance=1e-12).require_solved()).slip[0]
+            )
         off = [drift(slip, one) for slip, one in zip(found, directions, strict=True)]
         left.plot(np.degrees(directions), off, color=colour, label=f"pyramid of {edges} edges")
         right.plot(np.degrees(directions), np.linalg.norm(found, axis=1) / expected, color=colour)
-        print(f"pyramid of {edges} edges: up to {max(map(abs, off)):.2g}° aside, "
-              f"speeds {np.linalg.norm(found, axis=1).max() / expected - 1.0:+.1%} at the most")
+        print(
+            f"pyramid of {edges} edges: up to {max(map(abs, off)):.2g}° aside, "
+            f"speeds {np.linalg.norm(found, axis=1).max() / expected - 1.0:+.1%} at the most"
+        )
     left.plot(np.degrees(directions), aside, color="black", label="cone")
     right.plot(np.degrees(directions), speeds / expected, color="black")
-    left.set(xlabel="direction of the fall (degrees)", ylabel="drift from gravity (degrees)",
-             title="Which way it slides")
-    right.set(xlabel="direction of the fall (degrees)", ylabel="speed ÷ closed form", title="How fast")
+    left.set(
+        xlabel="direction of the fall (degrees)",
+        ylabel="drift from gravity (degrees)",
+        title="Which way it slides",
+    )
+    right.set(
+        xlabel="direction of the fall (degrees)", ylabel="speed ÷ closed form", title="How fast"
+    )
     left.legend()
     figure.savefig(out / "sliding_along_gravity.png", dpi=150)
 

@@ -30,8 +30,13 @@ REGIONS = 12
 def main(out: Path = Path()) -> None:
     """Find the equilibrium, compare with the greatest surplus, and save a map into the folder OUT."""
     random = np.random.default_rng(7)
-    place = np.array([(300 * (k % 4), 300 * (k // 4)) for k in range(REGIONS)]) + random.uniform(0, 190, (REGIONS, 2))
-    a, b = random.uniform(20, 120, REGIONS), random.uniform(0.2, 1.0, REGIONS)  # EUR/t, EUR/t per kt
+    place = np.array([(300 * (k % 4), 300 * (k // 4)) for k in range(REGIONS)]) + random.uniform(
+        0, 190, (REGIONS, 2)
+    )
+    a, b = (
+        random.uniform(20, 120, REGIONS),
+        random.uniform(0.2, 1.0, REGIONS),
+    )  # EUR/t, EUR/t per kt
     c, d = random.uniform(80, 180, REGIONS), random.uniform(0.2, 1.0, REGIONS)
     t = 0.03 * np.linalg.norm(place[:, None] - place, axis=2).ravel()  # EUR/t
     S, Y = np.kron(np.eye(REGIONS), np.ones(REGIONS)), np.kron(np.ones(REGIONS), np.eye(REGIONS))
@@ -43,29 +48,54 @@ def main(out: Path = Path()) -> None:
     print(result.explain())
     trade = [(i, j) for i, j in np.argwhere(flow > 0.5) if i != j]
     for i, j in trade:
-        print(f"{i:2d} → {j:2d}  {flow[i, j]:6.1f} kt   price {price[i]:6.2f} + transport {t[i * REGIONS + j]:5.2f} "
-              f"= {price[j]:6.2f} EUR/t")
+        print(
+            f"{i:2d} → {j:2d}  {flow[i, j]:6.1f} kt   price {price[i]:6.2f} + transport {t[i * REGIONS + j]:5.2f} "
+            f"= {price[j]:6.2f} EUR/t"
+        )
 
     x = cp.Variable(REGIONS**2, nonneg=True)
     costs = a @ (S @ x) + t @ x + b / 2 @ (S @ x) ** 2
     cp.Problem(cp.Maximize(c @ (Y @ x) - d / 2 @ (Y @ x) ** 2 - costs)).solve(solver="CLARABEL")
-    print(f"check: the prices of the greatest surplus differ by {abs(price - (c - d * (Y @ x.value))).max():.1e} EUR/t")
+    print(
+        f"check: the prices of the greatest surplus differ by {abs(price - (c - d * (Y @ x.value))).max():.1e} EUR/t"
+    )
 
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(8.4, 5.6), layout="constrained")
     for i, j in trade:
-        axes.annotate("", place[j], place[i], arrowprops={
-            "arrowstyle": "-|>", "linewidth": 0.5 + 0.07 * flow[i, j], "color": "#888888", "mutation_scale": 14,
-            "shrinkA": 11, "shrinkB": 11, "connectionstyle": "arc3,rad=0.12",
-        })
+        axes.annotate(
+            "",
+            place[j],
+            place[i],
+            arrowprops={
+                "arrowstyle": "-|>",
+                "linewidth": 0.5 + 0.07 * flow[i, j],
+                "color": "#888888",
+                "mutation_scale": 14,
+                "shrinkA": 11,
+                "shrinkB": 11,
+                "connectionstyle": "arc3,rad=0.12",
+            },
+        )
         ahead = place[j] - place[i]
         middle = place[i] + 0.5 * ahead + 0.06 * ahead[::-1] * [1, -1]  # on the curve of the arrow
-        axes.annotate(f"{flow[i, j]:.0f}", middle, fontsize=8, color="#333333", ha="center", va="center",
-                      bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.85})
-    dots = axes.scatter(*place.T, c=price, s=420, cmap="cividis", edgecolors="white", linewidths=1.5, zorder=3)
+        axes.annotate(
+            f"{flow[i, j]:.0f}",
+            middle,
+            fontsize=8,
+            color="#333333",
+            ha="center",
+            va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.85},
+        )
+    dots = axes.scatter(
+        *place.T, c=price, s=420, cmap="cividis", edgecolors="white", linewidths=1.5, zorder=3
+    )
     for i, at in enumerate(place):
         ink = "white" if price[i] < price.mean() else "black"
-        axes.annotate(str(i), at, ha="center", va="center_baseline", fontsize=9, color=ink, zorder=4)
+        axes.annotate(
+            str(i), at, ha="center", va="center_baseline", fontsize=9, color=ink, zorder=4
+        )
     figure.colorbar(dots, ax=axes, shrink=0.85, label="price (EUR/t)").outline.set_visible(False)
     axes.set(xlabel="km", ylabel="km", aspect="equal", xlim=(-60, 1150), ylim=(-60, 850))
     axes.set_title("Goods flow where the difference in price pays the transport (kt)")

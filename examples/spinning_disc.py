@@ -42,7 +42,11 @@ def contacts_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     ways = np.eye(3)[[2, 0, 1]]  # normal, tangents
     arms = np.column_stack([RADIUS * points, np.zeros(len(points))])
     J = np.concatenate([np.concatenate([ways, np.cross(arm, ways)], axis=1) for arm in arms])
-    return J / inertia @ J.T + COMPLIANCE * np.diag(np.tile([1.0, 0.0, 0.0], len(points))), J, inertia
+    return (
+        J / inertia @ J.T + COMPLIANCE * np.diag(np.tile([1.0, 0.0, 0.0], len(points))),
+        J,
+        inertia,
+    )
 
 
 def impulses_of(W: np.ndarray, free: np.ndarray, edges: int | None) -> np.ndarray:
@@ -56,7 +60,11 @@ def impulses_of(W: np.ndarray, free: np.ndarray, edges: int | None) -> np.ndarra
 
 def ratios(start: float, edges: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return v / (R ω) and v of each step, by the cone or by pyramids of so many edges."""
-    points, velocities, found = touching_points(), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 1.0 / (start * RADIUS)]), []
+    points, velocities, found = (
+        touching_points(),
+        np.array([1.0, 0.0, 0.0, 0.0, 0.0, 1.0 / (start * RADIUS)]),
+        [],
+    )
     for _ in range(STEPS):
         W, J, inertia = contacts_of(points)
         step = SHARE * (np.hypot(*velocities[:2]) + RADIUS * velocities[5]) / (FRICTION * GRAVITY)
@@ -65,7 +73,9 @@ def ratios(start: float, edges: int | None = None) -> tuple[np.ndarray, np.ndarr
         velocities[2:5] = 0.0  # the table springs back
         turn = step * velocities[5]
         points = points @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-        found.append([np.hypot(*velocities[:2]) / (RADIUS * velocities[5]), np.hypot(*velocities[:2])])
+        found.append(
+            [np.hypot(*velocities[:2]) / (RADIUS * velocities[5]), np.hypot(*velocities[:2])]
+        )
     ratio, speed = np.transpose(found)
     return ratio, speed
 
@@ -79,14 +89,21 @@ def main(out: Path = Path()) -> None:
         ratio, speed = ratios(start)
         axes.plot(speed, ratio, label=f"begun at {start:g}")
         ends.append(ratio[-1])
-    print(f"check: at the end v / (R ω) differs from 0.653 by {max(abs(end - EXPECTED) for end in ends):.2g}")
+    print(
+        f"check: at the end v / (R ω) differs from 0.653 by {max(abs(end - EXPECTED) for end in ends):.2g}"
+    )
     for edges, style in ((4, ":"), (8, "--")):
         ratio, speed = ratios(1.0, edges)
         axes.plot(speed, ratio, style, color="black", label=f"at 1, pyramids of {edges} edges")
         print(f"pyramids of {edges} edges: {ratio[-1]:.3f}")
     axes.axhline(EXPECTED, color="gray", linewidth=0.8)
-    axes.set(xscale="log", yscale="log", xlabel="speed of sliding v (m/s)", ylabel="v / (R ω)",
-             title="A disc that slides and spins stops both at once")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="speed of sliding v (m/s)",
+        ylabel="v / (R ω)",
+        title="A disc that slides and spins stops both at once",
+    )
     axes.invert_xaxis()
     axes.legend()
     figure.savefig(out / "spinning_disc.png", dpi=150)

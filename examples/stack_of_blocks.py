@@ -58,16 +58,39 @@ def lever_rule(centre: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return (above * GRAVITY)[:, None] * np.column_stack([1 - share, share])
 
 
-def draw(axes: plt.Axes, centre: np.ndarray, ends: np.ndarray, force: np.ndarray, motion: np.ndarray) -> None:
+def draw(
+    axes: plt.Axes, centre: np.ndarray, ends: np.ndarray, force: np.ndarray, motion: np.ndarray
+) -> None:
     """Draw the blocks after an instant of the motion, with a disc at each contact, its area the force."""
     for k, (x, (up, turn)) in enumerate(zip(centre, motion, strict=True)):
-        moved = Affine2D().rotate_around(x, (k + 0.5) * HEIGHT, 0.025 * turn).translate(0, 0.025 * up)
-        axes.add_patch(Rectangle((x - WIDTH / 2, k * HEIGHT), WIDTH, HEIGHT, facecolor="#56B4E9", alpha=0.45,
-                                 edgecolor="#0072B2", linewidth=1.2, transform=moved + axes.transData))
+        moved = (
+            Affine2D().rotate_around(x, (k + 0.5) * HEIGHT, 0.025 * turn).translate(0, 0.025 * up)
+        )
+        axes.add_patch(
+            Rectangle(
+                (x - WIDTH / 2, k * HEIGHT),
+                WIDTH,
+                HEIGHT,
+                facecolor="#56B4E9",
+                alpha=0.45,
+                edgecolor="#0072B2",
+                linewidth=1.2,
+                transform=moved + axes.transData,
+            )
+        )
     heights = np.repeat(HEIGHT * np.arange(BLOCKS), 2)
-    axes.scatter(ends.ravel(), heights, s=4 * force.ravel(), color="#D55E00", edgecolors="white", zorder=3)
+    axes.scatter(
+        ends.ravel(), heights, s=4 * force.ravel(), color="#D55E00", edgecolors="white", zorder=3
+    )
     axes.axhspan(-0.2, 0, color="#e9e9e9")
-    axes.set(aspect="equal", xlim=(-0.8, 2.2), ylim=(-0.2, 2.0), xlabel="m", ylabel="m", yticks=[0, 0.5, 1, 1.5, 2])
+    axes.set(
+        aspect="equal",
+        xlim=(-0.8, 2.2),
+        ylim=(-0.2, 2.0),
+        xlabel="m",
+        ylabel="m",
+        yticks=[0, 0.5, 1, 1.5, 2],
+    )
 
 
 def main(out: Path = Path()) -> None:
@@ -81,14 +104,20 @@ def main(out: Path = Path()) -> None:
         force, opening = result.z.reshape(BLOCKS, 2), result.w
         motion = (J.T @ result.z).reshape(BLOCKS, 2) / [1.0, INERTIA] - [GRAVITY, 0.0]
         stands = opening.max() < 1e-8
-        print(f"{boldness:.2f} times the boldest shifts: {'it stands' if stands else 'it tips over'}; "
-              f"fastest gap {opening.max():.2f} m/s², load on the ground {force[0].sum():.2f} N")
+        print(
+            f"{boldness:.2f} times the boldest shifts: {'it stands' if stands else 'it tips over'}; "
+            f"fastest gap {opening.max():.2f} m/s², load on the ground {force[0].sum():.2f} N"
+        )
         if stands:
             worst = abs(force - lever_rule(centre, ends)).max()
         draw(axes, centre, ends, force, motion)
-        axes.set_title(f"{boldness:.2f} × the boldest shifts: {'it stands' if stands else 'it tips over'}")
+        axes.set_title(
+            f"{boldness:.2f} × the boldest shifts: {'it stands' if stands else 'it tips over'}"
+        )
     print(f"check: the forces of the standing tower differ from the lever rule by {worst:.1e} N")
-    figure.suptitle("Blue: the blocks an instant later. Orange: the contact forces, as areas", fontsize=10)
+    figure.suptitle(
+        "Blue: the blocks an instant later. Orange: the contact forces, as areas", fontsize=10
+    )
     figure.savefig(out / "stack_of_blocks.png", dpi=150)
 
 

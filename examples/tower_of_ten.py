@@ -35,7 +35,11 @@ def rows_of_contacts() -> tuple[np.ndarray, np.ndarray]:
     for row in range(2 * BLOCKS):
         block, arm = row // 2, (-WIDTH / 2, WIDTH / 2)[row % 2]
         normals[row, 3 * block : 3 * block + 3] = 0, 1, arm
-        tangents[row, 3 * block : 3 * block + 3] = 1, 0, HEIGHT / 2  # the contact lies below the centre
+        tangents[row, 3 * block : 3 * block + 3] = (
+            1,
+            0,
+            HEIGHT / 2,
+        )  # the contact lies below the centre
         if block:
             normals[row, 3 * block - 3 : 3 * block] = 0, -1, -arm
             tangents[row, 3 * block - 3 : 3 * block] = -1, 0, HEIGHT / 2
@@ -72,24 +76,47 @@ def main(out: Path = Path()) -> None:
         worst_load = max(worst_load, abs(load - weight * np.arange(BLOCKS, 0, -1)).max())
         worst_speed = max(worst_speed, abs(moved[PULLED, 0] - closed_form(force)))
         speeds.append(moved[PULLED, 0])
-    print(f"the block takes {moving - 1} along from {moves:.2f} N on, and slips out from {slips_out:.2f} N on")
-    print(f"check: the loads of the faces differ from the weights above them by {worst_load:.1e} N, "
-          f"the speeds from the closed form by {worst_speed:.1e} m/s")
+    print(
+        f"the block takes {moving - 1} along from {moves:.2f} N on, and slips out from {slips_out:.2f} N on"
+    )
+    print(
+        f"check: the loads of the faces differ from the weights above them by {worst_load:.1e} N, "
+        f"the speeds from the closed form by {worst_speed:.1e} m/s"
+    )
 
     plt.style.use(STYLE)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.4), width_ratios=[1, 1.2], layout="constrained")
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(10.4, 4.4), width_ratios=[1, 1.2], layout="constrained"
+    )
     motion, moved = pulled(1.4 * slips_out)
     for k, (speed, _, _) in enumerate(moved):
-        left.add_patch(Rectangle((4 * speed - WIDTH / 2, k * HEIGHT), WIDTH, HEIGHT, edgecolor="#0072B2",
-                                 facecolor="#D55E00" if k == PULLED else "#56B4E9", alpha=0.6))
-    left.set(xlim=(-0.9, 1.6), ylim=(0.0, 1.1), xlabel="m", title="Pulled hard: the blocks some instants later")
+        left.add_patch(
+            Rectangle(
+                (4 * speed - WIDTH / 2, k * HEIGHT),
+                WIDTH,
+                HEIGHT,
+                edgecolor="#0072B2",
+                facecolor="#D55E00" if k == PULLED else "#56B4E9",
+                alpha=0.6,
+            )
+        )
+    left.set(
+        xlim=(-0.9, 1.6),
+        ylim=(0.0, 1.1),
+        xlabel="m",
+        title="Pulled hard: the blocks some instants later",
+    )
     right.plot(forces, speeds, "o", color="#D55E00", markersize=4)
     lines = np.linspace(0.0, forces[-1], 400)
     right.plot(lines, [closed_form(force) for force in lines], color="#D55E00", linewidth=1.4)
     for force, what in ((moves, "all above move"), (slips_out, "it slips out")):
         right.axvline(force, color="#0072B2", linestyle=":")
-        right.annotate(what, (force, right.get_ylim()[1]), (-4, -12), textcoords="offset points", ha="right")
-    right.set(xlabel="pull (N)", ylabel="speed of that block after 10 ms (m/s)", title="Line: closed form")
+        right.annotate(
+            what, (force, right.get_ylim()[1]), (-4, -12), textcoords="offset points", ha="right"
+        )
+    right.set(
+        xlabel="pull (N)", ylabel="speed of that block after 10 ms (m/s)", title="Line: closed form"
+    )
     figure.savefig(out / "tower_of_ten.png", dpi=150)
 
 

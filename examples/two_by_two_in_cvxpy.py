@@ -52,16 +52,31 @@ def main(out: Path = Path()) -> None:
     unit = {name: np.array(edge) / np.linalg.norm(edge) for name, edge in edges.items()}
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(5.6, 5.4), layout="constrained")
-    for (first, second), text, colour in zip(cones, says, ["#56B4E9", "#E69F00", "#009E73", "#CC79A7"], strict=True):
-        axes.fill(*np.array([[0, 0], 30 * unit[first], 30 * unit[second]]).T, color=colour, alpha=0.25, linewidth=0)
+    for (first, second), text, colour in zip(
+        cones, says, ["#56B4E9", "#E69F00", "#009E73", "#CC79A7"], strict=True
+    ):
+        axes.fill(
+            *np.array([[0, 0], 30 * unit[first], 30 * unit[second]]).T,
+            color=colour,
+            alpha=0.25,
+            linewidth=0,
+        )
         middle = unit[first] + unit[second]
         axes.text(*(3.6 * middle / np.linalg.norm(middle)), text, ha="center", fontsize=11)
     for name, direction in unit.items():
-        axes.annotate("", 4.6 * direction, (0, 0), arrowprops={"arrowstyle": "-|>", "color": "#333333"})
+        axes.annotate(
+            "", 4.6 * direction, (0, 0), arrowprops={"arrowstyle": "-|>", "color": "#333333"}
+        )
         axes.text(*(5.1 * direction), name, ha="center", va="center", fontsize=12)
     axes.plot(*q, "o", color="#D55E00", markersize=9)
     axes.annotate("q", q, (-10, 6), textcoords="offset points", color="#D55E00", fontsize=13)
-    axes.set(xlim=(-6, 6), ylim=(-6, 6), aspect="equal", xlabel="first row of q", ylabel="second row of q")
+    axes.set(
+        xlim=(-6, 6),
+        ylim=(-6, 6),
+        aspect="equal",
+        xlabel="first row of q",
+        ylabel="second row of q",
+    )
     axes.set_title("q lies in the cone of $-M_1$ and $e_2$, so $z_1$ and $w_2$ are positive")
     figure.savefig(out / "two_by_two_in_cvxpy.png", dpi=150)
 

@@ -19,15 +19,19 @@ import typer
 from lcp_plugin import complements
 from lcp_plugin.evidence.drawing import STYLE
 
-COST, CAPACITY, FIXED = map(np.array, ([2.0, 4.0, 3.0, 6.0], [5.0, 8.0, 4.0, 9.0], [20.0, 45.0, 12.0, 30.0]))
+COST, CAPACITY, FIXED = map(
+    np.array, ([2.0, 4.0, 3.0, 6.0], [5.0, 8.0, 4.0, 9.0], [20.0, 45.0, 12.0, 30.0])
+)
 
 
 def market(built: cp.Expression | np.ndarray, *rows: cp.Constraint) -> tuple[float, cp.Variable]:
     """Return welfare, and what the plants sell."""
     sold, rent = cp.Variable(4), cp.Variable(4, bounds=[0, 20])
     price = 20 - cp.sum(sold)
-    pairs = [complements(sold >= 0, COST + rent - price >= 0),
-             complements(rent >= 0, cp.multiply(CAPACITY, built) - sold >= 0)]
+    pairs = [
+        complements(sold >= 0, COST + rent - price >= 0),
+        complements(rent >= 0, cp.multiply(CAPACITY, built) - sold >= 0),
+    ]
     total = cp.sum(sold)
     welfare = 20 * total - cp.square(total) / 2 - COST @ sold - FIXED @ built
     value = cp.Problem(cp.Maximize(welfare), [*pairs, *rows]).solve(method="LCP")
@@ -38,16 +42,26 @@ def main(out: Path = Path()) -> None:
     """Choose the plants, compare with all sixteen choices, and save a picture into the folder OUT."""
     built = cp.Variable(4, boolean=True)
     welfare, sold = market(built)
-    every = {choice: market(np.array(choice, dtype=float))[0] for choice in product((0, 1), repeat=4)}
+    every = {
+        choice: market(np.array(choice, dtype=float))[0] for choice in product((0, 1), repeat=4)
+    }
     best = max(every, key=every.__getitem__)
-    print(f"build {built.value.round().astype(int).tolist()}, sell {sold.value.round(3).tolist()}: {welfare:.4f}")
-    print(f"check: welfare differs from the best of all sixteen by {abs(welfare - every[best]):.1e}")
+    print(
+        f"build {built.value.round().astype(int).tolist()}, sell {sold.value.round(3).tolist()}: {welfare:.4f}"
+    )
+    print(
+        f"check: welfare differs from the best of all sixteen by {abs(welfare - every[best]):.1e}"
+    )
 
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
         ordered = sorted(every.items(), key=lambda one: one[1])
         colors = ["C1" if choice == best else "C0" for choice, _ in ordered]
-        axes.barh(["".join(map(str, choice)) for choice, _ in ordered], [value for _, value in ordered], color=colors)
+        axes.barh(
+            ["".join(map(str, choice)) for choice, _ in ordered],
+            [value for _, value in ordered],
+            color=colors,
+        )
         axes.set(xlabel="welfare", ylabel="plants that are built")
         figure.savefig(out / "yes_or_no_investment.png", dpi=150)
         plt.close(figure)

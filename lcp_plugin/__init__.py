@@ -36,7 +36,9 @@ __version__ = "0.1.0"
 def _homes() -> dict[str, str]:
     """Return the module of each public name, as ``__init__.pyi`` says, which editors and mypy read."""
     lines = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8").splitlines()
-    said = [line.split() for line in lines if line.startswith("from ")]  # from .home import name as name
+    said = [
+        line.split() for line in lines if line.startswith("from ")
+    ]  # from .home import name as name
     return {name: home[1:] or name for _, home, _, name, *_ in said}
 
 
@@ -73,7 +75,9 @@ _MOVED = {  # public names of before: these still work for one release, with a w
     "proofs.guarantees.theorems": "Guarantee",
     "proofs.verdicts": "MatrixReport",
 }
-_SINCE = {"FrictionalContactBatch": "FrictionalContact(W, b, friction), which takes an axis in front for the worlds"}
+_SINCE = {
+    "FrictionalContactBatch": "FrictionalContact(W, b, friction), which takes an axis in front for the worlds"
+}
 _NEW_HOME = {name: home for home, names in _MOVED.items() for name in names.split()}
 __all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 - the names are strings, from the table
 
@@ -125,7 +129,11 @@ class _UntilCvxpy:
         """Return what the other finders find, its loader being told to call us once."""
         if name != "cvxpy":
             return None
-        found = (finder.find_spec(name, path, target) for finder in [*sys.meta_path] if finder is not self)
+        found = (
+            finder.find_spec(name, path, target)
+            for finder in [*sys.meta_path]
+            if finder is not self
+        )
         spec = next((spec for spec in found if spec is not None), None)
         if spec is None or not isinstance(spec.loader, FileLoader):
             return spec

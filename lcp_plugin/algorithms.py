@@ -83,31 +83,40 @@ class Registry(Mapping[str, type[Algorithm]]):
         return next((name for name, (_, own) in self._places.items() if own == word), None)
 
 
-REGISTRY = Registry({
-    "psor": "core.splittings.projected_relaxation:PSOR",
-    "pgs": "core.splittings.projected_relaxation:PGS",
-    "paor": "core.splittings.projected_relaxation:PAOR",
-    "pj": "core.splittings.projected_relaxation:PJ",
-    "gfp": "core.splittings.projected_relaxation:GFP",
-    "npaor": "core.splittings.projected_type:NPAOR",
-    "npsor": "core.splittings.projected_type:NPSOR",
-    "npgs": "core.splittings.projected_type:NPGS",
-    "npj": "core.splittings.projected_type:NPJ",
-    "banded": "methods.banded:Banded",
-    "interior_point": "methods.interior_point:InteriorPoint",
-    "lemke": "methods.lemke:Lemke",
-    "maor": "methods.modulus.modulus:MAOR",
-    "msor": "methods.modulus.modulus:MSOR",
-    "mgs": "methods.modulus.modulus:MGS",
-    "mj": "methods.modulus.modulus:MJ",
-    "multigrid": "methods.multigrid:Multigrid",
-    "newton": "methods.newton.semismooth_newton:Newton",
-    "npsplitting": "methods.npsplitting:NPSplitting",
-})
+REGISTRY = Registry(
+    {
+        "psor": "core.splittings.projected_relaxation:PSOR",
+        "pgs": "core.splittings.projected_relaxation:PGS",
+        "paor": "core.splittings.projected_relaxation:PAOR",
+        "pj": "core.splittings.projected_relaxation:PJ",
+        "gfp": "core.splittings.projected_relaxation:GFP",
+        "npaor": "core.splittings.projected_type:NPAOR",
+        "npsor": "core.splittings.projected_type:NPSOR",
+        "npgs": "core.splittings.projected_type:NPGS",
+        "npj": "core.splittings.projected_type:NPJ",
+        "banded": "methods.banded:Banded",
+        "interior_point": "methods.interior_point:InteriorPoint",
+        "lemke": "methods.lemke:Lemke",
+        "maor": "methods.modulus.modulus:MAOR",
+        "msor": "methods.modulus.modulus:MSOR",
+        "mgs": "methods.modulus.modulus:MGS",
+        "mj": "methods.modulus.modulus:MJ",
+        "multigrid": "methods.multigrid:Multigrid",
+        "newton": "methods.newton.semismooth_newton:Newton",
+        "npsplitting": "methods.npsplitting:NPSplitting",
+    }
+)
 
 __all__ = [
-    "ENTRY_POINT_GROUP", "REGISTRY", "Algorithm", "FusedSolve", "Step", "algorithm_class", "create",
-    "from_other_packages", "module_of",
+    "ENTRY_POINT_GROUP",
+    "REGISTRY",
+    "Algorithm",
+    "FusedSolve",
+    "Step",
+    "algorithm_class",
+    "create",
+    "from_other_packages",
+    "module_of",
 ]
 
 
@@ -179,12 +188,18 @@ def made(kind: type[Algorithm], name: str, options: dict[str, Any]) -> Algorithm
     except InvalidOption:
         raise
     except TypeError:
-        required = {field.name: field.default is field.default_factory is MISSING for field in fields(kind)}
+        required = {
+            field.name: field.default is field.default_factory is MISSING for field in fields(kind)
+        }
         for option in options:
             if option not in required:
                 hint = did_you_mean(option, required, OF_SOLVE)
                 raise InvalidOption(f"{name} has no option {option!r}{hint}") from None
-        missing = [option for option, is_required in required.items() if is_required and option not in options]
+        missing = [
+            option
+            for option, is_required in required.items()
+            if is_required and option not in options
+        ]
         if not missing:
             raise
         raise InvalidOption(
@@ -236,9 +251,13 @@ def _checked_offer(name: str, offers: list[EntryPoint]) -> type[Algorithm]:
     """Return the class that stands behind an entry point, or raise naming the package and what it should mend."""
     packages = " and ".join(sorted({_package(entry) for entry in offers}))
     if name == "auto" or name in REGISTRY or name in ENGINES:
-        raise UnknownAlgorithm(f"{packages}: the name {name!r} belongs to lcp_plugin; the package must choose another")
+        raise UnknownAlgorithm(
+            f"{packages}: the name {name!r} belongs to lcp_plugin; the package must choose another"
+        )
     if len(offers) > 1:
-        raise UnknownAlgorithm(f"{packages}: {name!r} is offered more than once; uninstall all but one")
+        raise UnknownAlgorithm(
+            f"{packages}: {name!r} is offered more than once; uninstall all but one"
+        )
     entry = offers[0]
     wanted = f'the entry point must read {name} = "module:Class" and name a subclass of lcp_plugin.algorithms.Algorithm'
     try:
@@ -252,7 +271,9 @@ def _checked_offer(name: str, offers: list[EntryPoint]) -> type[Algorithm]:
     if not (inspect.isclass(kind) and issubclass(kind, Algorithm)):
         raise UnknownAlgorithm(f"{packages}: {entry.value!r} is {kind!r}; {wanted}")
     if inspect.isabstract(kind):
-        raise UnknownAlgorithm(f"{packages}: the class {kind.__name__} has no method iterates(problem, z0); write it")
+        raise UnknownAlgorithm(
+            f"{packages}: the class {kind.__name__} has no method iterates(problem, z0); write it"
+        )
     if getattr(kind, "name", None) != name:
         raise UnknownAlgorithm(
             f"{packages}: the entry point is called {name!r}, but {kind.__name__}.name is "
@@ -262,4 +283,8 @@ def _checked_offer(name: str, offers: list[EntryPoint]) -> type[Algorithm]:
 
 
 def _package(entry: EntryPoint) -> str:
-    return f"package {entry.dist.name} {entry.dist.version}" if entry.dist is not None else "a package without name"
+    return (
+        f"package {entry.dist.name} {entry.dist.version}"
+        if entry.dist is not None
+        else "a package without name"
+    )

@@ -33,11 +33,22 @@ if TYPE_CHECKING:
 
 @overload
 def solve(
-    problem: LCP, algorithm: str | Algorithm | Policy = "auto", *, z0: ArrayLike | None = None,
-    tolerance: float = 1e-8, tolerance_on: str = "residual",
-    max_iterations: int | None = None, max_seconds: float | None = None, absolute_tolerance: float = 0.0,
-    record: bool = False, callback: Callback | None = None, error_bound: bool = False, prove_infeasibility: bool = True,
-    threads: int | None = None, verbose: bool = False, **options: Any,
+    problem: LCP,
+    algorithm: str | Algorithm | Policy = "auto",
+    *,
+    z0: ArrayLike | None = None,
+    tolerance: float = 1e-8,
+    tolerance_on: str = "residual",
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    record: bool = False,
+    callback: Callback | None = None,
+    error_bound: bool = False,
+    prove_infeasibility: bool = True,
+    threads: int | None = None,
+    verbose: bool = False,
+    **options: Any,
 ) -> Result: ...
 @overload
 def solve(
@@ -169,17 +180,32 @@ def solve(
     ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
     """
     if isinstance(algorithm, (np.ndarray, list, tuple)) and kind_of(problem) is not None:
-        raise UnknownAlgorithm(f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…")
+        raise UnknownAlgorithm(
+            f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
+        )
     if isinstance(problem, LCP):
         try:
             return solve_lcp(
-                problem, algorithm, z0=z0, tolerance=tolerance, tolerance_on=tolerance_on,
-                max_iterations=max_iterations, max_seconds=max_seconds, absolute_tolerance=absolute_tolerance,
-                record=record, callback=callback, error_bound=error_bound, prove_infeasibility=prove_infeasibility,
-                threads=threads, verbose=verbose, **options,
+                problem,
+                algorithm,
+                z0=z0,
+                tolerance=tolerance,
+                tolerance_on=tolerance_on,
+                max_iterations=max_iterations,
+                max_seconds=max_seconds,
+                absolute_tolerance=absolute_tolerance,
+                record=record,
+                callback=callback,
+                error_bound=error_bound,
+                prove_infeasibility=prove_infeasibility,
+                threads=threads,
+                verbose=verbose,
+                **options,
             )
         except RuntimeError as error:
-            if isinstance(error.__cause__, KeyboardInterrupt):  # which Python 3.11 wraps where a class is being made
+            if isinstance(
+                error.__cause__, KeyboardInterrupt
+            ):  # which Python 3.11 wraps where a class is being made
                 raise error.__cause__ from None
             raise
     given, defaults = locals(), solve.__kwdefaults__ or {}

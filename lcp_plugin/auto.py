@@ -92,10 +92,16 @@ if TYPE_CHECKING:
     from .methods.small.small_dense import SmallDenseSolver
 
 DIRECT = "newton"  # predicts for all direct methods
-SHARE_OF_SOLVED, CALLS = 0.1, 20.0  # of the work of a run for its last system; in passes, the calls around that
-CLEARLY_DOMINANT = 0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
+SHARE_OF_SOLVED, CALLS = (
+    0.1,
+    20.0,
+)  # of the work of a run for its last system; in passes, the calls around that
+CLEARLY_DOMINANT = (
+    0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
+)
 PROJECTED_TYPE = Choice(
-    NPSOR(scaling="diagonal"), "cheap sweeps over the rows come first; how fast they are decides what follows"
+    NPSOR(scaling="diagonal"),
+    "cheap sweeps over the rows come first; how fast they are decides what follows",
 )
 
 
@@ -114,7 +120,13 @@ class EndsWithItsCase(Policy):
         It may take a tenth of what the run has cost, or all of that where auto has not solved the problem; a method by
         name that fails says so.
         """
-        most = SHARE_OF_SOLVED * work - CALLS if is_solved else math.inf if self.chosen == "auto" else 0.0
+        most = (
+            SHARE_OF_SOLVED * work - CALLS
+            if is_solved
+            else math.inf
+            if self.chosen == "auto"
+            else 0.0
+        )
         if most <= 0.0 or problem.is_distributed:
             return None
         from .methods.newton.active_set import solve_case
@@ -139,9 +151,15 @@ class Single(EndsWithItsCase):
         """Return the caller's algorithm."""
         return Choice(self.algorithm)
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+    def next_step(
+        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
+    ) -> Choice | None:
         """Return None, or the feasibility check after a method that ended without a solution."""
-        is_unfit = not self._prove_infeasibility or self.algorithm.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
+        is_unfit = (
+            not self._prove_infeasibility
+            or self.algorithm.is_monotone
+            or problem.n > LINEAR_PROGRAM_UP_TO
+        )
         if not failed or len(stages) > 1 or is_unfit:
             return None
         from .methods.search.stages import FeasibilityCheck
@@ -164,7 +182,11 @@ class Auto(EndsWithItsCase):
     def first(self, problem: LCP) -> Choice:
         """Return what its origin knows to suit it; else what is chosen by the numbers."""
         own = getattr(problem.origin, "method", None)
-        return self._by_numbers(problem) if own is None else Choice(own, "three unknowns a contact instead of m + 2")
+        return (
+            self._by_numbers(problem)
+            if own is None
+            else Choice(own, "three unknowns a contact instead of m + 2")
+        )
 
     def _by_numbers(self, problem: LCP) -> Choice:
         """Return what programs need, games, small problems, narrow bands or quick rows; else NPSOR."""
@@ -189,7 +211,9 @@ class Auto(EndsWithItsCase):
             return Choice(PSOR(), why)
         return narrow if passes <= BANDED_PASSES else PROJECTED_TYPE
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+    def next_step(
+        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
+    ) -> Choice | None:
         """Return what needs the least work from here, or None to go on."""
         now = stages[-1]
         if now.algorithm.name == "pyramids":
@@ -199,7 +223,9 @@ class Auto(EndsWithItsCase):
         if (order := _exact_order(problem, now)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if now.algorithm.name == "banded":
-            failed = failed or (now.iterations == ASKED_EVERY and self._seems_unheld(problem, by_rows=True))
+            failed = failed or (
+                now.iterations == ASKED_EVERY and self._seems_unheld(problem, by_rows=True)
+            )
             why = "banded ended without a solution; cheap sweeps over the rows are next"
             return replace(PROJECTED_TYPE, because=why) if failed else None
         left = Remaining.of(problem, now, goal, failed=failed)
@@ -212,7 +238,8 @@ class Auto(EndsWithItsCase):
             if left.has_failed and passes == math.inf:
                 return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
             is_behind = left.sweeps > passes and (
-                2.0 * left.work > passes or now.is_unsettled()
+                2.0 * left.work > passes
+                or now.is_unsettled()
                 or (INTERIOR_STEPS * left.work > passes and self._seems_unheld(problem))
             )
             if not (left.has_failed or is_behind):
@@ -223,8 +250,15 @@ class Auto(EndsWithItsCase):
             rival = min(predicted, key=lambda one: predicted[one], default=None)
             if rival is None or not left.loses_to(rival, passes := predicted[rival]):
                 return None
-            if passes < math.inf and rival.name != DIRECT and not self._seems_unheld(problem, by_rows=True):
-                return Choice(rival, f"{left}; {rival.name} is expected to take the time of {passes:.0f} sweeps")
+            if (
+                passes < math.inf
+                and rival.name != DIRECT
+                and not self._seems_unheld(problem, by_rows=True)
+            ):
+                return Choice(
+                    rival,
+                    f"{left}; {rival.name} is expected to take the time of {passes:.0f} sweeps",
+                )
         self._direct = self._fallback_order(problem)
         first = self._direct.first()
         return first and replace(first, because=f"{left}; {first.because}")
@@ -248,7 +282,9 @@ class Auto(EndsWithItsCase):
         from .methods.direct import FallbackOrder
 
         return FallbackOrder(
-            problem, prove_infeasibility=self._prove_infeasibility, looks_at_cases=self.looks_at_cases
+            problem,
+            prove_infeasibility=self._prove_infeasibility,
+            looks_at_cases=self.looks_at_cases,
         )
 
 
@@ -282,8 +318,14 @@ def _rivals(problem: LCP, stages: Sequence[Stage], left: Remaining) -> list[Algo
             from .methods.multigrid import Multigrid
 
             multigrid = Multigrid(hands_over=True)
-            has_had_its_turn = isinstance(now, PSOR) and left.work > multigrid.predicted_passes(problem, left.sweeps)
-            if left.has_failed or has_had_its_turn or mean_coupling(problem.matrix) > CLEARLY_DOMINANT:
+            has_had_its_turn = isinstance(now, PSOR) and left.work > multigrid.predicted_passes(
+                problem, left.sweeps
+            )
+            if (
+                left.has_failed
+                or has_had_its_turn
+                or mean_coupling(problem.matrix) > CLEARLY_DOMINANT
+            ):
                 rivals.append(multigrid)
     return [*rivals, Newton()]
 
@@ -312,7 +354,7 @@ def _is_clearly_dominant(problem: LCP) -> bool:
         if not d.min() > 0.0:
             return False
         with np.errstate(over="ignore"):
-            sums = np.add.reduceat(np.abs(M.data[ends[0]:ends[-1]]), ends[:-1] - ends[0])
+            sums = np.add.reduceat(np.abs(M.data[ends[0] : ends[-1]]), ends[:-1] - ends[0])
             if not bool(np.all(sums - d <= CLEARLY_DOMINANT * d)):
                 return False
     return True
@@ -322,21 +364,33 @@ def _triangle(problem: LCP) -> str | None:
     """Return the direction of a sweep that solves a triangular problem, or None."""
     M = problem.csr
     # The rows are sorted; those at both ends refuse almost every other matrix.
-    if problem.n < 2 or (M.indices[M.indptr[1] - 1] > 0 and M.indices[M.indptr[-2]] < problem.n - 1):
+    if problem.n < 2 or (
+        M.indices[M.indptr[1] - 1] > 0 and M.indices[M.indptr[-2]] < problem.n - 1
+    ):
         return None
     from .core.matrix.structure import triangular_form
 
-    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(triangular_form(problem.matrix) or "")
+    return {"lower": "forward", "diagonal": "forward", "upper": "backward"}.get(
+        triangular_form(problem.matrix) or ""
+    )
 
 
 def _exact_order(problem: LCP, now: Stage) -> str | None:
     """Return the order of the sweep that is exact, where M is triangular and one sweep of npsor is done."""
     is_after_one_sweep = isinstance(now.algorithm, NPSOR) and now.iterations == 1
-    return _triangle(problem) if is_after_one_sweep and has_positive_diagonal(problem.matrix).all() else None
+    return (
+        _triangle(problem)
+        if is_after_one_sweep and has_positive_diagonal(problem.matrix).all()
+        else None
+    )
 
 
 def policy_for(
-    algorithm: Any, options: dict[str, Any], *, on_ranks: bool = False, prove_infeasibility: bool = True,
+    algorithm: Any,
+    options: dict[str, Any],
+    *,
+    on_ranks: bool = False,
+    prove_infeasibility: bool = True,
     looks_at_cases: bool = True,
 ) -> Policy:
     """Return the policy that the caller's `algorithm` and options mean, where the rows lie on several ranks or on one.
@@ -356,7 +410,9 @@ def policy_for(
                 f"set them in {type(algorithm).__name__}(…){did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
         if not getattr(algorithm, "name", ""):
-            raise InvalidOption(f'{type(algorithm).__name__} has no name; write name = "…" in the class')
+            raise InvalidOption(
+                f'{type(algorithm).__name__} has no name; write name = "…" in the class'
+            )
         return _single(algorithm, on_ranks, prove_infeasibility)
     if isinstance(algorithm, Policy):
         return algorithm
@@ -373,18 +429,24 @@ def policy_for(
         return Auto(prove_infeasibility=prove_infeasibility, looks_at_cases=looks_at_cases)
     if isinstance(algorithm, type):
         name = algorithm.__name__
-        raise UnknownAlgorithm(f"algorithm must be a name or an object, got the class {name}; write {name}()")
+        raise UnknownAlgorithm(
+            f"algorithm must be a name or an object, got the class {name}; write {name}()"
+        )
     if isinstance(algorithm, Engine):
         raise refusal_of_engine(algorithm.name)
     if not isinstance(algorithm, str):
-        raise UnknownAlgorithm(f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}")
+        raise UnknownAlgorithm(
+            f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}"
+        )
     return _single(create(algorithm, options), on_ranks, prove_infeasibility)
 
 
 def _single(algorithm: Algorithm, on_ranks: bool, prove_infeasibility: bool) -> Single:
     if on_ranks and not algorithm.runs_on_ranks:
         names = ", ".join(name for name, kind in REGISTRY.items() if kind.runs_on_ranks)
-        raise UnknownAlgorithm(f"{algorithm.name!r} does not run on several ranks; auto does, and {names}")
+        raise UnknownAlgorithm(
+            f"{algorithm.name!r} does not run on several ranks; auto does, and {names}"
+        )
     return Single(algorithm, prove_infeasibility=prove_infeasibility)
 
 
@@ -419,18 +481,43 @@ def solve_lcp(
     matrix, clock = problem.matrix, Clock(problem.matrix)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate(), matrix.interruptions() as clock.hears:
-        policy, settings, callback, start = matrix.together(lambda: (
-            policy_for(algorithm, options, on_ranks=problem.is_distributed, prove_infeasibility=prove_infeasibility),
-            Settings(
-                tolerance, tolerance_on, max_iterations, max_seconds, absolute_tolerance, record, error_bound,
-                threads, verbose, prove_infeasibility,
-            ),
-            checked_callback(callback), checked_start(problem, z0),
-        ))
+        policy, settings, callback, start = matrix.together(
+            lambda: (
+                policy_for(
+                    algorithm,
+                    options,
+                    on_ranks=problem.is_distributed,
+                    prove_infeasibility=prove_infeasibility,
+                ),
+                Settings(
+                    tolerance,
+                    tolerance_on,
+                    max_iterations,
+                    max_seconds,
+                    absolute_tolerance,
+                    record,
+                    error_bound,
+                    threads,
+                    verbose,
+                    prove_infeasibility,
+                ),
+                checked_callback(callback),
+                checked_start(problem, z0),
+            )
+        )
         asked = policy.chosen, settings
-        matrix.require_same("what is asked of solve", asked, "every rank must ask for the same", InvalidOption)
+        matrix.require_same(
+            "what is asked of solve", asked, "every rank must ask for the same", InvalidOption
+        )
         return solved_by(
-            policy, problem, settings, start, clock, callback, judge=_judge_of, header=_header,
+            policy,
+            problem,
+            settings,
+            start,
+            clock,
+            callback,
+            judge=_judge_of,
+            header=_header,
         )
 
 
@@ -451,6 +538,10 @@ def _header(matrix: Matrix) -> tuple[str, str]:
 
 def asked_of_solve(algorithm: str | Algorithm, wishes: dict[str, Any]) -> tuple[Policy, Settings]:
     """Return what an algorithm and other keyword arguments of `solve` ask for; a start and a callback may be there."""
-    settings = Settings(**{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE})
+    settings = Settings(
+        **{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE}
+    )
     options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
-    return policy_for(algorithm, options, prove_infeasibility=settings.prove_infeasibility), settings
+    return policy_for(
+        algorithm, options, prove_infeasibility=settings.prove_infeasibility
+    ), settings

@@ -20,8 +20,13 @@ from .problems.programs.kind import QUADRATIC_PROGRAM
 
 NO_TIME = 1e-9  # seconds: a run ends at its start
 KINDS = (
-    LINEAR_COMPLEMENTARITY_PROBLEM, NONLINEAR_PROBLEM, QUADRATIC_PROGRAM, EQUILIBRIUM_PROGRAM, BOUNDED_LEAST_SQUARES,
-    CONE_PROBLEM, FRICTIONAL_CONTACT,
+    LINEAR_COMPLEMENTARITY_PROBLEM,
+    NONLINEAR_PROBLEM,
+    QUADRATIC_PROGRAM,
+    EQUILIBRIUM_PROGRAM,
+    BOUNDED_LEAST_SQUARES,
+    CONE_PROBLEM,
+    FRICTIONAL_CONTACT,
 )
 
 
@@ -76,14 +81,18 @@ def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
         options = options_of(kind)
     except KeyboardInterrupt:  # in the import of what solves it, which begins anew
         is_ended, options = True, options_of(kind)
-    if "z0" in wishes and "x0" in (options or {}) and "x0" not in wishes:  # the same, of an unknown that is called x
+    if (
+        "z0" in wishes and "x0" in (options or {}) and "x0" not in wishes
+    ):  # the same, of an unknown that is called x
         wishes = {"x0" if name == "z0" else name: wish for name, wish in wishes.items()}
     if options is None or "algorithm" in options or algorithm != "auto":
         wishes = {"algorithm": algorithm, **wishes}
     kind.refuse(wishes)
     for name in wishes:
         if options is not None and name not in options:
-            raise InvalidOption(f"solve takes no {name} for {with_article(kind.word)}{did_you_mean(name, options)}")
+            raise InvalidOption(
+                f"solve takes no {name} for {with_article(kind.word)}{did_you_mean(name, options)}"
+            )
     for name, default in (options or {}).items():
         if default is inspect.Parameter.empty and name not in wishes:
             article = with_article(kind.word)
@@ -94,4 +103,8 @@ def solve_any(problem: Any, algorithm: Any, wishes: Mapping[str, Any]) -> Any:
         except KeyboardInterrupt:  # before a run that keeps it for itself, as in a first value of F
             pass
     result = solver_of(kind)(problem, **{**wishes, "max_seconds": NO_TIME})
-    return replace(result, status=Status.INTERRUPTED) if result.status is Status.MAX_SECONDS else result
+    return (
+        replace(result, status=Status.INTERRUPTED)
+        if result.status is Status.MAX_SECONDS
+        else result
+    )

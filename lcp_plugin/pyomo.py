@@ -78,7 +78,9 @@ try:
     from pyomo.core.base.label import NumericLabeler
     from pyomo.opt import Solution, SolverFactory, SolverResults, SolverStatus, TerminationCondition
 except ImportError as error:
-    raise ImportError("lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'") from error
+    raise ImportError(
+        "lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'"
+    ) from error
 
 from . import __version__
 from .core.errors import InvalidOption, did_you_mean
@@ -86,7 +88,10 @@ from .core.settings import Status
 from .interfaces.nl.writing import write_nl  # noqa: F401 - offered beside the solver
 from .interfaces.pyomo.answers import PyomoAnswer, answered, imported
 
-NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable that is called so
+NAME, HYPHENATED = (
+    "lcp_plugin",
+    "lcp-plugin",
+)  # by another name Pyomo looks for an executable that is called so
 DOC = "Complementarity problems and convex quadratic programs, by lcp_plugin"
 ENDS = {
     Status.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
@@ -113,7 +118,9 @@ class LCPPlugin:
     def __init__(self, **given: Any) -> None:
         self.options = Bunch(**(given.pop("options", None) or {}))
         self.result: Any = None
-        _refuse({key: value for key, value in given.items() if value is not None and key != "solver_io"})
+        _refuse(
+            {key: value for key, value in given.items() if value is not None and key != "solver_io"}
+        )
 
     def __enter__(self) -> LCPPlugin:
         return self
@@ -149,9 +156,18 @@ class LCPPlugin:
         return default_config_block(self, init)[0]
 
     def solve(
-        self, model: Any, *, tee: bool = False, load_solutions: bool = True, timelimit: float | None = None,
-        options: dict[str, Any] | None = None, keepfiles: bool = False, symbolic_solver_labels: bool = False,
-        warmstart: bool = True, file_determinism: Any = None, **unknown: Any,
+        self,
+        model: Any,
+        *,
+        tee: bool = False,
+        load_solutions: bool = True,
+        timelimit: float | None = None,
+        options: dict[str, Any] | None = None,
+        keepfiles: bool = False,
+        symbolic_solver_labels: bool = False,
+        warmstart: bool = True,
+        file_determinism: Any = None,
+        **unknown: Any,
     ) -> Any:
         """Solve a model and return Pyomo's SolverResults.
 
@@ -180,7 +196,13 @@ class LCPPlugin:
         UnsupportedModel, InvalidOption
             Where the model or an option is not taken.
         """
-        _refuse({key: value for key, value in unknown.items() if value is not None and value is not False})
+        _refuse(
+            {
+                key: value
+                for key, value in unknown.items()
+                if value is not None and value is not False
+            }
+        )
         chosen = {**self.options, **(options or {}), "verbose": bool(tee)}
         if timelimit is not None:
             chosen["max_seconds"] = timelimit
@@ -189,14 +211,18 @@ class LCPPlugin:
         results = _results_of(answer)
         if load_solutions:
             answer.load(model)
-            if answer.has_point and hasattr(model, "solutions"):  # of a model that is not of pyomo.kernel
+            if answer.has_point and hasattr(
+                model, "solutions"
+            ):  # of a model that is not of pyomo.kernel
                 _keep(_solution_of(answer, model, results), model, results)
         elif answer.has_point:
             results.solution.insert(_solution_of(answer, model, results))
         return results
 
 
-def answered_in_a_folder(model: Any, options: dict[str, Any], keepfiles: bool, labels: bool) -> PyomoAnswer:
+def answered_in_a_folder(
+    model: Any, options: dict[str, Any], keepfiles: bool, labels: bool
+) -> PyomoAnswer:
     """Return the answer to a model, through a file that is kept only where it is asked for."""
     if keepfiles:
         folder = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd()))
@@ -211,9 +237,19 @@ def answered_in_a_folder(model: Any, options: dict[str, Any], keepfiles: bool, l
 def _refuse(unknown: dict[str, Any]) -> None:
     if unknown:
         word = next(iter(unknown))
-        known = ("tee", "load_solutions", "timelimit", "options", "keepfiles", "symbolic_solver_labels", "warmstart")
-        raise InvalidOption(f"lcp_plugin takes no keyword {word!r} in Pyomo{did_you_mean(word, known)}; options of the "
-                            'run go into options={"tolerance": 1e-10} or solver.options')
+        known = (
+            "tee",
+            "load_solutions",
+            "timelimit",
+            "options",
+            "keepfiles",
+            "symbolic_solver_labels",
+            "warmstart",
+        )
+        raise InvalidOption(
+            f"lcp_plugin takes no keyword {word!r} in Pyomo{did_you_mean(word, known)}; options of the "
+            'run go into options={"tolerance": 1e-10} or solver.options'
+        )
 
 
 def _options_in(words: str) -> dict[str, Any]:
@@ -222,7 +258,9 @@ def _options_in(words: str) -> dict[str, Any]:
     for word in shlex.split(words.strip("\"' ")):
         name, is_given, value = word.partition("=")
         if not is_given:
-            raise InvalidOption(f"options must be written name=value, got {word!r}; for example tolerance=1e-10")
+            raise InvalidOption(
+                f"options must be written name=value, got {word!r}; for example tolerance=1e-10"
+            )
         try:
             options[name] = literal_eval(value)
         except (ValueError, SyntaxError):
@@ -241,8 +279,14 @@ def _results_of(answer: PyomoAnswer) -> Any:
     results.solver.status, results.solver.termination_condition = status, condition
     results.solver.time = found.result.seconds
     problem = results.problem
-    problem.number_of_constraints, problem.number_of_variables = content.row_lower.size, content.lower.size
-    problem.number_of_objectives, problem.number_of_nonzeros = content.is_maximized.size, content.linear.nnz
+    problem.number_of_constraints, problem.number_of_variables = (
+        content.row_lower.size,
+        content.lower.size,
+    )
+    problem.number_of_objectives, problem.number_of_nonzeros = (
+        content.is_maximized.size,
+        content.linear.nnz,
+    )
     if content.is_maximized.any():
         problem.sense = maximize
     if found.objective is not None and condition is TerminationCondition.optimal:

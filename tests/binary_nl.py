@@ -10,11 +10,26 @@ from typing import Any
 import numpy as np
 
 from lcp_plugin.interfaces.nl import write_nl
-from lcp_plugin.interfaces.nl.content import BIG_ENDIAN, LITTLE_ENDIAN, PARTNER, NLContent, Token, Trees
-from lcp_plugin.interfaces.nl.writing import LETTERS, TextWriter, count_behind, stated_bounds, tokens_of
+from lcp_plugin.interfaces.nl.content import (
+    BIG_ENDIAN,
+    LITTLE_ENDIAN,
+    PARTNER,
+    NLContent,
+    Token,
+    Trees,
+)
+from lcp_plugin.interfaces.nl.writing import (
+    LETTERS,
+    TextWriter,
+    count_behind,
+    stated_bounds,
+    tokens_of,
+)
 
 
-def write_form(content: NLContent, path: Path, *, binary: bool = False, big_endian: bool = False) -> None:
+def write_form(
+    content: NLContent, path: Path, *, binary: bool = False, big_endian: bool = False
+) -> None:
     """Write the content as text, or in either order of bytes; names lie beside it."""
     write_nl(content, path)
     if binary:
@@ -40,8 +55,13 @@ class BinaryWriter(TextWriter):
             self.out.append(self._integers(len(text)) + text)
 
     def _pairs(self, indices: Any, values: Any, is_real: bool = True) -> None:
-        pairs = np.empty(indices.size, dtype=[("index", self.order + "i4"),
-                                              ("value", self.order + ("f8" if is_real else "i4"))])
+        pairs = np.empty(
+            indices.size,
+            dtype=[
+                ("index", self.order + "i4"),
+                ("value", self.order + ("f8" if is_real else "i4")),
+            ],
+        )
         pairs["index"], pairs["value"] = indices, values
         self.out.append(pairs.tobytes())
 
@@ -53,7 +73,9 @@ class BinaryWriter(TextWriter):
         self._line(letter, ())
         for kind, *numbers in stated_bounds(self.content, lower, upper, is_rows=letter == "r"):
             form = "i" if kind == PARTNER else "d"
-            self.out.append(b"%d" % kind + struct.pack(f"{self.order}{len(numbers)}{form}", *numbers))
+            self.out.append(
+                b"%d" % kind + struct.pack(f"{self.order}{len(numbers)}{form}", *numbers)
+            )
 
     def _tree(self, trees: Trees, k: int) -> None:
         for kind, value, count in tokens_of(trees, k):

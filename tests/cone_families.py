@@ -14,12 +14,20 @@ OPEN, STICKS, SLIDES, ON_THE_EDGE, GRAZES = range(5)
 
 
 def planted_contacts(
-    count: int, bodies: int, ratio: float, rng: np.random.Generator, *, definite: bool = False, most: float = 2.0
+    count: int,
+    bodies: int,
+    ratio: float,
+    rng: np.random.Generator,
+    *,
+    definite: bool = False,
+    most: float = 2.0,
 ) -> tuple[FrictionalContact, Any, Any]:
     """Contacts with impulses and velocities that answer them: open, sticking, sliding, on the edge of two cases."""
     W, _ = delassus(count, bodies, ratio, rng)
     if definite:
-        W = W + np.diag(np.repeat(np.diag(W).reshape(count, 3).mean(axis=1), 3)) * rng.uniform(0.1, 1.0)
+        W = W + np.diag(np.repeat(np.diag(W).reshape(count, 3).mean(axis=1), 3)) * rng.uniform(
+            0.1, 1.0
+        )
     mu = rng.uniform(0.0, most, count) * (rng.random(count) < 0.9)
     size = 1.0 / np.sqrt(np.diag(W).reshape(count, 3).mean(axis=1))
     r, u = np.zeros((2, count, 3))
@@ -44,14 +52,24 @@ def wall(width: int, height: int, friction: float = 0.6) -> tuple[FrictionalCont
     """Bricks in a running bond, four contacts a face, for 10 ms of gravity; and the floor's impulse, over 4 · width."""
     long, tall, deep, mass, pull = 0.2, 0.1, 0.1, 4.0, 0.0981
     inertia = mass / 12.0 * np.array([tall**2 + deep**2, long**2 + deep**2, long**2 + tall**2])
-    centre = np.array([[(column + 0.5 * (row % 2)) * long, 0.0, (row + 0.5) * tall]
-                       for row in range(height) for column in range(width)])
+    centre = np.array(
+        [
+            [(column + 0.5 * (row % 2)) * long, 0.0, (row + 0.5) * tall]
+            for row in range(height)
+            for column in range(width)
+        ]
+    )
     upper, lower, points = [], [], []
     for one, at in enumerate(centre):
-        for other in [-1] if one < width else range(one // width * width - width, one // width * width):
+        for other in (
+            [-1] if one < width else range(one // width * width - width, one // width * width)
+        ):
             left, right = at[0] - 0.5 * long, at[0] + 0.5 * long
             if other >= 0:
-                left, right = max(left, centre[other][0] - 0.5 * long), min(right, centre[other][0] + 0.5 * long)
+                left, right = (
+                    max(left, centre[other][0] - 0.5 * long),
+                    min(right, centre[other][0] + 0.5 * long),
+                )
             if right - left > 1e-9:
                 for x in (left, right):
                     for y in (-0.5 * deep, 0.5 * deep):
@@ -64,19 +82,24 @@ def wall(width: int, height: int, friction: float = 0.6) -> tuple[FrictionalCont
             for body, sign in ((one, 1.0), (other, -1.0)):
                 if body >= 0:
                     arm = np.cross(np.array(point) - centre[body], way)
-                    rows[c, row, 6 * body:6 * body + 6] = sign * np.concatenate([way, arm])
+                    rows[c, row, 6 * body : 6 * body + 6] = sign * np.concatenate([way, arm])
     matrix = np.diag(np.tile(np.concatenate([np.full(3, mass), inertia]), len(centre)))
     velocities = np.tile([0.0, 0.0, -pull, 0.0, 0.0, 0.0], len(centre))
     problem = FrictionalContact((matrix, rows[:, 0], rows[:, 1:]), velocities, friction)
     return problem, mass * pull * len(centre)
 
 
-def planted_cones(blocks: int, rng: np.random.Generator, *, rank: float = 1.0) -> tuple[ConeProblem, Any]:
+def planted_cones(
+    blocks: int, rng: np.random.Generator, *, rank: float = 1.0
+) -> tuple[ConeProblem, Any]:
     """A convex problem over free rows, half-lines, boxes and second-order cones, with its answer."""
     cones: list[Any] = []
     z, w = [np.empty(0)], [np.empty(0)]
     for _ in range(blocks):
-        kind, rows = str(rng.choice(["free", "nonnegative", "box", "second_order"])), int(rng.integers(1, 6))
+        kind, rows = (
+            str(rng.choice(["free", "nonnegative", "box", "second_order"])),
+            int(rng.integers(1, 6)),
+        )
         at, values = rng.integers(0, 3, rows), rng.uniform(0.1, 2.0, rows)
         if kind == "free":
             cones.append((kind, rows))
@@ -88,7 +111,11 @@ def planted_cones(blocks: int, rng: np.random.Generator, *, rank: float = 1.0) -
             w.append(np.where(at == 1, values, 0.0))
         elif kind == "box":
             cones.append((kind, -np.ones(rows), 2.0))
-            z.append(np.choose(at, [np.full(rows, -1.0), rng.uniform(-0.9, 1.9, rows), np.full(rows, 2.0)]))
+            z.append(
+                np.choose(
+                    at, [np.full(rows, -1.0), rng.uniform(-0.9, 1.9, rows), np.full(rows, 2.0)]
+                )
+            )
             w.append(np.choose(at, [values, np.zeros(rows), -values]))
         else:
             rows += 1
@@ -97,9 +124,13 @@ def planted_cones(blocks: int, rng: np.random.Generator, *, rank: float = 1.0) -
             way /= np.linalg.norm(way)
             inner = np.array([1.0, *(rng.uniform(0.0, 0.9) * way)])
             edge, across = np.array([1.0, *way]), np.array([1.0, *-way])
-            one, other = [(inner, 0 * inner), (0 * inner, inner), (edge, across), (edge, 0 * edge), (0 * edge, edge)][
-                int(rng.integers(5))
-            ]
+            one, other = [
+                (inner, 0 * inner),
+                (0 * inner, inner),
+                (edge, across),
+                (edge, 0 * edge),
+                (0 * edge, edge),
+            ][int(rng.integers(5))]
             z.append(one * rng.uniform(0.1, 2.0))
             w.append(other * rng.uniform(0.1, 2.0))
     x, y = np.concatenate(z), np.concatenate(w)
@@ -114,11 +145,16 @@ def exact_relative_residual(problem: Any, z: Any) -> Any:
     from lcp_plugin.core.matrix.structure import connected_components
 
     mp.dps = 60
-    scaling, several = RowScaling.of(problem.block_norms), connected_components(problem.block_norms.matrix)
+    scaling, several = (
+        RowScaling.of(problem.block_norms),
+        connected_components(problem.block_norms.matrix),
+    )
     scale = problem.scale if scaling is None else scaling.scale
     weights = np.ones(scale.size) if scaling is None else np.ldexp(1.0, -scaling.column)
     labels = np.zeros(scale.size, int) if several is None else several.labels
-    here, there = (_exact_residuals(problem, point, scale) for point in (z, problem.nearest_to_zero))
+    here, there = (
+        _exact_residuals(problem, point, scale) for point in (z, problem.nearest_to_zero)
+    )
     worst = mpf(0)
     for component in set(labels.tolist()):
         own = np.flatnonzero(labels == component)
@@ -136,13 +172,20 @@ def _exact_residuals(problem: Any, z: Any, scale: Any) -> list[Any]:
             w[i] += mpf(float(M.data[p])) * mpf(float(z[M.indices[p]]))
     sizes = []
     for k in range(scale.size):
-        first, end, d, mu = problem.starts[k], problem.starts[k + 1], mpf(scale[k]), mpf(problem.slope[k])
+        first, end, d, mu = (
+            problem.starts[k],
+            problem.starts[k + 1],
+            mpf(scale[k]),
+            mpf(problem.slope[k]),
+        )
         own, at = w[first:end], [mpf(float(v)) for v in z[first:end]]
         if end - first == 1:
             low, high = (mpf(float(bound[first])) for bound in (problem.lower, problem.upper))
             sizes.append(abs(at[0] - min(max(at[0] - own[0] / d, low), high)))
             continue
-        if problem.has_friction and not any(at) and own[0] >= 0:  # û_N ≥ μ‖u_T‖ says u_N ≥ 0, exactly
+        if (
+            problem.has_friction and not any(at) and own[0] >= 0
+        ):  # û_N ≥ μ‖u_T‖ says u_N ≥ 0, exactly
             sizes.append(mpf(0))
             continue
         if problem.has_friction:
@@ -167,7 +210,9 @@ def cancelled_diagonals(rng: np.random.Generator) -> ConeProblem:
         end = first + rows
         left = rng.choice([0.0, 2.0**-54, 2.0**-40, 1e-9, -1e-12, 1e-5])
         M[end - 1, end - 1] += left - np.trace(M[first:end, first:end])
-    return ConeProblem(M, np.round(rng.uniform(-1.5, 1.5, rows * blocks), 1), [("second_order", rows)] * blocks)
+    return ConeProblem(
+        M, np.round(rng.uniform(-1.5, 1.5, rows * blocks), 1), [("second_order", rows)] * blocks
+    )
 
 
 def violation(problem: Any, z: Any) -> float:
@@ -181,10 +226,18 @@ def violation(problem: Any, z: Any) -> float:
         at, w = z[own], [a + sum(row) for a, row in zip(q[own], products[own], strict=True)]
         if problem.has_friction:
             w[0] += mpf(float(mu)) * mp.norm(w[1:])
-        terms = mp.norm([abs(a) + sum(map(abs, row)) for a, row in zip(q[own], products[own], strict=True)])
-        outside = [mp.norm(at[1:]) - mu * at[0], mu * mp.norm(w[1:]) - w[0]] if len(at) > 1 else [-at[0], -w[0]]
+        terms = mp.norm(
+            [abs(a) + sum(map(abs, row)) for a, row in zip(q[own], products[own], strict=True)]
+        )
+        outside = (
+            [mp.norm(at[1:]) - mu * at[0], mu * mp.norm(w[1:]) - w[0]]
+            if len(at) > 1
+            else [-at[0], -w[0]]
+        )
         size = mp.norm(at)
-        for wrong, beside in zip([*outside, abs(mp.fdot(at, w))], (size, terms, size * terms), strict=True):
+        for wrong, beside in zip(
+            [*outside, abs(mp.fdot(at, w))], (size, terms, size * terms), strict=True
+        ):
             worst = max(worst, wrong / beside) if wrong > 0 and beside > 0 else worst
     return float(worst)
 
@@ -195,10 +248,12 @@ def tower(masses: Any, corners: Any) -> tuple[FrictionalContact, Any]:
     rows = np.zeros((len(masses), len(corners), 2, 3 * len(masses)))
     for i in range(len(masses)):
         for c, x in enumerate(corners):
-            rows[i, c, :, 3 * i:3 * i + 3] = [0.0, 1.0, x], [1.0, 0.0, 0.5]
+            rows[i, c, :, 3 * i : 3 * i + 3] = [0.0, 1.0, x], [1.0, 0.0, 0.5]
             if i:
-                rows[i, c, :, 3 * i - 3:3 * i] = [0.0, -1.0, -x], [-1.0, 0.0, 0.5]
+                rows[i, c, :, 3 * i - 3 : 3 * i] = [0.0, -1.0, -x], [-1.0, 0.0, 0.5]
     rows = rows.reshape(-1, 2, 3 * len(masses))
     inertia = np.diag(np.ravel([[mass, mass, mass / 6.0] for mass in masses]))
-    problem = FrictionalContact((inertia, rows[:, 0], rows[:, 1:]), np.tile([0.0, -pull, 0.0], len(masses)), 0.5)
+    problem = FrictionalContact(
+        (inertia, rows[:, 0], rows[:, 1:]), np.tile([0.0, -pull, 0.0], len(masses)), 0.5
+    )
     return problem, pull * np.cumsum(masses[::-1])[::-1]

@@ -31,7 +31,9 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy is loaded; processes that tests begin inherit it
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # read when numpy is loaded; processes that tests begin inherit it
 
 # profile: examples in the quick suite, in the full one
 EXAMPLES = {"few": (4, 30), "default": (8, 80), "many": (20, 150)}
@@ -124,7 +126,9 @@ def sample(rows: list[pytest.Item]) -> list[pytest.Item]:
         count = min(mark.args[0] if mark else ROWS, len(rows))
         return [rows[k * len(rows) // count] for k in range(count)]
     # A value of one parameter is the same object in all rows.
-    values = {row: {(name, id(value)) for name, value in row.callspec.params.items()} for row in rows}
+    values = {
+        row: {(name, id(value)) for name, value in row.callspec.params.items()} for row in rows
+    }
     missing = set().union(*values.values())
     chosen = []
     while missing:

@@ -25,7 +25,7 @@ def rows_of_bodies(count: int, bodies: int, rng: np.random.Generator) -> Any:
             if body >= 0 and (sign > 0.0 or one != other):
                 arm = rng.standard_normal(3)
                 for k, d in enumerate((normal, first, np.cross(normal, first))):
-                    J[c, k, 6 * body:6 * body + 6] += sign * np.array([*d, *np.cross(arm, d)])
+                    J[c, k, 6 * body : 6 * body + 6] += sign * np.array([*d, *np.cross(arm, d)])
     return J.reshape(3 * count, -1)
 
 
@@ -48,7 +48,9 @@ def planted(count: int, bodies: int, ratio: float, rng: np.random.Generator) -> 
             w[c] = [rng.uniform() * (rng.random() < 0.8), *rng.standard_normal(2)]
         elif kind[c] == STICKS:
             share = rng.standard_normal(2)
-            x[c, 1:] = limit * rng.choice([1.0, rng.random()], p=[0.1, 0.9]) * share / np.abs(share).sum()
+            x[c, 1:] = (
+                limit * rng.choice([1.0, rng.random()], p=[0.1, 0.9]) * share / np.abs(share).sum()
+            )
         else:
             w[c, 1:] = 0.1 * rng.standard_normal(2) / size[c]
             steepest = 1 + int(np.abs(w[c, 1:]).argmax())
@@ -71,4 +73,8 @@ def frictionless(count: int, bodies: int, ratio: float, rng: np.random.Generator
     return contact_data(data.W, 0.0, data.velocities)
 
 
-FAMILIES: dict[str, Callable[..., Contacts]] = {"planted": planted, "falling": falling, "frictionless": frictionless}
+FAMILIES: dict[str, Callable[..., Contacts]] = {
+    "planted": planted,
+    "falling": falling,
+    "frictionless": frictionless,
+}

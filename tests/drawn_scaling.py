@@ -27,7 +27,9 @@ def _scaled(M: Any, row: np.ndarray, column: np.ndarray) -> Any:
 
 
 @st.composite
-def scaled_matrices(draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: int = 0, column: int = 0) -> Any:
+def scaled_matrices(
+    draw: st.DrawFn, matrices: st.SearchStrategy[Any], row: int = 0, column: int = 0
+) -> Any:
     """R M C with R and C of powers of two, exponents up to `row` and `column` in size."""
     M = draw(matrices)
     n = M.shape[0]
@@ -50,12 +52,16 @@ def scaled_lcps(draw: st.DrawFn, lcps: st.SearchStrategy[LCP], row: int, column:
 
 
 @st.composite
-def scaled_solved(draw: st.DrawFn, solved: st.SearchStrategy[Solved], row: int, column: int = 0) -> Solved:
+def scaled_solved(
+    draw: st.DrawFn, solved: st.SearchStrategy[Solved], row: int, column: int = 0
+) -> Solved:
     """Rows of (M, q) multiplied, components of z measured, in powers of two; the answer stays exact."""
     problem, z = draw(solved)
     units = _exponents(draw, problem.n, column)
     moved = _moved(problem, _exponents(draw, problem.n, row), units)
-    return moved, tuple(value / Fraction(2) ** int(unit) for value, unit in zip(z, units, strict=True))
+    return moved, tuple(
+        value / Fraction(2) ** int(unit) for value, unit in zip(z, units, strict=True)
+    )
 
 
 def _moved(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
@@ -83,8 +89,13 @@ def strict(solved: st.SearchStrategy[Solved]) -> st.SearchStrategy[Solved]:
 
     def without_degenerate_rows(drawn: Solved) -> Solved:
         problem, z = drawn
-        at_lower, at_upper = np.array(z, dtype=float) == problem.lower, np.array(z, dtype=float) == problem.upper
-        idle = np.array([value == 0 for value in exact_slack(problem, np.array(z, dtype=float))], dtype=bool)
+        at_lower, at_upper = (
+            np.array(z, dtype=float) == problem.lower,
+            np.array(z, dtype=float) == problem.upper,
+        )
+        idle = np.array(
+            [value == 0 for value in exact_slack(problem, np.array(z, dtype=float))], dtype=bool
+        )
         return problem.with_q(problem.q + idle * np.where(at_lower, 1.0, -1.0 * at_upper)), z
 
     return solved.map(without_degenerate_rows)

@@ -6,13 +6,29 @@ import numpy as np
 
 # Scarf, Hansen, The Computation of Economic Equilibria, Yale 1973: an economy of 14 goods, 4 consumers, 26 activities.
 GOODS = (
-    "agric", "food", "textiles", "hserv", "entert", "houseop", "capeop", "steel", "coal", "lumber", "housbop", "capbop",
-    "labor", "exchange",
+    "agric",
+    "food",
+    "textiles",
+    "hserv",
+    "entert",
+    "houseop",
+    "capeop",
+    "steel",
+    "coal",
+    "lumber",
+    "housbop",
+    "capbop",
+    "labor",
+    "exchange",
 )
 OWNED = {"housbop": (2, 0.4, 0, 0.8), "capbop": (3, 2, 0, 7.5), "labor": (0.6, 0.8, 1, 0.6)}
 WANTED = {
-    "agric": (0.1, 0.2, 0.3, 0.1), "food": (0.2, 0.2, 0.2, 0.2), "textiles": (0.1, 0.1, 0.3, 0.1),
-    "hserv": (0.1, 0.1, 0.1, 0.1), "entert": (0.1, 0.1, 0.1, 0.1), "houseop": (0.3, 0.1, 0, 0.1),
+    "agric": (0.1, 0.2, 0.3, 0.1),
+    "food": (0.2, 0.2, 0.2, 0.2),
+    "textiles": (0.1, 0.1, 0.3, 0.1),
+    "hserv": (0.1, 0.1, 0.1, 0.1),
+    "entert": (0.1, 0.1, 0.1, 0.1),
+    "houseop": (0.3, 0.1, 0, 0.1),
     "capeop": (0.1, 0.2, 0, 0.3),
 }
 # One activity a line: what it makes, what it takes.

@@ -51,7 +51,9 @@ def exact_rows(matrix: Any) -> list[list[Fraction]]:
     return [[Fraction(entry) for entry in row] for row in dense.tolist()]
 
 
-def solve_fractions(A: Sequence[Sequence[Fraction]], b: Sequence[Fraction]) -> list[Fraction] | None:
+def solve_fractions(
+    A: Sequence[Sequence[Fraction]], b: Sequence[Fraction]
+) -> list[Fraction] | None:
     """Return A⁻¹b by Gaussian elimination in fractions, None where A is singular."""
     n = len(b)
     rows = [[*row, right] for row, right in zip(A, b, strict=True)]
@@ -107,7 +109,9 @@ def principal_minors(A: Sequence[Sequence[Fraction]]) -> list[Fraction]:
 def _choices(problem: LCP) -> list[tuple[int, ...]]:
     choices = []
     for low, high in zip(problem.lower, problem.upper, strict=True):
-        ends = ((LOWER,) if math.isfinite(low) else ()) + ((UPPER,) if math.isfinite(high) and high != low else ())
+        ends = ((LOWER,) if math.isfinite(low) else ()) + (
+            (UPPER,) if math.isfinite(high) and high != low else ()
+        )
         choices.append(ends if low == high else (FREE, *ends))
     return choices
 
@@ -117,8 +121,12 @@ def _guesses(problem: LCP) -> Iterator[States]:
     M, scale = problem.csr.toarray(), problem.residual_scale
     z, seen = np.array(problem.nearest_to_zero), []
     for _ in range(NEWTON_STEPS):
-        target = np.nan_to_num(z - (M @ z + problem.q) / scale)  # finite, so that it is beyond no infinite bound
-        states = np.where(target <= problem.lower, LOWER, np.where(target >= problem.upper, UPPER, FREE))
+        target = np.nan_to_num(
+            z - (M @ z + problem.q) / scale
+        )  # finite, so that it is beyond no infinite bound
+        states = np.where(
+            target <= problem.lower, LOWER, np.where(target >= problem.upper, UPPER, FREE)
+        )
         states[problem.lower == problem.upper] = LOWER
         key = tuple(int(state) for state in states)
         if key in seen:
@@ -138,7 +146,9 @@ def _verified(
 ) -> tuple[tuple[Fraction, ...], tuple[Fraction, ...]] | None:
     n = problem.n
     ends = {LOWER: problem.lower, UPPER: problem.upper}
-    z = [Fraction(0) if states[i] == FREE else Fraction(float(ends[states[i]][i])) for i in range(n)]
+    z = [
+        Fraction(0) if states[i] == FREE else Fraction(float(ends[states[i]][i])) for i in range(n)
+    ]
     free = [i for i in range(n) if states[i] == FREE]
     rhs = [-q[i] - sum(M[i][j] * z[j] for j in range(n) if states[j] != FREE) for i in free]
     inner = solve_fractions([[M[i][j] for j in free] for i in free], rhs)
@@ -153,7 +163,10 @@ def _verified(
 def _holds(problem: LCP, i: int, z: Fraction, w: Fraction) -> bool:
     """Whether row i is complementary, exactly."""
     low, high = float(problem.lower[i]), float(problem.upper[i])
-    is_low, is_high = math.isfinite(low) and z == Fraction(low), math.isfinite(high) and z == Fraction(high)
+    is_low, is_high = (
+        math.isfinite(low) and z == Fraction(low),
+        math.isfinite(high) and z == Fraction(high),
+    )
     if (math.isfinite(low) and z < Fraction(low)) or (math.isfinite(high) and z > Fraction(high)):
         return False
     if is_low and is_high:

@@ -12,7 +12,9 @@ from scipy.sparse.csgraph import connected_components
 
 def component_of_rows(M: Any) -> list[int]:
     """Which connected component of the graph of a CSR array each row belongs to, by scipy."""
-    labels: list[int] = connected_components(abs(M) > 0, directed=True, connection="weak")[1].tolist()
+    labels: list[int] = connected_components(abs(M) > 0, directed=True, connection="weak")[
+        1
+    ].tolist()
     return labels
 
 
@@ -24,7 +26,9 @@ def references_of_rows(at_zero: Sequence[Fraction], labels: Sequence[int]) -> li
     return [largest[label] for label in labels]
 
 
-def relative_residual(residuals: Sequence[Fraction], at_zero: Sequence[Fraction], labels: Sequence[int]) -> Any:
+def relative_residual(
+    residuals: Sequence[Fraction], at_zero: Sequence[Fraction], labels: Sequence[int]
+) -> Any:
     """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all components; 0 for 0/0, ∞ for others over 0."""
     worst: Any = Fraction(0)
     for value, reference in zip(residuals, references_of_rows(at_zero, labels), strict=True):

@@ -91,7 +91,8 @@ class Piece:
         """The rows of a solution at one of two different bounds with w = 0."""
         lower, upper = self.problem.lower, self.problem.upper
         return [
-            i for i, (z, w) in enumerate(zip(self.z, self.w, strict=True))
+            i
+            for i, (z, w) in enumerate(zip(self.z, self.w, strict=True))
             if w == 0 and lower[i] != upper[i] and z in (lower[i], upper[i])
         ]
 
@@ -119,12 +120,16 @@ class Piece:
         """The change of the bound that holds, 0 on free rows."""
         ends = {LOWER: change.dlower, UPPER: change.dupper}
         return [
-            Fraction(0) if state == FREE else Fraction(float(ends[state][i])) for i, state in enumerate(self.states)
+            Fraction(0) if state == FREE else Fraction(float(ends[state][i]))
+            for i, state in enumerate(self.states)
         ]
 
     def data_change(self, change: Change) -> Vector:
         """Return dM z + dq."""
-        return [a + b for a, b in zip(product(exact_rows(change.dM), self.z), exact(change.dq), strict=True)]
+        return [
+            a + b
+            for a, b in zip(product(exact_rows(change.dM), self.z), exact(change.dq), strict=True)
+        ]
 
     def jvp(self, change: Change) -> Vector:
         """Return dz on this piece."""
@@ -134,8 +139,10 @@ class Piece:
         """Return the gradients of gᵀz + gwᵀw on this piece."""
         n, transposed = len(self.states), [list(column) for column in zip(*self.M, strict=True)]
         total = [a + b for a, b in zip(exact(g), product(transposed, exact(gw)), strict=True)]
-        inner = solve_fractions([[transposed[i][j] for j in self.free] for i in self.free],
-                                [total[i] for i in self.free])
+        inner = solve_fractions(
+            [[transposed[i][j] for j in self.free] for i in self.free],
+            [total[i] for i in self.free],
+        )
         by_q = exact(gw)
         for i, value in zip(self.free, inner, strict=True):
             by_q[i] -= value
@@ -148,7 +155,10 @@ class Piece:
 
     def one_sided(self, change: Change) -> Vector | None:
         """Return the one-sided derivative of a solution: that of the neighbouring piece the change leads into."""
-        d = [self._towards(change, choice) for choice in itertools.product((False, True), repeat=len(self.degenerate))]
+        d = [
+            self._towards(change, choice)
+            for choice in itertools.product((False, True), repeat=len(self.degenerate))
+        ]
         return next((one for one in d if one is not None), None)
 
     def _towards(self, change: Change, is_freed: Sequence[bool]) -> Vector | None:
@@ -198,6 +208,9 @@ def distance(found: Any, true: Any) -> float:
     """Return ‖found − true‖∞/‖true‖∞, of doubles and fractions; 0 for 0/0."""
     true = np.array(true, dtype=object).ravel()
     found = np.asarray(found, dtype=float).ravel()
-    error = max((abs(Fraction(a) - b) for a, b in zip(found.tolist(), true, strict=True)), default=Fraction(0))
+    error = max(
+        (abs(Fraction(a) - b) for a, b in zip(found.tolist(), true, strict=True)),
+        default=Fraction(0),
+    )
     size = max((abs(b) for b in true), default=Fraction(0))
     return 0.0 if not error else float(error / size) if size else float("inf")

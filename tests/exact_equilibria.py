@@ -19,7 +19,9 @@ def extreme_equilibria(A: Any, B: Any) -> set[tuple[Strategy, Strategy]]:
     """
     A, B = ([[Fraction(value) for value in row] for row in payoffs] for payoffs in (A, B))
     m, k = len(A), len(A[0])
-    of_row = _vertices([[B[i][j] for i in range(m)] for j in range(k)])  # the column player's payoffs for each x
+    of_row = _vertices(
+        [[B[i][j] for i in range(m)] for j in range(k)]
+    )  # the column player's payoffs for each x
     of_column = _vertices(A)
     found = set()
     for x, unplayed_rows, best_columns in of_row:
@@ -29,21 +31,32 @@ def extreme_equilibria(A: Any, B: Any) -> set[tuple[Strategy, Strategy]]:
     return found
 
 
-def _vertices(payoffs: list[list[Fraction]]) -> list[tuple[Strategy, frozenset[int], frozenset[int]]]:
+def _vertices(
+    payoffs: list[list[Fraction]],
+) -> list[tuple[Strategy, frozenset[int], frozenset[int]]]:
     """Return the vertices of {(s, v): payoffs s ≤ v, s ≥ 0, Σ s = 1}: s, where s is 0, which payoffs are v."""
     n = len(payoffs[0])
-    rows = [[*row, Fraction(-1)] for row in payoffs] + [[Fraction(int(i == j)) for j in range(n)] + [Fraction(0)]
-                                                        for i in range(n)]
+    rows = [[*row, Fraction(-1)] for row in payoffs] + [
+        [Fraction(int(i == j)) for j in range(n)] + [Fraction(0)] for i in range(n)
+    ]
     found = {}
     for tight in combinations(range(len(rows)), n):
-        system = [[*rows[i], Fraction(0)] for i in tight] + [[Fraction(1)] * n + [Fraction(0), Fraction(1)]]
+        system = [[*rows[i], Fraction(0)] for i in tight] + [
+            [Fraction(1)] * n + [Fraction(0), Fraction(1)]
+        ]
         point = _solution(system)
         if point is None or min(point[:n]) < 0:
             continue
-        gains = [sum((a * s for a, s in zip(row, point[:n], strict=True)), Fraction(0)) for row in payoffs]
+        gains = [
+            sum((a * s for a, s in zip(row, point[:n], strict=True)), Fraction(0))
+            for row in payoffs
+        ]
         if max(gains) == point[n]:
             unplayed = frozenset(i for i in range(n) if point[i] == 0)
-            found[tuple(point[:n])] = unplayed, frozenset(j for j, gain in enumerate(gains) if gain == point[n])
+            found[tuple(point[:n])] = (
+                unplayed,
+                frozenset(j for j, gain in enumerate(gains) if gain == point[n]),
+            )
     return [(s, *labels) for s, labels in found.items()]
 
 

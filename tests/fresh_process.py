@@ -8,4 +8,6 @@ import sys
 
 def printed_by(code: str) -> str:
     """Return what the code prints, the ends stripped; a code that fails fails the test."""
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.strip()

@@ -30,7 +30,9 @@ solve(gallery.obstacle_2d(size=20).problem).require_solved()
 def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:
     """Return what a command printed; one that fails ends this script with what it printed."""
     environment = {**os.environ, "PYTHONPATH": "", **environment}
-    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=cwd, env=environment, capture_output=True, text=True, check=False
+    )
     if done.returncode:
         sys.exit(f"{' '.join(map(str, command))}\n{done.stdout[-4000:]}{done.stderr[-4000:]}")
     return done.stdout.strip()
@@ -43,14 +45,27 @@ def try_out(python: str, archive: Path, wheels: Path) -> None:
         here = Path(folder)
         run(python, "-m", "venv", here / "venv")
         scripts = here / "venv" / "bin"
-        run(scripts / "python", "-m", "pip", "install", "-q", "--no-index", "--find-links", wheels, archive)
+        run(
+            scripts / "python",
+            "-m",
+            "pip",
+            "install",
+            "-q",
+            "--no-index",
+            "--find-links",
+            wheels,
+            archive,
+        )
         installed = time.perf_counter() - began
         compiled = {"NUMBA_CACHE_DIR": str(here / "compiled")}
         version = run(scripts / "lcp-plugin", "--version", cwd=here)
         run(scripts / "lcp-plugin", "solve", "obstacle_2d:size=20", cwd=here, **compiled)
         run(scripts / "python", "-c", USE, cwd=here, **compiled)
-    print(f"{python}, {archive.name}: {version}, installed in {installed:.0f} s, "
-          f"tried in {time.perf_counter() - began - installed:.0f} s", flush=True)
+    print(
+        f"{python}, {archive.name}: {version}, installed in {installed:.0f} s, "
+        f"tried in {time.perf_counter() - began - installed:.0f} s",
+        flush=True,
+    )
 
 
 def main(pythons: list[str], folder: Path) -> None:
@@ -60,7 +75,17 @@ def main(pythons: list[str], folder: Path) -> None:
     archives = sorted(dist.iterdir())
     run(sys.executable, "-m", "twine", "check", "--strict", *archives)
     for python in pythons:
-        run(python, "-m", "pip", "download", "-q", "-d", wheels, next(dist.glob("*.whl")), "hatchling")
+        run(
+            python,
+            "-m",
+            "pip",
+            "download",
+            "-q",
+            "-d",
+            wheels,
+            next(dist.glob("*.whl")),
+            "hatchling",
+        )
     for own in wheels.glob("lcp_plugin-*"):  # the archive given is what is installed
         own.unlink()
     for python in pythons:
@@ -69,8 +94,12 @@ def main(pythons: list[str], folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where archives and wheels stay")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="where archives and wheels stay"
+    )
     parser.add_argument("pythons", nargs="*", default=PYTHONS, metavar="PYTHON")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as passing:

@@ -74,7 +74,9 @@ def pyomo_variables(model: Any, lower: Any, upper: Any) -> list[Any]:
     return [model.x[i] for i in range(len(bounds))]
 
 
-def add_pyomo_pairs(model: Any, x: Sequence[Any], rows: Sequence[Any], lower: Any, upper: Any) -> None:
+def add_pyomo_pairs(
+    model: Any, x: Sequence[Any], rows: Sequence[Any], lower: Any, upper: Any
+) -> None:
     """Add x_i between its bounds ⟂ row i."""
     import pyomo.environ as pe
     from pyomo.mpec import ComplementarityList, complements
@@ -91,7 +93,9 @@ def add_pyomo_pairs(model: Any, x: Sequence[Any], rows: Sequence[Any], lower: An
             model.pairs.add(complements(row, pe.inequality(low, one, high)))
 
 
-def lcp(name: str, M: Any, q: Any, ends: Any, x: Any = None, lower: Any = 0.0, upper: Any = INF) -> Sample:
+def lcp(
+    name: str, M: Any, q: Any, ends: Any, x: Any = None, lower: Any = 0.0, upper: Any = INF
+) -> Sample:
     problem = LCP(M, q, lower=lower, upper=upper)
     lower, upper = problem.lower, problem.upper
 
@@ -101,7 +105,10 @@ def lcp(name: str, M: Any, q: Any, ends: Any, x: Any = None, lower: Any = 0.0, u
         model = pe.ConcreteModel()
         free = np.isinf(lower) & np.isinf(upper)
         z = pyomo_variables(model, np.where(free, -INF, lower), np.where(free, INF, upper))
-        rows = [sum(float(m) * v for m, v in zip(row, z, strict=True)) + float(c) for row, c in zip(M, q, strict=True)]
+        rows = [
+            sum(float(m) * v for m, v in zip(row, z, strict=True)) + float(c)
+            for row, c in zip(M, q, strict=True)
+        ]
         add_pyomo_pairs(model, z, rows, lower, upper)
         return model, z
 
@@ -125,9 +132,15 @@ def nonlinear(name: str, F: Any, lower: Any, ends: Any, x: Any = None) -> Sample
         import cvxpy as cp
 
         x = [cp.Variable(value=1.0) for _ in range(2)]
-        rows = [cp.square(x[0]) + x[1] - 3, x[1] - 1] if F is hyperbola else [cp.square(x[0]) + 1, x[1]]
-        pairs = [row == 0 if np.isinf(low) else complements(one >= low, row >= 0)
-                 for one, row, low in zip(x, rows, lower, strict=True)]
+        rows = (
+            [cp.square(x[0]) + x[1] - 3, x[1] - 1]
+            if F is hyperbola
+            else [cp.square(x[0]) + 1, x[1]]
+        )
+        pairs = [
+            row == 0 if np.isinf(low) else complements(one >= low, row >= 0)
+            for one, row, low in zip(x, rows, lower, strict=True)
+        ]
         if np.isinf(lower[0]):
             pairs[0] = complements(x[0], rows[0] == 0)
         return cp.Problem(cp.Minimize(0), pairs)
@@ -140,7 +153,9 @@ def nonlinear(name: str, F: Any, lower: Any, ends: Any, x: Any = None) -> Sample
         add_pyomo_pairs(model, x, list(F(x)), lower, upper)
         return model, x
 
-    return Sample(name, "NonlinearProblem", NonlinearProblem(F, lower=lower), ends, x, in_cvxpy, in_pyomo)
+    return Sample(
+        name, "NonlinearProblem", NonlinearProblem(F, lower=lower), ends, x, in_cvxpy, in_pyomo
+    )
 
 
 def pyomo_program(data: Any) -> Any:
@@ -154,7 +169,8 @@ def pyomo_program(data: Any) -> Any:
         return sum(float(value) * one for value, one in zip(values, x, strict=True))
 
     model.objective = pe.Objective(
-        expr=sum(0.5 * float(P[i, j]) * x[i] * x[j] for i in range(len(x)) for j in range(len(x))) + row(c)
+        expr=sum(0.5 * float(P[i, j]) * x[i] * x[j] for i in range(len(x)) for j in range(len(x)))
+        + row(c)
     )
     model.rows = pe.ConstraintList()
     for values, limit in zip(G, h, strict=True):
@@ -178,7 +194,10 @@ def cvxpy_program(data: Any) -> Any:
 def full_data(P: Any, c: Any, G: Any = None, h: Any = (), A: Any = None, b: Any = (), lower: Any = -INF,
               upper: Any = INF) -> tuple[Any, ...]:  # fmt: skip
     n = len(c)
-    P, G, A = (np.zeros((rows, n)) if one is None else np.asarray(one, float) for one, rows in ((P, n), (G, 0), (A, 0)))
+    P, G, A = (
+        np.zeros((rows, n)) if one is None else np.asarray(one, float)
+        for one, rows in ((P, n), (G, 0), (A, 0))
+    )
     low, high = (np.broadcast_to(np.asarray(bound, float), n) for bound in (lower, upper))
     return P, np.asarray(c, float), G, np.asarray(h, float), A, np.asarray(b, float), low, high
 
@@ -186,18 +205,32 @@ def full_data(P: Any, c: Any, G: Any = None, h: Any = (), A: Any = None, b: Any 
 def program(name: str, ends: Any, x: Any, P: Any, c: Any, **rest: Any) -> Sample:
     data = full_data(P, c, **rest)
     return Sample(
-        name, "QuadraticProgram", QuadraticProgram(P, c, **rest), ends, x, lambda: cvxpy_program(data),
-        lambda: pyomo_program(data), data,
+        name,
+        "QuadraticProgram",
+        QuadraticProgram(P, c, **rest),
+        ends,
+        x,
+        lambda: cvxpy_program(data),
+        lambda: pyomo_program(data),
+        data,
     )
 
 
 def least_squares(name: str, A: Any, b: Any, x: Any, **bounds: Any) -> Sample:
     A, b = np.asarray(A, float), np.asarray(b, float)
-    rest = {name: bound for name, bound in bounds.items() if name != "l1"}  # x ≥ 0: a penalty is linear
+    rest = {
+        name: bound for name, bound in bounds.items() if name != "l1"
+    }  # x ≥ 0: a penalty is linear
     data = full_data(A.T @ A, bounds.get("l1", 0.0) - A.T @ b, **{"lower": 0.0, **rest})
     return Sample(
-        name, "BoundedLeastSquares", BoundedLeastSquares(A, b, **bounds), (Status.SOLVED,), x,
-        lambda: cvxpy_program(data), lambda: pyomo_program(data), data,
+        name,
+        "BoundedLeastSquares",
+        BoundedLeastSquares(A, b, **bounds),
+        (Status.SOLVED,),
+        x,
+        lambda: cvxpy_program(data),
+        lambda: pyomo_program(data),
+        data,
     )
 
 
@@ -225,7 +258,12 @@ def equilibrium(name: str, ends: Any, x: Any, P: Any, c: Any, pair: int, row: An
         return model, x
 
     return Sample(
-        name, "EquilibriumProgram", EquilibriumProgram.of_rows(stated, [pair], [row], [offset]), ends, x, in_cvxpy,
+        name,
+        "EquilibriumProgram",
+        EquilibriumProgram.of_rows(stated, [pair], [row], [offset]),
+        ends,
+        x,
+        in_cvxpy,
         in_pyomo,
     )
 
@@ -242,7 +280,11 @@ def on_cones(name: str, problem: Any, ends: Any, x: Any = None) -> Sample:
         for first, end in zip(problem.starts[:-1], problem.starts[1:], strict=True):
             own = slice(first, end)
             side = box(z[own], problem.lower[own], problem.upper[own])
-            pairs.append(complements(cp.SOC(z[first], z[first + 1 : end]) if end - first > 1 else side, F[own]))
+            pairs.append(
+                complements(
+                    cp.SOC(z[first], z[first + 1 : end]) if end - first > 1 else side, F[own]
+                )
+            )
         return ComplementarityProblem(pairs)
 
     return Sample(name, type(problem).__name__, problem, ends, x, in_cvxpy, None)
@@ -254,31 +296,98 @@ BOX_AND_CONE = ConeProblem(
 )
 SAMPLES = [
     lcp("LCP", [[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0], GOOD, [2.5, 0.0]),
-    lcp("box", [[2.0, 1.0], [1.0, 2.0]], [-5.0, -5.0], GOOD, [1.0, 2.0], lower=-1.0, upper=[1.0, 9.0]),
+    lcp(
+        "box",
+        [[2.0, 1.0], [1.0, 2.0]],
+        [-5.0, -5.0],
+        GOOD,
+        [1.0, 2.0],
+        lower=-1.0,
+        upper=[1.0, 9.0],
+    ),
     lcp("free row", [[0.0, 1.0], [-1.0, 2.0]], [-1.0, -3.0], GOOD, [-1.0, 1.0], lower=[-INF, 0.0]),
     lcp("infeasible", [[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0], (Status.INFEASIBLE,)),
     lcp("no solution", [[2.0, 2.0], [2.0, 0.0]], [1.0, -2.0], (Status.NO_SOLUTION,)),
     nonlinear("nonlinear", hyperbola, [0.0, 0.0], GOOD, [np.sqrt(2.0), 1.0]),
     nonlinear("nonlinear, hopeless", hopeless, [-INF, 0.0], NO_ANSWER),
-    program("QP", GOOD, [0.5, 1.5], [[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0]),
-    program("QP, infeasible", (Status.INFEASIBLE,), None, np.eye(2), [1.0, 1.0], G=[[1.0, 1.0]], h=[-1.0], lower=0.0),
-    program("QP, unbounded", (Status.UNBOUNDED,), None, np.diag([1.0, 0.0]), [1.0, -1.0], lower=0.0),
+    program(
+        "QP", GOOD, [0.5, 1.5], [[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0]
+    ),
+    program(
+        "QP, infeasible",
+        (Status.INFEASIBLE,),
+        None,
+        np.eye(2),
+        [1.0, 1.0],
+        G=[[1.0, 1.0]],
+        h=[-1.0],
+        lower=0.0,
+    ),
+    program(
+        "QP, unbounded", (Status.UNBOUNDED,), None, np.diag([1.0, 0.0]), [1.0, -1.0], lower=0.0
+    ),
     program("LP", GOOD, [2.0, 0.0], None, [-2.0, -1.0], G=[[1.0, 1.0]], h=[2.0], lower=0.0),
-    program("LP, infeasible", (Status.INFEASIBLE,), None, None, [1.0, 1.0], A=[[1.0, 1.0]], b=[-1.0], lower=0.0),
+    program(
+        "LP, infeasible",
+        (Status.INFEASIBLE,),
+        None,
+        None,
+        [1.0, 1.0],
+        A=[[1.0, 1.0]],
+        b=[-1.0],
+        lower=0.0,
+    ),
     program("LP, unbounded", (Status.UNBOUNDED,), None, None, [-1.0, 0.0], lower=0.0),
-    least_squares("least squares", [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [2.0, 1.0, -1.0], [1.5, 0.0]),
-    least_squares("least squares in a box", [[1.0, 0.0], [0.0, 2.0]], [5.0, 1.0], [3.0, 0.5], upper=3.0),
+    least_squares(
+        "least squares", [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [2.0, 1.0, -1.0], [1.5, 0.0]
+    ),
+    least_squares(
+        "least squares in a box", [[1.0, 0.0], [0.0, 2.0]], [5.0, 1.0], [3.0, 0.5], upper=3.0
+    ),
     least_squares("least squares, l1", [[1.0, 0.0], [0.0, 2.0]], [5.0, 0.25], [4.0, 0.0], l1=1.0),
     least_squares("least squares, rank deficient", [[1.0, 1.0], [2.0, 2.0]], [1.0, 2.0], None),
-    equilibrium("objective", GOOD, [0.5, 0.0], [[2.0, 0.0], [0.0, 0.0]], [-2.0, 1.0], 1, [-1.0, 1.0], 0.5),
-    equilibrium("objective, infeasible", (Status.INFEASIBLE,), None, np.eye(2), [1.0, 1.0], 1, [1.0, 1.0], 0.0,
-                G=[[1.0, 1.0]], h=[-1.0], lower=0.0),
+    equilibrium(
+        "objective", GOOD, [0.5, 0.0], [[2.0, 0.0], [0.0, 0.0]], [-2.0, 1.0], 1, [-1.0, 1.0], 0.5
+    ),
+    equilibrium(
+        "objective, infeasible",
+        (Status.INFEASIBLE,),
+        None,
+        np.eye(2),
+        [1.0, 1.0],
+        1,
+        [1.0, 1.0],
+        0.0,
+        G=[[1.0, 1.0]],
+        h=[-1.0],
+        lower=0.0,
+    ),
     # 0 ≤ y ⟂ x ≥ 0 with x ≥ 1 and y ≥ 1.
-    equilibrium("objective, no solution", (Status.NO_SOLUTION, Status.INFEASIBLE), None, np.eye(2), [1.0, 1.0], 1,
-                [1.0, 0.0], 0.0, A=[[0.0, 1.0]], b=[1.0], lower=[1.0, 0.0]),
-    on_cones("cone", ConeProblem(np.eye(3), [0.0, -2.0, 0.0], [("second_order", 3)]), GOOD, [1.0, 1.0]),
+    equilibrium(
+        "objective, no solution",
+        (Status.NO_SOLUTION, Status.INFEASIBLE),
+        None,
+        np.eye(2),
+        [1.0, 1.0],
+        1,
+        [1.0, 0.0],
+        0.0,
+        A=[[0.0, 1.0]],
+        b=[1.0],
+        lower=[1.0, 0.0],
+    ),
+    on_cones(
+        "cone", ConeProblem(np.eye(3), [0.0, -2.0, 0.0], [("second_order", 3)]), GOOD, [1.0, 1.0]
+    ),
     on_cones("cone and box", BOX_AND_CONE, GOOD, [0.25, 0.25]),
     on_cones("friction", FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5), GOOD, [1.0, -0.3]),
-    on_cones("friction in the plane", FrictionalContact(np.eye(2), [[-1.0, 0.25]], 0.5), GOOD, [1.0, -0.25]),
-    equilibrium("objective, unbounded", (Status.UNBOUNDED,), None, None, [-1.0, 0.0], 1, [0.0, 1.0], 0.0),
+    on_cones(
+        "friction in the plane",
+        FrictionalContact(np.eye(2), [[-1.0, 0.25]], 0.5),
+        GOOD,
+        [1.0, -0.25],
+    ),
+    equilibrium(
+        "objective, unbounded", (Status.UNBOUNDED,), None, None, [-1.0, 0.0], 1, [0.0, 1.0], 0.0
+    ),
 ]

@@ -11,6 +11,12 @@ def hides_nothing(figure: Any) -> bool:
 
     FigureCanvasAgg(figure).draw()
     legends = [legend for one in (figure, *figure.subfigs) for legend in one.legends]
-    return bool(legends) and not any(axes.get_legend() for axes in figure.axes) and not any(
-        legend.get_window_extent().overlaps(axes.get_window_extent()) for legend in legends for axes in figure.axes
+    return (
+        bool(legends)
+        and not any(axes.get_legend() for axes in figure.axes)
+        and not any(
+            legend.get_window_extent().overlaps(axes.get_window_extent())
+            for legend in legends
+            for axes in figure.axes
+        )
     )

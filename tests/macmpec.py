@@ -38,7 +38,9 @@ class Published(NamedTuple):
 COLLECTION: dict[str, Published] = {}
 
 
-def published(optimum: float, collection: float | None = None, accuracy: float = 1e-6) -> Callable[[Any], Any]:
+def published(
+    optimum: float, collection: float | None = None, accuracy: float = 1e-6
+) -> Callable[[Any], Any]:
     """Enter a statement into the collection."""
 
     def enter(state: Callable[[], cp.Problem]) -> Callable[[], cp.Problem]:
@@ -74,7 +76,8 @@ def bard1_slacks(x: Any, y: Any) -> list[Any]:
 def bard1() -> cp.Problem:
     x, y, l = cp.Variable(nonneg=True), cp.Variable(nonneg=True), cp.Variable(3)
     return least(
-        (x - 5) ** 2 + (2 * y + 1) ** 2, 2 * (y - 1) - 1.5 * x + l[0] - 0.5 * l[1] + l[2] == 0,
+        (x - 5) ** 2 + (2 * y + 1) ** 2,
+        2 * (y - 1) - 1.5 * x + l[0] - 0.5 * l[1] + l[2] == 0,
         [complements(l[i] >= 0, slack >= 0) for i, slack in enumerate(bard1_slacks(x, y))],
     )
 
@@ -84,7 +87,8 @@ def bard1m() -> cp.Problem:
     x, y, l = cp.Variable(nonneg=True), cp.Variable(), cp.Variable(3)
     gradient = 2 * (y - 1) - 1.5 * x + l[0] - 0.5 * l[1] + l[2]
     return least(
-        (x - 5) ** 2 + (2 * y + 1) ** 2, complements(y >= 0, gradient >= 0),
+        (x - 5) ** 2 + (2 * y + 1) ** 2,
+        complements(y >= 0, gradient >= 0),
         [complements(l[i] >= 0, slack >= 0) for i, slack in enumerate(bard1_slacks(x, y))],
     )
 
@@ -105,8 +109,12 @@ def sales(y: Any) -> Any:
 def bard2() -> cp.Problem:
     x, y, l = cp.Variable(4, nonneg=True), cp.Variable(4, nonneg=True), cp.Variable(4)
     return least(
-        sales(y), cp.sum(x) <= 40, x <= [10, 5, 15, 20], y <= LARGEST_Y,
-        2 * (y - WISHES) + GOODS.T @ l == 0, complements(l >= 0, x - GOODS @ y >= 0),
+        sales(y),
+        cp.sum(x) <= 40,
+        x <= [10, 5, 15, 20],
+        y <= LARGEST_Y,
+        2 * (y - WISHES) + GOODS.T @ l == 0,
+        complements(l >= 0, x - GOODS @ y >= 0),
     )
 
 
@@ -119,7 +127,10 @@ def bilevel1() -> cp.Problem:
     Y = np.vstack([np.kron(np.eye(2), [[1], [-1]]), -2 * np.eye(2)])
     rest = cp.hstack([np.zeros(4), x])
     return least(
-        2 * cp.sum(x) - 3 * cp.sum(y) - 60, x >= 0, x <= 50, x[0] + x[1] + y[0] - 2 * y[1] <= 40,
+        2 * cp.sum(x) - 3 * cp.sum(y) - 60,
+        x >= 0,
+        x <= 50,
+        x[0] + x[1] + y[0] - 2 * y[1] <= 40,
         follower(2 * (y - x + 20), y, [10, 20, 10, 20, -10, -10], Y, rest),
     )
 
@@ -128,8 +139,12 @@ def bilevel1() -> cp.Problem:
 def bilevel1m() -> cp.Problem:
     x, y, l = cp.Variable(2), cp.Variable(2), cp.Variable(2)
     return least(
-        2 * cp.sum(x) - 3 * cp.sum(y) - 60, x >= 0, x <= 50, x[0] + x[1] + y[0] - 2 * y[1] <= 40,
-        complements(box(y, -10, 20), 2 * (y - x + 20) + 2 * l), complements(l >= 0, x - 2 * y - 10 >= 0),
+        2 * cp.sum(x) - 3 * cp.sum(y) - 60,
+        x >= 0,
+        x <= 50,
+        x[0] + x[1] + y[0] - 2 * y[1] <= 40,
+        complements(box(y, -10, 20), 2 * (y - x + 20) + 2 * l),
+        complements(l >= 0, x - 2 * y - 10 >= 0),
     )
 
 
@@ -138,8 +153,12 @@ def bilevel2() -> cp.Problem:
     x, y = cp.Variable(4, nonneg=True), cp.Variable(4)
     Y = np.vstack([-GOODS, np.eye(4), -np.eye(4)])
     return least(
-        sales(y), cp.sum(x) <= 40, x <= [10, 5, 15, 20],
-        follower(y - WISHES, y, np.concatenate([np.zeros(8), LARGEST_Y]), Y, cp.hstack([x, np.zeros(8)])),
+        sales(y),
+        cp.sum(x) <= 40,
+        x <= [10, 5, 15, 20],
+        follower(
+            y - WISHES, y, np.concatenate([np.zeros(8), LARGEST_Y]), Y, cp.hstack([x, np.zeros(8)])
+        ),
     )
 
 
@@ -147,8 +166,11 @@ def bilevel2() -> cp.Problem:
 def bilevel2m() -> cp.Problem:
     x, y, l = cp.Variable(4, nonneg=True), cp.Variable(4), cp.Variable(4)
     return least(
-        sales(y), cp.sum(x) <= 40, x <= [10, 5, 15, 20],
-        complements(box(y, 0, LARGEST_Y), y - WISHES + GOODS.T @ l), complements(l >= 0, x - GOODS @ y >= 0),
+        sales(y),
+        cp.sum(x) <= 40,
+        x <= [10, 5, 15, 20],
+        complements(box(y, 0, LARGEST_Y), y - WISHES + GOODS.T @ l),
+        complements(l >= 0, x - GOODS @ y >= 0),
     )
 
 
@@ -158,11 +180,20 @@ def bilevel2m() -> cp.Problem:
 @published(-18.4)
 def bilin() -> cp.Problem:
     x, y = cp.Variable(2, nonneg=True), cp.Variable(6)
-    F = np.array([[0, 0, 0, -1, -2, 4], [0, 0, 0, 1, 4, -2], [0, 0, 0, 1, -1, -1],
-                  [1, -1, -1, 0, 0, 0], [2, -4, 1, 0, 0, 0], [-4, 2, 1, 0, 0, 0]])
+    F = np.array(
+        [
+            [0, 0, 0, -1, -2, 4],
+            [0, 0, 0, 1, 4, -2],
+            [0, 0, 0, 1, -1, -1],
+            [1, -1, -1, 0, 0, 0],
+            [2, -4, 1, 0, 0, 0],
+            [-4, 2, 1, 0, 0, 0],
+        ]
+    )
     w = F @ y + np.array([2, 1, 2, 1, 2, 2]) + cp.hstack([np.zeros(4), -4 * x])
     return least(
-        -8 * x[0] - 4 * x[1] + 4 * y[0] - 40 * y[1] - 4 * y[2], x[0] + 2 * x[1] - y[2] <= 1.3,
+        -8 * x[0] - 4 * x[1] + 4 * y[0] - 40 * y[1] - 4 * y[2],
+        x[0] + 2 * x[1] - y[2] <= 1.3,
         complements(y >= 0, w >= 0),
     )
 
@@ -171,7 +202,9 @@ def bilin() -> cp.Problem:
 def gauvin() -> cp.Problem:
     x, y, u = cp.Variable(bounds=[0, 15]), cp.Variable(), cp.Variable()
     return least(
-        x**2 + (y - 10) ** 2, complements(y >= 0, 4 * (x + 2 * y - 30) + u >= 0), complements(u >= 0, 20 - x - y >= 0),
+        x**2 + (y - 10) ** 2,
+        complements(y >= 0, 4 * (x + 2 * y - 30) + u >= 0),
+        complements(u >= 0, 20 - x - y >= 0),
     )
 
 
@@ -183,14 +216,19 @@ def ex9_1_1() -> cp.Problem:
     x, y, l = cp.Variable(nonneg=True), cp.Variable(2), cp.Variable(5)
     slack = np.array([[-1, -4], [-3, 2], [-1, 3], [1, 0], [-1, 0]]) @ y + [16, 48, -12, 0, 4]
     return least(
-        -x - 3 * y[0] + 2 * y[1], l[0] + 3 * l[1] + l[2] - l[3] + l[4] == 1, 2 * l[1] == 3 * l[2],
+        -x - 3 * y[0] + 2 * y[1],
+        l[0] + 3 * l[1] + l[2] - l[3] + l[4] == 1,
+        2 * l[1] == 3 * l[2],
         complements(l >= 0, slack + np.array([2, -8, 2, 0, 0]) * x >= 0),
     )
 
 
 @published(-6.25)
 def ex9_1_2() -> cp.Problem:
-    x, y = cp.Variable(nonneg=True), cp.Variable(1, bounds=[0, 1])  # binary as printed, which is not active
+    x, y = (
+        cp.Variable(nonneg=True),
+        cp.Variable(1, bounds=[0, 1]),
+    )  # binary as printed, which is not active
     lower = follower(1, y, [3, 12, 12, 0], [[-1], [-2], [1], [1]], np.array([1, -1, -4, 0]) * x)
     return least(-x - 3 * y[0], lower)
 
@@ -200,7 +238,8 @@ def ex9_1_3() -> cp.Problem:
     x, y, mu = cp.Variable(2, nonneg=True), cp.Variable(6), cp.Variable(3)
     A = np.array([[-1, 1, 1, 1, 0, 0], [-1, 2, -0.5, 0, 1, 0], [2, -1, -0.5, 0, 0, 1]])
     return least(
-        4 * y[0] - 40 * y[1] - 4 * y[2] - 8 * x[0] - 4 * x[1], A @ y + cp.hstack([0, 2 * x]) == 1,
+        4 * y[0] - 40 * y[1] - 4 * y[2] - 8 * x[0] - 4 * x[1],
+        A @ y + cp.hstack([0, 2 * x]) == 1,
         complements(y >= 0, A.T @ mu + [1, 1, 2, 0, 0, 0] >= 0),
     )
 
@@ -216,14 +255,19 @@ def ex9_1_4() -> cp.Problem:
 def ex9_1_5() -> cp.Problem:
     x, y = cp.Variable(nonneg=True), cp.Variable(2, nonneg=True)
     Y = [[-1, 0], [0, -1], [-1, -1], [1, 0], [0, 1]]
-    return least(-x + 10 * y[0] - y[1], follower(-1, y, [1, 1, 1, 0, 0], Y, np.array([-1, -1, 0, 0, 0]) * x))
+    return least(
+        -x + 10 * y[0] - y[1], follower(-1, y, [1, 1, 1, 0, 0], Y, np.array([-1, -1, 0, 0, 0]) * x)
+    )
 
 
 @published(-49.0)
 def ex9_1_6() -> cp.Problem:
     x, y = cp.Variable(nonneg=True), cp.Variable(1, nonneg=True)
     Y = [[2], [2], [1], [-2], [-2], [1]]
-    return least(-x - 3 * y[0], follower(3, y, [-10, 6, 21, 38, 18, 0], Y, np.array([1, -1, -2, -1, 1, 0]) * x))
+    return least(
+        -x - 3 * y[0],
+        follower(3, y, [-10, 6, 21, 38, 18, 0], Y, np.array([1, -1, -2, -1, 1, 0]) * x),
+    )
 
 
 @published(-26.0)
@@ -232,7 +276,9 @@ def ex9_1_7() -> cp.Problem:
     Y = np.vstack([[[1, -1, -1], [1, -2, 0.5], [-2, 1, 0.5]], np.eye(3)])
     return least(
         -8 * x[0] - 4 * x[1] + 4 * y[0] - 40 * y[1] + 4 * y[2],
-        follower(np.array([1, 1, 2]), y, [1, 1, 1, 0, 0, 0], Y, cp.hstack([0, -2 * x, np.zeros(3)])),
+        follower(
+            np.array([1, 1, 2]), y, [1, 1, 1, 0, 0, 0], Y, cp.hstack([0, -2 * x, np.zeros(3)])
+        ),
     )
 
 
@@ -255,14 +301,22 @@ def ex9_1_9() -> cp.Problem:
 @published(17.0)
 def ex9_2_1() -> cp.Problem:
     x, y = cp.Variable(nonneg=True), cp.Variable(1, nonneg=True)
-    lower = follower(2 * (y - 1) - 1.5 * x, y, [-3, 4, 7, 0], [[-1], [0.5], [-1], [1]], np.array([3, -1, -1, 0]) * x)
+    lower = follower(
+        2 * (y - 1) - 1.5 * x,
+        y,
+        [-3, 4, 7, 0],
+        [[-1], [0.5], [-1], [1]],
+        np.array([3, -1, -1, 0]) * x,
+    )
     return least((x - 5) ** 2 + cp.sum_squares(2 * y + 1), lower)
 
 
 @published(100.0)
 def ex9_2_2() -> cp.Problem:
     x, y = cp.Variable(bounds=[0, 15]), cp.Variable(1, nonneg=True)
-    lower = follower(2 * (x + 2 * y - 30), y, [20, 0, 20], [[-1], [1], [-1]], np.array([-1, 0, 0]) * x)
+    lower = follower(
+        2 * (x + 2 * y - 30), y, [20, 0, 20], [[-1], [1], [-1]], np.array([-1, 0, 0]) * x
+    )
     return least(x**2 + cp.sum_squares(y - 10), y <= x, lower)
 
 
@@ -271,7 +325,8 @@ def ex9_2_3() -> cp.Problem:
     x, y = cp.Variable(2, bounds=[1, 50]), cp.Variable(2, bounds=[-8, np.inf])
     Y = np.vstack([-2 * np.eye(2), np.kron(np.eye(2), [[1], [-1]])])
     return least(
-        2 * cp.sum(x) - 3 * cp.sum(y) - 60, x[0] + x[1] + y[0] - 2 * y[1] <= 40,
+        2 * cp.sum(x) - 3 * cp.sum(y) - 60,
+        x[0] + x[1] + y[0] - 2 * y[1] <= 40,
         follower(2 * (y - x + 20), y, [-10, -10, 10, 20, 10, 20], Y, cp.hstack([x, np.zeros(4)])),
     )
 
@@ -280,7 +335,9 @@ def ex9_2_3() -> cp.Problem:
 def ex9_2_4() -> cp.Problem:
     x, y, free = cp.Variable(nonneg=True), cp.Variable(2), cp.Variable()
     return least(
-        cp.sum_squares(y - 2) / 2, cp.sum(y) == x, complements(y >= 0, cp.hstack([y[0], 1]) + free >= 0),
+        cp.sum_squares(y - 2) / 2,
+        cp.sum(y) == x,
+        complements(y >= 0, cp.hstack([y[0], 1]) + free >= 0),
     )
 
 
@@ -296,7 +353,8 @@ def ex9_2_6() -> cp.Problem:
     x, y = cp.Variable(2, nonneg=True), cp.Variable(2, nonneg=True)
     Y = np.vstack([np.eye(2), -np.eye(2)])
     return least(
-        cp.sum_squares(x) - 2 * cp.sum(x) + cp.sum_squares(y), follower(2 * (y - x), y, [-0.5, -0.5, 1.5, 1.5], Y),
+        cp.sum_squares(x) - 2 * cp.sum(x) + cp.sum_squares(y),
+        follower(2 * (y - x), y, [-0.5, -0.5, 1.5, 1.5], Y),
     )
 
 
@@ -321,7 +379,8 @@ def flp2() -> cp.Problem:
 def nash1() -> cp.Problem:
     x, y, l = cp.Variable(2, bounds=[0, 10]), cp.Variable(2), cp.Variable(2)
     return least(
-        cp.sum_squares(x - y) / 2, np.array([[2, 8 / 3], [1.25, 2]]) @ y + l == [34, 24.25],
+        cp.sum_squares(x - y) / 2,
+        np.array([[2, 8 / 3], [1.25, 2]]) @ y + l == [34, 24.25],
         complements(l >= 0, 15 - x[::-1] - y >= 0),
     )
 
@@ -332,15 +391,23 @@ def nash1() -> cp.Problem:
 @published(15.6178, accuracy=5e-5)
 def hs044_i() -> cp.Problem:
     x, l, m = cp.Variable(4), cp.Variable(6), cp.Variable(4)
-    A = -np.array([[1, 2, 0, 0], [4, 1, 0, 0], [3, 4, 0, 0], [0, 0, 2, 1], [0, 0, 1, 2], [0, 0, 1, 1]])
+    A = -np.array(
+        [[1, 2, 0, 0], [4, 1, 0, 0], [3, 4, 0, 0], [0, 0, 2, 1], [0, 0, 1, 2], [0, 0, 1, 1]]
+    )
     H = np.kron([[0, 1], [1, 0]], [[-1, 1], [1, -1]])
     lower, upper = [0.01, -10, 0.1, -1, -1, 0.001], [10, -0.01, 1, -0.1, 1, 10]
     u, v = np.array([0.2, 1.2, 2, 0.1, 0.1, -0.1]), np.array([1.2, 0.2, 0.1, 2, 10, -0.2])
     z = cp.Variable(6, bounds=[np.array(lower), np.array(upper)])
-    stationary = H @ x + [1, -1, -1, 0] + cp.multiply(u[:4], z[:4]) - cp.multiply(A.sum(axis=0), l[:4]) - m == 0
+    stationary = (
+        H @ x + [1, -1, -1, 0] + cp.multiply(u[:4], z[:4]) - cp.multiply(A.sum(axis=0), l[:4]) - m
+        == 0
+    )
     slack = np.array([8, 12, 12, 8, 8, 5]) - cp.multiply(v, z) + A @ x
     return least(
-        cp.sum_squares(x - [0, 3, 0, 4]), stationary, complements(l >= 0, slack >= 0), complements(x >= 0, m >= 0),
+        cp.sum_squares(x - [0, 3, 0, 4]),
+        stationary,
+        complements(l >= 0, slack >= 0),
+        complements(x >= 0, m >= 0),
     )
 
 
@@ -380,10 +447,14 @@ def liswet1_050() -> cp.Problem:
     x, z, l = cp.Variable(N + K), cp.Variable(N, nonneg=True), cp.Variable(N)
     differences = sum(np.eye(N, N + K, K - i) * C[i] for i in range(K + 1))
     wanted = np.sqrt(np.arange(N + K) / (N + K - 1)) + 0.1 * np.sin(np.arange(1, N + K + 1))
-    solution = 0.2615076808640952 + 0.0158336842688068 * np.arange(N + K)  # the printed one lies on a line up to here
+    solution = 0.2615076808640952 + 0.0158336842688068 * np.arange(
+        N + K
+    )  # the printed one lies on a line up to here
     solution[-2:] = 1.057170460561012, 1.098662759204049
     return least(
-        cp.sum_squares(x - solution), x - wanted == differences.T @ l, cp.sum(z) >= 0.2,
+        cp.sum_squares(x - solution),
+        x - wanted == differences.T @ l,
+        cp.sum(z) >= 0.2,
         complements(l >= 0, differences @ x - z >= 0),
     )
 
@@ -460,7 +531,9 @@ def scholtes4() -> cp.Problem:
 def scholtes5() -> cp.Problem:
     x, y = cp.Variable(2), cp.Variable()
     return least(
-        cp.sum_squares(x - [1, 2]) + (y + 1) ** 2, complements(x[0] >= 0, y >= 0), complements(x[1] >= 0, y >= 0),
+        cp.sum_squares(x - [1, 2]) + (y + 1) ** 2,
+        complements(x[0] >= 0, y >= 0),
+        complements(x[1] >= 0, y >= 0),
     )
 
 
@@ -469,8 +542,12 @@ def sl1() -> cp.Problem:
     x, z, l = cp.Variable(2), cp.Variable(3), cp.Variable(3)
     slack = cp.hstack([10 * x[0] + x[1] - 10 - z[0], x[0] - 2 - z[1], x[1] - 50 * z[2]])
     return least(
-        (x[0] - 2) ** 2 + x[1] ** 2, z >= [10, 0.01, 0], z <= [1e10, 10, 1],
-        0.02 * x[0] == 10 * l[0] + l[1], 2 * x[1] == l[0] + l[2], complements(l >= 0, slack >= 0),
+        (x[0] - 2) ** 2 + x[1] ** 2,
+        z >= [10, 0.01, 0],
+        z <= [1e10, 10, 1],
+        0.02 * x[0] == 10 * l[0] + l[1],
+        2 * x[1] == l[0] + l[2],
+        complements(l >= 0, slack >= 0),
     )
 
 
@@ -478,21 +555,63 @@ def sl1() -> cp.Problem:
 
 #: from: {to: capacity} of the lines between thirty nodes.
 LINES = {
-    1: {2: 78, 3: 78}, 2: {4: 39, 5: 78, 6: 39}, 3: {4: 78}, 4: {12: 39}, 5: {7: 42}, 6: {4: 54, 28: 19.2}, 7: {6: 78},
-    8: {6: 19.2}, 9: {6: 39, 10: 39}, 10: {6: 19.2, 17: 19.2}, 11: {9: 39}, 12: {13: 39, 14: 19.2, 15: 19.2, 16: 19.2},
-    15: {14: 9.6, 18: 9.6, 23: 9.6}, 17: {16: 9.6}, 18: {19: 9.6}, 19: {20: 19.2}, 20: {10: 19.2}, 21: {10: 19.2},
-    22: {10: 19.2, 21: 19.2}, 24: {22: 9.6, 23: 9.6, 25: 9.6}, 25: {26: 9.6}, 27: {25: 9.6, 28: 39, 30: 39},
-    28: {8: 19.2}, 29: {27: 39, 30: 39},
+    1: {2: 78, 3: 78},
+    2: {4: 39, 5: 78, 6: 39},
+    3: {4: 78},
+    4: {12: 39},
+    5: {7: 42},
+    6: {4: 54, 28: 19.2},
+    7: {6: 78},
+    8: {6: 19.2},
+    9: {6: 39, 10: 39},
+    10: {6: 19.2, 17: 19.2},
+    11: {9: 39},
+    12: {13: 39, 14: 19.2, 15: 19.2, 16: 19.2},
+    15: {14: 9.6, 18: 9.6, 23: 9.6},
+    17: {16: 9.6},
+    18: {19: 9.6},
+    19: {20: 19.2},
+    20: {10: 19.2},
+    21: {10: 19.2},
+    22: {10: 19.2, 21: 19.2},
+    24: {22: 9.6, 23: 9.6, 25: 9.6},
+    25: {26: 9.6},
+    27: {25: 9.6, 28: 39, 30: 39},
+    28: {8: 19.2},
+    29: {27: 39, 30: 39},
 }
 #: node: (intercept and slope of its cost, least and largest bid, capacity) of six plants, the last three of one firm.
 PLANTS = {
-    1: (20, 0.0375, 20, 20, 200), 2: (17.5, 0.175, 17.5, 17.5, 80), 5: (10, 0.625, 10, 10, 50),
-    8: (32.5, 0.0834, 0, 40, 35), 11: (30, 0.25, 0, 40, 30), 13: (30, 0.25, 0, 40, 40),
+    1: (20, 0.0375, 20, 20, 200),
+    2: (17.5, 0.175, 17.5, 17.5, 80),
+    5: (10, 0.625, 10, 10, 50),
+    8: (32.5, 0.0834, 0, 40, 35),
+    11: (30, 0.25, 0, 40, 30),
+    13: (30, 0.25, 0, 40, 40),
 }
 #: node: slope of its demand, which begins at a price of 40.
 DEMANDS = {
-    2: 0.461, 3: 4.167, 4: 1.316, 5: 0.106, 7: 0.439, 8: 0.333, 10: 1.724, 12: 0.893, 14: 1.613, 15: 1.220, 16: 2.857,
-    17: 1.111, 18: 3.125, 19: 1.053, 20: 4.545, 21: 0.571, 23: 3.125, 24: 1.149, 26: 2.857, 29: 4.167, 30: 0.943,
+    2: 0.461,
+    3: 4.167,
+    4: 1.316,
+    5: 0.106,
+    7: 0.439,
+    8: 0.333,
+    10: 1.724,
+    12: 0.893,
+    14: 1.613,
+    15: 1.220,
+    16: 2.857,
+    17: 1.111,
+    18: 3.125,
+    19: 1.053,
+    20: 4.545,
+    21: 0.571,
+    23: 3.125,
+    24: 1.149,
+    26: 2.857,
+    29: 4.167,
+    30: 0.943,
 }
 #: {line: signed reactance} of the twelve loops.
 LOOPS: list[dict[tuple[int, int], float]] = [
@@ -524,15 +643,29 @@ def monteiro() -> cp.Problem:
     a, b, least_bid, largest_bid, most = np.array(list(PLANTS.values())).T
     plants, buyers, d = node[list(PLANTS)], node[list(DEMANDS)], np.array(list(DEMANDS.values()))
     mine, others = slice(3, 6), slice(0, 3)
-    bid, supply, demand, price = cp.Variable(6), cp.Variable(6), cp.Variable(d.size), cp.Variable(30)
-    flow, scarcity, full, voltage = cp.Variable(len(lines)), cp.Variable(6), cp.Variable(len(lines)), cp.Variable(12)
+    bid, supply, demand, price = (
+        cp.Variable(6),
+        cp.Variable(6),
+        cp.Variable(d.size),
+        cp.Variable(30),
+    )
+    flow, scarcity, full, voltage = (
+        cp.Variable(len(lines)),
+        cp.Variable(6),
+        cp.Variable(len(lines)),
+        cp.Variable(12),
+    )
     profit = 40 * cp.sum(demand) - d @ cp.square(demand) - capacity @ full - a @ supply
     profit -= b[mine] / 2 @ cp.square(supply[mine]) + b[others] @ cp.square(supply[others])
     profit -= most[others] @ scarcity[others]
     return least(
-        -profit, bid >= least_bid, bid <= largest_bid, around @ flow == 0,
+        -profit,
+        bid >= least_bid,
+        bid <= largest_bid,
+        around @ flow == 0,
         buyers.T @ demand - plants.T @ supply + leaving.T @ flow == 0,
-        complements(scarcity >= 0, most - supply >= 0), complements(full >= 0, capacity - flow >= 0),
+        complements(scarcity >= 0, most - supply >= 0),
+        complements(full >= 0, capacity - flow >= 0),
         complements(supply >= 0, bid - plants @ price + scarcity + cp.multiply(b, supply) >= 0),
         complements(demand >= 0, buyers @ price - 40 + cp.multiply(d, demand) >= 0),
         complements(flow >= 0, leaving @ price + full + around.T @ voltage >= 0),

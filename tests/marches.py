@@ -21,7 +21,14 @@ class Steps(NamedTuple):
 
 
 # Clarke and Parrott 1999, doi:10.1080/135048699334528; the values are those that later papers agree upon.
-HESTON = {"strike": 10.0, "rate": 0.1, "reversion": 5.0, "mean": 0.16, "of_variance": 0.9, "correlation": 0.1}
+HESTON = {
+    "strike": 10.0,
+    "rate": 0.1,
+    "reversion": 5.0,
+    "mean": 0.16,
+    "of_variance": 0.9,
+    "correlation": 0.1,
+}
 HESTON_YEARS = 0.25
 HESTON_SPOTS, HESTON_VARIANCE = (8.0, 9.0, 10.0, 11.0, 12.0), 0.0625
 HESTON_VALUES = (2.0000, 1.107641, 0.520030, 0.213668, 0.082036)
@@ -29,7 +36,9 @@ HESTON_VALUES = (2.0000, 1.107641, 0.520030, 0.213668, 0.082036)
 
 def _line(n: int, below: FloatVector, centre: FloatVector, above: FloatVector) -> sp.csr_array:
     """Return the tridiagonal matrix of these rows, shape (n,) each."""
-    return sp.csr_array(sp.diags_array([below[1:], centre, above[:-1]], offsets=[-1, 0, 1], shape=(n, n)))
+    return sp.csr_array(
+        sp.diags_array([below[1:], centre, above[:-1]], offsets=[-1, 0, 1], shape=(n, n))
+    )
 
 
 def _central(n: int, h: float) -> sp.csr_array:
@@ -37,7 +46,9 @@ def _central(n: int, h: float) -> sp.csr_array:
     return _line(n, -ones / (2.0 * h), 0.0 * ones, ones / (2.0 * h))
 
 
-def heston(prices: int = 400, variances: int = 150, steps: int = 20) -> tuple[Steps, FloatVector, FloatVector]:
+def heston(
+    prices: int = 400, variances: int = 150, steps: int = 20
+) -> tuple[Steps, FloatVector, FloatVector]:
     """Return an American put under stochastic variance, and its prices and variances, the fastest index that of price.
 
     Upwind where central differences would give a positive neighbour; the cross derivative by nine points. Dirichlet at
@@ -72,7 +83,8 @@ def heston(prices: int = 400, variances: int = 150, steps: int = 20) -> tuple[St
         add((V > 0.0) & everywhere, j, i, sign * cross)
     centre = np.full_like(S, rate)
     for diffusion, drift, h, (j, i) in (
-        (0.5 * V * S**2, rate * S, ds, (0, 1)), (0.5 * sigma**2 * V, kappa * (mean - V), dv, (1, 0)),
+        (0.5 * V * S**2, rate * S, ds, (0, 1)),
+        (0.5 * sigma**2 * V, kappa * (mean - V), dv, (1, 0)),
     ):
         below, above = -diffusion / h**2 + 0.5 * drift / h, -diffusion / h**2 - 0.5 * drift / h
         is_central = (below <= 0.0) & (above <= 0.0)
@@ -83,11 +95,17 @@ def heston(prices: int = 400, variances: int = 150, steps: int = 20) -> tuple[St
         add(above != 0.0, j, i, above)
     add(everywhere, 0, 0, centre)
     n = prices * variances
-    A = sp.csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
+    A = sp.csr_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
+    )
     M = sp.csr_array(sp.eye_array(n) + dt * A)
     payoff = np.maximum(strike - S, 0.0).ravel()
     forcing = np.broadcast_to(dt * boundary.ravel(), (steps, n))
-    return Steps(LCP(M, np.zeros(n), lower=payoff), forcing, sp.csr_array(-sp.eye_array(n)), payoff), s, v
+    return (
+        Steps(LCP(M, np.zeros(n), lower=payoff), forcing, sp.csr_array(-sp.eye_array(n)), payoff),
+        s,
+        v,
+    )
 
 
 def basket(size: int = 250, steps: int = 40) -> Steps:
@@ -102,9 +120,11 @@ def basket(size: int = 250, steps: int = 40) -> Steps:
     second = _line(n, *(np.ones(n) * c / h**2 for c in (1.0, -2.0, 1.0)))
     first, identity = _central(n, h), sp.eye_array(n)
     A = (
-        0.5 * one**2 * sp.kron(second, identity) + 0.5 * two**2 * sp.kron(identity, second)
+        0.5 * one**2 * sp.kron(second, identity)
+        + 0.5 * two**2 * sp.kron(identity, second)
         + rho * one * two * sp.kron(first, first)
-        + (rate - 0.5 * one**2) * sp.kron(first, identity) + (rate - 0.5 * two**2) * sp.kron(identity, first)
+        + (rate - 0.5 * one**2) * sp.kron(first, identity)
+        + (rate - 0.5 * two**2) * sp.kron(identity, first)
     )
     whole = sp.csr_array(sp.eye_array(n * n) * (1.0 + rate * dt) - dt * A)
     inside = np.zeros((n, n), dtype=bool)
@@ -113,7 +133,12 @@ def basket(size: int = 250, steps: int = 40) -> Steps:
     values = payoff.ravel()
     M, row = whole[at][:, at], whole[at][:, edge] @ values[edge]
     forcing = np.broadcast_to(row, (steps, at.size))
-    return Steps(LCP(M, np.zeros(at.size), lower=values[at]), forcing, sp.csr_array(-sp.eye_array(at.size)), values[at])
+    return Steps(
+        LCP(M, np.zeros(at.size), lower=values[at]),
+        forcing,
+        sp.csr_array(-sp.eye_array(at.size)),
+        values[at],
+    )
 
 
 def parabolic(size: int = 512, steps: int = 20, dt: float = 1e-3) -> Steps:
@@ -132,7 +157,9 @@ def parabolic(size: int = 512, steps: int = 20, dt: float = 1e-3) -> Steps:
         source = -6.0 + 60.0 * np.exp(-40.0 * ((X - at) ** 2 + (Y - 0.5) ** 2))
         forcing[k] = -dt * source.ravel()
     start = np.maximum(obstacle, 0.0)
-    return Steps(LCP(M, np.zeros(n), lower=obstacle), forcing, sp.csr_array(-sp.eye_array(n)), start)
+    return Steps(
+        LCP(M, np.zeros(n), lower=obstacle), forcing, sp.csr_array(-sp.eye_array(n)), start
+    )
 
 
 def contact(width: int = 160, steps: int = 20) -> Steps:
@@ -155,17 +182,24 @@ def contact(width: int = 160, steps: int = 20) -> Steps:
             strain[2, 0::2], strain[2, 1::2] = slope[:, 1], slope[:, 0]
             element += 0.25 * strain.T @ law @ strain
     node = np.arange((width + 1) * (height + 1)).reshape(height + 1, width + 1)
-    quads = np.stack([node[:-1, :-1], node[:-1, 1:], node[1:, 1:], node[1:, :-1]], axis=-1).reshape(-1, 4)
+    quads = np.stack([node[:-1, :-1], node[:-1, 1:], node[1:, 1:], node[1:, :-1]], axis=-1).reshape(
+        -1, 4
+    )
     places = (2 * quads[:, :, None] + np.arange(2)).reshape(-1, 8)
-    K = sp.csr_array((
-        np.tile(element.ravel(), len(quads)), (np.repeat(places, 8, axis=1).ravel(), np.tile(places, (1, 8)).ravel()),
-    ))
+    K = sp.csr_array(
+        (
+            np.tile(element.ravel(), len(quads)),
+            (np.repeat(places, 8, axis=1).ravel(), np.tile(places, (1, 8)).ravel()),
+        )
+    )
     held = np.zeros((height + 1, width + 1), dtype=bool)
     held[:, 0] = held[:, -1] = True
     free = np.flatnonzero(~np.repeat(held.ravel(), 2))
     K = sp.csr_array(K[free][:, free])
     lower = np.full(2 * node.size, -np.inf)
-    lower[2 * node[0] + 1] = -0.002 * (1.0 + np.cos(np.linspace(0.0, 12.0, width + 1)))  # a wavy floor
+    lower[2 * node[0] + 1] = -0.002 * (
+        1.0 + np.cos(np.linspace(0.0, 12.0, width + 1))
+    )  # a wavy floor
     forcing = np.empty((steps, free.size))
     across = np.linspace(0.0, 1.0, width + 1)
     for k in range(steps):

@@ -17,7 +17,14 @@ def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
     free = np.full(n, np.inf)
     own = None if goal is None else sp.csr_array([goal])
     content = NLContent.of_rows(
-        np.zeros(n), free, sp.csr_array(np.asarray(M, float)), Trees.of_numbers(np.asarray(q, float)), (-free, free),
-        np.arange(n), np.ones(n, dtype=np.int64), None if goal is None else Trees.of_numbers(np.zeros(1)), own,
+        np.zeros(n),
+        free,
+        sp.csr_array(np.asarray(M, float)),
+        Trees.of_numbers(np.asarray(q, float)),
+        (-free, free),
+        np.arange(n),
+        np.ones(n, dtype=np.int64),
+        None if goal is None else Trees.of_numbers(np.zeros(1)),
+        own,
     )
     return replace(content, **changes)

@@ -13,7 +13,11 @@ import numpy as np
 from lcp_plugin import NonlinearProblem
 
 KINDS = (
-    "monotone polynomial", "monotone exponential", "scaled rows", "triangular polynomial", "triangular exponential",
+    "monotone polynomial",
+    "monotone exponential",
+    "scaled rows",
+    "triangular polynomial",
+    "triangular exponential",
     "far exponential",
 )
 FAR = 20.0  # below 0, where an exponential has become flat: ‖r(z°)‖ is huge there and no reference
@@ -55,14 +59,23 @@ class Planted:
         """F at a point of doubles, in sixty digits."""
         with localcontext() as context:
             context.prec = DIGITS
-            M, B, L, c, s, x = (exact(array) for array in (self.M, self.B, self.L, self.c, self.s, x))
-            g = np.vectorize((lambda t: t.exp()) if self.is_exponential else (lambda t: t + t * t * t), otypes=[object])
+            M, B, L, c, s, x = (
+                exact(array) for array in (self.M, self.B, self.L, self.c, self.s, x)
+            )
+            g = np.vectorize(
+                (lambda t: t.exp()) if self.is_exponential else (lambda t: t + t * t * t),
+                otypes=[object],
+            )
             return s * (M.dot(x) + B.T.dot(g(B.dot(x))) + L.dot(g(x)) + c)
 
     def rounding(self, x: np.ndarray) -> np.ndarray:
         """What doubles may make of F(x), by rows: that many roundings of the sum of its terms' sizes."""
         inner, size = self.B @ x, np.abs(x)
-        g, dg = (np.exp, np.exp) if self.is_exponential else (lambda t: t + t**3, lambda t: 1 + 3 * t**2)
+        g, dg = (
+            (np.exp, np.exp)
+            if self.is_exponential
+            else (lambda t: t + t**3, lambda t: 1 + 3 * t**2)
+        )
         terms = np.abs(self.M) @ size + np.abs(self.L) @ np.abs(g(x)) + np.abs(self.c)
         terms += np.abs(self.B.T) @ (np.abs(g(inner)) + dg(inner) * (np.abs(self.B) @ size))
         return 4 * x.size * np.finfo(float).eps * np.abs(self.s) * terms
@@ -75,13 +88,19 @@ class Planted:
         """
         origin = np.clip(0.0, self.lower, self.upper)
         distance = np.abs(x - origin)
-        reach = (distance + np.abs(self.jacobian(x)) @ distance / scale).max(initial=0.0) * (1.0 + DOUBLES)
+        reach = (distance + np.abs(self.jacobian(x)) @ distance / scale).max(initial=0.0) * (
+            1.0 + DOUBLES
+        )
         with localcontext() as context:
             context.prec = DIGITS
-            left = sharp_residual(self.sharp_F, self.lower, self.upper, x, scale, self.rounding(x) / scale)
+            left = sharp_residual(
+                self.sharp_F, self.lower, self.upper, x, scale, self.rounding(x) / scale
+            )
             if not left:
                 return left
-            there = sharp_residual(self.sharp_F, self.lower, self.upper, origin, scale, np.zeros(x.size))
+            there = sharp_residual(
+                self.sharp_F, self.lower, self.upper, origin, scale, np.zeros(x.size)
+            )
             return left / min(there, left + Decimal(float(reach)))
 
 
@@ -90,32 +109,54 @@ def exact(values: np.ndarray) -> np.ndarray:
 
 
 def sharp_residual(
-    F: Callable[[np.ndarray], np.ndarray], lower: np.ndarray, upper: np.ndarray, x: np.ndarray, scale: np.ndarray,
+    F: Callable[[np.ndarray], np.ndarray],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    x: np.ndarray,
+    scale: np.ndarray,
     allowed: np.ndarray,
 ) -> Decimal:
     """‖r(x)‖∞ in the given scale d, F in sixty digits; of each row what it is allowed is taken off."""
-    values = zip(exact(x), exact(lower), exact(upper), F(x), exact(scale), exact(allowed), strict=True)
-    rows = (max(abs(min(max(p - u, w / d), p - l)) - slight, Decimal(0)) for p, l, u, w, d, slight in values)
+    values = zip(
+        exact(x), exact(lower), exact(upper), F(x), exact(scale), exact(allowed), strict=True
+    )
+    rows = (
+        max(abs(min(max(p - u, w / d), p - l)) - slight, Decimal(0))
+        for p, l, u, w, d, slight in values
+    )
     return max(rows, default=Decimal(0))
 
 
 def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:
     """A random problem of that kind and size."""
-    is_exponential, is_far = "exp" in kind or ("scaled" in kind and rng.random() < 0.5), "far" in kind
+    is_exponential, is_far = (
+        "exp" in kind or ("scaled" in kind and rng.random() < 0.5),
+        "far" in kind,
+    )
     is_triangular = is_far or "triangular" in kind
     density = min(1.0, 5.0 / n)
     with np.errstate(invalid="ignore"):
         lower, upper, x, w = _bounds(rng, n)
         lower, upper, x = (points - FAR * is_far for points in (lower, upper, x))
     rank = int(rng.integers(max(1, n // 2), n + 1))
-    B = np.where(rng.random((rank, n)) < density, rng.standard_normal((rank, n)), 0.0) / np.sqrt(density * n)
+    B = np.where(rng.random((rank, n)) < density, rng.standard_normal((rank, n)), 0.0) / np.sqrt(
+        density * n
+    )
     L = np.zeros((n, n))
     if is_triangular:
-        M = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1) * 0.3
-        L = np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1) * 0.1
+        M = (
+            np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1)
+            * 0.3
+        )
+        L = (
+            np.tril(np.where(rng.random((n, n)) < density, rng.standard_normal((n, n)), 0.0), -1)
+            * 0.1
+        )
         M += np.diag(np.where(rng.random(n) < 0.2, 0.0, rng.uniform(0.1, 2.0, n)))
         M *= not is_far
-        L += np.diag(np.where((rng.random(n) < 0.2) & (M.diagonal() > 0.0), 0.0, rng.uniform(0.1, 1.0, n)))
+        L += np.diag(
+            np.where((rng.random(n) < 0.2) & (M.diagonal() > 0.0), 0.0, rng.uniform(0.1, 1.0, n))
+        )
         is_flat = (w != 0.0) & (rng.random(n) < 0.3)  # F_i does not depend on x_i: P₀ and no more
         M[is_flat, is_flat] = L[is_flat, is_flat] = 0.0
         B[:] = 0.0
@@ -131,15 +172,26 @@ def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:
 def _bounds(rng: np.random.Generator, n: int) -> tuple[Any, ...]:
     """Bounds of all kinds, and a solution with its slack: at a bound, inside, a few degenerate."""
     kind = rng.choice(5, n, p=rng.dirichlet(np.ones(5)))
-    lower = np.where(np.isin(kind, (0, 1, 2)), np.where(kind == 0, 0.0, rng.uniform(-2, 1, n)), -np.inf)
-    upper = np.where(np.isin(kind, (1, 3)), np.where(np.isfinite(lower), lower, 0.0) + rng.uniform(0.1, 3, n), np.inf)
+    lower = np.where(
+        np.isin(kind, (0, 1, 2)), np.where(kind == 0, 0.0, rng.uniform(-2, 1, n)), -np.inf
+    )
+    upper = np.where(
+        np.isin(kind, (1, 3)),
+        np.where(np.isfinite(lower), lower, 0.0) + rng.uniform(0.1, 3, n),
+        np.inf,
+    )
     state = rng.choice(4, n, p=[0.4, 0.25, 0.3, 0.05])
     middle = rng.uniform(0.05, 0.95, n)
-    inside = np.where(np.isfinite(lower) & np.isfinite(upper), lower + middle * (upper - lower), np.nan)
+    inside = np.where(
+        np.isfinite(lower) & np.isfinite(upper), lower + middle * (upper - lower), np.nan
+    )
     inside = np.where(np.isnan(inside) & np.isfinite(lower), lower + 2 * middle, inside)
     inside = np.where(np.isnan(inside) & np.isfinite(upper), upper - 2 * middle, inside)
     inside = np.where(np.isnan(inside), rng.uniform(-2, 2, n), inside)
-    at_lower, at_upper = np.isin(state, (1, 3)) & np.isfinite(lower), (state == 2) & np.isfinite(upper)
+    at_lower, at_upper = (
+        np.isin(state, (1, 3)) & np.isfinite(lower),
+        (state == 2) & np.isfinite(upper),
+    )
     x = np.where(at_lower, lower, np.where(at_upper, upper, inside))
     size = rng.uniform(0.01, 2, n) * (state != 3)
     return lower, upper, x, np.where(at_lower, size, np.where(at_upper, -size, 0.0))

@@ -16,27 +16,40 @@ Function = Callable[[np.ndarray], np.ndarray]
 def kojima_shindo(x: np.ndarray) -> np.ndarray:
     """M. Kojima, S. Shindo, J. Oper. Res. Soc. Japan 29 (1986) 352–374; solutions (√6/2, 0, 0, 1/2), (1, 0, 3, 0)."""
     a, b, c, d = x
-    return np.array([
-        3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6, 2 * a * a + a + b * b + 10 * c + 2 * d - 2,
-        3 * a * a + a * b + 2 * b * b + 2 * c + 9 * d - 9, a * a + 3 * b * b + 2 * c + 3 * d - 3,
-    ])
+    return np.array(
+        [
+            3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6,
+            2 * a * a + a + b * b + 10 * c + 2 * d - 2,
+            3 * a * a + a * b + 2 * b * b + 2 * c + 9 * d - 9,
+            a * a + 3 * b * b + 2 * c + 3 * d - 3,
+        ]
+    )
 
 
 def josephy(x: np.ndarray) -> np.ndarray:
     """N. H. Josephy, MRC report 1965, Wisconsin 1979: Kojima and Shindo's but for three numbers; (√6/2, 0, 0, 1/2)."""
     a, b, c, d = x
-    return np.array([
-        3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6, 2 * a * a + a + b * b + 3 * c + 2 * d - 2,
-        3 * a * a + a * b + 2 * b * b + 2 * c + 3 * d - 1, a * a + 3 * b * b + 2 * c + 3 * d - 3,
-    ])
+    return np.array(
+        [
+            3 * a * a + 2 * a * b + 2 * b * b + c + 3 * d - 6,
+            2 * a * a + a + b * b + 3 * c + 2 * d - 2,
+            3 * a * a + a * b + 2 * b * b + 2 * c + 3 * d - 1,
+            a * a + 3 * b * b + 2 * c + 3 * d - 3,
+        ]
+    )
 
 
 def mathiesen(x: np.ndarray) -> np.ndarray:
     """A Walrasian equilibrium, L. Mathiesen, Math. Program. 37 (1987) 1–18; every (λ, 0, 0, 0), 0 ≤ λ ≤ 3, solves."""
     a, b, c, d = x
-    return np.array([
-        -b + c + d, a - (4.5 * c + 2.7 * d) / (b + 1), 5 - a - (0.5 * c + 0.3 * d) / (c + 1), 3 - a,
-    ])
+    return np.array(
+        [
+            -b + c + d,
+            a - (4.5 * c + 2.7 * d) / (b + 1),
+            5 - a - (0.5 * c + 0.3 * d) / (c + 1),
+            3 - a,
+        ]
+    )
 
 
 def nash_cournot(cost: list[float], scale: float, beta: list[float], gamma: float) -> Function:
@@ -68,27 +81,46 @@ def billups(x: np.ndarray) -> np.ndarray:
     return (x - 1.0) ** 2 - 1.01
 
 
-def scarf() -> tuple[NonlinearProblem, np.ndarray, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]]:
+def scarf() -> tuple[
+    NonlinearProblem, np.ndarray, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+]:
     """Activity analysis, H. Scarf, T. Hansen, *The Computation of Economic Equilibria*, Yale 1973.
 
     Six prices, eight activities, five incomes, of which the first is the unit. Returns the problem, its start, and a
     function x → (prices, excess supply).
     """
     # capeop, nondurbl, durable, capbop, skillab, unsklab
-    endowment = np.array([
-        [0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [1, 2, 1.5, 1, 2], [3, 0.1, 2, 1, 6], [5, 0.1, 6, 0.1, 0.1],
-        [0.1, 7, 0.1, 8, 0.5],
-    ])
-    demand = np.array([
-        [4, 0.4, 2, 5, 3], [2, 4, 2, 5, 4], [3.2, 1, 1.5, 4.5, 2], [0, 0, 0, 0, 0], [0.2, 0, 0.5, 0, 0],
-        [0, 0.6, 0, 0.2, 0.2],
-    ])
+    endowment = np.array(
+        [
+            [0, 0, 0, 0, 0],
+            [0, 0, 0, 0, 0],
+            [1, 2, 1.5, 1, 2],
+            [3, 0.1, 2, 1, 6],
+            [5, 0.1, 6, 0.1, 0.1],
+            [0.1, 7, 0.1, 8, 0.5],
+        ]
+    )
+    demand = np.array(
+        [
+            [4, 0.4, 2, 5, 3],
+            [2, 4, 2, 5, 4],
+            [3.2, 1, 1.5, 4.5, 2],
+            [0, 0, 0, 0, 0],
+            [0.2, 0, 0.5, 0, 0],
+            [0, 0.6, 0, 0.2, 0.2],
+        ]
+    )
     elasticity = np.array([1.2, 1.6, 0.8, 0.5, 0.6])
-    activity = np.array([
-        [4.0, 4.0, 1.6, 1.6, 1.6, 0.9, 7.0, 8.0], [0, 0, 6.0, 8.0, 7.0, 0, 0, 0], [4.0, 3.5, 0, 0, 0, 0, 0, 0],
-        [-5.3, -5.0, -2.0, -2.0, -2.0, -1.0, -4.0, -5.0], [-2.0, -1.0, -2.0, -4.0, -1.0, 0, -3.0, -2.0],
-        [-1.0, -6.0, -3.0, -1.0, -8.0, 0, -1.0, -8.0],
-    ])
+    activity = np.array(
+        [
+            [4.0, 4.0, 1.6, 1.6, 1.6, 0.9, 7.0, 8.0],
+            [0, 0, 6.0, 8.0, 7.0, 0, 0, 0],
+            [4.0, 3.5, 0, 0, 0, 0, 0, 0],
+            [-5.3, -5.0, -2.0, -2.0, -2.0, -1.0, -4.0, -5.0],
+            [-2.0, -1.0, -2.0, -4.0, -1.0, 0, -3.0, -2.0],
+            [-1.0, -6.0, -3.0, -1.0, -8.0, 0, -1.0, -8.0],
+        ]
+    )
     share = demand / demand.sum(axis=0)
 
     def excess_supply(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +147,10 @@ def membrane(size: int) -> tuple[NonlinearProblem, Any]:
     second = sp.diags_array([-ones[:-1], 2.0 * ones, -ones[:-1]], offsets=[-1, 0, 1])
     A = sp.csr_array(sp.kron(sp.eye_array(size), second) + sp.kron(second, sp.eye_array(size)))
     x, y = np.meshgrid(*2 * (np.linspace(h, 1.0 - h, size),))
-    obstacle, force = (0.3 - 2.0 * ((x - 0.5) ** 2 + (y - 0.5) ** 2)).ravel(), (10.0 * np.sin(2 * np.pi * x)).ravel()
+    obstacle, force = (
+        (0.3 - 2.0 * ((x - 0.5) ** 2 + (y - 0.5) ** 2)).ravel(),
+        (10.0 * np.sin(2 * np.pi * x)).ravel(),
+    )
 
     def F(u: np.ndarray) -> np.ndarray:
         return A @ u + h * h * (5.0 * np.exp(u) + 10.0 * u**3 - force)
@@ -131,6 +166,8 @@ def bratu(size: int, strength: float, ceiling: float) -> NonlinearProblem:
     _, A = membrane(size)
     h2 = 1.0 / (size + 1) ** 2
     return NonlinearProblem(
-        lambda u: A @ u - strength * h2 * np.exp(u), lambda u: A - sp.diags_array(strength * h2 * np.exp(u)),
-        lower=-np.inf, upper=np.full(size * size, ceiling),
+        lambda u: A @ u - strength * h2 * np.exp(u),
+        lambda u: A - sp.diags_array(strength * h2 * np.exp(u)),
+        lower=-np.inf,
+        upper=np.full(size * size, ceiling),
     )

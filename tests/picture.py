@@ -34,10 +34,16 @@ def _named(targets: str) -> set[str]:
 
 _picture = re.search(r"```text\n(.*?)```", _section(), re.S)
 LINES = _picture[1].splitlines() if _picture else []
-ARROWS = {name: targets for line in LINES for name, targets in _arrows(line).items()}  # beside those to the core
+ARROWS = {
+    name: targets for line in LINES for name, targets in _arrows(line).items()
+}  # beside those to the core
 DRAWN = set(ARROWS)
 # A method of one file that imports the core alone need not be drawn.
-ARROWS |= {one.stem: set() for one in (PACKAGE / "methods").glob("*.py") if one.stem not in {*DRAWN, "__init__"}}
+ARROWS |= {
+    one.stem: set()
+    for one in (PACKAGE / "methods").glob("*.py")
+    if one.stem not in {*DRAWN, "__init__"}
+}
 PLACES = [PACKAGE / group for group in ("", *GROUPS)]
 _storeys = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
 STOREYS = [_named(line) for line in _storeys[-1].splitlines()] if _storeys else []
@@ -63,6 +69,9 @@ def subpackage_of(file: Path) -> str:
 def above(subpackage: str) -> set[str]:
     """Those that need it, by one arrow or several."""
     found: set[str] = set()
-    while more := {other for other, targets in ARROWS.items() if targets & {subpackage, *found}} - found:
+    while (
+        more := {other for other, targets in ARROWS.items() if targets & {subpackage, *found}}
+        - found
+    ):
         found |= more
     return set(ARROWS) - {"core"} if subpackage == "core" else found

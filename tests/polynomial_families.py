@@ -61,9 +61,14 @@ class Polynomial:
         x = [Fraction(float(value)) for value in x]
         n = len(x)
         return [
-            Fraction(float(self.c[i])) + Fraction(float(self.e[i])) * x[i] * x[(i + 1) % n]
-            + sum(Fraction(float(self.a[i, j])) * x[j] + Fraction(float(self.b[i, j])) * x[j] ** 2
-                  + Fraction(float(self.d[i, j])) * x[j] ** 3 for j in range(n))
+            Fraction(float(self.c[i]))
+            + Fraction(float(self.e[i])) * x[i] * x[(i + 1) % n]
+            + sum(
+                Fraction(float(self.a[i, j])) * x[j]
+                + Fraction(float(self.b[i, j])) * x[j] ** 2
+                + Fraction(float(self.d[i, j])) * x[j] ** 3
+                for j in range(n)
+            )
             for i in range(n)
         ]
 
@@ -74,7 +79,10 @@ class Polynomial:
         for coefficients, power in ((self.a, x), (self.b, square), (self.d, times(square, x))):
             for j in range(low.size):
                 column = coefficients[:, j], coefficients[:, j]
-                total = plus(total, times(column, (np.full(low.size, power[0][j]), np.full(low.size, power[1][j]))))
+                total = plus(
+                    total,
+                    times(column, (np.full(low.size, power[0][j]), np.full(low.size, power[1][j]))),
+                )
         return plus(total, times((self.e, self.e), times(x, (np.roll(low, -1), np.roll(high, -1)))))
 
     def interval_jacobian(self, low: np.ndarray, high: np.ndarray) -> tuple[Any, Any]:
@@ -105,14 +113,24 @@ def polynomial(rng: np.random.Generator, *, is_dominant: bool) -> Polynomial:
         a += np.diag(np.abs(a).sum(axis=1) + 0.25 - a.diagonal() * (1 + np.sign(a.diagonal())) / 2)
     x, state = dyadic(n, scale=8), rng.choice(4, n, p=[0.4, 0.3, 0.2, 0.1])
     lower = np.where(state == 1, x, np.where(state == 3, -np.inf, x - rng.integers(1, 17, n) / 8))
-    upper = np.where(state == 2, x, np.where(rng.random(n) < 0.5, np.inf, x + rng.integers(1, 17, n) / 8))
+    upper = np.where(
+        state == 2, x, np.where(rng.random(n) < 0.5, np.inf, x + rng.integers(1, 17, n) / 8)
+    )
     w = rng.integers(1, 17, n) / 8 * np.where(state == 1, 1, np.where(state == 2, -1, 0))
     blank = Polynomial(a, b, d, e, np.zeros(n), lower, upper, x)
-    c = np.array([float(Fraction(float(slack)) - value) for slack, value in zip(w, blank.exact_F(x), strict=True)])
+    c = np.array(
+        [
+            float(Fraction(float(slack)) - value)
+            for slack, value in zip(w, blank.exact_F(x), strict=True)
+        ]
+    )
     return Polynomial(a, b, d, e, c, lower, upper, x)
 
 
 def is_violated(one: Polynomial, z: np.ndarray, componentwise: np.ndarray) -> bool:
     """Whether the planted solution is farther from z than a bound says, in fractions."""
-    return any(abs(Fraction(float(p)) - Fraction(float(q))) > Fraction(float(most))
-               for p, q, most in zip(z, one.x, componentwise, strict=True) if most < np.inf)
+    return any(
+        abs(Fraction(float(p)) - Fraction(float(q))) > Fraction(float(most))
+        for p, q, most in zip(z, one.x, componentwise, strict=True)
+        if most < np.inf
+    )

@@ -31,13 +31,22 @@ for home, names in lcp_plugin._MOVED.items():
     ELSEWHERE[home] = f"{ELSEWHERE.get(home, '')} {names}".strip()
 PUBLIC: dict[str, Any] = {
     **{name: getattr(lcp_plugin, name) for name in lcp_plugin.__all__},
-    **{f"LCP.{name}": getattr(lcp_plugin.LCP, name) for name in vars(lcp_plugin.LCP) if name[0] != "_"},
-    **{f"Result.{name}": getattr(lcp_plugin.Result, name) for name in vars(lcp_plugin.Result) if name[0] != "_"},
+    **{
+        f"LCP.{name}": getattr(lcp_plugin.LCP, name)
+        for name in vars(lcp_plugin.LCP)
+        if name[0] != "_"
+    },
+    **{
+        f"Result.{name}": getattr(lcp_plugin.Result, name)
+        for name in vars(lcp_plugin.Result)
+        if name[0] != "_"
+    },
     **{f"gallery.{name}": getattr(gallery, name) for name in gallery.__all__},
     **{f"strategies.{name}": getattr(strategies, name) for name in strategies.__all__},
     **{name: algorithm_class(name) for name in REGISTRY},
     **{
         name: getattr(import_module(f"lcp_plugin.{home}"), name)
-        for home, names in ELSEWHERE.items() for name in names.split()
+        for home, names in ELSEWHERE.items()
+        for name in names.split()
     },
 }

@@ -18,7 +18,9 @@ import scipy.sparse as sp
 
 FOLDER = Path(os.environ.get("LCP_PLUGIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "data"))
 INFINITE, ROUNDING = 0.99e20, 1e-12
-needs_files = pytest.mark.skipif(not FOLDER.is_dir(), reason=f"no {FOLDER}; LCP_PLUGIN_PUBLISHED may name it")
+needs_files = pytest.mark.skipif(
+    not FOLDER.is_dir(), reason=f"no {FOLDER}; LCP_PLUGIN_PUBLISHED may name it"
+)
 
 # Maros and Mészáros, A repository of convex quadratic programming problems, 1999, and the number of unknowns.
 PROGRAMS = {
@@ -36,7 +38,12 @@ CONTACTS = (
     "KaplasTower-i1061-4", "NESpheres_10_1", "OneObject-i100000-499", "Rover1039",
 )  # fmt: skip
 COMPLEMENTARITY = (
-    "Capsules-i100-889", "FrictionContactProblem00071", "RLCD_mlcp", "Rover1039", "diodeBridge_mlcp", "relay_4x4",
+    "Capsules-i100-889",
+    "FrictionContactProblem00071",
+    "RLCD_mlcp",
+    "Rover1039",
+    "diodeBridge_mlcp",
+    "relay_4x4",
 )
 
 
@@ -48,7 +55,9 @@ def read(name: str) -> dict[str, Any]:
         keys = [f"{letter}{part}" for part in ("data", "indices", "indptr", "shape")]
         if keys[0] in arrays:
             *parts, shape = (arrays.pop(key) for key in keys)
-            arrays[letter.rstrip("_") or "M"] = kind(tuple(parts), shape=tuple(int(size) for size in shape))
+            arrays[letter.rstrip("_") or "M"] = kind(
+                tuple(parts), shape=tuple(int(size) for size in shape)
+            )
     return arrays
 
 
@@ -75,7 +84,10 @@ class PublishedProgram:
     def read(cls, name: str) -> PublishedProgram:
         """The program of a file."""
         of = read(f"qp_{name}")
-        low, high = np.where(of["l"] <= -INFINITE, -np.inf, of["l"]), np.where(of["u"] >= INFINITE, np.inf, of["u"])
+        low, high = (
+            np.where(of["l"] <= -INFINITE, -np.inf, of["l"]),
+            np.where(of["u"] >= INFINITE, np.inf, of["u"]),
+        )
         value = MORE_DIGITS.get(name, float(of["optimal_value"]))
         digits = 1e-9 if name == "KSIP" else 1e-6
         return cls(of["P"], of["q"], float(of["r"]), of["A"], low, high, value, digits)

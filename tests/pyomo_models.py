@@ -44,7 +44,8 @@ def affine(M: Any, q: Any, x: Any) -> list[Any]:
     """The rows of M x + q as Pyomo's expressions."""
     M = sp.csr_array(M)
     return [
-        sum(float(M.data[k]) * x[int(M.indices[k])] for k in range(M.indptr[i], M.indptr[i + 1])) + float(q[i])
+        sum(float(M.data[k]) * x[int(M.indices[k])] for k in range(M.indptr[i], M.indptr[i + 1]))
+        + float(q[i])
         for i in range(M.shape[0])
     ]
 
@@ -127,7 +128,12 @@ def four_by_four() -> Published:
 def murty_exponential() -> Published:
     """K. G. Murty, Math. Program. Study 7 (1978) 138–146: 2ⁿ pivots; n = 8, solution (1, 0, …, 0)."""
     n = 8
-    return linear(np.eye(n) + 2 * np.tril(np.ones((n, n)), -1), -np.ones(n), answers=[np.eye(n)[0]], digits=1e-9)
+    return linear(
+        np.eye(n) + 2 * np.tril(np.ones((n, n)), -1),
+        -np.ones(n),
+        answers=[np.eye(n)[0]],
+        digits=1e-9,
+    )
 
 
 @published
@@ -140,21 +146,39 @@ def fathi() -> Published:
 @published
 def transmcp() -> Published:
     """G. B. Dantzig, Linear Programming and Extensions (1963) 3-3, as a complementarity problem: GAMS' transmcp."""
-    plants, markets = {"Seattle": 350.0, "San Diego": 600.0}, {"New York": 325.0, "Chicago": 300.0, "Topeka": 275.0}
-    distance = dict(zip(((i, j) for i in plants for j in markets), (2.5, 1.7, 1.8, 2.5, 1.8, 1.4), strict=True))
+    plants, markets = (
+        {"Seattle": 350.0, "San Diego": 600.0},
+        {"New York": 325.0, "Chicago": 300.0, "Topeka": 275.0},
+    )
+    distance = dict(
+        zip(((i, j) for i in plants for j in markets), (2.5, 1.7, 1.8, 2.5, 1.8, 1.4), strict=True)
+    )
     m = pe.ConcreteModel()
     m.I, m.J = pe.Set(initialize=list(plants)), pe.Set(initialize=list(markets))
-    m.cost = pe.Param(m.I, m.J, initialize={key: 0.09 * d for key, d in distance.items()}, mutable=True)
+    m.cost = pe.Param(
+        m.I, m.J, initialize={key: 0.09 * d for key, d in distance.items()}, mutable=True
+    )
     m.x = pe.Var(m.I, m.J, within=pe.NonNegativeReals)
-    m.at_plant, m.at_market = pe.Var(m.I, within=pe.NonNegativeReals), pe.Var(m.J, within=pe.NonNegativeReals)
+    m.at_plant, m.at_market = (
+        pe.Var(m.I, within=pe.NonNegativeReals),
+        pe.Var(m.J, within=pe.NonNegativeReals),
+    )
     m.supply = Complementarity(
-        m.I, rule=lambda m, i: complements(plants[i] >= sum(m.x[i, j] for j in m.J), m.at_plant[i] >= 0)
+        m.I,
+        rule=lambda m, i: complements(plants[i] >= sum(m.x[i, j] for j in m.J), m.at_plant[i] >= 0),
     )
     m.demand = Complementarity(
-        m.J, rule=lambda m, j: complements(sum(m.x[i, j] for i in m.I) >= markets[j], m.at_market[j] >= 0)
+        m.J,
+        rule=lambda m, j: complements(
+            sum(m.x[i, j] for i in m.I) >= markets[j], m.at_market[j] >= 0
+        ),
     )
     m.profit = Complementarity(
-        m.I, m.J, rule=lambda m, i, j: complements(m.at_plant[i] + m.cost[i, j] >= m.at_market[j], m.x[i, j] >= 0)
+        m.I,
+        m.J,
+        rule=lambda m, i, j: complements(
+            m.at_plant[i] + m.cost[i, j] >= m.at_market[j], m.x[i, j] >= 0
+        ),
     )
     variables = each(m.x, m.at_plant, m.at_market)
     return Published(m, variables, answers=[[0.225, 0.153, 0.126]], digits=1e-9, first=8)
@@ -213,9 +237,13 @@ def oligopoly(
     m.cost = pe.Block(firms)
     for i in firms:
         m.cost[i].marginal = pe.Expression(expr=cost[i] + (m.q[i] / scale) ** (1.0 / beta[i]))
-    m.best = Complementarity(firms, rule=lambda m, i: complements(
-        m.q[i] >= 0, m.cost[i].marginal - m.price + m.q[i] * m.price / (gamma * m.total) >= 0,
-    ))
+    m.best = Complementarity(
+        firms,
+        rule=lambda m, i: complements(
+            m.q[i] >= 0,
+            m.cost[i].marginal - m.price + m.q[i] * m.price / (gamma * m.total) >= 0,
+        ),
+    )
     return Published(m, each(m.q), answers)
 
 
@@ -229,7 +257,10 @@ def oligomcp() -> Published:
 def nash() -> Published:
     """P. T. Harker, Math. Programming 41 (1988) 29–59: ten firms; Pyomo's model library, mcplib."""
     return oligopoly(
-        [5, 3, 8, 5, 1, 3, 7, 4, 6, 3], 0.1, [1.2, 1.0, 0.9, 0.6, 1.5, 1.0, 0.7, 1.1, 0.95, 0.75], 1.2,
+        [5, 3, 8, 5, 1, 3, 7, 4, 6, 3],
+        0.1,
+        [1.2, 1.0, 0.9, 0.6, 1.5, 1.0, 0.7, 1.1, 0.95, 0.75],
+        1.2,
         NASH_10_SOLUTION,
     )
 
@@ -241,7 +272,9 @@ def cournot_with_a_capacity() -> Published:
     m = case.model
     m.best[2].deactivate()
     m.limit = pe.Param(initialize=30.0, mutable=True)
-    m.held = Complementarity(expr=complements(pe.inequality(0, m.q[2], m.limit), m.best[2]._args[1].args[1]))
+    m.held = Complementarity(
+        expr=complements(pe.inequality(0, m.q[2], m.limit), m.best[2]._args[1].args[1])
+    )
     return Published(m, case.variables)
 
 
@@ -251,8 +284,12 @@ def mathiesens() -> Published:
     m = pe.ConcreteModel()
     m.y, m.p = pe.Var(initialize=1.0), pe.Var([1, 2, 3], initialize=1.0)
     m.profit = Complementarity(expr=complements(m.y >= 0, -m.p[1] + m.p[2] + m.p[3] >= 0))
-    m.one = Complementarity(expr=complements(m.p[1] >= 0, m.y - (4.5 * m.p[2] + 2.7 * m.p[3]) / (m.p[1] + 1) >= 0))
-    m.two = Complementarity(expr=complements(m.p[2] >= 0, 5 - m.y - (0.5 * m.p[2] + 0.3 * m.p[3]) / (m.p[2] + 1) >= 0))
+    m.one = Complementarity(
+        expr=complements(m.p[1] >= 0, m.y - (4.5 * m.p[2] + 2.7 * m.p[3]) / (m.p[1] + 1) >= 0)
+    )
+    m.two = Complementarity(
+        expr=complements(m.p[2] >= 0, 5 - m.y - (0.5 * m.p[2] + 0.3 * m.p[3]) / (m.p[2] + 1) >= 0)
+    )
     m.three = Complementarity(expr=complements(m.p[3] >= 0, 3 - m.y >= 0))
     return Published(m, [m.y, *each(m.p)])
 
@@ -273,20 +310,34 @@ def hansen() -> Published:
         bought = sum(share[g, h] * m.i[h] / m.p[g] for h in range(4) if share[g, h])
         return sum(A[g, s] * m.y[s] for s in range(26) if A[g, s]) + owned[g].sum() - bought
 
-    m.market = Complementarity(range(14), rule=lambda m, g: complements(m.p[g] >= floor[g], left(m, g) >= 0))
-    m.profit = Complementarity(
-        range(26), rule=lambda m, s: complements(m.y[s] >= 0, -sum(A[g, s] * m.p[g] for g in range(14) if A[g, s]) >= 0)
+    m.market = Complementarity(
+        range(14), rule=lambda m, g: complements(m.p[g] >= floor[g], left(m, g) >= 0)
     )
-    m.income = pe.Constraint(range(4), rule=lambda m, h: m.i[h] == sum(owned[g, h] * m.p[g] for g in range(14)))
+    m.profit = Complementarity(
+        range(26),
+        rule=lambda m, s: complements(
+            m.y[s] >= 0, -sum(A[g, s] * m.p[g] for g in range(14) if A[g, s]) >= 0
+        ),
+    )
+    m.income = pe.Constraint(
+        range(4), rule=lambda m, h: m.i[h] == sum(owned[g, h] * m.p[g] for g in range(14))
+    )
 
     return Published(m, [*each(m.p)[1:], *each(m.y, m.i)])
 
 
 def by_rows(
-    rows: Callable[[Any, Any], list[Any]], n: int, lower: Any = 0.0, upper: Any = np.inf, start: Any = 0.0, **given: Any
+    rows: Callable[[Any, Any], list[Any]],
+    n: int,
+    lower: Any = 0.0,
+    upper: Any = np.inf,
+    start: Any = 0.0,
+    **given: Any,
 ) -> Published:
     """A problem by one formula a row."""
-    lower, upper, start = (np.broadcast_to(np.asarray(value, dtype=float), n) for value in (lower, upper, start))
+    lower, upper, start = (
+        np.broadcast_to(np.asarray(value, dtype=float), n) for value in (lower, upper, start)
+    )
     m = pe.ConcreteModel()
     m.x = pe.Var(range(n), initialize=lambda m, i: start[i])
     written = rows(m.x, pe)
@@ -304,14 +355,23 @@ def by_rows(
 
 
 def kkt_of(
-    gradient: Any, constraints: Any, n: int, m: int, lower: Any = -np.inf, upper: Any = np.inf, **given: Any
+    gradient: Any,
+    constraints: Any,
+    n: int,
+    m: int,
+    lower: Any = -np.inf,
+    upper: Any = np.inf,
+    **given: Any,
 ) -> Published:
     """The first-order conditions of min f(x), g(x) ≥ 0 within bounds: `constraints(x)`: each g and its gradient."""
 
     def rows(x: Any, functions: Any) -> list[Any]:
         told = constraints(x)
         multipliers = [x[n + k] for k in range(m)]
-        slopes = [gradient(x, functions)[j] - sum(multipliers[k] * told[k][1][j] for k in range(m)) for j in range(n)]
+        slopes = [
+            gradient(x, functions)[j] - sum(multipliers[k] * told[k][1][j] for k in range(m))
+            for j in range(n)
+        ]
         return slopes + [value for value, _ in told]
 
     bounds = [np.broadcast_to(np.asarray(bound, dtype=float), n) for bound in (lower, upper)]
@@ -322,21 +382,41 @@ def kkt_of(
 @published
 def colville1() -> Published:
     """A. R. Colville, IBM report 320-2949 (1968), problem 1, its first-order conditions: MCPLIB's colvncp."""
-    c = np.array([
-        [30, -20, -10, 32, -10], [-20, 39, -6, -31, 32], [-10, -6, 10, -6, -10], [32, -31, -6, 39, -20],
-        [-10, 32, -10, -20, 30.0],
-    ])
+    c = np.array(
+        [
+            [30, -20, -10, 32, -10],
+            [-20, 39, -6, -31, 32],
+            [-10, -6, 10, -6, -10],
+            [32, -31, -6, 39, -20],
+            [-10, 32, -10, -20, 30.0],
+        ]
+    )
     e, d = [-15.0, -27, -36, -18, -12], [4.0, 8, 10, 6, 2]
     a = [
-        [-16.0, 2, 0, 1, 0], [0, -2, 0, 4, 2], [-3.5, 0, 2, 0, 0], [0, -2, 0, -4, -1], [0, -9, -2, 1, -2.8],
-        [2, 0, -4, 0, 0], [-1, -1, -1, -1, -1], [-1, -2, -3, -2, -1], [1, 2, 3, 4, 5], [1, 1, 1, 1, 1],
+        [-16.0, 2, 0, 1, 0],
+        [0, -2, 0, 4, 2],
+        [-3.5, 0, 2, 0, 0],
+        [0, -2, 0, -4, -1],
+        [0, -9, -2, 1, -2.8],
+        [2, 0, -4, 0, 0],
+        [-1, -1, -1, -1, -1],
+        [-1, -2, -3, -2, -1],
+        [1, 2, 3, 4, 5],
+        [1, 1, 1, 1, 1],
     ]
     b = [-40, -2, -0.25, -4, -4, -1, -40, -60, 5, 1.0]
     return kkt_of(
-        lambda x, _: [e[j] + 2 * sum(c[j, i] * x[i] for i in range(5)) + 3 * d[j] * x[j] ** 2 for j in range(5)],
+        lambda x, _: [
+            e[j] + 2 * sum(c[j, i] * x[i] for i in range(5)) + 3 * d[j] * x[j] ** 2
+            for j in range(5)
+        ],
         lambda x: [(sum(row[j] * x[j] for j in range(5)) - b[k], row) for k, row in enumerate(a)],
-        5, 10, lower=0.0, start=np.append([0, 0, 0, 0, 1.0], np.zeros(10)),
-        answers=[[0.3, 0.33346761, 0.4, 0.42831010, 0.22396487]], digits=1e-6,
+        5,
+        10,
+        lower=0.0,
+        start=np.append([0, 0, 0, 0, 1.0], np.zeros(10)),
+        answers=[[0.3, 0.33346761, 0.4, 0.42831010, 0.22396487]],
+        digits=1e-6,
     )
 
 
@@ -344,9 +424,18 @@ def colville1() -> Published:
 def hock_schittkowski_35() -> Published:
     """E. M. L. Beale, Naval Res. Logist. Q. 6 (1959) 227–243; Hock and Schittkowski's 35 (1981)."""
     return kkt_of(
-        lambda x, _: [-8 + 4 * x[0] + 2 * x[1] + 2 * x[2], -6 + 4 * x[1] + 2 * x[0], -4 + 2 * x[2] + 2 * x[0]],
+        lambda x, _: [
+            -8 + 4 * x[0] + 2 * x[1] + 2 * x[2],
+            -6 + 4 * x[1] + 2 * x[0],
+            -4 + 2 * x[2] + 2 * x[0],
+        ],
         lambda x: [(3 - x[0] - x[1] - 2 * x[2], [-1, -1, -2])],
-        3, 1, lower=0.0, start=0.5, answers=[[4 / 3, 7 / 9, 4 / 9]], digits=1e-8,
+        3,
+        1,
+        lower=0.0,
+        start=0.5,
+        answers=[[4 / 3, 7 / 9, 4 / 9]],
+        digits=1e-8,
     )
 
 
@@ -356,14 +445,23 @@ def hock_schittkowski_43() -> Published:
     return kkt_of(
         lambda x, _: [2 * x[0] - 5, 2 * x[1] - 5, 4 * x[2] - 21, 2 * x[3] + 7],
         lambda x: [
-            (8 - x[0] ** 2 - x[1] ** 2 - x[2] ** 2 - x[3] ** 2 - x[0] + x[1] - x[2] + x[3],
-             [-2 * x[0] - 1, -2 * x[1] + 1, -2 * x[2] - 1, -2 * x[3] + 1]),
-            (10 - x[0] ** 2 - 2 * x[1] ** 2 - x[2] ** 2 - 2 * x[3] ** 2 + x[0] + x[3],
-             [-2 * x[0] + 1, -4 * x[1], -2 * x[2], -4 * x[3] + 1]),
-            (5 - 2 * x[0] ** 2 - x[1] ** 2 - x[2] ** 2 - 2 * x[0] + x[1] + x[3],
-             [-4 * x[0] - 2, -2 * x[1] + 1, -2 * x[2], 1]),
+            (
+                8 - x[0] ** 2 - x[1] ** 2 - x[2] ** 2 - x[3] ** 2 - x[0] + x[1] - x[2] + x[3],
+                [-2 * x[0] - 1, -2 * x[1] + 1, -2 * x[2] - 1, -2 * x[3] + 1],
+            ),
+            (
+                10 - x[0] ** 2 - 2 * x[1] ** 2 - x[2] ** 2 - 2 * x[3] ** 2 + x[0] + x[3],
+                [-2 * x[0] + 1, -4 * x[1], -2 * x[2], -4 * x[3] + 1],
+            ),
+            (
+                5 - 2 * x[0] ** 2 - x[1] ** 2 - x[2] ** 2 - 2 * x[0] + x[1] + x[3],
+                [-4 * x[0] - 2, -2 * x[1] + 1, -2 * x[2], 1],
+            ),
         ],
-        4, 3, answers=[[0, 1, 2, -1]], digits=1e-7,
+        4,
+        3,
+        answers=[[0, 1, 2, -1]],
+        digits=1e-7,
     )
 
 
@@ -377,7 +475,8 @@ def hock_schittkowski_71() -> Published:
         product = [x[1] * x[2] * x[3], x[0] * x[2] * x[3], x[0] * x[1] * x[3], x[0] * x[1] * x[2]]
         slopes = [x[3] * (total + x[0]), x[0] * x[3], x[0] * x[3] + 1, x[0] * total]
         return [
-            *(slopes[j] - y * product[j] - 2 * z * x[j] for j in range(4)), x[0] * product[0] - 25,
+            *(slopes[j] - y * product[j] - 2 * z * x[j] for j in range(4)),
+            x[0] * product[0] - 25,
             x[0] ** 2 + x[1] ** 2 + x[2] ** 2 + x[3] ** 2 - 40,
         ]
 
@@ -393,9 +492,15 @@ def hock_schittkowski_76() -> Published:
         lambda x, _: [2 * x[0] - x[2] - 1, x[1] - 3, 2 * x[2] - x[0] + x[3] + 1, x[3] + x[2] - 1],
         lambda x: [
             (5 - x[0] - 2 * x[1] - x[2] - x[3], [-1, -2, -1, -1]),
-            (4 - 3 * x[0] - x[1] - 2 * x[2] + x[3], [-3, -1, -2, 1]), (x[1] + 4 * x[2] - 1.5, [0, 1, 4, 0]),
+            (4 - 3 * x[0] - x[1] - 2 * x[2] + x[3], [-3, -1, -2, 1]),
+            (x[1] + 4 * x[2] - 1.5, [0, 1, 4, 0]),
         ],
-        4, 3, lower=0.0, start=0.5, answers=[[0.27272727, 2.0909091, 0, 0.54545455]], digits=1e-6,
+        4,
+        3,
+        lower=0.0,
+        start=0.5,
+        answers=[[0.27272727, 2.0909091, 0, 0.54545455]],
+        digits=1e-6,
     )
 
 
@@ -403,17 +508,34 @@ def hock_schittkowski_76() -> Published:
 def chemical_equilibrium() -> Published:
     """W. B. White, S. M. Johnson, G. B. Dantzig, J. Chem. Phys. 28 (1958) 751–755: hydrazine and oxygen at 3500 K."""
     c = [-6.089, -17.164, -34.054, -5.914, -24.721, -14.986, -24.100, -10.708, -26.662, -22.179]
-    atoms = [[1, 2, 2, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0, 1, 2, 1, 1, 0, 0, 0], [0, 0, 1, 0, 0, 0, 1, 1, 2, 1]]
+    atoms = [
+        [1, 2, 2, 0, 0, 1, 0, 0, 0, 1],
+        [0, 0, 0, 1, 2, 1, 1, 0, 0, 0],
+        [0, 0, 1, 0, 0, 0, 1, 1, 2, 1],
+    ]
 
     def rows(x: Any, functions: Any) -> list[Any]:
         total = sum(x[j] for j in range(10))
         potentials = [
-            c[j] + functions.log(x[j] / total) - sum(atoms[k][j] * x[10 + k] for k in range(3)) for j in range(10)
+            c[j] + functions.log(x[j] / total) - sum(atoms[k][j] * x[10 + k] for k in range(3))
+            for j in range(10)
         ]
-        return potentials + [sum(atoms[k][j] * x[j] for j in range(10)) - (2, 1, 1)[k] for k in range(3)]
+        return potentials + [
+            sum(atoms[k][j] * x[j] for j in range(10)) - (2, 1, 1)[k] for k in range(3)
+        ]
 
     lower = np.append(np.full(10, 1e-6), np.full(3, -np.inf))
-    answer = [0.0406681, 0.1477304, 0.7831534, 0.0014142, 0.4852466, 0.0006932, 0.0273993, 0.0179473, 0.0373144]
+    answer = [
+        0.0406681,
+        0.1477304,
+        0.7831534,
+        0.0014142,
+        0.4852466,
+        0.0006932,
+        0.0273993,
+        0.0179473,
+        0.0373144,
+    ]
     start = np.append(np.full(10, 0.1), np.full(3, -10.0))
     return by_rows(rows, 13, lower, np.inf, start, answers=[answer], digits=2e-4)
 
@@ -422,8 +544,17 @@ def chemical_equilibrium() -> Published:
 def harker_game() -> Published:
     """P. T. Harker, Eur. J. Oper. Res. 54 (1991) 81–94: two players share a constraint; with one multiplier (5, 9)."""
     return by_rows(
-        lambda x, _: [2 * x[0] + 8 / 3 * x[1] - 34 + x[2], 2 * x[1] + 1.25 * x[0] - 24.25 + x[2], 15 - x[0] - x[1]], 3,
-        0.0, [10, 10, np.inf], 1.0, answers=[[5, 9]], digits=1e-8,
+        lambda x, _: [
+            2 * x[0] + 8 / 3 * x[1] - 34 + x[2],
+            2 * x[1] + 1.25 * x[0] - 24.25 + x[2],
+            15 - x[0] - x[1],
+        ],
+        3,
+        0.0,
+        [10, 10, np.inf],
+        1.0,
+        answers=[[5, 9]],
+        digits=1e-8,
     )
 
 
@@ -436,10 +567,16 @@ def river_basin() -> Published:
     def rows(x: Any, _: Any) -> list[Any]:
         total = x[0] + x[1] + x[2]
         best = [
-            cost[j] + 2 * slope[j] * x[j] - 3.0 + 0.01 * (total + x[j])
-            + sum(x[3 + k] * decay[k][j] * emission[j] for k in range(2)) for j in range(3)
+            cost[j]
+            + 2 * slope[j] * x[j]
+            - 3.0
+            + 0.01 * (total + x[j])
+            + sum(x[3 + k] * decay[k][j] * emission[j] for k in range(2))
+            for j in range(3)
         ]
-        return best + [100 - sum(decay[k][j] * emission[j] * x[j] for j in range(3)) for k in range(2)]
+        return best + [
+            100 - sum(decay[k][j] * emission[j] * x[j] for j in range(3)) for k in range(2)
+        ]
 
     return by_rows(rows, 5, start=1.0, answers=[[21.145, 16.028, 2.726]], digits=1e-3)
 
@@ -449,7 +586,10 @@ def scarf_1960() -> Published:
     """H. Scarf, Int. Econ. Rev. 1 (1960) 157–172: three goods whose prices tâtonnement never finds; all equal."""
 
     def rows(p: Any, _: Any) -> list[Any]:
-        bought = [p[i] / (p[i] + p[(i + 1) % 3]) + p[(i + 2) % 3] / (p[(i + 2) % 3] + p[i]) for i in range(3)]
+        bought = [
+            p[i] / (p[i] + p[(i + 1) % 3]) + p[(i + 2) % 3] / (p[(i + 2) % 3] + p[i])
+            for i in range(3)
+        ]
         return [1 - bought[0], 1 - bought[1], p[0] + p[1] + p[2] - 1]
 
     return by_rows(rows, 3, -np.inf, start=[0.5, 0.3, 0.2], answers=[[1 / 3] * 3], digits=1e-8)
@@ -476,10 +616,18 @@ def shoven_whalley() -> Published:
             for g in range(2):
                 bought[g] = bought[g] + taste[h][g] * income / (price[g] ** elasticity[h] * spread)
         used = sum(made_by[g] * output[g] for g in range(2))
-        return [output[0] - bought[0], output[1] - bought[1], unit[0] - price[0], unit[1] - price[1], 25 - used]
+        return [
+            output[0] - bought[0],
+            output[1] - bought[1],
+            unit[0] - price[0],
+            unit[1] - price[1],
+            25 - used,
+        ]
 
     answer = [1.399, 1.093, 24.942, 54.378, 1.373]
-    return by_rows(rows, 5, [1e-3, 1e-3, 0, 0, 1e-3], start=[1, 1, 20, 50, 1], answers=[answer], digits=1e-3)
+    return by_rows(
+        rows, 5, [1e-3, 1e-3, 0, 0, 1e-3], start=[1, 1, 20, 50, 1], answers=[answer], digits=1e-3
+    )
 
 
 @published
@@ -489,11 +637,20 @@ def braess() -> Published:
     m.road = pe.Set(initialize=["ac", "ab", "cd", "bd", "bc"])
     m.path = pe.Set(initialize=["ab bd", "ac cd", "ab bc cd"])
     m.flow, m.use, m.time = pe.Var(m.path, initialize=1.0), pe.Var(m.road), pe.Var(initialize=50.0)
-    m.sum = pe.Constraint(m.road, rule=lambda m, r: m.use[r] == sum(m.flow[p] for p in m.path if r in p.split()))
-    fixed, rise = {"ab": 0, "cd": 0, "ac": 50, "bd": 50, "bc": 10}, {"ab": 10, "cd": 10, "ac": 1, "bd": 1, "bc": 1}
-    m.wardrop = Complementarity(m.path, rule=lambda m, p: complements(
-        sum(fixed[r] + rise[r] * m.use[r] for r in p.split()) >= m.time, m.flow[p] >= 0,
-    ))
+    m.sum = pe.Constraint(
+        m.road, rule=lambda m, r: m.use[r] == sum(m.flow[p] for p in m.path if r in p.split())
+    )
+    fixed, rise = (
+        {"ab": 0, "cd": 0, "ac": 50, "bd": 50, "bc": 10},
+        {"ab": 10, "cd": 10, "ac": 1, "bd": 1, "bc": 1},
+    )
+    m.wardrop = Complementarity(
+        m.path,
+        rule=lambda m, p: complements(
+            sum(fixed[r] + rise[r] * m.use[r] for r in p.split()) >= m.time,
+            m.flow[p] >= 0,
+        ),
+    )
     m.demand = pe.Constraint(expr=sum(m.flow[p] for p in m.path) == 6)
     return Published(m, [*each(m.flow), m.time], answers=[[2, 2, 2, 92]], digits=1e-8)
 
@@ -502,7 +659,11 @@ def braess() -> Published:
 def pigou() -> Published:
     """A. C. Pigou, The Economics of Welfare (1920); T. Roughgarden, É. Tardos, J. ACM 49 (2002) 236–259."""
     return by_rows(
-        lambda x, _: [1 - x[2], x[1] ** 4 - x[2], x[0] + x[1] - 1], 3, [0, 0, -np.inf], start=0.5, answers=[[0, 1, 1]],
+        lambda x, _: [1 - x[2], x[1] ** 4 - x[2], x[0] + x[1] - 1],
+        3,
+        [0, 0, -np.inf],
+        start=0.5,
+        answers=[[0, 1, 1]],
         digits=1e-3,  # the derivative of the first road's use vanishes there
     )
 
@@ -515,21 +676,32 @@ def bimatrix_game() -> Published:
     m.x, m.y = pe.Var(range(3), initialize=1 / 3), pe.Var(range(2), initialize=0.5)
     m.u, m.v = pe.Var(), pe.Var()
     m.row = Complementarity(
-        range(3), rule=lambda m, i: complements(m.x[i] >= 0, m.u >= sum(A[i][j] * m.y[j] for j in range(2)))
+        range(3),
+        rule=lambda m, i: complements(m.x[i] >= 0, m.u >= sum(A[i][j] * m.y[j] for j in range(2))),
     )
     m.column = Complementarity(
-        range(2), rule=lambda m, j: complements(m.y[j] >= 0, m.v >= sum(B[i][j] * m.x[i] for i in range(3)))
+        range(2),
+        rule=lambda m, j: complements(m.y[j] >= 0, m.v >= sum(B[i][j] * m.x[i] for i in range(3))),
     )
-    m.one, m.two = pe.Constraint(expr=sum(m.x[i] for i in range(3)) == 1), pe.Constraint(expr=m.y[0] + m.y[1] == 1)
+    m.one, m.two = (
+        pe.Constraint(expr=sum(m.x[i] for i in range(3)) == 1),
+        pe.Constraint(expr=m.y[0] + m.y[1] == 1),
+    )
     answers = [[1, 0, 0, 1, 0], [0.8, 0.2, 0, 2 / 3, 1 / 3], [0, 1 / 3, 2 / 3, 1 / 3, 2 / 3]]
     return Published(m, [*each(m.x, m.y), m.u, m.v], answers=answers, digits=1e-8)
 
 
 def on_grid(size: int) -> tuple[Any, np.ndarray, np.ndarray]:
     """The five-point −h² Δ on size² interior points of the unit square, and these."""
-    second = sp.diags_array([-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1])
+    second = sp.diags_array(
+        [-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1]
+    )
     x, y = (part.ravel() for part in np.meshgrid(*2 * (np.arange(1, size + 1) / (size + 1),)))
-    return sp.csr_array(sp.kron(sp.eye_array(size), second) + sp.kron(second, sp.eye_array(size))), x, y
+    return (
+        sp.csr_array(sp.kron(sp.eye_array(size), second) + sp.kron(second, sp.eye_array(size))),
+        x,
+        y,
+    )
 
 
 @published
@@ -557,9 +729,13 @@ def bratu_under_a_ceiling() -> Published:
     m.u = pe.Var(range(size * size), initialize=0.0)
     m.top = pe.Param(initialize=0.4, mutable=True)
     rows = affine(A, np.zeros(size * size), m.u)
-    m.pairs = Complementarity(range(size * size), rule=lambda m, i: complements(
-        m.u[i] <= m.top, rows[i] <= 6 * h2 * pe.exp(m.u[i]),
-    ))
+    m.pairs = Complementarity(
+        range(size * size),
+        rule=lambda m, i: complements(
+            m.u[i] <= m.top,
+            rows[i] <= 6 * h2 * pe.exp(m.u[i]),
+        ),
+    )
     return Published(m, each(m.u))
 
 
@@ -569,7 +745,10 @@ def journal_bearing() -> Published:
     n, eccentricity = 40, 0.8
     x = np.linspace(0, 2 * np.pi, n + 2)
     film = (1 + eccentricity * np.cos(x[:-1] + np.pi / (n + 1))) ** 3
-    A = sp.diags_array([-film[1:-1], film[:-1] + film[1:], -film[1:-1]], offsets=[-1, 0, 1]) / x[1] ** 2
+    A = (
+        sp.diags_array([-film[1:-1], film[:-1] + film[1:], -film[1:-1]], offsets=[-1, 0, 1])
+        / x[1] ** 2
+    )
     return linear(A, -eccentricity * np.sin(x[1:-1]))
 
 
@@ -579,21 +758,35 @@ def american_put() -> Published:
     rate, volatility, steps, top, nodes = 0.1, 0.4, 12, 100.0, 39
     price, dt = np.linspace(0, top, nodes + 2)[1:-1], 5 / 12 / steps
     j = np.arange(1, nodes + 1)
-    down, up = 0.5 * dt * (rate * j - volatility**2 * j**2), -0.5 * dt * (rate * j + volatility**2 * j**2)
-    step = sp.diags_array([down[1:], 1 + dt * (volatility**2 * j**2 + rate), up[:-1]], offsets=[-1, 0, 1])
+    down, up = (
+        0.5 * dt * (rate * j - volatility**2 * j**2),
+        -0.5 * dt * (rate * j + volatility**2 * j**2),
+    )
+    step = sp.diags_array(
+        [down[1:], 1 + dt * (volatility**2 * j**2 + rate), up[:-1]], offsets=[-1, 0, 1]
+    )
     M = sp.kron(sp.eye_array(steps), step) - sp.kron(sp.eye_array(steps, k=-1), sp.eye_array(nodes))
     payoff = np.maximum(50 - price, 0)
     q = np.zeros(steps * nodes)
     q[::nodes] += down[0] * 50.0  # the value at S = 0
     q[:nodes] -= payoff
-    return linear(sp.csr_array(M), q, np.tile(payoff, steps), answers=[[4.28]], digits=0.03, first=steps * nodes - 20)
+    return linear(
+        sp.csr_array(M),
+        q,
+        np.tile(payoff, steps),
+        answers=[[4.28]],
+        digits=0.03,
+        first=steps * nodes - 20,
+    )
 
 
 @published
 def signorini() -> Published:
     """A. Signorini (1933), a loaded rod before a wall: u = 0.8 x − x²/2, and the wall presses by 0.2."""
     n = 20
-    M = n * sp.diags_array([-np.ones(n - 1), np.append(2 * np.ones(n - 1), 1), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    M = n * sp.diags_array(
+        [-np.ones(n - 1), np.append(2 * np.ones(n - 1), 1), -np.ones(n - 1)], offsets=[-1, 0, 1]
+    )
     q = -np.append(np.ones(n - 1), 0.5) / n
     x = np.arange(1, n + 1) / n
     m = pe.ConcreteModel()
@@ -616,16 +809,28 @@ def lubrication() -> Published:
 
         def gap(t: float) -> Any:
             bent = sum(
-                weight[s] * (s - t) * dx * np.log(abs(s - t) * dx) * (p[s + 1] - (p[s - 1] if s else 0.0))
+                weight[s]
+                * (s - t)
+                * dx
+                * np.log(abs(s - t) * dx)
+                * (p[s + 1] - (p[s - 1] if s else 0.0))
                 for s in range(n + 1)
             )
             return (begin + t * dx) ** 2 + k + 1 + bent / np.pi
 
         def flow(i: int) -> Any:  # from i to i + 1
-            return gap(i + 0.5) ** 3 * (p[i + 1] - p[i]) / functions.exp(alpha * (p[i] + p[i + 1]) / 2) / dx**2
+            return (
+                gap(i + 0.5) ** 3
+                * (p[i + 1] - p[i])
+                / functions.exp(alpha * (p[i] + p[i + 1]) / 2)
+                / dx**2
+            )
 
         gaps, flows = [gap(i + 0.5) for i in range(n + 1)], [flow(i) for i in range(n + 1)]
-        reynolds = [speed / dx * (gaps[i] - gaps[i - 1]) - (flows[i] - flows[i - 1]) for i in range(1, n + 1)]
+        reynolds = [
+            speed / dx * (gaps[i] - gaps[i - 1]) - (flows[i] - flows[i - 1])
+            for i in range(1, n + 1)
+        ]
         return [1 - 2 * dx / np.pi * sum(weight[i] * p[i] for i in range(1, n + 1)), *reynolds]
 
     start = [1.6, *(max(0.0, 1 - abs((begin + 1 + i * dx) / 2)) for i in range(1, n + 1))]
@@ -637,7 +842,14 @@ def takayama_judge() -> Published:
     """T. Takayama, G. G. Judge, J. Farm Econ. 46 (1964) 67–93: two goods in three regions; GAMS' spatequ."""
     wanted, offered = [(200, 300), (100, 200), (160, 250)], (-50, -60)
     fall, rise = [(-10, -10), (-5, -20), (-8, -10)], [(10, 15), (20, 25), (10, 15)]
-    cost = {(0, 1): (2, 3), (0, 2): (2, 3), (1, 0): (2, 3), (1, 2): (1, 2), (2, 0): (2, 3), (2, 1): (1, 2)}
+    cost = {
+        (0, 1): (2, 3),
+        (0, 2): (2, 3),
+        (1, 0): (2, 3),
+        (1, 2): (1, 2),
+        (2, 0): (2, 3),
+        (2, 1): (1, 2),
+    }
     m = pe.ConcreteModel()
     m.R, m.C, m.route = pe.RangeSet(0, 2), pe.RangeSet(0, 1), pe.Set(initialize=list(cost), dimen=2)
     m.p = pe.Var(m.R, m.C, within=pe.NonNegativeReals, initialize=1.0)
@@ -645,15 +857,27 @@ def takayama_judge() -> Published:
     m.supplied = pe.Expression(
         m.R, m.C, rule=lambda m, r, c: offered[c] + rise[r][c] * m.p[r, c] + 0.5 * m.p[r, 1 - c]
     )
-    m.demanded = pe.Expression(m.R, m.C, rule=lambda m, r, c: wanted[r][c] + fall[r][c] * m.p[r, c] + m.p[r, 1 - c])
-    m.market = Complementarity(m.R, m.C, rule=lambda m, r, c: complements(
-        m.p[r, c] >= 0,
-        m.supplied[r, c] + sum(m.x[s, t, c] * ((t == r) - (s == r)) for s, t in cost if r in (s, t))
-        >= m.demanded[r, c],
-    ))
-    m.trade = Complementarity(m.route, m.C, rule=lambda m, s, t, c: complements(
-        m.x[s, t, c] >= 0, m.p[s, c] + cost[s, t][c] >= m.p[t, c],
-    ))
+    m.demanded = pe.Expression(
+        m.R, m.C, rule=lambda m, r, c: wanted[r][c] + fall[r][c] * m.p[r, c] + m.p[r, 1 - c]
+    )
+    m.market = Complementarity(
+        m.R,
+        m.C,
+        rule=lambda m, r, c: complements(
+            m.p[r, c] >= 0,
+            m.supplied[r, c]
+            + sum(m.x[s, t, c] * ((t == r) - (s == r)) for s, t in cost if r in (s, t))
+            >= m.demanded[r, c],
+        ),
+    )
+    m.trade = Complementarity(
+        m.route,
+        m.C,
+        rule=lambda m, s, t, c: complements(
+            m.x[s, t, c] >= 0,
+            m.p[s, c] + cost[s, t][c] >= m.p[t, c],
+        ),
+    )
     return Published(m, each(m.p, m.x))
 
 
@@ -664,30 +888,47 @@ def von_thunen() -> Published:
     distance = [5.0 * (2 * r + 1) for r in rings]
     area = [2 * 3.1415 * d for d in distance]
     phi, beta, carry = (1.0, 2.0, 3.0, 4.0), (0.9, 0.7, 0.5, 0.3), (0.015, 0.006, 0.004, 0.01)
-    worker, owner, porter, labour, carts = (0.2, 0.3, 0.1, 0.3), (0.3, 0.3, 0.2, 0.2), (0.6, 0.2, 0.1, 0.1), 30.0, 20.0
+    worker, owner, porter, labour, carts = (
+        (0.2, 0.3, 0.1, 0.3),
+        (0.3, 0.3, 0.2, 0.2),
+        (0.6, 0.2, 0.1, 0.1),
+        30.0,
+        20.0,
+    )
 
     def rows(x: Any, _: Any) -> list[Any]:
         cost, made = ([[x[base + 4 * r + c] for c in crops] for r in rings] for base in (0, 48))
         idle, rent = ([x[base + r] for r in rings] for base in (96, 108))
         carrier, price = x[120], [x[121 + c] for c in crops]
         unit = [
-            phi[c] * cost[r][c] - (1 / beta[c]) ** beta[c] * (rent[r] / (1 - beta[c])) ** (1 - beta[c])
-            for r in rings for c in crops
+            phi[c] * cost[r][c]
+            - (1 / beta[c]) ** beta[c] * (rent[r] / (1 - beta[c])) ** (1 - beta[c])
+            for r in rings
+            for c in crops
         ]
-        profit = [cost[r][c] + carry[c] * distance[r] * carrier - price[c] for r in rings for c in crops]
+        profit = [
+            cost[r][c] + carry[c] * distance[r] * carrier - price[c] for r in rings for c in crops
+        ]
         land = [
-            area[r] - idle[r] - sum(made[r][c] * (1 - beta[c]) * cost[r][c] for c in crops) / rent[r] for r in rings
+            area[r]
+            - idle[r]
+            - sum(made[r][c] * (1 - beta[c]) * cost[r][c] for c in crops) / rent[r]
+            for r in rings
         ]
         carried = carts - sum(carry[c] * distance[r] * made[r][c] for r in rings for c in crops)
         rents = sum(rent[r] * (area[r] - idle[r]) for r in rings)
         goods = [
-            price[c] * sum(made[r][c] for r in rings) - porter[c] * carts * carrier - worker[c] * labour
+            price[c] * sum(made[r][c] for r in rings)
+            - porter[c] * carts * carrier
+            - worker[c] * labour
             - owner[c] * rents
             for c in crops
         ]
         return [*unit, *profit, *(rent[r] - 0.0001 for r in rings), *land, carried, *goods]
 
-    lower = np.concatenate([np.zeros(48), np.zeros(48), np.zeros(12), np.full(12, 0.001), [0.0], np.full(4, 0.1)])
+    lower = np.concatenate(
+        [np.zeros(48), np.zeros(48), np.zeros(12), np.full(12, 0.001), [0.0], np.full(4, 0.1)]
+    )
     start = np.where(np.arange(125) // 12 == 8, 0.0, 1.0)
     return by_rows(rows, 125, lower, start=start)
 
@@ -703,7 +944,11 @@ def pies() -> Published:
     coal_use = {"Capital": [(1, 5, 10), (1, 5, 6)], "Steel": [(1, 2, 3), (1, 4, 5)]}
     oil_use = {"Capital": [(0, 10), (0, 15)], "Steel": [(0, 4), (0, 2)]}
     coal_cost, oil_cost = [(5, 6, 8), (4, 5, 7)], [(1, 1.5), (1.25, 1.5)]
-    coal_way, crude_way, product_way = [(1, 2.5), (0.75, 2.75)], [(2, 3), (4, 2)], [(1, 1.2), (1, 1.5)]
+    coal_way, crude_way, product_way = (
+        [(1, 2.5), (0.75, 2.75)],
+        [(2, 3), (4, 2)],
+        [(1, 1.2), (1, 1.5)],
+    )
     two, three = range(2), range(3)
 
     def rows(x: Any, _: Any) -> list[Any]:
@@ -716,7 +961,8 @@ def pies() -> Published:
         arrivals = {"C": ct, "L": lt, "H": ht}
         used = {
             s: sum(c[r][t] * coal_use[s][r][t] for r in two for t in three)
-            + sum(o[r][t] * oil_use[s][r][t] for r in two for t in two) for s in capacity
+            + sum(o[r][t] * oil_use[s][r][t] for r in two for t in two)
+            for s in capacity
         }
 
         def demand(g: str, u: int) -> Any:
@@ -726,28 +972,47 @@ def pies() -> Published:
             return total
 
         return [
-            *(coal_cost[r][t] - cv[r] + sum(coal_use[s][r][t] * shadow[s] for s in capacity)
-              for r in two for t in three),
-            *(oil_cost[r][t] - ov[r] + sum(oil_use[s][r][t] * shadow[s] for s in capacity) for r in two for t in two),
+            *(
+                coal_cost[r][t] - cv[r] + sum(coal_use[s][r][t] * shadow[s] for s in capacity)
+                for r in two
+                for t in three
+            ),
+            *(
+                oil_cost[r][t] - ov[r] + sum(oil_use[s][r][t] * shadow[s] for s in capacity)
+                for r in two
+                for t in two
+            ),
             *(coal_way[r][u] + cv[r] - p["C"][u] for r in two for u in two),
-            *(crude_way[r][f] + refining[f] + ov[r] - output[f]["L"] * lv[f] - output[f]["H"] * hv[f]
-              for r in two for f in two),
+            *(
+                crude_way[r][f]
+                + refining[f]
+                + ov[r]
+                - output[f]["L"] * lv[f]
+                - output[f]["H"] * hv[f]
+                for r in two
+                for f in two
+            ),
             *(product_way[f][u] + lv[f] - p["L"][u] for f in two for u in two),
             *(product_way[f][u] + hv[f] - p["H"][u] for f in two for u in two),
             *(sum(arrivals[g][r][u] for r in two) - demand(g, u) for g in goods for u in two),
             *(capacity[s] - used[s] for s in capacity),
-            *(sum(c[r]) - sum(ct[r]) for r in two), *(sum(o[r]) - sum(ot[r]) for r in two),
+            *(sum(c[r]) - sum(ct[r]) for r in two),
+            *(sum(o[r]) - sum(ot[r]) for r in two),
             *(sum(ot[r][f] for r in two) * output[f]["L"] - sum(lt[f]) for f in two),
             *(sum(ot[r][f] for r in two) * output[f]["H"] - sum(ht[f]) for f in two),
         ]
 
     lower = np.concatenate([np.zeros(26), np.full(6, 0.1), np.zeros(2), np.full(8, -np.inf)])
     upper = np.concatenate([np.ravel(coal), np.ravel(oil), np.full(32, np.inf)])
-    start = np.concatenate([
-        np.ravel(coal), [1100, 1000, 1300, 1000, 0, 828, 1016, 84, 2075, 0, 0, 2358, 22, 1223, 1179, 0],
-        [0, 830, 998, 180],
-        [11.7, 13.7, 15.8, 16, 11.9, 12.4], np.ones(10),
-    ])
+    start = np.concatenate(
+        [
+            np.ravel(coal),
+            [1100, 1000, 1300, 1000, 0, 828, 1016, 84, 2075, 0, 0, 2358, 22, 1223, 1179, 0],
+            [0, 830, 998, 180],
+            [11.7, 13.7, 15.8, 16, 11.9, 12.4],
+            np.ones(10),
+        ]
+    )
     return by_rows(rows, 42, lower, upper, start)
 
 
@@ -779,7 +1044,9 @@ SUBJECTS = """
 def choi() -> Published:
     """S. C. Choi, W. S. DeSarbo, P. T. Harker, Management Sci. 36 (1990) 175–199: 14 analgesics; Pyomo's mcplib."""
     brands, subjects = (
-        np.array([row.split() for row in table.replace("\n", "|").split("|") if row.strip()], dtype=float)
+        np.array(
+            [row.split() for row in table.replace("\n", "|").split("|") if row.strip()], dtype=float
+        )
         for table in (ANALGESICS, SUBJECTS)
     )
     cost, slope = brands[:, 4], -3.0 * subjects[:, 6]
@@ -790,16 +1057,25 @@ def choi() -> Published:
     m = pe.ConcreteModel()
     m.I, m.J = pe.RangeSet(0, 29), pe.RangeSet(0, 13)
     m.p = pe.Var(m.J, initialize=lambda m, j: cost[j] + 0.01)
-    m.pull = pe.Expression(m.I, m.J, rule=lambda m, i, j: pe.exp(slope[i] * m.p[j] + constant[i, j]))
+    m.pull = pe.Expression(
+        m.I, m.J, rule=lambda m, i, j: pe.exp(slope[i] * m.p[j] + constant[i, j])
+    )
     m.all = pe.Expression(m.I, rule=lambda m, i: 1 + sum(m.pull[i, j] for j in m.J))
 
     def marginal(m: Any, j: int) -> Any:
         share = {i: m.pull[i, j] / m.all[i] for i in m.I}
-        return -sum(share[i] * (1 + (m.p[j] - cost[j]) * slope[i] * (1 - share[i])) for i in m.I) / 30
+        return (
+            -sum(share[i] * (1 + (m.p[j] - cost[j]) * slope[i] * (1 - share[i])) for i in m.I) / 30
+        )
 
-    m.profit = Complementarity(m.J, rule=lambda m, j: complements(
-        pe.inequality(lower[j], m.p[j], upper[j]) if np.isfinite(upper[j]) else lower[j] <= m.p[j],
-        marginal(m, j) if np.isfinite(upper[j]) else marginal(m, j) >= 0,
-    ))
+    m.profit = Complementarity(
+        m.J,
+        rule=lambda m, j: complements(
+            pe.inequality(lower[j], m.p[j], upper[j])
+            if np.isfinite(upper[j])
+            else lower[j] <= m.p[j],
+            marginal(m, j) if np.isfinite(upper[j]) else marginal(m, j) >= 0,
+        ),
+    )
 
     return Published(m, each(m.p))

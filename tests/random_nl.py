@@ -19,14 +19,29 @@ from lcp_plugin.interfaces.nl.content import (
     Trees,
 )
 
-WRONG_NUMBERS = (b"-1", b"0", b"1", b"3", b"1000000", b"999999999999", b"1e300", b"nan", b"9" * 400, b"x", b"")
+WRONG_NUMBERS = (
+    b"-1",
+    b"0",
+    b"1",
+    b"3",
+    b"1000000",
+    b"999999999999",
+    b"1e300",
+    b"nan",
+    b"9" * 400,
+    b"x",
+    b"",
+)
 FUNCTIONS = ("gsl_sf", "quantile")
 STRINGS = (b"plain", b"two\nlines, a # and\nh3:abc", b"", b"\xff\x00")
 
 
 def random_content(rng: Any, most: int = 6) -> NLContent:
     """Return a content with some of everything that the format knows."""
-    n, m, o, d = int(rng.integers(1, most + 1)), *(int(k) for k in rng.integers(0, [most + 1, 3, 4]))
+    n, m, o, d = (
+        int(rng.integers(1, most + 1)),
+        *(int(k) for k in rng.integers(0, [most + 1, 3, 4])),
+    )
     lower, upper = _bounds(rng, n)
     row_lower, row_upper = _bounds(rng, m)
     partners, partner_bounds = np.full(m, -1), np.zeros(m, dtype=np.int64)
@@ -78,7 +93,11 @@ def _trees(rng: Any, reach: Any) -> Trees:
     for k in reach:
         wanted, most = 1, int(rng.integers(1, 20))
         while wanted:
-            kind = rng.choice(5, p=[0.25, 0.25, 0.4, 0.05, 0.05]) if len(tokens) - starts[-1] < most else 0
+            kind = (
+                rng.choice(5, p=[0.25, 0.25, 0.4, 0.05, 0.05])
+                if len(tokens) - starts[-1] < most
+                else 0
+            )
             value, count = float(_numbers(rng, 1)[0]), 0
             if kind == Token.VARIABLE:
                 value = float(rng.integers(0, k))
@@ -96,7 +115,13 @@ def _trees(rng: Any, reach: Any) -> Trees:
 
 
 def _operator(rng: Any) -> tuple[float, int]:
-    counts = {1: 1, 2: 2, 3: 3, NARY: int(rng.integers(1, 5)), PIECEWISE: 2 * int(rng.integers(2, 4))}
+    counts = {
+        1: 1,
+        2: 2,
+        3: 3,
+        NARY: int(rng.integers(1, 5)),
+        PIECEWISE: 2 * int(rng.integers(2, 4)),
+    }
     arity = int(rng.choice([*counts], p=[0.3, 0.4, 0.1, 0.15, 0.05]))
     return float(rng.choice([*OPERATOR_NAMES[arity]])), counts[arity]
 
@@ -121,14 +146,19 @@ def _bits(part: Any, whole: NLContent) -> Any:
     if isinstance(part, np.ndarray):
         return part.dtype.str, part.shape, part.tobytes()
     if sp.issparse(part):
-        return part.shape, *(_bits(numbers, whole) for numbers in (part.data, part.indices * 1, part.indptr * 1))
+        return part.shape, *(
+            _bits(numbers, whole) for numbers in (part.data, part.indices * 1, part.indptr * 1)
+        )
     if isinstance(part, Trees):  # a file keeps each string where it is used
         is_string = part.kinds == Token.STRING
         texts = [part.strings[int(k)] for k in part.values[is_string]]
         arrays = (part.kinds, np.where(is_string, 0.0, part.values), part.counts, part.starts)
         return texts, *(_bits(numbers, whole) for numbers in arrays)
     if isinstance(part, list) and part and isinstance(part[0], Suffix):
-        return [(one.name, one.kind, _bits(one.indices, whole), _bits(one.values, whole)) for one in part]
+        return [
+            (one.name, one.kind, _bits(one.indices, whole), _bits(one.values, whole))
+            for one in part
+        ]
     return part
 
 
@@ -150,7 +180,11 @@ def mutilated(data: bytes, rng: Any) -> bytes:
     if kind == 4:  # a number becomes another one, in text
         numbers = list(re.finditer(rb"-?\d+", data))
         found = numbers[int(rng.integers(0, len(numbers)))]
-        return data[: found.start()] + WRONG_NUMBERS[rng.integers(0, len(WRONG_NUMBERS))] + data[found.end() :]
+        return (
+            data[: found.start()]
+            + WRONG_NUMBERS[rng.integers(0, len(WRONG_NUMBERS))]
+            + data[found.end() :]
+        )
     if kind == 5:  # four bytes become another number
         number = int(rng.choice([-1, 0, 1, 2**31 - 1, 10**6]))
         return data[:at] + number.to_bytes(4, "little", signed=True) + data[at + 4 :]

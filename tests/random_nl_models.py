@@ -45,7 +45,10 @@ def variable(j: int) -> Tokens:
 
 
 def applied(operator: int, *operands: Tokens) -> Tokens:
-    return [(Token.OPERATOR, float(operator), len(operands)), *(token for one in operands for token in one)]
+    return [
+        (Token.OPERATOR, float(operator), len(operands)),
+        *(token for one in operands for token in one),
+    ]
 
 
 def total(*terms: Tokens) -> Tokens:
@@ -58,7 +61,9 @@ def total(*terms: Tokens) -> Tokens:
 def trees_of(rows: list[Tokens]) -> Trees:
     flat = np.array([token for row in rows for token in row], dtype=np.float64).reshape(-1, 3)
     starts = np.cumsum([0, *map(len, rows)]).astype(np.int64)
-    return Trees(flat[:, 0].astype(np.uint8), flat[:, 1].copy(), flat[:, 2].astype(np.int64), starts)
+    return Trees(
+        flat[:, 0].astype(np.uint8), flat[:, 1].copy(), flat[:, 2].astype(np.int64), starts
+    )
 
 
 def bent(rng: Any, variables: int) -> Tokens:
@@ -84,8 +89,12 @@ def objective(rng: Any, n: int, variables: int) -> tuple[np.ndarray, Tokens]:
         return np.zeros(n), tree
     if kind == 2:
         factor = whole(rng, int(rng.integers(1, n + 1)), n, most=2)
-        rows = [[applied(2, number(row[j]), variable(j)) for j in np.flatnonzero(row)] for row in factor]
-        squares = [applied(5, total(*row, number(float(rng.integers(-2, 3)))), number(2.0)) for row in rows]
+        rows = [
+            [applied(2, number(row[j]), variable(j)) for j in np.flatnonzero(row)] for row in factor
+        ]
+        squares = [
+            applied(5, total(*row, number(float(rng.integers(-2, 3)))), number(2.0)) for row in rows
+        ]
         return linear, total(tree, *squares)
     if kind == 3:
         return linear, applied(2, variable(int(rng.integers(n))), variable(int(rng.integers(n))))
@@ -101,11 +110,15 @@ def random_model(rng: Any) -> NLContent:
     m = max(m, pairs)
     d = int(rng.integers(0, 3)) if rng.random() < 0.2 else 0
     lower = np.where(rng.random(n) < 0.3, -INF, rng.integers(-2, 2, n).astype(float))
-    upper = np.where(rng.random(n) < 0.6, INF, np.where(np.isfinite(lower), lower, 0.0) + rng.integers(0, 4, n))
+    upper = np.where(
+        rng.random(n) < 0.6, INF, np.where(np.isfinite(lower), lower, 0.0) + rng.integers(0, 4, n)
+    )
     kinds = rng.integers(0, 5, m)  # no limit, at least, at most, range, equation
     first = rng.integers(-4, 5, m).astype(float)
     row_lower = np.where((kinds == 0) | (kinds == 2), -INF, first)
-    row_upper = np.where((kinds == 0) | (kinds == 1), INF, first + np.where(kinds == 3, rng.integers(1, 5, m), 0))
+    row_upper = np.where(
+        (kinds == 0) | (kinds == 1), INF, first + np.where(kinds == 3, rng.integers(1, 5, m), 0)
+    )
     partners, told = np.full(m, -1), np.zeros(m, dtype=np.int64)
     columns = rng.permutation(n)[:pairs]
     partners[:pairs], row_lower[:pairs], row_upper[:pairs] = columns, -INF, INF
@@ -114,7 +127,10 @@ def random_model(rng: Any) -> NLContent:
     if is_square:  # as many equations as other variables, most of these free
         others = np.setdiff1d(np.arange(n), columns)
         m = pairs + others.size
-        partners, told = np.append(partners[:pairs], np.full(others.size, -1)), np.append(told[:pairs], others * 0)
+        partners, told = (
+            np.append(partners[:pairs], np.full(others.size, -1)),
+            np.append(told[:pairs], others * 0),
+        )
         row_lower = np.append(row_lower[:pairs], rng.integers(-3, 4, others.size).astype(float))
         row_upper = np.append(row_upper[:pairs], row_lower[pairs:])
         is_free = rng.random(others.size) < 0.8
@@ -150,7 +166,10 @@ def judged(content: NLContent, words: list[str], stub: Path) -> str:
     write_form(content, stub.with_suffix(".nl"), binary=len(words) % 2 == 1)
     answer = stub.with_suffix(".sol")
     answer.unlink(missing_ok=True)
-    call = [*(["max_seconds=5"] if not any("max_seconds" in word for word in words) else []), *words]
+    call = [
+        *(["max_seconds=5"] if not any("max_seconds" in word for word in words) else []),
+        *words,
+    ]
     try:
         ended = ampl.main([str(stub), "-AMPL", *call])
     except BaseException:
@@ -164,7 +183,9 @@ def judged(content: NLContent, words: list[str], stub: Path) -> str:
     try:
         same = read_nl(stub.with_suffix(".nl")).solve(**settings)
     except LCPError as error:
-        is_told = found.code == FAILURE and " ".join(str(error).split()) in " ".join(found.message.split())
+        is_told = found.code == FAILURE and " ".join(str(error).split()) in " ".join(
+            found.message.split()
+        )
         return "refused" if is_told else f"REFUSED AS {error}, answered {found.message}"
     if same.code != found.code and TOO_LATE not in (same.code, found.code):
         return f"CODE {found.code} BUT {same.code}: {found.message}"
@@ -183,14 +204,23 @@ def missed(content: NLContent, x: np.ndarray) -> str:
     if (beyond > MET).any():
         return f"BOUNDS MISSED BY {beyond.max():.1e}"
     is_pair = content.partners >= 0
-    excess = np.where(is_pair, 0.0, np.maximum(content.row_lower - rows, rows - content.row_upper)) / sizes
+    excess = (
+        np.where(is_pair, 0.0, np.maximum(content.row_lower - rows, rows - content.row_upper))
+        / sizes
+    )
     is_limited = np.isfinite(content.row_lower) | np.isfinite(content.row_upper)
     if not (np.where(is_limited, excess, 0.0) <= MET).all():
         return f"ROWS MISSED BY {np.nanmax(excess):.1e}"
     pairs = np.flatnonzero(is_pair)
-    has_objective = content.objective_linear.nnz or (content.objective_trees.kinds != Token.NUMBER).any()
+    has_objective = (
+        content.objective_linear.nnz or (content.objective_trees.kinds != Token.NUMBER).any()
+    )
     # Without an objective all bounds of a variable belong to its complementarity, stated there or not.
-    told = content.partner_bounds[pairs] if has_objective or content.is_integer.any() else np.full(pairs.size, 3)
+    told = (
+        content.partner_bounds[pairs]
+        if has_objective or content.is_integer.any()
+        else np.full(pairs.size, 3)
+    )
     z = x[content.partners[pairs]]
     low = np.where(told & 1, content.lower[content.partners[pairs]], -INF)
     high = np.where(told & 2, content.upper[content.partners[pairs]], INF)
@@ -205,7 +235,11 @@ def better(content: NLContent, x: np.ndarray) -> str:
         return ""
     sign = -1.0 if content.is_maximized[0] else 1.0
     value = sign * float((content.objective_linear[[0]] @ x)[0])
-    return "" if value <= least + MET * (1.0 + abs(least)) else f"NOT THE BEST: {value} where {least} is possible"
+    return (
+        ""
+        if value <= least + MET * (1.0 + abs(least))
+        else f"NOT THE BEST: {value} where {least} is possible"
+    )
 
 
 def contradicted(content: NLContent, code: int) -> str:
@@ -213,7 +247,11 @@ def contradicted(content: NLContent, code: int) -> str:
     least = least_of(content) if code in (200, 300) else None
     if code == 200 and least is not None and least < INF:
         return f"INFEASIBLE, BUT {least} IS REACHED"
-    return f"UNBOUNDED, BUT {least} IS THE LEAST" if code == 300 and least is not None and least > -INF else ""
+    return (
+        f"UNBOUNDED, BUT {least} IS THE LEAST"
+        if code == 300 and least is not None and least > -INF
+        else ""
+    )
 
 
 def least_of(content: NLContent) -> float | None:
@@ -262,4 +300,6 @@ def least_of(content: NLContent) -> float | None:
 
 def drawn_words(rng: Any) -> list[str]:
     """Return assignments of a call, mostly none."""
-    return [word for word in rng.choice(WORDS, int(rng.integers(0, 3)), replace=False).tolist() if word]
+    return [
+        word for word in rng.choice(WORDS, int(rng.integers(0, 3)), replace=False).tolist() if word
+    ]

@@ -38,7 +38,10 @@ def permuted(problem: LCP, rng: Generator) -> Changed:
     """The unknowns in another order."""
     order = rng.permutation(problem.n)
     changed = as_given(
-        problem, problem.csr.toarray()[np.ix_(order, order)], problem.q[order], problem.lower[order],
+        problem,
+        problem.csr.toarray()[np.ix_(order, order)],
+        problem.q[order],
+        problem.lower[order],
         problem.upper[order],
     )
     return Changed(changed, lambda z: z[np.argsort(order)])
@@ -47,7 +50,9 @@ def permuted(problem: LCP, rng: Generator) -> Changed:
 def scaled(problem: LCP, rows: Vector, columns: Vector) -> Changed:
     """W in other units, and z = columns · z'."""
     M = rows[:, None] * problem.csr.toarray() * columns
-    changed = as_given(problem, M, rows * problem.q, problem.lower / columns, problem.upper / columns)
+    changed = as_given(
+        problem, M, rows * problem.q, problem.lower / columns, problem.upper / columns
+    )
     return Changed(changed, lambda z: columns * z)
 
 
@@ -75,12 +80,16 @@ def shifted(problem: LCP, rng: Generator) -> Changed:
     """In the unknown z' = z + c."""
     by = rng.integers(-5, 6, problem.n).astype(float)
     q = problem.q - problem.csr @ by
-    return Changed(LCP(problem.M, q, lower=problem.lower + by, upper=problem.upper + by), lambda z: z - by)
+    return Changed(
+        LCP(problem.M, q, lower=problem.lower + by, upper=problem.upper + by), lambda z: z - by
+    )
 
 
 def mirrored(problem: LCP, rng: Generator) -> Changed:
     """In the unknown z' = −z: lower and upper bounds change places."""
-    return Changed(LCP(problem.M, -problem.q, lower=-problem.upper, upper=-problem.lower), lambda z: -z)
+    return Changed(
+        LCP(problem.M, -problem.q, lower=-problem.upper, upper=-problem.lower), lambda z: -z
+    )
 
 
 def with_a_neighbour(problem: LCP, rng: Generator) -> Changed:
@@ -101,7 +110,9 @@ def twice(problem: LCP, rng: Generator) -> Changed:
     n = problem.n
     M = np.kron(problem.csr.toarray(), np.eye(2))
     q, lower, upper = (np.repeat(side, 2) for side in (problem.q, problem.lower, problem.upper))
-    return Changed(as_given(problem, M, q, lower, upper), lambda z: z[int(rng.integers(2)) : 2 * n : 2])
+    return Changed(
+        as_given(problem, M, q, lower, upper), lambda z: z[int(rng.integers(2)) : 2 * n : 2]
+    )
 
 
 def with_a_free_row(problem: LCP, rng: Generator) -> Changed:
@@ -153,7 +164,10 @@ def bits(*given: Any) -> tuple[bytes, ...]:
     found: list[bytes] = []
     for each in given:
         if sp.issparse(each):
-            parts = [getattr(each, name, None) for name in ("data", "indices", "indptr", "offsets", "row", "col")]
+            parts = [
+                getattr(each, name, None)
+                for name in ("data", "indices", "indptr", "offsets", "row", "col")
+            ]
             each = tuple(part for part in parts if isinstance(part, np.ndarray))
         if isinstance(each, tuple):
             found += bits(*each)

@@ -16,8 +16,21 @@ from pathlib import Path
 VERSIONS = ("1.6.*", "1.7.*", "1.8.*", "1.9.*")
 FLOORS = {"1.6.0": ("numpy==1.26.4", "scipy==1.12.0", "numba==0.60.0")}
 NAMES = (
-    *("extraction", "modeling", "modeling_derivatives", "qp_solver", "cvxpy_programs", "conversions"),
-    *("cross_validation", "certify", "modeling_nonlinear", "best_equilibrium", "best_equilibrium_meaning"),
+    *(
+        "extraction",
+        "modeling",
+        "modeling_derivatives",
+        "qp_solver",
+        "cvxpy_programs",
+        "conversions",
+    ),
+    *(
+        "cross_validation",
+        "certify",
+        "modeling_nonlinear",
+        "best_equilibrium",
+        "best_equilibrium_meaning",
+    ),
 )
 TESTS = [f"test_{name}.py" for name in NAMES]
 SHOW = "import cvxpy, scipy, numpy; print(cvxpy.__version__, scipy.__version__, numpy.__version__)"
@@ -29,14 +42,37 @@ def run_on(version: str) -> bool:
     with tempfile.TemporaryDirectory() as folder:
         venv.create(folder, with_pip=True)
         python = str(Path(folder, "bin", "python"))
-        wanted = [f"cvxpy=={version}", *FLOORS.get(version, ()), "pytest", "pytest-xdist", "hypothesis", str(ROOT)]
+        wanted = [
+            f"cvxpy=={version}",
+            *FLOORS.get(version, ()),
+            "pytest",
+            "pytest-xdist",
+            "hypothesis",
+            str(ROOT),
+        ]
         subprocess.run([python, "-m", "pip", "install", "-q", *wanted], check=True)
         tests = [str(next((ROOT / "tests").rglob(name))) for name in TESTS]
         # Outside the source tree, so that the installed package is tested; its own deprecations are not our errors.
-        command = [python, "-m", "pytest", "-q", "--full", "-n", "2", "-p", "no:cacheprovider", "-W", "default", *tests]
+        command = [
+            python,
+            "-m",
+            "pytest",
+            "-q",
+            "--full",
+            "-n",
+            "2",
+            "-p",
+            "no:cacheprovider",
+            "-W",
+            "default",
+            *tests,
+        ]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         found = subprocess.run([python, "-c", SHOW], capture_output=True, text=True, check=True)
-    print(f"cvxpy, scipy, numpy {found.stdout.strip()}: {done.stdout.strip().splitlines()[-1]}", flush=True)
+    print(
+        f"cvxpy, scipy, numpy {found.stdout.strip()}: {done.stdout.strip().splitlines()[-1]}",
+        flush=True,
+    )
     if done.returncode:
         print(done.stdout[-4000:])
     return done.returncode == 0

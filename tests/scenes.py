@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from lcp_plugin import gallery
 
-FEW = {"size": 6, "n": 9, "blocks": 2, "goods": 4, "activities": 5, "steps": 3}  # what a parameter of this name counts
+FEW = {
+    "size": 6,
+    "n": 9,
+    "blocks": 2,
+    "goods": 4,
+    "activities": 5,
+    "steps": 3,
+}  # what a parameter of this name counts
 
 
 def small(name: str, parameters: dict[str, object]) -> str:

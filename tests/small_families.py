@@ -44,7 +44,11 @@ def semidefinite(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
 
 def chain(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
     """A tridiagonal M-matrix."""
-    M = np.diag(rng.uniform(2.0, 3.0, n)) - np.diag(rng.random(n - 1), 1) - np.diag(rng.random(n - 1), -1)
+    M = (
+        np.diag(rng.uniform(2.0, 3.0, n))
+        - np.diag(rng.random(n - 1), 1)
+        - np.diag(rng.random(n - 1), -1)
+    )
     return M, rng.normal(size=n)
 
 
@@ -64,7 +68,9 @@ def game(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
     m = max(1, n // 2)
     A, B = rng.integers(1, 9, (2, m, n - m if n > m else 1)).astype(float)
     zero = np.zeros
-    return np.block([[zero((m, m)), A], [B.T, zero((B.shape[1], B.shape[1]))]]), -np.ones(m + B.shape[1])
+    return np.block([[zero((m, m)), A], [B.T, zero((B.shape[1], B.shape[1]))]]), -np.ones(
+        m + B.shape[1]
+    )
 
 
 def extreme(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
@@ -83,7 +89,17 @@ def scaled(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
 FAMILIES: dict[str, Callable[[int, Generator], tuple[Matrix, Matrix]]] = {
     one.__name__: one
     for one in (
-        definite, friction, integers, arbitrary, semidefinite, chain, murty, cyclic, game, extreme, scaled,
+        definite,
+        friction,
+        integers,
+        arbitrary,
+        semidefinite,
+        chain,
+        murty,
+        cyclic,
+        game,
+        extreme,
+        scaled,
     )
 }
 
@@ -118,6 +134,12 @@ def definite_stack(count: int, n: int, seed: int = 0) -> tuple[Matrix, Matrix]:
 def told(result: Result) -> tuple[Any, ...]:
     """All that watching a run must not change."""
     return (
-        result.z.tobytes(), result.w.tobytes(), result.status, result.iterations, result.work, result.algorithm,
-        result.stages, result.residual,
+        result.z.tobytes(),
+        result.w.tobytes(),
+        result.status,
+        result.iterations,
+        result.work,
+        result.algorithm,
+        result.stages,
+        result.residual,
     )

@@ -28,7 +28,10 @@ def read_sol(path: Path) -> SolContent:
     """Return what a ``.sol`` file in text says."""
     lines = path.read_text(encoding="utf-8").splitlines()
     begin = next(k for k, line in enumerate(lines) if line.strip() == OPTIONS)
-    message, rest = "\n".join(line for line in lines[:begin] if line.strip()), iter(lines[begin + 1:])
+    message, rest = (
+        "\n".join(line for line in lines[:begin] if line.strip()),
+        iter(lines[begin + 1 :]),
+    )
     count, *options = (int(next(rest)) for _ in range(3))
     has_tolerance = options[1] == WITH_TOLERANCE
     count -= 2 * has_tolerance
@@ -37,5 +40,13 @@ def read_sol(path: Path) -> SolContent:
     tolerance = float(next(rest)) if has_tolerance else None
     duals, values = (np.array([float(next(rest)) for _ in range(k)]) for k in (m_given, n_given))
     _, _, code = next(rest).split()
-    return SolContent(message, (count, *options), tolerance, m, n, duals if m_given or not m else None,
-                      values if n_given or not n else None, int(code))
+    return SolContent(
+        message,
+        (count, *options),
+        tolerance,
+        m,
+        n,
+        duals if m_given or not m else None,
+        values if n_given or not n else None,
+        int(code),
+    )

@@ -32,7 +32,9 @@ class Structure(NamedTuple):
 def block(nx: int, ny: int, right: float, up: float, spring: float = 0.0) -> Structure:
     """A steel plate in plane stress over a curved floor, held by it alone; loaded at its top edge, in newtons."""
     node = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
-    corners = np.stack([node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]], axis=-1).reshape(-1, 4)
+    corners = np.stack(
+        [node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]], axis=-1
+    ).reshape(-1, 4)
     K = assembled(square_stiffness(210e9, 0.3), (2 * corners[:, :, None] + [0, 1]).reshape(-1, 8))
     K = K + sp.diags_array(np.tile([spring * 210e9, 0.0], node.size))
     q, lower = np.zeros(2 * node.size), np.full(2 * node.size, -np.inf)
@@ -55,12 +57,16 @@ def chain(n: int, pull: float, ground: float = 0.0) -> Structure:
 def circuit(n: int, current: float, seed: int = 0) -> Structure:
     """A network of random conductances without ground, potentials ≥ 0; the currents that are fed in have this sum."""
     rng = np.random.default_rng(seed)
-    ends = np.concatenate([np.stack([np.arange(n - 1), np.arange(1, n)]), rng.integers(0, n, (2, n))], axis=1)
+    ends = np.concatenate(
+        [np.stack([np.arange(n - 1), np.arange(1, n)]), rng.integers(0, n, (2, n))], axis=1
+    )
     i, j = ends[:, ends[0] != ends[1]]
     W = sp.coo_array((np.exp(rng.normal(size=i.size)), (i, j)), shape=(n, n)).tocsr()
     W = W + W.T
     q = rng.normal(size=n)
-    return Structure(sp.csr_array(sp.diags_array(W @ np.ones(n)) - W), q - q.mean() - current / n, np.zeros(n))
+    return Structure(
+        sp.csr_array(sp.diags_array(W @ np.ones(n)) - W), q - q.mean() - current / n, np.zeros(n)
+    )
 
 
 def truss(bays: int, up: float, *, braced: bool) -> Structure:

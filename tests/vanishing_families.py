@@ -62,8 +62,12 @@ def _bump(t: Any, a: int, by: Operations) -> tuple[Any, Any]:
 
 
 SHAPES: dict[str, Shape] = {
-    "power": _power, "exponential": _exponential, "logistic": _logistic, "logarithm": _logarithm,
-    "rational": _rational, "bump": _bump,
+    "power": _power,
+    "exponential": _exponential,
+    "logistic": _logistic,
+    "logarithm": _logarithm,
+    "rational": _rational,
+    "bump": _bump,
 }
 STRUCTURES = ("scalar", "coupled", "two units")
 
@@ -91,12 +95,18 @@ class Vanishing:
     @cached_property
     def problem(self) -> NonlinearProblem:
         return NonlinearProblem(
-            self.F, self.jacobian if self.has_jacobian else None, self.lower, self.upper,
+            self.F,
+            self.jacobian if self.has_jacobian else None,
+            self.lower,
+            self.upper,
             None if self.has_jacobian else np.abs(self.A) + np.eye(self.c.size),
         )
 
     def _shaped(self, t: np.ndarray, by: Operations) -> tuple[np.ndarray, np.ndarray]:
-        pairs = [SHAPES[name](value, int(a), by) for name, value, a in zip(self.shapes, t, self.a, strict=True)]
+        pairs = [
+            SHAPES[name](value, int(a), by)
+            for name, value, a in zip(self.shapes, t, self.a, strict=True)
+        ]
         values, slopes = zip(*pairs, strict=True)
         return np.array(values), np.array(slopes)
 
@@ -118,7 +128,9 @@ class Vanishing:
         values, slopes = self._shaped(t, EXACT)
         F = s * (c * values + A.dot(t) - d)
         moved = s * (c * slopes * t + A.dot(t))  # F′(x) x
-        by_column = s * (abs(c * slopes + np.diagonal(A)) * abs(t) + abs(A - np.diag(np.diagonal(A))).dot(abs(t)))
+        by_column = s * (
+            abs(c * slopes + np.diagonal(A)) * abs(t) + abs(A - np.diag(np.diagonal(A))).dot(abs(t))
+        )
         added = s * (abs(c * values) + abs(c * slopes * t) + abs(A).dot(abs(t)) + abs(d))
         return F, by_column + abs(F - moved), added
 
@@ -128,7 +140,9 @@ class Vanishing:
         Beside a bound, in the unit of the unknowns that are coupled, no row must vanish whose sign is right on it.
         """
         found = []
-        coupled = np.abs(x / self.u) if self.is_uncoupled else np.full(x.size, np.abs(x / self.u).max())
+        coupled = (
+            np.abs(x / self.u) if self.is_uncoupled else np.full(x.size, np.abs(x / self.u).max())
+        )
         near = BESIDE * self.u * np.maximum(coupled, 1.0)
         with localcontext(wide()):
             values, terms, added = self.sharp(x)
@@ -136,7 +150,9 @@ class Vanishing:
             on_bounds = self.sharp(np.where(np.abs(x - bound) <= near, bound, x))[0]
             for i in range(x.size):
                 is_there = abs(x[i] - bound[i]) <= near[i] and not on_bounds[i] * values[i] < 0
-                allowed = ULPS * Decimal(2.0**-52) * added[i] + Decimal(SMALLEST) * (1 + exact(self.s)[i])
+                allowed = ULPS * Decimal(2.0**-52) * added[i] + Decimal(SMALLEST) * (
+                    1 + exact(self.s)[i]
+                )
                 if not is_there and not abs(values[i]) <= OWN_TERMS * terms[i] + allowed:
                     found.append((i, float(abs(values[i])), float(terms[i])))
         return found
@@ -157,39 +173,80 @@ def vanishing(rng: np.random.Generator, shape: str, structure: str) -> Vanishing
     shapes = (shape, *(str(name) for name in rng.choice(list(SHAPES), n - 1)))
     kinds = rng.choice(BOUNDS, n)
     t, w = _planted(rng, shapes, kinds)
-    box = np.where(np.isin(shapes, ("power", "logarithm")), t / 10.0 ** rng.uniform(0, 3, n), t / 10.0**2 - 1.0)
-    lower = np.select([kinds == "zero", kinds == "tiny", kinds == "free"], [0.0, 1e-9, -np.inf], box)
+    box = np.where(
+        np.isin(shapes, ("power", "logarithm")), t / 10.0 ** rng.uniform(0, 3, n), t / 10.0**2 - 1.0
+    )
+    lower = np.select(
+        [kinds == "zero", kinds == "tiny", kinds == "free"], [0.0, 1e-9, -np.inf], box
+    )
     upper = np.where(kinds == "box", t + 10.0 ** rng.uniform(-2, 3, n), np.inf)
     lower, upper = np.where(w > 0.0, t, lower), np.where(w < 0.0, t, upper)
     a, c = rng.integers(1, 5, n), rng.choice([-1.0, 1.0], n) * 10.0 ** rng.uniform(-2, 2, n)
     A = np.zeros((n, n))
     if structure == "coupled":
-        A = np.where(rng.random((n, n)) < 0.6, rng.standard_normal((n, n)), 0.0) * 10.0 ** rng.uniform(-3, 0)
-        A += np.diag(np.where(rng.random(n) < 0.5, 2.0 * np.abs(A).sum(axis=1), 0.0) - np.diagonal(A))
-        c = np.where((rng.random(n) < 0.7) & np.isin(shapes, ("power", "exponential")), -np.abs(c), c)
+        A = np.where(
+            rng.random((n, n)) < 0.6, rng.standard_normal((n, n)), 0.0
+        ) * 10.0 ** rng.uniform(-3, 0)
+        A += np.diag(
+            np.where(rng.random(n) < 0.5, 2.0 * np.abs(A).sum(axis=1), 0.0) - np.diagonal(A)
+        )
+        c = np.where(
+            (rng.random(n) < 0.7) & np.isin(shapes, ("power", "exponential")), -np.abs(c), c
+        )
     decade = rng.uniform(*DECADES)
-    u, s = (10.0 ** rng.uniform(-10, 10, n) if structure == "two units" else np.ones(n) for _ in range(2))
+    u, s = (
+        10.0 ** rng.uniform(-10, 10, n) if structure == "two units" else np.ones(n)
+        for _ in range(2)
+    )
     is_defined_above_0 = np.isin(shapes, ("power", "logarithm"))
     sign = np.where((kinds == "free") & ~is_defined_above_0, rng.choice([-1.0, 1.0], n), 1.0)
     blank = Vanishing(
-        shapes, a, c, A, np.zeros(n), np.ones(n), np.ones(n), lower, upper, sign * 10.0**decade,
-        bool(rng.random() < 0.5), t,
+        shapes,
+        a,
+        c,
+        A,
+        np.zeros(n),
+        np.ones(n),
+        np.ones(n),
+        lower,
+        upper,
+        sign * 10.0**decade,
+        bool(rng.random() < 0.5),
+        t,
     )
     d = blank.F(t) - w
     is_empty = np.zeros(n, bool)
     if structure != "coupled" and rng.random() < 0.35:  # −c φ − d < 0 all along, with c and d > 0
-        is_empty = np.isin(kinds, ("zero", "tiny")) & (np.array(shapes) != "logarithm") & (upper == np.inf)
+        is_empty = (
+            np.isin(kinds, ("zero", "tiny")) & (np.array(shapes) != "logarithm") & (upper == np.inf)
+        )
         lower = np.where(is_empty & (kinds == "zero"), 0.0, np.where(is_empty, 1e-9, lower))
         c = np.where(is_empty, -np.abs(c), c)
-        gap = np.where(np.isin(shapes, "rational"), 1.0, rng.choice([0.0, 1.0]))  # t/(1 + t²) is 0 at 0
+        gap = np.where(
+            np.isin(shapes, "rational"), 1.0, rng.choice([0.0, 1.0])
+        )  # t/(1 + t²) is 0 at 0
         d = np.where(is_empty, gap * 10.0 ** rng.uniform(-3, 1, n), d)
-    return _started(Vanishing(
-        shapes, a, c, A, d, s, u, lower * u, upper * u, blank.start * u, blank.has_jacobian,
-        None if is_empty.any() else t,
-    ))
+    return _started(
+        Vanishing(
+            shapes,
+            a,
+            c,
+            A,
+            d,
+            s,
+            u,
+            lower * u,
+            upper * u,
+            blank.start * u,
+            blank.has_jacobian,
+            None if is_empty.any() else t,
+        )
+    )
 
 
-def _planted(rng: np.random.Generator, shapes: tuple[str, ...], kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _planted(
+    rng: np.random.Generator, shapes: tuple[str, ...], kinds: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """A solution in its unit, and its slack: 0, or at a bound as large as 10 at most."""
     n = len(shapes)
     t = 10.0 ** rng.uniform(-2, 2, n)

@@ -27,7 +27,9 @@ def membrane(axes: plt.Axes) -> None:
     colours = plt.get_cmap("Blues")(0.25 + 0.6 * (x + y - (x + y).min()) / np.ptp(x + y))
     colours[touches] = plt.get_cmap("Oranges")(0.65)
     height = result.z.reshape(120, 120)
-    axes.plot_surface(x, y, height, facecolors=colours, rcount=60, ccount=60, linewidth=0, antialiased=False)
+    axes.plot_surface(
+        x, y, height, facecolors=colours, rcount=60, ccount=60, linewidth=0, antialiased=False
+    )
     axes.set_axis_off()
     axes.set_box_aspect((4, 4, 2.2), zoom=1.2)
     axes.set_title("A membrane over a ball\norange: it touches")
@@ -42,7 +44,9 @@ def exercise_boundary(axes: plt.Axes) -> None:
     boundary = [100.0, *(spot[(step.z == lower) & (lower > 0)].max() for step in steps)]
     years = np.linspace(1, 0, scene.steps + 1)
     axes.plot(years, boundary, color="#D55E00", linewidth=1.8)
-    axes.fill_between(years, boundary, 60, color="#D55E00", alpha=0.2, linewidth=0, antialiased=False)
+    axes.fill_between(
+        years, boundary, 60, color="#D55E00", alpha=0.2, linewidth=0, antialiased=False
+    )
     axes.text(0.4, 66, "exercise", color="#D55E00", fontsize=11)
     axes.text(0.2, 92, "wait", color="#0072B2", fontsize=11)
     axes.set(xlim=(0, 1), ylim=(60, 102), xlabel="time (years)", ylabel="price of the share (EUR)")

@@ -22,7 +22,14 @@ EXIT_BAD_INPUT = 2
 
 def _ending(exit_codes: str, *examples: str) -> str:
     """Return what stands below a help page."""
-    return "\n".join(["Examples:", *(f"  lcp-plugin {words}" for words in examples), "", f"Exit codes: {exit_codes}."])
+    return "\n".join(
+        [
+            "Examples:",
+            *(f"  lcp-plugin {words}" for words in examples),
+            "",
+            f"Exit codes: {exit_codes}.",
+        ]
+    )
 
 
 app = typer.Typer(
@@ -31,7 +38,9 @@ app = typer.Typer(
         "0 done, 1 ran but not solved (or: answers differ or cannot be compared, a count differs, interrupted), "
         "2 bad input (reported on stderr). "
         "Ctrl-C ends solve and report with what there is so far (1), the others as the shell expects (130)",
-        "solve obstacle_2d --plot obstacle.png", "solve --help", "list",
+        "solve obstacle_2d --plot obstacle.png",
+        "solve --help",
+        "list",
     ),
     pretty_exceptions_enable=False,
     no_args_is_help=True,
@@ -60,7 +69,9 @@ AnyTarget = Annotated[
 AlgorithmName = Annotated[
     str,
     typer.Option(
-        "--algorithm", "-a", help="A name that `lcp-plugin list` shows, auto, or file.py:Class.",
+        "--algorithm",
+        "-a",
+        help="A name that `lcp-plugin list` shows, auto, or file.py:Class.",
         autocompletion=algorithm_names,
     ),
 ]
@@ -88,7 +99,9 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
                 raise typer.Exit(EXIT_UNSOLVED) from None
             except OSError as error:
                 _drop_output()
-                message = f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
+                message = (
+                    f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
+                )
             except typer.Exit:
                 raise
             except Exception as error:

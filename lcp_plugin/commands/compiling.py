@@ -38,13 +38,18 @@ def compile_everything() -> str:
     began = time.perf_counter()
     processes = min(checked_threads(None), MOST_PROCESSES)
     if processes > 1:
-        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads that it leaves behind
+        context = multiprocessing.get_context(
+            "spawn"
+        )  # a fork would copy the locks of threads that it leaves behind
         with (
-            suppress(BrokenProcessPool, OSError), NEW_KERNELS.compiling(),
+            suppress(BrokenProcessPool, OSError),
+            NEW_KERNELS.compiling(),
             ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool,
         ):
             list(pool.map(compile_part, PARTS))
-    for part in PARTS:  # here, too, for what the others could not; code that is there is only loaded
+    for (
+        part
+    ) in PARTS:  # here, too, for what the others could not; code that is there is only loaded
         compile_part(part)
     return f"kernels compiled in {time.perf_counter() - began:.1f} s; they lie in {cache_folder()}"
 
@@ -81,7 +86,9 @@ def compile_part(part: str) -> None:
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)
     if part == "others":
         solve(gallery.build("bimatrix_game").problem)  # without a diagonal
-        opposed = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])  # no solution: all cases are looked at
+        opposed = LCP(
+            [[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]
+        )  # no solution: all cases are looked at
         solve(opposed)
         solve_batch([opposed, opposed], prove_infeasibility=False)
         program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])

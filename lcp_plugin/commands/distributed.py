@@ -82,14 +82,18 @@ class OnRanks(OneProcess):
         if out is None:
             return
         if out.suffix in (".npz", ".npy"):
-            raise InvalidOption(f"with --backend petsc, --out names a folder for {', '.join(FILES)}; got {out.name!r}")
+            raise InvalidOption(
+                f"with --backend petsc, --out names a folder for {', '.join(FILES)}; got {out.name!r}"
+            )
         if out.exists() and not out.is_dir():
             raise UnreadableFile(f"cannot write {out}: it is a file")
         place = out if out.exists() else out.absolute().parent
         require_place(place, out)
         refuse_the_problem_itself(target, out)
         if not os.access(place, os.W_OK | os.X_OK):
-            raise UnreadableFile(f"cannot write {out}: no permission to write into {place}; choose another place")
+            raise UnreadableFile(
+                f"cannot write {out}: no permission to write into {place}; choose another place"
+            )
 
     def read(self, target: str, size: int | None) -> tuple[LCP, Any]:
         """Return the own part of what is to be solved."""
@@ -106,22 +110,32 @@ class OnRanks(OneProcess):
         name, parameters = gallery.read(text)
         scene = scene_on_ranks(name, self.ranks.comm, parameters)
         if scene.steps > 1:
-            raise InvalidOption(f"{name} is a march in time, which --backend petsc does not offer; leave it out")
+            raise InvalidOption(
+                f"{name} is a march in time, which --backend petsc does not offer; leave it out"
+            )
         if name not in BY_ROWS:
             self._note_whole(scene.n, f"{name} is built")
         return scene.problem, scene
 
     def _note_whole(self, n: int, what: str) -> None:
         if self.ranks.size > 1 and n > 100_000:
-            typer.echo(f"note: {what} whole on each of the {self.ranks.size} ranks, then cut", err=True)
+            typer.echo(
+                f"note: {what} whole on each of the {self.ranks.size} ranks, then cut", err=True
+            )
 
     def beyond(self) -> tuple[dict[str, Any], list[str]]:
         """Return the number of ranks and their peaks of memory."""
         peaks = [int(peak) for peak in self.ranks.table(peak_memory())[:, 0]]
         megabytes = [round(peak / 1e6) for peak in peaks]
-        each = ", ".join(map(str, megabytes)) if len(peaks) <= 8 else f"{min(megabytes)} to {max(megabytes)}"
+        each = (
+            ", ".join(map(str, megabytes))
+            if len(peaks) <= 8
+            else f"{min(megabytes)} to {max(megabytes)}"
+        )
         memory = f"{each} MB a rank" + (f", {sum(megabytes)} MB in all" if len(peaks) > 1 else "")
-        return {"ranks": self.ranks.size, "peak_memory_bytes": peaks}, [f"{'peak memory':<18} {memory}"]
+        return {"ranks": self.ranks.size, "peak_memory_bytes": peaks}, [
+            f"{'peak memory':<18} {memory}"
+        ]
 
     def save(self, result: Result, content: dict[str, Any], out: Path) -> list[Path]:
         """Write z, w and the status into a folder: under other names first, which rank 0 changes at the end."""
@@ -137,7 +151,9 @@ class OnRanks(OneProcess):
         try:
             for name, own in (("z.npy", result.z), ("w.npy", result.w)):
                 begin = self.ranks.from_first(partial(_begin_array, temporary[name], problem.n))
-                self.ranks.together(partial(_write_part, temporary[name], begin + 8 * problem.own_rows.start, own))
+                self.ranks.together(
+                    partial(_write_part, temporary[name], begin + 8 * problem.own_rows.start, own)
+                )
             self.ranks.from_first(finish)
         finally:
             if self.ranks.rank == 0:
@@ -164,7 +180,9 @@ def scene_on_ranks(name: str, comm: Any, parameters: Mapping[str, Any]) -> Scene
         problem = LCP.from_problem(scene.problem, comm)
         vectors = {"exact": scene.exact, "continuum": scene.continuum, "start": scene.start}
         own = problem.own_rows
-        parts: dict[str, Any] = {fact: None if vector is None else vector[own] for fact, vector in vectors.items()}
+        parts: dict[str, Any] = {
+            fact: None if vector is None else vector[own] for fact, vector in vectors.items()
+        }
         return replace(scene, problem=problem, **parts)
     values = ranks.together(lambda: checked_values(name, parameters))
     size = values["size"]
@@ -187,7 +205,9 @@ def peak_memory() -> int:
 def _say_terminated(number: int, _: Any) -> None:
     """Say so on every rank that hears it: rank 0 may wait in a common call for one that has gone already."""
     stream = sys.__stderr__ or sys.stderr
-    stream.write(f"{SPEAKER}: ended from outside (Ctrl-C in mpiexec, or the batch system); nothing was saved\n")
+    stream.write(
+        f"{SPEAKER}: ended from outside (Ctrl-C in mpiexec, or the batch system); nothing was saved\n"
+    )
     stream.flush()
     signal.signal(number, signal.SIG_DFL)
     os.kill(os.getpid(), number)
@@ -198,7 +218,9 @@ def _make_folder(out: Path, n: int) -> tuple[str, bool]:
     is_new = not out.exists()
     free = shutil.disk_usage(out.absolute().parent if is_new else out).free
     if (needed := 16 * n) > free:
-        raise UnreadableFile(f"cannot write {out}: z and w need {needed:.3g} bytes and {free:.3g} are free there")
+        raise UnreadableFile(
+            f"cannot write {out}: z and w need {needed:.3g} bytes and {free:.3g} are free there"
+        )
     out.mkdir(exist_ok=True)
     return secrets.token_hex(6), is_new
 
@@ -206,7 +228,9 @@ def _make_folder(out: Path, n: int) -> tuple[str, bool]:
 def _begin_array(path: Path, n: int) -> int:
     """Write the head of a .npy file of n numbers; return where the numbers begin."""
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (n,)})
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": False, "shape": (n,)}
+    )
     path.write_bytes(header.getvalue())
     return len(header.getvalue())
 

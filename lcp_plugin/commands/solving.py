@@ -26,7 +26,14 @@ from ..problems.programs.program import QuadraticProgram
 from .target import read_target
 from .terminal import LINE, fitted, show_search, show_step
 
-OWN_FLAGS = ("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "threads", "algorithm")
+OWN_FLAGS = (
+    "tolerance",
+    "absolute_tolerance",
+    "max_iterations",
+    "max_seconds",
+    "threads",
+    "algorithm",
+)
 WORDS = {"none": None, "true": True, "false": False}
 SHOWN = 20  # variables that are printed
 ON_CONES = ("ConeProblem", "FrictionalContact")
@@ -112,8 +119,16 @@ class Picture:
 
 
 def run(
-    here: OneProcess, target: str, size: int | None, algorithm: Any, options: dict[str, Any], settings: dict[str, Any],
-    picture: Picture, out: Path | None, *, as_json: bool,
+    here: OneProcess,
+    target: str,
+    size: int | None,
+    algorithm: Any,
+    options: dict[str, Any],
+    settings: dict[str, Any],
+    picture: Picture,
+    out: Path | None,
+    *,
+    as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved, the same on every rank."""
     from ..auto import policy_for
@@ -125,7 +140,9 @@ def run(
         here.from_first(lambda: here.check_outputs(target, plot, out))
         problem, scene = here.read(target, size)
         picture.check(problem, scene)
-        results = _solve_all(problem, scene, {**settings, "algorithm": chosen, "record": plot is not None})
+        results = _solve_all(
+            problem, scene, {**settings, "algorithm": chosen, "record": plot is not None}
+        )
         more, lines = here.beyond()
         content, story = _content(results) | more, _story(results, scene, lines)
 
@@ -140,7 +157,11 @@ def run(
 
 
 def _tell(
-    content: dict[str, Any], story: str, as_json: bool, plot: Path | None, saved: Callable[[], list[Path]]
+    content: dict[str, Any],
+    story: str,
+    as_json: bool,
+    plot: Path | None,
+    saved: Callable[[], list[Path]],
 ) -> None:
     """Print the answer, save it and its picture, and say where they are."""
     typer.echo(json.dumps(content, indent=2) if as_json else fitted(story))
@@ -152,7 +173,9 @@ def save_arrays(out: Path, status: Status, arrays: dict[str, Any]) -> list[Path]
     """Write arrays and the status into an .npz file, whole or not at all; return what was written."""
     from ..interfaces.files.files import write_whole
 
-    write_whole({out: lambda file: np.savez_compressed(file, status=np.array(status.name), **arrays)})
+    write_whole(
+        {out: lambda file: np.savez_compressed(file, status=np.array(status.name), **arrays)}
+    )
     return [out]
 
 
@@ -160,7 +183,9 @@ def checked_grid(text: str) -> tuple[int, ...]:
     """Return the shape that --grid names, rows x columns, or raise InvalidOption."""
     sizes = text.lower().replace("×", "x").split("x")
     if not all(size.strip().isdecimal() and int(size) for size in sizes):
-        raise InvalidOption(f"--grid wants whole numbers, rows x columns, as --grid 500x500; got {text!r}")
+        raise InvalidOption(
+            f"--grid wants whole numbers, rows x columns, as --grid 500x500; got {text!r}"
+        )
     return tuple(int(size) for size in sizes)
 
 
@@ -184,7 +209,9 @@ def options(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
         if not equals or not key:
             raise InvalidOption(f"--option wants name=value, got {pair!r}")
         if key in OWN_FLAGS:
-            raise InvalidOption(f"{key} is no option of an algorithm; write --{key.replace('_', '-')} {text}")
+            raise InvalidOption(
+                f"{key} is no option of an algorithm; write --{key.replace('_', '-')} {text}"
+            )
         if key in options:
             raise InvalidOption(f"the option {key} is given twice; once is enough")
         options[key] = _value(text)
@@ -230,7 +257,12 @@ def _story(results: list[Result], scene: Any, more: list[str]) -> str:
     """Return what a person wants to read after a run; all ranks call."""
     result = results[-1]
     problem = result.certificate.problem
-    lines = ["" if scene is None else str(scene), str(problem), result.explain(), str(result.certificate)]
+    lines = [
+        "" if scene is None else str(scene),
+        str(problem),
+        result.explain(),
+        str(result.certificate),
+    ]
     at_bound = problem.matrix.count_of(is_at_bound(problem, result.z))
     lines.append(f"{'at a bound':<18} {at_bound} of {problem.n}")
     if scene is not None and scene.steps > 1:
@@ -284,22 +316,37 @@ def is_model(target: str) -> bool:
 
 
 def run_model(
-    target: str, size: int | None, backend: str, algorithm: Any, options: dict[str, Any], settings: dict[str, Any],
-    picture: Picture, out: Path | None, *, as_json: bool,
+    target: str,
+    size: int | None,
+    backend: str,
+    algorithm: Any,
+    options: dict[str, Any],
+    settings: dict[str, Any],
+    picture: Picture,
+    out: Path | None,
+    *,
+    as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether it is solved."""
     from ..auto import policy_for
 
     for name, is_given, whose in (
-        ("--size", size is not None, "a scene"), ("--backend", backend != "serial", "LCPs"),
+        ("--size", size is not None, "a scene"),
+        ("--backend", backend != "serial", "LCPs"),
     ):
         if is_given:
             raise InvalidOption(f"{name} is for {whose}, not for this file; leave it out")
     Settings(**settings)
     plain = {one.name: one.default for one in fields(Settings)}
-    asked = {name: value for name, value in settings.items() if value != plain[name] or name == "tolerance"}
+    asked = {
+        name: value
+        for name, value in settings.items()
+        if value != plain[name] or name == "tolerance"
+    }
     asked |= {name: options.pop(name) for name in ("prove",) if name in options}  # of a search
-    is_on_cones = kind_in(target.strip()).__name__ in ON_CONES  # whose algorithms have names of their own
+    is_on_cones = (
+        kind_in(target.strip()).__name__ in ON_CONES
+    )  # whose algorithms have names of their own
     chosen: Any
     if isinstance(algorithm, str) and algorithm in ENGINES:
         chosen = engine_class(algorithm)(**options)
@@ -311,7 +358,12 @@ def run_model(
     find = _in_nl if Path(target.strip()).suffix.lower() == ".nl" else _in_arrays
     found = find(target.strip(), chosen, asked)
     LINE.say("")
-    content = {"status": found.status.name, **found.more, "model": found.model, "run": found.result.to_content()}
+    content = {
+        "status": found.status.name,
+        **found.more,
+        "model": found.model,
+        "run": found.result.to_content(),
+    }
 
     def saved() -> list[Path]:
         if picture.path is not None:
@@ -335,7 +387,9 @@ def _in_nl(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
     if model.content.row_names is not None:
         vectors["row_names"] = np.array(model.content.row_names, dtype=np.str_)
     more = {"code": answer.code, "message": answer.message, "objective": answer.objective}
-    return ModelAnswer(repr(model), answer.status, (answer.message,), model.names(), vectors, answer.result, more)
+    return ModelAnswer(
+        repr(model), answer.status, (answer.message,), model.names(), vectors, answer.result, more
+    )
 
 
 def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
@@ -348,11 +402,17 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
         seen = {"callback": show_step} if LINE.is_there else {}
         answer: Any = solve(problem, chosen, **asked, **seen)
         rows = {} if problem.ranges is None else {"y": answer.solution.row_multipliers}
-        vectors = answer.duals | rows | ({} if names is None else {"names": np.array(names, dtype=np.str_)})
+        vectors = (
+            answer.duals
+            | rows
+            | ({} if names is None else {"names": np.array(names, dtype=np.str_)})
+        )
     elif kind_in(target).__name__ in ON_CONES:
         problem, constant, sign, names = load_problem(target), 0.0, 1.0, None
         if isinstance(problem, FrictionalContact):
-            names = [f"r[{k // problem.dimension}, {k % problem.dimension}]" for k in range(problem.n)]
+            names = [
+                f"r[{k // problem.dimension}, {k % problem.dimension}]" for k in range(problem.n)
+            ]
         answer = solve(problem, chosen, **asked)
         vectors = {"z": answer.z, "w": answer.w}
     else:
@@ -361,10 +421,15 @@ def _in_arrays(target: str, chosen: Any, asked: dict[str, Any]) -> ModelAnswer:
         vectors = {"active_mask": answer.active_mask}
     objective = None if answer.objective is None else sign * (answer.objective + constant) + 0.0
     return ModelAnswer(
-        str(problem), answer.status,
-        () if objective in (None, answer.objective) else (f"objective {objective:.9g}, as the file states it",),
+        str(problem),
+        answer.status,
+        ()
+        if objective in (None, answer.objective)
+        else (f"objective {objective:.9g}, as the file states it",),
         [f"x[{k}]" for k in range(answer.x.size)] if names is None else names,
-        {"x": answer.x} | vectors, answer, {"objective": objective},
+        {"x": answer.x} | vectors,
+        answer,
+        {"objective": objective},
     )
 
 

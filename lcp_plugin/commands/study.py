@@ -19,9 +19,16 @@ from .target import is_own_problem, lcp_of_file, load, own_algorithm, scene_text
 from .terminal import PartsLine, console, table
 
 KEYS: dict[str, tuple[type, ...]] = {
-    "problems": (list, str, dict), "methods": (list, dict), "sizes": (list,), "repeats": (int,),
-    "tolerance": (int, float), "max_seconds": (int, float), "max_work": (int, float), "error_bound": (bool,),
-    "out": (str,), "save": (list, str),
+    "problems": (list, str, dict),
+    "methods": (list, dict),
+    "sizes": (list,),
+    "repeats": (int,),
+    "tolerance": (int, float),
+    "max_seconds": (int, float),
+    "max_work": (int, float),
+    "error_bound": (bool,),
+    "out": (str,),
+    "save": (list, str),
 }
 OUT = "study.csv"
 SHOWN = "iterations"
@@ -37,14 +44,21 @@ def run(targets: Sequence[str], given: Mapping[str, Any]) -> bool:
     if problems := [target for target in targets if not target.endswith(".toml")]:
         wishes["problems"] = problems
     if not wishes.get("problems"):
-        raise InvalidOption("a study needs a problem: name one, or a study file (.toml) with problems = [...]")
+        raise InvalidOption(
+            "a study needs a problem: name one, or a study file (.toml) with problems = [...]"
+        )
     views = _checked_views(wishes.pop("save", []))
     out = Path(wishes.pop("out", OUT))
     keeps_curves = any(view.startswith("curves") for view, _ in views)
     methods = wishes.pop("methods", None)
     found = study(
-        _problems(wishes.pop("problems")), _methods(methods), wishes.pop("sizes", None), out=out, curves=keeps_curves,
-        progress=PartsLine("study"), **wishes,
+        _problems(wishes.pop("problems")),
+        _methods(methods),
+        wishes.pop("sizes", None),
+        out=out,
+        curves=keeps_curves,
+        progress=PartsLine("study"),
+        **wishes,
     )
     _print(found)
     for view, path in views:
@@ -53,7 +67,9 @@ def run(targets: Sequence[str], given: Mapping[str, Any]) -> bool:
             typer.echo(f"saved {path}: {view}")
     again = f", {found.found} of them from a former run" if found.found else ""
     missing = len(found.missing)
-    rest = f"; interrupted, {missing} missing: the same command goes on from here" if missing else ""
+    rest = (
+        f"; interrupted, {missing} missing: the same command goes on from here" if missing else ""
+    )
     typer.echo(f"{out}: {in_words(len(found.rows), 'row')}{again}{rest}")
     return not found.missing and all(row.curve.status != "ERROR" for row in found.rows)
 
@@ -70,7 +86,9 @@ def sizes_of(texts: Sequence[str]) -> list[int]:
         return [int(size) for text in texts for size in text.split(",")]
     except ValueError:
         wrong = ", ".join(map(repr, texts))
-        raise InvalidOption(f"--size must be whole numbers, as --size 50,100, got {wrong}") from None
+        raise InvalidOption(
+            f"--size must be whole numbers, as --size 50,100, got {wrong}"
+        ) from None
 
 
 def _of_file(file: Path) -> dict[str, Any]:
@@ -114,7 +132,9 @@ def _methods(given: Any) -> Any:
     for label, one in given.items():
         options = dict(one) if isinstance(one, Mapping) else {"algorithm": one}
         if "algorithm" not in options:
-            raise InvalidOption(f'method {label!r} needs an algorithm: write {label} = {{ algorithm = "psor" }}')
+            raise InvalidOption(
+                f'method {label!r} needs an algorithm: write {label} = {{ algorithm = "psor" }}'
+            )
         made[label] = _method(options.pop("algorithm"), options)
     return made
 
@@ -155,7 +175,8 @@ def _print(found: Study) -> None:
     said = {
         f"{row.curve.status} {'on' if row.n == 0 else f'{row.curve.label} on'} {row.problem}"
         f"{'' if row.size is None else f' of size {row.size}'}: {row.curve.note}": None
-        for row in found.rows if row.curve.status in NO_ANSWER
+        for row in found.rows
+        if row.curve.status in NO_ANSWER
     }
     for line in said:
         terminal.print(line)

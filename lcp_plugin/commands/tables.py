@@ -26,7 +26,10 @@ SOURCES = dict(enumerate((PAPER, CRYER, BAI, LEVITIN), start=1))
 WIDEST = 100
 EVIDENCE = 41  # where the evidence begins in a line of the matrix report
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
-    **{name: paper_options(name, None) for name in ("npj", "npgs", "npsor", "npaor", "npsplitting", "mgs")},
+    **{
+        name: paper_options(name, None)
+        for name in ("npj", "npgs", "npsor", "npaor", "npsplitting", "mgs")
+    },
     "msor": {"omega": paper_options("msor", PAPER_MSOR)["omega"]},
 }
 
@@ -38,11 +41,18 @@ def print_paper_tables(out: Path | None = None) -> bool:
     computed = list(cells())
     tables, terminal = [paper_table(computed, example) for example in (1, 2)], console(120)
     for one in tables:
-        headings = [*one.columns[:2], *("\n".join(head.rpartition(" ")[::2]) for head in one.columns[2:])]
-        terminal.print(table(one.title, headings, one.texts(), is_of_numbers=True, padding=(0, 1, 0, 0)))
+        headings = [
+            *one.columns[:2],
+            *("\n".join(head.rpartition(" ")[::2]) for head in one.columns[2:]),
+        ]
+        terminal.print(
+            table(one.title, headings, one.texts(), is_of_numbers=True, padding=(0, 1, 0, 0))
+        )
     equal = sum(one.same_iterations for one in computed)
     equal_residual = sum(one.same_residual for one in computed)
-    terminal.print(f"IT equal in {equal} of {len(computed)} cells, Res to the printed digits in {equal_residual}.")
+    terminal.print(
+        f"IT equal in {equal} of {len(computed)} cells, Res to the printed digits in {equal_residual}."
+    )
     if out is not None:
         save_tables(tables, out)
         terminal.print(f"saved {out}")
@@ -69,7 +79,11 @@ def analysis(problem: LCP) -> str:
     >>> print(analysis(LCP([[4, -1], [-1, 4]], [-3, 5])).splitlines()[0])
     matrix of size 2, 4 nonzeros
     """
-    lines = [part for line in str(analyze(problem)).splitlines() for part in _wrapped(line[:EVIDENCE], line[EVIDENCE:])]
+    lines = [
+        part
+        for line in str(analyze(problem)).splitlines()
+        for part in _wrapped(line[:EVIDENCE], line[EVIDENCE:])
+    ]
     lines += ["", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     said: dict[str, list[str]] = {}
     first: dict[str, str] = {}
@@ -87,7 +101,9 @@ def analysis(problem: LCP) -> str:
             lines += _wrapped(f"[{k}] ", f"{source}, {PAPER_TITLE}" if source == PAPER else source)
     if said:
         lines += ["", "The paper's Theorem 4.2, for its methods without row scaling:"]
-        lines += [line for text, names in said.items() for line in _wrapped(f"{', '.join(names)}: ", text)]
+        lines += [
+            line for text, names in said.items() for line in _wrapped(f"{', '.join(names)}: ", text)
+        ]
     return "\n".join(lines).rstrip()
 
 
@@ -95,20 +111,28 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
     """Return both tables as a dictionary that JSON can hold; numbers that are not finite become None."""
     rows = [
         {
-            "algorithm": title, "verdict": found.verdict, "theorem": found.theorem, "rate": found.rate,
-            "rate_of": found.speaks_of if found.rate is not None else None, "remedy": found.remedy,
+            "algorithm": title,
+            "verdict": found.verdict,
+            "theorem": found.theorem,
+            "rate": found.rate,
+            "rate_of": found.speaks_of if found.rate is not None else None,
+            "remedy": found.remedy,
             "theorem_4_2": found.paper,
         }
         for title, found in guarantees(problem)
     ]
-    content: dict[str, Any] = finite_content({"matrix": analyze(problem).to_content(), "convergence": rows})
+    content: dict[str, Any] = finite_content(
+        {"matrix": analyze(problem).to_content(), "convergence": rows}
+    )
     return content
 
 
 def _wrapped(title: str, text: str) -> list[str]:
     """Return the text beside its title, in lines that fit the terminal."""
     columns = min(WIDEST, shutil.get_terminal_size().columns) if sys.stdout.isatty() else WIDEST
-    return textwrap.wrap(text, columns, initial_indent=title, subsequent_indent=" " * len(title)) or [title.rstrip()]
+    return textwrap.wrap(
+        text, columns, initial_indent=title, subsequent_indent=" " * len(title)
+    ) or [title.rstrip()]
 
 
 def _usable_from_outside() -> Iterator[str]:

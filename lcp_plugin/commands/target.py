@@ -57,7 +57,11 @@ def load(text: str) -> Any:
     if module is None or getattr(module, "__file__", None) != str(Path(place).resolve()):
         module = _imported(place)
     if not hasattr(module, name):
-        known = [word for word, thing in vars(module).items() if getattr(thing, "__module__", "") == module.__name__]
+        known = [
+            word
+            for word, thing in vars(module).items()
+            if getattr(thing, "__module__", "") == module.__name__
+        ]
         raise InvalidOption(f"{place} has no {name!r}{did_you_mean(name, known)}")
     found = getattr(module, name)
     if not settings:
@@ -75,7 +79,9 @@ def _settings(text: str) -> dict[str, Any]:
     for setting in filter(None, map(str.strip, text.split(","))):
         key, equals, value = setting.partition("=")
         if not equals or not key.isidentifier():
-            raise InvalidOption(f"{setting!r} has no form key=value; write file.py:function:key=value,key=value")
+            raise InvalidOption(
+                f"{setting!r} has no form key=value; write file.py:function:key=value,key=value"
+            )
         given[key] = value
         with contextlib.suppress(ValueError, SyntaxError):  # a word
             given[key] = ast.literal_eval(value)
@@ -89,8 +95,14 @@ def _module_name(place: str) -> str:
 def _imported(place: str) -> Any:
     is_file = place.endswith(".py")
     if is_file and not Path(place).is_file():
-        raise InvalidOption(f"no file {place!r} in {Path.cwd()}; write file.py:name, or module:name")
-    folder, name = (str(Path(place).resolve().parent), _module_name(place)) if is_file else (str(Path.cwd()), place)
+        raise InvalidOption(
+            f"no file {place!r} in {Path.cwd()}; write file.py:name, or module:name"
+        )
+    folder, name = (
+        (str(Path(place).resolve().parent), _module_name(place))
+        if is_file
+        else (str(Path.cwd()), place)
+    )
     sys.path.insert(0, folder)
     try:
         if not is_file:
@@ -99,7 +111,9 @@ def _imported(place: str) -> Any:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name == name.partition(".")[0]:
-            raise InvalidOption(f"no module {place!r} in {Path.cwd()} or installed; write file.py:name") from None
+            raise InvalidOption(
+                f"no module {place!r} in {Path.cwd()} or installed; write file.py:name"
+            ) from None
         raise InvalidOption(f"{place}: {error_line(error)}") from error
     except Exception as error:  # whatever a module of somebody else raises
         raise InvalidOption(f"{place}: {error_line(error)}") from error
@@ -126,9 +140,13 @@ def algorithm_of(text: str, options: Mapping[str, Any]) -> Algorithm:
             f"{'; an object has its options already' if isinstance(found, Algorithm) else ''}"
         )
     if not getattr(found, "name", ""):
-        raise InvalidOption(f'{text} has no name; write name = "{found.__name__.lower()}" in the class')
+        raise InvalidOption(
+            f'{text} has no name; write name = "{found.__name__.lower()}" in the class'
+        )
     if options and not (is_dataclass(found) and vars(found).get("__dataclass_fields__")):
-        raise InvalidOption(f"{text} has no options, got {sorted(options)}; a dataclass has those that it declares")
+        raise InvalidOption(
+            f"{text} has no options, got {sorted(options)}; a dataclass has those that it declares"
+        )
     try:
         return made(found, found.name, dict(options))
     except TypeError as error:
@@ -178,7 +196,9 @@ def is_own_problem(target: str) -> bool:
     """Return whether the target is written ``file.py:function`` or ``module:function``, and no scene."""
     from .. import gallery
 
-    return is_own(target) and target.partition(":")[0].strip().replace("-", "_") not in gallery.names()
+    return (
+        is_own(target) and target.partition(":")[0].strip().replace("-", "_") not in gallery.names()
+    )
 
 
 def own_algorithm(name: str, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
@@ -211,16 +231,22 @@ def scene_text(target: str, size: int | None = None) -> str | None:
     name, _, settings = target.strip().partition(":")
     name = name.strip().replace("-", "_")
     if name not in gallery.names():
-        if not (set(target) & set("/\\.") or Path(target).exists() or Path(f"{target}M.mtx").exists()):
+        if not (
+            set(target) & set("/\\.") or Path(target).exists() or Path(f"{target}M.mtx").exists()
+        ):
             hint = did_you_mean(name, gallery.names(), is_listed=True)
             raise InvalidOption(f"{target!r} is neither a file nor a scene{hint}")
         if size is not None:
-            raise InvalidOption(f"--size {size} is for a scene, but {target!r} is none; leave it out")
+            raise InvalidOption(
+                f"--size {size} is for a scene, but {target!r} is none; leave it out"
+            )
         return None
     given = [setting for setting in settings.split(",") if setting.strip()]
     if size is not None:
         if any(setting.partition("=")[0].strip() == "size" for setting in given):
-            raise InvalidOption(f"the size is given twice, in {target!r} and as --size {size}; once is enough")
+            raise InvalidOption(
+                f"the size is given twice, in {target!r} and as --size {size}; once is enough"
+            )
         given.append(f"size={size}")
     return f"{name}:{','.join(given)}" if given else name
 
@@ -229,7 +255,9 @@ def scene_names(incomplete: str) -> list[str]:
     """Return the scenes that begin so."""
     from .. import gallery
 
-    return [name for name in gallery.names() if name.startswith(incomplete)]  # none of them: the shell tries files
+    return [
+        name for name in gallery.names() if name.startswith(incomplete)
+    ]  # none of them: the shell tries files
 
 
 def algorithm_names(incomplete: str) -> list[str]:
@@ -237,7 +265,11 @@ def algorithm_names(incomplete: str) -> list[str]:
     from ..algorithms import REGISTRY, from_other_packages
     from ..engines import ENGINES
 
-    return [name for name in ("auto", *REGISTRY, *ENGINES, *from_other_packages()) if name.startswith(incomplete)]
+    return [
+        name
+        for name in ("auto", *REGISTRY, *ENGINES, *from_other_packages())
+        if name.startswith(incomplete)
+    ]
 
 
 def print_everything() -> None:
@@ -256,15 +288,21 @@ def print_everything() -> None:
     kinds = {name: kind for name, kind in offers.items() if not isinstance(kind, LCPError)}
     engines = [engine_class(name) for name in ENGINES]
     every: tuple[Any, ...] = *kinds.values(), *METHODS.values(), *engines
-    references = dict.fromkeys(kind.reference for kind in every if kind.reference != Algorithm.reference)
+    references = dict.fromkeys(
+        kind.reference for kind in every if kind.reference != Algorithm.reference
+    )
     sources = {reference: f"[{k}]" for k, reference in enumerate(references, start=1)}
     headings = ("name", "needs", "proved to converge on", "an iteration costs", "source")
     algorithms, over_cones = (
-        [(name, kind.needs, kind.solves, kind.cost, sources.get(kind.reference, kind.reference))
-         for name, kind in some.items()]
+        [
+            (name, kind.needs, kind.solves, kind.cost, sources.get(kind.reference, kind.reference))
+            for name, kind in some.items()
+        ]
         for some in (kinds, METHODS)
     )
-    of_others = [(one.name, one.solves, one.cost, one.obeys, sources[one.reference]) for one in engines]
+    of_others = [
+        (one.name, one.solves, one.cost, one.obeys, sources[one.reference]) for one in engines
+    ]
     scenes = [
         (name, summary, ", ".join(f"{key}={value}" for key, value in parameters.items()))
         for name, summary, parameters in describe()
@@ -276,10 +314,19 @@ def print_everything() -> None:
     terminal.print()
     terminal.print(table("Algorithms", headings, algorithms, pad_edge=False))
     terminal.print()
-    terminal.print(table("Algorithms over cones, and for contact with friction", headings, over_cones, pad_edge=False))
+    terminal.print(
+        table(
+            "Algorithms over cones, and for contact with friction",
+            headings,
+            over_cones,
+            pad_edge=False,
+        )
+    )
     terminal.print()
     headings = ("name", "solves", "costs", "heeds while it runs", "source")
-    terminal.print(table("Engines of others, for solve(program, name)", headings, of_others, pad_edge=False))
+    terminal.print(
+        table("Engines of others, for solve(program, name)", headings, of_others, pad_edge=False)
+    )
     for reference, source in sources.items():
         terminal.print(f"{source} {reference}")
     for error in (one for one in foreign.values() if isinstance(one, LCPError)):

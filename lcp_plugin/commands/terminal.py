@@ -72,7 +72,9 @@ class MovingLine:
                 self._width = shutil.get_terminal_size().columns - 1
                 self._write("\r" + f"{next(self._mark)} {text}"[: self._width].ljust(self._width))
             elif self._width:
-                self._write("\r" + " " * self._width + "\r")  # what Ctrl-C leaves behind the text as well
+                self._write(
+                    "\r" + " " * self._width + "\r"
+                )  # what Ctrl-C leaves behind the text as well
                 self._width = 0
 
     def _due(self) -> str:
@@ -94,7 +96,9 @@ def show_step(sample: Sample, z: FloatVector) -> bool:
     if LINE.is_there:
         residual = "" if sample.residual is None else f", residual {sample.residual:.2e}"
         keys = "(Ctrl-C stops and keeps the best)"
-        LINE.say(f"{sample.label}: iteration {sample.iteration}{residual}, {sample.seconds:.1f} s  {keys}")
+        LINE.say(
+            f"{sample.label}: iteration {sample.iteration}{residual}, {sample.seconds:.1f} s  {keys}"
+        )
     return False
 
 
@@ -103,7 +107,9 @@ def show_search(search: BranchAndBound) -> bool:
     if LINE.is_there:
         found = f"best {search.value:.6g}, bound {search.lower_bound:.6g}"
         keys = "(Ctrl-C stops and keeps the best)"
-        LINE.say(f"branch and bound: node {search.nodes}, {found}, {search.clock.read():.1f} s  {keys}")
+        LINE.say(
+            f"branch and bound: node {search.nodes}, {found}, {search.clock.read():.1f} s  {keys}"
+        )
     return False
 
 
@@ -145,7 +151,12 @@ def console(width: int) -> Any:
 
 
 def table(
-    title: str, headings: Iterable[str], rows: Iterable[Iterable[str]], *, is_of_numbers: bool = False, **look: Any
+    title: str,
+    headings: Iterable[str],
+    rows: Iterable[Iterable[str]],
+    *,
+    is_of_numbers: bool = False,
+    **look: Any,
 ) -> Any:
     """Return a table that breaks long words rather than cutting them, and names and numbers never."""
     from rich.box import SIMPLE_HEAD
@@ -155,7 +166,9 @@ def table(
     for heading in headings:
         keeps = is_of_numbers or heading in {"name", "source"}
         right = is_of_numbers and heading not in ("algorithm", "method")
-        table.add_column(heading, overflow="fold", no_wrap=keeps, justify="right" if right else "left")
+        table.add_column(
+            heading, overflow="fold", no_wrap=keeps, justify="right" if right else "left"
+        )
     for row in rows:
         table.add_row(*row)
     return table

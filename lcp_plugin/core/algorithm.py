@@ -174,7 +174,9 @@ class Algorithm(ABC):
             Before the first step, naming the row that stands in the way.
         """
 
-    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+    def solve_fused(
+        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
+    ) -> FusedSolve | None:
         """Return where the steps of `iterates`, taken without Python between them, converge within the tolerance.
 
         z, iterations and work are those that single steps give, bit for bit. None where they do not converge, or where
@@ -251,7 +253,9 @@ def check_positive(algorithm: Algorithm, option: str, *, below: float = math.inf
     value = getattr(algorithm, option)
     if not is_number(value) or not 0.0 < value < below:
         limit = "" if below == math.inf else f" and below {below:g}"
-        raise InvalidOption(f"{algorithm.name}: {option} must be a positive finite number{limit}, got {value!r}")
+        raise InvalidOption(
+            f"{algorithm.name}: {option} must be a positive finite number{limit}, got {value!r}"
+        )
 
 
 def check_flag(algorithm: Algorithm, option: str) -> None:

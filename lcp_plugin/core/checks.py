@@ -33,7 +33,10 @@ def restored(thing: Any, state: dict[str, Any]) -> None:
     """Give a copied or unpickled object its state: unpickled arrays are writable again, and must not be."""
     vars(thing).update(state)
     for value in state.values():
-        for array in (value, *(getattr(value, name, None) for name in ("data", "indices", "indptr"))):
+        for array in (
+            value,
+            *(getattr(value, name, None) for name in ("data", "indices", "indptr")),
+        ):
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False
 
@@ -74,7 +77,9 @@ def checked_matrix(M: Any) -> tuple[sp.csr_array | None, NDArray[np.float64] | N
     _check_finite(dense, "M")
     n = dense.shape[0]
     if n <= DENSE_UP_TO_SIZE and np.count_nonzero(dense) > DENSE_ABOVE_DENSITY * n * n:
-        return None, read_only(np.array(dense, order="C"))  # its own: verdicts and bounds outlive a caller's changes
+        return None, read_only(
+            np.array(dense, order="C")
+        )  # its own: verdicts and bounds outlive a caller's changes
     return frozen(sp.csr_array(dense)), None
 
 
@@ -107,9 +112,23 @@ def rectangular_matrix(
     if is_sparse:
         check_kind(values.dtype, need)
     matrix = values if is_sparse else real_array(values, need)
-    if matrix.ndim != 2 or rows not in (None, matrix.shape[0]) or columns not in (None, matrix.shape[1]):
-        fits = matrix.ndim == 2 and rows in (None, matrix.shape[1]) and columns in (None, matrix.shape[0])
-        hint = f"; did you mean {name}.T?" if fits else "; write a single row as [[…]]" if matrix.ndim == 1 else ""
+    if (
+        matrix.ndim != 2
+        or rows not in (None, matrix.shape[0])
+        or columns not in (None, matrix.shape[1])
+    ):
+        fits = (
+            matrix.ndim == 2
+            and rows in (None, matrix.shape[1])
+            and columns in (None, matrix.shape[0])
+        )
+        hint = (
+            f"; did you mean {name}.T?"
+            if fits
+            else "; write a single row as [[…]]"
+            if matrix.ndim == 1
+            else ""
+        )
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if is_sparse:
         return canonical_csr(matrix, name, is_copied=is_copied)
@@ -125,15 +144,23 @@ def _check_finite(dense: NDArray[np.float64], name: str) -> None:
 
 
 def _not_finite(name: str, place: Any, value: Any, need: str = "finite") -> InvalidProblem:
-    return InvalidProblem(f"{name} must be {need}, but {name}[{place}] = {value}; repair that entry")
+    return InvalidProblem(
+        f"{name} must be {need}, but {name}[{place}] = {value}; repair that entry"
+    )
 
 
 def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array:
     """Return M as canonical, checked CSR; without a copy where it is that already and none is asked for."""
     try:
         matrix = _repaired(M, is_copied)
-    except (ValueError, IndexError, TypeError) as error:  # scipy's words for arrays that do not fit together
-        raise InvalidProblem(f"{name} is a damaged sparse array: {error}; build it again") from error
+    except (
+        ValueError,
+        IndexError,
+        TypeError,
+    ) as error:  # scipy's words for arrays that do not fit together
+        raise InvalidProblem(
+            f"{name} is a damaged sparse array: {error}; build it again"
+        ) from error
     is_finite = np.isfinite(matrix.data)
     if not is_finite.all():
         where = int(np.argmin(is_finite))
@@ -204,7 +231,10 @@ def in_doubles(M: Any) -> Any:
 
 def _check_before_conversion(M: Any) -> None:
     """Raise where scipy's conversion to CSR would read or write outside its arrays."""
-    if M.format in ("csc", "bsr"):  # a fresh array: scipy's check cuts off what its arrays have to spare
+    if M.format in (
+        "csc",
+        "bsr",
+    ):  # a fresh array: scipy's check cuts off what its arrays have to spare
         _check_compressed(type(M)((M.data, M.indices, M.indptr), shape=M.shape))
     elif M.format == "coo":
         if not M.row.size == M.col.size == M.data.size:
@@ -219,7 +249,14 @@ def _check_before_conversion(M: Any) -> None:
 def check_kind(dtype: np.dtype[Any], need: str) -> None:
     """Raise unless the dtype is one of real numbers, saying what is needed."""
     if dtype.kind not in "fiub":
-        what = {"c": "complex", "O": "object", "U": "text", "S": "bytes", "M": "dates", "m": "durations"}
+        what = {
+            "c": "complex",
+            "O": "object",
+            "U": "text",
+            "S": "bytes",
+            "M": "dates",
+            "m": "durations",
+        }
         raise InvalidProblem(
             f"{need}, got {what.get(dtype.kind, dtype.name)} entries (dtype {dtype}); convert them first"
         )
@@ -235,7 +272,9 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if type(values) is np.ndarray and values.dtype == DOUBLE:
         return values
     if isinstance(values, np.ma.MaskedArray):
-        raise InvalidProblem(f"{need}, got a masked array; fill it first, for instance with .filled(0.0)")
+        raise InvalidProblem(
+            f"{need}, got a masked array; fill it first, for instance with .filled(0.0)"
+        )
     if sp.issparse(values):
         raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
     if values is None:
@@ -243,7 +282,9 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     try:
         array = np.asarray(values)
     except ValueError as error:
-        raise InvalidProblem(f"{need}, got no rectangular array ({error}); check its rows") from error
+        raise InvalidProblem(
+            f"{need}, got no rectangular array ({error}); check its rows"
+        ) from error
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)
@@ -277,9 +318,17 @@ def real_vector(
     InvalidProblem
         Where it is no array of real numbers, or has another shape.
     """
-    if type(values) is np.ndarray and values.dtype == DOUBLE and values.ndim == 1 and length in (None, values.size):
+    if (
+        type(values) is np.ndarray
+        and values.dtype == DOUBLE
+        and values.ndim == 1
+        and length in (None, values.size)
+    ):
         return read_only(values.copy())
-    need = need or f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"
+    need = (
+        need
+        or f"{name} must be a vector of {'real numbers' if length is None else f'length {length}'}"
+    )
     vector = real_array(values, need)
     if may_be_number and vector.ndim == 0 and length in (None, 1):
         vector = vector.reshape(1)
@@ -301,8 +350,14 @@ def finite_vector(values: Any, name: str, n: int, *, may_be_number: bool = False
 
 
 def checked_vector(
-    values: Any, name: str, length: int | None, *, allow_plus_infinity: bool = False, allow_nan: bool = False,
-    may_be_number: bool = False, need: str = "",
+    values: Any,
+    name: str,
+    length: int | None,
+    *,
+    allow_plus_infinity: bool = False,
+    allow_nan: bool = False,
+    may_be_number: bool = False,
+    need: str = "",
 ) -> FloatVector:
     """Return a read-only copy of a real, finite vector, as `real_vector` does.
 
@@ -317,7 +372,9 @@ def checked_vector(
         is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
         if not is_valid.all():
             at = int(np.argmin(is_valid))
-            raise _not_finite(name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite")
+            raise _not_finite(
+                name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite"
+            )
     return vector
 
 
@@ -341,14 +398,18 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
     is_nan = np.isnan(array)
     if is_nan.any():
         where = int(np.argmax(is_nan))
-        raise InvalidProblem(f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound")
+        raise InvalidProblem(
+            f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound"
+        )
     return read_only(np.full(n, array))
 
 
 def checked_limit(values: Any, name: str, n: int) -> FloatVector:
     """Return a bound that callers state, where ±1e20 and beyond stands for ±∞, none, as in files and other solvers."""
     if type(values) is float and abs(values) <= np.inf:
-        return same_for_all(values + 0.0 if abs(values) < INFINITE_LIMIT else np.inf if values > 0.0 else -np.inf, n)
+        return same_for_all(
+            values + 0.0 if abs(values) < INFINITE_LIMIT else np.inf if values > 0.0 else -np.inf, n
+        )
     return read_only(as_stated(checked_bound(values, name, n)))
 
 
@@ -372,9 +433,13 @@ def as_stated(limits: NDArray[Any]) -> FloatVector:
     return np.where(np.abs(limits) >= INFINITE_LIMIT, np.copysign(np.inf, limits), limits)
 
 
-def checked_right_side(values: Any, name: str, length: int | None, *, may_be_number: bool = False) -> FloatVector:
+def checked_right_side(
+    values: Any, name: str, length: int | None, *, may_be_number: bool = False
+) -> FloatVector:
     """Return the right-hand side of rows ≤ it, where 1e20 and beyond stands for ∞: the row says nothing."""
-    right = checked_vector(values, name, length, allow_plus_infinity=True, may_be_number=may_be_number)
+    right = checked_vector(
+        values, name, length, allow_plus_infinity=True, may_be_number=may_be_number
+    )
     says_something = right < INFINITE_LIMIT
     return right if all_hold(says_something) else read_only(np.where(says_something, right, np.inf))
 

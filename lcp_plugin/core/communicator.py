@@ -131,7 +131,9 @@ class Communicator:
         """Return the own rows, columns counted over all processes, with those of the ghosts behind."""
         return rows
 
-    def overlapped(self, rows: Arrays, ghosts: NDArray[Any], further: NDArray[Any]) -> tuple[Arrays, Communicator]:
+    def overlapped(
+        self, rows: Arrays, ghosts: NDArray[Any], further: NDArray[Any]
+    ) -> tuple[Arrays, Communicator]:
         """Return the own rows with those of the unknowns next to them behind, and the ranks of all unknowns met."""
         return rows, self
 
@@ -179,11 +181,15 @@ class SharedRows:
 
     def all_rows(self, flags: Any) -> bool:
         """Return whether every row's flag, an array of the own ones or one for all of them, is set."""
-        return self.communicator.everywhere(bool(flags.all() if isinstance(flags, np.ndarray) else flags))
+        return self.communicator.everywhere(
+            bool(flags.all() if isinstance(flags, np.ndarray) else flags)
+        )
 
     def any_row(self, flags: Any) -> bool:
         """Return whether the flag of one row or more is set."""
-        return self.communicator.anywhere(bool(flags.any() if isinstance(flags, np.ndarray) else flags))
+        return self.communicator.anywhere(
+            bool(flags.any() if isinstance(flags, np.ndarray) else flags)
+        )
 
     def count_of(self, flags: NDArray[np.bool_]) -> int:
         """Return how many flags are set."""

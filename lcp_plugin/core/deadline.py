@@ -125,7 +125,9 @@ class Clock:
         self.elapsed = time.perf_counter() - self._compilation.seconds - self._began
         seconds = self.elapsed - self._paused
         if self._rows is not None and self._rows.is_distributed:
-            seconds, self.elapsed, wishes = self._rows.each_largest(seconds, self.elapsed, self.hears())
+            seconds, self.elapsed, wishes = self._rows.each_largest(
+                seconds, self.elapsed, self.hears()
+            )
             self.is_interrupted = wishes > 0.0
         return seconds
 
@@ -149,7 +151,9 @@ class NewKernels:
     def __init__(self) -> None:
         self._lock = Lock()
         self._under_way, self._began, self._before, self._collects = 0, 0.0, 0.0, False
-        self.watchers: list[Callable[[], None]] = []  # called when compilation begins and when it has ended
+        self.watchers: list[
+            Callable[[], None]
+        ] = []  # called when compilation begins and when it has ended
 
     @property
     def is_under_way(self) -> bool:

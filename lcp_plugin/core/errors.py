@@ -54,7 +54,11 @@ class ModelWarning(UserWarning):
 
 
 def did_you_mean(
-    word: object, known: Iterable[str | None], of_solve: Collection[str] = (), *, is_listed: bool = False
+    word: object,
+    known: Iterable[str | None],
+    of_solve: Collection[str] = (),
+    *,
+    is_listed: bool = False,
 ) -> str:
     """Return ``"; did you mean 'psor'?"`` or nothing, then the known words, and those that `solve` itself takes.
 
@@ -75,7 +79,14 @@ def did_you_mean(
     given = str(word).lower()
     closeness = {name: SequenceMatcher(None, name, given).ratio() for name in sorted(written)}
     if len(given) > 2:  # an abbreviation is close too
-        closeness = {name: ratio + (CLOSE if name.startswith(given) else 0.0) for name, ratio in closeness.items()}
+        closeness = {
+            name: ratio + (CLOSE if name.startswith(given) else 0.0)
+            for name, ratio in closeness.items()
+        }
     guess = max(closeness, key=closeness.__getitem__, default="")
     is_close = closeness.get(guess, 0.0) >= CLOSE
-    return f"; did you mean {written[guess]}? ({'; '.join(hints)})" if is_close else f"; {'; '.join(hints)}"
+    return (
+        f"; did you mean {written[guess]}? ({'; '.join(hints)})"
+        if is_close
+        else f"; {'; '.join(hints)}"
+    )

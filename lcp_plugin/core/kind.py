@@ -15,13 +15,30 @@ from typing import Any
 from .errors import InvalidOption, did_you_mean
 
 FUNCTIONS = (
-    "solve", "solve_batch", "solve_many", "prepare", "march", "march_many", "trace", "regions", "derivative",
-    "certify", "Certificate.of", "error_bound", "analyze", "all_solutions", "convergence_guarantee", "cross_validate",
-    "error_against_time", "study",
+    "solve",
+    "solve_batch",
+    "solve_many",
+    "prepare",
+    "march",
+    "march_many",
+    "trace",
+    "regions",
+    "derivative",
+    "certify",
+    "Certificate.of",
+    "error_bound",
+    "analyze",
+    "all_solutions",
+    "convergence_guarantee",
+    "cross_validate",
+    "error_against_time",
+    "study",
 )
 STORES = ("save", "pickle")
 LANGUAGES = ("cvxpy", "Pyomo", "AMPL", "qpsolvers")
-COMMANDS = tuple(f"lcp-plugin {name}" for name in ("solve", "check", "certify", "analyze", "study", "report"))
+COMMANDS = tuple(
+    f"lcp-plugin {name}" for name in ("solve", "check", "certify", "analyze", "study", "report")
+)
 WAYS = (*FUNCTIONS, *STORES, *LANGUAGES, *COMMANDS)
 
 
@@ -58,10 +75,14 @@ class Kind:
         for name in wishes:
             if f"{name}=" in self.instead:
                 instead = self.instead[f"{name}="]
-                raise InvalidOption(f"solve takes no {name} for {with_article(self.word)}; {instead}")
+                raise InvalidOption(
+                    f"solve takes no {name} for {with_article(self.word)}; {instead}"
+                )
 
 
-def changes_by_name(origin: Any, named: Mapping[str, Any], known: Sequence[str], elsewhere: str = "") -> dict[str, Any]:
+def changes_by_name(
+    origin: Any, named: Mapping[str, Any], known: Sequence[str], elsewhere: str = ""
+) -> dict[str, Any]:
     """Return what changes of the data that a problem was made from are in its M and q, as ``{"dM": …, "dq": …}``.
 
     Parameters
@@ -83,17 +104,21 @@ def changes_by_name(origin: Any, named: Mapping[str, Any], known: Sequence[str],
     names = getattr(origin, "names", ())
     for name in named:
         if name not in names:
-            raise InvalidOption(f"a derivative takes no {name} here{did_you_mean(name, [*known, *names])}{elsewhere}")
+            raise InvalidOption(
+                f"a derivative takes no {name} here{did_you_mean(name, [*known, *names])}{elsewhere}"
+            )
     return dict(origin.changes(**named)) if named else {}
 
 
 LINEAR_COMPLEMENTARITY_PROBLEM = Kind(
-    "linear complementarity problem", "LCP",
-    tuple(way for way in WAYS if way not in ("certify", "qpsolvers", "lcp-plugin certify")), "",
+    "linear complementarity problem",
+    "LCP",
+    tuple(way for way in WAYS if way not in ("certify", "qpsolvers", "lcp-plugin certify")),
+    "",
     {
         "x0=": "a start is called z0 here",
         "certify": "Certificate.of(problem, z) has the residuals of a z, error_bound(problem, z) bounds its "
-                   "distance from the solution",
+        "distance from the solution",
         "qpsolvers": "problem.to_qp() makes a program of a symmetric M",
         "lcp-plugin certify": "lcp-plugin solve judges an LCP, --error-bound bounds the error",
     },
@@ -121,7 +146,11 @@ def refusal(way: str, given: Any) -> str:
     if way in ("derivative", "certify") and kind is None:  # an answer
         kind = getattr(type(given), "answered_kind", None)
     takes_programs = "QuadraticProgram" in takes
-    instead = _remedy(way, given, takes_programs) if kind is None else kind.words(way) or f"write {way}(solve(problem))"
+    instead = (
+        _remedy(way, given, takes_programs)
+        if kind is None
+        else kind.words(way) or f"write {way}(solve(problem))"
+    )
     return f"{way} needs {needs}, got {type(given).__name__}; {instead}"
 
 
@@ -152,7 +181,9 @@ def _remedy(way: str, given: Any, takes_programs: bool) -> str:
         return 'write problem.solve(method="LCP"), or LCP.from_cvxpy(problem)'
     if isinstance(given, type) or callable(given):
         return "give an object: LCP(M, q), or NonlinearProblem(F) of a function F"
-    return f"write {way}(LCP(M, q))" + (f", or {way}(QuadraticProgram(P, c, …))" if takes_programs else "")
+    return f"write {way}(LCP(M, q))" + (
+        f", or {way}(QuadraticProgram(P, c, …))" if takes_programs else ""
+    )
 
 
 def with_article(word: str) -> str:

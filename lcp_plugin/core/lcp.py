@@ -79,14 +79,23 @@ class LCP:
     problem_kind: ClassVar[Kind] = LINEAR_COMPLEMENTARITY_PROBLEM
 
     @np.errstate(under="ignore")
-    def __init__(self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf) -> None:
+    def __init__(
+        self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
+    ) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
         self.q: FloatVector = finite_vector(q, "q", self.matrix.own)
-        bounds = checked_bound(lower, "lower", self.matrix.own), checked_bound(upper, "upper", self.matrix.own)
+        bounds = (
+            checked_bound(lower, "lower", self.matrix.own),
+            checked_bound(upper, "upper", self.matrix.own),
+        )
         self.lower, self.upper = without_huge(*bounds)
         check_order(self.lower, self.upper)
-        self.origin: Any = None  # what the problem was converted from; it can recover that one's solution
-        self.criterion: OriginsCriterion | None = None  # what decides instead of the problem's own residual
+        self.origin: Any = (
+            None  # what the problem was converted from; it can recover that one's solution
+        )
+        self.criterion: OriginsCriterion | None = (
+            None  # what decides instead of the problem's own residual
+        )
 
     @cached_property
     def n(self) -> int:
@@ -149,7 +158,9 @@ class LCP:
     @cached_property
     def nearest_to_zero(self) -> FloatVector:
         """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
-        return read_only(np.minimum(np.maximum(0.0, self.lower), self.upper))  # twice as quick as clip
+        return read_only(
+            np.minimum(np.maximum(0.0, self.lower), self.upper)
+        )  # twice as quick as clip
 
     def slack(self, z: ArrayLike) -> FloatVector:
         """Return w = M z + q, shape (n,).
@@ -192,7 +203,9 @@ class LCP:
         """
         return self.matrix.communicator.gathered(self.own_part(z, "the vector"))
 
-    def with_q(self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None) -> LCP:
+    def with_q(
+        self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
+    ) -> LCP:
         """Return the problem with another q (and bounds) that shares all that depends on M alone.
 
         Parameters
@@ -209,10 +222,16 @@ class LCP:
         """
         if lower is not None or upper is not None:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
-            return self.matrix.together(lambda: LCP(self.matrix, q, lower=bounds[0], upper=bounds[1]))
+            return self.matrix.together(
+                lambda: LCP(self.matrix, q, lower=bounds[0], upper=bounds[1])
+            )
         other = object.__new__(LCP)
         other.origin, other.criterion, other.matrix = None, None, self.matrix
-        other.lower, other.upper, other.nearest_to_zero = self.lower, self.upper, self.nearest_to_zero  # checked, kept
+        other.lower, other.upper, other.nearest_to_zero = (
+            self.lower,
+            self.upper,
+            self.nearest_to_zero,
+        )  # checked, kept
         other.q = self.matrix.together(lambda: finite_vector(q, "q", self.matrix.own))
         return other
 
@@ -220,7 +239,13 @@ class LCP:
 
     @classmethod
     def from_rows(
-        cls, comm: Any, rows: Any, q: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,
+        cls,
+        comm: Any,
+        rows: Any,
+        q: ArrayLike,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
+        *,
         first_row: int | None = None,
     ) -> LCP:
         """Return the problem whose rows are spread over MPI ranks; each rank gives its own, in order of ranks.
@@ -293,8 +318,17 @@ class LCP:
 
     @classmethod
     def from_qp(
-        cls, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
-        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf, *, form: str = "auto",
+        cls,
+        P: Any,
+        c: ArrayLike,
+        G: Any = None,
+        h: ArrayLike | None = None,
+        A: Any = None,
+        b: ArrayLike | None = None,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
+        *,
+        form: str = "auto",
     ) -> LCP:
         """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
@@ -340,19 +374,40 @@ class LCP:
     @overload
     @classmethod
     def from_contacts(
-        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
-        gaps: ArrayLike | None = None, time_step: float | None = None, cone: Literal["pyramid"] = "pyramid",
+        cls,
+        contacts: Any,
+        friction: ArrayLike,
+        velocities: ArrayLike,
+        directions: int = 4,
+        *,
+        gaps: ArrayLike | None = None,
+        time_step: float | None = None,
+        cone: Literal["pyramid"] = "pyramid",
     ) -> LCP: ...
     @overload
     @classmethod
     def from_contacts(
-        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
-        gaps: ArrayLike | None = None, time_step: float | None = None, cone: Literal["exact"],
+        cls,
+        contacts: Any,
+        friction: ArrayLike,
+        velocities: ArrayLike,
+        directions: int = 4,
+        *,
+        gaps: ArrayLike | None = None,
+        time_step: float | None = None,
+        cone: Literal["exact"],
     ) -> FrictionalContact: ...
     @classmethod
     def from_contacts(
-        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
-        gaps: ArrayLike | None = None, time_step: float | None = None, cone: str = "pyramid",
+        cls,
+        contacts: Any,
+        friction: ArrayLike,
+        velocities: ArrayLike,
+        directions: int = 4,
+        *,
+        gaps: ArrayLike | None = None,
+        time_step: float | None = None,
+        cone: str = "pyramid",
     ) -> LCP | FrictionalContact:
         """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 
@@ -386,10 +441,14 @@ class LCP:
         if cone == "exact":
             from ..problems.cones.frictional_contact import FrictionalContact
 
-            return FrictionalContact.from_contacts(contacts, friction, velocities, gaps=gaps, time_step=time_step)
+            return FrictionalContact.from_contacts(
+                contacts, friction, velocities, gaps=gaps, time_step=time_step
+            )
         if cone != "pyramid":
             raise InvalidProblem(f'cone must be "pyramid" or "exact", got {cone!r}')
-        return lcp_from_contacts(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step)
+        return lcp_from_contacts(
+            contacts, friction, velocities, directions, gaps=gaps, time_step=time_step
+        )
 
     def to_qp(self) -> Any:
         """Return a quadratic program with the same solutions; see ``problems.programs.conversion.qp_from_lcp``."""

@@ -34,7 +34,11 @@ def lcp_repr(problem: Any) -> str:
 
 def described_lcp(problem: Any) -> str:
     """Return how large an LCP is, and which bounds it has, or on how many ranks it lies."""
-    last = f"ranks={problem.matrix.processes}" if problem.is_distributed else f"bounds {_bounds_in_words(problem)}"
+    last = (
+        f"ranks={problem.matrix.processes}"
+        if problem.is_distributed
+        else f"bounds {_bounds_in_words(problem)}"
+    )
     return f"LCP(n={problem.n}, nonzeros={problem.nonzeros}, {last})"
 
 

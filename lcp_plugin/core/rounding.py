@@ -37,7 +37,9 @@ def gamma(terms: int) -> float:
     return float(np.nextafter(terms * UNIT / (1.0 - terms * UNIT), np.inf)) * (1.0 + 4.0 * UNIT)
 
 
-def compensated_product(M: Any, x: FloatVector, q: FloatVector | None = None) -> tuple[FloatVector, FloatVector]:
+def compensated_product(
+    M: Any, x: FloatVector, q: FloatVector | None = None
+) -> tuple[FloatVector, FloatVector]:
     """Return (value, radius) with |M x + q − value| ≤ radius, each of shape (n,).
 
     Parameters
@@ -70,7 +72,9 @@ def compensated_product(M: Any, x: FloatVector, q: FloatVector | None = None) ->
     return rounded(*compensated_pair(M, x, q))
 
 
-def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None, *, kernel: Any = None) -> Sums:
+def compensated_pair(
+    M: Any, x: FloatVector, q: FloatVector | None = None, *, kernel: Any = None
+) -> Sums:
     """Return (high, low, radius) with |M x + q − (high + low)| ≤ radius, the sum not evaluated.
 
     `high` is the rounded value and `low` what rounding took from it; the radius is of order u² |M||x| at most.
@@ -94,7 +98,9 @@ def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None, *, ke
             f"got {x.shape} and {offset.shape}"
         )
     high, low, radius = np.empty(rows), np.empty(rows), np.empty(rows)
-    (kernel or row_sums)(*read_only_views(M.indptr, M.indices, M.data, x, offset), high, low, radius)
+    (kernel or row_sums)(
+        *read_only_views(M.indptr, M.indices, M.data, x, offset), high, low, radius
+    )
     return high, low, radius
 
 
@@ -110,7 +116,9 @@ def upper_end(value: FloatVector, radius: FloatVector) -> FloatVector:
     return np.where(np.isfinite(radius) & np.isfinite(value), end, np.inf)
 
 
-def rounded(high: FloatVector, low: FloatVector, radius: FloatVector) -> tuple[FloatVector, FloatVector]:
+def rounded(
+    high: FloatVector, low: FloatVector, radius: FloatVector
+) -> tuple[FloatVector, FloatVector]:
     """Return the value and the radius of such sums: what rounding took from the value is an error of it."""
     low = np.abs(low)
     with np.errstate(over="ignore"):

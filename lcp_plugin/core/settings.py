@@ -32,7 +32,8 @@ class Status(Enum):
     STALLED = "not solved, and nothing is proved: the residual no longer falls, or too slowly for max_iterations"
     DIVERGED = "the iterates ran away: the residual grew by a factor of 10⁸, or is not finite"
     INFEASIBLE = (
-        "there is no solution, even with errors as large as the tolerance; next: check the data; result.proof proves it"
+        "there is no solution, even with errors as large as the tolerance; next: check the data; "
+        "result.proof proves it"
     )
     NO_SOLUTION = (
         "there is no solution: the inequalities can hold, complementarity cannot; every case was excluded exactly, by "
@@ -42,10 +43,16 @@ class Status(Enum):
         "there is no best x: the objective falls without end; next: bound the unknowns where it falls; result.proof "
         "proves it"
     )
-    INTERRUPTED = "stopped from outside (Ctrl-C or the callback); next: go on from z, the best iterate so far"
+    INTERRUPTED = (
+        "stopped from outside (Ctrl-C or the callback); next: go on from z, the best iterate so far"
+    )
 
 
-PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED)  # by a proof whose margin exceeds the tolerance
+PROVEN = (
+    Status.INFEASIBLE,
+    Status.NO_SOLUTION,
+    Status.UNBOUNDED,
+)  # by a proof whose margin exceeds the tolerance
 
 
 @dataclass(frozen=True)
@@ -94,7 +101,9 @@ class Settings:
         given = self.__dict__
         for name, default, check in CHECKS_BESIDE_DEFAULTS:
             value = given[name]
-            if value is None or not (value is default or (type(value) is type(default) and value == default)):
+            if value is None or not (
+                value is default or (type(value) is type(default) and value == default)
+            ):
                 object.__setattr__(self, name, check(value, name))
         if self.absolute_tolerance and self.is_on_error:
             raise InvalidOption(
@@ -109,7 +118,11 @@ class Settings:
     @property
     def least_reference(self) -> float:
         """The reference beside which `goal` is the absolute tolerance."""
-        return min(self.absolute_tolerance / self.goal * BELOW, LARGEST) if self.absolute_tolerance else 0.0
+        return (
+            min(self.absolute_tolerance / self.goal * BELOW, LARGEST)
+            if self.absolute_tolerance
+            else 0.0
+        )
 
     @property
     def is_unobserved(self) -> bool:
@@ -124,7 +137,10 @@ class Settings:
 
 BESIDE = ("z0", "callback")  # what else belongs to a run
 MOST = 2**53  # steps, nodes and threads that anybody counts
-OF_SOLVE = (*BESIDE, *(setting.name for setting in fields(Settings)))  # what no algorithm has to offer
+OF_SOLVE = (
+    *BESIDE,
+    *(setting.name for setting in fields(Settings)),
+)  # what no algorithm has to offer
 
 
 def _number(value: Any, name: str) -> float:
@@ -138,7 +154,9 @@ def _number(value: Any, name: str) -> float:
 def _relative(value: Any, name: str) -> float:
     if _number(value, name) >= 1.0:
         what = "it is relative: the residual of the start itself is at 1"
-        raise InvalidOption(f"{name} must be less than 1, got {value!r}: {what}, and 1e-8 the default of most kinds")
+        raise InvalidOption(
+            f"{name} must be less than 1, got {value!r}: {what}, and 1e-8 the default of most kinds"
+        )
     return float(value)
 
 
@@ -174,7 +192,9 @@ def _usable_threads() -> int:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_usable_threads.cache_clear)  # workers may be bound to some of the cores
+    os.register_at_fork(
+        after_in_child=_usable_threads.cache_clear
+    )  # workers may be bound to some of the cores
 
 
 def checked_threads(threads: Any, name: str = "threads") -> int:
@@ -190,10 +210,16 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "tolerance": _relative, "tolerance_on": partial(_choice, choices=TARGETS),
-    "max_iterations": _count, "max_seconds": _seconds,
-    "absolute_tolerance": _number, "record": _flag, "error_bound": _flag,
-    "threads": checked_threads, "verbose": _flag, "prove_infeasibility": _flag,
+    "tolerance": _relative,
+    "tolerance_on": partial(_choice, choices=TARGETS),
+    "max_iterations": _count,
+    "max_seconds": _seconds,
+    "absolute_tolerance": _number,
+    "record": _flag,
+    "error_bound": _flag,
+    "threads": checked_threads,
+    "verbose": _flag,
+    "prove_infeasibility": _flag,
 }
 
 

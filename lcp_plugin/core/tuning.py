@@ -19,7 +19,9 @@ BANDED_PASSES = 150.0  # up to here a band comes before sweeps that nothing prov
 BANDED_ROUNDS = 5.0  # active sets that banded solves for on random bands
 BOXED_ROUNDS = 3.0  # the same on tridiagonal M-matrices and boxes
 PSOR_PASSES = 20.0  # psor with automatic relaxation, however near the answer is
-PSOR_GAIN = 3.0  # sweeps of psor with automatic relaxation by the root of those that npsor still needs
+PSOR_GAIN = (
+    3.0  # sweeps of psor with automatic relaxation by the root of those that npsor still needs
+)
 INTERIOR_STEPS = 20  # factorisations that interior_point takes
 PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
 
@@ -29,17 +31,32 @@ COMPILED_SPARSE_UP_TO = 128  # rows of a sparse one, treated as dense
 
 # Up to where a sparse matrix is quicker shown to be definite as a dense one.
 CHOLESKY_UP_TO = 150  # rows, whatever is in them
-FULL_CHOLESKY_FROM = 0.02  # share of the entries that are not zero, in no order that a sparse factor could use
+FULL_CHOLESKY_FROM = (
+    0.02  # share of the entries that are not zero, in no order that a sparse factor could use
+)
 
 # Sizes that a policy never exceeds.
-FULL_CHOLESKY_UP_TO = 1500  # rows: what a dense factor gains grows with them, and what it loses on a band as well
-LINEAR_PROGRAM_UP_TO = 5000  # rows of a linear program, whose fill-in is not known before: some seconds
-DENSE_OPERATIONS, SPARSE_OPERATIONS = 2e10, 1e9  # a second, of LAPACK on one thread and of SuperLU, qdldl, our loops
-FACTOR_OPERATIONS_UP_TO = 2e10  # Σ count² over the columns of a factor: 5 to 10 seconds, a 3-D grid of 37³
+FULL_CHOLESKY_UP_TO = (
+    1500  # rows: what a dense factor gains grows with them, and what it loses on a band as well
+)
+LINEAR_PROGRAM_UP_TO = (
+    5000  # rows of a linear program, whose fill-in is not known before: some seconds
+)
+DENSE_OPERATIONS, SPARSE_OPERATIONS = (
+    2e10,
+    1e9,
+)  # a second, of LAPACK on one thread and of SuperLU, qdldl, our loops
+FACTOR_OPERATIONS_UP_TO = (
+    2e10  # Σ count² over the columns of a factor: 5 to 10 seconds, a 3-D grid of 37³
+)
 PIVOTED_UP_TO = 6000  # rows whose inverse lemke keeps: 0.3 GB
-SEMIDEFINITENESS_UP_TO = 20_000  # rows of a symmetric part that is factorised for the question alone
+SEMIDEFINITENESS_UP_TO = (
+    20_000  # rows of a symmetric part that is factorised for the question alone
+)
 
 # Inside methods.
-SWEEPS_FIRST_UP_TO = 600  # rows of a dense M up to which a sweep costs less than one change of an active set
+SWEEPS_FIRST_UP_TO = (
+    600  # rows of a dense M up to which a sweep costs less than one change of an active set
+)
 SHARED_FROM = 65_536  # rows of one pass, for each thread: .1 to .2 ms of work, several times what a hand-over takes
 SHARP_SAMPLES_UP_TO = 100_000  # unknowns with which a sharp error bound takes half a second

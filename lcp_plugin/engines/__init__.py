@@ -14,11 +14,23 @@ from importlib import import_module
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
 
 ENGINES = {  # name: file and class; in the order in which `lcp-plugin list` shows them
-    "daqp": "DAQP", "piqp": "PIQP", "clarabel": "Clarabel", "highs": "HiGHS",
+    "daqp": "DAQP",
+    "piqp": "PIQP",
+    "clarabel": "Clarabel",
+    "highs": "HiGHS",
 }
 
 
-__all__ = ["ENGINES", "Engine", "Hint", "Limits", "Multipliers", "Point", "Statement", "engine_class"]
+__all__ = [
+    "ENGINES",
+    "Engine",
+    "Hint",
+    "Limits",
+    "Multipliers",
+    "Point",
+    "Statement",
+    "engine_class",
+]
 
 
 @cache

@@ -11,9 +11,14 @@ import scipy.sparse as sp
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
 
 SAYS = {
-    "Solved": Hint.OPTIMAL, "AlmostSolved": Hint.OPTIMAL, "PrimalInfeasible": Hint.INFEASIBLE,
-    "AlmostPrimalInfeasible": Hint.INFEASIBLE, "DualInfeasible": Hint.UNBOUNDED,
-    "AlmostDualInfeasible": Hint.UNBOUNDED, "MaxIterations": Hint.STOPPED, "MaxTime": Hint.STOPPED,
+    "Solved": Hint.OPTIMAL,
+    "AlmostSolved": Hint.OPTIMAL,
+    "PrimalInfeasible": Hint.INFEASIBLE,
+    "AlmostPrimalInfeasible": Hint.INFEASIBLE,
+    "DualInfeasible": Hint.UNBOUNDED,
+    "AlmostDualInfeasible": Hint.UNBOUNDED,
+    "MaxIterations": Hint.STOPPED,
+    "MaxTime": Hint.STOPPED,
 }
 
 
@@ -40,7 +45,11 @@ class Clarabel(Engine):
         import clarabel
 
         settings = clarabel.DefaultSettings()
-        names = (name for name in dir(settings) if not name.startswith("_") and not callable(getattr(settings, name)))
+        names = (
+            name
+            for name in dir(settings)
+            if not name.startswith("_") and not callable(getattr(settings, name))
+        )
         return frozenset(names) - {"verbose", "time_limit"}
 
     def answer(self, program: Statement, limits: Limits) -> Point:
@@ -48,22 +57,47 @@ class Clarabel(Engine):
         import clarabel
 
         settings = clarabel.DefaultSettings()
-        for name, value in {**self.settings, "verbose": limits.is_verbose, "time_limit": limits.seconds}.items():
+        for name, value in {
+            **self.settings,
+            "verbose": limits.is_verbose,
+            "time_limit": limits.seconds,
+        }.items():
             setattr(settings, name, value)
         m, p, n = program.h.size, program.b.size, program.c.size
-        below, above = np.flatnonzero(np.isfinite(program.lower)), np.flatnonzero(np.isfinite(program.upper))
+        below, above = (
+            np.flatnonzero(np.isfinite(program.lower)),
+            np.flatnonzero(np.isfinite(program.upper)),
+        )
         rows, identity = np.flatnonzero(np.isfinite(program.h)), sp.eye_array(n, format="csr")
         parts = [program.A, sp.csr_array(program.G)[rows], -identity[below], identity[above]]
-        right = np.concatenate([program.b, program.h[rows], -program.lower[below], program.upper[above]])
+        right = np.concatenate(
+            [program.b, program.h[rows], -program.lower[below], program.upper[above]]
+        )
         kinds = [(clarabel.ZeroConeT, p), (clarabel.NonnegativeConeT, right.size - p)]
         found = clarabel.DefaultSolver(
-            sp.csc_matrix(sp.triu(sp.csr_array(program.P))), program.c,
-            sp.csc_matrix(sp.vstack([*map(sp.csr_array, parts)])), right,
-            [cone(size) for cone, size in kinds if size], settings,
+            sp.csc_matrix(sp.triu(sp.csr_array(program.P))),
+            program.c,
+            sp.csc_matrix(sp.vstack([*map(sp.csr_array, parts)])),
+            right,
+            [cone(size) for cone, size in kinds if size],
+            settings,
         ).solve()
-        y, every = np.array(found.z), Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))
+        y, every = (
+            np.array(found.z),
+            Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n)),
+        )
         ends = np.cumsum([0, p, rows.size, below.size, above.size])
-        sides = ((every.equality, np.arange(p)), (every.inequality, rows), (every.lower, below), (every.upper, above))
+        sides = (
+            (every.equality, np.arange(p)),
+            (every.inequality, rows),
+            (every.lower, below),
+            (every.upper, above),
+        )
         for (side, places), first, last in zip(sides, ends, ends[1:], strict=False):
             side[places] = y[first:last]
-        return Point(np.array(found.x), every, int(found.iterations), SAYS.get(str(found.status), Hint.GAVE_UP))
+        return Point(
+            np.array(found.x),
+            every,
+            int(found.iterations),
+            SAYS.get(str(found.status), Hint.GAVE_UP),
+        )

@@ -16,7 +16,13 @@ from .engine import Engine, Hint, Limits, Multipliers, Point, Statement, beside_
 EQUATION = 5  # of daqp's `sense`
 ANSWERED = 1  # the smallest exit flag of an answer
 INFEASIBLE = -1  # the exit flag
-SAYS = {1: Hint.OPTIMAL, 2: Hint.OPTIMAL, INFEASIBLE: Hint.INFEASIBLE, -3: Hint.UNBOUNDED, -4: Hint.STOPPED}
+SAYS = {
+    1: Hint.OPTIMAL,
+    2: Hint.OPTIMAL,
+    INFEASIBLE: Hint.INFEASIBLE,
+    -3: Hint.UNBOUNDED,
+    -4: Hint.STOPPED,
+}
 OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi", "time_limit")
 
 
@@ -55,7 +61,9 @@ class DAQP(Engine):
         settings, bounds = self.settings, 0 if are_no_limits(program.lower, program.upper) else n
         if limits.seconds < math.inf:
             settings["time_limit"] = limits.seconds
-        above = np.concatenate((program.upper, program.h, program.b) if bounds else (program.h, program.b))
+        above = np.concatenate(
+            (program.upper, program.h, program.b) if bounds else (program.h, program.b)
+        )
         sense, below = np.zeros(above.size, np.intc), np.empty(above.size)
         below.fill(-np.inf)
         if bounds:
@@ -64,16 +72,31 @@ class DAQP(Engine):
             sense[bounds + m :], below[bounds + m :] = EQUATION, program.b
         # Copies: daqp takes no arrays that are read-only. Some entry of a semidefinite P is positive, or all are 0.
         x, y, flag, steps = _answered(
-            np.array(P) if P.item(P.argmax()) > 0.0 else None, np.array(program.c),
-            np.concatenate((G, A)) if p else np.array(G), above, below, sense, settings,
+            np.array(P) if P.item(P.argmax()) > 0.0 else None,
+            np.array(program.c),
+            np.concatenate((G, A)) if p else np.array(G),
+            above,
+            below,
+            sense,
+            settings,
         )
         inequality, equality = np.maximum(y[bounds : bounds + m], 0.0), y[bounds + m :]
         none = np.zeros(n)
         of_bounds = beside_bounds(y[:n], program.lower, program.upper) if bounds else (none, none)
-        return Point(x, Multipliers(inequality, equality, *of_bounds), steps, SAYS.get(flag, Hint.GAVE_UP))
+        return Point(
+            x, Multipliers(inequality, equality, *of_bounds), steps, SAYS.get(flag, Hint.GAVE_UP)
+        )
 
     def points(
-        self, P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any, items: Iterable[int],
+        self,
+        P: Any,
+        c: Any,
+        C: Any,
+        d: Any,
+        m: int,
+        lower: Any,
+        upper: Any,
+        items: Iterable[int],
         seconds: float = 0.0,
     ) -> Iterator[tuple[FloatVector, FloatVector, int, int]]:
         """Yield x, multipliers of bounds and rows, both signs, daqp's exit flag and its steps, for some of a stack.
@@ -97,7 +120,9 @@ class DAQP(Engine):
         of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in matrices)
         for k in items:
             hessian = matrices[0][of_P[k]] if has_P else None
-            yield _answered(hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, settings)
+            yield _answered(
+                hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, settings
+            )
 
 
 def _answered(

@@ -137,7 +137,9 @@ class Engine(ABC):
         """Return the point that the engine ends at."""
 
 
-def beside_bounds(slack: FloatVector, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+def beside_bounds(
+    slack: FloatVector, lower: FloatVector, upper: FloatVector
+) -> tuple[FloatVector, FloatVector]:
     """Return the multipliers of lower and upper bounds that signed ones mean, 0 where a bound is infinite.
 
     Examples

@@ -9,10 +9,16 @@ import numpy as np
 from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
 
 SAYS = {0: Hint.OPTIMAL, 1: Hint.STOPPED, 2: Hint.INFEASIBLE, 3: Hint.UNBOUNDED}
-OPTIONS = frozenset({
-    "maxiter", "presolve", "dual_feasibility_tolerance", "primal_feasibility_tolerance", "ipm_optimality_tolerance",
-    "simplex_dual_edge_weight_strategy",
-})
+OPTIONS = frozenset(
+    {
+        "maxiter",
+        "presolve",
+        "dual_feasibility_tolerance",
+        "primal_feasibility_tolerance",
+        "ipm_optimality_tolerance",
+        "simplex_dual_edge_weight_strategy",
+    }
+)
 
 
 class HiGHS(Engine):
@@ -48,9 +54,14 @@ class HiGHS(Engine):
             wishes["time_limit"] = limits.seconds
         rows = np.isfinite(program.h)
         found = linprog(
-            program.c, program.G[rows] if rows.any() else None, program.h[rows] if rows.any() else None,
-            program.A if program.b.size else None, program.b if program.b.size else None,
-            np.column_stack([program.lower, program.upper]), method="highs", options=wishes,
+            program.c,
+            program.G[rows] if rows.any() else None,
+            program.h[rows] if rows.any() else None,
+            program.A if program.b.size else None,
+            program.b if program.b.size else None,
+            np.column_stack([program.lower, program.upper]),
+            method="highs",
+            options=wishes,
         )
         m, p, n = program.h.size, program.b.size, program.c.size
         every = Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))
@@ -60,5 +71,8 @@ class HiGHS(Engine):
         every.inequality[rows] = -found.ineqlin.marginals
         every.equality[:] = -found.eqlin.marginals
         return Point(
-            found.x, every._replace(lower=found.lower.marginals, upper=-found.upper.marginals), int(found.nit), says
+            found.x,
+            every._replace(lower=found.lower.marginals, upper=-found.upper.marginals),
+            int(found.nit),
+            says,
         )

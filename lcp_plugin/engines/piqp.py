@@ -38,7 +38,9 @@ class PIQP(Engine):
         """Return PIQP's settings."""
         import piqp
 
-        return frozenset(name for name in dir(piqp.Settings) if not name.startswith("_")) - {"verbose"}
+        return frozenset(name for name in dir(piqp.Settings) if not name.startswith("_")) - {
+            "verbose"
+        }
 
     def answer(self, program: Statement, limits: Limits) -> Point:
         """Return PIQP's point."""
@@ -50,7 +52,11 @@ class PIQP(Engine):
             setattr(solver.settings, name, value)
         solver.settings.verbose = limits.is_verbose
         # Rows of a symmetric P are its columns; PIQP takes no arrays that are read-only.
-        columns = sp.csc_matrix((P.data, P.indices, P.indptr), P.shape, copy=True) if sp.issparse(P) else _by_columns(P)
+        columns = (
+            sp.csc_matrix((P.data, P.indices, P.indptr), P.shape, copy=True)
+            if sp.issparse(P)
+            else _by_columns(P)
+        )
         equations = (_by_columns(A), program.b) if p else (None, None)
         is_limit = program.h < INFINITE
         G, h = (G, program.h) if is_limit.all() else (G[is_limit], program.h[is_limit])
@@ -61,9 +67,17 @@ class PIQP(Engine):
         of_rows = np.zeros(m)
         of_rows[is_limit] = found.z_u
         multipliers = Multipliers(
-            of_rows, np.array(found.y) if p else np.zeros(0), np.array(found.z_bl), np.array(found.z_bu)
+            of_rows,
+            np.array(found.y) if p else np.zeros(0),
+            np.array(found.z_bl),
+            np.array(found.z_bu),
         )
-        return Point(np.array(found.x), multipliers, 0 if says is Hint.GAVE_UP else int(found.info.iter), says)
+        return Point(
+            np.array(found.x),
+            multipliers,
+            0 if says is Hint.GAVE_UP else int(found.info.iter),
+            says,
+        )
 
 
 def _by_columns(A: Any) -> Any:

@@ -23,7 +23,10 @@ from ..core.matrix.structure import row_numbers
 from .engine import Multipliers, Point, Statement
 
 STEPS = 5
-SHIFTS = 2.0**-26, 2.0**-50  # δ beside the largest entry of its row: √ε, and where P is nearly singular
+SHIFTS = (
+    2.0**-26,
+    2.0**-50,
+)  # δ beside the largest entry of its row: √ε, and where P is nearly singular
 
 
 def polished(program: Statement, point: Point) -> Iterator[Point]:
@@ -50,7 +53,11 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
     lower, upper, m = program.lower, program.upper, program.h.size
     rows = _stacked(program.G, program.A)
     right, given = np.concatenate([program.h, program.b]), point.multipliers
-    x, y, pull = np.clip(point.x, lower, upper), np.concatenate(given[:2]), given.upper - given.lower
+    x, y, pull = (
+        np.clip(point.x, lower, upper),
+        np.concatenate(given[:2]),
+        given.upper - given.lower,
+    )
     at_upper = pull > upper - x
     at_lower = (-pull > x - lower) & ~at_upper | (lower == upper)
     acts = np.append(y[:m] > np.abs(right[:m] - program.G @ x), np.ones(right.size - m, np.bool_))
@@ -72,7 +79,9 @@ def polished(program: Statement, point: Point) -> Iterator[Point]:
         gradient = program.P @ near + program.c + transposed @ of_rows
         below = np.where(near == program.lower, np.maximum(gradient, 0.0), 0.0)
         above = np.where(near == program.upper, np.maximum(-gradient, 0.0), 0.0)
-        yield point._replace(x=near, multipliers=Multipliers(of_rows[:m], of_rows[m:], below, above))
+        yield point._replace(
+            x=near, multipliers=Multipliers(of_rows[:m], of_rows[m:], below, above)
+        )
 
 
 def _stacked(G: Any, A: Any) -> Any:
@@ -82,7 +91,12 @@ def _stacked(G: Any, A: Any) -> Any:
     if not A.shape[0]:
         return G
     entries, places = np.append(G.data, A.data), np.append(G.indices, A.indices)
-    return assembled(entries, places, np.append(G.indptr, G.nnz + A.indptr[1:]), (G.shape[0] + A.shape[0], A.shape[1]))
+    return assembled(
+        entries,
+        places,
+        np.append(G.indptr, G.nnz + A.indptr[1:]),
+        (G.shape[0] + A.shape[0], A.shape[1]),
+    )
 
 
 def block(A: Any, is_row: BoolVector, is_column: BoolVector) -> Any:
@@ -110,23 +124,34 @@ def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], Floa
 
         K = np.block([[P, C.T], [C, np.zeros((m, m))]])
         size = np.abs(K).max(axis=0)
-        factor, pivots, info = lapack.dgetrf(K + np.diag(shift * signs * np.where(size > 0.0, size, 1.0)))
+        factor, pivots, info = lapack.dgetrf(
+            K + np.diag(shift * signs * np.where(size > 0.0, size, 1.0))
+        )
         return None if info else lambda right: lapack.dgetrs(factor, pivots, right)[0]
     import qdldl
 
     size, (begins, columns, entries) = np.zeros(n + m), (P.indptr, P.indices, P.data)
-    rows_of_P, rows_of_C = (np.repeat(np.arange(one.shape[0]), np.diff(one.indptr)) for one in (P, C))
+    rows_of_P, rows_of_C = (
+        np.repeat(np.arange(one.shape[0]), np.diff(one.indptr)) for one in (P, C)
+    )
     for rows, found in ((rows_of_P, entries), (n + rows_of_C, C.data), (C.indices, C.data)):
         np.maximum.at(size, rows, np.abs(found))
     # Columns of the upper triangle are rows of the lower one, those of P and of C, each with its diagonal entry last.
     below = columns < rows_of_P
-    ends = np.append(np.cumsum(np.append(0, below))[begins[1:]], np.count_nonzero(below) + C.indptr[1:])
-    diagonal = np.append(P.diagonal(), np.zeros(m)) + shift * signs * np.where(size > 0.0, size, 1.0)
-    upper = sp.csc_matrix((
-        np.insert(np.append(entries[below], C.data), ends, diagonal),
-        np.insert(np.append(columns[below], C.indices), ends, np.arange(n + m)),
-        np.append(0, ends + np.arange(1, n + m + 1)),
-    ), shape=(n + m, n + m))
+    ends = np.append(
+        np.cumsum(np.append(0, below))[begins[1:]], np.count_nonzero(below) + C.indptr[1:]
+    )
+    diagonal = np.append(P.diagonal(), np.zeros(m)) + shift * signs * np.where(
+        size > 0.0, size, 1.0
+    )
+    upper = sp.csc_matrix(
+        (
+            np.insert(np.append(entries[below], C.data), ends, diagonal),
+            np.insert(np.append(columns[below], C.indices), ends, np.arange(n + m)),
+            np.append(0, ends + np.arange(1, n + m + 1)),
+        ),
+        shape=(n + m, n + m),
+    )
     try:
         solver: Callable[[FloatVector], FloatVector] = qdldl.Solver(upper, upper=True).solve
     except RuntimeError:  # a pivot of 0, or no memory

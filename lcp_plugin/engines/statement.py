@@ -45,7 +45,10 @@ class Prepared(NamedTuple):
 
     @classmethod
     def of(
-        cls, given: Statement, is_left_out: BoolVector | None = None, unit: FloatVector | None = None
+        cls,
+        given: Statement,
+        is_left_out: BoolVector | None = None,
+        unit: FloatVector | None = None,
     ) -> Prepared:
         """Return that of a statement in these units, without these of its limits, of rows and bounds, (m + 2n,).
 
@@ -59,7 +62,13 @@ class Prepared(NamedTuple):
             lower = np.where(is_left_out[m : m + n], -np.inf, lower)
             upper = np.where(is_left_out[m + n :], np.inf, upper)
         if unit is not None:
-            G, A, c, lower, upper = _columns(G, unit), _columns(A, unit), c * unit, lower / unit, upper / unit
+            G, A, c, lower, upper = (
+                _columns(G, unit),
+                _columns(A, unit),
+                c * unit,
+                lower / unit,
+                upper / unit,
+            )
             P = _columns(_divided(P, 1.0 / unit), unit)
             objective = _power_below(np.array([max(largest_entry(c), largest_entry(P))]))[0]
             P, c = P / objective, c / objective
@@ -69,8 +78,14 @@ class Prepared(NamedTuple):
         rows = slice(None) if is_row.all() else np.flatnonzero(is_row)
         size = of_inequalities[rows]
         statement = Statement(
-            P, c, _divided(G[rows] if isinstance(rows, np.ndarray) else G, size), given.h[rows] / size,
-            _divided(A, of_equations), given.b / of_equations, lower, upper,
+            P,
+            c,
+            _divided(G[rows] if isinstance(rows, np.ndarray) else G, size),
+            given.h[rows] / size,
+            _divided(A, of_equations),
+            given.b / of_equations,
+            lower,
+            upper,
         )
         return cls(statement, rows, of_inequalities, of_equations, unit, objective)
 
@@ -82,14 +97,18 @@ class Prepared(NamedTuple):
             lower, upper = lower * self.objective / self.unit, upper * self.objective / self.unit
         inequality = np.zeros(self.of_inequalities.size)
         inequality[self.rows] = of_G / self.of_inequalities[self.rows]
-        multipliers = Multipliers(inequality, of_A / self.of_equations if of_A.size else of_A, lower, upper)
+        multipliers = Multipliers(
+            inequality, of_A / self.of_equations if of_A.size else of_A, lower, upper
+        )
         return Point(x, multipliers, point.iterations, point.says)
 
     def inward(self, point: Point) -> Point:
         """Return a point of the given statement as one of this, in its units: the way back of `outward`."""
         inequality, equality, *of_bounds = point.multipliers
         inequality = (inequality * self.of_inequalities)[self.rows]
-        return point._replace(multipliers=Multipliers(inequality, equality * self.of_equations, *of_bounds))
+        return point._replace(
+            multipliers=Multipliers(inequality, equality * self.of_equations, *of_bounds)
+        )
 
 
 def far_limits(given: Statement) -> BoolVector:
@@ -115,7 +134,9 @@ def far_limits(given: Statement) -> BoolVector:
 
 def _power_below(sizes: FloatVector) -> FloatVector:
     """Return the power of two below each size; 1 from ½ to 2, and for 0, which leaves an array as it is."""
-    return np.where((sizes >= 0.5) & (sizes <= 2.0) | (sizes == 0.0), 1.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1))
+    return np.where(
+        (sizes >= 0.5) & (sizes <= 2.0) | (sizes == 0.0), 1.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1)
+    )
 
 
 def _divided(A: Any, sizes: FloatVector) -> Any:

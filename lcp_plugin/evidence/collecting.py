@@ -24,7 +24,18 @@ if TYPE_CHECKING:
 
 Say = Callable[[str], object]
 Compute = Callable[[Say], Any]
-PACKAGES = ("lcp_plugin", "numpy", "scipy", "numba", "pyamg", "cvxpy", "osqp", "clarabel", "scs", "matplotlib")
+PACKAGES = (
+    "lcp_plugin",
+    "numpy",
+    "scipy",
+    "numba",
+    "pyamg",
+    "cvxpy",
+    "osqp",
+    "clarabel",
+    "scs",
+    "matplotlib",
+)
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 Progress = Callable[[int, int, str], object]
 
@@ -69,10 +80,14 @@ class Collected:
 
     def of(self, kind: str) -> dict[str, Any]:
         """Return the contents of one kind by their names."""
-        return {name: content for (its_kind, name), content in self.contents.items() if its_kind == kind}
+        return {
+            name: content for (its_kind, name), content in self.contents.items() if its_kind == kind
+        }
 
 
-def collect(parts: Sequence[Part], file: ResultsFile | None, progress: Progress | None = None) -> Collected:
+def collect(
+    parts: Sequence[Part], file: ResultsFile | None, progress: Progress | None = None
+) -> Collected:
     """Return the contents of all parts, those from a former run of the same program and machine read from the file.
 
     Parameters
@@ -98,7 +113,9 @@ def collect(parts: Sequence[Part], file: ResultsFile | None, progress: Progress 
             if content is not None:
                 collected.found += 1
             elif not interruption.is_wanted:
-                content = _computed(part, interruption, partial(_say_more, say, done, len(parts), label))
+                content = _computed(
+                    part, interruption, partial(_say_more, say, done, len(parts), label)
+                )
                 if content is not None and file is not None:
                     file.write(part, content)
             if content is None:
@@ -127,7 +144,14 @@ def _computed(part: Part, interruption: _Interruption, say: Callable[[str], obje
 
 def data_of(problem: LCP) -> str:
     """Return a hash of a problem's data."""
-    arrays = (problem.csr.indptr, problem.csr.indices, problem.csr.data, problem.q, problem.lower, problem.upper)
+    arrays = (
+        problem.csr.indptr,
+        problem.csr.indices,
+        problem.csr.data,
+        problem.q,
+        problem.lower,
+        problem.upper,
+    )
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
@@ -141,7 +165,8 @@ def machine() -> dict[str, str]:
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.release()}",
         "Python": platform.python_version(),
-        "threads": ", ".join(f"{name}={os.environ[name]}" for name in THREADS if name in os.environ) or "not limited",
+        "threads": ", ".join(f"{name}={os.environ[name]}" for name in THREADS if name in os.environ)
+        or "not limited",
     }
     for name in PACKAGES:
         try:

@@ -87,12 +87,18 @@ def contestants(algorithms: Any) -> list[Contestant]:
     if isinstance(algorithms, str | Algorithm | Contestant) or _is_with_options(algorithms):
         algorithms = [algorithms]
     try:
-        named = [*algorithms.items()] if isinstance(algorithms, Mapping) else [(None, one) for one in algorithms]
+        named = (
+            [*algorithms.items()]
+            if isinstance(algorithms, Mapping)
+            else [(None, one) for one in algorithms]
+        )
     except TypeError:  # a sparse array only seems to be a sequence
         raise InvalidOption(
             f'algorithms must be names or Algorithm objects, got {algorithms!r}; write ["psor"]'
         ) from None
-    every = [one if isinstance(one, Contestant) else _contestant(label, one) for label, one in named]
+    every = [
+        one if isinstance(one, Contestant) else _contestant(label, one) for label, one in named
+    ]
     found: dict[str, Contestant] = {}
     for one in every:
         other = found.setdefault(one.label, one)
@@ -121,7 +127,12 @@ def checked_names(names: Any, option: str) -> list[str]:
 
 
 def _is_with_options(one: Any) -> bool:
-    return isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) and isinstance(one[1], Mapping)
+    return (
+        isinstance(one, tuple)
+        and len(one) == 2
+        and isinstance(one[0], str)
+        and isinstance(one[1], Mapping)
+    )
 
 
 def _contestant(label: Any, one: Any) -> Contestant:
@@ -130,14 +141,18 @@ def _contestant(label: Any, one: Any) -> Contestant:
     if not isinstance(one, Algorithm):
         if isinstance(one, type):
             name = one.__name__
-            raise InvalidOption(f"an algorithm is a name or an object, got the class {name}; write {name}()")
+            raise InvalidOption(
+                f"an algorithm is a name or an object, got the class {name}; write {name}()"
+            )
         if not (isinstance(one, str) or _is_with_options(one)):
             raise InvalidOption(
                 'an algorithm is a name, an Algorithm object or a pair as in ("npsor", {"relaxation": 1.5}), '
                 f"got {one!r}"
             )
         name, options = (one, {}) if isinstance(one, str) else one
-        made = policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
+        made = (
+            policy_for(name, dict(options)).name if name == "auto" else create(name, dict(options))
+        )
     return Contestant(str(label) if label else _label(made), made, family_of(made))
 
 
@@ -166,7 +181,9 @@ def paper_settings() -> Iterable[Contestant]:
     """Yield the paper's methods with its own settings: no row scaling, the Ω behind its tables."""
     unscaled, tables = "as in the paper: no row scaling", "as behind the paper's tables"
     for name, relaxation, note in (
-        ("npgs", None, unscaled), ("npsor", PAPER_RELAXATION, unscaled), ("mgs", None, f"Ω = D/2, {tables}"),
+        ("npgs", None, unscaled),
+        ("npsor", PAPER_RELAXATION, unscaled),
+        ("mgs", None, f"Ω = D/2, {tables}"),
         ("msor", PAPER_MSOR, f"Ω = D/(2α²), α = {PAPER_MSOR}, {tables}"),
     ):
         yield _made(f"{name.upper()} paper", name, note, **paper_options(name, relaxation))
@@ -207,7 +224,9 @@ class WorkLimit:
         return self.is_over
 
 
-def measured_run(problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **settings: Any) -> Result:
+def measured_run(
+    problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **settings: Any
+) -> Result:
     """Return what `solve` returns; Ctrl-C, after which `solve` keeps the best iterate, ends a measurement."""
     result = solve(problem, algorithm, callback=limit, **settings)
     if result.status is Status.INTERRUPTED and not limit.is_over:
@@ -215,7 +234,10 @@ def measured_run(problem: LCP, algorithm: str | Algorithm, limit: WorkLimit, **s
     return result
 
 
-OURS = (str(Path(__file__).parents[1]), *(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib")))
+OURS = (
+    str(Path(__file__).parents[1]),
+    *(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib")),
+)
 
 
 def error_line(error: BaseException) -> str:
@@ -240,7 +262,9 @@ def own_frame(error: BaseException) -> traceback.FrameSummary | None:
 
 def _is_installed(path: str) -> bool:
     """Return whether a file is ours, of a library, wherever that is installed, or none at all."""
-    return path.startswith((*OURS, "<")) or not {"site-packages", "dist-packages"}.isdisjoint(Path(path).parts)
+    return path.startswith((*OURS, "<")) or not {"site-packages", "dist-packages"}.isdisjoint(
+        Path(path).parts
+    )
 
 
 def own_source(thing: Any) -> str:
@@ -262,14 +286,22 @@ def as_scene_of(given: Any, name: str, size: int | None, way: str = "study") -> 
         Where it is nothing of that, or a size is given to what has one.
     """
     if isinstance(given, LCP | Scene | tuple) and size is not None:
-        raise InvalidOption(f"{name} is one problem and has its size; leave sizes out, or give a function of the size")
+        raise InvalidOption(
+            f"{name} is one problem and has its size; leave sizes out, or give a function of the size"
+        )
     if callable(given) and not isinstance(given, type):
         arguments = () if size is None else (size,)
         try:
             inspect.signature(given).bind(*arguments)
         except TypeError as error:
-            needs = "needs a size (sizes=[100], --size 100)" if size is None else f"does not take the size {size}"
-            raise InvalidOption(f"{name} {needs}, or its parameters, {name}:key=value: {error}") from None
+            needs = (
+                "needs a size (sizes=[100], --size 100)"
+                if size is None
+                else f"does not take the size {size}"
+            )
+            raise InvalidOption(
+                f"{name} {needs}, or its parameters, {name}:key=value: {error}"
+            ) from None
         given = given(*arguments)
     if isinstance(given, tuple) and 2 <= len(given) <= 4:
         given = LCP(given[0], given[1], **dict(zip(("lower", "upper"), given[2:], strict=False)))
@@ -277,4 +309,6 @@ def as_scene_of(given: Any, name: str, size: int | None, way: str = "study") -> 
         return Scene(problem=given, name=name, is_declared=False)
     if isinstance(given, Scene):
         return given
-    raise InvalidOption(f'{refusal(way, given)}; {name} may also be a scene, (M, q), or a function of the size')
+    raise InvalidOption(
+        f"{refusal(way, given)}; {name} may also be a scene, (M, q), or a function of the size"
+    )

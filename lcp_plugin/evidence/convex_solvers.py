@@ -22,8 +22,10 @@ from ..problems.programs.program import QuadraticProgram
 OURS = "LCP"
 LEVELS = (1e-6, 1e-3)  # to which an answer may be proved
 CLAIMS = {
-    "infeasible": "infeasible", "infeasible_inaccurate": "infeasible",
-    "unbounded": "unbounded", "unbounded_inaccurate": "unbounded",
+    "infeasible": "infeasible",
+    "infeasible_inaccurate": "infeasible",
+    "unbounded": "unbounded",
+    "unbounded_inaccurate": "unbounded",
 }
 
 NUMBERS = ("violation", "gap", "distance")
@@ -62,13 +64,21 @@ class JudgedAnswer:
     @property
     def is_proved_point(self) -> bool:
         """Whether there is an x, and it is proved to be best."""
-        return self.x is not None and self.certification is not None and self.certification.verdict == "proved"
+        return (
+            self.x is not None
+            and self.certification is not None
+            and self.certification.verdict == "proved"
+        )
 
     def save(self, path: Path) -> None:
         """Write x, the multipliers where the solver returned them, and the solver's name into an ``.npz`` file."""
         from ..interfaces.files.files import write_whole
 
-        vectors: dict[str, Any] = {"x": self.x, **(self.multipliers or {}), "solver": np.array(self.solver)}
+        vectors: dict[str, Any] = {
+            "x": self.x,
+            **(self.multipliers or {}),
+            "solver": np.array(self.solver),
+        }
         write_whole({path: lambda file: np.savez_compressed(file, **vectors)})
 
     @property
@@ -83,7 +93,13 @@ class JudgedAnswer:
         """Return everything as a dictionary that JSON can hold."""
         known = {} if self.certification is None else self.certification.__getstate__()
         said = {name: value for name, value in known.items() if not name.startswith("_")}
-        return {"solver": self.solver, "status": self.status, "seconds": self.seconds, **said, "verdict": self.verdict}
+        return {
+            "solver": self.solver,
+            "status": self.status,
+            "seconds": self.seconds,
+            **said,
+            "verdict": self.verdict,
+        }
 
     def __str__(self) -> str:
         said = self.certification
@@ -94,7 +110,10 @@ class JudgedAnswer:
 
 
 def judged_answers(
-    program: QuadraticProgram, solvers: Sequence[str], *, tolerance: float | None = None,
+    program: QuadraticProgram,
+    solvers: Sequence[str],
+    *,
+    tolerance: float | None = None,
     max_seconds: float | None = None,
 ) -> Iterator[JudgedAnswer]:
     """Yield what each solver's answer is worth.
@@ -121,10 +140,14 @@ def judged_answers(
     known = {*cp.installed_solvers(), OURS}
     for name in solvers:
         if name.upper() not in known:
-            raise InvalidOption(f"no solver {name!r}{did_you_mean(name.upper(), known)}; its package must be installed")
+            raise InvalidOption(
+                f"no solver {name!r}{did_you_mean(name.upper(), known)}; its package must be installed"
+            )
     refuse_nonconvex(program)
     for name in solvers:
-        yield _judged(program, name.upper(), LEVELS if tolerance is None else (tolerance,), max_seconds)
+        yield _judged(
+            program, name.upper(), LEVELS if tolerance is None else (tolerance,), max_seconds
+        )
 
 
 def _judged(
@@ -193,19 +216,27 @@ def asked(program: QuadraticProgram, solver: Any, **options: Any) -> Reply:
             problem, x, rows = stated(program)
             problem.solve(solver=solver, **options)
         except Exception as error:
-            return Reply((str(error).splitlines() or [type(error).__name__])[0], time.perf_counter() - began)
+            return Reply(
+                (str(error).splitlines() or [type(error).__name__])[0], time.perf_counter() - began
+            )
     seconds = time.perf_counter() - began
     found = {name: _finite(row.dual_value) for name, row in rows.items()}
     multipliers = {"inequality": np.zeros(0), "equality": np.zeros(0)} | found
     return Reply(
-        str(problem.status), seconds, _finite(x.value),
+        str(problem.status),
+        seconds,
+        _finite(x.value),
         None if any(value is None for value in found.values()) else multipliers,
         tuple(sorted({str(one.message).splitlines()[0] for one in caught})),
     )
 
 
 def _finite(value: Any) -> Any:
-    return None if value is None or not np.isfinite(value).all() else np.asarray(value, dtype=np.float64)
+    return (
+        None
+        if value is None or not np.isfinite(value).all()
+        else np.asarray(value, dtype=np.float64)
+    )
 
 
 def stated(program: QuadraticProgram) -> tuple[Any, Any, dict[str, Any]]:

@@ -30,7 +30,15 @@ from ..core.settings import Settings, Status
 from ..core.solving.result import Result
 from ..problems.programs.certification import Certification, certify
 from ..problems.programs.conversion import qp_from_lcp
-from .qp_reference import ACCURATE, PLAIN, Formulation, ReferenceRun, accuracy, attempts, check_reference
+from .qp_reference import (
+    ACCURATE,
+    PLAIN,
+    Formulation,
+    ReferenceRun,
+    accuracy,
+    attempts,
+    check_reference,
+)
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
@@ -154,7 +162,9 @@ def cross_validate(
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("cross_validate", problem))
     if result is not None and not isinstance(result, Result):
-        raise InvalidOption(f"result must be what solve() returned, got {type(result).__name__}; or leave it out")
+        raise InvalidOption(
+            f"result must be what solve() returned, got {type(result).__name__}; or leave it out"
+        )
     check_reference(reference)
     if result is None:
         result = solve(problem, algorithm, tolerance=tolerance, max_seconds=max_seconds)
@@ -169,8 +179,12 @@ def cross_validate(
 
 def _without_program(formulation: Formulation, result: Result, ours: Certificate) -> CrossCheck:
     """Return the check of an answer for which there is no convex program: whether it is what it says."""
-    said = f"our answer says {result.status.name}, and our relative residual is {accuracy(ours):.1e}"
-    verdict: Verdict = "not comparable" if not _claims(result) or _keeps_claim(result, ours) else "mismatch"
+    said = (
+        f"our answer says {result.status.name}, and our relative residual is {accuracy(ours):.1e}"
+    )
+    verdict: Verdict = (
+        "not comparable" if not _claims(result) or _keeps_claim(result, ours) else "mismatch"
+    )
     reason = f"{formulation.evidence}; there is nothing to compare with; {said}"
     return CrossCheck(verdict, reason, "", "no convex program", ours, None, result.seconds, 0.0)
 
@@ -194,12 +208,25 @@ def _compared(
     verdict, reason = _judged(formulation, result, ours, best, pair)
     name, facts = (best.name, pair.facts()) if pair is not None else ("", {})
     return CrossCheck(
-        verdict, reason, name, described, ours, best.certificate, result.seconds, best.seconds, tuple(tried), **facts
+        verdict,
+        reason,
+        name,
+        described,
+        ours,
+        best.certificate,
+        result.seconds,
+        best.seconds,
+        tuple(tried),
+        **facts,
     )
 
 
 def _judged(
-    formulation: Formulation, result: Result, ours: Certificate, best: ReferenceRun, pair: _Pair | None
+    formulation: Formulation,
+    result: Result,
+    ours: Certificate,
+    best: ReferenceRun,
+    pair: _Pair | None,
 ) -> tuple[Verdict, str]:
     """Return the verdict and its reason; the table is read from the top."""
     residual = accuracy(ours)
@@ -208,17 +235,26 @@ def _judged(
     if pair is None or not best.is_accurate:
         return "not comparable", f"no reference reached {ACCURATE:.0e}, the best is {best}; {said}"
     if claimed and not _keeps_claim(result, ours):
-        return "mismatch", f"our answer says {result.status.name}, but {said}; that of {best.name} is accurate"
+        return (
+            "mismatch",
+            f"our answer says {result.status.name}, but {said}; that of {best.name} is accurate",
+        )
     if not residual <= (1e-3 if claimed else ACCURATE):
         return "not comparable", f"our answer is inaccurate: {result.status.name}, {said}"
     if not pair.disagreement <= pair.allowance:
         explained = f"the residuals explain {pair.allowance:.1e} of a disagreement of {pair.disagreement:.1e}"
-        return "mismatch", f"{explained}: one of them is wrong, or the two sides solved different problems"
+        return (
+            "mismatch",
+            f"{explained}: one of them is wrong, or the two sides solved different problems",
+        )
     if pair.only_z_differs:
         return "agree", "same w and objective; z is not unique"
     if not pair.is_close:
         largest = f"{_largest(pair.step):.1e}"
-        return "agree", f"z differs by {largest}, no more than the residuals and the conditioning of M explain"
+        return (
+            "agree",
+            f"z differs by {largest}, no more than the residuals and the conditioning of M explain",
+        )
     return "agree", "same solution, as far as both residuals tell"
 
 
@@ -229,7 +265,9 @@ def _claims(result: Result) -> bool:
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
     """Return whether the status holds for the certificate measured here."""
     if result.is_solved:
-        return ours.meets(Settings(tolerance=result.tolerance, absolute_tolerance=result.absolute_tolerance))
+        return ours.meets(
+            Settings(tolerance=result.tolerance, absolute_tolerance=result.absolute_tolerance)
+        )
     return ours.is_at_rounding_level
 
 
@@ -258,7 +296,9 @@ class _Pair:
     @property
     def is_close(self) -> bool:
         """True where z differs by less than 1e-6 of its size."""
-        size = max(float(np.linalg.norm(side.z * self._weight)) for side in (self.ours, self.theirs))
+        size = max(
+            float(np.linalg.norm(side.z * self._weight)) for side in (self.ours, self.theirs)
+        )
         return self._step <= CLEARLY_DIFFERENT * size
 
     @property
@@ -269,8 +309,11 @@ class _Pair:
     def facts(self) -> dict[str, Any]:
         """Return what a check says of the pair."""
         return {
-            "difference_z": _largest(self.step), "difference_w": _largest(self.rise),
-            "objective_gap": self.objective_gap(), "disagreement": self.disagreement, "allowance": self.allowance,
+            "difference_z": _largest(self.step),
+            "difference_w": _largest(self.rise),
+            "objective_gap": self.objective_gap(),
+            "disagreement": self.disagreement,
+            "allowance": self.allowance,
         }
 
     def objective_gap(self) -> float:
@@ -305,7 +348,10 @@ def story(check: CrossCheck) -> str:
         rows += [
             ("|Δz|, |Δw|", f"{check.difference_z:.3e}, {check.difference_w:.3e}"),
             ("objective gap", f"{check.objective_gap:.3e}"),
-            ("disagreement", f"{check.disagreement:.3e}; the residuals explain {check.allowance:.3e}"),
+            (
+                "disagreement",
+                f"{check.disagreement:.3e}; the residuals explain {check.allowance:.3e}",
+            ),
         ]
     rows += [(f"proved of {name}", str(said)) for name, said in check.proved.items()]
     rows += [("tried", str(one)) for one in check.tried]

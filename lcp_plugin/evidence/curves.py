@@ -23,7 +23,11 @@ AXIS_LABELS = {
     BOUND: "proved bound of the error ‖z − z*‖∞",
     RESIDUAL: "relative residual",
 }
-AXES = {"iterations": "iterations", "work": "work [passes over M]", "seconds": "time [s], set-up included"}
+AXES = {
+    "iterations": "iterations",
+    "work": "work [passes over M]",
+    "seconds": "time [s], set-up included",
+}
 LEAST = {"work": 1.0, "seconds": 1e-9}
 """Less is not resolved: a run whose start is the answer counts one pass."""
 
@@ -114,7 +118,9 @@ class Curve:
 
     def line(self, against: str) -> Line:
         """Return what a figure shows of it: errors against seconds with their spread, passes or iterations."""
-        iterations, work, seconds, low, high, error, _ = map(np.array, zip(*self.points, strict=True))
+        iterations, work, seconds, low, high, error, _ = map(
+            np.array, zip(*self.points, strict=True)
+        )
         if against != "seconds":
             taken = work if against == "work" else iterations
             return Line(self.label, self.family, np.maximum(taken, 1.0), error, self.is_solved)
@@ -157,8 +163,18 @@ class Report(Exported):
     """
 
     columns: ClassVar = (
-        "scene", "algorithm", "family", "status", "iteration", "work", "seconds", "seconds_low", "seconds_high",
-        "error_kind", "error", "residual",
+        "scene",
+        "algorithm",
+        "family",
+        "status",
+        "iteration",
+        "work",
+        "seconds",
+        "seconds_low",
+        "seconds_high",
+        "error_kind",
+        "error",
+        "residual",
     )
 
     title: str
@@ -180,14 +196,34 @@ class Report(Exported):
     def rows(self) -> list[tuple[Any, ...]]:
         """Return one row a point, in the columns of the CSV; a reference has neither iteration nor work."""
         rows: list[tuple[Any, ...]] = [
-            (self.title, curve.label, curve.family, curve.status, *point[:5], self.error_kind, *point[5:])
+            (
+                self.title,
+                curve.label,
+                curve.family,
+                curve.status,
+                *point[:5],
+                self.error_kind,
+                *point[5:],
+            )
             for curve in self.curves
             for point in curve.points
         ]
         for reference in self.references:
             seconds = (reference.seconds,) * 3
-            rows.append((self.title, reference.label, "reference", "", "", "", *seconds, self.error_kind,
-                         reference.error, reference.residual))
+            rows.append(
+                (
+                    self.title,
+                    reference.label,
+                    "reference",
+                    "",
+                    "",
+                    "",
+                    *seconds,
+                    self.error_kind,
+                    reference.error,
+                    reference.residual,
+                )
+            )
         return rows
 
     def plot(self, *, against: str = "seconds", width: float | None = None) -> Any:
@@ -212,24 +248,34 @@ class Report(Exported):
     def panel(self, against: str = "seconds") -> Panel:
         """Return what `plot` draws, as a part of a figure."""
         if not isinstance(against, str) or against not in AXES:
-            raise InvalidOption(f"against must be 'seconds', 'work' or 'iterations', got {against!r}")
+            raise InvalidOption(
+                f"against must be 'seconds', 'work' or 'iterations', got {against!r}"
+            )
         timed = against == "seconds"
         marks = [(one.label, one.seconds, one.error) for one in self.references] if timed else []
         level = self.tolerance if self.error_kind == RESIDUAL else None
         lines = [curve.line(against) for curve in self.curves]
         title = re.sub(r"([:,])", r"\1 ", self.title)
-        return Panel(title, lines, AXES[against], AXIS_LABELS[self.error_kind], "errors", marks, level)
+        return Panel(
+            title, lines, AXES[against], AXIS_LABELS[self.error_kind], "errors", marks, level
+        )
 
     def __str__(self) -> str:
-        lines = [f"{self.title}: {self.error_kind} against time, {self.n} unknowns, {self.repeats} repeats"]
+        lines = [
+            f"{self.title}: {self.error_kind} against time, {self.n} unknowns, {self.repeats} repeats"
+        ]
         for curve in self.curves:
             last = curve.points[-1]
             lines.append(
                 f"{curve.label:<18} {curve.status:<15} {last.iteration:>7} iterations {last.work:>9.1f} passes "
                 f"{last.seconds:>9.3g} s, set-up {curve.setup_seconds:.2g} s, {self.error_kind} {last.error:.1e}"
             )
-        lines += [f"{one.label:<18} {one.seconds:.3g} s, {one.error:.1e}" for one in self.references]
-        return "\n".join([*lines, *(f"left out: {what}: {reason}" for what, reason in self.left_out)])
+        lines += [
+            f"{one.label:<18} {one.seconds:.3g} s, {one.error:.1e}" for one in self.references
+        ]
+        return "\n".join(
+            [*lines, *(f"left out: {what}: {reason}" for what, reason in self.left_out)]
+        )
 
 
 @dataclass(frozen=True)
@@ -259,9 +305,15 @@ class Profile(Exported):
     def share(self, label: str, within: float = 1.0) -> float:
         """Return the share of the problems that the algorithm solves within that multiple of the best."""
         if label not in self.labels:
-            raise InvalidOption(f"no algorithm {label!r} in this profile; it has {', '.join(self.labels)}")
+            raise InvalidOption(
+                f"no algorithm {label!r} in this profile; it has {', '.join(self.labels)}"
+            )
         row = self.ratios[self.labels.index(label)]
-        return sum(ratio <= within and ratio < math.inf for ratio in row) / len(row) if row else math.nan
+        return (
+            sum(ratio <= within and ratio < math.inf for ratio in row) / len(row)
+            if row
+            else math.nan
+        )
 
     def rows(self) -> list[tuple[Any, ...]]:
         """Return one row an algorithm and problem, in the columns of the CSV."""
@@ -274,13 +326,25 @@ class Profile(Exported):
     def plot(self, *, width: float | None = None) -> Any:
         """Return a matplotlib figure, so many inches wide; `save` writes it into a file."""
         lines = [
-            Line(label, family, finite, [(k + 1) / len(row) for k in range(len(finite))], len(finite) == len(row))
+            Line(
+                label,
+                family,
+                finite,
+                [(k + 1) / len(row) for k in range(len(finite))],
+                len(finite) == len(row),
+            )
             for label, family, row in zip(self.labels, self.families, self.ratios, strict=True)
             for finite in [sorted(ratio for ratio in row if math.isfinite(ratio))]
         ]
         unit = {"work": "work", "seconds": "time"}[self.by]
         title = f"Performance profile, {len(self.problems)} problems"
-        panel = Panel(title, lines, f"{unit}, as a multiple of the best", "share of the problems solved", "shares")
+        panel = Panel(
+            title,
+            lines,
+            f"{unit}, as a multiple of the best",
+            "share of the problems solved",
+            "shares",
+        )
         return draw_panels([panel], width)
 
 
@@ -315,17 +379,28 @@ def performance_profile(reports: Sequence[Report], by: str = "work") -> Profile:
     if by not in LEAST:
         raise InvalidOption(f"by must be 'work' or 'seconds', got {by!r}")
     if isinstance(reports, Report):
-        raise InvalidOption("a performance profile needs a list of reports, got one Report; write [report]")
+        raise InvalidOption(
+            "a performance profile needs a list of reports, got one Report; write [report]"
+        )
     if not reports:
         raise InvalidOption("a performance profile needs at least one report, got none")
     families = {curve.label: curve.family for report in reports for curve in report.curves}
     solved = [report for report in reports if any(curve.is_solved for curve in report.curves)]
     best = [min(_cost(curve, by) for curve in report.curves) for report in solved]
     ratios = tuple(
-        tuple(_cost(report.curve(label), by) / least for report, least in zip(solved, best, strict=True))
+        tuple(
+            _cost(report.curve(label), by) / least
+            for report, least in zip(solved, best, strict=True)
+        )
         for label in families
     )
-    return Profile(by, tuple(families), tuple(families.values()), tuple(report.title for report in solved), ratios)
+    return Profile(
+        by,
+        tuple(families),
+        tuple(families.values()),
+        tuple(report.title for report in solved),
+        ratios,
+    )
 
 
 def _cost(curve: Curve | None, by: str) -> float:

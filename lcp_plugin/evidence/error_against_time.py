@@ -21,7 +21,15 @@ from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..core.lcp import LCP
 from ..core.solving.result import Result, Sample
 from ..gallery.scene import Scene
-from .contestants import Contestant, WorkLimit, as_scene_of, checked_names, contestants, fresh, measured_run
+from .contestants import (
+    Contestant,
+    WorkLimit,
+    as_scene_of,
+    checked_names,
+    contestants,
+    fresh,
+    measured_run,
+)
 from .curves import BOUND, RESIDUAL, TRUE_ERROR, Curve, Point, ReferencePoint, Report
 
 Measure = Callable[[FloatVector], float]
@@ -92,14 +100,26 @@ def error_against_time(
     say = (lambda _: None) if progress is None else progress
     say("what the error is")
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
-    bench = Bench(as_scene_of(target, "problem", None, "error_against_time"), max_work=max_work, bounds=True, **limits)
+    bench = Bench(
+        as_scene_of(target, "problem", None, "error_against_time"),
+        max_work=max_work,
+        bounds=True,
+        **limits,
+    )
     scene, curves = bench.scene, bench.curves(contestants(algorithms), repeats, say)
     points, more = _references(scene, references, max_seconds, bench.yardstick, say)
     refused = [(curve.label, curve.note) for curve in curves if not curve.points]
     return Report(
-        title=title_of(scene), description=scene.description, n=scene.n, nonzeros=scene.problem.nonzeros,
-        error_kind=bench.yardstick.kind, tolerance=tolerance, repeats=repeats, active_share=_active_share(bench.best),
-        curves=tuple(curve for curve in curves if curve.points), references=points,
+        title=title_of(scene),
+        description=scene.description,
+        n=scene.n,
+        nonzeros=scene.problem.nonzeros,
+        error_kind=bench.yardstick.kind,
+        tolerance=tolerance,
+        repeats=repeats,
+        active_share=_active_share(bench.best),
+        curves=tuple(curve for curve in curves if curve.points),
+        references=points,
         left_out=(*bench.yardstick.left_out, *_march(scene), *refused, *more),
     )
 
@@ -108,7 +128,11 @@ def checked_numbers(repeats: Any, max_work: Any, progress: Any) -> None:
     """Raise InvalidOption where one of these cannot be used."""
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
         raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
-    if isinstance(max_work, bool) or not isinstance(max_work, int | float | np.number) or not max_work > 0.0:
+    if (
+        isinstance(max_work, bool)
+        or not isinstance(max_work, int | float | np.number)
+        or not max_work > 0.0
+    ):
         raise InvalidOption(f"max_work must be a number > 0, got {max_work!r}")
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be a callable that takes a label, got {progress!r}")
@@ -131,7 +155,11 @@ def title_of(scene: Scene) -> str:
 
 
 def _march(scene: Scene) -> list[tuple[str, str]]:
-    return [("later steps", f"only the first of {scene.steps} steps is measured")] if scene.steps > 1 else []
+    return (
+        [("later steps", f"only the first of {scene.steps} steps is measured")]
+        if scene.steps > 1
+        else []
+    )
 
 
 # --- What the error is ----------------------------------------------------------------------------------------
@@ -169,8 +197,11 @@ def distance(z: FloatVector, exact: FloatVector) -> float:
     return float(np.max(np.abs(z - exact), initial=0.0))
 
 
-def _with_residual(problem: LCP, error: Measure | None) -> Callable[[FloatVector], tuple[float, float]]:
+def _with_residual(
+    problem: LCP, error: Measure | None
+) -> Callable[[FloatVector], tuple[float, float]]:
     """Return what measures an error and the relative residual, which is the error where there is no other."""
+
     def measured(z: FloatVector) -> tuple[float, float]:
         residual = Certificate.of(problem, z).relative_residual
         return residual if error is None else error(z), residual
@@ -178,7 +209,9 @@ def _with_residual(problem: LCP, error: Measure | None) -> Callable[[FloatVector
     return measured
 
 
-def _bound(problem: LCP, start: FloatVector | None, max_seconds: float) -> tuple[Measure | None, str]:
+def _bound(
+    problem: LCP, start: FloatVector | None, max_seconds: float
+) -> tuple[Measure | None, str]:
     """Return the rigorous bound of ‖z − z*‖∞, or None and the reason."""
     from ..proofs.bounds.error_bounds import error_bound
 
@@ -191,7 +224,9 @@ def _bound(problem: LCP, start: FloatVector | None, max_seconds: float) -> tuple
     known = error_bound(problem, answer)
     least, size = known.infinity, float(np.abs(answer).max(initial=0.0))
     if known.near is not None:
-        least, size = (float(np.abs(part).max(initial=0.0)) for part in (known.near.y, known.near.high))
+        least, size = (
+            float(np.abs(part).max(initial=0.0)) for part in (known.near.y, known.near.high)
+        )
     if least > 0.0 and not least < size:
         return None, f"of an answer that reaches {size:.1e} it is {least:.1e}, which says nothing"
     return (lambda z: float(known.carried_to(z).max(initial=0.0))), ""
@@ -207,7 +242,9 @@ def _unmeasured(z: FloatVector) -> tuple[float, float]:
 class Recorder(WorkLimit):
     """Takes samples at geometric intervals while the driver's clock stands still, and ends a run of too much work."""
 
-    def __init__(self, measure: Callable[[FloatVector], tuple[float, float]], max_work: float) -> None:
+    def __init__(
+        self, measure: Callable[[FloatVector], tuple[float, float]], max_work: float
+    ) -> None:
         super().__init__(max_work)
         self.measure = measure
         self.points: list[Point] = []
@@ -218,7 +255,9 @@ class Recorder(WorkLimit):
         if sample.iteration >= self._next:
             self._next = max(sample.iteration + 1, math.ceil(sample.iteration * 1.08))  # geometric
             error, residual = self.measure(z)
-            self.points.append(Point(sample.iteration, sample.work, sample.seconds, error=error, residual=residual))
+            self.points.append(
+                Point(sample.iteration, sample.work, sample.seconds, error=error, residual=residual)
+            )
         return super().__call__(sample, z)
 
     def end(self, result: Result) -> None:
@@ -228,18 +267,26 @@ class Recorder(WorkLimit):
         if len(self.points) > 1 and self.points[-1].iteration >= result.iterations:
             self.points.pop()
         error, residual = self.measure(result.z)
-        self.points.append(Point(result.iterations, result.work, result.seconds, error=error, residual=residual))
+        self.points.append(
+            Point(result.iterations, result.work, result.seconds, error=error, residual=residual)
+        )
 
 
 def curve_of(contestant: Contestant, runs: Sequence[Recorder]) -> Curve:
     """Return the errors of the first run over the seconds of all, at those iterations that every run reached."""
-    times = [{(one.iteration, one is run.points[-1]): one.seconds for one in run.points} for run in runs]
+    times = [
+        {(one.iteration, one is run.points[-1]): one.seconds for one in run.points} for run in runs
+    ]
     points = []
     for place, one in zip(times[0], runs[0].points, strict=True):
         if all(place in run for run in times):
-            low, middle, high = map(float, np.percentile([run[place] for run in times], (25.0, 50.0, 75.0)))
+            low, middle, high = map(
+                float, np.percentile([run[place] for run in times], (25.0, 50.0, 75.0))
+            )
             points.append(one._replace(seconds=middle, seconds_low=low, seconds_high=high))
-    note = "; ".join(filter(None, (contestant.note, _CLOCKED if runs[0].status == "MAX_SECONDS" else "")))
+    note = "; ".join(
+        filter(None, (contestant.note, _CLOCKED if runs[0].status == "MAX_SECONDS" else ""))
+    )
     return Curve(contestant.label, contestant.family, runs[0].status, tuple(points), note)
 
 
@@ -258,7 +305,9 @@ class Bench:
         Whether a rigorous bound is the error where the exact answer is not known.
     """
 
-    def __init__(self, scene: Scene, *, tolerance: float, max_seconds: float, max_work: float, bounds: bool) -> None:
+    def __init__(
+        self, scene: Scene, *, tolerance: float, max_seconds: float, max_work: float, bounds: bool
+    ) -> None:
         self.scene, self.max_work = scene, max_work
         self.limits = {"tolerance": tolerance, "max_seconds": max_seconds}
         self.yardstick = Yardstick.of(scene, max_seconds, bounds=bounds)
@@ -277,7 +326,13 @@ class Bench:
         """Return the samples of a run, with their errors where it is the first."""
         recorder = Recorder(self.yardstick.measure if is_first else _unmeasured, self.max_work)
         recorder.end(
-            measured_run(fresh(self.scene.problem), one.algorithm, recorder, z0=self.scene.start, **self.limits)
+            measured_run(
+                fresh(self.scene.problem),
+                one.algorithm,
+                recorder,
+                z0=self.scene.start,
+                **self.limits,
+            )
         )
         found = recorder.certificate
         if self.best is None or found.relative_residual < self.best.relative_residual:
@@ -290,15 +345,19 @@ class Bench:
         for one in entrants:
             say(f"{one.label}, warm-up")
             reasons[one.label] = self.refusal(one)
-        runs: dict[str, list[Recorder]] = {label: [] for label, reason in reasons.items() if not reason}
+        runs: dict[str, list[Recorder]] = {
+            label: [] for label, reason in reasons.items() if not reason
+        }
         for turn in range(repeats):
             for one in entrants:
                 if one.label in runs:
                     say(f"{one.label}, run {turn + 1} of {repeats}")
                     runs[one.label].append(self.run(one, is_first=turn == 0))
         return [
-            curve_of(one, runs[one.label]) if one.label in runs
-            else Curve(one.label, one.family, "REFUSED", (), reasons[one.label]) for one in entrants
+            curve_of(one, runs[one.label])
+            if one.label in runs
+            else Curve(one.label, one.family, "REFUSED", (), reasons[one.label])
+            for one in entrants
         ]
 
 
@@ -319,7 +378,12 @@ def _references(
     if not names:
         return (), []
     if scene.is_declared and not scene.is_symmetric:
-        return (), [("quadratic programs", "M is not symmetric, so that no quadratic program has these conditions")]
+        return (), [
+            (
+                "quadratic programs",
+                "M is not symmetric, so that no quadratic program has these conditions",
+            )
+        ]
     from .qp_reference import PLAIN, SOLVERS, Formulation, attempt
 
     formulation = Formulation.of(scene.problem)
@@ -328,12 +392,21 @@ def _references(
     points, left_out = [], []
     for name in names:
         if scene.n > SOLVERS[name].largest:
-            left_out.append((name, f"asked up to n = {SOLVERS[name].largest:g} only: it has no limit of its own"))
+            left_out.append(
+                (
+                    name,
+                    f"asked up to n = {SOLVERS[name].largest:g} only: it has no limit of its own",
+                )
+            )
             continue
         say(f"reference {name}")
         one = attempt(formulation, name, max_seconds)
         if one.certificate is None:
-            left_out.append((name, f"no answer within {one.seconds:.2g} s: {one.note or 'it gave none'}"))
+            left_out.append(
+                (name, f"no answer within {one.seconds:.2g} s: {one.note or 'it gave none'}")
+            )
         else:
-            points.append(ReferencePoint(name, one.seconds, *yardstick.measure(one.certificate.z), one.note))
+            points.append(
+                ReferencePoint(name, one.seconds, *yardstick.measure(one.certificate.z), one.note)
+            )
     return tuple(points), left_out

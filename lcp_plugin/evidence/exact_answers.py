@@ -17,7 +17,13 @@ from ..core.matrix.scaling import scaled
 from ..core.settings import Status
 from ..core.solving.result import Result
 from ..proofs.exact.linear_systems import solved_nearby
-from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution, power_of_two, rational_rows
+from ..proofs.exact.rational import (
+    exact_residuals,
+    exact_slack,
+    is_exact_solution,
+    power_of_two,
+    rational_rows,
+)
 from ..proofs.no_solution.proof import exactly_weighted
 from ..systems.equilibration import equilibrating_exponents
 
@@ -57,7 +63,9 @@ def exact_answer(problem: LCP, guess: Sequence[float]) -> Answer:
     z = _solved(problem, _states(problem, guess))
     if z is not None and is_exact_solution(problem, z):
         return tuple(z)
-    raise UnsuitableProblem(f"no exact answer of {problem!r} found near the guess; give one on the right bounds")
+    raise UnsuitableProblem(
+        f"no exact answer of {problem!r} found near the guess; give one on the right bounds"
+    )
 
 
 def _states(problem: LCP, guess: Sequence[float]) -> States:
@@ -74,12 +82,18 @@ def _solved(problem: LCP, states: States) -> list[Fraction] | None:
     column = equilibrating_exponents(problem.csr, ALIKE).column
     rows = [
         {j: entry * power_of_two(int(column[j])) for j, entry in row.items() if is_free[j]}
-        for row, free in zip(rational_rows(problem.csr), is_free, strict=True) if free
+        for row, free in zip(rational_rows(problem.csr), is_free, strict=True)
+        if free
     ]
     change = solved_nearby(rows, right, [Fraction(0)] * problem.n, is_free)
-    return None if change is None else [
-        value + by * power_of_two(int(unit)) for value, by, unit in zip(z, change, column, strict=True)
-    ]
+    return (
+        None
+        if change is None
+        else [
+            value + by * power_of_two(int(unit))
+            for value, by, unit in zip(z, change, column, strict=True)
+        ]
+    )
 
 
 # --- how sensitive the answer is ------------------------------------------------------------------------------------
@@ -124,7 +138,9 @@ def condition_of_answer(problem: LCP, exact: Answer, unit: FloatVector) -> float
     is_between = np.array([low < value < high for value, low, high in bounds], dtype=bool)
     is_movable = is_zero & (problem.lower < problem.upper)
     sets = [is_movable] if np.array_equal(is_movable, is_between) else [is_movable, is_between]
-    return float(np.max([1.0, *(_condition(problem, exact, unit, free) for free in sets)]))  # NaN wins
+    return float(
+        np.max([1.0, *(_condition(problem, exact, unit, free) for free in sets)])
+    )  # NaN wins
 
 
 def _condition(problem: LCP, exact: Answer, unit: FloatVector, free: Any) -> float:
@@ -133,7 +149,9 @@ def _condition(problem: LCP, exact: Answer, unit: FloatVector, free: Any) -> flo
     sizes = problem.csr.copy()
     sizes.data = _ulps(sizes.data)
     M = scaled(problem.csr, exponents)
-    z = np.array([abs(float(value * power_of_two(-int(c)))) for value, c in zip(exact, column, strict=True)])
+    z = np.array(
+        [abs(float(value * power_of_two(-int(c)))) for value, c in zip(exact, column, strict=True)]
+    )
     size = scaled(sizes, exponents) @ z + np.ldexp(_ulps(problem.q), row)
     block = M[rows][:, rows]
     inverse_times_size = _absolute_inverse_product(block, size[rows])
@@ -141,7 +159,9 @@ def _condition(problem: LCP, exact: Answer, unit: FloatVector, free: Any) -> flo
         per_unit = np.ldexp(unit, -column)
         largest = float(np.max(z / per_unit, initial=0.0))
         change = float(np.max(inverse_times_size / per_unit[rows], initial=0.0))
-        finest = float(np.max(SMALLEST_NORMAL / unit))  # subnormal answers have fewer digits themselves
+        finest = float(
+            np.max(SMALLEST_NORMAL / unit)
+        )  # subnormal answers have fewer digits themselves
         return max(change, finest) / largest if largest > 0.0 else 1.0
 
 
@@ -166,7 +186,9 @@ def _absolute_inverse_product(block: Any, size: FloatVector) -> FloatVector:
 # --- how far z is from it -------------------------------------------------------------------------------------------
 
 
-def relative_error(z: FloatVector, exact: Answer, unit: FloatVector, *, has_line: bool = False) -> float:
+def relative_error(
+    z: FloatVector, exact: Answer, unit: FloatVector, *, has_line: bool = False
+) -> float:
     """Return max_i |z_i − z*_i|/unit_i over max_i |z*_i|/unit_i, exact up to the last rounding; ∞ for x/0.
 
     Parameters
@@ -188,8 +210,12 @@ def relative_error(z: FloatVector, exact: Answer, unit: FloatVector, *, has_line
         along = max((max(difference) + min(difference)) / 2, Fraction(0))
         difference = [value - along for value in difference]
     units = [Fraction(value) for value in unit.tolist()]
-    error = max((abs(value) / u for value, u in zip(difference, units, strict=True)), default=Fraction(0))
-    largest = max((abs(value) / u for value, u in zip(exact, units, strict=True)), default=Fraction(0))
+    error = max(
+        (abs(value) / u for value, u in zip(difference, units, strict=True)), default=Fraction(0)
+    )
+    largest = max(
+        (abs(value) / u for value, u in zip(exact, units, strict=True)), default=Fraction(0)
+    )
     if error == 0:
         return 0.0
     return nearest_double(error / largest) if largest else np.inf
@@ -209,9 +235,14 @@ def nearest_double(value: Fraction) -> float:
 def rounding_floors(problem: LCP, z: FloatVector) -> list[Fraction]:
     """Return what rounding explains of each row's residual, k_i ε (|M||z| + |q|)_i/d_i and underflow, exactly."""
     M = problem.csr
-    entries = [abs(Fraction(value) * Fraction(z[j])) for value, j in zip(M.data.tolist(), M.indices, strict=True)]
+    entries = [
+        abs(Fraction(value) * Fraction(z[j]))
+        for value, j in zip(M.data.tolist(), M.indices, strict=True)
+    ]
     floors = []
-    for i, (q, d) in enumerate(zip(problem.q.tolist(), problem.residual_scale.tolist(), strict=True)):
+    for i, (q, d) in enumerate(
+        zip(problem.q.tolist(), problem.residual_scale.tolist(), strict=True)
+    ):
         row = entries[M.indptr[i] : M.indptr[i + 1]]
         size = abs(Fraction(q)) + sum(row)
         floors.append((len(row) + 2) * (EPSILON * size + SMALLEST) / Fraction(d) + SMALLEST)
@@ -254,21 +285,31 @@ def _lie_about_residual(result: Result) -> str:
     if result.status is Status.PRECISION_LIMIT:
         residuals = exact_residuals(problem, result.z)
         floors = rounding_floors(problem, result.z)
-        explained = all(r <= FLOORS_MEASURED * floor for r, floor in zip(residuals, floors, strict=True))
+        explained = all(
+            r <= FLOORS_MEASURED * floor for r, floor in zip(residuals, floors, strict=True)
+        )
         if result.infeasibility is not None and result.infeasibility.is_rounding:
-            explained |= max(exactly_weighted(problem, result.z)) <= Fraction(rounding_of_data(problem)) * (1 + EPSILON)
+            explained |= max(exactly_weighted(problem, result.z)) <= Fraction(
+                rounding_of_data(problem)
+            ) * (1 + EPSILON)
         return "" if explained else "PRECISION_LIMIT, but rounding does not explain the residual"
     residuals = exactly_weighted(problem, result.z)
     references = _references(problem, exactly_weighted(problem, problem.nearest_to_zero))
-    is_true = all(r <= Fraction(result.tolerance) * of for r, of in zip(residuals, references, strict=True))
+    is_true = all(
+        r <= Fraction(result.tolerance) * of for r, of in zip(residuals, references, strict=True)
+    )
     return "" if is_true else "SOLVED, but the exact residual is above the tolerance"
 
 
 def _references(problem: LCP, at_zero: Sequence[Any]) -> list[Any]:
     """Return the largest value of the component of each row."""
-    from scipy.sparse.csgraph import connected_components  # not our own components, which are judged here
+    from scipy.sparse.csgraph import (
+        connected_components,
+    )  # not our own components, which are judged here
 
-    pattern = sp.csr_array((np.ones(problem.csr.nnz), problem.csr.indices, problem.csr.indptr), shape=problem.csr.shape)
+    pattern = sp.csr_array(
+        (np.ones(problem.csr.nnz), problem.csr.indices, problem.csr.indptr), shape=problem.csr.shape
+    )
     labels = connected_components(pattern, directed=True, connection="weak")[1].tolist()
     largest: dict[int, Any] = {}
     for label, value in zip(labels, at_zero, strict=True):

@@ -22,10 +22,23 @@ PLAIN = (1e-3, 1e6)
 
 PACKAGES = "\\usepackage{booktabs,siunitx}"
 LATEX = {
-    "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}",
+    "\\": "\\textbackslash{}",
+    "~": "\\textasciitilde{}",
+    "^": "\\textasciicircum{}",
     **{sign: f"\\{sign}" for sign in "&%$#_{}"},
-    "δ": "$\\delta$", "α": "$\\alpha$", "β": "$\\beta$", "ω": "$\\omega$", "Ω": "$\\Omega$", "ρ": "$\\rho$",
-    "–": "--", "≤": "$\\le$", "≥": "$\\ge$", "×": "$\\times$", "∞": "$\\infty$", "‖": "$\\Vert$", "…": "\\dots{}",
+    "δ": "$\\delta$",
+    "α": "$\\alpha$",
+    "β": "$\\beta$",
+    "ω": "$\\omega$",
+    "Ω": "$\\Omega$",
+    "ρ": "$\\rho$",
+    "–": "--",
+    "≤": "$\\le$",
+    "≥": "$\\ge$",
+    "×": "$\\times$",
+    "∞": "$\\infty$",
+    "‖": "$\\Vert$",
+    "…": "\\dots{}",
 }
 
 
@@ -76,7 +89,9 @@ class Exported:
         if kind in FORMATS:
             save(self.plot(**how), place)
         elif how:
-            raise InvalidOption(f"{', '.join(how)} is for a picture ({', '.join(FORMATS)}), got {place.name!r}")
+            raise InvalidOption(
+                f"{', '.join(how)} is for a picture ({', '.join(FORMATS)}), got {place.name!r}"
+            )
         else:
             write_text(place, texts[kind]())
 
@@ -131,10 +146,15 @@ class Table:
 
     def to_latex(self) -> str:
         """Return a table for booktabs and siunitx; its first line says how to look at it alone."""
-        columns = [_latex_column([row[k] for row in self.texts()], self.is_of_numbers(k))
-                   for k in range(len(self.columns))]
+        columns = [
+            _latex_column([row[k] for row in self.texts()], self.is_of_numbers(k))
+            for k in range(len(self.columns))
+        ]
         heads = ["{" + _stacked(head) + "}" for head in self.columns]
-        lines = [[_latex_cell(cell, self.is_of_numbers(k)) for k, cell in enumerate(row)] for row in self.texts()]
+        lines = [
+            [_latex_cell(cell, self.is_of_numbers(k)) for k, cell in enumerate(row)]
+            for row in self.texts()
+        ]
         has_groups = len({row[0] for row in self.rows}) < len(self.rows)
         body, before = [], self.rows[0][0] if self.rows else ""
         for row, cells in zip(self.rows, lines, strict=True):
@@ -142,15 +162,25 @@ class Table:
                 body.append("\\addlinespace")
             before = row[0]
             body.append(f"{' & '.join(cells)} \\\\")
-        return "\n".join([
-            f"% needs {PACKAGES}; alone: pdflatex '\\documentclass{{article}}{PACKAGES}\\begin{{document}}"
-            "\\input{FILE}\\end{document}'",
-            "\\begin{table}[htbp]", "\\centering\\footnotesize\\setlength{\\tabcolsep}{4pt}",
-            "\\sisetup{output-exponent-marker=\\mathrm{e}}",
-            f"\\caption{{{_escaped(self.title)}}}\\smallskip",
-            f"\\begin{{tabular}}{{{' '.join(columns)}}}", "\\toprule",
-            f"{' & '.join(heads)} \\\\", "\\midrule", *body, "\\bottomrule", "\\end{tabular}", "\\end{table}", "",
-        ])
+        return "\n".join(
+            [
+                f"% needs {PACKAGES}; alone: pdflatex '\\documentclass{{article}}{PACKAGES}\\begin{{document}}"
+                "\\input{FILE}\\end{document}'",
+                "\\begin{table}[htbp]",
+                "\\centering\\footnotesize\\setlength{\\tabcolsep}{4pt}",
+                "\\sisetup{output-exponent-marker=\\mathrm{e}}",
+                f"\\caption{{{_escaped(self.title)}}}\\smallskip",
+                f"\\begin{{tabular}}{{{' '.join(columns)}}}",
+                "\\toprule",
+                f"{' & '.join(heads)} \\\\",
+                "\\midrule",
+                *body,
+                "\\bottomrule",
+                "\\end{tabular}",
+                "\\end{table}",
+                "",
+            ]
+        )
 
 
 TABLES = {".tex": Table.to_latex, ".md": Table.to_markdown, ".csv": Table.to_csv}
@@ -185,7 +215,10 @@ def _shown(column: Sequence[Any]) -> list[str]:
     numbers = [abs(value) for value in column if _is_number(value) and value]
     low, high = min(numbers, default=1.0), max(numbers, default=1.0)
     is_plain = PLAIN[0] <= low and high < PLAIN[1] and high / low < 1e4
-    given = max((len(repr(value).partition(".")[2]) for value in column if isinstance(value, float)), default=0)
+    given = max(
+        (len(repr(value).partition(".")[2]) for value in column if isinstance(value, float)),
+        default=0,
+    )
     decimals = min(max(0, DIGITS - 1 - math.floor(math.log10(low))), given)
 
     def shown(value: Any) -> str:

@@ -57,7 +57,9 @@ class FreeBoundary:
     def positions(self) -> FloatVector:
         """Where φ changes its sign in one dimension, rising, shape (k,)."""
         if self.points.ndim != 1:
-            raise InvalidOption("positions are those of one dimension; in the plane take segments or draw(axes)")
+            raise InvalidOption(
+                "positions are those of one dimension; in the plane take segments or draw(axes)"
+            )
         order = np.argsort(self.points, kind="stable")
         x, level = self.points[order], self.level[order]
         k = np.flatnonzero((level[:-1] < 0.0) != (level[1:] < 0.0))
@@ -70,7 +72,9 @@ class FreeBoundary:
         inside = level < 0.0
         crossed = inside.any(axis=1) & ~inside.all(axis=1)
         level, points, inside = level[crossed], points[crossed], inside[crossed]
-        alone = np.argmax(inside == (inside.sum(axis=1) == 1)[:, None], axis=1)  # the corner on its own side
+        alone = np.argmax(
+            inside == (inside.sum(axis=1) == 1)[:, None], axis=1
+        )  # the corner on its own side
         rows = np.arange(len(level))[:, None]
         others = (alone[:, None] + [1, 2]) % 3
         own, its = level[rows, alone[:, None]], points[rows, alone[:, None]]
@@ -83,7 +87,11 @@ class FreeBoundary:
         if self.points.ndim == 1:
             order = np.argsort(self.points, kind="stable")
             low, high = np.sort(np.stack([self.level[order][:-1], self.level[order][1:]]), axis=0)
-            share = np.where(high <= 0.0, 1.0, np.where(low < 0.0, low / np.where(low < high, low - high, 1.0), 0.0))
+            share = np.where(
+                high <= 0.0,
+                1.0,
+                np.where(low < 0.0, low / np.where(low < high, low - high, 1.0), 0.0),
+            )
             return float(share @ np.diff(self.points[order]))
         corners = self.points[self.triangles]
         (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
@@ -118,7 +126,9 @@ def contact_level(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
         force = sign * (M @ np.where(known, bound, z) + problem.q)
         touches, gap = known & (z == bound), sign * (z - np.where(known, bound, z))
         force = np.where(touches, np.maximum(force, sign * w), force)
-        presses = force > NO_FORCE * (abs(M) @ np.abs(np.where(known, bound, z)) + np.abs(problem.q))
+        presses = force > NO_FORCE * (
+            abs(M) @ np.abs(np.where(known, bound, z)) + np.abs(problem.q)
+        )
         pulls = np.where(presses, force, 1.0)
         pressed = np.where(presses, np.clip(0.5 - sign * w / pulls, -0.5, 0.5), -0.5)
         free = np.where(presses, np.minimum(0.5 + coupling * gap / pulls, FAR), 0.5)
@@ -127,7 +137,11 @@ def contact_level(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
 
 
 def free_boundary(
-    answer: Result | Certificate, *, coordinates: Any = None, shape: Sequence[int] | None = None, mesh: Any = None,
+    answer: Result | Certificate,
+    *,
+    coordinates: Any = None,
+    shape: Sequence[int] | None = None,
+    mesh: Any = None,
 ) -> FreeBoundary:
     """Return where an answer of an LCP leaves its bounds, between the nodes.
 
@@ -168,8 +182,10 @@ def free_boundary(
     array([0.5])
     """
     if not isinstance(answer, (Result, Certificate)):
-        raise InvalidOption(f"free_boundary needs the answer of an LCP, a Result or Certificate.of(problem, z), got "
-                            f"{type(answer).__name__}")
+        raise InvalidOption(
+            f"free_boundary needs the answer of an LCP, a Result or Certificate.of(problem, z), got "
+            f"{type(answer).__name__}"
+        )
     certificate = answer.certificate if isinstance(answer, Result) else answer
     problem, z, w = certificate.problem, certificate.z, certificate.w
     points, triangles = _nodes(problem.n, coordinates, shape, mesh)
@@ -180,24 +196,38 @@ def free_boundary(
     return FreeBoundary(level, points, triangles)
 
 
-def _nodes(n: int, coordinates: Any, shape: Any, mesh: Any) -> tuple[FloatVector, np.ndarray[Any, Any]]:
+def _nodes(
+    n: int, coordinates: Any, shape: Any, mesh: Any
+) -> tuple[FloatVector, np.ndarray[Any, Any]]:
     """Return the points of the unknowns and the triangles between them."""
     if mesh is not None:
         points, triangles = np.asarray(mesh[0], dtype=float), np.asarray(mesh[1])
         if points.shape != (n, 2) or triangles.ndim != 2 or triangles.shape[1] != 3:
-            raise InvalidOption(f"mesh must be (points, triangles) of shapes ({n}, 2) and (k, 3), got {points.shape} "
-                                f"and {triangles.shape}; transpose them, or take the triangles between unknowns alone")
+            raise InvalidOption(
+                f"mesh must be (points, triangles) of shapes ({n}, 2) and (k, 3), got {points.shape} "
+                f"and {triangles.shape}; transpose them, or take the triangles between unknowns alone"
+            )
         return points, triangles
     if shape is None and (coordinates is None or np.ndim(coordinates[0]) == 0):
-        line = np.arange(n, dtype=float) if coordinates is None else np.asarray(coordinates, dtype=float)
+        line = (
+            np.arange(n, dtype=float)
+            if coordinates is None
+            else np.asarray(coordinates, dtype=float)
+        )
         if line.shape != (n,) or not np.isfinite(line).all():
-            raise InvalidOption(f"coordinates must be {n} numbers, finite, or (rows, columns) of a grid, got "
-                                f"{line.shape}")
+            raise InvalidOption(
+                f"coordinates must be {n} numbers, finite, or (rows, columns) of a grid, got "
+                f"{line.shape}"
+            )
         return line, np.empty((0, 3), dtype=np.intp)
-    rows, columns = (np.arange(size) for size in shape) if coordinates is None else map(np.asarray, coordinates)
+    rows, columns = (
+        (np.arange(size) for size in shape) if coordinates is None else map(np.asarray, coordinates)
+    )
     if len(rows) * len(columns) != n:
-        raise InvalidOption(f"a grid of {len(rows)} rows and {len(columns)} columns has not {n} unknowns; give shape= "
-                            "or coordinates=(rows, columns) of its nodes")
+        raise InvalidOption(
+            f"a grid of {len(rows)} rows and {len(columns)} columns has not {n} unknowns; give shape= "
+            "or coordinates=(rows, columns) of its nodes"
+        )
     y, x = np.meshgrid(rows, columns, indexing="ij")
     nodes = np.stack([x.ravel(), y.ravel()], axis=1).astype(float)
     first = (np.arange(len(rows) - 1)[:, None] * len(columns) + np.arange(len(columns) - 1)).ravel()

@@ -25,7 +25,16 @@ TOLERANCE = 1e-5
 DELTA = 4.0
 MOST_ITERATIONS = 1000  # the paper's largest count is 59
 PAPER_HEADINGS = (
-    "algorithm", "n", "paper IT", "IT", "paper Res", "Res", "paper CPU", "CPU", "same IT", "same Res",
+    "algorithm",
+    "n",
+    "paper IT",
+    "IT",
+    "paper Res",
+    "Res",
+    "paper CPU",
+    "CPU",
+    "same IT",
+    "same Res",
 )
 
 
@@ -78,8 +87,16 @@ def cells() -> Iterator[PaperCell]:
                     _, *measured = iterated(fresh(scene.problem), scene.start, algorithm)
                 count, seconds, residual = measured
                 yield PaperCell(
-                    example, name, row.get("relaxation"), n, row["iterations"][column], row["seconds"][column],
-                    row["residual"][column], int(count), seconds, residual,
+                    example,
+                    name,
+                    row.get("relaxation"),
+                    n,
+                    row["iterations"][column],
+                    row["seconds"][column],
+                    row["residual"][column],
+                    int(count),
+                    seconds,
+                    residual,
                 )
 
 
@@ -100,9 +117,21 @@ def iterated(
 def paper_table(computed: Iterable[PaperCell], example: int) -> Table:
     """Return one of the paper's tables, each printed figure beside the computed one."""
     rows = [
-        (f"{one.algorithm} {one.relaxation or ''}".strip(), one.n, one.paper_iterations, one.iterations,
-         one.paper_residual, float(f"{one.residual:.2g}"), one.paper_seconds, float(f"{one.seconds:.2g}"),
-         "yes" if one.same_iterations else "NO", "yes" if one.same_residual else "no")
-        for one in computed if one.example == example
+        (
+            f"{one.algorithm} {one.relaxation or ''}".strip(),
+            one.n,
+            one.paper_iterations,
+            one.iterations,
+            one.paper_residual,
+            float(f"{one.residual:.2g}"),
+            one.paper_seconds,
+            float(f"{one.seconds:.2g}"),
+            "yes" if one.same_iterations else "NO",
+            "yes" if one.same_residual else "no",
+        )
+        for one in computed
+        if one.example == example
     ]
-    return Table(f"The paper's Table {example}: Example {example}, δ = {DELTA:g}", PAPER_HEADINGS, rows)
+    return Table(
+        f"The paper's Table {example}: Example {example}, δ = {DELTA:g}", PAPER_HEADINGS, rows
+    )

@@ -14,7 +14,11 @@ if TYPE_CHECKING:
     from ..problems.parametric.path import Path
     from ..problems.parametric.regions import Regions
 
-MOST_LINES, NAMED, BETWEEN = 40, 10, 12  # unknowns drawn; of which a legend names; values of an objective a piece
+MOST_LINES, NAMED, BETWEEN = (
+    40,
+    10,
+    12,
+)  # unknowns drawn; of which a legend names; values of an objective a piece
 MOST_MARKS = 60  # breakpoints that are drawn as lines
 
 
@@ -49,12 +53,18 @@ def plot_path(path: Path, *, axes: Any = None, rows: Sequence[int] | None = None
         has_objective = not np.isnan(path.objective(path.start)).any()
         heights = [2.4, 1.0, 1.0] if has_objective else [2.4, 1.0]
         figure, every = plt.subplots(
-            len(heights), 1, figsize=(7.2, 1.6 + 1.35 * sum(heights)), sharex=True, height_ratios=heights,
+            len(heights),
+            1,
+            figsize=(7.2, 1.6 + 1.35 * sum(heights)),
+            sharex=True,
+            height_ratios=heights,
             layout="constrained",
         )
         _draw_unknowns(every[0], path, rows)
         if has_objective:
-            values = np.unique(np.concatenate([np.linspace(p.begin, p.end, BETWEEN) for p in path.pieces]))
+            values = np.unique(
+                np.concatenate([np.linspace(p.begin, p.end, BETWEEN) for p in path.pieces])
+            )
             every[1].plot(values, path.objective(values), color="#222222", linewidth=1.4)
             every[1].set_ylabel("objective")
         _draw_active(every[-1], path)
@@ -66,13 +76,19 @@ def plot_path(path: Path, *, axes: Any = None, rows: Sequence[int] | None = None
 def _draw_unknowns(axes: Any, path: Path, rows: Sequence[int] | None) -> None:
     """Draw unknowns as polygons, which they are, and breakpoints as thin lines."""
     theta = np.array([value for piece in path.pieces for value in (piece.begin, piece.end)])
-    every = np.array([piece.x0 + value * piece.x1 for piece in path.pieces for value in (piece.begin, piece.end)])
+    every = np.array(
+        [piece.x0 + value * piece.x1 for piece in path.pieces for value in (piece.begin, piece.end)]
+    )
     n = every.shape[1]
     if rows is None:
         spread = np.ptp(every, axis=0)
         rows = sorted(np.argsort(-spread, kind="stable")[:MOST_LINES].tolist())
     chosen = np.asarray(rows)
-    if chosen.ndim != 1 or not np.issubdtype(chosen.dtype, np.integer) or not ((chosen >= 0) & (chosen < n)).all():
+    if (
+        chosen.ndim != 1
+        or not np.issubdtype(chosen.dtype, np.integer)
+        or not ((chosen >= 0) & (chosen < n)).all()
+    ):
         raise InvalidOption(f"rows must be whole numbers from 0 to {n - 1}, got {rows!r}")
     for value in path.breakpoints if len(path) <= MOST_MARKS else ():
         axes.axvline(value, color="#dddddd", linewidth=0.7, zorder=0)
@@ -89,11 +105,18 @@ def _draw_active(axes: Any, path: Path) -> None:
     order = slice(None, None, 1 if forward else -1)
     ends = path.breakpoints[order]
     cases = np.array([piece.case for piece in path.pieces])
-    names = {-1: "at the lower bound", 0: "between", 1: "at the upper bound", 2: "at 0 by the penalty"}
+    names = {
+        -1: "at the lower bound",
+        0: "between",
+        1: "at the upper bound",
+        2: "at 0 by the penalty",
+    }
     for case, colour in zip(names, ("#D55E00", "#0072B2", "#CC79A7", "#777777"), strict=True):
         counts = (cases == case).sum(axis=1)
         if counts.any():
-            axes.stairs(counts[order], ends, baseline=None, color=colour, linewidth=1.3, label=names[case])
+            axes.stairs(
+                counts[order], ends, baseline=None, color=colour, linewidth=1.3, label=names[case]
+            )
     axes.set_ylabel("rows")
     axes.legend(fontsize=7.5, loc="best")
 
@@ -117,9 +140,13 @@ def plot_regions(found: Regions, *, axes: Any = None, component: int = 0) -> Any
     """
     require_matplotlib()
     if found.low.size > 2:
-        raise UnsuitableProblem(f"{found.low.size} parameters cannot be drawn in a plane; regions of two of them can")
+        raise UnsuitableProblem(
+            f"{found.low.size} parameters cannot be drawn in a plane; regions of two of them can"
+        )
     if not isinstance(component, int) or not 0 <= component < found.n:
-        raise InvalidOption(f"component must be a whole number from 0 to {found.n - 1}, got {component!r}")
+        raise InvalidOption(
+            f"component must be a whole number from 0 to {found.n - 1}, got {component!r}"
+        )
     import matplotlib.pyplot as plt
     from matplotlib.collections import PolyCollection
 
@@ -131,21 +158,33 @@ def plot_regions(found: Regions, *, axes: Any = None, component: int = 0) -> Any
         F, g = found.laws
         if found.low.size == 1:
             for k, ends in enumerate(corners):
-                axes.plot(ends[:, 0], ends[:, 0] * F[k, component, 0] + g[k, component], linewidth=1.6)
+                axes.plot(
+                    ends[:, 0], ends[:, 0] * F[k, component, 0] + g[k, component], linewidth=1.6
+                )
             axes.set(xlabel="θ", ylabel=f"x[{component}]")
             return axes
         points: list[Any] = []
         values: list[Any] = []
         triangles: list[tuple[int, int, int]] = []
-        for k, own in enumerate(one[np.argsort(np.arctan2(*(one - one.mean(axis=0)).T[::-1]))] for one in corners):
+        for k, own in enumerate(
+            one[np.argsort(np.arctan2(*(one - one.mean(axis=0)).T[::-1]))] for one in corners
+        ):
             first = sum(len(before) for before in points)
             points.append(own)
             values.append(own @ F[k, component] + g[k, component])
             triangles += [(first, first + j, first + j + 1) for j in range(1, len(own) - 1)]
         every = np.concatenate(points)
-        drawn = axes.tripcolor(*every.T, triangles, np.concatenate(values), shading="gouraud", cmap=HEIGHTS,
-                               rasterized=True)
-        axes.add_collection(PolyCollection(points, facecolors="none", edgecolors="white", linewidths=0.7))
+        drawn = axes.tripcolor(
+            *every.T,
+            triangles,
+            np.concatenate(values),
+            shading="gouraud",
+            cmap=HEIGHTS,
+            rasterized=True,
+        )
+        axes.add_collection(
+            PolyCollection(points, facecolors="none", edgecolors="white", linewidths=0.7)
+        )
         axes.figure.colorbar(drawn, ax=axes, label=f"x[{component}]").outline.set_visible(False)
         axes.set(xlabel="θ[0]", ylabel="θ[1]", title=f"{len(found)} regions")
         axes.grid(visible=False)

@@ -70,7 +70,11 @@ def _field(scene: Any, answer: Certificate) -> dict[str, Any]:
 
 
 def field_of(
-    z: Any, active: Any, labels: Sequence[str], coordinates: Sequence[Any] | None = None, level: Any = None
+    z: Any,
+    active: Any,
+    labels: Sequence[str],
+    coordinates: Sequence[Any] | None = None,
+    level: Any = None,
 ) -> dict[str, Any]:
     """Return values over a grid of two or more axes, and which of them rest on a bound, as a map shows them.
 
@@ -80,10 +84,23 @@ def field_of(
     axes = coordinates or tuple(np.arange(size, dtype=float) for size in z.shape)
     while z.ndim > 2:  # the middle slice of what cannot be drawn whole
         middle = z.shape[0] // 2
-        z, active, level, labels, axes = z[middle], active[middle], level[middle], labels[1:], axes[1:]
+        z, active, level, labels, axes = (
+            z[middle],
+            active[middle],
+            level[middle],
+            labels[1:],
+            axes[1:],
+        )
     return {
-        "z": z, "active": active, "x": axes[1], "y": axes[0], "x_label": labels[1], "y_label": labels[0],
-        "unknown": "z", "active_means": "at a bound", "level": level,
+        "z": z,
+        "active": active,
+        "x": axes[1],
+        "y": axes[0],
+        "x_label": labels[1],
+        "y_label": labels[0],
+        "unknown": "z",
+        "active_means": "at a bound",
+        "level": level,
     }
 
 
@@ -91,29 +108,41 @@ def draw_map(axes: Any, field: dict[str, Any]) -> None:
     """Draw the field from above, its contact set dotted."""
     x, y, z, active, level = (field[name] for name in ("x", "y", "z", "active", "level"))
     image = axes.pcolormesh(x, y, z, shading="nearest", cmap=HEIGHTS, rasterized=True)
-    axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=field["unknown"]).outline.set_visible(False)
+    axes.figure.colorbar(
+        image, ax=axes, shrink=0.85, pad=0.02, label=field["unknown"]
+    ).outline.set_visible(False)
     if 0.0 < active.mean() < 1.0 and min(z.shape) > 1:
-        axes.contourf(x, y, level, levels=[min(level.min(), -1.0), 0.0], colors="none", hatches=["....."])
+        axes.contourf(
+            x, y, level, levels=[min(level.min(), -1.0), 0.0], colors="none", hatches=["....."]
+        )
         for shade, width in (("#ffffff", 2.4), (ACTIVE, 1.3)):
             axes.contour(x, y, level, levels=[0.0], colors=shade, linewidths=width)
         axes.set_title(f"dotted: {field['active_means']}", color=ACTIVE, fontsize=8.5)
     axes.grid(False)
     is_square = 0.5 * np.ptp(x) <= np.ptp(y) <= 2.0 * np.ptp(x)
-    axes.set(xlabel=field["x_label"], ylabel=field["y_label"], aspect="equal" if is_square else "auto")
+    axes.set(
+        xlabel=field["x_label"], ylabel=field["y_label"], aspect="equal" if is_square else "auto"
+    )
 
 
 def _draw_surface(surface: Any, whole: dict[str, Any]) -> None:
     """Draw z as a surface, its contact set in the colour of the free boundary."""
-    surface.set(xlabel=whole["x_label"], ylabel=whole["y_label"])  # the height is named beside the colours
+    surface.set(
+        xlabel=whole["x_label"], ylabel=whole["y_label"]
+    )  # the height is named beside the colours
     if min(whole["z"].shape) < 2:
         surface.set_axis_off()
         return
-    rows, columns = (slice(None, None, max(1, -(-size // FINEST_SURFACE))) for size in whole["z"].shape)
+    rows, columns = (
+        slice(None, None, max(1, -(-size // FINEST_SURFACE))) for size in whole["z"].shape
+    )
     z = whole["z"][rows, columns]
     colours = heights_as_colours(z)
     colours[whole["active"][rows, columns].astype(bool)] = (0.835, 0.369, 0.0, 1.0)
     x, y = np.meshgrid(whole["x"][columns], whole["y"][rows])
-    surface.plot_surface(x, y, z, facecolors=colours, rcount=80, ccount=80, linewidth=0, antialiased=False)
+    surface.plot_surface(
+        x, y, z, facecolors=colours, rcount=80, ccount=80, linewidth=0, antialiased=False
+    )
     surface.view_init(elev=36, azim=-60)
 
 
@@ -127,9 +156,12 @@ def _line(scene: Scene, answer: Certificate) -> dict[str, Any]:
     has_axis = len(axes) == 1
     bounds = {"lower": problem.lower, "upper": problem.upper} if has_axis else {}
     return {
-        "kind": "line" if has_axis else "dots", "z": answer.z, "active": is_at_bound(problem, answer.z),
+        "kind": "line" if has_axis else "dots",
+        "z": answer.z,
+        "active": is_at_bound(problem, answer.z),
         "x": axes[0] if has_axis else np.arange(answer.z.size),
-        "x_label": scene.axis_labels[0] if has_axis else "index", "unknown": scene.unknown,
+        "x_label": scene.axis_labels[0] if has_axis else "index",
+        "unknown": scene.unknown,
         "active_means": scene.active_means,
     } | {name: bound for name, bound in bounds.items() if np.isfinite(bound).all()}
 
@@ -145,7 +177,9 @@ def draw_line(axes: Any, line: dict[str, Any]) -> None:
             axes.fill_between(x, line[name], end(*line[name], *z), color="#eeeeee", linewidth=0)
     if line["kind"] == "line":
         axes.plot(x, z, color=FREE, linewidth=1.6)
-        axes.plot(x, np.where(active, z, np.nan), color=ACTIVE, linewidth=3.0, solid_capstyle="round")
+        axes.plot(
+            x, np.where(active, z, np.nan), color=ACTIVE, linewidth=3.0, solid_capstyle="round"
+        )
     else:
         size = 2.5 if z.size > FEW else 6.0
         axes.plot(x[~active], z[~active], ".", color=FREE, markersize=size)
@@ -162,7 +196,9 @@ def _draw_histogram(axes: Any, line: dict[str, Any]) -> None:
     z, active = line["z"], line["active"].astype(bool)
     axes.hist([z[~active], z[active]], bins=BINS, stacked=True, color=[FREE, ACTIVE])
     share = f"; orange: {line['active_means']}, {np.mean(active):.0%}" if active.any() else ""
-    axes.set_title(f"{z.size} values{share}\nin their places: plot(shape=…) or plot(mesh=…)", fontsize=8.5)
+    axes.set_title(
+        f"{z.size} values{share}\nin their places: plot(shape=…) or plot(mesh=…)", fontsize=8.5
+    )
     axes.set(xlabel=line["unknown"], ylabel="how many")
 
 
@@ -183,7 +219,11 @@ def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
 
 def draw_residuals(axes: Any, result: Result) -> None:
     """Draw how the residual of a recorded run fell with time."""
-    samples = [(sample.seconds, sample.residual) for sample in result.history if sample.residual is not None]
+    samples = [
+        (sample.seconds, sample.residual)
+        for sample in result.history
+        if sample.residual is not None
+    ]
     least = min([*(value for _, value in samples if value > 0.0), result.tolerance or 1.0])
     if samples:
         seconds, residuals = zip(*samples, strict=True)
@@ -191,11 +231,28 @@ def draw_residuals(axes: Any, result: Result) -> None:
         axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE)
         if zeros := [second for second, value in samples if value == 0.0]:
             axes.plot(zeros, [edge] * len(zeros), "v", color=FREE, markersize=6)
-            axes.annotate("exactly 0", (zeros[0], edge), (-6, 0), textcoords="offset points", ha="right", va="center",
-                          color=FREE, fontsize=8)
+            axes.annotate(
+                "exactly 0",
+                (zeros[0], edge),
+                (-6, 0),
+                textcoords="offset points",
+                ha="right",
+                va="center",
+                color=FREE,
+                fontsize=8,
+            )
     if result.tolerance > 0.0:
         axes.axhline(result.tolerance, color=ACTIVE, linewidth=1, linestyle="--")
-        axes.annotate("tolerance", (1.0, result.tolerance), (3, 0), xycoords=("axes fraction", "data"), rotation=90,
-                      textcoords="offset points", va="bottom", color=ACTIVE, fontsize=7)
+        axes.annotate(
+            "tolerance",
+            (1.0, result.tolerance),
+            (3, 0),
+            xycoords=("axes fraction", "data"),
+            rotation=90,
+            textcoords="offset points",
+            va="bottom",
+            color=ACTIVE,
+            fontsize=7,
+        )
     axes.locator_params(axis="x", nbins=5)
     axes.set(xlabel="seconds", ylabel="relative residual", title="how the residual fell")

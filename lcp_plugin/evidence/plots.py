@@ -32,8 +32,14 @@ SLICES, PANELS = 6, 4  # of a march: as lines, as maps
 
 
 def plot_answer(
-    answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None, rows: Any = None, over: Any = None,
-    mesh: Any = None, component: int | str = "norm",
+    answer: Any,
+    *,
+    axes: Any = None,
+    shape: Sequence[int] | None = None,
+    rows: Any = None,
+    over: Any = None,
+    mesh: Any = None,
+    component: int | str = "norm",
 ) -> Any:
     """Return matplotlib's axes with a picture of an answer.
 
@@ -85,10 +91,14 @@ def plot_answer(
 def _plot_rows(answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, over: Any) -> Any:
     """Draw z and w of some rows over their coordinates."""
     if shape is not None:
-        raise InvalidOption("shape is that of all unknowns on a grid; give it without rows and over")
+        raise InvalidOption(
+            "shape is that of all unknowns on a grid; give it without rows and over"
+        )
     if not isinstance(answer, Result) or answer.z is None:
-        raise InvalidOption(f"rows and over are for the z and w of a Result, got "
-                            f"{type(answer).__name__}; leave them out")
+        raise InvalidOption(
+            f"rows and over are for the z and w of a Result, got "
+            f"{type(answer).__name__}; leave them out"
+        )
     n = answer.z.size
     chosen, points = _checked_rows(rows, over, n)
     values = {"z": answer.z[chosen], "w": answer.w[chosen]}
@@ -106,7 +116,13 @@ def _plot_rows(answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, o
             else:
                 drawn = one.scatter(points[:, 0], points[:, 1], c=numbers, s=12)
                 if active.any():
-                    one.scatter(*points[active].T, s=26, facecolors="none", edgecolors=ACTIVE, linewidths=0.9)
+                    one.scatter(
+                        *points[active].T,
+                        s=26,
+                        facecolors="none",
+                        edgecolors=ACTIVE,
+                        linewidths=0.9,
+                    )
                 one.set(aspect="equal", xlabel="first coordinate", ylabel="second coordinate")
                 one.figure.colorbar(drawn, ax=one, label=name)
     return every[0]
@@ -115,12 +131,16 @@ def _plot_rows(answer: Any, axes: Any, shape: Sequence[int] | None, rows: Any, o
 def _plot_mesh(answer: Any, axes: Any, mesh: Any, component: int | str) -> Any:
     """Draw the unknowns of a mesh as colours, with the free boundary, or what rests on a bound, in orange."""
     if not isinstance(answer, Answer) or answer.x is None:
-        raise InvalidOption(f"mesh goes with one answer that has an x, got {type(answer).__name__}; of a batch or a "
-                            "march: answers[k].plot(mesh=…)")
+        raise InvalidOption(
+            f"mesh goes with one answer that has an x, got {type(answer).__name__}; of a batch or a "
+            "march: answers[k].plot(mesh=…)"
+        )
     points, triangles, count = _checked_mesh(mesh, len(answer.x))
     values = np.asarray(answer.x).reshape(-1, count)
     if component != "norm" and component not in range(count):
-        raise InvalidOption(f"component must be 'norm' or a whole number from 0 to {count - 1}, got {component!r}")
+        raise InvalidOption(
+            f"component must be 'norm' or a whole number from 0 to {count - 1}, got {component!r}"
+        )
     alone = int(component) if component != "norm" else 0 if count == 1 else None
     shown = values[:, alone] if alone is not None else np.linalg.norm(values, axis=1)
     lower, upper = _bounds(answer)
@@ -128,9 +148,19 @@ def _plot_mesh(answer: Any, axes: Any, mesh: Any, component: int | str) -> Any:
     beside = _panel_beside(answer)
     with _panels(axes, _shown_by_pyplot, 1 if beside is None else 2, _headline(answer)) as every:
         one, name = every[0], _unknown(answer)
-        drawn = one.tripcolor(*points.T, triangles, shown, shading="gouraud", cmap=HEIGHTS, rasterized=True)
-        label = name if count == 1 else f"‖{name}‖ of a point" if alone is None else f"{name}, component {alone}"
-        one.figure.colorbar(drawn, ax=one, shrink=0.85, pad=0.02, label=label).outline.set_visible(False)
+        drawn = one.tripcolor(
+            *points.T, triangles, shown, shading="gouraud", cmap=HEIGHTS, rasterized=True
+        )
+        label = (
+            name
+            if count == 1
+            else f"‖{name}‖ of a point"
+            if alone is None
+            else f"{name}, component {alone}"
+        )
+        one.figure.colorbar(drawn, ax=one, shrink=0.85, pad=0.02, label=label).outline.set_visible(
+            False
+        )
         if count == 1 and isinstance(answer, Result):
             free_boundary(answer, mesh=(points, triangles)).draw(one, color=ACTIVE, linewidth=1.5)
         if active.any():
@@ -150,12 +180,18 @@ def _checked_mesh(mesh: Any, n: int) -> tuple[FloatVector, Any, int]:
         points, cells = np.asarray(mesh[0], dtype=float), np.asarray(mesh[1])
     except (TypeError, ValueError, IndexError, KeyError):
         raise InvalidOption(f"{need}, got {type(mesh).__name__}") from None
-    fits = points.ndim == 2 and cells.ndim == 2 and points.shape[1] == 2 and cells.shape[1] in (3, 4)
+    fits = (
+        points.ndim == 2 and cells.ndim == 2 and points.shape[1] == 2 and cells.shape[1] in (3, 4)
+    )
     if not fits or not len(points) or n % len(points) or not np.issubdtype(cells.dtype, np.integer):
-        raise InvalidOption(f"{need}, got {points.shape} and {cells.dtype} numbers {cells.shape}; transpose what is "
-                            "stored by columns")
+        raise InvalidOption(
+            f"{need}, got {points.shape} and {cells.dtype} numbers {cells.shape}; transpose what is "
+            "stored by columns"
+        )
     if cells.size and (cells.min() < 0 or cells.max() >= len(points)):
-        raise InvalidOption(f"cells must hold numbers of points, from 0 to {len(points) - 1}, got {cells.max()}")
+        raise InvalidOption(
+            f"cells must hold numbers of points, from 0 to {len(points) - 1}, got {cells.max()}"
+        )
     if cells.shape[1] == 4:
         cells = np.concatenate([cells[:, :3], cells[:, [0, 2, 3]]])
     return points, cells, n // len(points)
@@ -190,7 +226,9 @@ def _checked_points(over: Any, chosen: Any, n: int) -> FloatVector:
     try:
         points = np.asarray(over).astype(float, casting="same_kind")
     except (TypeError, ValueError):
-        raise InvalidOption(f"{need}, got {type(over).__name__} of {np.asarray(over).dtype}") from None
+        raise InvalidOption(
+            f"{need}, got {type(over).__name__} of {np.asarray(over).dtype}"
+        ) from None
     is_shaped = points.ndim == 1 or (points.ndim == 2 and points.shape[1] == 2)
     if not is_shaped or len(points) not in (n, chosen.size) or not np.isfinite(points).all():
         raise InvalidOption(f"{need}, got shape {points.shape}; they must be finite")
@@ -214,8 +252,14 @@ def _plotted(answer: Any, axes: Any, shape: Sequence[int] | None, new: Callable[
         draw = _draw_cones
     if answer.x is None and beside is None:
         raise UnsuitableProblem(f"there is no x to draw: {answer.status.name}")
-    panels = [panel for panel in (None if answer.x is None else partial(draw, answer=answer, shape=shape), beside)
-              if panel is not None]
+    panels = [
+        panel
+        for panel in (
+            None if answer.x is None else partial(draw, answer=answer, shape=shape),
+            beside,
+        )
+        if panel is not None
+    ]
     with _panels(axes, new, len(panels), _headline(answer)) as every:
         for one, panel in zip(every, panels, strict=False):  # into the caller's axes goes the first
             panel(one)
@@ -228,19 +272,23 @@ def checked_shape(shape: Sequence[int] | None, n: int) -> tuple[int, ...] | None
         return None
     try:
         sizes = tuple(int(size) for size in shape)
-        is_whole = all(size == given and size > 0 for size, given in zip(sizes, shape, strict=True)) and bool(sizes)
+        is_whole = all(
+            size == given and size > 0 for size, given in zip(sizes, shape, strict=True)
+        ) and bool(sizes)
     except (TypeError, ValueError):
         sizes, is_whole = (), False
     if not is_whole:
         raise InvalidOption(f"shape must hold whole numbers > 0, as (rows, columns), got {shape!r}")
     if (held := int(np.prod(sizes, dtype=object))) != n:
-        raise InvalidOption(f"shape {sizes} is that of {held} unknowns, and the problem has {n}; give that of its grid")
+        raise InvalidOption(
+            f"shape {sizes} is that of {held} unknowns, and the problem has {n}; give that of its grid"
+        )
     return sizes
 
 
 def labels_of(shape: Sequence[int]) -> tuple[str, ...]:
     """Return what the axes of a grid are called."""
-    return (*(f"axis {k}" for k in range(len(shape) - len(LABELS))), *LABELS[-len(shape):])
+    return (*(f"axis {k}" for k in range(len(shape) - len(LABELS))), *LABELS[-len(shape) :])
 
 
 # --- One answer -------------------------------------------------------------------------------------------------
@@ -248,8 +296,14 @@ def labels_of(shape: Sequence[int]) -> tuple[str, ...]:
 
 def _draw_x(axes: Any, *, answer: Answer, shape: Sequence[int] | None) -> None:
     lower, upper = _bounds(answer)
-    level = contact_level(answer.certificate.problem, answer.z, answer.w) if isinstance(answer, Result) else None
-    _draw_values(axes, answer.x, lower, upper, checked_shape(shape, len(answer.x)), _unknown(answer), level)
+    level = (
+        contact_level(answer.certificate.problem, answer.z, answer.w)
+        if isinstance(answer, Result)
+        else None
+    )
+    _draw_values(
+        axes, answer.x, lower, upper, checked_shape(shape, len(answer.x)), _unknown(answer), level
+    )
 
 
 def _draw_cones(axes: Any, *, answer: Any, shape: Sequence[int] | None) -> None:
@@ -271,17 +325,38 @@ def _draw_cones(axes: Any, *, answer: Any, shape: Sequence[int] | None) -> None:
         axes.set(aspect="equal", xlim=(-1.25, 1.25), ylim=(-1.15, 1.45))
         axes.set_ylabel("second tangential impulse ÷ $\\mu\\,r_N$")
     size = float(np.clip(3000.0 / max(count, 1), 6.0, 24.0))
-    for chosen, colour, marker, word in ((motion.sticks, FREE, "o", "stick"), (slides, ACTIVE, "^", "slide")):
-        axes.scatter(shares[chosen, 0], across[chosen], s=size, color=colour, marker=marker,
-                     label=f"{np.count_nonzero(chosen)} {word}")
-    axes.scatter([], [], s=size, facecolors="none", edgecolors="#7A7A7A", label=f"{(~motion.touches).sum()} open")
+    for chosen, colour, marker, word in (
+        (motion.sticks, FREE, "o", "stick"),
+        (slides, ACTIVE, "^", "slide"),
+    ):
+        axes.scatter(
+            shares[chosen, 0],
+            across[chosen],
+            s=size,
+            color=colour,
+            marker=marker,
+            label=f"{np.count_nonzero(chosen)} {word}",
+        )
+    axes.scatter(
+        [],
+        [],
+        s=size,
+        facecolors="none",
+        edgecolors="#7A7A7A",
+        label=f"{(~motion.touches).sum()} open",
+    )
     axes.legend(loc="upper center", ncols=3, columnspacing=1.0, handletextpad=0.2)
     what = "tangential" if is_plane else "first tangential"
     axes.set(xlabel=f"{what} impulse ÷ $\\mu\\,r_N$", title="Impulses in their cones")
 
 
 def _draw_values(
-    axes: Any, x: FloatVector, lower: FloatVector, upper: FloatVector, shape: tuple[int, ...] | None, unknown: str,
+    axes: Any,
+    x: FloatVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    shape: tuple[int, ...] | None,
+    unknown: str,
     level: FloatVector | None = None,
 ) -> None:
     """Draw values as a map where they have two axes of more than one node, else by their index."""
@@ -292,19 +367,33 @@ def _draw_values(
         draw_map(axes, field | {"unknown": unknown})
         return
     axes.locator_params(axis="x", integer=True)
-    draw_line(axes, {
-        "kind": "dots", "z": x, "active": active, "x": np.arange(x.size), "x_label": "index", "unknown": unknown,
-        "active_means": "at a bound",
-    })
+    draw_line(
+        axes,
+        {
+            "kind": "dots",
+            "z": x,
+            "active": active,
+            "x": np.arange(x.size),
+            "x_label": "index",
+            "unknown": unknown,
+            "active_means": "at a bound",
+        },
+    )
 
 
 def _bounds(answer: Answer) -> tuple[FloatVector, FloatVector]:
     """Return the bounds of x."""
     problem: Any = getattr(answer, "problem", None)
-    problem = answer.certificate.problem if problem is None and isinstance(answer, Result) else problem
-    problem = getattr(answer if problem is None else problem, "program", problem)  # of a program, or beside pairs
+    problem = (
+        answer.certificate.problem if problem is None and isinstance(answer, Result) else problem
+    )
+    problem = getattr(
+        answer if problem is None else problem, "program", problem
+    )  # of a program, or beside pairs
     if getattr(problem, "is_distributed", False):
-        raise UnsuitableProblem("no rank holds the whole z: gather it, or save with LCP.save and plot elsewhere")
+        raise UnsuitableProblem(
+            "no rank holds the whole z: gather it, or save with LCP.save and plot elsewhere"
+        )
     return problem.lower, problem.upper
 
 
@@ -324,7 +413,9 @@ def _panel_beside(answer: Answer) -> Any:
         return partial(_draw_search, answer=answer)
     if not getattr(answer, "history", ()):
         return None
-    run: Any = getattr(answer, "lcp_result", answer)  # of a program, the run on its complementarity problem
+    run: Any = getattr(
+        answer, "lcp_result", answer
+    )  # of a program, the run on its complementarity problem
     return partial(draw_residuals, result=run)
 
 
@@ -343,13 +434,23 @@ def _draw_search(axes: Any, *, answer: EquilibriumResult) -> None:
             heapq.heappop(leaves)
         bounds[-1] = min(leaves[0][0], answer.value) if leaves else answer.value
     shown = np.array(bounds)
-    axes.step(np.arange(shown.size), np.where(np.isfinite(shown), shown, np.nan), where="post", color=FREE)
+    axes.step(
+        np.arange(shown.size), np.where(np.isfinite(shown), shown, np.nan), where="post", color=FREE
+    )
     if np.isfinite(answer.lower_bound):
         axes.plot([max(shown.size - 1, 0)], [answer.lower_bound], ".", color=FREE)
     if np.isfinite(answer.value):
         axes.axhline(answer.value, color=ACTIVE, linewidth=1, linestyle="--")
-        axes.annotate("objective found", (0.99, answer.value), (0, 3), xycoords=("axes fraction", "data"),
-                      textcoords="offset points", ha="right", color=ACTIVE, fontsize=8)
+        axes.annotate(
+            "objective found",
+            (0.99, answer.value),
+            (0, 3),
+            xycoords=("axes fraction", "data"),
+            textcoords="offset points",
+            ha="right",
+            color=ACTIVE,
+            fontsize=8,
+        )
     axes.locator_params(axis="x", integer=True)
     axes.set(xlabel="nodes branched on", ylabel="proved lower bound", title=f"gap {answer.gap:.1e}")
 
@@ -357,7 +458,9 @@ def _draw_search(axes: Any, *, answer: EquilibriumResult) -> None:
 # --- Sequences --------------------------------------------------------------------------------------------------
 
 
-def _plot_march(march: March, axes: Any, shape: Sequence[int] | None, new: Callable[..., Any]) -> Any:
+def _plot_march(
+    march: March, axes: Any, shape: Sequence[int] | None, new: Callable[..., Any]
+) -> Any:
     if not len(march):
         raise UnsuitableProblem("the march has no step to draw")
     grid = checked_shape(shape, march[0].z.size)
@@ -394,7 +497,9 @@ def _plot_batch(
     if shape is not None:
         raise InvalidOption("shape goes with one answer: answers[k].plot(shape=…)")
     status: list[Status | None] = list(answers.status)
-    table: Any = getattr(answers, "iterations", None)  # of a batch; a list of answers is looked at one by one
+    table: Any = getattr(
+        answers, "iterations", None
+    )  # of a batch; a list of answers is looked at one by one
     if table is None:
         table = [0 if one is None else answers[k].iterations for k, one in enumerate(status)]
     iterations = np.asarray(table, dtype=np.intp)
@@ -405,17 +510,26 @@ def _plot_batch(
     names = [f"no {answers.ITEM}" if one is None else one.name for one in kinds]
     colours = [ACTIVE if one is not Status.SOLVED else FREE for one in kinds]
     others = iter([*COLOURS.values()][2:])
-    colours = [colour if colour not in colours[:k] else next(others) for k, colour in enumerate(colours)]
+    colours = [
+        colour if colour not in colours[:k] else next(others) for k, colour in enumerate(colours)
+    ]
     with _panels(axes, new, 1) as every:
         one = every[0]
         if kinds:
-            one.hist(counts, bins=edges, stacked=True, color=colours, label=[
-                f"{name}: {len(count)}" for name, count in zip(names, counts, strict=True)
-            ])
+            one.hist(
+                counts,
+                bins=edges,
+                stacked=True,
+                color=colours,
+                label=[f"{name}: {len(count)}" for name, count in zip(names, counts, strict=True)],
+            )
             one.legend(fontsize="small")
         one.locator_params(integer=True)
-        one.set(xlabel="iterations", ylabel=f"{answers.ITEM}s", title=f"{len(status)} {answers.ITEM}s, "
-                 f"{answers.seconds:.3g} s")
+        one.set(
+            xlabel="iterations",
+            ylabel=f"{answers.ITEM}s",
+            title=f"{len(status)} {answers.ITEM}s, {answers.seconds:.3g} s",
+        )
     return every[0]
 
 

@@ -58,7 +58,9 @@ SOLVERS = {
     "osqp": Solver("OSQP", {**_TIGHT, "max_iter": 1_000_000}, "time_limit"),
     "scs": Solver("SCS", {**_TIGHT, "max_iters": 1_000_000}, "time_limit_secs"),
     "piqp": Solver("PIQP", _TIGHT, None),
-    "clarabel": Solver("CLARABEL", {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}, "time_limit"),
+    "clarabel": Solver(
+        "CLARABEL", {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}, "time_limit"
+    ),
     "highs": Solver("HIGHS", {}, "time_limit", largest=2000),
 }
 
@@ -86,7 +88,15 @@ class Equilibrated:
             A = problem.M / weight[:, None] / weight
         unit = _unit(problem, weight)
         c = problem.q / weight / unit
-        return cls(problem, weight, unit, A, c, weight * problem.lower / unit, weight * problem.upper / unit)
+        return cls(
+            problem,
+            weight,
+            unit,
+            A,
+            c,
+            weight * problem.lower / unit,
+            weight * problem.upper / unit,
+        )
 
     def answer(self, y: FloatVector) -> FloatVector:
         """Return z of y, moved onto the bounds that it violates by rounding."""
@@ -99,7 +109,10 @@ def _unit(problem: LCP, weight: FloatVector) -> float:
     """Return the size of D^½ r(z°), else of the data, else 1."""
     z = problem.nearest_to_zero
     residual = scaled_residual(problem, z, problem.slack(z), weight * weight)
-    sizes = (float(np.max(np.abs(v), initial=0.0)) for v in (weight * residual, problem.q / weight, weight * z))
+    sizes = (
+        float(np.max(np.abs(v), initial=0.0))
+        for v in (weight * residual, problem.q / weight, weight * z)
+    )
     return next((size for size in sizes if 0.0 < size < np.inf), 1.0)
 
 
@@ -113,7 +126,9 @@ def accuracy(certificate: Certificate) -> float:
         return max(certificate.relative_residual, certificate.term_residual**2)
     residual = np.abs(scaled_residual(problem, z, w))
     beside = np.maximum(np.abs(z), np.abs(w) / problem.residual_scale)
-    return float(np.divide(residual, beside, out=np.zeros(z.size), where=residual > 0.0).max(initial=0.0))
+    return float(
+        np.divide(residual, beside, out=np.zeros(z.size), where=residual > 0.0).max(initial=0.0)
+    )
 
 
 # --- Is there a convex program? -----------------------------------------------------------------------------
@@ -147,7 +162,9 @@ class Formulation:
             matrix = "M is symmetric"
         else:
             i, j = place
-            matrix = f"M is not symmetric (M[{i}, {j}] and M[{j}, {i}] differ); its symmetric part is"
+            matrix = (
+                f"M is not symmetric (M[{i}, {j}] and M[{j}, {i}] differ); its symmetric part is"
+            )
         negative = np.flatnonzero(problem.diagonal < 0.0)
         if negative.size:
             i = int(negative[0])
@@ -155,9 +172,16 @@ class Formulation:
         # Entries of A above 1 are skew ones: their rounding stays behind when the symmetric part cancels them.
         shift = 4.0 * (problem.n + 2) * EPSILON * max(1.0, float(abs(scaled.A).max()))
         if factorised(symmetric_part(scaled.A), shift) is None:
-            return cls(None, f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}", scaled, shift)
+            return cls(
+                None,
+                f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}",
+                scaled,
+                shift,
+            )
         kind = PLAIN if place is None else GAP
-        return cls(kind, f"{matrix} positive semidefinite: factorised at shift {shift:.1e}", scaled, shift)
+        return cls(
+            kind, f"{matrix} positive semidefinite: factorised at shift {shift:.1e}", scaled, shift
+        )
 
 
 # --- Asking a convex solver ---------------------------------------------------------------------------------
@@ -185,20 +209,28 @@ class ReferenceRun:
 
     def __str__(self) -> str:
         said = "no answer" if self.certificate is None else f"relative residual {self.residual:.1e}"
-        return f"{self.name}: {said}, {self.seconds:.2g} s" + (f" ({self.note})" if self.note else "")
+        return f"{self.name}: {said}, {self.seconds:.2g} s" + (
+            f" ({self.note})" if self.note else ""
+        )
 
 
-def attempts(formulation: Formulation, reference: str, max_seconds: float) -> Iterator[ReferenceRun]:
+def attempts(
+    formulation: Formulation, reference: str, max_seconds: float
+) -> Iterator[ReferenceRun]:
     """Yield what the references give, one by one, the most accurate solver first; "auto" asks all that n permits."""
     for name, solver in SOLVERS.items():
-        if reference == name or (reference == "auto" and formulation.scaled.problem.n <= solver.largest):
+        if reference == name or (
+            reference == "auto" and formulation.scaled.problem.n <= solver.largest
+        ):
             yield attempt(formulation, name, max_seconds)
 
 
 def check_reference(reference: object) -> None:
     """Raise InvalidOption where there is no such reference."""
     if not isinstance(reference, str) or (reference != "auto" and reference not in SOLVERS):
-        raise InvalidOption(f"unknown reference {reference!r}{did_you_mean(reference, ['auto', *SOLVERS])}")
+        raise InvalidOption(
+            f"unknown reference {reference!r}{did_you_mean(reference, ['auto', *SOLVERS])}"
+        )
 
 
 def attempt(formulation: Formulation, name: str, max_seconds: float) -> ReferenceRun:
@@ -227,7 +259,9 @@ def attempt(formulation: Formulation, name: str, max_seconds: float) -> Referenc
 
 def quadratic_program(scaled: Equilibrated) -> QuadraticProgram:
     """Return min ½ yᵀAy + cᵀy over the bounds, A symmetric positive semidefinite."""
-    return QuadraticProgram(symmetric_part(scaled.A), scaled.c, lower=scaled.lower, upper=scaled.upper)
+    return QuadraticProgram(
+        symmetric_part(scaled.A), scaled.c, lower=scaled.lower, upper=scaled.upper
+    )
 
 
 def gap_program(scaled: Equilibrated) -> QuadraticProgram:
@@ -239,9 +273,13 @@ def gap_program(scaled: Equilibrated) -> QuadraticProgram:
     low, high = (np.flatnonzero(np.isfinite(bound)) for bound in (scaled.lower, scaled.upper))
     slacks = low.size + high.size
     return QuadraticProgram(
-        sp.block_diag([2.0 * sp.csc_array(symmetric_part(scaled.A)), sp.csc_array((slacks, slacks))], format="csc"),
+        sp.block_diag(
+            [2.0 * sp.csc_array(symmetric_part(scaled.A)), sp.csc_array((slacks, slacks))],
+            format="csc",
+        ),
         np.concatenate([scaled.c, -scaled.lower[low], scaled.upper[high]]),
-        A=sp.hstack([sp.csr_array(scaled.A), -unit[:, low], unit[:, high]], format="csr"), b=-scaled.c,
+        A=sp.hstack([sp.csr_array(scaled.A), -unit[:, low], unit[:, high]], format="csr"),
+        b=-scaled.c,
         lower=np.concatenate([scaled.lower, np.zeros(slacks)]),
         upper=np.concatenate([scaled.upper, np.full(slacks, np.inf)]),
     )

@@ -21,22 +21,61 @@ from .drawing import FORMATS, Line, Panel, draw_panels, save
 from .exporting import AnyPath, Table, csv_text, number, save_tables, write_text
 
 VALUES = {
-    "iterations": "iterations", "work": "work [passes over M]", "seconds": "time [s], set-up included",
-    "residual": "relative residual", "error": "error ‖z − z*‖∞", "radius": "spectral radius of the bound T",
+    "iterations": "iterations",
+    "work": "work [passes over M]",
+    "seconds": "time [s], set-up included",
+    "residual": "relative residual",
+    "error": "error ‖z − z*‖∞",
+    "radius": "spectral radius of the bound T",
 }
 RESULTS = {
-    "work": "work", "seconds": "seconds", "seconds_low": "25 %", "seconds_high": "75 %", "residual": "residual",
+    "work": "work",
+    "seconds": "seconds",
+    "seconds_low": "25 %",
+    "seconds_high": "75 %",
+    "residual": "residual",
     "error": "error",
 }
 GROWING = ("iterations", "work", "seconds")
-VIEWS = (*VALUES, "results", "profile", "profile-seconds", "curves", "curves-work", "curves-seconds")
+VIEWS = (
+    *VALUES,
+    "results",
+    "profile",
+    "profile-seconds",
+    "curves",
+    "curves-work",
+    "curves-seconds",
+)
 COLUMNS = (
-    "problem", "size", "n", "nonzeros", "method", "family", "status", "iterations", "work", "seconds", "seconds_low",
-    "seconds_high", "setup_seconds", "residual", "error", "error_kind", "tolerance", "repeats", "note", "machine",
-    "radius", "key", "points",
+    "problem",
+    "size",
+    "n",
+    "nonzeros",
+    "method",
+    "family",
+    "status",
+    "iterations",
+    "work",
+    "seconds",
+    "seconds_low",
+    "seconds_high",
+    "setup_seconds",
+    "residual",
+    "error",
+    "error_kind",
+    "tolerance",
+    "repeats",
+    "note",
+    "machine",
+    "radius",
+    "key",
+    "points",
 )
 RATIOS = (1.0, 2.0, 5.0, math.inf)
-LEAST_SIZES, FITS = 3, 1.2  # behind an exponent: sizes, and the largest factor between a value and its fit
+LEAST_SIZES, FITS = (
+    3,
+    1.2,
+)  # behind an exponent: sizes, and the largest factor between a value and its fit
 NEEDS_SIZES = f"needs {LEAST_SIZES} solved sizes"
 
 
@@ -94,20 +133,45 @@ class Row:
     @classmethod
     def from_content(cls, content: Mapping[str, Any]) -> Row:
         """Return what a line of the file of raw results says."""
-        numbers = {name: number(content[name] or None) for name in (
-            "work", "seconds", "seconds_low", "seconds_high", "setup_seconds", "residual", "error"
-        )}
+        numbers = {
+            name: number(content[name] or None)
+            for name in (
+                "work",
+                "seconds",
+                "seconds_low",
+                "seconds_high",
+                "setup_seconds",
+                "residual",
+                "error",
+            )
+        }
         points: tuple[Point, ...] = ()
         if content["points"]:
-            points = tuple(Point(int(one[0]), *map(number, one[1:])) for one in json.loads(content["points"]))
+            points = tuple(
+                Point(int(one[0]), *map(number, one[1:])) for one in json.loads(content["points"])
+            )
         elif content["iterations"] != "":
             setup = numbers.pop("setup_seconds")
-            points = (Point(0, 0.0, setup, setup, setup), Point(int(content["iterations"]), **numbers))
-        curve = Curve(content["method"], content["family"], content["status"], points, content["note"])
+            points = (
+                Point(0, 0.0, setup, setup, setup),
+                Point(int(content["iterations"]), **numbers),
+            )
+        curve = Curve(
+            content["method"], content["family"], content["status"], points, content["note"]
+        )
         size = None if content["size"] in ("", None) else int(content["size"])
-        return cls(content["problem"], size, int(content["n"] or 0), int(content["nonzeros"] or 0),
-                   content["error_kind"], float(content["tolerance"]), int(content["repeats"]), curve,
-                   content["machine"], number(content["radius"] or None))
+        return cls(
+            content["problem"],
+            size,
+            int(content["n"] or 0),
+            int(content["nonzeros"] or 0),
+            content["error_kind"],
+            float(content["tolerance"]),
+            int(content["repeats"]),
+            curve,
+            content["machine"],
+            number(content["radius"] or None),
+        )
 
 
 @dataclass(frozen=True)
@@ -145,8 +209,15 @@ class Study:
             cases.setdefault((row.problem, row.size), []).append(row)
         return [
             Report(
-                f"{problem}, n={own[0].n}", "", own[0].n, own[0].nonzeros, own[0].error_kind, own[0].tolerance,
-                own[0].repeats, math.nan, tuple(row.curve for row in own if row.curve.points),
+                f"{problem}, n={own[0].n}",
+                "",
+                own[0].n,
+                own[0].nonzeros,
+                own[0].error_kind,
+                own[0].tolerance,
+                own[0].repeats,
+                math.nan,
+                tuple(row.curve for row in own if row.curve.points),
             )
             for (problem, _), own in cases.items()
         ]
@@ -168,7 +239,11 @@ class Study:
         return float(fit[0]) if np.abs(np.polyval(fit, x) - y).max() <= math.log(FITS) else math.nan
 
     def _series(self, problem: str, method: str, value: str) -> tuple[list[int], list[float]]:
-        found = [(row.n, row.value(value)) for row in self.rows if (row.problem, row.curve.label) == (problem, method)]
+        found = [
+            (row.n, row.value(value))
+            for row in self.rows
+            if (row.problem, row.curve.label) == (problem, method)
+        ]
         solved = {n: y for n, y in found if y is not None and y > 0.0}
         return list(solved), list(solved.values())
 
@@ -183,17 +258,36 @@ class Study:
         _check_view(view)
         if view == "results":
             rows = [
-                (row.problem, row.n, row.curve.label, row.shown("iterations"), *map(row.value, RESULTS))
+                (
+                    row.problem,
+                    row.n,
+                    row.curve.label,
+                    row.shown("iterations"),
+                    *map(row.value, RESULTS),
+                )
                 for row in self.rows
             ]
-            return [Table("Results", ("problem", "n", "method", "iterations", *RESULTS.values()), rows)]
+            return [
+                Table("Results", ("problem", "n", "method", "iterations", *RESULTS.values()), rows)
+            ]
         if view.startswith("profile"):
             profile = self.profile("seconds" if view.endswith("seconds") else "work")
-            rows = [(label, *(profile.share(label, ratio) for ratio in RATIOS)) for label in profile.labels]
+            rows = [
+                (label, *(profile.share(label, ratio) for ratio in RATIOS))
+                for label in profile.labels
+            ]
             heads = ("method", *(f"within {ratio:g}" for ratio in RATIOS[:-1]), "at all")
-            return [Table(f"Share of problems solved within a multiple of the least {profile.by}", heads, rows)]
+            return [
+                Table(
+                    f"Share of problems solved within a multiple of the least {profile.by}",
+                    heads,
+                    rows,
+                )
+            ]
         if view.startswith("curves"):
-            raise InvalidOption("curves are a picture: save them as .pdf, .svg or .png; the points stand in the CSV")
+            raise InvalidOption(
+                "curves are a picture: save them as .pdf, .svg or .png; the points stand in the CSV"
+            )
         return [self._values(problem, view) for problem in self.problems]
 
     def _values(self, problem: str, value: str) -> Table:
@@ -203,12 +297,18 @@ class Study:
         cells = {(row.curve.label, row.size): row.shown(value) for row in rows}
         fits = value in GROWING and len(sizes) >= LEAST_SIZES
         table = [
-            (method, *(cells.get((method, size)) for size in sizes),
-             *([self._exponent_or_reason(problem, method, value)] if fits else []))
+            (
+                method,
+                *(cells.get((method, size)) for size in sizes),
+                *([self._exponent_or_reason(problem, method, value)] if fits else []),
+            )
             for method in self.methods
         ]
-        heads = ("method", *(f"n = {n[size]}" if size in n else f"size {size}" for size in sizes),
-                 *(["exponent"] if fits else []))
+        heads = (
+            "method",
+            *(f"n = {n[size]}" if size in n else f"size {size}" for size in sizes),
+            *(["exponent"] if fits else []),
+        )
         return Table(f"{problem}: {VALUES[value]}", heads, table)
 
     def _exponent_or_reason(self, problem: str, method: str, value: str) -> float | str:
@@ -216,7 +316,11 @@ class Study:
         power = self.exponent(problem, method, value)
         if not math.isnan(power):
             return round(power, 2) + 0.0
-        return "no power" if len(self._series(problem, method, value)[0]) >= LEAST_SIZES else NEEDS_SIZES
+        return (
+            "no power"
+            if len(self._series(problem, method, value)[0]) >= LEAST_SIZES
+            else NEEDS_SIZES
+        )
 
     def plot(self, view: str = "work") -> Any:
         """Return a matplotlib figure of a view, a panel a problem; `save` writes it into a file.
@@ -236,7 +340,9 @@ class Study:
         if view.startswith("profile"):
             return self.profile("seconds" if view.endswith("seconds") else "work").plot()
         if view == "results":
-            raise InvalidOption("results are a table: save them as .csv, .md or .tex; a picture shows a value")
+            raise InvalidOption(
+                "results are a table: save them as .csv, .md or .tex; a picture shows a value"
+            )
         if view.startswith("curves"):
             if all(len(row.curve.points) <= 2 for row in self.rows):
                 raise InvalidOption("this study kept no curves; write study(…, curves=True)")
@@ -254,7 +360,9 @@ class Study:
             power = self.exponent(problem, method, value) if value in GROWING else math.nan
             text = "" if math.isnan(power) else f"$n^{{{round(power, 2) + 0.0:.2f}}}$"
             lines.append(Line(method, families[method], np.array(x), np.array(y), text=text))
-        return Panel(problem, [line for line in lines if len(line.x)], "unknowns n", VALUES[value], "sizes")
+        return Panel(
+            problem, [line for line in lines if len(line.x)], "unknowns n", VALUES[value], "sizes"
+        )
 
     def save(self, view: str, path: AnyPath) -> None:
         """Write a view as a table (.tex, .md, .csv) or a picture (.pdf, .svg, .png)."""
@@ -264,8 +372,11 @@ class Study:
             save_tables(self.table(view), path)
 
     def __str__(self) -> str:
-        lines = [f"{row.problem:<20} {f'n = {row.n}' if row.n else '':<12} {row.curve.label:<20} "
-                 f"{row.curve.status:<15} {row.curve.summary()}" for row in self.rows]
+        lines = [
+            f"{row.problem:<20} {f'n = {row.n}' if row.n else '':<12} {row.curve.label:<20} "
+            f"{row.curve.status:<15} {row.curve.summary()}"
+            for row in self.rows
+        ]
         return "\n".join([*lines, *(f"missing: {what}" for what in self.missing)])
 
 
@@ -296,7 +407,9 @@ class ResultsFile:
             if path.exists():
                 self._read_all(path)
             else:
-                write_text(path, csv_text(COLUMNS, ()))  # what cannot be written is reported before anything runs
+                write_text(
+                    path, csv_text(COLUMNS, ())
+                )  # what cannot be written is reported before anything runs
 
     def _read_all(self, path: Path) -> None:
         try:
@@ -305,13 +418,19 @@ class ResultsFile:
             if text.partition("\n")[0] != ",".join(COLUMNS):
                 raise ValueError
         except (OSError, ValueError, csv.Error):
-            raise UnreadableFile(f"{path} holds no results of a study; choose another name") from None
+            raise UnreadableFile(
+                f"{path} holds no results of a study; choose another name"
+            ) from None
         self.rows = {(row["problem"], name_of(row["size"], row["method"])): row for row in lines}
 
     def read(self, part: Part) -> dict[str, Any] | None:
         """Return the row of a part, None where there is none, where it raised, or where something has changed."""
         row = self.rows.get((part.kind, part.name))
-        if row is None or row["status"] == "ERROR" or (self.with_points and row["iterations"] and not row["points"]):
+        if (
+            row is None
+            or row["status"] == "ERROR"
+            or (self.with_points and row["iterations"] and not row["points"])
+        ):
             return None
         return row if row["key"] == part.key(self.program) else None
 
@@ -321,4 +440,7 @@ class ResultsFile:
             return
         content["key"] = part.key(self.program)
         self.rows[part.kind, part.name] = content
-        write_text(self.path, csv_text(COLUMNS, ([row[name] for name in COLUMNS] for row in self.rows.values())))
+        write_text(
+            self.path,
+            csv_text(COLUMNS, ([row[name] for name in COLUMNS] for row in self.rows.values())),
+        )

@@ -31,16 +31,21 @@ from .stresses import FAMILIES, StressCase
 Progress = Callable[[int, int, str], Any]
 
 EPSILON = 2.0**-52
-WELL_POSED = 1e-9  # condition × machine epsilon below this: double precision holds nine digits of the answer
+WELL_POSED = (
+    1e-9  # condition × machine epsilon below this: double precision holds nine digits of the answer
+)
 MAX_ITERATIONS, MAX_ITERATIONS_QUICK = 50_000, 5_000
 MISLEADING = 1e-3
 REFUSED, ERROR = "REFUSED", "ERROR"
 RANGES, PROVED = "ranges", "proved ranges"
 WRONG, HIDDEN = "wrong but SOLVED", "z off by condition × residual"
 OUTCOMES = {  # colour and sign
-    "right": ("#DDEBF7", ""), "says that it failed": ("#BDBDBD", "–"), "refused": ("#FFFFFF", "/"),
+    "right": ("#DDEBF7", ""),
+    "says that it failed": ("#BDBDBD", "–"),
+    "refused": ("#FFFFFF", "/"),
     "raised an error": ("#7A7A7A", "!"),
-    HIDDEN: ("#FDD49E", "≈"), WRONG: ("#B2182B", "✗"),
+    HIDDEN: ("#FDD49E", "≈"),
+    WRONG: ("#B2182B", "✗"),
 }
 
 
@@ -90,14 +95,15 @@ class Cell:
         """True where condition × machine epsilon < 1e-9."""
         return self.condition * EPSILON < WELL_POSED
 
-
     @property
     def outcome(self) -> str:
         """One of `OUTCOMES`, the colours of a map."""
         if self.status in (REFUSED, ERROR):
             return "refused" if self.status == REFUSED else "raised an error"
         is_off = self.status == "SOLVED" and self.true_error > MISLEADING
-        if not self.told_the_truth or (is_off and (self.family == PROVED or self.digits_lost >= 1.0)):
+        if not self.told_the_truth or (
+            is_off and (self.family == PROVED or self.digits_lost >= 1.0)
+        ):
             return WRONG
         return HIDDEN if is_off else "right" if self.status == "SOLVED" else "says that it failed"
 
@@ -137,19 +143,26 @@ class Atlas(Exported):
     @property
     def misleading(self) -> tuple[Cell, ...]:
         """The cells that are SOLVED, as the residual has it, with an error of more than a thousandth."""
-        return tuple(cell for cell in self.cells if cell.status == "SOLVED" and cell.true_error > MISLEADING)
+        return tuple(
+            cell for cell in self.cells if cell.status == "SOLVED" and cell.true_error > MISLEADING
+        )
 
     @property
     def solved_share(self) -> float:
         """Share of SOLVED among the well-posed cells, refusals and errors included; 1 where there are none."""
         well_posed = self.well_posed
-        return sum(cell.status == "SOLVED" for cell in well_posed) / len(well_posed) if well_posed else 1.0
+        return (
+            sum(cell.status == "SOLVED" for cell in well_posed) / len(well_posed)
+            if well_posed
+            else 1.0
+        )
 
     def summary(self) -> str:
         """Return the counts, then in plain lines every lie, every other cell that is not SOLVED, every hidden error."""
         counts = Counter(cell.status for cell in self.cells)
         lines = [
-            f"{len(self.cells)} cells: " + ", ".join(f"{count} {status}" for status, count in counts.most_common()),
+            f"{len(self.cells)} cells: "
+            + ", ".join(f"{count} {status}" for status, count in counts.most_common()),
             f"{len(self.lies)} lies",
             f"{self.solved_share:.1%} of the {len(self.well_posed)} cells with condition × 2^-52 < 1e-9 are SOLVED",
         ]
@@ -175,7 +188,9 @@ class Atlas(Exported):
                 kind, _, extent = cell.stress.partition(" 1e")
                 maps.setdefault(cell.algorithm, {})[kind, extent] = cell.outcome
         if not maps:
-            raise InvalidOption(f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])')
+            raise InvalidOption(
+                f'this atlas has no {family!r}; make it with stability_atlas(names, ["{family}"])'
+            )
         title = "SOLVED by the residual" if family == RANGES else "SOLVED by a proved error"
         return draw_maps(maps, OUTCOMES, title, width)
 
@@ -232,7 +247,9 @@ def stability_atlas(
     (['SOLVED', 'SOLVED', 'SOLVED'], ())
     """
     if progress is not None and not callable(progress):
-        raise InvalidOption(f"progress must be callable as progress(done, total, label), got {progress!r}")
+        raise InvalidOption(
+            f"progress must be callable as progress(done, total, label), got {progress!r}"
+        )
     entrants = contestants(["auto", *REGISTRY] if algorithms is None else algorithms)
     families = _families(stresses)
     cases = [(family, case) for family in families for case in FAMILIES[family](quick)]
@@ -259,11 +276,15 @@ def _families(stresses: Any) -> list[str]:
     return chosen
 
 
-def _cell(family: str, case: StressCase, name: str, algorithm: str | Algorithm, quick: bool) -> Cell | tuple[str, str]:
+def _cell(
+    family: str, case: StressCase, name: str, algorithm: str | Algorithm, quick: bool
+) -> Cell | tuple[str, str]:
     """Return the cell, or what was left out and why where the algorithm does not take this kind of problem."""
     is_true, certified, error, residual = False, None, math.nan, math.nan
     try:
-        result = _strictly_solved(case, algorithm, MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS)
+        result = _strictly_solved(
+            case, algorithm, MAX_ITERATIONS_QUICK if quick else MAX_ITERATIONS
+        )
     except UnsuitableProblem as refusal:
         return f"{name} on {case.stress}", str(refusal)
     except UnsuitableMatrix as refusal:
@@ -276,18 +297,42 @@ def _cell(family: str, case: StressCase, name: str, algorithm: str | Algorithm, 
         residual, bound = result.certificate.relative_residual, result.error_bound
         if case.exact is not None and np.isfinite(result.z).all():
             error = relative_error(result.z, case.exact, case.units, has_line=case.has_line)
-        certified = None if bound is None else bool(bound.kind == "rigorous" and math.isfinite(bound.infinity))
+        certified = (
+            None
+            if bound is None
+            else bool(bound.kind == "rigorous" and math.isfinite(bound.infinity))
+        )
     lost = _digits_lost(error, case.condition, residual)
-    return Cell(name, case.stress, family, case.condition, status, error, residual, certified, lost, is_true, note)
+    return Cell(
+        name,
+        case.stress,
+        family,
+        case.condition,
+        status,
+        error,
+        residual,
+        certified,
+        lost,
+        is_true,
+        note,
+    )
 
 
 def _strictly_solved(case: StressCase, algorithm: str | Algorithm, limit: int) -> Result:
-    with warnings.catch_warnings(), np.errstate(over="warn", divide="warn", invalid="warn", under="ignore"):
+    with (
+        warnings.catch_warnings(),
+        np.errstate(over="warn", divide="warn", invalid="warn", under="ignore"),
+    ):
         warnings.simplefilter("error")
         is_bounded = case.problem.n <= 2500  # a bound of more unknowns takes longer than the run
         return solve(
-            case.problem, algorithm, z0=case.start, max_iterations=limit, error_bound=is_bounded,
-            tolerance=case.tolerance, tolerance_on=case.tolerance_on,
+            case.problem,
+            algorithm,
+            z0=case.start,
+            max_iterations=limit,
+            error_bound=is_bounded,
+            tolerance=case.tolerance,
+            tolerance_on=case.tolerance_on,
         )
 
 

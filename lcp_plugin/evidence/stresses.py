@@ -61,7 +61,11 @@ class StressCase:
     @cached_property
     def exact(self) -> Answer | None:
         """z* in fractions, verified exactly; None where there is no solution."""
-        return None if self.near is None else exact_answer(self.problem, [float(value) for value in self.near])
+        return (
+            None
+            if self.near is None
+            else exact_answer(self.problem, [float(value) for value in self.near])
+        )
 
     @cached_property
     def condition(self) -> float:
@@ -71,12 +75,16 @@ class StressCase:
         return condition_of_answer(self.problem, self.exact, self.units)
 
 
-def grid(size: int, centre: Any = 4.0, below: Any = (-1.0, -1.0), above: Any = (-1.0, -1.0)) -> sp.csr_array:
+def grid(
+    size: int, centre: Any = 4.0, below: Any = (-1.0, -1.0), above: Any = (-1.0, -1.0)
+) -> sp.csr_array:
     """Return a five-point matrix on size × size nodes, −Δ by default."""
     return stencil_matrix((size, size), centre, below, above)
 
 
-def pattern(n: int, *, active: float = 0.5, degenerate: float = 0.0, seed: int = 0) -> tuple[FloatVector, FloatVector]:
+def pattern(
+    n: int, *, active: float = 0.5, degenerate: float = 0.0, seed: int = 0
+) -> tuple[FloatVector, FloatVector]:
     """Return complementary integer vectors z, w with these shares of active and, among them, degenerate rows."""
     generator = np.random.default_rng(seed)
     z, w = generator.integers(1, LARGEST_INTEGER + 1, size=(2, n)).astype(np.float64)
@@ -91,11 +99,16 @@ def pattern(n: int, *, active: float = 0.5, degenerate: float = 0.0, seed: int =
 def planted(stress: str, M: Any, z: FloatVector, w: FloatVector, **facts: Any) -> StressCase:
     """Return the case with q = w − M z, each entry rounded once; the exact answer then belongs to the rounded q."""
     unrounded = exact_slack(LCP(M, np.zeros(z.size)), z)
-    q = [float(Fraction(value) - product) for value, product in zip(w.tolist(), unrounded, strict=True)]
+    q = [
+        float(Fraction(value) - product)
+        for value, product in zip(w.tolist(), unrounded, strict=True)
+    ]
     return StressCase(stress=stress, problem=LCP(M, q), near=z, **facts)
 
 
-def half_active(stress: str, M: Any, *, degenerate: float = 0.0, seed: int = 0, **facts: Any) -> StressCase:
+def half_active(
+    stress: str, M: Any, *, degenerate: float = 0.0, seed: int = 0, **facts: Any
+) -> StressCase:
     """Return a case with this matrix and an answer of small integers, half of it active, here and there.
 
     On the active rows w is a small integer times the diagonal.
@@ -110,15 +123,25 @@ def mostly_free(stress: str, M: Any, *, seed: int = 0, **facts: Any) -> StressCa
     What couples far-off rows can then be felt.
     """
     n = M.shape[0]
-    z, w = np.random.default_rng(seed).integers(1, LARGEST_INTEGER + 1, size=(2, n)).astype(np.float64)
+    z, w = (
+        np.random.default_rng(seed).integers(1, LARGEST_INTEGER + 1, size=(2, n)).astype(np.float64)
+    )
     is_active = np.arange(n) < n // 5
-    return planted(stress, M, np.where(is_active, 0.0, z), np.where(is_active, w * np.abs(M.diagonal()), 0.0), **facts)
+    return planted(
+        stress,
+        M,
+        np.where(is_active, 0.0, z),
+        np.where(is_active, w * np.abs(M.diagonal()), 0.0),
+        **facts,
+    )
 
 
 def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase:
     """Return the case with rows multiplied by `row` and z measured in units of 1/`column`."""
     problem = case.problem
-    row, column = (np.broadcast_to(np.asarray(factor, dtype=np.float64), problem.n) for factor in (row, column))
+    row, column = (
+        np.broadcast_to(np.asarray(factor, dtype=np.float64), problem.n) for factor in (row, column)
+    )
     M = problem.csr.copy()
     # One factor after the other: their product may overflow although the entry does not.
     data = M.data * np.repeat(row, np.diff(M.indptr)) * column[M.indices]
@@ -127,7 +150,12 @@ def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase
     near = None if case.near is None else np.asarray(case.near) * unit
     start = None if case.start is None else case.start * unit
     return StressCase(
-        stress=stress, problem=LCP(scaled, problem.q * row), near=near, start=start, unit=unit, has_line=case.has_line
+        stress=stress,
+        problem=LCP(scaled, problem.q * row),
+        near=near,
+        start=start,
+        unit=unit,
+        has_line=case.has_line,
     )
 
 
@@ -139,7 +167,9 @@ def stiffness(quick: bool) -> Iterator[StressCase]:
     for delta in (1e-4, 1e-12, 0.0):
         yield mostly_free(f"delta={delta:g}", grid(SIDE, 4.0 + delta))
     for ratio in (1e-3, 1e-6, 1e-12):
-        yield mostly_free(f"anisotropy={ratio:g}", grid(SIDE, 2.0 + 2.0 * ratio, (-1.0, -ratio), (-1.0, -ratio)))
+        yield mostly_free(
+            f"anisotropy={ratio:g}", grid(SIDE, 2.0 + 2.0 * ratio, (-1.0, -ratio), (-1.0, -ratio))
+        )
     for contrast in (1e4, 1e12):
         yield mostly_free(f"contrast={contrast:g}", _island(contrast))
         yield mostly_free(f"contrast={1 / contrast:g}", _island(1.0 / contrast))
@@ -163,7 +193,9 @@ def ranges(quick: bool) -> Iterator[StressCase]:
         if k <= MOST["contrast"]:
             yield mostly_free(f"contrast 1e{k}", _island(10.0**k))
         if k <= MOST["aspect"]:
-            yield mostly_free(f"aspect 1e{k}", grid(SIDE, 2.0 + 2.0 * tiny, (-1.0, -tiny), (-1.0, -tiny)))
+            yield mostly_free(
+                f"aspect 1e{k}", grid(SIDE, 2.0 + 2.0 * tiny, (-1.0, -tiny), (-1.0, -tiny))
+            )
         if k <= MOST["margin"]:
             yield planted(f"margin 1e{k}", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free())
         yield rescaled(f"units 1e{k}", base, factors, np.roll(factors, 1))
@@ -213,7 +245,9 @@ def singularity(quick: bool) -> Iterator[StressCase]:
     """Yield nearly singular and singular matrices, with one solution, with many, with none."""
     for bits in (10, 20, 30, 40):
         rho = 1.0 - 2.0**-bits
-        yield planted(f"H+ with 1 - rho = 2^-{bits}", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free())
+        yield planted(
+            f"H+ with 1 - rho = 2^-{bits}", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free()
+        )
     for n in (3, 5, 8):
         yield mostly_free(f"Hilbert matrix, n={n}", _hilbert(n))
     ring = _ring(12)
@@ -246,9 +280,17 @@ def degeneracy(quick: bool) -> Iterator[StressCase]:
     yield half_active("half of the active rows degenerate", M, degenerate=0.5)
     yield half_active("all active rows degenerate", M, degenerate=1.0)
     z, w = pattern(M.shape[0])
-    yield planted("every row degenerate", M, np.zeros(z.size), np.zeros(z.size), start=np.arange(float(z.size)))
+    yield planted(
+        "every row degenerate",
+        M,
+        np.zeros(z.size),
+        np.zeros(z.size),
+        start=np.arange(float(z.size)),
+    )
     yield planted("nearly degenerate, w = 1e-14", M, z, 1e-14 * w)
-    yield planted("nearly degenerate, z = 1e-14", M, np.where(np.arange(z.size) % 5 == 0, 1e-14 * z, z), w)
+    yield planted(
+        "nearly degenerate, z = 1e-14", M, np.where(np.arange(z.size) % 5 == 0, 1e-14 * z, z), w
+    )
     square = LCP(M, half_active("", M, degenerate=1.0).problem.q, upper=z.max())
     yield StressCase(stress="degenerate at both bounds of a box", problem=square, near=z)
 
@@ -264,7 +306,9 @@ def sizes(quick: bool) -> Iterator[StressCase]:
     """Yield n = 1 and 2, and a large n."""
     yield planted("n = 1", np.array([[3.0]]), np.array([1.0]), np.zeros(1))
     yield planted("n = 1, active", np.array([[3.0]]), np.zeros(1), np.ones(1))
-    yield planted("n = 2", np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([5.0, 0.0]), np.array([0.0, 3.0]))
+    yield planted(
+        "n = 2", np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([5.0, 0.0]), np.array([0.0, 3.0])
+    )
     side = 50 if quick else 100
     yield half_active(f"n = {side * side}", grid(side, 8.0))
 
@@ -275,7 +319,9 @@ def number_range(quick: bool) -> Iterator[StressCase]:
     M, q, z = base.problem.csr, base.problem.q, np.asarray(base.near)
     tiny, huge = 1e-310, 1e306
     yield StressCase(stress="q and z subnormal, 1e-310", problem=LCP(M, q * tiny), near=z * tiny)
-    yield StressCase(stress="q a few times 5e-324", problem=LCP(M, q * 5e-324), near=np.ceil(z) * 5e-324)
+    yield StressCase(
+        stress="q a few times 5e-324", problem=LCP(M, q * 5e-324), near=np.ceil(z) * 5e-324
+    )
     yield StressCase(stress="M subnormal, 1e-310", problem=LCP(M * tiny, q * 1e-300), near=z * 1e10)
     yield StressCase(stress="M and q subnormal, 1e-310", problem=LCP(M * tiny, q * tiny), near=z)
     yield StressCase(stress="q and z huge, 1e306", problem=LCP(M, q * huge), near=z * huge)
@@ -283,7 +329,9 @@ def number_range(quick: bool) -> Iterator[StressCase]:
     yield StressCase(stress="M and q huge, 1e306", problem=LCP(M * huge, q * huge), near=z)
     yield StressCase(stress="the answer overflows", problem=LCP(M * 1e-200, q * 1e200))
     start = np.full(M.shape[0], 1e200)
-    yield StressCase(stress="w overflows at the start", problem=LCP(M * 1e200, q * 1e200), near=z, start=start)
+    yield StressCase(
+        stress="w overflows at the start", problem=LCP(M * 1e200, q * 1e200), near=z, start=start
+    )
 
 
 def cancellation(quick: bool) -> Iterator[StressCase]:
@@ -294,13 +342,25 @@ def cancellation(quick: bool) -> Iterator[StressCase]:
         yield planted(f"z = 1e{power} + digits", M, z + 10.0**power, np.zeros(z.size))
         mixed = np.where(np.arange(z.size) % 7 == 0, 10.0**power * z, z)
         yield planted(f"some z 1e{power} times the others", M, mixed, w)
-        yield planted(f"some w 1e{power} times the others", M, z, np.where(np.arange(z.size) % 2, 10.0**power * w, w))
+        yield planted(
+            f"some w 1e{power} times the others",
+            M,
+            z,
+            np.where(np.arange(z.size) % 2, 10.0**power * w, w),
+        )
     nearly_singular = sp.csr_array(_ring(12) + 2.0**-40 * sp.eye_array(12))
-    yield planted("q is 1e-12 of its terms", nearly_singular, 2.0**40 + pattern(12, active=0.0)[0], np.zeros(12))
+    yield planted(
+        "q is 1e-12 of its terms",
+        nearly_singular,
+        2.0**40 + pattern(12, active=0.0)[0],
+        np.zeros(12),
+    )
     for power in (4, 12):
         large = 10.0**power
         cyclic = np.array([[1.0, large, -large], [0.0, 1.0, large], [0.0, 0.0, 1.0]])
-        yield planted(f"terms of 1e{power} cancel in M z", cyclic, np.array([1.0, 2.0, 2.0]), np.zeros(3))
+        yield planted(
+            f"terms of 1e{power} cancel in M z", cyclic, np.array([1.0, 2.0, 2.0]), np.zeros(3)
+        )
 
 
 def one_ulp(quick: bool) -> Iterator[StressCase]:
@@ -308,7 +368,9 @@ def one_ulp(quick: bool) -> Iterator[StressCase]:
     bases = [half_active("grid", grid(4, 5.0)), mostly_free("grid, delta=0", grid(SIDE))]
     bases += [mostly_free("Hilbert matrix, n=4", _hilbert(4))]
     rho = 1.0 - 2.0**-20
-    bases += [planted("H+ with 1 - rho = 2^-20", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free())]
+    bases += [
+        planted("H+ with 1 - rho = 2^-20", np.array([[1.0, -rho], [-rho, 1.0]]), *_two_free())
+    ]
     for seed, base in enumerate(bases):
         generator = np.random.default_rng(seed)
         M, q = base.problem.csr, base.problem.q
@@ -324,7 +386,16 @@ def _moved(values: FloatVector, generator: np.random.Generator) -> FloatVector:
 FAMILIES: dict[str, Callable[[bool], Iterator[StressCase]]] = {
     family.__name__.replace("_", " "): family
     for family in (
-        stiffness, scaling, singularity, degeneracy, far_starts, sizes, number_range, cancellation, one_ulp, ranges,
+        stiffness,
+        scaling,
+        singularity,
+        degeneracy,
+        far_starts,
+        sizes,
+        number_range,
+        cancellation,
+        one_ulp,
+        ranges,
         proved_ranges,
     )
 }

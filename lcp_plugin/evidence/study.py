@@ -30,9 +30,18 @@ from .results import COLUMNS, ResultsFile, Row, Study, name_of
 
 
 def study(
-    problems: Any, methods: Any = None, sizes: Sequence[int] | None = None, *, repeats: int = 3,
-    tolerance: float = 1e-8, max_seconds: float = 20.0, max_work: float = math.inf, error_bound: bool = False,
-    curves: bool = False, out: AnyPath | None = None, progress: Progress | None = None,
+    problems: Any,
+    methods: Any = None,
+    sizes: Sequence[int] | None = None,
+    *,
+    repeats: int = 3,
+    tolerance: float = 1e-8,
+    max_seconds: float = 20.0,
+    max_work: float = math.inf,
+    error_bound: bool = False,
+    curves: bool = False,
+    out: AnyPath | None = None,
+    progress: Progress | None = None,
 ) -> Study:
     """Return one table of raw results of methods on families of problems.
 
@@ -80,9 +89,19 @@ def study(
     """
     checked_numbers(repeats, max_work, progress)
     Settings(tolerance=tolerance, max_seconds=max_seconds)  # refuses what no run can be asked for
-    plan = _Plan(_problems(problems), contestants(methods), _checked_sizes(sizes), repeats, curves, {
-        "tolerance": tolerance, "max_seconds": max_seconds, "max_work": max_work, "bounds": bool(error_bound),
-    })
+    plan = _Plan(
+        _problems(problems),
+        contestants(methods),
+        _checked_sizes(sizes),
+        repeats,
+        curves,
+        {
+            "tolerance": tolerance,
+            "max_seconds": max_seconds,
+            "max_work": max_work,
+            "bounds": bool(error_bound),
+        },
+    )
     results = ResultsFile(None if out is None else checked_path(out), with_points=curves)
     collected = collect(plan.parts(), results, progress)
     rows = tuple(map(Row.from_content, collected.contents.values()))
@@ -96,14 +115,20 @@ def _problems(given: Any) -> dict[str, Any]:
     """Return what is built of each problem, by its name."""
     if isinstance(given, Mapping):
         return {str(label): _named(one) for label, one in given.items()}
-    if isinstance(given, str | LCP | Scene | tuple) or callable(given) or kind_of(given) is not None:
+    if (
+        isinstance(given, str | LCP | Scene | tuple)
+        or callable(given)
+        or kind_of(given) is not None
+    ):
         given = [given]
     try:
         listed = list(given)
     except TypeError:
         listed = []
     if not listed:
-        raise InvalidOption(f'problems must be a list of problems, functions or names, got {given!r}')
+        raise InvalidOption(
+            f"problems must be a list of problems, functions or names, got {given!r}"
+        )
     found: dict[str, Any] = {}
     for k, one in enumerate(listed, start=1):
         name = str(title_of(one) if isinstance(one, Scene) else getattr(one, "__name__", ""))
@@ -117,7 +142,7 @@ def _named(one: Any) -> Any:
     if not isinstance(one, str):
         if isinstance(one, LCP | Scene | tuple) or (callable(one) and kind_of(one) is None):
             return one
-        raise InvalidOption(f'{refusal("study", one)}; or a scene, (M, q), a function of the size')
+        raise InvalidOption(f"{refusal('study', one)}; or a scene, (M, q), a function of the size")
     name = one.partition(":")[0].strip()
     if name in scene_names():
         return partial(_scene, one)
@@ -132,14 +157,20 @@ def _scene(text: str, size: int | None = None) -> Scene:
     parameters = parameters_of(builder_of(name.strip()))
     key = next((key for key in ("size", "n") if key in parameters), None)
     if key is None:
-        raise InvalidOption(f"scene {name!r} has neither size nor n, so that sizes mean nothing to it; leave them out")
+        raise InvalidOption(
+            f"scene {name!r} has neither size nor n, so that sizes mean nothing to it; leave them out"
+        )
     return parse(f"{text}{',' if settings else ':'}{key}={size}")
 
 
 def _checked_sizes(sizes: Any) -> list[int | None]:
     if sizes is None:
         return [None]
-    listed = list(sizes) if isinstance(sizes, Sequence | np.ndarray) and not isinstance(sizes, str) else [sizes]
+    listed = (
+        list(sizes)
+        if isinstance(sizes, Sequence | np.ndarray) and not isinstance(sizes, str)
+        else [sizes]
+    )
     for size in listed:
         if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
             raise InvalidOption(f"sizes must be whole numbers ≥ 1, as [100, 400], got {size!r}")
@@ -153,26 +184,41 @@ class _Plan:
     """Problems × sizes × methods, and how each is measured; one problem is held at a time."""
 
     def __init__(
-        self, problems: dict[str, Any], methods: list[Contestant], sizes: list[int | None], repeats: int, curves: bool,
+        self,
+        problems: dict[str, Any],
+        methods: list[Contestant],
+        sizes: list[int | None],
+        repeats: int,
+        curves: bool,
         limits: dict[str, Any],
     ) -> None:
         self.problems, self.methods, self.sizes = problems, methods, sizes
         self.repeats, self.curves, self.limits = repeats, curves, limits
         self.scene = lru_cache(maxsize=1)(self._built)
-        self.bench = lru_cache(maxsize=1)(lambda label, size: Bench(self.scene(label, size), **limits))
+        self.bench = lru_cache(maxsize=1)(
+            lambda label, size: Bench(self.scene(label, size), **limits)
+        )
         facts = machine()
         self.machine = "; ".join(f"{name} {fact}" for name, fact in facts.items())
 
     def _built(self, label: str, size: int | None) -> Scene:
         given = self.problems[label]
-        return as_scene_of(given, label, None if isinstance(given, LCP | Scene) and self.sizes == [None] else size)
+        return as_scene_of(
+            given, label, None if isinstance(given, LCP | Scene) and self.sizes == [None] else size
+        )
 
     def parts(self) -> list[Part]:
         """Return a part for each cell."""
         return [
-            Part(label, name_of(size, one.label), partial(self.measured, label, size, one),
-                 data=partial(self._data, label, size, one))
-            for label in self.problems for size in self.sizes for one in self.methods
+            Part(
+                label,
+                name_of(size, one.label),
+                partial(self.measured, label, size, one),
+                data=partial(self._data, label, size, one),
+            )
+            for label in self.problems
+            for size in self.sizes
+            for one in self.methods
         ]
 
     def _data(self, label: str, size: int | None, one: Contestant) -> str:
@@ -196,17 +242,51 @@ class _Plan:
             (curve,) = bench.curves([one], self.repeats, say)
         except (LCPError, ValueError) as error:
             is_refusal = n == 0 or isinstance(error, UnsuitableMatrix | UnsuitableProblem)
-            curve = Curve(one.label, one.family, "REFUSED" if is_refusal else "ERROR", (), error_line(error))
-        except Exception as error:  # whatever somebody's own code raises: the other rows are worth keeping
+            curve = Curve(
+                one.label, one.family, "REFUSED" if is_refusal else "ERROR", (), error_line(error)
+            )
+        except (
+            Exception
+        ) as error:  # whatever somebody's own code raises: the other rows are worth keeping
             curve = Curve(one.label, one.family, "ERROR", (), error_line(error))
         last, has = curve.last, bool(curve.points)
         points = json.dumps(finite_content(curve.points))
-        return dict(zip(COLUMNS, (
-            label, "" if size is None else size, n, nonzeros, one.label, one.family, curve.status,
-            last.iteration if has else "", *map(_blank, (last.work, last.seconds, last.seconds_low, last.seconds_high,
-            curve.setup_seconds, last.residual, last.error)), kind, self.limits["tolerance"], self.repeats, curve.note,
-            self.machine, _blank(radius), "", points if self.curves and has else "",
-        ), strict=True))
+        return dict(
+            zip(
+                COLUMNS,
+                (
+                    label,
+                    "" if size is None else size,
+                    n,
+                    nonzeros,
+                    one.label,
+                    one.family,
+                    curve.status,
+                    last.iteration if has else "",
+                    *map(
+                        _blank,
+                        (
+                            last.work,
+                            last.seconds,
+                            last.seconds_low,
+                            last.seconds_high,
+                            curve.setup_seconds,
+                            last.residual,
+                            last.error,
+                        ),
+                    ),
+                    kind,
+                    self.limits["tolerance"],
+                    self.repeats,
+                    curve.note,
+                    self.machine,
+                    _blank(radius),
+                    "",
+                    points if self.curves and has else "",
+                ),
+                strict=True,
+            )
+        )
 
 
 def _radius(problem: Any, algorithm: Any) -> float:

@@ -12,14 +12,36 @@ from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
 from .economics import binomial_put
-from .scene import Description, Scene, build, builder_of, describe, names, parse, read, scene_builder
+from .scene import (
+    Description,
+    Scene,
+    build,
+    builder_of,
+    describe,
+    names,
+    parse,
+    read,
+    scene_builder,
+)
 
 for _module in iter_modules(__path__):
     import_module(f"{__name__}.{_module.name}")
 
-__all__ = ["Description", "Scene", "binomial_put", "build", "describe", "names", "parse", "read", "scene_builder"]
+__all__ = [
+    "Description",
+    "Scene",
+    "binomial_put",
+    "build",
+    "describe",
+    "names",
+    "parse",
+    "read",
+    "scene_builder",
+]
 __all__.extend(names())
-globals().update({name: builder_of(name) for name in names()})  # also where a scene has the name of its file
+globals().update(
+    {name: builder_of(name) for name in names()}
+)  # also where a scene has the name of its file
 
 if TYPE_CHECKING:
 

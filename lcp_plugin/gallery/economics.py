@@ -71,7 +71,11 @@ def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> Fl
 
 @scene_builder
 def market_equilibrium(
-    *, goods: Count = 30, activities: Annotated[int, at_least(0)] = 60, running: Share = 0.5, seed: Seed = 0
+    *,
+    goods: Count = 30,
+    activities: Annotated[int, at_least(0)] = 60,
+    running: Share = 0.5,
+    seed: Seed = 0,
 ) -> Scene:
     """Market equilibrium with linear demand and constant returns: M = [[D, A], [−Aᵀ, 0]], planted integers.
 
@@ -217,7 +221,13 @@ class NextStep:
 
 
 def _put_scene(
-    size: int, strike: float, rate: float, volatility: float, time_step: float, log_range: float, steps: int
+    size: int,
+    strike: float,
+    rate: float,
+    volatility: float,
+    time_step: float,
+    log_range: float,
+    steps: int,
 ) -> Scene:
     log_price = nodes(-log_range, log_range, size)
     payoff = strike * np.maximum(1.0 - np.exp(log_price), 0.0)
@@ -226,7 +236,9 @@ def _put_scene(
     advance = NextStep(dirichlet_terms(payoff, [below], [above]))
     inside = payoff[1:-1]
     return Scene(
-        problem=LCP(stencil_matrix((size,), centre, [below], [above]), advance(inside), lower=inside),
+        problem=LCP(
+            stencil_matrix((size,), centre, [below], [above]), advance(inside), lower=inside
+        ),
         is_symmetric=below == above,
         is_h_plus=True,
         coordinates=(strike * np.exp(log_price[1:-1]),),
@@ -238,7 +250,9 @@ def _put_scene(
     )
 
 
-def _log_price_legs(rate: float, volatility: float, time_step: float, h: float) -> tuple[float, float]:
+def _log_price_legs(
+    rate: float, volatility: float, time_step: float, h: float
+) -> tuple[float, float]:
     """Return the entries of Δτ 𝓐ₕ below and above the diagonal, neither of them positive."""
     diffusion = 0.5 * volatility**2 / h**2
     drift = (rate - 0.5 * volatility**2) / h
@@ -249,7 +263,13 @@ def _log_price_legs(rate: float, volatility: float, time_step: float, h: float) 
 
 
 def binomial_put(
-    spot: ArrayLike, *, strike: float, rate: float, volatility: float, maturity: float, steps: int = 1000
+    spot: ArrayLike,
+    *,
+    strike: float,
+    rate: float,
+    volatility: float,
+    maturity: float,
+    steps: int = 1000,
 ) -> FloatVector:
     """Return American put prices from a binomial tree.
 
@@ -300,7 +320,9 @@ def binomial_put(
     return values[..., 0]
 
 
-def _tree(rate: float, volatility: float, maturity: float, steps: int) -> tuple[float, float, float]:
+def _tree(
+    rate: float, volatility: float, maturity: float, steps: int
+) -> tuple[float, float, float]:
     """Return factor up, growth of money per step, probability of going up."""
     for name, value in (("volatility", volatility), ("maturity", maturity), ("steps", steps)):
         if not value > 0:

@@ -18,7 +18,9 @@ BelowOne = Annotated[float, Rule("≥ 0 and < 1", lambda value: 0.0 <= value < 1
 
 
 @scene_builder
-def journal_bearing(*, size: Count = 100, eccentricity: BelowOne = 0.8, half_length: Positive = 10.0) -> Scene:
+def journal_bearing(
+    *, size: Count = 100, eccentricity: BelowOne = 0.8, half_length: Positive = 10.0
+) -> Scene:
     """Pressure in the oil film of a journal bearing with cavitation.
 
     Parameters
@@ -102,7 +104,9 @@ def elastic_plastic_torsion(
     axis = nodes(-1.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
     r = np.hypot(x, y)
-    distance = 1.0 - np.maximum(np.abs(x), np.abs(y)) if section == "square" else np.maximum(1.0 - r, 0.0)
+    distance = (
+        1.0 - np.maximum(np.abs(x), np.abs(y)) if section == "square" else np.maximum(1.0 - r, 0.0)
+    )
     twist = 2.0 / math.sqrt(1.0 - plastic_share)
     load = twist * (np.sign(x) if mixed else 1.0) * (2.0 / (size + 1)) ** 2
     continuum = None
@@ -112,8 +116,10 @@ def elastic_plastic_torsion(
     legs = (-1.0, -1.0)
     return Scene(
         problem=LCP(
-            stencil_matrix((size, size), 4.0, legs, legs), -np.broadcast_to(load, (size, size)).ravel(),
-            lower=-bound, upper=bound,
+            stencil_matrix((size, size), 4.0, legs, legs),
+            -np.broadcast_to(load, (size, size)).ravel(),
+            lower=-bound,
+            upper=bound,
         ),
         continuum=continuum,
         is_symmetric=True,
@@ -135,7 +141,11 @@ def _disc_solution(r: Field, distance: Field, twist: float) -> Field:
 
 @scene_builder
 def rigid_stack(
-    *, blocks: Count = 10, points: Annotated[int, at_least(2)] = 4, mass_ratio: Positive = 1.0, push: float = 0.0
+    *,
+    blocks: Count = 10,
+    points: Annotated[int, at_least(2)] = 4,
+    mass_ratio: Positive = 1.0,
+    push: float = 0.0,
 ) -> Scene:
     """Stack of rigid blocks pressed together by gravity: M = J W Jᵀ, more contacts than degrees of freedom.
 
@@ -169,7 +179,9 @@ def rigid_stack(
     velocity[-1] = push
     M = (J * inverse) @ J.T
     M = 0.5 * (M + M.T)
-    exact = _share_of_the_weight(blocks) if points == 2 and mass_ratio == 1.0 and push == 0.0 else None
+    exact = (
+        _share_of_the_weight(blocks) if points == 2 and mass_ratio == 1.0 and push == 0.0 else None
+    )
     return Scene(
         problem=LCP(M, J @ velocity),
         exact=exact,
@@ -220,14 +232,21 @@ def diode_bridge(*, current: float = 3.0, leak: Positive = 0.125, load: Positive
     Acary, Bonnefon, Brogliato, *Nonsmooth Modeling and Simulation for Switched Circuits*, Springer 2011,
     doi:10.1007/978-90-481-9681-4.
     """
-    G = np.array([[leak, -leak, 0, 0], [-leak, leak, 0, 0], [0, 0, load, -load], [0, 0, -load, load + 1.0]])
+    G = np.array(
+        [[leak, -leak, 0, 0], [-leak, leak, 0, 0], [0, 0, load, -load], [0, 0, -load, load + 1.0]]
+    )
     A = np.array([[1, 0, -1, 0], [0, 1, 0, -1], [-1, -1, 0, 0], [0, 0, 1, 1]])
     M = np.block([[G, A], [-A.T, np.zeros((4, 4))]])
     voltage = abs(current) / (leak + load)
     through = voltage * load
     forward = current >= 0.0
     potentials = [voltage * forward, voltage * (not forward), voltage, 0.0]
-    currents = [through * forward, through * (not forward), through * (not forward), through * forward]
+    currents = [
+        through * forward,
+        through * (not forward),
+        through * (not forward),
+        through * forward,
+    ]
     exact = np.array(potentials + currents)
     lower = np.repeat([-np.inf, 0.0], 4)
     return Scene(

@@ -12,7 +12,16 @@ from ..core.checks import FloatVector
 from ..core.lcp import LCP
 from .parameters import Count, NonNegative, Positive, Seed, at_least
 from .scene import Scene, scene_builder
-from .stencil import Field, balanced_matrix, dirichlet_terms, interior, nodes, stencil_matrix, stiff_cells, upwind
+from .stencil import (
+    Field,
+    balanced_matrix,
+    dirichlet_terms,
+    interior,
+    nodes,
+    stencil_matrix,
+    stiff_cells,
+    upwind,
+)
 
 CONTACT_RADIUS = {2: 0.6979651482233735, 3: 0.7892441190408083}
 """By dimension, the root r* in (0, 1) of r² (1 − log(r/2)) = 1 and of 2 r² − r³/2 = 1."""
@@ -99,7 +108,10 @@ class Layers(NamedTuple):
 def sphere_layers(dimension: int, size: int, shifted: bool, begin: int, end: int) -> Layers:
     """Return the layers begin ≤ i < end along the first axis, each of size^(dimension − 1) rows."""
     layer, n = size ** (dimension - 1), size**dimension
-    low, high = max(begin - 1, 0), min(end + 1, size)  # the neighbours' layers, so that no leg is cut off
+    low, high = (
+        max(begin - 1, 0),
+        min(end + 1, size),
+    )  # the neighbours' layers, so that no leg is cut off
     axis = nodes(-HALF_SIDE, HALF_SIDE, size)
     r = np.sqrt(sum(x**2 for x in np.ix_(axis[low : high + 2], *[axis] * (dimension - 1))))
     solution = sphere_solution(r, dimension)
@@ -136,7 +148,9 @@ def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
 
 
 @scene_builder
-def obstacle_bumps(*, size: Count = 100, bumps: Count = 8, load: float = -5.0, seed: Seed = 0) -> Scene:
+def obstacle_bumps(
+    *, size: Count = 100, bumps: Count = 8, load: float = -5.0, seed: Seed = 0
+) -> Scene:
     """Membrane under a load over several bumps on the unit square, zero on the boundary.
 
     Parameters
@@ -186,7 +200,9 @@ PULL = 10.0
 
 
 @scene_builder
-def coefficient_jumps(*, size: Count = 100, contrast: Annotated[float, at_least(1)] = 1e6, seed: Seed = 0) -> Scene:
+def coefficient_jumps(
+    *, size: Count = 100, contrast: Annotated[float, at_least(1)] = 1e6, seed: Seed = 0
+) -> Scene:
     """Membrane above the ground whose stiffness jumps at random between 10 × 10 blocks.
 
     Parameters
@@ -204,7 +220,9 @@ def coefficient_jumps(*, size: Count = 100, contrast: Annotated[float, at_least(
     the mesh; an edge takes the mean of the two cells it separates. Rows are scaled by h². The error of z can be much
     larger than its residual: about contrast times.
     """
-    stiffness = 10.0 ** (np.random.default_rng(seed).uniform(-0.5, 0.5, (BLOCKS, BLOCKS)) * math.log10(contrast))
+    stiffness = 10.0 ** (
+        np.random.default_rng(seed).uniform(-0.5, 0.5, (BLOCKS, BLOCKS)) * math.log10(contrast)
+    )
     block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
     cells = stiffness[np.ix_(block, block)]
     M = balanced_matrix((size, size), stiff_cells(cells))
@@ -212,7 +230,9 @@ def coefficient_jumps(*, size: Count = 100, contrast: Annotated[float, at_least(
 
 
 @scene_builder
-def rotated_anisotropy(*, size: Count = 100, ratio: Positive = 1e-4, degrees: float = 30.0) -> Scene:
+def rotated_anisotropy(
+    *, size: Count = 100, ratio: Positive = 1e-4, degrees: float = 30.0
+) -> Scene:
     """Membrane above the ground, stiff along fibres that cross the grid at an angle; M has positive couplings.
 
     Parameters
@@ -232,9 +252,15 @@ def rotated_anisotropy(*, size: Count = 100, ratio: Positive = 1e-4, degrees: fl
     cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     first, second = cosine**2 + ratio * sine**2, sine**2 + ratio * cosine**2
     mixed = (1.0 - ratio) * cosine * sine
-    mass, slope, stiffness = _line(4.0, 1.0, 1.0, size) / 6.0, _line(0.0, -0.5, 0.5, size), _line(2.0, -1.0, -1.0, size)
+    mass, slope, stiffness = (
+        _line(4.0, 1.0, 1.0, size) / 6.0,
+        _line(0.0, -0.5, 0.5, size),
+        _line(2.0, -1.0, -1.0, size),
+    )
     M = sp.csr_array(
-        first * sp.kron(stiffness, mass) + second * sp.kron(mass, stiffness) - 2.0 * mixed * sp.kron(slope, slope)
+        first * sp.kron(stiffness, mass)
+        + second * sp.kron(mass, stiffness)
+        - 2.0 * mixed * sp.kron(slope, slope)
     )
     M.sum_duplicates()
     M.eliminate_zeros()
@@ -242,7 +268,9 @@ def rotated_anisotropy(*, size: Count = 100, ratio: Positive = 1e-4, degrees: fl
 
 
 @scene_builder
-def convection_diffusion(*, size: Count = 100, diffusion: NonNegative = 1e-3, wind_angle: float = 0.6) -> Scene:
+def convection_diffusion(
+    *, size: Count = 100, diffusion: NonNegative = 1e-3, wind_angle: float = 0.6
+) -> Scene:
     """Membrane above the ground in a constant wind: upwind differences, nonsymmetric M-matrix.
 
     Parameters
@@ -261,11 +289,15 @@ def convection_diffusion(*, size: Count = 100, diffusion: NonNegative = 1e-3, wi
     h = 1.0 / (size + 1)
     scale = 1.0 / max(diffusion, h)
     below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
-    M = balanced_matrix((size, size), ([scale * leg for leg in below], [scale * leg for leg in above]))
+    M = balanced_matrix(
+        (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
+    )
     return _pulled_membrane(M, size, is_symmetric=size == 1, is_h_plus=True, scale=scale)
 
 
-def _pulled_membrane(M: sp.csr_array, size: int, *, is_symmetric: bool, is_h_plus: bool, scale: float = 1.0) -> Scene:
+def _pulled_membrane(
+    M: sp.csr_array, size: int, *, is_symmetric: bool, is_h_plus: bool, scale: float = 1.0
+) -> Scene:
     axis = nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
     force: Field = PULL * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
@@ -283,14 +315,18 @@ def _pulled_membrane(M: sp.csr_array, size: int, *, is_symmetric: bool, is_h_plu
 
 def _line(centre: float, below: float, above: float, size: int) -> sp.csr_array:
     return sp.csr_array(
-        sp.diags_array([below, centre, above], offsets=[-1, 0, 1], shape=(size, size), dtype=np.float64)
+        sp.diags_array(
+            [below, centre, above], offsets=[-1, 0, 1], shape=(size, size), dtype=np.float64
+        )
     )
 
 
 def _narrow(M: sp.csr_array) -> sp.csr_array:
     if M.nnz >= 2**31:
         return M
-    return sp.csr_array((M.data, M.indices.astype(np.int32), M.indptr.astype(np.int32)), shape=M.shape)
+    return sp.csr_array(
+        (M.data, M.indices.astype(np.int32), M.indptr.astype(np.int32)), shape=M.shape
+    )
 
 
 @scene_builder

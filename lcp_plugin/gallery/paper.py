@@ -62,7 +62,9 @@ def paper_example_2(*, n: Square = 100, delta: NonNegative = 4.0) -> Scene:
     return _paper_scene(n, delta, lower=(-1.5, -1.5), upper=(-0.5, -0.5))
 
 
-def _paper_scene(n: int, delta: float, lower: tuple[float, float], upper: tuple[float, float]) -> Scene:
+def _paper_scene(
+    n: int, delta: float, lower: tuple[float, float], upper: tuple[float, float]
+) -> Scene:
     side = math.isqrt(n)
     M = stencil_matrix((side, side), 4.0 + delta, lower, upper)
     exact = _alternating(n, 1.0, 2.0)
@@ -186,7 +188,9 @@ def _random_dominant(generator: np.random.Generator, n: int, entries_per_row: in
     rows = np.repeat(np.arange(n), entries_per_row)
     # A step of 1 … n − 1 around the circle never lands on the diagonal.
     columns = (rows + generator.integers(1, n, size=count)) % n
-    values = generator.choice([-1.0, 1.0], size=count) * generator.integers(1, LARGEST_ENTRY + 1, size=count)
+    values = generator.choice([-1.0, 1.0], size=count) * generator.integers(
+        1, LARGEST_ENTRY + 1, size=count
+    )
     others = sp.csr_array((values, (rows, columns)), shape=(n, n))
     row_sums: FloatVector = np.asarray(abs(others).sum(axis=1), dtype=np.float64)
     diagonal = row_sums + generator.integers(1, LARGEST_ENTRY + 1, size=n)

@@ -89,7 +89,9 @@ class Parameter:
         if isinstance(value, _KINDS[self.kind].accepted) and is_bool == (self.kind is bool):
             with contextlib.suppress(OverflowError):
                 plain = self.kind(value)
-                if (self.kind is not float or math.isfinite(plain)) and all(rule.holds(plain) for rule in self.rules):
+                if (self.kind is not float or math.isfinite(plain)) and all(
+                    rule.holds(plain) for rule in self.rules
+                ):
                     return plain
         raise self._refusal(value)
 

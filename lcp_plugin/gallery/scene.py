@@ -98,7 +98,9 @@ class Scene:
             if values is not None:
                 object.__setattr__(self, fact, _read_only(values, fact, self.problem.q.size))
         if self.exact is not None and self.active_share is None and self.n:
-            object.__setattr__(self, "active_share", float(np.mean(is_at_bound(self.problem, self.exact))))
+            object.__setattr__(
+                self, "active_share", float(np.mean(is_at_bound(self.problem, self.exact)))
+            )
         if self.grid is None and self.coordinates is not None:
             object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))
         if self.grid is not None:
@@ -110,8 +112,12 @@ class Scene:
 
     def _check_picture(self, grid: tuple[int, ...]) -> None:
         if np.prod(grid, dtype=np.int64) != self.problem.n:
-            raise InvalidProblem(f"grid must hold n = {self.n} nodes, got {grid}; give the shape of z")
-        lengths = grid if self.coordinates is None else tuple(axis.size for axis in self.coordinates)
+            raise InvalidProblem(
+                f"grid must hold n = {self.n} nodes, got {grid}; give the shape of z"
+            )
+        lengths = (
+            grid if self.coordinates is None else tuple(axis.size for axis in self.coordinates)
+        )
         if lengths != grid or len(self.axis_labels) != len(grid):
             raise InvalidProblem(
                 f"coordinates and axis_labels must match grid {grid}, got axes of length {lengths} and "
@@ -137,7 +143,9 @@ class Scene:
         """
         values = np.asarray(z, dtype=np.float64)
         if self.grid is None:
-            raise InvalidProblem(f"scene {self.name!r} has no grid, so z is no picture; plot z by its index")
+            raise InvalidProblem(
+                f"scene {self.name!r} has no grid, so z is no picture; plot z by its index"
+            )
         if values.shape != (self.n,):
             raise InvalidProblem(f"z must have shape ({self.n},), got {values.shape}")
         return values.reshape(self.grid)
@@ -190,7 +198,9 @@ def scene_builder(builder: Builder) -> Builder:
     @functools.wraps(builder)
     def checked(**given: Any) -> Scene:
         values = checked_values(name, given)
-        return replace(builder(**values), name=name, description=_summary(builder), parameters=values)
+        return replace(
+            builder(**values), name=name, description=_summary(builder), parameters=values
+        )
 
     _SCENES[name] = checked
     return checked
@@ -210,7 +220,10 @@ def checked_values(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """
     for word in given:
         _parameter(name, word)
-    return {key: p.check(given.get(key, p.default)) for key, p in parameters_of(builder_of(name)).items()}
+    return {
+        key: p.check(given.get(key, p.default))
+        for key, p in parameters_of(builder_of(name)).items()
+    }
 
 
 def names() -> list[str]:
@@ -227,7 +240,9 @@ def describe() -> list[Description]:
     100.0
     """
     return [
-        Description(name, _summary(builder), {key: p.default for key, p in parameters_of(builder).items()})
+        Description(
+            name, _summary(builder), {key: p.default for key, p in parameters_of(builder).items()}
+        )
         for name, builder in sorted(_SCENES.items())
     ]
 

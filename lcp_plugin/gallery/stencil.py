@@ -27,7 +27,10 @@ def interior(dimension: int) -> tuple[slice, ...]:
 
 
 def stencil_matrix(
-    shape: tuple[int, ...], centre: Coefficient, below: Sequence[Coefficient], above: Sequence[Coefficient]
+    shape: tuple[int, ...],
+    centre: Coefficient,
+    below: Sequence[Coefficient],
+    above: Sequence[Coefficient],
 ) -> sp.csr_array:
     """Return the matrix of (centre u)_i + Σ_axis (below[axis] u_{i − e} + above[axis] u_{i + e}) on a grid.
 
@@ -74,7 +77,9 @@ def stencil_matrix(
     return sp.csr_array((entries[present], columns[present], row_ends), shape=(n, n))
 
 
-def balanced_matrix(shape: tuple[int, ...], legs: Legs, reaction: Coefficient = 0.0) -> sp.csr_array:
+def balanced_matrix(
+    shape: tuple[int, ...], legs: Legs, reaction: Coefficient = 0.0
+) -> sp.csr_array:
     """Return the stencil whose centre outweighs its legs by the reaction alone: of −∇·(k∇u) + b·∇u + reaction u."""
     below, above = legs
     return stencil_matrix(shape, -sum(below) - sum(above) + reaction, below, above)
@@ -82,17 +87,23 @@ def balanced_matrix(shape: tuple[int, ...], legs: Legs, reaction: Coefficient = 
 
 def stiff_cells(cells: Field) -> Legs:
     """Return the legs of −∇·(k∇u), k given on each cell of the mesh; an edge takes the mean of its two cells."""
-    across = (cells[:, :-1] + cells[:, 1:]) / 2.0  # edges along the first axis, shape (size + 1, size)
+    across = (
+        cells[:, :-1] + cells[:, 1:]
+    ) / 2.0  # edges along the first axis, shape (size + 1, size)
     along = (cells[:-1, :] + cells[1:, :]) / 2.0
     return [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
 
 
 def upwind(diffusion: float, wind: Sequence[Coefficient]) -> Legs:
     """Return the legs of −diffusion Δu + wind·∇u by first-order upwind differences, on a mesh of width 1."""
-    return [-(diffusion + np.maximum(b, 0.0)) for b in wind], [-(diffusion + np.maximum(-b, 0.0)) for b in wind]
+    return [-(diffusion + np.maximum(b, 0.0)) for b in wind], [
+        -(diffusion + np.maximum(-b, 0.0)) for b in wind
+    ]
 
 
-def dirichlet_terms(field: Field, below: Sequence[Coefficient], above: Sequence[Coefficient]) -> FloatVector:
+def dirichlet_terms(
+    field: Field, below: Sequence[Coefficient], above: Sequence[Coefficient]
+) -> FloatVector:
     """Return what known values on the boundary layer add to each row of the stencil, shape (n,).
 
     Parameters

@@ -35,7 +35,10 @@ from ..problems.sensitivity import Derivative
 __all__ = ["LCPSolver"]
 
 OTHER_CONES = {
-    "soc": "second-order cones", "exp": "exponential cones", "psd": "semidefinite cones", "p3d": "power cones",
+    "soc": "second-order cones",
+    "exp": "exponential cones",
+    "psd": "semidefinite cones",
+    "p3d": "power cones",
     "pnd": "power cones",
 }
 
@@ -59,20 +62,31 @@ class Layout(NamedTuple):
                 "and infinity, squares and linear constraints, or leave solver= out for diffcp"
             )
         if context.problem is not None and context.problem.is_mixed_integer():
-            raise UnsupportedModel("LCPSolver takes no integer variables: there is nothing to differentiate")
+            raise UnsupportedModel(
+                "LCPSolver takes no integer variables: there is nothing to differentiate"
+            )
         n = context.q.shape[0] - 1
         rows = int(dims.zero) + int(dims.nonneg)
-        P, A = (_places(reduced.problem_data_index) for reduced in (context.reduced_P, context.reduced_A))
+        P, A = (
+            _places(reduced.problem_data_index)
+            for reduced in (context.reduced_P, context.reduced_A)
+        )
         return cls(P, A, n, rows, int(dims.zero))
 
     def program(self, P: FloatVector | None, q: FloatVector, A: FloatVector) -> QuadraticProgram:
         """Return the program of some numbers: A x + b = 0 on the first rows, ≥ 0 on the others."""
         n, m = self.n, self.rows
-        hessian = sp.csr_array((n, n)) if P is None else sp.csr_array(sp.coo_array((P, self.P), shape=(n, n)))
+        hessian = (
+            sp.csr_array((n, n))
+            if P is None
+            else sp.csr_array(sp.coo_array((P, self.P), shape=(n, n)))
+        )
         whole = sp.csc_array(sp.coo_array((A, self.A), shape=(m, n + 1)))
         matrix, right = sp.csr_array(-whole[:, :n]), whole[:, [n]].toarray().ravel()
         first, others = slice(self.equations), slice(self.equations, None)
-        return QuadraticProgram(hessian, q[:n], matrix[others], right[others], matrix[first], right[first])
+        return QuadraticProgram(
+            hessian, q[:n], matrix[others], right[others], matrix[first], right[first]
+        )
 
 
 def _places(structure: Any) -> tuple[Any, Any]:
@@ -92,12 +106,17 @@ class SolvedProgram(NamedTuple):
     at: Derivative
     is_quadratic: bool
 
-    def gradients(self, dx: FloatVector, dy: FloatVector) -> tuple[FloatVector | None, FloatVector, FloatVector]:
+    def gradients(
+        self, dx: FloatVector, dy: FloatVector
+    ) -> tuple[FloatVector | None, FloatVector, FloatVector]:
         """Return the gradients by the numbers of P, q and [A b], from those by x and y."""
         n, p = self.layout.n, self.layout.equations
         with in_words_of_programs():
             by_q = self.at.vjp(np.concatenate([dx, dy[p:], dy[:p]])).q
-        of_x, of_rows = by_q[:n], np.concatenate([by_q[self.x.size + dy.size - p :], by_q[n : n + dy.size - p]])
+        of_x, of_rows = (
+            by_q[:n],
+            np.concatenate([by_q[self.x.size + dy.size - p :], by_q[n : n + dy.size - p]]),
+        )
         i, j = self.layout.A
         is_matrix, k = j < n, np.minimum(j, n - 1)
         by_A = np.where(is_matrix, of_rows[i] * self.x[k] - of_x[k] * self.y[i], of_rows[i])
@@ -149,7 +168,9 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
 
     def __init__(self, **options: Any) -> None:
         self.options = _known(options)
-        self._layouts: WeakKeyDictionary[Any, Layout] = WeakKeyDictionary()  # of each layer, by its cones
+        self._layouts: WeakKeyDictionary[Any, Layout] = (
+            WeakKeyDictionary()
+        )  # of each layer, by its cones
 
     def setup(self, ctx: Any) -> None:
         """Keep the places of a layer's numbers; one solver may serve several layers."""
@@ -163,7 +184,9 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         layout, options = self._layouts[dims], _known({**self.options, **solver_args})
         numbers = [None if one is None else np.asarray(one, dtype=np.float64) for one in (P, q, A)]
         found = [
-            self._solved(layout, [None if one is None else one[k] for one in numbers], options, k, len(q))
+            self._solved(
+                layout, [None if one is None else one[k] for one in numbers], options, k, len(q)
+            )
             for k in range(len(q))
         ]
         x, y = (np.array([getattr(one, name) for one in found]) for name in ("x", "y"))
@@ -173,11 +196,15 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         self, dprimal: Any, ddual: Any, saved_state: Sequence[SolvedProgram]
     ) -> tuple[Any, Any, Any]:
         """Return the gradients by the numbers of P, q and [A b], a row a program."""
-        every = [one.gradients(dx, dy) for one, dx, dy in zip(saved_state, dprimal, ddual, strict=True)]
+        every = [
+            one.gradients(dx, dy) for one, dx, dy in zip(saved_state, dprimal, ddual, strict=True)
+        ]
         by_P, by_q, by_A = zip(*every, strict=True)
         return None if by_P[0] is None else np.array(by_P), np.array(by_q), np.array(by_A)
 
-    def _solved(self, layout: Layout, numbers: list[Any], options: dict[str, Any], k: int, count: int) -> SolvedProgram:
+    def _solved(
+        self, layout: Layout, numbers: list[Any], options: dict[str, Any], k: int, count: int
+    ) -> SolvedProgram:
         """Return the solution of program k, or raise what is wrong, with its number."""
         where = self._SINGLE if count == 1 else f"program {k} of the batch"
         try:
@@ -186,12 +213,22 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         except LCPError as error:
             raise type(error)(f"{where}: {error}") from error
         if not found.is_solved:
-            why = f"is {found.proof}" if found.proof is not None else f"ended {found.status.name}: {found.advice}"
+            why = (
+                f"is {found.proof}"
+                if found.proof is not None
+                else f"ended {found.status.name}: {found.advice}"
+            )
             raise NotConverged(f"{where} gives the layer no solution: it {why}")
-        x, inequality, equality = found.solution.x, found.solution.inequality, found.solution.equality
+        x, inequality, equality = (
+            found.solution.x,
+            found.solution.inequality,
+            found.solution.equality,
+        )
         problem, z = conditions(program), np.concatenate([x, inequality, equality])
         at = Derivative(problem, z, problem.M @ z + problem.q)
-        return SolvedProgram(layout, x, np.concatenate([equality, inequality]), at, numbers[0] is not None)
+        return SolvedProgram(
+            layout, x, np.concatenate([equality, inequality]), at, numbers[0] is not None
+        )
 
     def solve_torch_batch(
         self, P: Any, q: Any, A: Any, dims: Any, solver_args: dict[str, Any], needs_grad: bool
@@ -201,11 +238,17 @@ class LCPSolver(SolverInterface):  # type: ignore[misc]
         x, y, state = self.solve_numpy_batch(P, c, A, dims, solver_args, needs_grad)
         return _like(q, x), _like(q, y), state
 
-    def derivative_torch_batch(self, dprimal: Any, ddual: Any, saved_state: Any) -> tuple[Any, Any, Any]:
+    def derivative_torch_batch(
+        self, dprimal: Any, ddual: Any, saved_state: Any
+    ) -> tuple[Any, Any, Any]:
         """Return the same as tensors."""
         dx, dy = dprimal.detach().cpu().numpy(), ddual.detach().cpu().numpy()
         by_P, by_q, by_A = self.derivative_numpy_batch(dx, dy, saved_state)
-        return None if by_P is None else _like(dprimal, by_P), _like(dprimal, by_q), _like(dprimal, by_A)
+        return (
+            None if by_P is None else _like(dprimal, by_P),
+            _like(dprimal, by_q),
+            _like(dprimal, by_A),
+        )
 
 
 def _known(options: dict[str, Any]) -> dict[str, Any]:

@@ -40,7 +40,9 @@ def load_fclib(source: Path) -> FrictionalContact:
     try:
         import h5py
     except ImportError as error:
-        raise UnreadableFile(f"{source} is read by h5py; install it with: pip install h5py") from error
+        raise UnreadableFile(
+            f"{source} is read by h5py; install it with: pip install h5py"
+        ) from error
     with opened(source, "HDF5 file") as file, h5py.File(file, "r") as content:
         found = [name for name in ("fclib_local", "fclib_global") if name in content]
         if not found:
@@ -63,11 +65,15 @@ class _Group:
     def array(self, name: str, kind: type = float) -> Any:
         """Return an array of numbers as a vector."""
         if name not in self._content:
-            raise self.refuse(f"{self.name} lacks {name}, it holds {', '.join(self._content) or 'nothing'}")
+            raise self.refuse(
+                f"{self.name} lacks {name}, it holds {', '.join(self._content) or 'nothing'}"
+            )
         found = self._content[name]
         if not hasattr(found, "dtype") or found.dtype.kind not in ("iu" if kind is int else "iuf"):
             what = f"numbers of dtype {found.dtype}" if hasattr(found, "dtype") else "a group"
-            raise self.refuse(f"{self.name}/{name} must hold {'whole ' * (kind is int)}numbers, got {what}")
+            raise self.refuse(
+                f"{self.name}/{name} must hold {'whole ' * (kind is int)}numbers, got {what}"
+            )
         return np.ravel(found[()]).astype(np.int64 if kind is int else np.float64)
 
     def number(self, name: str) -> int:
@@ -80,11 +86,15 @@ class _Group:
     def matrix(self, name: str, rows: int, columns: int) -> sp.csr_array:
         """Return a matrix, whose shape follows from the vectors."""
         if not self.holds(name):
-            raise self.refuse(f"{self.name} lacks {name}, it holds {', '.join(self._content) or 'nothing'}")
+            raise self.refuse(
+                f"{self.name} lacks {name}, it holds {', '.join(self._content) or 'nothing'}"
+            )
         own = _Group(self.source, f"{self.name}/{name}", self._content[name])
         shape, nz = (own.number("m"), own.number("n")), own.number("nz")
         if shape != (rows, columns):
-            raise self.refuse(f"{own.name} is of {shape[0]} × {shape[1]}, but its vectors need {rows} × {columns}")
+            raise self.refuse(
+                f"{own.name} is of {shape[0]} × {shape[1]}, but its vectors need {rows} × {columns}"
+            )
         p, i, x = own.array("p", int), own.array("i", int), own.array("x")
         try:
             if nz >= 0:
@@ -126,5 +136,7 @@ def _contacts(group: _Group) -> FrictionalContact:
         except InvalidProblem as error:
             raise group.refuse(str(error)) from error
         W, offset = H.T @ by_impulse, by_impulse.T @ f + offset
-    problem: FrictionalContact = problem_of({"W": W, "q": offset.reshape(-1, d), "mu": friction}, group.source)
+    problem: FrictionalContact = problem_of(
+        {"W": W, "q": offset.reshape(-1, d), "mu": friction}, group.source
+    )
     return problem

@@ -29,10 +29,32 @@ from .nl.model import program_in_nl
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps"), ".nl"
 PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of CSC matrices
 ALIASES = {"q": "c", "lb": "lower", "ub": "upper"}
-QUADPROG = {"H": "P", "f": "c", "A": "G", "b": "h", "Aeq": "A", "beq": "b", "lb": "lower", "ub": "upper"}
+QUADPROG = {
+    "H": "P",
+    "f": "c",
+    "A": "G",
+    "b": "h",
+    "Aeq": "A",
+    "beq": "b",
+    "lb": "lower",
+    "ub": "upper",
+}
 OF_PROGRAM = ("P", "c", "A", "l", "u", "G", "h", "b", "lower", "upper", "r")
-OF_CONES = ("W", "M", *MATRIX_KEYS, "q", "b", "mu", "friction", "cone_kinds", "cone_rows", "lower", "upper",
-            "contacts", "dimension")
+OF_CONES = (
+    "W",
+    "M",
+    *MATRIX_KEYS,
+    "q",
+    "b",
+    "mu",
+    "friction",
+    "cone_kinds",
+    "cone_rows",
+    "lower",
+    "upper",
+    "contacts",
+    "dimension",
+)
 OF_LEAST_SQUARES = ("A", "b", "lower", "upper", "weights", "ridge", "l1")
 MATRICES = ("P", "A", "G", "H", "Aeq")
 MOST_ROWS = 10**8
@@ -176,11 +198,20 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
     source = checked_path(path)
     content = _arrays(source, {*OF_LEAST_SQUARES, "lb", "ub", *PARTS})
     content = {ALIASES.get(name, name): array for name, array in content.items()}
-    require_keys(source, content, ("A", "b"), "a least squares problem holds A, b and, if wanted, lower and upper")
+    require_keys(
+        source,
+        content,
+        ("A", "b"),
+        "a least squares problem holds A, b and, if wanted, lower and upper",
+    )
     try:
         return BoundedLeastSquares(
-            content["A"], content["b"], **_limits(content, "lower", "upper"), weights=content.get("weights"),
-            ridge=_number(content.get("ridge", 0.0)), l1=_limits(content, "l1").get("l1", 0.0),
+            content["A"],
+            content["b"],
+            **_limits(content, "lower", "upper"),
+            weights=content.get("weights"),
+            ridge=_number(content.get("ridge", 0.0)),
+            l1=_limits(content, "l1").get("l1", 0.0),
         )
     except (InvalidProblem, ValueError) as error:
         raise InvalidProblem(f"{source}: {error}") from error
@@ -192,7 +223,9 @@ def load_least_squares(path: str | PathLike[str]) -> BoundedLeastSquares:
 def _from_arrays(source: Path) -> Stated:
     names = set(names_in(source))
     found = kind_in(source)
-    if others := names & {"M", "W", *MATRIX_KEYS} or (names & {"b"} if found is BoundedLeastSquares else set()):
+    if others := names & {"M", "W", *MATRIX_KEYS} or (
+        names & {"b"} if found is BoundedLeastSquares else set()
+    ):
         what = "a least squares problem" if others == {"b"} else with_article(found.__name__)
         raise UnreadableFile(
             f"{source} holds {what} (key {min(others)}), not a program: `lcp-plugin solve` takes it; {LAYOUT}"
@@ -201,7 +234,9 @@ def _from_arrays(source: Path) -> Stated:
     renamed = QUADPROG if content.keys() & {"H", "f"} else ALIASES
     program: dict[str, Any] = {}
     for name, array in content.items():
-        if (known := renamed.get(name, name)) in program or (renamed is QUADPROG and name not in (*QUADPROG, "r")):
+        if (known := renamed.get(name, name)) in program or (
+            renamed is QUADPROG and name not in (*QUADPROG, "r")
+        ):
             raise UnreadableFile(f"{source} holds {name} beside other names for the same; {LAYOUT}")
         program[known] = array
     require_keys(source, program, ("c",), LAYOUT)
@@ -222,23 +257,42 @@ def _from_arrays(source: Path) -> Stated:
 
 def _require_ranges_alone(source: Path, program: Mapping[str, Any], A: Any) -> None:
     if A is None:
-        raise UnreadableFile(f"{source} holds l or u, the limits of A x, and no A; bounds of x are lower and upper")
+        raise UnreadableFile(
+            f"{source} holds l or u, the limits of A x, and no A; bounds of x are lower and upper"
+        )
     if others := sorted(program.keys() & {"G", "h", "b"}):
-        raise UnreadableFile(f"{source} holds {', '.join(others)} beside l and u, the limits of all rows; {LAYOUT}")
+        raise UnreadableFile(
+            f"{source} holds {', '.join(others)} beside l and u, the limits of all rows; {LAYOUT}"
+        )
 
 
 def _arrays(source: Path, wanted: set[str]) -> dict[str, Any]:
     """Return the arrays of a file by name, matrices put together from their parts; without what is empty in MATLAB."""
     if source.suffix.lower() == ".mat":
-        found = {name: array for name, array in read_mat(source, wanted)[0].items() if 0 not in array.shape}
+        found = {
+            name: array
+            for name, array in read_mat(source, wanted)[0].items()
+            if 0 not in array.shape
+        }
         for name, array in found.items():
-            if max(array.shape) > MOST_ROWS:  # of a sparse one, which takes a few bytes until it is dense
-                raise UnreadableFile(f"{name} of {source} has the shape {array.shape}; at most {MOST_ROWS} are taken")
-        return {name: array if name in MATRICES else flat(array).reshape(-1) for name, array in found.items()}
+            if (
+                max(array.shape) > MOST_ROWS
+            ):  # of a sparse one, which takes a few bytes until it is dense
+                raise UnreadableFile(
+                    f"{name} of {source} has the shape {array.shape}; at most {MOST_ROWS} are taken"
+                )
+        return {
+            name: array if name in MATRICES else flat(array).reshape(-1)
+            for name, array in found.items()
+        }
     found = dict(read_npz(source, wanted))
     for name in "PAG":
-        if parts := {part: found.pop(f"{name}_{part}") for part in MATRIX_KEYS if f"{name}_{part}" in found}:
-            require_keys(source, parts, MATRIX_KEYS, f"the CSC matrix {name} is {', '.join(_parts(name))}")
+        if parts := {
+            part: found.pop(f"{name}_{part}") for part in MATRIX_KEYS if f"{name}_{part}" in found
+        }:
+            require_keys(
+                source, parts, MATRIX_KEYS, f"the CSC matrix {name} is {', '.join(_parts(name))}"
+            )
             found[name] = csr_in(source, parts, sp.csc_array)
     return found
 
@@ -256,7 +310,9 @@ def _limits(program: dict[str, Any], *names: str) -> dict[str, Any]:
 def _number(value: Any) -> float:
     array = np.asarray(value)
     if array.size != 1 or array.dtype.kind not in "fiub":
-        raise InvalidProblem(f"r and ridge must be numbers, got shape {array.shape} of dtype {array.dtype}")
+        raise InvalidProblem(
+            f"r and ridge must be numbers, got shape {array.shape} of dtype {array.dtype}"
+        )
     return float(array.reshape(())[()])
 
 
@@ -276,7 +332,9 @@ def _from_mps(source: Path) -> Stated:
     try:
         import highspy
     except ImportError as error:
-        raise UnreadableFile(f"{source} is read by HiGHS; install it with: pip install highspy") from error
+        raise UnreadableFile(
+            f"{source} is read by HiGHS; install it with: pip install highspy"
+        ) from error
     if not source.is_file():
         raise UnreadableFile(f"no such file: {source}")
 
@@ -297,7 +355,9 @@ def _from_mps(source: Path) -> Stated:
     model = reader.getModel()
     linear, hessian = model.lp_, model.hessian_
     if any(kind != highspy.HighsVarType.kContinuous for kind in linear.integrality_):
-        raise UnsupportedModel(f"{source} has integer variables; only continuous ones make a convex program")
+        raise UnsupportedModel(
+            f"{source} has integer variables; only continuous ones make a convex program"
+        )
     n, m = linear.num_col_, linear.num_row_
     matrix = linear.a_matrix_
     is_columns = matrix.format_ == highspy.MatrixFormat.kColwise
@@ -305,12 +365,19 @@ def _from_mps(source: Path) -> Stated:
     A = sp.csr_array(kind((np.array(matrix.value_), matrix.index_, matrix.start_), shape=(m, n)))
     P: Any = sp.csr_array((n, n))
     if hessian.dim_:
-        P = sp.csr_array(sp.csc_array((np.array(hessian.value_), hessian.index_, hessian.start_), shape=(n, n)))
+        P = sp.csr_array(
+            sp.csc_array((np.array(hessian.value_), hessian.index_, hessian.start_), shape=(n, n))
+        )
     sense = -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
     try:
         program = QuadraticProgram.from_ranges(
-            sense * _whole(P), sense * np.array(linear.col_cost_), A, linear.row_lower_, linear.row_upper_,
-            linear.col_lower_, linear.col_upper_,
+            sense * _whole(P),
+            sense * np.array(linear.col_cost_),
+            A,
+            linear.row_lower_,
+            linear.row_upper_,
+            linear.col_lower_,
+            linear.col_upper_,
         )
     except InvalidProblem as error:
         raise InvalidProblem(f"{source}: {error}") from error

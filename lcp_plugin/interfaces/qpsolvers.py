@@ -18,7 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.checks import checked_limit, checked_vector
-from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm, UnsupportedModel
+from ..core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    UnknownAlgorithm,
+    UnsupportedModel,
+)
 from ..core.settings import Status
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import solve_program
@@ -27,7 +33,16 @@ if TYPE_CHECKING:
     from qpsolvers import Problem, Solution
 
 NAME = "lcp_plugin"
-ELSEWHERE = ("eps_abs", "eps_rel", "feastol", "reltol", "abstol", "max_iter", "maxiter", "time_limit")
+ELSEWHERE = (
+    "eps_abs",
+    "eps_rel",
+    "feastol",
+    "reltol",
+    "abstol",
+    "max_iter",
+    "maxiter",
+    "time_limit",
+)
 
 
 def register_with_qpsolvers() -> None:
@@ -59,7 +74,9 @@ def register_with_qpsolvers() -> None:
             names.append(NAME)
 
 
-def solve_problem(problem: Problem, initvals: Any = None, verbose: bool = False, **options: Any) -> Solution:
+def solve_problem(
+    problem: Problem, initvals: Any = None, verbose: bool = False, **options: Any
+) -> Solution:
     """Return what qpsolvers calls a solution, found where the program's own residuals are optimal.
 
     Parameters

@@ -26,8 +26,14 @@ class LCPResult(NamedTuple):
 
 
 def lemke(
-    M: ArrayLike, q: ArrayLike, d: ArrayLike | None = None, max_iter: int = 10**6, piv_options: Any = None,
-    tableau: Any = None, basis: Any = None, z: Any = None,
+    M: ArrayLike,
+    q: ArrayLike,
+    d: ArrayLike | None = None,
+    max_iter: int = 10**6,
+    piv_options: Any = None,
+    tableau: Any = None,
+    basis: Any = None,
+    z: Any = None,
 ) -> LCPResult:
     """Return the end of Lemke's path along w = M z + q + t d: z ≥ 0, w = M z + q ≥ 0, zᵀw = 0.
 
@@ -78,8 +84,12 @@ def lemke(
     covering = _covering(d, problem.n)
     if isinstance(max_iter, bool) or not isinstance(max_iter, (int, np.integer)) or max_iter < 0:
         raise InvalidOption(f"max_iter must be a whole number ≥ 0, got {max_iter!r}")
-    if z is not None and not (isinstance(z, np.ndarray) and z.shape == (problem.n,) and z.flags.writeable):
-        raise InvalidOption(f"z must be a writable array of shape ({problem.n},), got {type(z).__name__}")
+    if z is not None and not (
+        isinstance(z, np.ndarray) and z.shape == (problem.n,) and z.flags.writeable
+    ):
+        raise InvalidOption(
+            f"z must be a writable array of shape ({problem.n},), got {type(z).__name__}"
+        )
     if not (problem.q < 0.0).any():
         found, end, pivots = np.zeros(problem.n), "solved", 0
     else:
@@ -103,5 +113,7 @@ def _covering(d: ArrayLike | None, n: int) -> FloatVector:
         raise InvalidOption(str(error)) from error
     if not (covering > 0.0).all():
         i = int(np.flatnonzero(~(covering > 0.0))[0])
-        raise InvalidOption(f"d must be positive to cover every row, but d[{i}] = {covering[i]}; leave it out for 1")
+        raise InvalidOption(
+            f"d must be positive to cover every row, but d[{i}] = {covering[i]}; leave it out for 1"
+        )
     return covering

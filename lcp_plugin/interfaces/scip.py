@@ -84,7 +84,11 @@ def minimize_or_none() -> Callable[..., ScipAnswer] | None:
 
 
 def minimize(
-    problem: EquilibriumProgram, *, tolerance: float = 1e-6, max_nodes: float = math.inf, below: float = math.inf,
+    problem: EquilibriumProgram,
+    *,
+    tolerance: float = 1e-6,
+    max_nodes: float = math.inf,
+    below: float = math.inf,
     ends: Watcher | None = None,
 ) -> ScipAnswer:
     """Return the least objective over all solutions of an equilibrium program, as SCIP finds it.
@@ -133,7 +137,11 @@ def minimize(
         return within
     is_far = within.x is not None and np.abs(within.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
     is_deep = within.value <= -LARGEST * (1.0 - INSIDE)
-    return within._replace(status="unbounded", bound=-math.inf) if is_unbounded or is_far or is_deep else within
+    return (
+        within._replace(status="unbounded", bound=-math.inf)
+        if is_unbounded or is_far or is_deep
+        else within
+    )
 
 
 class _Model:
@@ -147,7 +155,9 @@ class _Model:
         What the objective is measured in, a power of two: SCIP takes costs below 1e-9 for nothing.
     """
 
-    def __init__(self, problem: EquilibriumProgram, ends: Watcher | None, far: float = math.inf) -> None:
+    def __init__(
+        self, problem: EquilibriumProgram, ends: Watcher | None, far: float = math.inf
+    ) -> None:
         import pyscipopt
 
         self.scip, self.problem, self.model, self.ends = pyscipopt, problem, pyscipopt.Model(), ends
@@ -159,7 +169,11 @@ class _Model:
         kinds[problem.integers] = "I"
         lower, upper = np.maximum(lower, -far), np.minimum(upper, far)
         self.x = [
-            self.model.addVar(lb=None if low <= -LARGEST else low, ub=None if high >= LARGEST else high, vtype=kind)
+            self.model.addVar(
+                lb=None if low <= -LARGEST else low,
+                ub=None if high >= LARGEST else high,
+                vtype=kind,
+            )
             for low, high, kind in zip(lower.tolist(), upper.tolist(), kinds.tolist(), strict=True)
         ]
         self._state()
@@ -167,22 +181,34 @@ class _Model:
     @property
     def fell(self) -> bool:
         """Whether the first relaxation had no least objective; its bound is ∞ where a point came first."""
-        return bool(self.model.getNTotalNodes() > 1 and abs(self.model.getDualboundRoot()) >= LARGEST)
+        return bool(
+            self.model.getNTotalNodes() > 1 and abs(self.model.getDualboundRoot()) >= LARGEST
+        )
 
-    def solved(self, tolerance: float, max_nodes: float, below: float, feasible: float) -> ScipAnswer:
+    def solved(
+        self, tolerance: float, max_nodes: float, below: float, feasible: float
+    ) -> ScipAnswer:
         """Return what SCIP finds."""
         model = self.model
-        model.setParams({
-            "limits/time": min(seconds_left(), LARGEST), "limits/gap": SHARE * tolerance,
-            "limits/absgap": SHARE * tolerance, "numerics/feastol": feasible, "timing/clocktype": 2,
-            "limits/totalnodes": int(max_nodes) if max_nodes < 2**62 else -1,
-            "heuristics/multistart/freq": -1,  # takes 10 s where bounds are missing
-        })
+        model.setParams(
+            {
+                "limits/time": min(seconds_left(), LARGEST),
+                "limits/gap": SHARE * tolerance,
+                "limits/absgap": SHARE * tolerance,
+                "numerics/feastol": feasible,
+                "timing/clocktype": 2,
+                "limits/totalnodes": int(max_nodes) if max_nodes < 2**62 else -1,
+                "heuristics/multistart/freq": -1,  # takes 10 s where bounds are missing
+            }
+        )
         if below < math.inf:
             model.setObjlimit(below / self.unit)
         self._watch_nodes()
         try:
-            with Path(os.devnull).open("wb") as nowhere, _stderr_to(nowhere.fileno()) as self.stderr:
+            with (
+                Path(os.devnull).open("wb") as nowhere,
+                _stderr_to(nowhere.fileno()) as self.stderr,
+            ):
                 model.optimize()
         except MemoryError:
             raise
@@ -201,8 +227,10 @@ class _Model:
 
     def _reached(self) -> tuple[float, float, int]:
         """Return value, bound and nodes."""
-        value, bound = (math.copysign(math.inf, one) if abs(one) >= LARGEST else one * self.unit
-                        for one in (self.model.getPrimalbound(), self.model.getDualbound()))
+        value, bound = (
+            math.copysign(math.inf, one) if abs(one) >= LARGEST else one * self.unit
+            for one in (self.model.getPrimalbound(), self.model.getDualbound())
+        )
         return value if self.model.getNSols() else math.inf, bound, int(self.model.getNTotalNodes())
 
     def _watch_nodes(self) -> None:
@@ -219,7 +247,9 @@ class _Model:
             def eventexec(self, _: Any) -> None:
                 try:
                     with _stderr_to(own.stderr):
-                        is_over = own.error is None and own.ends is not None and own.ends(*own._reached())
+                        is_over = (
+                            own.error is None and own.ends is not None and own.ends(*own._reached())
+                        )
                 except BaseException as error:
                     own.error, is_over = error, True
                 if is_over:
@@ -230,10 +260,20 @@ class _Model:
     # --- the statement ---
 
     def _state(self) -> None:
-        program, smooth, nothing = self.problem.program, self.problem.smooth, np.zeros(self.problem.program.h.size)
-        self._constrain(self._sums(program.G, self.x, nothing), np.full(nothing.size, -np.inf), program.h)
-        self._constrain(self._sums(program.A, self.x, np.zeros(program.b.size)), program.b, program.b)
-        goal = self._sums(program.c[None] / self.unit, self.x, np.array([self.problem.offset / self.unit]))[0]
+        program, smooth, nothing = (
+            self.problem.program,
+            self.problem.smooth,
+            np.zeros(self.problem.program.h.size),
+        )
+        self._constrain(
+            self._sums(program.G, self.x, nothing), np.full(nothing.size, -np.inf), program.h
+        )
+        self._constrain(
+            self._sums(program.A, self.x, np.zeros(program.b.size)), program.b, program.b
+        )
+        goal = self._sums(
+            program.c[None] / self.unit, self.x, np.array([self.problem.offset / self.unit])
+        )[0]
         P = sp.coo_array(sp.csr_array(program.P))
         entries = zip(P.row.tolist(), P.col.tolist(), P.data.tolist(), strict=True)
         bent = [0.5 * a / self.unit * self.x[i] * self.x[j] for i, j, a in entries]
@@ -299,13 +339,20 @@ class _Model:
         columns = np.concatenate([one.matrix.indices for one in parts])
         uses = np.bincount(columns, minlength=program.result.matrix.shape[1])
         for level in program.levels:
-            sides = [self._sums(argument.matrix, quantities, argument.offset) for argument in level.arguments]
+            sides = [
+                self._sums(argument.matrix, quantities, argument.offset)
+                for argument in level.arguments
+            ]
             values = [
                 self._applied(function.name, *(side[k] for side in sides[: function.arguments]))
-                for function, span in level.spans for k in range(span.start, span.stop)
+                for function, span in level.spans
+                for k in range(span.start, span.stop)
             ]
             shared = uses[len(quantities) : len(quantities) + len(values)] > 1
-            quantities += [self._named(one) if twice else one for one, twice in zip(values, shared, strict=True)]
+            quantities += [
+                self._named(one) if twice else one
+                for one, twice in zip(values, shared, strict=True)
+            ]
         return self._sums(program.result.matrix, quantities, program.result.offset)
 
     def _applied(self, name: str, *u: Any) -> Any:
@@ -315,13 +362,20 @@ class _Model:
             exponent = float(name.removeprefix("power "))
             return u[0] ** (int(exponent) if exponent.is_integer() else exponent)
         forms: dict[str, Callable[..., Any]] = {
-            "exp": scip.exp, "log": scip.log, "sin": scip.sin, "cos": scip.cos,
-            "product": lambda a, b: a * b, "quotient": lambda a, b: a / b,
-            "log1p": lambda a: scip.log(1.0 + a), "log10": lambda a: scip.log(a) / math.log(10.0),
-            "relative entropy": lambda a, b: a * scip.log(a / b), "tan": lambda a: scip.sin(a) / scip.cos(a),
+            "exp": scip.exp,
+            "log": scip.log,
+            "sin": scip.sin,
+            "cos": scip.cos,
+            "product": lambda a, b: a * b,
+            "quotient": lambda a, b: a / b,
+            "log1p": lambda a: scip.log(1.0 + a),
+            "log10": lambda a: scip.log(a) / math.log(10.0),
+            "relative entropy": lambda a, b: a * scip.log(a / b),
+            "tan": lambda a: scip.sin(a) / scip.cos(a),
             "log add exp": lambda a, b: scip.log(scip.exp(a) + scip.exp(b)),
             "power of": lambda a, b: scip.exp(b * scip.log(a)),
-            "sinh": lambda a: 0.5 * (scip.exp(a) - scip.exp(-a)), "cosh": lambda a: 0.5 * (scip.exp(a) + scip.exp(-a)),
+            "sinh": lambda a: 0.5 * (scip.exp(a) - scip.exp(-a)),
+            "cosh": lambda a: 0.5 * (scip.exp(a) + scip.exp(-a)),
             "tanh": lambda a: 1.0 - 2.0 / (scip.exp(2.0 * a) + 1.0),
             "asinh": lambda a: scip.log(a + scip.sqrt(a * a + 1.0)),
             "acosh": lambda a: scip.log(a + scip.sqrt(a * a - 1.0)),
@@ -338,7 +392,9 @@ class _Model:
 
 def _power_below(program: QuadraticProgram) -> float:
     """Return the power of two below the largest entry of c and P, 1 where there is none."""
-    largest = max(float(np.abs(one).max(initial=0.0)) for one in (program.c, sp.csr_array(program.P).data))
+    largest = max(
+        float(np.abs(one).max(initial=0.0)) for one in (program.c, sp.csr_array(program.P).data)
+    )
     return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest > 0.0 else 1.0
 
 

@@ -67,9 +67,15 @@ FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a ten
 FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M is a dense one
 FEWEST_FACTORS = 10  # that an interior point makes as a rule, beside the one that condensing does
 PIVOTS = 2.0
-PIVOTS_BEFORE_PIQP_UP_TO = 2000  # rows: of frictional contact a path takes .1 (600 rows) to .4 (1 800) of PIQP's time
-LARGE_FACTOR = 1e8  # operations; a factor of the program that has M in its rows takes 4 to 11 times as many
-GAME_PIVOTS = 20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
+PIVOTS_BEFORE_PIQP_UP_TO = (
+    2000  # rows: of frictional contact a path takes .1 (600 rows) to .4 (1 800) of PIQP's time
+)
+LARGE_FACTOR = (
+    1e8  # operations; a factor of the program that has M in its rows takes 4 to 11 times as many
+)
+GAME_PIVOTS = (
+    20.0  # where nothing else has good prospects: paths of random bimatrix games take 3 n to 13 n
+)
 
 
 def direct_methods(problem: LCP) -> Iterator[Choice]:
@@ -99,7 +105,9 @@ class FallbackOrder:
         self.left_out: list[str] = []
         by_prospects = _by_prospects(problem, prove_infeasibility, self.left_out)
         self._last = _at_last(problem, prove_infeasibility, self.left_out)
-        self._coming = chain(_first_look(problem, prove_infeasibility) if looks_at_cases else (), by_prospects)
+        self._coming = chain(
+            _first_look(problem, prove_infeasibility) if looks_at_cases else (), by_prospects
+        )
         self._now: Choice | None = None
 
     def first(self) -> Choice | None:
@@ -112,16 +120,24 @@ class FallbackOrder:
         stage = stages[-1]
         if failed and stage.least_residual > goal:  # all cases were looked at
             return None
-        is_overdue = self._now is not None and has_had_its_turn(stage, self._now.turn, self._problem, goal)
+        is_overdue = self._now is not None and has_had_its_turn(
+            stage, self._now.turn, self._problem, goal
+        )
         if not (failed or is_overdue):
             return None
-        is_far_out = any(one.has_no_solution_nearby for one in stages)  # worth one turn, at the most
-        following = next((one for one in self._coming if not (is_far_out and one.turn < math.inf)), None)
+        is_far_out = any(
+            one.has_no_solution_nearby for one in stages
+        )  # worth one turn, at the most
+        following = next(
+            (one for one in self._coming if not (is_far_out and one.turn < math.inf)), None
+        )
         if following is None and self._waiting and not is_far_out:
             following = self._waiting.pop(0)
         if following is not None:
             if self._now is not None and not failed:
-                self._waiting.append(replace(self._now, because="the others have had their turn", turn=math.inf))
+                self._waiting.append(
+                    replace(self._now, because="the others have had their turn", turn=math.inf)
+                )
         elif failed and not is_far_out:
             following = next(self._last, None)
         self._now = following or self._now
@@ -180,7 +196,9 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
 
     lemke = Choice(Lemke(), "pivoting needs no property of M")
     if is_game(problem):
-        yield replace(lemke, because="a game: Lemke and Howson's paths, one a label", turn=GAME_PIVOTS)
+        yield replace(
+            lemke, because="a game: Lemke and Howson's paths, one a label", turn=GAME_PIVOTS
+        )
     if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
         why = "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does"
         yield Choice(LargestPoint(prove_infeasibility=prove_infeasibility), why)
@@ -190,8 +208,12 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     interior = Choice(InteriorPoint(), why)
     check = Choice(FeasibilityCheck(), "is there a solution at all?")
     too_large = _too_large(problem, is_kkt=is_kkt)
-    left_out = [one.algorithm for one in (check, lemke, newton, interior) if one.algorithm.name in too_large]
-    left_out += ([] if prove_infeasibility else [check.algorithm]) + ([lemke.algorithm] if is_game(problem) else [])
+    left_out = [
+        one.algorithm for one in (check, lemke, newton, interior) if one.algorithm.name in too_large
+    ]
+    left_out += ([] if prove_infeasibility else [check.algorithm]) + (
+        [lemke.algorithm] if is_game(problem) else []
+    )
     row = contradictory_row(problem) if prove_infeasibility else None
     is_contradictory = row is not None and row.excludes(EPSILON)
     passes = math.inf if is_kkt or is_contradictory else condensing_passes(problem)
@@ -200,36 +222,58 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     if is_contradictory:
         yield replace(check, because="one row contradicts its bounds by itself")
     elif prove_infeasibility and not problem.is_dense and seems_unheld(problem):
-        yield replace(check, because="a factor of M meets a pivot of 0: nothing seems to hold z along some direction")
+        yield replace(
+            check,
+            because="a factor of M meets a pivot of 0: nothing seems to hold z along some direction",
+        )
     elif newton.algorithm not in left_out and _suits_newton(problem):
         yield newton
         left_out.append(newton.algorithm)
     order = _order(problem, newton, lemke, interior, check)
     chosen = [choice for choice in order if choice.algorithm not in left_out]
     # A factor that fills in is better than no answer.
-    chosen = chosen or [choice for choice in order if choice.algorithm in (newton.algorithm, interior.algorithm)]
-    runs = {choice.algorithm.name for choice in chosen} | ({check.algorithm.name} if not prove_infeasibility else set())
+    chosen = chosen or [
+        choice for choice in order if choice.algorithm in (newton.algorithm, interior.algorithm)
+    ]
+    runs = {choice.algorithm.name for choice in chosen} | (
+        {check.algorithm.name} if not prove_infeasibility else set()
+    )
     words += [said for name, said in too_large.items() if name not in runs]
     yield from chosen
 
 
-def _order(problem: LCP, newton: Choice, lemke: Choice, interior: Choice, check: Choice) -> list[Choice]:
+def _order(
+    problem: LCP, newton: Choice, lemke: Choice, interior: Choice, check: Choice
+) -> list[Choice]:
     """Return them by their prospects, with their turns: what M seems to be, and whether its diagonal is positive."""
-    is_positive, is_symmetric = bool(has_positive_diagonal(problem.matrix).all()), is_nearly_symmetric(problem.matrix)
+    is_positive, is_symmetric = (
+        bool(has_positive_diagonal(problem.matrix).all()),
+        is_nearly_symmetric(problem.matrix),
+    )
     if _seems_monotone(problem):
         if problem.is_dense or problem.nonzeros > FULL_SHARE * problem.n**2:
             if not is_positive:
                 few = Lemke(max_pivots=10 + problem.n // FIRST_PIVOTS, restarts=0)
-                return [Choice(few, "some pivots, before a factor of a dense M"), interior, check, newton, lemke]
+                return [
+                    Choice(few, "some pivots, before a factor of a dense M"),
+                    interior,
+                    check,
+                    newton,
+                    lemke,
+                ]
             if not is_symmetric and monotone_rows(problem.M) is None:
                 return [replace(lemke, turn=PIVOTS), interior, check, newton]
         elif is_positive and not is_symmetric and sizes_of_factor(problem.matrix)[1] > LARGE_FACTOR:
             return [replace(newton, turn=INTERIOR_STEPS), interior, check, lemke]
         return [interior, check, newton, lemke]
-    interior = replace(interior, because="M is not shown to be monotone, but interior points may do")
+    interior = replace(
+        interior, because="M is not shown to be monotone, but interior points may do"
+    )
     newton = replace(newton, turn=INTERIOR_STEPS)
     lemke = replace(lemke, turn=PIVOTS if is_positive else GAME_PIVOTS)
-    if problem.is_dense or problem.n <= (PIVOTS_FIRST_UP_TO if is_positive else PIVOTS_BEFORE_PIQP_UP_TO):
+    if problem.is_dense or problem.n <= (
+        PIVOTS_FIRST_UP_TO if is_positive else PIVOTS_BEFORE_PIQP_UP_TO
+    ):
         return [newton, lemke, interior, check] if is_positive else [lemke, interior, check, newton]
     return [newton, interior, check, lemke] if is_positive else [interior, newton, check, lemke]
 
@@ -244,13 +288,23 @@ def _too_large(problem: LCP, *, is_kkt: bool) -> dict[str, str]:
 
     found = {}
     if problem.n > LINEAR_PROGRAM_UP_TO:
-        found["feasibility"] = _up_to("a look for a proof that there is no solution", LINEAR_PROGRAM_UP_TO, problem)
+        found["feasibility"] = _up_to(
+            "a look for a proof that there is no solution", LINEAR_PROGRAM_UP_TO, problem
+        )
     if not has_components_that_fit(problem):
         found["lemke"] = _up_to("lemke", PIVOTED_UP_TO, problem)
-    if not (is_kkt or problem.is_dense or problem.n <= LINEAR_PROGRAM_UP_TO or factor_fits(problem.csr)):
-        found |= {name: f"{name} (a factor of M is predicted to be too large)" for name in ("newton", "interior_point")}
+    if not (
+        is_kkt or problem.is_dense or problem.n <= LINEAR_PROGRAM_UP_TO or factor_fits(problem.csr)
+    ):
+        found |= {
+            name: f"{name} (a factor of M is predicted to be too large)"
+            for name in ("newton", "interior_point")
+        }
     if is_negative(problem.matrix) and problem.n > LINEAR_PROGRAM_UP_TO:
-        found.setdefault("newton", _up_to("newton, where the diagonal is negative,", LINEAR_PROGRAM_UP_TO, problem))
+        found.setdefault(
+            "newton",
+            _up_to("newton, where the diagonal is negative,", LINEAR_PROGRAM_UP_TO, problem),
+        )
     return found
 
 
@@ -296,7 +350,9 @@ def _seems_monotone(problem: LCP) -> bool:
     from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 
     row = monotone_rows(problem.M)  # interior_point takes these
-    twice = symmetric_part(problem.M if row is None else scaled(problem.M, Exponents(row, np.zeros_like(row))))
+    twice = symmetric_part(
+        problem.M if row is None else scaled(problem.M, Exponents(row, np.zeros_like(row)))
+    )
     if bool((twice.diagonal() < 0.0).any()):
         return False
     # The multipliers of a quadratic program have empty rows and columns there.

@@ -93,12 +93,17 @@ class InteriorPoint(Algorithm):
             yield from _cases(problem, z, 1)
         operations, speed = problem.n**3 / 3.0, DENSE_OPERATIONS
         if not problem.is_dense:
-            operations, speed = min(operations, sizes_of_factor(problem.matrix)[1]), SPARSE_OPERATIONS
+            operations, speed = (
+                min(operations, sizes_of_factor(problem.matrix)[1]),
+                SPARSE_OPERATIONS,
+            )
         require_seconds(operations / speed)
         program, entries = ConvexProgram.of(problem), float(max(problem.nonzeros, 1))
         yield from program.descents()
         passes = 1.0 + operations / entries
-        for engine, unit in ((engine, unit) for engine in self._engines(problem) for unit in program.units()):
+        for engine, unit in (
+            (engine, unit) for engine in self._engines(problem) for unit in program.units()
+        ):
             z, steps = program.answer(engine, unit)
             if np.isfinite(z).all():
                 cases = _cases(problem, z, CASES)
@@ -183,14 +188,21 @@ class ConvexProgram:
             x, y = np.flatnonzero(is_x), np.flatnonzero(~is_x)
             P = M[x][:, x] if y.size else M
             P, R, c, multipliers = 0.5 * (P + P.T), M[y][:, x], (q + M[:, y] @ a[y])[x], kept[y]
-        statement = _stated(P, c, R, q[y], lower[kept][y], upper[kept][y], lower[kept[x]], upper[kept[x]])
+        statement = _stated(
+            P, c, R, q[y], lower[kept][y], upper[kept][y], lower[kept[x]], upper[kept[x]]
+        )
         size = float(power_of_two(_largest(statement.c, statement.h, statement.b)))
-        vectors = {name: getattr(statement, name) / size for name in ("c", "h", "b", "lower", "upper")}
+        vectors = {
+            name: getattr(statement, name) / size for name in ("c", "h", "b", "lower", "upper")
+        }
         return cls(problem, statement._replace(**vectors), size, kept[x], multipliers, anchor)
 
     def answer(self, engine: Engine, unit: FloatVector) -> tuple[FloatVector, int]:
         """Return z within its bounds, NaN where the engine has none in these units of x, and its steps."""
-        given, z = self.statement, np.where(self.problem.lower == self.problem.upper, self.problem.lower, 0.0)
+        given, z = (
+            self.statement,
+            np.where(self.problem.lower == self.problem.upper, self.problem.lower, 0.0),
+        )
         if not self.unknowns.size:
             return z, 0
         nothing = np.zeros(given.h.size + 2 * given.c.size, np.bool_)
@@ -198,7 +210,9 @@ class ConvexProgram:
         point = prepared.outward(engine.answer(prepared.statement, Limits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:
-            z[self.multipliers] = self.anchor[self.multipliers] + self._signed(point.multipliers) * self.size
+            z[self.multipliers] = (
+                self.anchor[self.multipliers] + self._signed(point.multipliers) * self.size
+            )
         return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
 
     def descents(self) -> Iterator[Step]:
@@ -242,30 +256,50 @@ def unit_of_diagonal(P: Any) -> FloatVector | None:
 
 
 def _largest(*parts: Any) -> float:
-    return max(float(np.max(np.abs(one.data if sp.issparse(one) else one), initial=0.0)) for one in parts)
+    return max(
+        float(np.max(np.abs(one.data if sp.issparse(one) else one), initial=0.0)) for one in parts
+    )
 
 
 def _stated(
-    P: Any, c: FloatVector, R: Any, q: FloatVector, low: FloatVector, high: FloatVector, lower: FloatVector,
+    P: Any,
+    c: FloatVector,
+    R: Any,
+    q: FloatVector,
+    low: FloatVector,
+    high: FloatVector,
+    lower: FloatVector,
     upper: FloatVector,
 ) -> Statement:
     """Return the statement with lower ≤ x ≤ upper, of rows whose multipliers are between `low` and `high`."""
     below, above = np.isfinite(low), np.isfinite(high)
     rows, equations, boxed = map(np.flatnonzero, (below | above, ~(below | above), below & above))
     sign, k = np.where(below, 1.0, -1.0)[rows], boxed.size
-    A, G = -R[equations], sp.diags_array(-sign) @ R[rows] if sp.issparse(R) else -sign[:, np.newaxis] * R[rows]
+    A, G = (
+        -R[equations],
+        sp.diags_array(-sign) @ R[rows] if sp.issparse(R) else -sign[:, np.newaxis] * R[rows],
+    )
     if k:
         places = np.searchsorted(rows, boxed), np.arange(k)
         v = sp.csr_array((np.full(k, -1.0), places), shape=(rows.size, k))
         if sp.issparse(R):
-            P, A = sp.block_diag([P, sp.csr_array((k, k))]), sp.hstack([A, sp.csr_array((equations.size, k))])
+            P, A = (
+                sp.block_diag([P, sp.csr_array((k, k))]),
+                sp.hstack([A, sp.csr_array((equations.size, k))]),
+            )
             G = sp.hstack([G, v])
         else:
             P, A, G = np.pad(P, (0, k)), np.pad(A, ((0, 0), (0, k))), np.hstack([G, v.toarray()])
     if sp.issparse(R):
         P, G, A = map(sp.csr_array, (P, G, A))
     return Statement(
-        P, np.append(c, (high - low)[boxed]), G, sign * q[rows], A, q[equations], np.append(lower, np.zeros(k)),
+        P,
+        np.append(c, (high - low)[boxed]),
+        G,
+        sign * q[rows],
+        A,
+        q[equations],
+        np.append(lower, np.zeros(k)),
         np.append(upper, np.full(k, np.inf)),
     )
 
@@ -288,16 +322,23 @@ def signs_of(matrix: Matrix) -> FloatVector | None:
     M, n = matrix.csr, matrix.n
     mirrored = sp.csr_array(M.T)
     mirrored.sort_indices()
-    if not (np.array_equal(M.indptr, mirrored.indptr) and np.array_equal(M.indices, mirrored.indices)):
+    if not (
+        np.array_equal(M.indptr, mirrored.indptr) and np.array_equal(M.indices, mirrored.indices)
+    ):
         return None
     size, rows, columns = SAME * np.abs(M.data), row_numbers(M).astype(np.int64), M.indices
-    is_same, is_opposite = np.abs(M.data - mirrored.data) <= size, np.abs(M.data + mirrored.data) <= size
+    is_same, is_opposite = (
+        np.abs(M.data - mirrored.data) <= size,
+        np.abs(M.data + mirrored.data) <= size,
+    )
     if is_same.all() or not (is_same | is_opposite).all():
         return np.ones(n) if is_same.all() else None
     # In a graph of every row and its opposite: who is connected with his own has no sign.
     beside = columns + np.where(is_same, 0, n)
     edges = np.append(rows, rows + n), np.append(beside, (beside + n) % (2 * n))
-    part = connected_components(sp.csr_array((np.ones(2 * rows.size), edges), shape=(2 * n, 2 * n)), directed=False)[1]
+    part = connected_components(
+        sp.csr_array((np.ones(2 * rows.size), edges), shape=(2 * n, 2 * n)), directed=False
+    )[1]
     bends = np.zeros(2 * n, dtype=bool)
     bends[part[rows[is_same]]] = True
     one, other = bends[part[:n]], bends[part[n:]]

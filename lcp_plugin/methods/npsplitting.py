@@ -78,8 +78,11 @@ class NPSplitting(ScaledByRows):
         """Return 𝓜, S, and whether 𝓜 is a part of M."""
         splitting = self._matrix(problem)
         return IterationFacts(
-            family=PROJECTED_SPLITTING, scaling=self._scaling(problem), is_scaled=self.scaling is not None,
-            splitting=splitting, is_part_of_matrix=isinstance(self.splitting, str),
+            family=PROJECTED_SPLITTING,
+            scaling=self._scaling(problem),
+            is_scaled=self.scaling is not None,
+            splitting=splitting,
+            is_part_of_matrix=isinstance(self.splitting, str),
         )
 
     @property
@@ -89,7 +92,9 @@ class NPSplitting(ScaledByRows):
 
     def _scaling(self, problem: LCP) -> FloatVector:
         is_named = isinstance(self.splitting, str)
-        return self.row_scaling(problem, lambda: split_factors(problem.matrix, self.splitting) if is_named else 1.0)
+        return self.row_scaling(
+            problem, lambda: split_factors(problem.matrix, self.splitting) if is_named else 1.0
+        )
 
     def _matrix(self, problem: LCP) -> sp.csr_array:
         M = problem.csr

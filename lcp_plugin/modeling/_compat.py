@@ -79,8 +79,20 @@ def smooth_atoms(*places: str) -> tuple[Any, ...]:
 
 POWER = smooth_atoms("elementwise.power.Power", "elementwise.power.power")
 NONSMOOTH = smooth_atoms(
-    *("elementwise.abs.abs", "elementwise.maximum.maximum", "elementwise.minimum.minimum", "elementwise.huber.huber"),
-    *("max.max", "min.min", "norm1.norm1", "norm_inf.norm_inf", "pnorm.Pnorm", "sum_largest.sum_largest"),
+    *(
+        "elementwise.abs.abs",
+        "elementwise.maximum.maximum",
+        "elementwise.minimum.minimum",
+        "elementwise.huber.huber",
+    ),
+    *(
+        "max.max",
+        "min.min",
+        "norm1.norm1",
+        "norm_inf.norm_inf",
+        "pnorm.Pnorm",
+        "sum_largest.sum_largest",
+    ),
 )
 
 
@@ -105,7 +117,9 @@ def postorder(root: Any, stop: Container[int]) -> list[Any]:
 def leaf_value(leaf: Any) -> Any:
     """Return the value of a constant or parameter: None, an array, or a two-dimensional CSC array."""
     # The value of a parameter with a sparsity pattern is dense, with a warning; releases before 1.6.1 know no other.
-    is_patterned = getattr(leaf, "sparse_idx", None) is not None and hasattr(type(leaf), "value_sparse")
+    is_patterned = getattr(leaf, "sparse_idx", None) is not None and hasattr(
+        type(leaf), "value_sparse"
+    )
     value = leaf.value_sparse if is_patterned and leaf._value is not None else leaf.value
     if sp.issparse(value):
         return sp.csc_array(value) if value.ndim == 2 else value.toarray()
@@ -146,7 +160,9 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
         return values[0] / uniform(values[1])
     for kind, stack in STACKS.items():
         if isinstance(node, kind) and len(node.shape) == 2:
-            return stack([value if sp.issparse(value) else np.atleast_2d(value) for value in values])
+            return stack(
+                [value if sp.issparse(value) else np.atleast_2d(value) for value in values]
+            )
     if isinstance(node, SELECTION):
         # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
         return node.numeric([sp.csr_matrix(value) for value in values])
@@ -163,7 +179,11 @@ def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
 
 def _multiplies_sparse(node: Any, values: list[Any]) -> bool:
     is_product = isinstance(node, MATRIX_PRODUCT) and not isinstance(node, ELEMENTWISE)
-    return is_product and any(map(sp.issparse, values)) and all(1 <= len(value.shape) <= 2 for value in values)
+    return (
+        is_product
+        and any(map(sp.issparse, values))
+        and all(1 <= len(value.shape) <= 2 for value in values)
+    )
 
 
 def dense(value: Any) -> Any:
@@ -228,15 +248,21 @@ def bound_value(bound: Any, owner: Any) -> Any:
     if bound is None:
         raise UnsupportedModel(f"a bound of {owner} is None; write -np.inf or np.inf")
     if isinstance(bound, cp.Expression) and bound.variables():
-        raise UnsupportedModel(f"the bound {bound} of {owner} contains a variable; a bound is a number or a parameter")
+        raise UnsupportedModel(
+            f"the bound {bound} of {owner} contains a variable; a bound is a number or a parameter"
+        )
     value = bound.value if isinstance(bound, cp.Expression) else bound
     if value is None:
-        raise UnsupportedModel(f"the bound {bound} of {owner} has no value; set its parameter first")
+        raise UnsupportedModel(
+            f"the bound {bound} of {owner} has no value; set its parameter first"
+        )
     if hasattr(value, "toarray"):
         value = value.toarray()
     array = np.asarray(value)
     if array.dtype.kind not in "fiub" or np.isnan(array).any():
-        raise UnsupportedModel(f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}")
+        raise UnsupportedModel(
+            f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}"
+        )
     return array.astype(np.float64)
 
 
@@ -249,7 +275,8 @@ CVXPY_STATUS = {
     Status.UNBOUNDED: settings.UNBOUNDED,
     Status.DIVERGED: settings.SOLVER_ERROR,
     **dict.fromkeys(
-        (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.STALLED, Status.INTERRUPTED), settings.USER_LIMIT
+        (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.STALLED, Status.INTERRUPTED),
+        settings.USER_LIMIT,
     ),
 }
 
@@ -314,7 +341,7 @@ def _asking(name: str, own: Any, problem: Any, *args: Any, **kwargs: Any) -> Any
         return own(problem, *args, **kwargs)
     if answering is None:
         raise UnsupportedModel(
-            f'{name} needs a solve with requires_grad=True, and the last one was without; write '
+            f"{name} needs a solve with requires_grad=True, and the last one was without; write "
             'problem.solve(method="LCP", requires_grad=True)'
         )
     return getattr(answering, name)(problem)

@@ -21,12 +21,20 @@ from ..problems.cones.data import Blocks
 from ..problems.cones.solving import solve_cones
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.nonlinear.solving import solve_nonlinear
-from .equations import Affine, Elimination, eliminate_definitions, known_ranges, matched_for_monotony
+from .equations import (
+    Affine,
+    Elimination,
+    eliminate_definitions,
+    known_ranges,
+    matched_for_monotony,
+)
 from .expressions.program import Program
 from .expressions.rows import Compiler, Rows, assembled
 
 BEGUN = "begun from the values of the variables, which are the last answer unless others were set"
-UNCERTAIN = 1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
+UNCERTAIN = (
+    1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +101,9 @@ class Assembly:
     #: Whether unknowns that go with an equation may keep bounds that nothing implies; the answer is looked at then.
     keeps_bounds = False
 
-    def __init__(self, compiler: Compiler, first: dict[int, int], lower: FloatVector, upper: FloatVector) -> None:
+    def __init__(
+        self, compiler: Compiler, first: dict[int, int], lower: FloatVector, upper: FloatVector
+    ) -> None:
         self.compiler, self.first, self.lower, self.upper = compiler, first, lower, upper
         self.is_paired = np.zeros(lower.size, dtype=bool)
         #: Of each pair: the unknowns, the function that belongs to them, and its sign.
@@ -120,7 +130,11 @@ class Assembly:
     def affine(self, functions: Sequence[PairedRows]) -> Affine:
         """Return all rows over all unknowns, each with the number of its function; a single block as it is."""
         matrix, offset = assembled([one.rows for one in functions], self.first, self.count)
-        return Affine(matrix, offset, np.repeat(np.arange(len(functions)), [one.rows.size for one in functions]))
+        return Affine(
+            matrix,
+            offset,
+            np.repeat(np.arange(len(functions)), [one.rows.size for one in functions]),
+        )
 
     def arranged(self) -> Arrangement:
         """Put definitions in, match the equations left with the unknowns left, and put everything in its place.
@@ -131,12 +145,20 @@ class Assembly:
         of everything that it would be put in.
         """
         functions, of_pairs = [*(one for _, one, _ in self.pairs), *self.equations], len(self.pairs)
-        columns = np.concatenate([*(columns for columns, _, _ in self.pairs), np.zeros(0, dtype=np.int64)])
+        columns = np.concatenate(
+            [*(columns for columns, _, _ in self.pairs), np.zeros(0, dtype=np.int64)]
+        )
         signs = np.concatenate([*(sign for _, _, sign in self.pairs), np.zeros(0)])
-        free, sizes = np.flatnonzero(~self.is_paired), (columns.size, sum(one.rows.size for one in self.equations))
+        free, sizes = (
+            np.flatnonzero(~self.is_paired),
+            (columns.size, sum(one.rows.size for one in self.equations)),
+        )
         self._check_square(free, sizes[1])
         self._drop_implied_bounds(free)
-        elimination, stored = Elimination.of_nothing(self.count), [sp.csr_array((size, self.count)) for size in sizes]
+        elimination, stored = (
+            Elimination.of_nothing(self.count),
+            [sp.csr_array((size, self.count)) for size in sizes],
+        )
         program = None
         if any(one.rows.level for one in functions):
             results = [one.rows for one in functions]
@@ -153,7 +175,11 @@ class Assembly:
         place[kept] = np.arange(kept.size)
         columns, free = place[columns], np.flatnonzero(~self.is_paired[kept])
         if free.size:
-            matrices = (pairs.matrix, equations.matrix) if program is None else self._derivatives(program, sizes[0])
+            matrices = (
+                (pairs.matrix, equations.matrix)
+                if program is None
+                else self._derivatives(program, sizes[0])
+            )
             signed = sp.csr_array(sp.diags_array(signs) @ matrices[0])
             order, turned = matched_for_monotony(matrices[1], signed, columns, free)
             free = free[order]
@@ -183,7 +209,9 @@ class Assembly:
         if not bounded.size:
             return
         affine = [pair for pair in self.pairs if not pair[1].rows.level]
-        columns = np.concatenate([*(columns for columns, _, _ in affine), np.zeros(0, dtype=np.int64)])
+        columns = np.concatenate(
+            [*(columns for columns, _, _ in affine), np.zeros(0, dtype=np.int64)]
+        )
         has_low, has_high = np.isfinite(self.lower[columns]), np.isfinite(self.upper[columns])
         # What has both bounds, or none, leaves the sign of its function open.
         signs = np.concatenate([*(sign for _, _, sign in affine), np.zeros(0)])
@@ -213,7 +241,9 @@ class Assembly:
         """Raise where there are not as many equations as unknowns without a pair."""
         if free.size == equations:
             return
-        of_pairs = sum(function.slacks.size for function in self.equations if function.slacks is not None)
+        of_pairs = sum(
+            function.slacks.size for function in self.equations if function.slacks is not None
+        )
         counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""
         names = ", ".join(self.names_of(free)) or "none"
         way_out = ""
@@ -235,13 +265,18 @@ def _arranged(
     """Return the rows in their places, with their signs: the user's own matrix, without a copy, where nothing moves."""
     M, q = pairs.matrix, pairs.offset
     if equations.offset.size:
-        M, q = sp.csr_array(sp.vstack([M, equations.matrix], format="csr")), np.append(q, equations.offset)
+        M, q = (
+            sp.csr_array(sp.vstack([M, equations.matrix], format="csr")),
+            np.append(q, equations.offset),
+        )
     if not np.array_equal(places, np.arange(q.size)):
         M, q = sp.csr_array(M[places]), q[places]
     return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)
 
 
-def solve_from(problem: LCP | NonlinearProblem | Blocks, start: FloatVector | None, options: dict[str, Any]) -> Result:
+def solve_from(
+    problem: LCP | NonlinearProblem | Blocks, start: FloatVector | None, options: dict[str, Any]
+) -> Result:
     """Return the answer to a problem that a model became.
 
     Parameters
@@ -255,13 +290,18 @@ def solve_from(problem: LCP | NonlinearProblem | Blocks, start: FloatVector | No
     is_given = "z0" in options or start is None or not np.isfinite(start).all()
     if isinstance(problem, Blocks):
         problem.problem_kind.refuse(options)
-        _refuse_unknown(options, "a model with cones", list(inspect.signature(solve_cones).parameters)[1:])
+        _refuse_unknown(
+            options, "a model with cones", list(inspect.signature(solve_cones).parameters)[1:]
+        )
     if isinstance(problem, NonlinearProblem):
         known = ["z0", *list(inspect.signature(solve_nonlinear).parameters)[2:]]
         _refuse_unknown(options, "a nonlinear model", known)
         z0: Any = options.get("z0", np.zeros_like(problem.lower)) if is_given else start
         # The derivative is ours; what the language itself evaluates is compared at the end.
-        own = {"check_jacobian": False, **{name: value for name, value in options.items() if name != "z0"}}
+        own = {
+            "check_jacobian": False,
+            **{name: value for name, value in options.items() if name != "z0"},
+        }
         result = solve_nonlinear(problem, z0, **own)
     else:
         run: Any = solve_cones if isinstance(problem, Blocks) else solve_lcp

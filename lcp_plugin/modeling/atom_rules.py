@@ -81,8 +81,12 @@ def _is_matrix_product(node: Any) -> bool:
 
 def _holds_product(node: Any) -> bool:
     if isinstance(node, atoms.SUM):
-        return all(part.shape == node.shape for part in node.args) and any(map(_holds_product, node.args))
-    return _is_matrix_product(node) and node.ndim == 2 and all(part.parameters() for part in node.args)
+        return all(part.shape == node.shape for part in node.args) and any(
+            map(_holds_product, node.args)
+        )
+    return (
+        _is_matrix_product(node) and node.ndim == 2 and all(part.parameters() for part in node.args)
+    )
 
 
 def _applied(matrix: Any, right: Any) -> Any:
@@ -120,10 +124,13 @@ def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     """Apply the derivatives that cvxpy gives, which are constant where the atom is affine."""
     offsets = [one.array(one.offset) if isinstance(one, Rows) else one for one in arguments]
     # Anywhere inside their domains; a power is not differentiated at zero.
-    values = [np.ones(one.shape) if isinstance(one, Rows) else atoms.dense(one) for one in arguments]
+    values = [
+        np.ones(one.shape) if isinstance(one, Rows) else atoms.dense(one) for one in arguments
+    ]
     parts = [
         one.full().applied(_own_jacobian(node, k, values), node.shape)
-        for k, one in enumerate(arguments) if isinstance(one, Rows)
+        for k, one in enumerate(arguments)
+        if isinstance(one, Rows)
     ]
     whole = added(parts, node.shape)
     offset = np.ravel(atoms.dense_numeric(node, offsets), order="F").astype(np.float64)
@@ -139,7 +146,9 @@ def _own_jacobian(node: Any, k: int, values: list[Any]) -> sp.csr_array:
         stand_in = node
         if not node.args[k].variables():
             constants = [cp.Constant(value) for value in values]
-            stand_in = node.copy([*constants[:k], cp.Variable(node.args[k].shape), *constants[k + 1 :]])
+            stand_in = node.copy(
+                [*constants[:k], cp.Variable(node.args[k].shape), *constants[k + 1 :]]
+            )
         jacobian = stand_in._grad(values)[k]
         if jacobian is None:
             raise ValueError("outside its domain, or an atom without a derivative")
@@ -194,7 +203,9 @@ def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     # 0 stands for an entry of nothing: padding.
     moved = atoms.constant_numeric(node, numbers)
     if not sp.issparse(moved):
-        return stacked(parts).taken(np.asarray(moved).ravel(order="F").astype(np.int64) - 1, node.shape)
+        return stacked(parts).taken(
+            np.asarray(moved).ravel(order="F").astype(np.int64) - 1, node.shape
+        )
     found = Rows.of(atoms.shaped(node, moved))
     return stacked(parts).taken(found.offset.astype(np.int64) - 1, node.shape, found.places)
 
@@ -208,8 +219,12 @@ def _summed(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 AFFINE: dict[tuple[Any, ...], Rule] = {
-    atoms.SUM: _added, atoms.NEGATIVE: _negated, (*atoms.PRODUCT, *atoms.ELEMENTWISE): _product,
-    atoms.BROADCAST: _broadcast, atoms.GATHERS: _gathered, atoms.ENTRY_SUM: _summed,
+    atoms.SUM: _added,
+    atoms.NEGATIVE: _negated,
+    (*atoms.PRODUCT, *atoms.ELEMENTWISE): _product,
+    atoms.BROADCAST: _broadcast,
+    atoms.GATHERS: _gathered,
+    atoms.ENTRY_SUM: _summed,
 }
 
 
@@ -218,7 +233,11 @@ AFFINE: dict[tuple[Any, ...], Rule] = {
 
 def _axes(node: Any) -> list[int]:
     shape, axis = node.args[0].shape, getattr(node, "axis", None)
-    return list(range(len(shape))) if axis is None else [one % len(shape) for one in np.atleast_1d(axis)]
+    return (
+        list(range(len(shape)))
+        if axis is None
+        else [one % len(shape) for one in np.atleast_1d(axis)]
+    )
 
 
 def _elementary(function: Function) -> Rule:
@@ -228,7 +247,9 @@ def _elementary(function: Function) -> Rule:
 def _power(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     rows, value = arguments[0], node.p.value
     if value is None or not np.isfinite(value).all():
-        raise UnsupportedModel(f"the exponent {name_of(node.p)} of {name_of(node)} is {value}; give it a finite value")
+        raise UnsupportedModel(
+            f"the exponent {name_of(node.p)} of {name_of(node)} is {value}; give it a finite value"
+        )
     exponent = float(np.ravel(value)[0])
     if exponent == 0.0:  # a parameter may be
         return Rows({}, np.ones(rows.size), rows.shape)
@@ -238,14 +259,19 @@ def _power(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 def _reduced(node: Any) -> Indices:
     """Return the entries that each result is made of, along the node's axis: shape (entries, results)."""
     shape, axes = node.args[0].shape, _axes(node)
-    moved = np.moveaxis(np.arange(math.prod(shape)).reshape(shape, order="F"), axes, range(len(axes)))
+    moved = np.moveaxis(
+        np.arange(math.prod(shape)).reshape(shape, order="F"), axes, range(len(axes))
+    )
     return moved.reshape((math.prod(shape[one] for one in axes), -1), order="F")
 
 
 def _multiplied(compiler: Compiler, factors: list[Rows]) -> Rows:
     """Return the product of all, in pairs of pairs."""
     while len(factors) > 1:
-        pairs = [compiler.emit(functions.PRODUCT, *factors[k : k + 2]) for k in range(0, len(factors) - 1, 2)]
+        pairs = [
+            compiler.emit(functions.PRODUCT, *factors[k : k + 2])
+            for k in range(0, len(factors) - 1, 2)
+        ]
         factors = pairs + factors[2 * len(pairs) :]
     return factors[0]
 
@@ -256,18 +282,24 @@ def _product_of_entries(compiler: Compiler, node: Any, arguments: list[Any]) -> 
 
 def _geometric_mean(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     if getattr(node, "axis", None) is not None:
-        raise UnsupportedModel(f"{name_of(node)} takes the mean along an axis; write one geo_mean for each row")
+        raise UnsupportedModel(
+            f"{name_of(node)} takes the mean along an axis; write one geo_mean for each row"
+        )
     rows, weights = arguments[0], [float(weight) for weight in node.w]
     kept = np.flatnonzero(np.broadcast_to(getattr(node, "_keep", True), (rows.size,)))
     kept = kept if kept.size == len(weights) else np.arange(rows.size)
     factors = [(rows.taken(kept[k : k + 1]), weight) for k, weight in enumerate(weights) if weight]
-    return _multiplied(compiler, [compiler.emit(functions.power(weight), row) for row, weight in factors])
+    return _multiplied(
+        compiler, [compiler.emit(functions.power(weight), row) for row, weight in factors]
+    )
 
 
 def _log_sum_exp(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     """Add the exponentials in pairs of pairs, each pair by its logarithms: no exponential overflows."""
     groups = _reduced(node)
-    terms: Rows = arguments[0].taken(groups.ravel())  # those of one place in the groups follow each other
+    terms: Rows = arguments[0].taken(
+        groups.ravel()
+    )  # those of one place in the groups follow each other
     left: list[Rows] = []
     count, size = groups.shape
     while count > 1:
@@ -300,11 +332,15 @@ def _quad_form(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 def _entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return compiler.emit(functions.RELATIVE_ENTROPY, arguments[0], Rows.of(np.ones(node.shape))).scaled(-1.0)
+    return compiler.emit(
+        functions.RELATIVE_ENTROPY, arguments[0], Rows.of(np.ones(node.shape))
+    ).scaled(-1.0)
 
 
 def _relative_entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return compiler.emit(functions.RELATIVE_ENTROPY, *(Rows.of(one).spread(node.shape) for one in arguments))
+    return compiler.emit(
+        functions.RELATIVE_ENTROPY, *(Rows.of(one).spread(node.shape) for one in arguments)
+    )
 
 
 def _kl_divergence(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
@@ -313,7 +349,9 @@ def _kl_divergence(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 def _x_exp(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return compiler.emit(functions.PRODUCT, arguments[0], compiler.emit(functions.EXP, arguments[0]))
+    return compiler.emit(
+        functions.PRODUCT, arguments[0], compiler.emit(functions.EXP, arguments[0])
+    )
 
 
 #: By the class of the atom.

@@ -122,7 +122,11 @@ def stated_program(problem: Any) -> Statement:
     others = [one for one in problem.constraints if not isinstance(one, Complements)]
     warn([remark for pair in pairs for remark in pair.remarks])
     is_affine = all(side.is_affine() for pair in pairs for side in pair.sides)
-    if is_affine and not _integers(problem.variables()) and cp.Problem(problem.objective, others).is_dcp():
+    if (
+        is_affine
+        and not _integers(problem.variables())
+        and cp.Problem(problem.objective, others).is_dcp()
+    ):
         try:
             return _compiled(problem, pairs, others)
         except UnsupportedModel as error:
@@ -136,7 +140,9 @@ def stated_program(problem: Any) -> Statement:
 
 
 def _integers(variables: list[Any]) -> list[Any]:
-    return [one for one in variables if one.attributes.get("integer") or one.attributes.get("boolean")]
+    return [
+        one for one in variables if one.attributes.get("integer") or one.attributes.get("boolean")
+    ]
 
 
 def _entries(variable: Any, chosen: Any) -> Indices:
@@ -146,7 +152,9 @@ def _entries(variable: Any, chosen: Any) -> Indices:
     shape = max(variable.shape, (1,))
     try:
         found = np.ravel_multi_index(chosen, shape, order="F")
-    except ValueError:  # a list of entries, as cvxpy took it before it took arrays of rows and of columns
+    except (
+        ValueError
+    ):  # a list of entries, as cvxpy took it before it took arrays of rows and of columns
         found = np.ravel_multi_index(tuple(np.transpose(chosen)), shape, order="F")
     return np.asarray(found, dtype=np.int64)
 
@@ -155,25 +163,47 @@ def _compiled(problem: Any, pairs: list[StatedPair], others: list[Any]) -> State
     """Let cvxpy compile the objective and the constraints, the sides being variables."""
     added: list[Any] = []
     sides = [(_variable(pair.sides[0], added), _variable(pair.sides[1], added)) for pair in pairs]
-    added += [one == 0 for pair, (_, w) in zip(pairs, sides, strict=True) if pair.is_equation for one in (w,)]
-    named = {one.id for constraint in [problem.objective, *others, *added] for one in constraint.variables()}
+    added += [
+        one == 0
+        for pair, (_, w) in zip(pairs, sides, strict=True)
+        if pair.is_equation
+        for one in (w,)
+    ]
+    named = {
+        one.id
+        for constraint in [problem.objective, *others, *added]
+        for one in constraint.variables()
+    }
     own = {side.id: side for both in sides for side in both if side.id not in named and side.size}
-    added += [cp.Variable(one.size) == cp.vec(one, order="F") for one in own.values()]  # so that cvxpy knows them
+    added += [
+        cp.Variable(one.size) == cp.vec(one, order="F") for one in own.values()
+    ]  # so that cvxpy knows them
     reduced = ReducedProblem.of(cp.Problem(problem.objective, [*others, *added]))
     places = reduced.entries.variables
     if places is None:
-        raise UnsupportedModel("a variable is not found again in what cvxpy compiled; use plain variables")
+        raise UnsupportedModel(
+            "a variable is not found again in what cvxpy compiled; use plain variables"
+        )
     program = FoldedRows.of(reduced.program).reduced
     nothing = np.zeros(0, dtype=np.int64)
-    found = {side.id: places[side.id].places if side.size else nothing for both in sides for side in both}
+    found = {
+        side.id: places[side.id].places if side.size else nothing for both in sides for side in both
+    }
     columns = [(found[z.id], found[w.id]) for z, w in sides]
     is_pair = [not pair.is_equation and pair.lower.size for pair in pairs]
-    paired = [(*both, pair.lower, pair.upper) for pair, both, one in zip(pairs, columns, is_pair, strict=True) if one]
+    paired = [
+        (*both, pair.lower, pair.upper)
+        for pair, both, one in zip(pairs, columns, is_pair, strict=True)
+        if one
+    ]
     parts = [np.concatenate([*(one[k] for one in paired), nothing]) for k in range(4)]
     first, second = (part.astype(np.int64) for part in parts[:2])
 
     def values(x: FloatVector) -> dict[int, Any]:
-        return {one.id: places[one.id].taken(x) if one.size else np.zeros(one.shape) for one in problem.variables()}
+        return {
+            one.id: places[one.id].taken(x) if one.size else np.zeros(one.shape)
+            for one in problem.variables()
+        }
 
     def places_of(variable: Any) -> Indices | None:
         found = places[variable.id].places if variable.size else nothing
@@ -181,15 +211,22 @@ def _compiled(problem: Any, pairs: list[StatedPair], others: list[Any]) -> State
 
     names = [""] * program.n
     for one in problem.variables():
-        for k, column in enumerate([] if (own_places := places_of(one)) is None else own_places.tolist()):
+        for k, column in enumerate(
+            [] if (own_places := places_of(one)) is None else own_places.tolist()
+        ):
             names[column] = entry_name(one, k)
-    stated = EquilibriumProgram(program, first, second, parts[2], parts[3], reduced.offset, names=names)
+    stated = EquilibriumProgram(
+        program, first, second, parts[2], parts[3], reduced.offset, names=names
+    )
     return Statement(stated, pairs, columns, values, places_of)
 
 
 def _variable(expression: Any, added: list[Any]) -> Any:
     """Return a variable that is the expression, column by column, perhaps with an equation that is added."""
-    rows, own = Reader().rows(expression), {one.id: one for one in expression.variables() if one.ndim <= 1}
+    rows, own = (
+        Reader().rows(expression),
+        {one.id: one for one in expression.variables() if one.ndim <= 1},
+    )
     if len(rows.blocks) == 1 and not rows.offset.any() and (of := next(iter(rows.blocks))) in own:
         matrix = as_matrix(rows.blocks[of], rows.size)
         if matrix.shape[0] == matrix.shape[1] == matrix.nnz and (matrix.diagonal() == 1.0).all():
@@ -226,12 +263,17 @@ def _read(problem: Any, pairs: list[StatedPair], others: list[Any]) -> Statement
         builder.lower[binary] = np.maximum(builder.lower[binary], 0.0)
         builder.upper[binary] = np.minimum(builder.upper[binary], 1.0)
     found = EquilibriumRows(
-        builder.compiler, builder.first, builder.lower, builder.upper,
+        builder.compiler,
+        builder.first,
+        builder.lower,
+        builder.upper,
         np.concatenate([*integers, np.zeros(0, dtype=np.int64)]),
     )
     for one, row in zip(others, rows, strict=True):
         if not isinstance(one, (Equality, Zero, Inequality, NonPos, NonNeg)):
-            raise UnsupportedModel(f"the constraint {one} is neither an equation nor an inequality; write it as such")
+            raise UnsupportedModel(
+                f"the constraint {one} is neither an equation nor an inequality; write it as such"
+            )
         low = 0.0 if isinstance(one, (Equality, Zero, NonNeg)) else -np.inf
         high = np.inf if isinstance(one, NonNeg) else 0.0
         found.constrain(builder.reader.rows(row), low, high)
@@ -247,14 +289,18 @@ def _read(problem: Any, pairs: list[StatedPair], others: list[Any]) -> Statement
     places = {one.id: own for one, own in zip(builder.variables, columns, strict=True)}
 
     def values(x: FloatVector) -> dict[int, Any]:
-        return {one.id: x[places[one.id]].reshape(one.shape, order="F") for one in problem.variables()}
+        return {
+            one.id: x[places[one.id]].reshape(one.shape, order="F") for one in problem.variables()
+        }
 
     names = [entry_name(one, k) for one in builder.variables for k in range(one.size)]
     program = replace(found.program(goal, sense_of(problem)), names=names)
     return Statement(program, pairs, sides, values, lambda one: places[one.id])
 
 
-def solve_for_the_best(problem: Any, verbose: bool, warm_start: bool, options: dict[str, Any]) -> Any:
+def solve_for_the_best(
+    problem: Any, verbose: bool, warm_start: bool, options: dict[str, Any]
+) -> Any:
     """Solve a cvxpy problem with an objective beside complementarities, and write the answer back; return its value."""
     for name in options:
         if name not in OPTIONS:
@@ -274,18 +320,24 @@ def solve_for_the_best(problem: Any, verbose: bool, warm_start: bool, options: d
 def write_back(problem: Any, stated: Statement, result: EquilibriumResult) -> None:
     """Give the cvxpy problem its status, values, duals and statistics; without a point variables keep their values."""
     sense, status, attributes = sense_of(problem), CVXPY_STATUS[result.status], statistics(result)
-    if result.x is None and status == settings.USER_LIMIT:  # nothing was found, and nothing is proved
+    if (
+        result.x is None and status == settings.USER_LIMIT
+    ):  # nothing was found, and nothing is proved
         problem._status, problem._value = status, None
     elif result.x is None:
         value = math.inf if status == settings.INFEASIBLE else -math.inf
         problem.unpack(Solution(status, float(sense * value), {}, {}, attributes))
     else:
         x = result.x
-        problem.unpack(Solution(status, float(sense * result.value), stated.values(x), {}, attributes))
+        problem.unpack(
+            Solution(status, float(sense * result.value), stated.values(x), {}, attributes)
+        )
         for pair, (z, w) in zip(stated.pairs, stated.columns, strict=True):
             slack = pair.sign * x[w]
             for constraint, dual in (
-                (pair.pair, slack), (pair.first.constraint, slack), (pair.second.constraint, x[z])
+                (pair.pair, slack),
+                (pair.first.constraint, slack),
+                (pair.second.constraint, x[z]),
             ):
                 if constraint is not None:
                     constraint.save_dual_value(np.reshape(dual, pair.pair.shape, order="F"))

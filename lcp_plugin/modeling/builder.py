@@ -27,25 +27,40 @@ if TYPE_CHECKING:
 
 Single = tuple[NDArray[np.int64], FloatVector]
 
-PLAIN, NO_VARIABLE = 4, 9  # ranks of a side: the last that is an inequality of variables; no variable at all
+PLAIN, NO_VARIABLE = (
+    4,
+    9,
+)  # ranks of a side: the last that is an inequality of variables; no variable at all
 
 
 class Builder(Assembly):
     """Collects unknowns, bounds and rows of one list of constraints."""
 
-    def __init__(self, constraints: list[Any], memo: dict[Any, Any], *, takes_integers: bool = False) -> None:
+    def __init__(
+        self, constraints: list[Any], memo: dict[Any, Any], *, takes_integers: bool = False
+    ) -> None:
         self.reader = Reader(memo, takes_integers=takes_integers)
-        self.variables = list({v.id: v for constraint in constraints for v in constraint.variables()}.values())
+        self.variables = list(
+            {v.id: v for constraint in constraints for v in constraint.variables()}.values()
+        )
         ends = np.cumsum([0, *(variable.size for variable in self.variables)]).tolist()
-        self.offsets: dict[int, int] = {v.id: start for v, start in zip(self.variables, ends, strict=False)}
+        self.offsets: dict[int, int] = {
+            v.id: start for v, start in zip(self.variables, ends, strict=False)
+        }
         bounds = [
-            [np.ravel(np.broadcast_to(bound, variable.shape), order="F") for bound in attribute_bounds(variable)]
+            [
+                np.ravel(np.broadcast_to(bound, variable.shape), order="F")
+                for bound in attribute_bounds(variable)
+            ]
             for variable in self.variables
         ]
         lower, upper = (
-            np.concatenate([*(pair[k] for pair in bounds), np.zeros(0)]).astype(np.float64) for k in (0, 1)
+            np.concatenate([*(pair[k] for pair in bounds), np.zeros(0)]).astype(np.float64)
+            for k in (0, 1)
         )
-        super().__init__(self.reader.compiler, dict(self.offsets), lower, upper)  # of slacks, too, later
+        super().__init__(
+            self.reader.compiler, dict(self.offsets), lower, upper
+        )  # of slacks, too, later
         self.is_defined = np.zeros(self.count, dtype=bool)
         self.reports: list[DualReport] = []
         self.bounds: list[BoundSource] = []
@@ -70,18 +85,26 @@ class Builder(Assembly):
     def add_pair(self, pair: Complements) -> None:
         """Take in one complementarity: find the side that is a variable, or make one of the other's value."""
         sides = (pair.first, pair.second)
-        functions = [PairedRows(side.expression, self.reader.rows(side.expression)) for side in sides]
+        functions = [
+            PairedRows(side.expression, self.reader.rows(side.expression)) for side in sides
+        ]
         if "cone" in (pair.first.kind, pair.second.kind):
             self._pair_cones(pair, sides, functions)
             return
         singles = [self._single_columns(function) for function in functions]
         ranks = [self._rank(sides[k], sides[1 - k], singles[k]) for k in (0, 1)]
         k = 0 if ranks[0] <= ranks[1] else 1
-        if max(ranks) <= PLAIN and self._is_defined(singles[k]) and not self._is_defined(singles[1 - k]):
+        if (
+            max(ranks) <= PLAIN
+            and self._is_defined(singles[k])
+            and not self._is_defined(singles[1 - k])
+        ):
             k = 1 - k
         single = singles[k]
         if ranks[k] != NO_VARIABLE and single is not None:
-            self._pair_variable(pair, sides[k], functions[k], sides[1 - k], functions[1 - k], *single)
+            self._pair_variable(
+                pair, sides[k], functions[k], sides[1 - k], functions[1 - k], *single
+            )
         elif {side.kind for side in sides} == {"nonnegative"} and singles == [None, None]:
             self._pair_slack(pair, *functions)
         else:
@@ -104,15 +127,28 @@ class Builder(Assembly):
 
     def _rank(self, side: Side, other: Side, single: Single | None) -> int:
         """Return how naturally this side is the variable: 0 best, NO_VARIABLE not at all."""
-        if single is None or side.kind == "zero" or other.kind == "box" or self.is_paired[single[0]].any():
+        if (
+            single is None
+            or side.kind == "zero"
+            or other.kind == "box"
+            or self.is_paired[single[0]].any()
+        ):
             return NO_VARIABLE
         columns, weights = single
-        is_bounded = bool((np.isfinite(self.lower[columns]) | np.isfinite(self.upper[columns])).any())
+        is_bounded = bool(
+            (np.isfinite(self.lower[columns]) | np.isfinite(self.upper[columns])).any()
+        )
         return preference(side, is_bounded, bool((weights == 1.0).all()))
 
     def _pair_variable(
-        self, pair: Complements, side: Side, own: PairedRows, other: Side, function: PairedRows,
-        columns: NDArray[np.int64], weights: FloatVector,
+        self,
+        pair: Complements,
+        side: Side,
+        own: PairedRows,
+        other: Side,
+        function: PairedRows,
+        columns: NDArray[np.int64],
+        weights: FloatVector,
     ) -> None:
         positive = weights > 0.0
         low, high = (np.ravel(bound, order="F") for bound in side.bounds())
@@ -135,22 +171,42 @@ class Builder(Assembly):
         self.is_paired[columns] = True
         if side.kind == other.kind == "value" and not is_bounded and not states_bounds(side):
             self.remarks.append(of_missing_bounds(side))
-        self._keep_pair(pair, (side, other), columns, function, sign, (weights, own.rows.offset, side.expression))
+        self._keep_pair(
+            pair,
+            (side, other),
+            columns,
+            function,
+            sign,
+            (weights, own.rows.offset, side.expression),
+        )
 
     def _keep_pair(
-        self, pair: Complements, sides: tuple[Side, Side], columns: NDArray[np.int64], function: PairedRows,
-        sign: FloatVector, value: tuple[Any, Any, Any] = (1.0, 0.0, None),
+        self,
+        pair: Complements,
+        sides: tuple[Side, Side],
+        columns: NDArray[np.int64],
+        function: PairedRows,
+        sign: FloatVector,
+        value: tuple[Any, Any, Any] = (1.0, 0.0, None),
     ) -> None:
         """Keep that w = sign · function goes with the columns; value says what the first side is of its unknown."""
         self.pairs.append((columns, function, sign))
         shape = pair.first.expression.shape
-        for constraint, is_slack in ((pair, True), (sides[0].constraint, True), (sides[1].constraint, False)):
+        for constraint, is_slack in (
+            (pair, True),
+            (sides[0].constraint, True),
+            (sides[1].constraint, False),
+        ):
             if constraint is not None:
                 how = (sign, 0.0, None) if is_slack else value
-                own = (columns.size,) if isinstance(constraint, cp.SOC) else shape  # cvxpy reads it cone by cone
+                own = (
+                    (columns.size,) if isinstance(constraint, cp.SOC) else shape
+                )  # cvxpy reads it cone by cone
                 self.reports.append(DualReport(constraint, columns, own, is_slack, *how))
 
-    def _tighten(self, side: Side, columns: NDArray[np.int64], low: FloatVector, high: FloatVector) -> None:
+    def _tighten(
+        self, side: Side, columns: NDArray[np.int64], low: FloatVector, high: FloatVector
+    ) -> None:
         """Set the bounds of the columns; the attributes of a variable may repeat them, not contradict them."""
         stated_low, stated_high = self.lower[columns], self.upper[columns]
         contradicts_low = np.isfinite(stated_low) & (stated_low != low)
@@ -160,7 +216,9 @@ class Builder(Assembly):
                 f"the attributes of a variable in {side} state other bounds than the pair does; state them once"
             )
         if (low == np.inf).any() or (high == -np.inf).any():
-            raise UnsupportedModel(f"{side} keeps a variable beyond the largest double; write it in other units")
+            raise UnsupportedModel(
+                f"{side} keeps a variable beyond the largest double; write it in other units"
+            )
         if (low > high).any():
             raise UnsupportedModel(f"{side} has a lower bound above its upper bound")
         self.lower[columns], self.upper[columns] = low, high
@@ -178,11 +236,16 @@ class Builder(Assembly):
         self.first[key] = self.count
         rows = replace(function.rows, blocks={**function.rows.blocks, key: -1.0})
         self.equations.append(replace(function, rows=rows, slacks=columns))
-        self.lower, self.upper = np.append(self.lower, np.full(size, lower)), np.append(self.upper, [np.inf] * size)
+        self.lower, self.upper = (
+            np.append(self.lower, np.full(size, lower)),
+            np.append(self.upper, [np.inf] * size),
+        )
         self.is_paired = np.append(self.is_paired, np.ones(size, dtype=bool))
         return columns
 
-    def _pair_cones(self, pair: Complements, sides: tuple[Side, Side], functions: list[PairedRows]) -> None:
+    def _pair_cones(
+        self, pair: Complements, sides: tuple[Side, Side], functions: list[PairedRows]
+    ) -> None:
         """K ∋ S ⟂ F ∈ K*: the unknowns are the side that is entries of variables, or new ones."""
         for side, function in zip(sides, functions, strict=True):
             if function.rows.level:
@@ -201,7 +264,9 @@ class Builder(Assembly):
         else:
             self._drop_cone_bounds(sides[k], columns.reshape(-1, cone.rows))
             self.is_paired[columns] = True
-        self._keep_pair(pair, (sides[k], sides[1 - k]), columns, functions[1 - k], np.ones(columns.size))
+        self._keep_pair(
+            pair, (sides[k], sides[1 - k]), columns, functions[1 - k], np.ones(columns.size)
+        )
         self.cones.append(ConePair(columns, cone.rows, friction_of(cone)))
         if cone.friction is not None:
             self.friction.append((cone.friction, columns.size // cone.rows))
@@ -234,8 +299,12 @@ class Builder(Assembly):
         functions = [*(one for _, one, _ in self.pairs), *self.equations]
         slacks = {k: one.slacks for k, one in enumerate(functions) if one.slacks is not None}
         expressions = [one.expression for one in functions]
-        sources = Sources(expressions, found.stored, found.places, found.signs, self.bounds, slacks, self.friction)
-        return Model(problem, self.variables, self.offsets, self.reports, found.elimination, sources)
+        sources = Sources(
+            expressions, found.stored, found.places, found.signs, self.bounds, slacks, self.friction
+        )
+        return Model(
+            problem, self.variables, self.offsets, self.reports, found.elimination, sources
+        )
 
     def variable_of(self) -> NDArray[np.int64]:
         """Return the variable that each unknown is an entry of; the slacks count as one more."""
@@ -252,13 +321,19 @@ class Builder(Assembly):
         for function, end in zip(self.equations, ends, strict=True):
             if function.constraint is not None:
                 part = columns[end - function.rows.size : end]
-                self.reports.append(DualReport(function.constraint, part, function.rows.shape, False))
+                self.reports.append(
+                    DualReport(function.constraint, part, function.rows.shape, False)
+                )
 
     def names_of(self, columns: NDArray[np.int64]) -> list[str]:
         """Return the names of the variables that these unknowns are entries of."""
         is_asked = np.zeros(self.count, dtype=bool)
         is_asked[columns] = True
-        return [v.name() for v in self.variables if is_asked[self.offsets[v.id] : self.offsets[v.id] + v.size].any()]
+        return [
+            v.name()
+            for v in self.variables
+            if is_asked[self.offsets[v.id] : self.offsets[v.id] + v.size].any()
+        ]
 
     def entry(self, column: np.int64) -> str:
         """Return how the unknown is written: h[2]."""
@@ -270,7 +345,10 @@ def friction_of(side: Side) -> FloatVector | None:
     """Return the coefficients of the contacts of a side, None of one without friction."""
     if side.friction is None:
         return None
-    return np.array(np.broadcast_to(bound_value(side.friction, side), (side.expression.size // side.rows,)), float)
+    return np.array(
+        np.broadcast_to(bound_value(side.friction, side), (side.expression.size // side.rows,)),
+        float,
+    )
 
 
 def entry_name(variable: Any, k: int) -> str:
@@ -301,7 +379,9 @@ def sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -
     return np.where(has_low, 1.0, -1.0)
 
 
-def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector] | None:
+def single_entries(
+    expression: Any,
+) -> tuple[FloatVector, FloatVector, FloatVector, FloatVector] | None:
     """Return (lower, upper, weight, offset) of the entry that each row is, by attributes; None where some are none."""
     builder = Builder([expression], {})
     try:
@@ -311,7 +391,12 @@ def single_entries(expression: Any) -> tuple[FloatVector, FloatVector, FloatVect
     if (single := builder._single_columns(function)) is None:
         return None
     columns, weights = single
-    return builder.lower[columns], builder.upper[columns], weights, np.broadcast_to(function.rows.offset, weights.shape)
+    return (
+        builder.lower[columns],
+        builder.upper[columns],
+        weights,
+        np.broadcast_to(function.rows.offset, weights.shape),
+    )
 
 
 def by_rank(pair: Complements) -> list[Side]:
@@ -344,7 +429,9 @@ def bounds_of_rows(side: Side) -> tuple[FloatVector, FloatVector]:
 def states_bounds(side: Side) -> bool:
     """Return whether some variable below the side has bounds, be they infinite."""
     names = ("nonneg", "nonpos", "pos", "neg", "bounds")
-    return any(variable.attributes.get(name) for variable in side.expression.variables() for name in names)
+    return any(
+        variable.attributes.get(name) for variable in side.expression.variables() for name in names
+    )
 
 
 def pair_residual(pair: Complements) -> FloatVector | None:
@@ -353,10 +440,14 @@ def pair_residual(pair: Complements) -> FloatVector | None:
         values = {id(side): side.expression.value for side in (pair.first, pair.second)}
     if any(value is None for value in values.values()):
         return None
-    if (cone := next((side for side in (pair.first, pair.second) if side.kind == "cone"), None)) is not None:
+    if (
+        cone := next((side for side in (pair.first, pair.second) if side.kind == "cone"), None)
+    ) is not None:
         other = pair.second if cone is pair.first else pair.first
         z, w = (by_columns(values[id(side)]) for side in (cone, other))
-        blocks = ConePair(np.arange(z.size), cone.rows, friction_of(cone)).blocks(np.eye(z.size), np.zeros(z.size))
+        blocks = ConePair(np.arange(z.size), cone.rows, friction_of(cone)).blocks(
+            np.eye(z.size), np.zeros(z.size)
+        )
         return np.abs(blocks.residual(z, w, np.ones(blocks.slope.size))[0])
     first, second = by_rank(pair)
     low, high = bounds_of_rows(first)
@@ -370,7 +461,9 @@ def pair_residual(pair: Complements) -> FloatVector | None:
 def of_equality_between_bounds(pair: Complements, side: Side) -> str:
     """Return that the equality of a pair holds between the bounds of its variable alone; refuse an inequality."""
     if side.kind != "value":
-        raise UnsupportedModel(f"{pair!r} pairs an equality with an inequality; pair it with a variable")
+        raise UnsupportedModel(
+            f"{pair!r} pairs an equality with an inequality; pair it with a variable"
+        )
     return (
         f"{pair!r} pairs an equality with a bounded variable: at a bound it need not hold, as in complements(x, F); "
         "write G == 0 in the list, outside the pair, where it always has to"

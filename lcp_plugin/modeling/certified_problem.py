@@ -41,8 +41,10 @@ from .qp_solver import ProgramEntries, QPSolver, quadratic_program
 from .stated_terms import INEQUALITIES, StatedTerms, attribute_error, dense_value, sense_of, why_not
 
 CLAIMED = {
-    settings.INFEASIBLE: "infeasible", settings.INFEASIBLE_INACCURATE: "infeasible",
-    settings.UNBOUNDED: "unbounded", settings.UNBOUNDED_INACCURATE: "unbounded",
+    settings.INFEASIBLE: "infeasible",
+    settings.INFEASIBLE_INACCURATE: "infeasible",
+    settings.UNBOUNDED: "unbounded",
+    settings.UNBOUNDED_INACCURATE: "unbounded",
 }
 EVALUATED = 2.0**-44  # of the terms of an expression: more than rounding makes of its value
 BESIDE = 1e-9  # residuals of what cvxpy added beside the user's values
@@ -81,14 +83,18 @@ def _check(problem: Any) -> None:
             f"certify takes convex quadratic and linear programs, what cvxpy can write so; here {'; '.join(reasons)}"
         )
     if problem.status is None or problem.status == settings.SOLVER_ERROR:
-        raise InvalidProblem(f"nothing to certify: the status is {problem.status}; call problem.solve() first")
+        raise InvalidProblem(
+            f"nothing to certify: the status is {problem.status}; call problem.solve() first"
+        )
     if problem.status in (*CLAIMED, settings.INFEASIBLE_OR_UNBOUNDED):
         return
     for variable in problem.variables():
         value = leaf_value(variable)
         if value is None or not np.isfinite(dense_value(value)).all():
             what = "no value" if value is None else "a value that is not finite"
-            raise InvalidProblem(f"variable {variable.name()} has {what}; solve the problem again, or set it")
+            raise InvalidProblem(
+                f"variable {variable.name()} has {what}; solve the problem again, or set it"
+            )
 
 
 def _neither(proofs: ProgramProofs, tolerance: float) -> Certification:
@@ -102,36 +108,53 @@ def _neither(proofs: ProgramProofs, tolerance: float) -> Certification:
     return found if is_disproved else replace(found, verdict="unproved")
 
 
-def _of_values(problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tolerance: float) -> Certification:
+def _of_values(
+    problem: Any, reduced: ReducedProblem, proofs: ProgramProofs, tolerance: float
+) -> Certification:
     """Return what is proved about the values of the variables."""
     with np.errstate(all="ignore"):
         terms = StatedTerms.of(problem)
         value = terms.goal - reduced.offset
         rounding = EVALUATED * (terms.size(0) + abs(reduced.offset))
         found = np.nan_to_num(terms.violated(problem), nan=np.inf)
-        missed = [(high and high - EVALUATED * terms.size(k), high) for k, high in enumerate(found.tolist(), 1)]
+        missed = [
+            (high and high - EVALUATED * terms.size(k), high)
+            for k, high in enumerate(found.tolist(), 1)
+        ]
     missed += [(miss, miss) for miss in map(attribute_error, problem.variables())]
     least, largest = (max(ends, default=0.0) for ends in zip(*missed, strict=True))
     x, own, program = reduced.values(problem, proofs), proofs.own_solution, reduced.program
     at = x if x is not None else np.zeros(program.n) if own is None else own.x
     seen = Violation.of(program, at, tolerance)
     violation = Violation(
-        least, largest, largest <= tolerance and (x is None or seen.is_met),
+        least,
+        largest,
+        largest <= tolerance and (x is None or seen.is_met),
         least > tolerance and (x is None or seen.is_missed),
     )
     stated, compiled = (value - rounding, value + rounding), objective_bounds(program, at)
     is_the_same = x is not None and compiled[0] <= stated[1] and stated[0] <= compiled[1]
     proved = Proved(
-        compiled if is_the_same else stated, violation, proofs.own_lower, proofs.upper(*([] if x is None else [x])),
-        tolerance, size_of_objective(program, at),
+        compiled if is_the_same else stated,
+        violation,
+        proofs.own_lower,
+        proofs.upper(*([] if x is None else [x])),
+        tolerance,
+        size_of_objective(program, at),
     )
     if x is None:  # nothing can be said of an x that the program does not show
         return replace(proved.certification(proofs, at, "", np.zeros(0, np.intp)), _distance=None)
-    said = proved.certification(proofs, x, _dual_error(problem, reduced, x, tolerance), reduced.columns)
+    said = proved.certification(
+        proofs, x, _dual_error(problem, reduced, x, tolerance), reduced.columns
+    )
 
     def distance() -> float | None:
         near = said.distance
-        return None if near is None else math.nextafter(near * math.sqrt(reduced.most_copies), math.inf)
+        return (
+            None
+            if near is None
+            else math.nextafter(near * math.sqrt(reduced.most_copies), math.inf)
+        )
 
     return replace(said, _distance=distance)
 
@@ -142,9 +165,13 @@ def _dual_error(problem: Any, reduced: ReducedProblem, x: FloatVector, tolerance
     if any(dual is None for dual in duals.values()):
         return ""
     if (y := reduced.multipliers(duals, x, tolerance)) is not None:
-        wrong = multiplier_error(reduced.program, x, [y], tolerance, size_of_objective(reduced.program, x)[0])
+        wrong = multiplier_error(
+            reduced.program, x, [y], tolerance, size_of_objective(reduced.program, x)[0]
+        )
         return f"the dual values are wrong: {wrong}" if wrong else ""
-    size = max((float(np.abs(dense_value(dual)).max(initial=0.0)) for dual in duals.values()), default=0.0)
+    size = max(
+        (float(np.abs(dense_value(dual)).max(initial=0.0)) for dual in duals.values()), default=0.0
+    )
     for constraint in problem.constraints:
         least = float(dense_value(duals[constraint.id]).min(initial=0.0))
         if isinstance(constraint, INEQUALITIES) and least < -LOOSE * tolerance * size:
@@ -213,7 +240,9 @@ class ReducedProblem:
                 x[added] = best.x
         return x
 
-    def multipliers(self, duals: dict[int, Any], x: FloatVector, tolerance: float) -> FloatVector | None:
+    def multipliers(
+        self, duals: dict[int, Any], x: FloatVector, tolerance: float
+    ) -> FloatVector | None:
         """Return these duals as multipliers of [G; A], with those of rows that cvxpy added as they are best beside x.
 
         None where a dual has no place, or where the rows are too many to look.
@@ -225,8 +254,16 @@ class ReducedProblem:
         for key, dual in duals.items():
             places[key].put_into(unknowns, dual)
         y, rows = unknowns[program.n :], program.constraints
-        matrix, limit, is_equality = rows.matrix[: y.size], rows.limit[: y.size], rows.is_equality[: y.size]
-        near = LOOSE * tolerance * (largest_in_rows(matrix) * np.abs(x).max(initial=0.0) + np.abs(limit))
+        matrix, limit, is_equality = (
+            rows.matrix[: y.size],
+            rows.limit[: y.size],
+            rows.is_equality[: y.size],
+        )
+        near = (
+            LOOSE
+            * tolerance
+            * (largest_in_rows(matrix) * np.abs(x).max(initial=0.0) + np.abs(limit))
+        )
         added = np.flatnonzero(np.isnan(y) & (is_equality | (np.abs(matrix @ x - limit) <= near)))
         y = np.asarray(np.nan_to_num(y))
         if added.size * x.size > DENSE_UP_TO:
@@ -249,12 +286,21 @@ class ReducedProblem:
         return replace(found, lower=lower, upper=upper)
 
 
-def _beside(program: QuadraticProgram, x: FloatVector, columns: NDArray[np.int64]) -> QuadraticProgram:
+def _beside(
+    program: QuadraticProgram, x: FloatVector, columns: NDArray[np.int64]
+) -> QuadraticProgram:
     """Return the program of some columns, the others being as in x; without the rows that hold only these."""
     P, G, A = (sp.csr_array(matrix) for matrix in (program.P, program.G, program.A))
-    upper, equal = (np.flatnonzero(np.diff(sp.csr_array(rows[:, columns]).indptr)) for rows in (G, A))
+    upper, equal = (
+        np.flatnonzero(np.diff(sp.csr_array(rows[:, columns]).indptr)) for rows in (G, A)
+    )
     return QuadraticProgram(
-        P[columns][:, columns], program.c[columns] + P[columns] @ x,
-        G[upper][:, columns], program.h[upper] - G[upper] @ x, A[equal][:, columns], program.b[equal] - A[equal] @ x,
-        program.lower[columns], program.upper[columns],
+        P[columns][:, columns],
+        program.c[columns] + P[columns] @ x,
+        G[upper][:, columns],
+        program.h[upper] - G[upper] @ x,
+        A[equal][:, columns],
+        program.b[equal] - A[equal] @ x,
+        program.lower[columns],
+        program.upper[columns],
     )

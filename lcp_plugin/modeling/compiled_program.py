@@ -60,7 +60,9 @@ class _Numbers(NamedTuple):
 
     def at(self, parameters: FloatVector) -> FloatVector:
         """Return the numbers at these values of the parameters."""
-        numbers: FloatVector = self.coefficients @ parameters if self.constant is None else self.constant
+        numbers: FloatVector = (
+            self.coefficients @ parameters if self.constant is None else self.constant
+        )
         return numbers
 
     def vector(self, parameters: FloatVector, size: int) -> FloatVector:
@@ -80,7 +82,9 @@ class _Rows(NamedTuple):
     sign: float
 
     @classmethod
-    def of(cls, places: NDArray[np.int64], height: int, first: int, shape: tuple[int, int], sign: float) -> _Rows:
+    def of(
+        cls, places: NDArray[np.int64], height: int, first: int, shape: tuple[int, int], sign: float
+    ) -> _Rows:
         """Return the rows from the first on of a matrix of that height, whose numbers stand in these places."""
         columns, rows = np.divmod(places, max(height, 1))
         rows -= first
@@ -108,11 +112,17 @@ class CompiledProgram:
         n, rows, equations = problem.x.size, problem.constr_size, problem.cone_dims.zero
         ones, self._sizes = problem.param_id_to_col[ONES], (n, rows, equations)
         columns = problem.param_id_to_col.items()
-        self._parameters = [(problem.id_to_param[key], column) for key, column in columns if key != ONES]
+        self._parameters = [
+            (problem.id_to_param[key], column) for key, column in columns if key != ONES
+        ]
         self._ones = np.zeros(problem.total_param_size + 1)
         self._ones[ones] = 1.0
-        of_P = sp.csc_array((n * n, self._ones.size)) if problem.P is None else problem.P  # none of a linear program
-        self._qd, self._P = (_Numbers.of(tensor, 0, tensor.shape[0], ones) for tensor in (problem.q, of_P))
+        of_P = (
+            sp.csc_array((n * n, self._ones.size)) if problem.P is None else problem.P
+        )  # none of a linear program
+        self._qd, self._P = (
+            _Numbers.of(tensor, 0, tensor.shape[0], ones) for tensor in (problem.q, of_P)
+        )
         self._entries = _Numbers.of(problem.A, 0, rows * n, ones)
         self._offsets = _Numbers.of(problem.A, rows * n, rows * (n + 1), ones)
         self._rows = (
@@ -132,26 +142,46 @@ class CompiledProgram:
         tensors = problem.q, problem.A, *([] if problem.P is None else [problem.P])
         dims = problem.cone_dims
         is_known = dims.zero + dims.nonneg == rows and n > 0 and ONES in problem.param_id_to_col
-        has_bounds = any(getattr(problem, name, None) is not None for name in ("lb_tensor", "ub_tensor"))  # since 1.9
+        has_bounds = any(
+            getattr(problem, name, None) is not None for name in ("lb_tensor", "ub_tensor")
+        )  # since 1.9
         is_known = is_known and not has_bounds
-        is_known = is_known and all(map(sp.issparse, tensors)) and max(n, rows, problem.A.nnz) < 2**31
-        return cls(problem) if is_known and shapes[: len(tensors)] == tuple(one.shape for one in tensors) else None
+        is_known = (
+            is_known and all(map(sp.issparse, tensors)) and max(n, rows, problem.A.nnz) < 2**31
+        )
+        return (
+            cls(problem)
+            if is_known and shapes[: len(tensors)] == tuple(one.shape for one in tensors)
+            else None
+        )
 
     def present(self) -> PresentProgram:
         """Return the numbers at the present values of the parameters."""
         (n, rows, equations), parameters = self._sizes, self._ones.copy()
         for parameter, column in self._parameters:
-            parameters[column : column + parameter.size] = np.array(parameter.value).ravel(order="F")
+            parameters[column : column + parameter.size] = np.array(parameter.value).ravel(
+                order="F"
+            )
         qd, bg = self._qd.vector(parameters, n + 1), self._offsets.vector(parameters, rows)
-        return PresentProgram(*self._matrices(parameters), qd[:n], float(qd[n]), bg[equations:], -bg[:equations])
+        return PresentProgram(
+            *self._matrices(parameters), qd[:n], float(qd[n]), bg[equations:], -bg[:equations]
+        )
 
     def _matrices(self, parameters: FloatVector) -> tuple[Any, Any, Any, ProgramMatrices | None]:
         """Return P, F, A and what holds them; the very same ones where no number has changed."""
         of_P, entries = numbers = self._P.at(parameters), self._entries.at(parameters)
         if self._latest is None or not all(map(np.array_equal, numbers, self._latest[0])):
-            P, F, A = (rows.matrix(values) for rows, values in zip(self._rows, (of_P, entries, entries), strict=True))
-            is_checked = all((np.isfinite(part.data) & (part.data != 0.0)).all() for part in (P, F, A))
-            self._latest = numbers, (P, F, A, ProgramMatrices(P, F, A) if is_checked and is_its_mirror(P) else None)
+            P, F, A = (
+                rows.matrix(values)
+                for rows, values in zip(self._rows, (of_P, entries, entries), strict=True)
+            )
+            is_checked = all(
+                (np.isfinite(part.data) & (part.data != 0.0)).all() for part in (P, F, A)
+            )
+            self._latest = (
+                numbers,
+                (P, F, A, ProgramMatrices(P, F, A) if is_checked and is_its_mirror(P) else None),
+            )
         return self._latest[1]
 
 

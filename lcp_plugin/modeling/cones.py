@@ -39,7 +39,9 @@ class ConePair:
     def blocks(self, M: Any, q: FloatVector) -> Blocks:
         """Return the problem of M and q, shape (d k,), over these cones alone."""
         if self.friction is None:
-            return ConeProblem(M, q, [("second_order", self.rows)] * (self.columns.size // self.rows))
+            return ConeProblem(
+                M, q, [("second_order", self.rows)] * (self.columns.size // self.rows)
+            )
         return FrictionalContact(M, q, self.friction, dimension=self.rows)
 
 
@@ -51,7 +53,9 @@ def stacked(cone: cp.SOC) -> Any:
     return cp.vstack([cp.reshape(t, (1, t.size), order="F"), x if cone.axis == 0 else x.T])
 
 
-def over_cones(found: Arrangement, pairs: Sequence[ConePair], names: Any) -> tuple[Blocks, Arrangement]:
+def over_cones(
+    found: Arrangement, pairs: Sequence[ConePair], names: Any
+) -> tuple[Blocks, Arrangement]:
     """Return the problem over cones, the rows of other pairs and equations first, and the arrangement in its order.
 
     Parameters
@@ -83,7 +87,9 @@ def over_cones(found: Arrangement, pairs: Sequence[ConePair], names: Any) -> tup
     with_friction = [pair.friction for pair in pairs if pair.friction is not None]
     problem: Blocks
     if not with_friction:
-        cones: list[tuple[Any, ...]] = [("box", rows.lower[others], rows.upper[others])] if others.size else []
+        cones: list[tuple[Any, ...]] = (
+            [("box", rows.lower[others], rows.upper[others])] if others.size else []
+        )
         for pair in pairs:
             cones += [("second_order", pair.rows)] * (pair.columns.size // pair.rows)
         problem = ConeProblem(M, q, cones)
@@ -98,6 +104,10 @@ def over_cones(found: Arrangement, pairs: Sequence[ConePair], names: Any) -> tup
     expansion = found.elimination.expansion
     if expansion is None:
         expansion = sp.eye_array(kept.size, format="csr")
-    elimination = replace(found.elimination, kept=kept[order], expansion=sp.csr_array(expansion[:, order]))
+    elimination = replace(
+        found.elimination, kept=kept[order], expansion=sp.csr_array(expansion[:, order])
+    )
     places, signs = found.places[order], found.signs[order]
-    return problem, replace(found, problem=problem.rows, elimination=elimination, places=places, signs=signs)
+    return problem, replace(
+        found, problem=problem.rows, elimination=elimination, places=places, signs=signs
+    )

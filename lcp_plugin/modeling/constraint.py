@@ -176,9 +176,13 @@ def complements(first: Any, second: Any) -> Complements:
     sides = [_side(first, "first"), _side(second, "second")]
     kinds = {side.kind for side in sides}
     if kinds == {"zero"}:
-        raise UnsupportedModel("complements got two equalities; write two constraints, or pair one with a variable")
+        raise UnsupportedModel(
+            "complements got two equalities; write two constraints, or pair one with a variable"
+        )
     if "box" in kinds and kinds <= {"box", "zero"}:
-        raise UnsupportedModel("complements(box(x, l, u), F) needs an expression F as its other side")
+        raise UnsupportedModel(
+            "complements(box(x, l, u), F) needs an expression F as its other side"
+        )
     if "cone" in kinds:
         _require_cones(sides)
     if sides[0].expression.shape != sides[1].expression.shape:
@@ -198,14 +202,20 @@ def _require_cones(sides: list[Side]) -> None:
             "it: complements(cp.SOC(t, x), F), the row of t first"
         )
     if other is None and any(side.friction is not None for side in sides):
-        raise UnsupportedModel("complements(friction_cone(r, mu), u) needs the velocities u as its other side")
+        raise UnsupportedModel(
+            "complements(friction_cone(r, mu), u) needs the velocities u as its other side"
+        )
 
 
 def _side(given: Any, which: str) -> Side:
     if given is None:
-        raise UnsupportedModel(f"the {which} side of complements is None; it must be an inequality or an expression")
+        raise UnsupportedModel(
+            f"the {which} side of complements is None; it must be an inequality or an expression"
+        )
     if isinstance(given, Complements):
-        raise UnsupportedModel(f"the {which} side of complements is {given!r}, which is a constraint itself")
+        raise UnsupportedModel(
+            f"the {which} side of complements is {given!r}, which is a constraint itself"
+        )
     if isinstance(given, Side):
         return given
     if isinstance(given, Inequality):
@@ -236,7 +246,9 @@ def _expression(given: Any, what: str) -> Any:
         expression = cp.Variable.cast_to_const(given)
     except Exception as error:  # whatever cvxpy makes of it
         raise UnsupportedModel(f"{what} is no cvxpy expression: {given!r}") from error
-    if given is None or (isinstance(expression, cp.Constant) and _kind(expression.value) not in "fiuc"):
+    if given is None or (
+        isinstance(expression, cp.Constant) and _kind(expression.value) not in "fiuc"
+    ):
         raise UnsupportedModel(f"{what} is no cvxpy expression: {given!r}")
     return expression
 
@@ -309,7 +321,9 @@ class Complements(Constraint):  # type: ignore[misc]
         """
         residual = self.residual
         if residual is None:
-            raise ValueError("cannot measure a complementarity whose variables have no values; solve the problem first")
+            raise ValueError(
+                "cannot measure a complementarity whose variables have no values; solve the problem first"
+            )
         return float(np.max(residual, initial=0.0))
 
     def value(self, tolerance: float = 1e-8) -> bool:
@@ -322,6 +336,8 @@ class Complements(Constraint):  # type: ignore[misc]
 
     def copy(self, args: Any = None, id_objects: Any = None) -> Complements:
         """Return a copy with the same sides; other arguments are refused."""
-        if args is not None and any(mine is not theirs for mine, theirs in zip(self.args, args, strict=True)):
+        if args is not None and any(
+            mine is not theirs for mine, theirs in zip(self.args, args, strict=True)
+        ):
             raise UnsupportedModel(f"cvxpy cannot transform {self!r}; {REMEDY}")
         return Complements(self.first, self.second, self.id)

@@ -77,7 +77,9 @@ class Affine:
 
     def replaced(self, substitution: sp.csr_array, shift: FloatVector) -> Affine:
         """Return the rows where the unknowns are substitution · unknowns + shift."""
-        return Affine(sp.csr_array(self.matrix @ substitution), self.offset + self.matrix @ shift, self.owner)
+        return Affine(
+            sp.csr_array(self.matrix @ substitution), self.offset + self.matrix @ shift, self.owner
+        )
 
 
 def eliminate_definitions(
@@ -106,7 +108,9 @@ def eliminate_definitions(
     limit = MOST_FILL * (equations.matrix.nnz + functions.matrix.nnz) + 10 * n
     used: list[tuple[Indices, Indices]] = [(np.zeros(0, dtype=np.int64),) * 2]
     for owner in range(min(int(equations.owner.max(initial=-1)) + 1, MOST_DEFINITIONS)):
-        rows, columns = _pivots(equations, np.flatnonzero(equations.owner == owner), is_open, variable_of)
+        rows, columns = _pivots(
+            equations, np.flatnonzero(equations.owner == owner), is_open, variable_of
+        )
         if not rows.size:
             continue
         substitution, shift = put_in(equations.matrix[rows], equations.offset[rows], columns)
@@ -122,12 +126,20 @@ def eliminate_definitions(
     kept = np.delete(np.arange(n), defined)
     if back is None:
         return Elimination(kept, None, offset, defining, defined), equations, functions
-    equations = Affine(sp.csr_array(equations.matrix[left][:, kept]), equations.offset[left], equations.owner[left])
+    equations = Affine(
+        sp.csr_array(equations.matrix[left][:, kept]), equations.offset[left], equations.owner[left]
+    )
     functions = Affine(sp.csr_array(functions.matrix[:, kept]), functions.offset, functions.owner)
-    return Elimination(kept, sp.csr_array(back[:, kept]), offset, defining, defined), equations, functions
+    return (
+        Elimination(kept, sp.csr_array(back[:, kept]), offset, defining, defined),
+        equations,
+        functions,
+    )
 
 
-def put_in(matrix: sp.csr_array, offset: FloatVector, columns: Indices) -> tuple[sp.csr_array, FloatVector]:
+def put_in(
+    matrix: sp.csr_array, offset: FloatVector, columns: Indices
+) -> tuple[sp.csr_array, FloatVector]:
     """Return R and r of z ← R z + r, which puts in what matrix · z + offset = 0 says of the unknowns in the columns.
 
     Parameters
@@ -174,7 +186,11 @@ def put_in_all(
     held = sp.csr_array(own[:, columns] + sp.eye_array(columns.size))
     held.eliminate_zeros()
     while held.nnz:
-        own, shift, held = sp.csr_array(own + held @ own), shift + held @ shift, sp.csr_array(held @ held)
+        own, shift, held = (
+            sp.csr_array(own + held @ own),
+            shift + held @ shift,
+            sp.csr_array(held @ held),
+        )
     substitution, added = put_in(own, shift, columns)
     return sp.csr_array(matrix @ substitution), offset + matrix @ added
 
@@ -188,9 +204,15 @@ def _pivots(
     place = np.repeat(np.arange(rows.size), np.diff(part.indptr))
     largest = largest_in_rows(part)
     variables = variable_of[part.indices]
-    _, pair, count = np.unique(place * (variable_of.max() + 1) + variables, return_inverse=True, return_counts=True)
+    _, pair, count = np.unique(
+        place * (variable_of.max() + 1) + variables, return_inverse=True, return_counts=True
+    )
     times = np.bincount(part.indices, minlength=is_open.size)
-    fits = is_open[part.indices] & (times[part.indices] == 1) & (np.abs(part.data) >= SMALLEST_PIVOT * largest[place])
+    fits = (
+        is_open[part.indices]
+        & (times[part.indices] == 1)
+        & (np.abs(part.data) >= SMALLEST_PIVOT * largest[place])
+    )
     fits &= count[pair] == 1
     if not fits.any():
         return rows[:0], rows[:0]
@@ -219,14 +241,25 @@ def known_ranges(
     known.eliminate_zeros()
     alone = np.flatnonzero(is_open & (np.bincount(place[is_open], minlength=count)[place] == 1))
     pivot, row, column = matrix.data[alone], place[alone], matrix.indices[alone]
-    low, high, rounding = np.full(lower.size, -np.inf), np.full(lower.size, np.inf), np.zeros(lower.size)
+    low, high, rounding = (
+        np.full(lower.size, -np.inf),
+        np.full(lower.size, np.inf),
+        np.zeros(lower.size),
+    )
     with np.errstate(all="ignore"):
         least, most = activity(known, lower, upper)
-        ends = np.stack([
-            np.where(signs[row] >= 0.0, -(most + rows.offset)[row], -np.inf),
-            np.where(signs[row] <= 0.0, -(least + rows.offset)[row], np.inf),
-        ]) / pivot
-        farthest = np.max([np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)], axis=0)
+        ends = (
+            np.stack(
+                [
+                    np.where(signs[row] >= 0.0, -(most + rows.offset)[row], -np.inf),
+                    np.where(signs[row] <= 0.0, -(least + rows.offset)[row], np.inf),
+                ]
+            )
+            / pivot
+        )
+        farthest = np.max(
+            [np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)], axis=0
+        )
         size = (abs(known) @ farthest + np.abs(rows.offset))[row] / np.abs(pivot)
         np.maximum.at(low, column, ends.min(axis=0))
         np.minimum.at(high, column, ends.max(axis=0))
@@ -248,7 +281,9 @@ def matching(block: sp.csr_array) -> Indices:
     try:
         return np.asarray(min_weight_full_bipartite_matching(pattern)[1], dtype=np.int64)
     except ValueError:  # no full matching: the diagonal will have gaps
-        matched = np.asarray(maximum_bipartite_matching(pattern, perm_type="column"), dtype=np.int64)
+        matched = np.asarray(
+            maximum_bipartite_matching(pattern, perm_type="column"), dtype=np.int64
+        )
         missing = np.flatnonzero(matched < 0)
         matched[missing] = np.setdiff1d(np.arange(size), matched[matched >= 0])
         return matched

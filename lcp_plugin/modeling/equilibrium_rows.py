@@ -31,7 +31,12 @@ class EquilibriumRows:
     """
 
     def __init__(
-        self, compiler: Compiler, first: dict[int, int], lower: FloatVector, upper: FloatVector, integers: Indices
+        self,
+        compiler: Compiler,
+        first: dict[int, int],
+        lower: FloatVector,
+        upper: FloatVector,
+        integers: Indices,
     ) -> None:
         self.compiler, self.first, self.lower, self.upper = compiler, dict(first), lower, upper
         self.integers = integers
@@ -48,7 +53,9 @@ class EquilibriumRows:
         ends = [np.broadcast_to(end, rows.size).astype(np.float64) for end in (low, high)]
         self._rows.append((rows, ends[0], ends[1]))
 
-    def pair(self, z: Rows, w: Rows, low: FloatVector, high: FloatVector) -> tuple[Indices, Indices]:
+    def pair(
+        self, z: Rows, w: Rows, low: FloatVector, high: FloatVector
+    ) -> tuple[Indices, Indices]:
         """Let w ≥ 0 where z is low, ≤ 0 where it is high, 0 between; return the unknowns that are z and w."""
         sides = self.named(z), self.named(w)
         self._pairs.append((*sides, low, high))
@@ -58,7 +65,11 @@ class EquilibriumRows:
         """Return the unknowns that rows are: entries of the model's own, or new ones that equations define."""
         if not rows.level:
             matrix, offset = assembled([rows], self.first, self.count)
-            is_plain = matrix.nnz == rows.size and (np.diff(matrix.indptr) == 1).all() and (matrix.data == 1.0).all()
+            is_plain = (
+                matrix.nnz == rows.size
+                and (np.diff(matrix.indptr) == 1).all()
+                and (matrix.data == 1.0).all()
+            )
             if is_plain and not offset.any():
                 own: Indices = matrix.indices.astype(np.int64)
                 return own
@@ -71,7 +82,10 @@ class EquilibriumRows:
         return columns
 
     def program(
-        self, objective: Rows, sign: float = 1.0, known: tuple[Any, FloatVector, float] | None = None
+        self,
+        objective: Rows,
+        sign: float = 1.0,
+        known: tuple[Any, FloatVector, float] | None = None,
     ) -> EquilibriumProgram:
         """Return the program: minimise sign · objective, of which ½ xᵀP x + cᵀx + r may be known as P, c, r."""
         n, goal = self.count, objective.scaled(sign)
@@ -89,11 +103,15 @@ class EquilibriumRows:
             smooth = SmoothPart(Program.of(self.compiler, results, self.first, n), *ends)
         P, c, offset = quadratic or (sp.csr_array((n, n)), np.zeros(n), 0.0)
         A, shift = assembled([rows for rows, _, _ in linear], self.first, n)
-        low, high = (np.concatenate([*(one[k] for one in linear), np.zeros(0)]) - shift for k in (1, 2))
+        low, high = (
+            np.concatenate([*(one[k] for one in linear), np.zeros(0)]) - shift for k in (1, 2)
+        )
         program = QuadraticProgram.from_ranges(P, c, A, low, high, self.lower, self.upper)
         parts = [np.concatenate([*(one[k] for one in self._pairs), np.zeros(0)]) for k in range(4)]
         first, second = (part.astype(np.int64) for part in parts[:2])
-        return EquilibriumProgram(program, first, second, parts[2], parts[3], offset, self.integers, smooth)
+        return EquilibriumProgram(
+            program, first, second, parts[2], parts[3], offset, self.integers, smooth
+        )
 
     def _quadratic(self, goal: Rows) -> tuple[sp.csr_array, FloatVector, float] | None:
         """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None where it is something else."""
@@ -106,9 +124,13 @@ class EquilibriumRows:
                 c[self.first[key] : self.first[key] + weights.size] += weights
                 continue
             _, function, arguments, _ = self.compiler.groups[-1 - key]
-            if function not in (functions.PRODUCT, functions.SQUARE) or any(one.level for one in arguments):
+            if function not in (functions.PRODUCT, functions.SQUARE) or any(
+                one.level for one in arguments
+            ):
                 return None
-            (A, a), (B, b) = (assembled([one], self.first, n) for one in (arguments[0], arguments[-1]))
+            (A, a), (B, b) = (
+                assembled([one], self.first, n) for one in (arguments[0], arguments[-1])
+            )
             half = sp.csr_array(half + A.T @ sp.diags_array(weights) @ B)
             c += A.T @ (weights * b) + B.T @ (weights * a)
             shift += float(weights @ (a * b))

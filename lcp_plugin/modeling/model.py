@@ -70,10 +70,10 @@ class Model:
             return self.problem
         if isinstance(self.problem, Blocks):
             raise UnsupportedModel(
-                f"{purpose} takes no cones, and this model has some; problem.solve(method=\"LCP\") solves it"
+                f'{purpose} takes no cones, and this model has some; problem.solve(method="LCP") solves it'
             )
         raise UnsupportedModel(
-            f"{purpose} needs affine sides, and this model has nonlinear ones; problem.solve(method=\"LCP\") solves it"
+            f'{purpose} needs affine sides, and this model has nonlinear ones; problem.solve(method="LCP") solves it'
         )
 
     def values(self, z: FloatVector) -> dict[int, Any]:
@@ -83,7 +83,10 @@ class Model:
     def split(self, unknowns: FloatVector) -> dict[int, Any]:
         """Return what belongs to each variable, by its id and in its shape."""
         places = [(variable, self.offsets[variable.id]) for variable in self.variables]
-        return {v.id: unknowns[start : start + v.size].reshape(v.shape, order="F") for v, start in places}
+        return {
+            v.id: unknowns[start : start + v.size].reshape(v.shape, order="F")
+            for v, start in places
+        }
 
     def duals(self, z: FloatVector, w: FloatVector) -> list[tuple[Any, Any]]:
         """Return (constraint, dual value): w for what bounds a variable, the variable for what bounds w."""
@@ -181,8 +184,12 @@ class ModelBatch:
             Where it is no variable of the model.
         """
         if not any(variable is one for model in self.models[:1] for one in model.variables):
-            raise UnsupportedModel(f"{variable} is no variable of the problem; ask for one of its own")
-        each = [model.values(z)[variable.id] for model, z in zip(self.models, self.batch.z, strict=True)]
+            raise UnsupportedModel(
+                f"{variable} is no variable of the problem; ask for one of its own"
+            )
+        each = [
+            model.values(z)[variable.id] for model, z in zip(self.models, self.batch.z, strict=True)
+        ]
         return np.array(each)
 
     def __repr__(self) -> str:
@@ -190,7 +197,10 @@ class ModelBatch:
 
 
 def solve_for(
-    problem: cp.Problem, parameters: Mapping[cp.Parameter, Any], build: Callable[[Any], Model], options: dict[str, Any]
+    problem: cp.Problem,
+    parameters: Mapping[cp.Parameter, Any],
+    build: Callable[[Any], Model],
+    options: dict[str, Any],
 ) -> ModelBatch:
     """Return the answers for stacked values of the parameters, which have their present values again afterwards.
 
@@ -208,7 +218,9 @@ def solve_for(
                 f"for all parameters, got {stack.shape}"
             )
     if not stacks:
-        raise InvalidProblem("give at least one parameter with its stacked values, as in {parameter: values}")
+        raise InvalidProblem(
+            "give at least one parameter with its stacked values, as in {parameter: values}"
+        )
     before, models = {parameter: parameter.value for parameter in stacks}, []
     try:
         for k in range(next(iter(stacks.values())).shape[0]):
@@ -218,7 +230,9 @@ def solve_for(
     finally:
         for parameter, value in before.items():
             parameter.value = value
-    return ModelBatch(solve_batch([model.lcp("solve_batch") for model in models], **options), models)
+    return ModelBatch(
+        solve_batch([model.lcp("solve_batch") for model in models], **options), models
+    )
 
 
 def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
@@ -233,20 +247,27 @@ def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
     sources, elimination, problem = model.sources, model.elimination, model.problem
     with np.errstate(all="ignore"):
         found = values_below(sources.functions)
-        values = [np.ravel(dense_value(found[id(expression)]), order="F") for expression in sources.functions]
+        values = [
+            np.ravel(dense_value(found[id(expression)]), order="F")
+            for expression in sources.functions
+        ]
     unknowns = elimination.expand(z)
     for k, columns in sources.slacks.items():
         values[k] = values[k] - unknowns[columns]
     theirs = np.concatenate([*values, np.zeros(0)])
     expected, width, terms = np.zeros((3, theirs.size))
-    left = np.delete(np.arange(theirs.size), sources.matrices[0].shape[0] + elimination.rows)[sources.places]
+    left = np.delete(np.arange(theirs.size), sources.matrices[0].shape[0] + elimination.rows)[
+        sources.places
+    ]
     expected[left] = sources.signs * w
     if not isinstance(problem, NonlinearProblem):
         terms = np.concatenate([abs(matrix) @ np.abs(unknowns) for matrix in sources.matrices])
     elif problem.enclosure is not None:
         lower, upper = problem.enclosure.interval_F(z, z)
         width[left] = upper - lower
-    allowed = DISAGREEMENT * (terms + np.abs(theirs) + np.abs(expected)) + 100.0 * width  # further out
+    allowed = (
+        DISAGREEMENT * (terms + np.abs(theirs) + np.abs(expected)) + 100.0 * width
+    )  # further out
     wrong = np.flatnonzero(np.isfinite(expected) & ~(np.abs(theirs - expected) <= allowed))
     if not wrong.size:
         return None

@@ -55,8 +55,12 @@ class ParametricRows:
         #: Where each expression is among all of them, by its id.
         self.spans, self.size = _spans(each)
         starts = {key: span.start for key, span in self._spans.items()}
-        self._program = Program.of(reader.compiler, [reader.rows(one) for one in each.values()], starts, n)
-        self._at = self._vector({key: known.get(key, _compat.leaf_value(p)) for key, p in self._parameters.items()})
+        self._program = Program.of(
+            reader.compiler, [reader.rows(one) for one in each.values()], starts, n
+        )
+        self._at = self._vector(
+            {key: known.get(key, _compat.leaf_value(p)) for key, p in self._parameters.items()}
+        )
 
     def change(self, changes: Changes) -> FloatVector:
         """Return the change of the expressions from those of parameters, by their ids; the others do not change."""
@@ -66,10 +70,15 @@ class ParametricRows:
     def gradient(self, gradient: FloatVector) -> Changes:
         """Return the gradients by parameters, by their ids, from that by the expressions."""
         found = self._finite(self._program.gradient(self._at, gradient))
-        return {key: found[self._spans[key]].reshape(p.shape, order="F") for key, p in self._parameters.items()}
+        return {
+            key: found[self._spans[key]].reshape(p.shape, order="F")
+            for key, p in self._parameters.items()
+        }
 
     def _vector(self, values: Changes) -> FloatVector:
-        parts = [values.get(key, np.zeros(parameter.size)) for key, parameter in self._parameters.items()]
+        parts = [
+            values.get(key, np.zeros(parameter.size)) for key, parameter in self._parameters.items()
+        ]
         return np.concatenate([*(_compat.by_columns(part) for part in parts), np.zeros(0)])
 
     @staticmethod
@@ -119,10 +128,16 @@ class ModelDerivative:
             rows = rows + matrix @ moved
         h = model.sources.signs * rows[self._left]
         dlower, dupper = np.split(self._bounds @ changed, 2)
-        of_friction = {"dfriction": self._friction @ changed} if self._model.sources.friction else {}
+        of_friction = (
+            {"dfriction": self._friction @ changed} if self._model.sources.friction else {}
+        )
         dz = at.jvp(dq=h, dlower=dlower, dupper=dupper, **of_friction)
         dw = model.elimination.expand_slack(at.dw(dz, dq=h))
-        du = moved + dz if model.elimination.expansion is None else moved + model.elimination.expansion @ dz
+        du = (
+            moved + dz
+            if model.elimination.expansion is None
+            else moved + model.elimination.expansion @ dz
+        )
         duals = []
         for report in model.reports:
             change = report.scale * (dw if report.is_slack else du)[report.columns]
@@ -143,11 +158,15 @@ class ModelDerivative:
         by_unknown, by_slack = np.zeros((2, model.elimination.offset.size))
         for variable in model.variables:
             first = model.offsets[variable.id]
-            by_unknown[first : first + variable.size] = np.ravel(by_variable[variable.id], order="F")
+            by_unknown[first : first + variable.size] = np.ravel(
+                by_variable[variable.id], order="F"
+            )
         for report in model.reports:
             if (own := by_dual.get(report.constraint.id)) is not None:
                 own = np.ravel(own, order="F")
-                np.add.at(by_slack if report.is_slack else by_unknown, report.columns, report.scale * own)
+                np.add.at(
+                    by_slack if report.is_slack else by_unknown, report.columns, report.scale * own
+                )
                 if report.expression is not None:
                     total[self._parametric.spans[id(report.expression)]] += own
         kept, expansion = model.elimination.kept, model.elimination.expansion
@@ -176,7 +195,11 @@ class ModelDerivative:
     def _parametric(self) -> ParametricRows:
         """What parameters enter into, at the values of parameters and variables at the solution."""
         sources = self._model.sources
-        stated = [part for source in sources.bounds for part in (source.expression, source.lower, source.upper)]
+        stated = [
+            part
+            for source in sources.bounds
+            for part in (source.expression, source.lower, source.upper)
+        ]
         shifts = [report.expression for report in self._model.reports]
         known = {**self._known, **self._model.values(self._at.z)}
         every = [*sources.functions, *stated, *shifts, *(one for one, _ in sources.friction)]
@@ -186,7 +209,9 @@ class ModelDerivative:
     def _rows(self) -> NDArray[np.int64]:
         """The places of the model's rows, those of the pairs and of the equations, among the parametric ones."""
         spans = [self._parametric.spans[id(one)] for one in self._model.sources.functions]
-        return np.concatenate([*(np.arange(span.start, span.stop) for span in spans), np.zeros(0, dtype=np.int64)])
+        return np.concatenate(
+            [*(np.arange(span.start, span.stop) for span in spans), np.zeros(0, dtype=np.int64)]
+        )
 
     @cached_property
     def _left(self) -> NDArray[np.int64]:
@@ -196,7 +221,9 @@ class ModelDerivative:
         return rows[self._model.sources.places]
 
     @cached_property
-    def _definitions(self) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[FloatVector, str], FloatVector]] | None:
+    def _definitions(
+        self,
+    ) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[FloatVector, str], FloatVector]] | None:
         """All rows of the model, those that define unknowns, and solutions with these and with their transpose."""
         elimination, (first, second) = self._model.elimination, self._model.sources.matrices
         if elimination.expansion is None:
@@ -207,7 +234,11 @@ class ModelDerivative:
     @cached_property
     def _bounds(self) -> sp.csr_array:
         """The change of the lower bounds, then of the upper ones, by that of the expressions that state them."""
-        n, kept, spans = self._model.elimination.offset.size, self._model.elimination.kept, self._parametric.spans
+        n, kept, spans = (
+            self._model.elimination.offset.size,
+            self._model.elimination.kept,
+            self._parametric.spans,
+        )
         last = np.zeros(n, dtype=np.int64)
         for k, source in enumerate(self._model.sources.bounds):
             last[source.columns] = k
@@ -216,14 +247,21 @@ class ModelDerivative:
             own = np.flatnonzero(last[source.columns] == k)
             columns, weights = source.columns[own], source.weights[own]
             for bound, is_upper in ((source.lower, weights < 0.0), (source.upper, weights > 0.0)):
-                parts.append((columns + n * is_upper, spans[id(source.expression)].start + own, -1.0 / weights))
+                parts.append(
+                    (
+                        columns + n * is_upper,
+                        spans[id(source.expression)].start + own,
+                        -1.0 / weights,
+                    )
+                )
                 if isinstance(bound, cp.Expression):
                     places = spans[id(bound)].start + (own if bound.size > 1 else 0 * own)
                     parts.append((columns + n * is_upper, places, 1.0 / weights))
         rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
-        matrix = sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(2 * n, self._parametric.size)))
+        matrix = sp.csr_array(
+            sp.coo_array((data, (rows, columns)), shape=(2 * n, self._parametric.size))
+        )
         return matrix[np.concatenate([kept, n + kept])]
-
 
     @cached_property
     def _friction(self) -> sp.csr_array:
@@ -259,7 +297,9 @@ class Differentiable:
         Those whose dual values may have a gradient.
     """
 
-    def __init__(self, solution: SolutionMap, parameters: list[Any], constraints: list[Any]) -> None:
+    def __init__(
+        self, solution: SolutionMap, parameters: list[Any], constraints: list[Any]
+    ) -> None:
         self._solution, self._parameters, self._constraints = solution, parameters, constraints
 
     def backward(self, problem: Any) -> None:
@@ -274,7 +314,11 @@ class Differentiable:
             variable.id: _checked(variable, "gradient", 1.0) for variable in problem.variables()
         }
         duals = {constraint.id: constraint.dual_variables[0] for constraint in self._constraints}
-        by_dual = {key: _checked(dual, "gradient", 0.0) for key, dual in duals.items() if dual.gradient is not None}
+        by_dual = {
+            key: _checked(dual, "gradient", 0.0)
+            for key, dual in duals.items()
+            if dual.gradient is not None
+        }
         gradients = self._solution.pulled(by_variable, by_dual)
         for parameter in self._parameters:
             parameter.gradient = np.zeros(parameter.shape) + gradients.get(parameter.id, 0.0)
@@ -287,7 +331,9 @@ class Differentiable:
         UnsupportedModel
             Where a change has not the shape of its parameter, or is not finite.
         """
-        changes = {parameter.id: _checked(parameter, "delta", 0.0) for parameter in self._parameters}
+        changes = {
+            parameter.id: _checked(parameter, "delta", 0.0) for parameter in self._parameters
+        }
         moved, duals = self._solution.pushed(changes)
         for variable in problem.variables():
             variable.delta = moved.get(variable.id, np.zeros(variable.shape))
@@ -301,7 +347,11 @@ def _checked(leaf: Any, name: str, default: float) -> Any:
     if given is None:
         return np.full(leaf.shape, default)
     values = given.toarray() if hasattr(given, "toarray") else np.asarray(given)
-    if values.dtype.kind not in "fiu" or values.shape != leaf.shape or not np.isfinite(values).all():
+    if (
+        values.dtype.kind not in "fiu"
+        or values.shape != leaf.shape
+        or not np.isfinite(values).all()
+    ):
         raise UnsupportedModel(
             f"the {name} of {leaf.name()} must be finite real numbers of its shape {leaf.shape}, got {given!r}; leave "
             f"it None for {default:g} everywhere"
@@ -317,9 +367,18 @@ def differentiable_parameters(problem: Any) -> list[Any]:
     UnsupportedModel
         Where one is an integer, a Boolean or complex, or has entries that are tied to each other.
     """
-    bounds = [bound for v in problem.variables() for bound in _compat.attribute_expressions(v) or ()]
-    stated = [parameter for bound in bounds if isinstance(bound, cp.Expression) for parameter in bound.parameters()]
-    parameters = list({parameter.id: parameter for parameter in (*problem.parameters(), *stated)}.values())
+    bounds = [
+        bound for v in problem.variables() for bound in _compat.attribute_expressions(v) or ()
+    ]
+    stated = [
+        parameter
+        for bound in bounds
+        if isinstance(bound, cp.Expression)
+        for parameter in bound.parameters()
+    ]
+    parameters = list(
+        {parameter.id: parameter for parameter in (*problem.parameters(), *stated)}.values()
+    )
     for parameter in parameters:
         if name := restricting_attribute(parameter):
             raise UnsupportedModel(

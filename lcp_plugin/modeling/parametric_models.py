@@ -40,8 +40,15 @@ class ModelPoint:
         Of the problem as it was stated.
     """
 
-    def __init__(self, parameter: float, inner: PathPoint, values: dict[int, Any], objective: float) -> None:
-        self.parameter, self.inner, self._values, self.objective = parameter, inner, values, objective
+    def __init__(
+        self, parameter: float, inner: PathPoint, values: dict[int, Any], objective: float
+    ) -> None:
+        self.parameter, self.inner, self._values, self.objective = (
+            parameter,
+            inner,
+            values,
+            objective,
+        )
 
     @property
     def status(self) -> Any:
@@ -58,7 +65,9 @@ class ModelPoint:
         return _of_variable(self._values, variable)
 
     def __repr__(self) -> str:
-        return f"ModelPoint({self.parameter:.9g}, {self.status.name}, objective {self.objective:.9g})"
+        return (
+            f"ModelPoint({self.parameter:.9g}, {self.status.name}, objective {self.objective:.9g})"
+        )
 
 
 class ModelSlope:
@@ -85,7 +94,9 @@ class ModelSlope:
 
 def _of_variable(values: dict[int, Any], variable: cp.Variable) -> Any:
     if variable.id not in values:
-        raise UnsupportedModel(f"{name_of(variable)} is no variable of the problem; ask for one of its own")
+        raise UnsupportedModel(
+            f"{name_of(variable)} is no variable of the problem; ask for one of its own"
+        )
     return values[variable.id]
 
 
@@ -138,7 +149,10 @@ class ModelPath(Path):
         ends = (piece.begin, piece.end) if piece.end != piece.begin else (self.start, self.start)
         (first, one), (last, other) = (self._stated(end, piece) for end in ends)
         length = ends[1] - ends[0]
-        rates = {key: (last[key] - value) / length if length else np.zeros_like(value) for key, value in first.items()}
+        rates = {
+            key: (last[key] - value) / length if length else np.zeros_like(value)
+            for key, value in first.items()
+        }
         if inner.objective is None or not length:
             return ModelSlope(inner, rates, inner.objective)
         sign = -1.0 if isinstance(self._problem.objective, cp.Maximize) else 1.0
@@ -148,7 +162,9 @@ class ModelPath(Path):
 
     def value(self, variable: cp.Variable, thetas: ArrayLike) -> Any:
         """Return the values of a variable at many θ, shape (k, *its shape)."""
-        return np.array([self.at(float(theta))[variable] for theta in np.atleast_1d(np.asarray(thetas))])
+        return np.array(
+            [self.at(float(theta))[variable] for theta in np.atleast_1d(np.asarray(thetas))]
+        )
 
 
 class Moved:
@@ -169,15 +185,26 @@ class Moved:
                     "to its present value"
                 )
             self._lines = {along: (np.zeros(along.shape), np.ones(along.shape))}
-        elif isinstance(along, Mapping) and along and all(isinstance(one, cp.Parameter) for one in along):
+        elif (
+            isinstance(along, Mapping)
+            and along
+            and all(isinstance(one, cp.Parameter) for one in along)
+        ):
             if lacking := [one for one in along if one.value is None]:
-                raise InvalidOption(f"{name_of(lacking[0])} has no value, to which the direction is added; give it one")
+                raise InvalidOption(
+                    f"{name_of(lacking[0])} has no value, to which the direction is added; give it one"
+                )
             self._lines = {
-                one: (np.array(leaf_value(one), dtype=float), np.broadcast_to(np.asarray(step, float), one.shape))
+                one: (
+                    np.array(leaf_value(one), dtype=float),
+                    np.broadcast_to(np.asarray(step, float), one.shape),
+                )
                 for one, step in along.items()
             }
         else:
-            raise InvalidOption(f"along of a cvxpy problem is a Parameter, or {{parameter: direction}}, got {along!r}")
+            raise InvalidOption(
+                f"along of a cvxpy problem is a Parameter, or {{parameter: direction}}, got {along!r}"
+            )
         known = {one.id for one in problem.parameters()}
         if strange := [one for one in self._lines if one.id not in known]:
             raise InvalidOption(f"{name_of(strange[0])} is no parameter of the problem")
@@ -191,14 +218,18 @@ class Moved:
                 try:
                     one.value = base + theta * step
                 except ValueError as error:
-                    raise InvalidOption(f"{name_of(one)} cannot be what it is at {theta:.6g}: {error}") from error
+                    raise InvalidOption(
+                        f"{name_of(one)} cannot be what it is at {theta:.6g}: {error}"
+                    ) from error
             yield
         finally:
             for one, value in before.items():
                 one.value = value
 
 
-def trace_model(problem: Any, along: Any, start: float, stop: float, tolerance: float = 1e-8) -> ModelPath:
+def trace_model(
+    problem: Any, along: Any, start: float, stop: float, tolerance: float = 1e-8
+) -> ModelPath:
     """Return the path of a cvxpy problem; see :func:`lcp_plugin.trace`.
 
     Raises
@@ -231,17 +262,24 @@ def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
     program = quadratic_program(data)
     entries = ProgramEntries.of(problem, program, data, chain, inverse).variables
     if entries is None:
-        raise UnsupportedModel("cvxpy made a program in which a variable is not found again; use plain variables")
+        raise UnsupportedModel(
+            "cvxpy made a program in which a variable is not found again; use plain variables"
+        )
     return program, lambda z: {key: one.taken(z) for key, one in entries.items()}
 
 
-def _line(first: Any, last: Any, middle: Any, values: tuple[float, float, float]) -> tuple[Any, dict[str, FloatVector]]:
+def _line(
+    first: Any, last: Any, middle: Any, values: tuple[float, float, float]
+) -> tuple[Any, dict[str, FloatVector]]:
     """Return the problem at θ = 0 and the directions of its vectors, or raise where they are no line."""
     kind = type(first)
     for name in MATRICES[kind]:
         one = getattr(first, name)
         for other in (last, middle):
-            if one.shape != getattr(other, name).shape or abs(one - getattr(other, name)).sum() != 0.0:
+            if (
+                one.shape != getattr(other, name).shape
+                or abs(one - getattr(other, name)).sum() != 0.0
+            ):
                 remedy = "where it multiplies the quadratic term, divide the objective by it"
                 remedy = remedy if name == "P" else "let it multiply no variable of a constraint"
                 raise UnsupportedModel(
@@ -257,7 +295,9 @@ def _line(first: Any, last: Any, middle: Any, values: tuple[float, float, float]
         slope = (there - here) / (end - begin)
         off = np.abs(here + (between - begin) * slope - inside)
         is_fixed = (one == other) & (one == seen)
-        if (off > AFFINE_TO * np.abs(inside).max(initial=0.0)).any() or not (moves | is_fixed).all():
+        if (off > AFFINE_TO * np.abs(inside).max(initial=0.0)).any() or not (
+            moves | is_fixed
+        ).all():
             raise UnsupportedModel(
                 f"{name} of what cvxpy makes of the problem is not affine in the parameter between {begin:.6g} and "
                 f"{end:.6g}; make the expression that bends a parameter of its own"

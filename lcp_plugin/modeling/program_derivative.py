@@ -78,11 +78,19 @@ class ProgramDerivative:
     """
 
     def __init__(
-        self, problem: Any, data: Any, chain: Any, inverse_data: Any, answer: SolverAnswer, known: Changes
+        self,
+        problem: Any,
+        data: Any,
+        chain: Any,
+        inverse_data: Any,
+        answer: SolverAnswer,
+        known: Changes,
     ) -> None:
         self._answer, self._program, self._known = answer, data[settings.PARAM_PROB], known
         self._equations = int(data["n_eq"])
-        variables, duals = ProgramEntries.of(problem, answer.solution.program, data, chain, inverse_data)
+        variables, duals = ProgramEntries.of(
+            problem, answer.solution.program, data, chain, inverse_data
+        )
         if variables is None:
             raise UnsupportedModel(
                 f"cvxpy {cp.__version__} made a program in which a variable is not found again; leave requires_grad "
@@ -103,13 +111,18 @@ class ProgramDerivative:
             return
         z, point = self._z, self._by_column(self._known)
         point[-1] = 1.0
-        found = [(self._variables[variable.id].taken(z), leaf_value(variable)) for variable in problem.variables()]
+        found = [
+            (self._variables[variable.id].taken(z), leaf_value(variable))
+            for variable in problem.variables()
+        ]
         found += [(entries.taken(z), constraint.dual_value) for constraint, entries in self._duals]
         residual = self._residual(z)
         M, q = self._conditions.M, self._conditions.q
         error, terms = np.abs(residual @ point - (M @ z + q)), abs(M) @ np.abs(z) + np.abs(q)
         is_same = (error <= ROUNDING * (abs(residual) @ np.abs(point) + terms)).all()
-        goal = SAME * self._answer.goal  # cvxpy projects values on the attributes of their variables
+        goal = (
+            SAME * self._answer.goal
+        )  # cvxpy projects values on the attributes of their variables
         if not is_same or not all(_agree(own, dense(theirs), goal) for own, theirs in found):
             raise UnsupportedModel(
                 f"cvxpy {cp.__version__} compiled this program to a layout that is not known here, so that its "
@@ -126,7 +139,9 @@ class ProgramDerivative:
         self._refuse_unsolved()
         with in_words_of_programs():
             dz = self._at.jvp(dq=self._jacobian @ self._by_column(changes)[:-1])
-        self._require_determined(np.concatenate([entries.used for entries in self._variables.values()]))
+        self._require_determined(
+            np.concatenate([entries.used for entries in self._variables.values()])
+        )
         variables = {key: entries.taken(dz) for key, entries in self._variables.items()}
         return variables, [(constraint, entries.taken(dz)) for constraint, entries in self._duals]
 
@@ -144,7 +159,9 @@ class ProgramDerivative:
             by_column = self._jacobian.T @ self._at.vjp(g).q
         parameters = {parameter.id: parameter for parameter in self._program.parameters}
         return {
-            key: by_column[first : first + parameters[key].size].reshape(parameters[key].shape, order="F")
+            key: by_column[first : first + parameters[key].size].reshape(
+                parameters[key].shape, order="F"
+            )
             for key, first in self._columns.items()
         }
 
@@ -157,7 +174,9 @@ class ProgramDerivative:
     def _columns(self) -> dict[int, int]:
         """The first column of each parameter by its id; the constants have a negative id, and the last column."""
         known = {parameter.id for parameter in self._program.parameters}
-        return {key: column for key, column in self._program.param_id_to_col.items() if key in known}
+        return {
+            key: column for key, column in self._program.param_id_to_col.items() if key in known
+        }
 
     def _by_column(self, values: Changes) -> FloatVector:
         """Return values of the parameters in their columns, and 0 in the last one."""
@@ -225,7 +244,9 @@ class ProgramDerivative:
             P = sp.coo_array(program.P)
             parts.append((P.row % n, P.col, P.data * x[P.row // n]))
         row, column, values = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return sp.csr_array(sp.coo_array((values, (row, column)), shape=(z.size, program.q.shape[1])))
+        return sp.csr_array(
+            sp.coo_array((values, (row, column)), shape=(z.size, program.q.shape[1]))
+        )
 
 
 def _agree(own: Any, theirs: Any, tolerance: float) -> bool:

@@ -29,7 +29,8 @@ from .compiled_program import CompiledProgram
 from .stated_terms import Claim, dense_value, measure, refusal
 
 NO_INTEGERS = (
-    "QPSolver knows no integers, and this problem needs some; choose another solver, as solver=cp.HIGHS or cp.SCIP"
+    "QPSolver knows no integers, and this problem needs some; choose another solver, "
+    "as solver=cp.HIGHS or cp.SCIP"
 )
 NEEDS_CONES = (
     "what cvxpy makes of this problem is no quadratic program: it has cones, as sizes of complex numbers are; choose "
@@ -42,7 +43,9 @@ MATRIX_KEYS = (settings.P, settings.F, settings.A)
 ORDINARY = (1e-100, 1e100)  # numbers whose products are doubles
 DIGITS = 0.005  # of which the last of three digits is at least a tenth
 MOST_NAMED = 5  # constraints that a contradiction lists
-SAME = 10.0  # times what is called optimal: beyond, the user's problem is another one than the program
+SAME = (
+    10.0  # times what is called optimal: beyond, the user's problem is another one than the program
+)
 
 
 _compiled: WeakKeyDictionary[Any, CompiledProgram | None] = WeakKeyDictionary()
@@ -61,7 +64,9 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     ``threads`` and the algorithm's own.
     """
 
-    MIP_CAPABLE = True  # or cvxpy refuses in words that name no solver; `apply` refuses in better ones
+    MIP_CAPABLE = (
+        True  # or cvxpy refuses in words that name no solver; `apply` refuses in better ones
+    )
     #: cvxpy ≥ 1.9 derives bounds of its own for solvers that take some, wrong ones among them; the rows that a
     #: user's bounds become otherwise are folded back at the cost of a look.
     BOUNDED_VARIABLES = False
@@ -106,17 +111,34 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             except SolverError as error:
                 raise UnsolvableModel(NEEDS_CONES) from error
         found, dims = compiled.present(), problem.cone_dims
-        equations, inequalities = ([c for c in problem.constraints if type(c) is kind] for kind in (Zero, NonNeg))
+        equations, inequalities = (
+            [c for c in problem.constraints if type(c) is kind] for kind in (Zero, NonNeg)
+        )
         data = {
-            self.DIMS: dims, settings.PARAM_PROB: problem, settings.P: found.P, settings.Q: found.q,
-            settings.A: found.A, settings.B: found.b, settings.F: found.F, settings.G: found.g,
-            settings.BOOL_IDX: [], settings.INT_IDX: [], settings.LOWER_BOUNDS: problem.lower_bounds,
-            settings.UPPER_BOUNDS: problem.upper_bounds, "n_var": found.q.size, "n_eq": found.b.size,
-            "n_ineq": found.g.size, MATRICES: found.matrices,
+            self.DIMS: dims,
+            settings.PARAM_PROB: problem,
+            settings.P: found.P,
+            settings.Q: found.q,
+            settings.A: found.A,
+            settings.B: found.b,
+            settings.F: found.F,
+            settings.G: found.g,
+            settings.BOOL_IDX: [],
+            settings.INT_IDX: [],
+            settings.LOWER_BOUNDS: problem.lower_bounds,
+            settings.UPPER_BOUNDS: problem.upper_bounds,
+            "n_var": found.q.size,
+            "n_eq": found.b.size,
+            "n_ineq": found.g.size,
+            MATRICES: found.matrices,
         }
         return data, {
-            self.VAR_ID: problem.x.id, self.DIMS: dims, self.IS_MIP: problem.is_mixed_integer(),
-            settings.OFFSET: found.d, self.EQ_CONSTR: equations, self.NEQ_CONSTR: inequalities,
+            self.VAR_ID: problem.x.id,
+            self.DIMS: dims,
+            self.IS_MIP: problem.is_mixed_integer(),
+            settings.OFFSET: found.d,
+            self.EQ_CONSTR: equations,
+            self.NEQ_CONSTR: inequalities,
         }
 
     def solve_via_data(
@@ -125,7 +147,10 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         """Return the answer to the program in cvxpy's form."""
         cache = {} if solver_cache is None else solver_cache
         try:
-            with np.errstate(over="ignore"), solver_errors():  # what overflows becomes infinite, and is refused as such
+            with (
+                np.errstate(over="ignore"),
+                solver_errors(),
+            ):  # what overflows becomes infinite, and is refused as such
                 answer = self._answer(data, warm_start, verbose, solver_opts, cache)
         except InvalidProblem as error:
             if not (words := _too_far_apart(data)):
@@ -135,7 +160,9 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             raise UnsolvableModel(words)
         return answer
 
-    def _answer(self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any) -> SolverAnswer:
+    def _answer(
+        self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any
+    ) -> SolverAnswer:
         options = {**SOLVE_OPTIONS, **solver_opts}
         before: _Solved | None = cache.get(self.name())
         compiled = _Solved.of(data, before)
@@ -169,8 +196,13 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         if self.EQ_CONSTR not in inverse_data:
             return {self.DUAL_VAR_ID: np.concatenate([qp.equality, qp.inequality])}
         duals: dict[Any, Any] = {}
-        for values, constraints in ((qp.equality, self.EQ_CONSTR), (qp.inequality, self.NEQ_CONSTR)):
-            duals |= utilities.get_dual_values(values, utilities.extract_dual_value, inverse_data[constraints])
+        for values, constraints in (
+            (qp.equality, self.EQ_CONSTR),
+            (qp.inequality, self.NEQ_CONSTR),
+        ):
+            duals |= utilities.get_dual_values(
+                values, utilities.extract_dual_value, inverse_data[constraints]
+            )
         return duals
 
 
@@ -249,7 +281,9 @@ def quadratic_program(data: Any) -> QuadraticProgram:
     if matrices is not None and P is matrices.P and F is matrices.G and A is matrices.A:
         c, b = (checked_vector(data[key], key, None) for key in (settings.Q, settings.B))
         h = checked_right_side(data[settings.G], settings.G, None)
-        return QuadraticProgram.with_matrices(matrices, c, h, b, same_for_all(-np.inf, n), same_for_all(np.inf, n))
+        return QuadraticProgram.with_matrices(
+            matrices, c, h, b, same_for_all(-np.inf, n), same_for_all(np.inf, n)
+        )
     P, F, A = (
         sp.csr_array((rows, n)) if matrix is None else matrix
         for rows, matrix in ((n, P), (int(data["n_ineq"]), F), (int(data["n_eq"]), A))
@@ -305,7 +339,9 @@ class Entries(NamedTuple):
 
     def put_into(self, unknowns: FloatVector, value: Any) -> None:
         """Set the unknowns so that they give the value."""
-        unknowns[self.used] = (self.signs * np.ravel(dense_value(value), order="F"))[self.signs != 0.0]
+        unknowns[self.used] = (self.signs * np.ravel(dense_value(value), order="F"))[
+            self.signs != 0.0
+        ]
 
 
 class ProgramEntries(NamedTuple):
@@ -318,16 +354,28 @@ class ProgramEntries(NamedTuple):
     duals: dict[int, Entries]
 
     @classmethod
-    def of(cls, problem: Any, program: QuadraticProgram, data: Any, chain: Any, inverse: Any) -> ProgramEntries:
+    def of(
+        cls, problem: Any, program: QuadraticProgram, data: Any, chain: Any, inverse: Any
+    ) -> ProgramEntries:
         """Return the entries in a program, from what ``problem.get_problem_data`` gave."""
-        columns, rows, nothing = data[settings.PARAM_PROB].var_id_to_col, program.constraints, np.zeros(program.n)
-        variables = {one.id: _entries_of(one, columns, chain, inverse) for one in problem.variables()}
+        columns, rows, nothing = (
+            data[settings.PARAM_PROB].var_id_to_col,
+            program.constraints,
+            np.zeros(program.n),
+        )
+        variables = {
+            one.id: _entries_of(one, columns, chain, inverse) for one in problem.variables()
+        }
         inequality, equality = np.split(1.0 + np.arange(rows.rows), [program.h.size])
         counted = QPSolution(program, nothing, inequality, equality, nothing, nothing)
-        found = chain.invert(SolverAnswer(None, counted, settings.OPTIMAL, np.inf), inverse).dual_vars or {}
+        found = (
+            chain.invert(SolverAnswer(None, counted, settings.OPTIMAL, np.inf), inverse).dual_vars
+            or {}
+        )
         duals = {
             one.id: Entries.of(found[one.id], program.n, one.dual_variables[0].shape)
-            for one in problem.constraints if one.id in found and not np.mod(dense_value(found[one.id]), 1.0).any()
+            for one in problem.constraints
+            if one.id in found and not np.mod(dense_value(found[one.id]), 1.0).any()
         }
         known = {key: entries for key, entries in variables.items() if entries is not None}
         return cls(known if len(known) == len(variables) else None, duals)
@@ -340,7 +388,12 @@ def _entries_of(variable: Any, columns: dict[int, int], chain: Any, inverse: Any
     """
     numbers, leaf = 1.0 + np.arange(variable.size).reshape(variable.shape, order="F"), variable
     for reduction, known in zip(chain.reductions, inverse, strict=False):
-        if isinstance(known, tuple) and known and isinstance(known[0], dict) and variable.id in known[0]:
+        if (
+            isinstance(known, tuple)
+            and known
+            and isinstance(known[0], dict)
+            and variable.id in known[0]
+        ):
             leaf = known[0][variable.id]  # CvxAttr2Constr's, in the place of the variable
             if leaf.size != variable.size:
                 counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
@@ -354,7 +407,9 @@ def _entries_of(variable: Any, columns: dict[int, int], chain: Any, inverse: Any
 QPSolver = _LCPQuadraticSolver()
 
 
-def _measured(own: Callable[..., Any], problem: Any, solution: Any, chain: Any, inverse_data: Any) -> None:
+def _measured(
+    own: Callable[..., Any], problem: Any, solution: Any, chain: Any, inverse_data: Any
+) -> None:
     """Unpack as cvxpy does, and measure what is ours on the user's own expressions."""
     own(problem, solution, chain, inverse_data)
     if not isinstance(solution, SolverAnswer):

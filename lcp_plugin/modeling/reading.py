@@ -27,7 +27,16 @@ from .expressions.rows import Compiler, Rows, as_matrix
 Values = dict[int, Any]
 
 #: They tie entries to each other or to a set, so that the columns would not be free.
-FORBIDDEN_ATTRIBUTES = ("symmetric", "diag", "PSD", "NSD", "hermitian", "sparsity", "complex", "imag")
+FORBIDDEN_ATTRIBUTES = (
+    "symmetric",
+    "diag",
+    "PSD",
+    "NSD",
+    "hermitian",
+    "sparsity",
+    "complex",
+    "imag",
+)
 INTEGERS = ("boolean", "integer")
 
 
@@ -42,7 +51,9 @@ def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int,
         Results by the ids of nodes, below which nothing is looked at.
     """
     nodes = postorder(root, known)
-    uses = Counter(id(argument) for node in nodes if id(node) not in known for argument in node.args)
+    uses = Counter(
+        id(argument) for node in nodes if id(node) not in known for argument in node.args
+    )
     results: Values = {}
     for node in nodes:
         if id(node) in known:
@@ -78,7 +89,10 @@ class Reader:
     """
 
     def __init__(
-        self, memo: dict[int, tuple[Any, Any]] | None = None, held: Values | None = None, *,
+        self,
+        memo: dict[int, tuple[Any, Any]] | None = None,
+        held: Values | None = None,
+        *,
         takes_integers: bool = False,
     ) -> None:
         self.compiler, self._takes_integers = Compiler(), takes_integers
@@ -107,7 +121,10 @@ class Reader:
             if not isinstance(result, Rows):
                 self._take_constant(root, result)
             rows = Rows.of(result).spread(root.shape)
-            rows = replace(rows, blocks={key: as_matrix(block, rows.size) for key, block in rows.blocks.items()})
+            rows = replace(
+                rows,
+                blocks={key: as_matrix(block, rows.size) for key, block in rows.blocks.items()},
+            )
             if self._held is None:
                 entries = [as_matrix(block, rows.size).data for block in rows.blocks.values()]
                 if not all(map(_all_finite, (rows.offset, *entries))):
@@ -136,7 +153,9 @@ class Reader:
             return result
         if result.shape != node.shape and result.size == node.size:
             result = replace(result, shape=node.shape)
-        is_function = result.level > max([own.level for own in arguments if isinstance(own, Rows)], default=0)
+        is_function = result.level > max(
+            [own.level for own in arguments if isinstance(own, Rows)], default=0
+        )
         if is_function:
             result = result if result.is_source else self.compiler.emit(SAME, result)
             self._kept.append(node)
@@ -158,7 +177,9 @@ class Reader:
             if kind.is_variable:
                 check_attributes(node, takes_integers=self._takes_integers)
             return Rows({node.id: 1.0}, np.zeros(node.size), node.shape)
-        constants = [pair for pair in zip(node.args, arguments, strict=True) if not isinstance(pair[1], Rows)]
+        constants = [
+            pair for pair in zip(node.args, arguments, strict=True) if not isinstance(pair[1], Rows)
+        ]
         if len(constants) == len(arguments):
             return self._value(node, arguments)
         for part, argument in constants:
@@ -166,7 +187,9 @@ class Reader:
         rule = kind.rule
         if rule is None:
             rule = rule_of(node)
-            arguments = [one.full() if isinstance(one, Rows) else one for one in whole(node, arguments)]
+            arguments = [
+                one.full() if isinstance(one, Rows) else one for one in whole(node, arguments)
+            ]
             if rule is None and self._held is not None:
                 values = [atoms.dense(folded(part, self._value, {})) for part in node.args]
                 return linearised(node, arguments, values)
@@ -178,10 +201,14 @@ class Reader:
         """Return the value of a node without sources, or of any where everything is held."""
         if node.args:
             return atoms.shaped(node, atoms.constant_numeric(node, values))
-        value = None if self._held is None or isinstance(node, cp.Constant) else self._held.get(node.id)
+        value = (
+            None if self._held is None or isinstance(node, cp.Constant) else self._held.get(node.id)
+        )
         value = atoms.leaf_value(node) if value is None else value
         if value is None:
-            raise UnsupportedModel(f"parameter {name_of(node)} has no value; set {name_of(node)}.value before solving")
+            raise UnsupportedModel(
+                f"parameter {name_of(node)} has no value; set {name_of(node)}.value before solving"
+            )
         return value
 
     def _take_constant(self, node: Any, value: Any) -> None:
@@ -190,17 +217,26 @@ class Reader:
             return
         self._taken.add(id(node))
         if np.iscomplexobj(value):
-            raise UnsupportedModel(f"{name_of(node)} is complex; write its real and imaginary parts as two expressions")
+            raise UnsupportedModel(
+                f"{name_of(node)} is complex; write its real and imaginary parts as two expressions"
+            )
         entries = value.data if sp.issparse(value) else value
         if not _all_finite(entries):
             wrong = np.ravel(entries)[~np.isfinite(np.ravel(entries))][0]
-            raise UnsupportedModel(f"constants must be finite, but {name_of(node)} holds {wrong}; repair that entry")
+            raise UnsupportedModel(
+                f"constants must be finite, but {name_of(node)} holds {wrong}; repair that entry"
+            )
 
 
 def _hidden_parameters(node: Any) -> list[Any]:
     """Return the parameters that an atom holds but has not among its arguments."""
     data = (node.get_data() or []) if node.args else []
-    return [parameter for part in data if isinstance(part, cp.Expression) for parameter in part.parameters()]
+    return [
+        parameter
+        for part in data
+        if isinstance(part, cp.Expression)
+        for parameter in part.parameters()
+    ]
 
 
 def check_attributes(variable: cp.Variable, *, takes_integers: bool = False) -> None:

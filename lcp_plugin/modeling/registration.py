@@ -33,7 +33,12 @@ from .assembly import solve_from
 from .builder import Builder, warn
 from .constraint import Complements, box, complements
 from .model import Model, ModelBatch, contradiction, solve_for
-from .model_derivative import Differentiable, ModelDerivative, differentiable_parameters, values_of_parameters
+from .model_derivative import (
+    Differentiable,
+    ModelDerivative,
+    differentiable_parameters,
+    values_of_parameters,
+)
 from .program_derivative import ProgramDerivative, refuse_undisciplined
 from .qp_solver import QPSolver
 from .stated_terms import refusal
@@ -65,7 +70,9 @@ def is_complementarity_problem(problem: Any) -> bool:
     >>> is_complementarity_problem(cp.Problem(cp.Minimize(0)))
     False
     """
-    return isinstance(problem, cp.Problem) and any(isinstance(c, Complements) for c in problem.constraints)
+    return isinstance(problem, cp.Problem) and any(
+        isinstance(c, Complements) for c in problem.constraints
+    )
 
 
 class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
@@ -97,7 +104,9 @@ class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
     def solve(self, algorithm: Any = "auto", **options: Any) -> Any:
         """Solve as ``cp.Problem.solve(method="LCP")`` does; see :func:`solve_model`."""
         if options.pop("method", "LCP") not in METHODS:
-            raise UnsupportedModel('a ComplementarityProblem is solved by method="LCP" only; leave the method out')
+            raise UnsupportedModel(
+                'a ComplementarityProblem is solved by method="LCP" only; leave the method out'
+            )
         return solve_model(self, algorithm=algorithm, **options)
 
     def solve_batch(self, parameters: Mapping[cp.Parameter, Any], **options: Any) -> ModelBatch:
@@ -184,11 +193,13 @@ def build_from(problem: Any) -> Model:
     """Return the model of a cvxpy problem; what depends on no parameter is kept for the next call."""
     if not isinstance(problem, cp.Problem):
         kind = type(problem).__name__
-        raise UnsupportedModel(f"a cvxpy problem is needed, got {kind}; write ComplementarityProblem([…])")
+        raise UnsupportedModel(
+            f"a cvxpy problem is needed, got {kind}; write ComplementarityProblem([…])"
+        )
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
             f"the objective {name_of(problem.objective.args[0])} beside complementarity asks for the best of all "
-            "solutions, which no single LCP states: problem.solve(method=\"LCP\") finds it; write cp.Minimize(0) for "
+            'solutions, which no single LCP states: problem.solve(method="LCP") finds it; write cp.Minimize(0) for '
             "any of them"
         )
     return build(problem.constraints, _memos.setdefault(problem, {}))
@@ -212,8 +223,14 @@ def stated_in_cvxpy(problem: LCP) -> Any:
 
 
 def solve_model(
-    problem: Any, algorithm: Any = "auto", *, warm_start: bool = True, verbose: bool = False, solver: Any = None,
-    requires_grad: bool = False, **options: Any,
+    problem: Any,
+    algorithm: Any = "auto",
+    *,
+    warm_start: bool = True,
+    verbose: bool = False,
+    solver: Any = None,
+    requires_grad: bool = False,
+    **options: Any,
 ) -> Any:
     """Solve a complementarity problem, or an ordinary quadratic program, stated in cvxpy.
 
@@ -247,7 +264,9 @@ def solve_model(
     """
     with solver_errors():
         if solver is not None:
-            raise UnsupportedModel(f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…')
+            raise UnsupportedModel(
+                f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…'
+            )
         clear_answering(problem)
         if requires_grad:
             refuse_without_derivatives()
@@ -255,7 +274,12 @@ def solve_model(
 
 
 def _solve_model(
-    problem: Any, algorithm: Any, warm_start: bool, verbose: bool, requires_grad: bool, options: dict[str, Any]
+    problem: Any,
+    algorithm: Any,
+    warm_start: bool,
+    verbose: bool,
+    requires_grad: bool,
+    options: dict[str, Any],
 ) -> Any:
     """Solve what is a complementarity problem as one, and else a program."""
     if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
@@ -273,7 +297,9 @@ def _solve_model(
             raise
         return _any(problem, error, bool(verbose), warm_start, options)
     start = model.start() if warm_start and "z0" not in options else None
-    result = solve_from(model.problem, start, {"algorithm": algorithm, "verbose": verbose, **options})
+    result = solve_from(
+        model.problem, start, {"algorithm": algorithm, "verbose": verbose, **options}
+    )
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)
@@ -285,7 +311,9 @@ def _solve_model(
     return problem.value
 
 
-def _any(problem: Any, refusal: NotSquare, verbose: bool, warm_start: bool, options: dict[str, Any]) -> Any:
+def _any(
+    problem: Any, refusal: NotSquare, verbose: bool, warm_start: bool, options: dict[str, Any]
+) -> Any:
     """Find any solution of a model with more rows and bounds than an LCP has, by a search for the best; or raise."""
     from .best_equilibrium import solve_for_the_best
 
@@ -298,7 +326,12 @@ def _any(problem: Any, refusal: NotSquare, verbose: bool, warm_start: bool, opti
 
 
 def _best(
-    problem: Any, algorithm: Any, verbose: bool, warm_start: bool, requires_grad: bool, options: dict[str, Any]
+    problem: Any,
+    algorithm: Any,
+    verbose: bool,
+    warm_start: bool,
+    requires_grad: bool,
+    options: dict[str, Any],
 ) -> Any:
     """Find the best of all solutions."""
     from .best_equilibrium import solve_for_the_best
@@ -323,7 +356,9 @@ def _has_cones(problem: Any) -> bool:
 def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
     """Solve a quadratic program."""
     try:
-        value = cp.Problem._solve(problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options)
+        value = cp.Problem._solve(
+            problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options
+        )
     except SolverError as error:
         if (refused := refusal(problem)) is None:
             raise
@@ -332,7 +367,9 @@ def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, A
     return value
 
 
-def _differentiable_program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
+def _differentiable_program(
+    problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]
+) -> Any:
     """Solve a quadratic program by cvxpy's three public steps, and keep what its derivatives need."""
     _refuse_flags(options)
     parameters = differentiable_parameters(problem)
@@ -373,10 +410,17 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
             else:
                 constraint.save_dual_value(value)
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
-    if status != settings.INFEASIBLE and (what := contradiction(model, result.z, result.w)) is not None:
+    if (
+        status != settings.INFEASIBLE
+        and (what := contradiction(model, result.z, result.w)) is not None
+    ):
         problem._clear_solution()
-        raise SolverError(f"the problem contradicts its own answer: {what}; write the expression in another way")
+        raise SolverError(
+            f"the problem contradicts its own answer: {what}; write the expression in another way"
+        )
     if status in settings.INACCURATE:
         warnings.warn(
-            f"the solution may be inaccurate ({result.status.name}): {result.advice}", UserWarning, stacklevel=4
+            f"the solution may be inaccurate ({result.status.name}): {result.advice}",
+            UserWarning,
+            stacklevel=4,
         )

@@ -41,14 +41,21 @@ class StatedTerms(NamedTuple):
         """Return those at the present values of variables and parameters."""
         roots = [problem.objective.args[0], *map(expression_of, problem.constraints)]
         values = values_below(roots)
-        signs = [sense_of(problem)] + [-1.0 if isinstance(c, NonNeg) else 1.0 for c in problem.constraints]
-        goal, *slacks = (sign * dense_value(values[id(root)]) for sign, root in zip(signs, roots, strict=True))
+        signs = [sense_of(problem)] + [
+            -1.0 if isinstance(c, NonNeg) else 1.0 for c in problem.constraints
+        ]
+        goal, *slacks = (
+            sign * dense_value(values[id(root)]) for sign, root in zip(signs, roots, strict=True)
+        )
         return cls(float(goal.ravel()[0]), slacks, partial(_size, roots, values))
 
     def violated(self, problem: Any) -> list[float]:
         """Return by how much each constraint is violated; NaN where it is not a number."""
         pairs = zip(problem.constraints, self.slacks, strict=True)
-        return [float(np.max(violation_of(constraint, slack), initial=0.0)) for constraint, slack in pairs]
+        return [
+            float(np.max(violation_of(constraint, slack), initial=0.0))
+            for constraint, slack in pairs
+        ]
 
 
 def values_below(roots: list[Any]) -> dict[int, Any]:
@@ -146,8 +153,12 @@ def _disagreement(problem: Any, terms: StatedTerms, claim: Claim) -> str | None:
     claimed, limit = sense_of(problem) * claim.value, claim.tolerance
     miss = abs(terms.goal - claimed)
     if not miss <= claim.miss and not miss <= limit * max(terms.size(0), abs(claimed)):
-        return f"its objective is {terms.goal:.9g} at the values of its variables, not {claimed:.9g}"
-    for k, (constraint, violation) in enumerate(zip(problem.constraints, terms.violated(problem), strict=True)):
+        return (
+            f"its objective is {terms.goal:.9g} at the values of its variables, not {claimed:.9g}"
+        )
+    for k, (constraint, violation) in enumerate(
+        zip(problem.constraints, terms.violated(problem), strict=True)
+    ):
         if not violation <= claim.slip and not violation <= limit * terms.size(k + 1):
             return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
     for variable in problem.variables():
@@ -194,7 +205,9 @@ def why_not(problem: Any) -> list[str]:
             if np.size(variable.attributes[attribute]) and np.any(variable.attributes[attribute]):
                 reasons.append(f"variable {variable.name()} is {attribute}")
         if variable.is_complex():
-            reasons.append(f"variable {variable.name()} is complex; give its real and imaginary part a variable each")
+            reasons.append(
+                f"variable {variable.name()} is complex; give its real and imaginary part a variable each"
+            )
     for constraint in problem.constraints:
         if isinstance(constraint, INEQUALITIES):
             if not expression_of(constraint).is_pwl():
@@ -202,7 +215,9 @@ def why_not(problem: Any) -> list[str]:
         elif not isinstance(constraint, EQUATIONS):
             reasons.append(f"constraint {name_of(constraint)} is a {type(constraint).__name__}")
     if not problem.objective.args[0].is_qpwa():
-        reasons.append(f"the objective {name_of(problem.objective.args[0])} is not quadratic or piecewise linear")
+        reasons.append(
+            f"the objective {name_of(problem.objective.args[0])} is not quadratic or piecewise linear"
+        )
     return reasons
 
 
@@ -237,4 +252,6 @@ def dense_value(value: Any) -> NDArray[np.float64]:
 
 def entries_of(value: Any) -> NDArray[np.float64]:
     """Return the sizes of the stored entries of a value: what is sparse stays so, the other entries are 0."""
-    return np.abs((value.tocoo().data if sp.issparse(value) else np.asarray(value)).real.astype(np.float64))
+    return np.abs(
+        (value.tocoo().data if sp.issparse(value) else np.asarray(value)).real.astype(np.float64)
+    )

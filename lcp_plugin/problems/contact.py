@@ -52,7 +52,9 @@ NOT_DEFINITE = (
     "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out bodies that "
     "do not move, or give W"
 )
-MOST_FRICTION = 5.0  # of soft rubber it is some 2; what is larger is probably an angle or a percentage
+MOST_FRICTION = (
+    5.0  # of soft rubber it is some 2; what is larger is probably an angle or a percentage
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,9 @@ def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
     still = STICKS * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]
     with np.errstate(over="ignore", under="ignore"):
         touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
-    return ContactMotion(r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, touches & (speeds <= still), after)
+    return ContactMotion(
+        r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, touches & (speeds <= still), after
+    )
 
 
 class Bodies(NamedTuple):
@@ -107,7 +111,9 @@ class Bodies(NamedTuple):
         """What a unit impulse of each row adds to the velocities, m⁻¹ Jᵀ, shape (v, d k); sparse where these are."""
         if sp.issparse(self.mass):
             return inverse_by_components(self.mass) @ self.rows.T
-        return np.asarray(np.linalg.solve(self.mass, np.swapaxes(self.rows, -1, -2)), dtype=np.float64)
+        return np.asarray(
+            np.linalg.solve(self.mass, np.swapaxes(self.rows, -1, -2)), dtype=np.float64
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,14 +227,16 @@ class Contacts:
         rows, contact = np.zeros((k * (1 + m), k * d)), np.arange(k)
         rows[contact, d * contact] = 1.0
         for c in range(k):
-            rows[k + m * c:k + m * (c + 1), d * c + 1:d * (c + 1)] = self.edges
+            rows[k + m * c : k + m * (c + 1), d * c + 1 : d * (c + 1)] = self.edges
         return rows
 
     def _in_matrix(self, W: FloatArray, friction: FloatArray) -> FloatArray:
         """Return what W and the coefficients, or changes of them, are in M, which is linear in them."""
         k, rows = self.count, self._by_edges
         pressing = len(rows)
-        M = np.zeros((*np.broadcast_shapes(W.shape[:-2], friction.shape[:-1]), pressing + k, pressing + k))
+        M = np.zeros(
+            (*np.broadcast_shapes(W.shape[:-2], friction.shape[:-1]), pressing + k, pressing + k)
+        )
         M[..., :pressing, :pressing] = rows @ W @ rows.T
         M[..., pressing + np.arange(k), np.arange(k)] = friction
         return M
@@ -250,12 +258,20 @@ class Contacts:
     @property
     def names(self) -> tuple[str, ...]:
         """The changes that :meth:`changes` takes."""
-        has_gaps, has_mass = ("dgaps",) * (self.gaps is not None), ("dmass",) * (self.bodies is not None)
+        has_gaps, has_mass = (
+            ("dgaps",) * (self.gaps is not None),
+            ("dmass",) * (self.bodies is not None),
+        )
         return ("dfriction", "dvelocities", *has_gaps, *has_mass, "dW")
 
     def changes(
-        self, *, dfriction: ArrayLike | None = None, dvelocities: ArrayLike | None = None,
-        dgaps: ArrayLike | None = None, dmass: ArrayLike | None = None, dW: ArrayLike | None = None,
+        self,
+        *,
+        dfriction: ArrayLike | None = None,
+        dvelocities: ArrayLike | None = None,
+        dgaps: ArrayLike | None = None,
+        dmass: ArrayLike | None = None,
+        dW: ArrayLike | None = None,
     ) -> dict[str, FloatArray]:
         """Return what changes of the data that state contacts are in M and q: ``{"dM": …, "dq": …}``, or one of these.
 
@@ -297,7 +313,9 @@ class Contacts:
         if not (dW is None and dmass is None and dfriction is None):
             found["dM"] = self._in_matrix(bent, slid)
         if dvelocities is not None or dgaps is not None:
-            found["dq"] = self._in_vector(self._change_of_velocities(dvelocities), self._change_of_gaps(dgaps))
+            found["dq"] = self._in_vector(
+                self._change_of_velocities(dvelocities), self._change_of_gaps(dgaps)
+            )
         return found
 
     def _change_of_velocities(self, dvelocities: ArrayLike | None) -> FloatArray:
@@ -335,17 +353,24 @@ class Contacts:
         """
         k, rows = self.count, self._by_edges
         by_q, z = np.asarray(of_lcp.q), np.asarray(z)
-        moving, impulses = by_q[..., :-k or None] @ rows, z[..., :-k or None] @ rows  # by normals and tangents
+        moving, impulses = (
+            by_q[..., : -k or None] @ rows,
+            z[..., : -k or None] @ rows,
+        )  # by normals and tangents
         by_velocities = moving.reshape(*moving.shape[:-1], k, -1)
         by_mass = None
         if self.bodies is not None:
             by_impulse = np.swapaxes(self.bodies.by_impulse, -1, -2)
-            by_mass = -_symmetric_product(_product(moving, by_impulse), _product(impulses, by_impulse))
+            by_mass = -_symmetric_product(
+                _product(moving, by_impulse), _product(impulses, by_impulse)
+            )
         gaps = None if self.time_step is None else by_velocities[..., 0] / self.time_step
         if self.bodies is not None and self.bodies.velocities is not None:
             by_velocities = _product(moving, self.bodies.rows)
-        friction = by_q[..., by_q.shape[-1] - k:] * z[..., :k]
-        return ContactGradient(friction, by_velocities, gaps, by_mass, _symmetric_product(moving, impulses), of_lcp)
+        friction = by_q[..., by_q.shape[-1] - k :] * z[..., :k]
+        return ContactGradient(
+            friction, by_velocities, gaps, by_mass, _symmetric_product(moving, impulses), of_lcp
+        )
 
     def recover(self, answer: Any) -> ContactMotion:
         """Return the impulses and velocities that an answer of the complementarity problem stands for.
@@ -369,7 +394,10 @@ class Contacts:
         moved = (self.W @ impulses.reshape(*z.shape[:-1], -1, 1)).reshape(impulses.shape) + given
         after = None
         if bodies is not None and bodies.velocities is not None and given is self.velocities:
-            after = bodies.velocities + (bodies.by_impulse @ impulses.reshape(*z.shape[:-1], -1, 1))[..., 0]
+            after = (
+                bodies.velocities
+                + (bodies.by_impulse @ impulses.reshape(*z.shape[:-1], -1, 1))[..., 0]
+            )
         return motion_of(impulses, moved, given.reshape(*given.shape[:-2], -1), after)
 
     def _velocities_of(self, answer: Any) -> FloatArray:
@@ -378,7 +406,7 @@ class Contacts:
         if problem is None or problem.origin is self:
             return self.velocities
         k, along_edges = self.count, np.linalg.pinv(self.edges)
-        tangential = problem.q[k:-k or None].reshape(k, -1) @ along_edges.T
+        tangential = problem.q[k : -k or None].reshape(k, -1) @ along_edges.T
         normal = problem.q[:k]
         if self.gaps is not None and self.time_step is not None:
             normal = normal - self.gaps / self.time_step
@@ -404,16 +432,28 @@ class Contacts:
         edges, which = len(self.edges), np.asarray(same)
         z = np.asarray(getattr(answer, "z", answer), dtype=np.float64)
         before = z.size // (edges + 2)
-        is_fit = z.shape == (before * (edges + 2),) and which.shape == (self.count,) and which.dtype.kind in "iu"
+        is_fit = (
+            z.shape == (before * (edges + 2),)
+            and which.shape == (self.count,)
+            and which.dtype.kind in "iu"
+        )
         if not is_fit or which.max(initial=-1) >= before or which.min(initial=0) < -1:
             raise InvalidProblem(
                 f"start_from needs an answer with {edges} edges a contact and {self.count} indices into its contacts, "
                 f"−1 for a new one, got z of shape {z.shape} and same = {which.tolist()}"
             )
-        normal, edge, steepest = z[:before], z[before:-before or None].reshape(before, edges), z[z.size - before:]
+        normal, edge, steepest = (
+            z[:before],
+            z[before : -before or None].reshape(before, edges),
+            z[z.size - before :],
+        )
         kept, is_old = np.maximum(which, 0), which >= 0
-        parts = (np.where(is_old.reshape(-1, *([1] * (part.ndim - 1))), part[kept], 0.0) if before else
-                 np.zeros((self.count, *part.shape[1:])) for part in (normal, edge, steepest))
+        parts = (
+            np.where(is_old.reshape(-1, *([1] * (part.ndim - 1))), part[kept], 0.0)
+            if before
+            else np.zeros((self.count, *part.shape[1:]))
+            for part in (normal, edge, steepest)
+        )
         return np.concatenate([part.ravel() for part in parts])
 
     def _checked(self, z: Any, k: int) -> FloatArray:
@@ -426,8 +466,13 @@ class Contacts:
 
 
 def lcp_from_contacts(
-    contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
-    gaps: ArrayLike | None = None, time_step: float | None = None,
+    contacts: Any,
+    friction: ArrayLike,
+    velocities: ArrayLike,
+    directions: int = 4,
+    *,
+    gaps: ArrayLike | None = None,
+    time_step: float | None = None,
 ) -> LCP:
     """Return the complementarity problem of contacts with friction, see the module; ``origin.recover`` leads back.
 
@@ -486,8 +531,13 @@ def lcp_from_contacts(
 
 
 def contact_data(
-    contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, *,
-    gaps: ArrayLike | None = None, time_step: float | None = None,
+    contacts: Any,
+    friction: ArrayLike,
+    velocities: ArrayLike,
+    directions: int = 4,
+    *,
+    gaps: ArrayLike | None = None,
+    time_step: float | None = None,
 ) -> Contacts:
     """Return contacts with friction, checked; any array may have an axis in front, one item a problem of a batch.
 
@@ -538,19 +588,32 @@ def contact_data(
 
 
 def checked_contacts(
-    contacts: Any, friction: ArrayLike, velocities: ArrayLike, directions: int = 4, gaps: ArrayLike | None = None,
-    time_step: float | None = None, *, keeps_sparse: bool = False,
+    contacts: Any,
+    friction: ArrayLike,
+    velocities: ArrayLike,
+    directions: int = 4,
+    gaps: ArrayLike | None = None,
+    time_step: float | None = None,
+    *,
+    keeps_sparse: bool = False,
 ) -> Contacts:
     """Return what :func:`contact_data` does, without a warning; W is sparse where a part is and `keeps_sparse`."""
     bodies = None
-    given = _array(velocities, "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane")
+    given = _array(
+        velocities,
+        "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane",
+    )
     if is_of_bodies(contacts):
         is_sparse = keeps_sparse and any(map(sp.issparse, contacts))
         W, given, bodies = (_of_sparse_bodies if is_sparse else _of_bodies)(tuple(contacts), given)
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         check_symmetric(W, "W")
-    if given.ndim not in (2, 3) or given.shape[-1] not in (2, 3) or given.shape[-2] * given.shape[-1] != W.shape[-1]:
+    if (
+        given.ndim not in (2, 3)
+        or given.shape[-1] not in (2, 3)
+        or given.shape[-2] * given.shape[-1] != W.shape[-1]
+    ):
         _refuse_velocities(W.shape[-1], given)
     edges, k = _edges(given.shape[-1] - 1, directions), given.shape[-2]
     mu = checked_friction(friction, k)
@@ -558,12 +621,19 @@ def checked_contacts(
     several = (W, 3), (given, 3), (mu, 2), (np.empty(k) if distances is None else distances, 2)
     counts = {part.shape[0] for part, ndim in several if part.ndim == ndim}
     if len(counts) > 1:
-        raise InvalidProblem(f"all arrays with an axis for the problems must be equally long, got {sorted(counts)}")
+        raise InvalidProblem(
+            f"all arrays with an axis for the problems must be equally long, got {sorted(counts)}"
+        )
     for count in counts:
-        W, given = np.broadcast_to(W, (count, *W.shape[-2:])), np.broadcast_to(given, (count, *given.shape[-2:]))
+        W, given = (
+            np.broadcast_to(W, (count, *W.shape[-2:])),
+            np.broadcast_to(given, (count, *given.shape[-2:])),
+        )
     mu = np.broadcast_to(mu, given.shape[:-1])
     distances = None if distances is None else np.broadcast_to(distances, given.shape[:-1])
-    return Contacts(W, mu, given, edges, distances, None if distances is None else time_step, bodies)
+    return Contacts(
+        W, mu, given, edges, distances, None if distances is None else time_step, bodies
+    )
 
 
 def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -> FloatArray:
@@ -575,7 +645,9 @@ def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -
     if mu.min(initial=0.0) < 0.0:
         at = tuple(np.argwhere(mu < 0.0)[0].tolist())
         where = f"friction{list(at)}" if at else "friction"
-        raise InvalidProblem(f"friction must not be negative, but {where} = {mu[at]}; give μ ≥ 0, 0 for none")
+        raise InvalidProblem(
+            f"friction must not be negative, but {where} = {mu[at]}; give μ ≥ 0, 0 for none"
+        )
     return mu
 
 
@@ -587,14 +659,18 @@ def is_of_bodies(contacts: Any) -> bool:
 
 def are_of_bodies(velocities: tuple[int, ...], normals: tuple[int, ...], d: int) -> bool:
     """Return whether velocities of this shape, beside normals of that, are those of bodies, not (k, d) of contacts."""
-    return velocities[-1:] == normals[-1:] and (len(velocities) == 1 or velocities[-2:] != (*normals[-2:-1], d))
+    return velocities[-1:] == normals[-1:] and (
+        len(velocities) == 1 or velocities[-2:] != (*normals[-2:-1], d)
+    )
 
 
 def _distances(gaps: ArrayLike | None, time_step: float | None, k: int) -> FloatArray:
     """Return the gaps, checked with the time step."""
     if gaps is None or time_step is None:
         missing = "gaps" if gaps is None else "time_step"
-        raise InvalidProblem(f"gaps and time_step go together, but {missing} is missing; give both, in m and in s")
+        raise InvalidProblem(
+            f"gaps and time_step go together, but {missing} is missing; give both, in m and in s"
+        )
     if not is_number(time_step) or not 0.0 < time_step < np.inf:
         raise InvalidProblem(f"time_step must be a number of seconds > 0, got {time_step!r}")
     need = f"gaps must be a number, or a finite array of shape ({k},): one a contact"
@@ -612,17 +688,20 @@ def warn_of_much_friction(friction: FloatArray, level: int) -> None:
     warnings.warn(
         f"friction{[int(i) for i in at]} = {friction[at]:g} is more than {MOST_FRICTION:g}, which no two materials "
         "have: of soft rubber it is some 2; if it is an angle, give its tangent, if a percentage, divide by 100",
-        ModelWarning, stacklevel=level,
+        ModelWarning,
+        stacklevel=level,
     )
 
 
-def _change(values: ArrayLike, name: str, shape: tuple[int, ...], *, is_symmetric: bool = False) -> FloatArray:
+def _change(
+    values: ArrayLike, name: str, shape: tuple[int, ...], *, is_symmetric: bool = False
+) -> FloatArray:
     """Return a change of that shape, which may have one axis in front; a number stands for all entries of a vector."""
     need = f"{name} must be a finite array of shape {shape}"
     array = _array(values, need)
     if array.ndim == 0 and len(shape) == 1:
         array = np.full(shape, float(array))
-    if array.shape[-len(shape):] != shape or array.ndim > 1 + len(shape):
+    if array.shape[-len(shape) :] != shape or array.ndim > 1 + len(shape):
         raise InvalidProblem(f"{need}, got {array.shape}")
     if is_symmetric:
         check_symmetric(array, name)
@@ -641,19 +720,31 @@ def _symmetric_product(a: FloatArray, b: FloatArray) -> FloatArray:
     return 0.5 * (product + np.swapaxes(product, -1, -2))
 
 
-def _of_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[FloatArray, FloatArray, Bodies]:
+def _of_bodies(
+    contacts: tuple[Any, ...], velocities: FloatArray
+) -> tuple[FloatArray, FloatArray, Bodies]:
     """Return W, the contacts' velocities and the bodies from (mass matrix, normals, tangents) and velocities."""
     _require_three(contacts)
     mass = _array(contacts[0], "the mass matrix must be a finite array of shape (v, v)")
     check_symmetric(mass, "the mass matrix")
     v = mass.shape[-1]
-    normals = _array(contacts[1], f"normals must be a finite array of shape (k, {v}), {v} the size of the mass matrix")
-    need = f"tangents must be a finite array of shape (k, t, {v}), t = 2 in space and 1 in the plane"
+    normals = _array(
+        contacts[1],
+        f"normals must be a finite array of shape (k, {v}), {v} the size of the mass matrix",
+    )
+    need = (
+        f"tangents must be a finite array of shape (k, t, {v}), t = 2 in space and 1 in the plane"
+    )
     tangents = _array(contacts[2], need)
     _require_fit(normals.shape, v)
     k = normals.shape[-2]
-    if tangents.ndim == normals.ndim and tangents.shape[-2] in (k, 2 * k):  # those of a contact one after the other
-        tangents = tangents.reshape(*tangents.shape[:-2], k, tangents.shape[-2] // max(k, 1), -1 if k else v)
+    if tangents.ndim == normals.ndim and tangents.shape[-2] in (
+        k,
+        2 * k,
+    ):  # those of a contact one after the other
+        tangents = tangents.reshape(
+            *tangents.shape[:-2], k, tangents.shape[-2] // max(k, 1), -1 if k else v
+        )
     is_fit = tangents.ndim == normals.ndim + 1 and tangents.shape[:-2] == normals.shape[:-1]
     if not is_fit or tangents.shape[-2] not in (1, 2) or tangents.shape[-1] != v:
         raise InvalidProblem(f"{need}, k = {k} as of the normals, got {tangents.shape}")
@@ -669,7 +760,9 @@ def _of_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[Float
     return 0.5 * (W + np.swapaxes(W, -1, -2)), *_of_contacts(velocities, mass, J, k, d)
 
 
-def _of_sparse_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tuple[sp.csr_array, FloatArray, Bodies]:
+def _of_sparse_bodies(
+    contacts: tuple[Any, ...], velocities: FloatArray
+) -> tuple[sp.csr_array, FloatArray, Bodies]:
     """Return the same, sparse; the mass matrix is inverted component by component, as body by body."""
     _require_three(contacts)
     names, flat = ("the mass matrix", "normals", "tangents"), list(contacts)
@@ -689,7 +782,9 @@ def _of_sparse_bodies(contacts: tuple[Any, ...], velocities: FloatArray) -> tupl
             f"sparse tangents must have shape (t k, {v}), t = 2 in space and 1 in the plane, the t of a contact one "
             f"after the other, k = {k} as of the normals; got {tangents.shape}"
         )
-    order = np.concatenate([np.arange(k)[:, None], k + np.arange(t * k).reshape(k, t)], axis=1).ravel()
+    order = np.concatenate(
+        [np.arange(k)[:, None], k + np.arange(t * k).reshape(k, t)], axis=1
+    ).ravel()
     J = sp.csr_array(sp.vstack([normals, tangents], format="csr")[order])
     _check_directions(J, mass, 1 + t)
     W = J @ inverse_by_components(mass) @ J.T
@@ -729,19 +824,28 @@ def inverse_by_components(mass: sp.csr_array) -> sp.csr_array:
 
 def _require_three(contacts: tuple[Any, ...]) -> None:
     if len(contacts) != 3:
-        raise InvalidProblem(f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays")
+        raise InvalidProblem(
+            f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays"
+        )
 
 
 def _require_fit(normals: tuple[int, ...], v: int) -> None:
     if len(normals) < 2 or normals[-1] != v:
-        raise InvalidProblem(f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals}")
+        raise InvalidProblem(
+            f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals}"
+        )
 
 
-def _of_contacts(velocities: FloatArray, mass: Any, J: Any, k: int, d: int) -> tuple[FloatArray, Bodies]:
+def _of_contacts(
+    velocities: FloatArray, mass: Any, J: Any, k: int, d: int
+) -> tuple[FloatArray, Bodies]:
     """Return the contacts' velocities and the bodies, from the velocities of either."""
     v, own = mass.shape[-1], None
     if are_of_bodies(velocities.shape, (k, v), d):
-        own, velocities = velocities, _product(velocities, J.T if sp.issparse(J) else np.swapaxes(J, -1, -2))
+        own, velocities = (
+            velocities,
+            _product(velocities, J.T if sp.issparse(J) else np.swapaxes(J, -1, -2)),
+        )
         velocities = velocities.reshape(*velocities.shape[:-1], k, d)
     elif velocities.ndim == 1:
         raise InvalidProblem(
@@ -762,7 +866,9 @@ def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
     diagonal, v = mass.diagonal(), mass.shape[0]
     alone = (np.bincount(mass.indices, minlength=v) == 1) & (diagonal != 0.0)
     windows = np.arange(max(v - d + 1, 0))[:, None] + np.arange(d)
-    windows = windows[(alone[windows] & (diagonal[windows] == diagonal[windows[:, :1]])).all(axis=1)]
+    windows = windows[
+        (alone[windows] & (diagonal[windows] == diagonal[windows[:, :1]])).all(axis=1)
+    ]
     part = sp.coo_array(J[:, windows.ravel()])
     pair, number = np.unique((part.row // d) * len(windows) + part.col // d, return_inverse=True)
     own = np.zeros((pair.size, d, d))
@@ -773,7 +879,9 @@ def _check_directions(J: sp.csr_array, mass: sp.csr_array, d: int) -> None:
     off = np.abs(products - np.eye(d)).max(axis=(1, 2))[are]
     contact = pair[are] // max(len(windows), 1)
     least = np.full(J.shape[0] // d, np.inf)
-    np.minimum.at(least, contact, off)  # one body in whose translations they are unit vectors is enough
+    np.minimum.at(
+        least, contact, off
+    )  # one body in whose translations they are unit vectors is enough
     wrong = np.flatnonzero((least > UNIT) & (least < np.inf))
     if wrong.size:
         c = int(wrong[0])
@@ -788,7 +896,9 @@ def _edges(tangents: int, directions: int) -> FloatArray:
     """Return the edges of a pyramid, shape (m, t), as pairs d, −d: the second half is minus the first."""
     is_count = isinstance(directions, (int, np.integer)) and not isinstance(directions, bool)
     if not is_count or directions < 4 or directions % 2:
-        raise InvalidProblem(f"directions must be an even number ≥ 4 (in the plane there are two), got {directions!r}")
+        raise InvalidProblem(
+            f"directions must be an even number ≥ 4 (in the plane there are two), got {directions!r}"
+        )
     if tangents == 1:
         return np.array([[1.0], [-1.0]])
     angle = 2.0 * np.pi / directions * np.arange(directions // 2)
@@ -809,9 +919,13 @@ def _array(values: Any, need: str) -> FloatArray:
 def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
     """Refuse a matrix whose entries differ from those across the diagonal by more than that of the largest."""
     if matrix.ndim not in (2, 3) or matrix.shape[-1] != matrix.shape[-2]:
-        raise InvalidProblem(f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)")
+        raise InvalidProblem(
+            f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)"
+        )
     other = matrix.T if sp.issparse(matrix) else np.swapaxes(matrix, -1, -2)
-    difference, largest = (abs(part).max() if part.size else 0.0 for part in (matrix - other, matrix))
+    difference, largest = (
+        abs(part).max() if part.size else 0.0 for part in (matrix - other, matrix)
+    )
     if difference > tolerance * largest:
         raise InvalidProblem(
             f"{name} must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
@@ -820,7 +934,13 @@ def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> Non
 
 
 def _refuse_velocities(size: int, velocities: FloatArray) -> None:
-    d = velocities.shape[-1] if velocities.ndim > 1 and velocities.shape[-1] in (2, 3) else 3 if size % 3 == 0 else 2
+    d = (
+        velocities.shape[-1]
+        if velocities.ndim > 1 and velocities.shape[-1] in (2, 3)
+        else 3
+        if size % 3 == 0
+        else 2
+    )
     count = velocities.shape[-2] if velocities.ndim > 1 else velocities.size
     raise InvalidProblem(
         f"velocities must have shape ({size // d}, {d}): one row (normal, tangents) a contact, W having {size} rows, "

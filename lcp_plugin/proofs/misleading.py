@@ -22,9 +22,15 @@ if TYPE_CHECKING:
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 FAR = 1e-2  # part of ‖z‖∞
-SHIFT, STEPS = 1e-8, 4  # of the largest entry; steps of inverse iteration: 10⁻⁸ beside 10⁻⁶ of it is forgotten
+SHIFT, STEPS = (
+    1e-8,
+    4,
+)  # of the largest entry; steps of inverse iteration: 10⁻⁸ beside 10⁻⁶ of it is forgotten
 STILL = 2.0**-44  # of the entries of a row: what rounding makes of a change that leaves it as it is
-BOUND_UP_TO, BOUND_PASSES = 1000, 100.0  # unknowns; passes over M that a run has cost: a bound costs less than either
+BOUND_UP_TO, BOUND_PASSES = (
+    1000,
+    100.0,
+)  # unknowns; passes over M that a run has cost: a bound costs less than either
 AT_REST_UP_TO = 1000  # unknowns
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
@@ -42,7 +48,9 @@ def _uncovered(result: Result) -> str:
     guarantee = result.guarantee
     if guarantee.is_guaranteed or not guarantee.remedy:
         return ""
-    unproven = f"nothing proves that {result.algorithm} converges on this matrix ({guarantee.theorem})"
+    unproven = (
+        f"nothing proves that {result.algorithm} converges on this matrix ({guarantee.theorem})"
+    )
     is_said = all('algorithm="auto"' in said for said in (guarantee.remedy, result.advice))
     return unproven if is_said else f"{unproven}; what to do: {guarantee.remedy}"
 
@@ -68,10 +76,16 @@ def _stiffness(result: Result) -> str:
     if bound is None:
         return f"{stiff} of z, and nothing about M allows a bound of it"
     is_large = bound.relative > result.tolerance
-    further = '; with tolerance_on="error" the run goes on until it is within the tolerance' if is_large else ""
+    further = (
+        '; with tolerance_on="error" the run goes on until it is within the tolerance'
+        if is_large
+        else ""
+    )
     how = "proved to be" if bound.kind == "rigorous" else "estimated to be"
-    return (f"{stiff} of z: here it is {how} at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
-            f"largest |z_i|{further}")
+    return (
+        f"{stiff} of z: here it is {how} at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
+        f"largest |z_i|{further}"
+    )
 
 
 def _is_bound_cheap(result: Result) -> bool:
@@ -105,22 +119,28 @@ def _nearness_to_singular(result: Result) -> str:
         return _of_several(moved <= STILL * sizes, np.abs(motions).max(axis=1) > CONSISTENT)
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     wrong = ": z may be wrong in every digit" if error > size else ""
-    return (f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
-            f"residual of {residual:.0e} goes with an error of z {known}, beside a largest |z_i| of {size:.0e}{wrong}"
-            f"{_advised(result)}")
+    return (
+        f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
+        f"residual of {residual:.0e} goes with an error of z {known}, beside a largest |z_i| of {size:.0e}{wrong}"
+        f"{_advised(result)}"
+    )
 
 
 def _at_rest(result: Result) -> str:
     """Return what to say where rows at a bound without a force make the system with them singular."""
     problem, z, w = result.certificate.problem, result.z, result.w
-    rests = (w == 0.0) & ((z == problem.lower) | (z == problem.upper)) & (problem.lower < problem.upper)
+    rests = (
+        (w == 0.0) & ((z == problem.lower) | (z == problem.upper)) & (problem.lower < problem.upper)
+    )
     if problem.n > AT_REST_UP_TO or not rests.any():
         return ""
     rows = np.flatnonzero(rests | free_rows(problem, z, w))
     if not FreeSystem(problem.matrix, np.isin(np.arange(problem.n), rows)).is_singular:
         return ""
-    return (f"z may be one of several answers: {in_words(int(rests.sum()), 'row')} at a bound without a force, and the "
-            "system with them is singular")
+    return (
+        f"z may be one of several answers: {in_words(int(rests.sum()), 'row')} at a bound without a force, and the "
+        "system with them is singular"
+    )
 
 
 def _of_several(same: BoolVector, loose: BoolVector) -> str:
@@ -156,4 +176,8 @@ def _motions(problem: LCP, system: FreeSystem) -> FloatVector | None:
 
 def _advised(result: Result) -> str:
     """Return the advice to ask for a bound, where it was not asked for in vain."""
-    return "" if result.no_error_bound else "; error_bound=True computes a bound of it, where M allows one"
+    return (
+        ""
+        if result.no_error_bound
+        else "; error_bound=True computes a bound of it, where M allows one"
+    )

@@ -20,6 +20,12 @@ class AutoOnRanks(Policy):
         """Return multigrid, which needs about as many cycles whatever n is."""
         return Choice(Multigrid(hands_over=True))
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+    def next_step(
+        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
+    ) -> Choice | None:
         """Return PSOR where multigrid came to an end."""
-        return Choice(PSOR(), "multigrid came to an end: projected sweeps") if failed and len(stages) == 1 else None
+        return (
+            Choice(PSOR(), "multigrid came to an end: projected sweeps")
+            if failed and len(stages) == 1
+            else None
+        )

@@ -21,7 +21,15 @@ from ..core.checks import canonical_csr, check_kind
 from ..core.communicator import Communicator
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.matrix.matrix import Matrix
-from ..interfaces.files.files import MATRIX_KEYS, VECTORS, arrays_of, checked_path, csr_in, read_npz, require_keys
+from ..interfaces.files.files import (
+    MATRIX_KEYS,
+    VECTORS,
+    arrays_of,
+    checked_path,
+    csr_in,
+    read_npz,
+    require_keys,
+)
 from .petsc.collective import Ranks
 from .petsc.halo import Halo, numbered_over_all, own_rows
 
@@ -72,7 +80,9 @@ def equal_part(comm: Any, problem: LCP) -> tuple[Any, ...]:
     M = problem.csr
     parts = (M.indptr, M.indices, M.data, problem.q, problem.lower, problem.upper)
     facts = (problem.n, M.nnz, *(crc32(np.ascontiguousarray(part).data) for part in parts))
-    ranks.require_same("the problem (n, nonzeros, checksums)", facts, "build the same one on every rank")
+    ranks.require_same(
+        "the problem (n, nonzeros, checksums)", facts, "build the same one on every rank"
+    )
     own = slice(*equal_share(problem.n, ranks))
     return M[own], problem.q[own], problem.lower[own], problem.upper[own]
 
@@ -85,10 +95,14 @@ def equal_share(n: int, ranks: Communicator) -> tuple[int, int]:
 def _checked_rows(rows: Any) -> sp.csr_array:
     """Return the rows as canonical CSR, every index checked: a wrong one would be met on another rank."""
     if not (sp.issparse(rows) and rows.ndim == 2):
-        raise InvalidProblem(f"the own rows must be a sparse array of shape (own, n), got {type(rows).__name__}")
+        raise InvalidProblem(
+            f"the own rows must be a sparse array of shape (own, n), got {type(rows).__name__}"
+        )
     check_kind(rows.dtype, "rows must hold real numbers")
     if rows.shape[1] > WIDEST:
-        raise InvalidProblem(f"M has {rows.shape[1]} columns; PETSc with 32-bit indices takes {WIDEST}")
+        raise InvalidProblem(
+            f"M has {rows.shape[1]} columns; PETSc with 32-bit indices takes {WIDEST}"
+        )
     return canonical_csr(rows, "rows")
 
 
@@ -102,7 +116,9 @@ def _check_first_row(given: int | None, first: int) -> None:
 
 def _check_whole(problem: Any) -> None:
     if not isinstance(getattr(problem, "matrix", None), Matrix):
-        raise InvalidProblem(f"from_problem needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+        raise InvalidProblem(
+            f"from_problem needs an LCP, got {type(problem).__name__}; write LCP(M, q)"
+        )
     problem.matrix.require_all_rows()
 
 
@@ -159,8 +175,12 @@ def load(kind: type[LCP], path: str | PathLike[str], communicator: Any) -> LCP:
 
 
 def _new_folder(target: Path) -> Path:
-    if target.exists() and not (target.is_dir() and all(CHUNK.fullmatch(one.name) for one in target.iterdir())):
-        raise UnreadableFile(f"{target} holds something else than chunks of a problem; choose another place")
+    if target.exists() and not (
+        target.is_dir() and all(CHUNK.fullmatch(one.name) for one in target.iterdir())
+    ):
+        raise UnreadableFile(
+            f"{target} holds something else than chunks of a problem; choose another place"
+        )
     folder = target.with_name(f".{target.name}-{secrets.token_hex(6)}")
     folder.mkdir(parents=True)
     return folder
@@ -171,9 +191,16 @@ def _write_chunk(problem: LCP, folder: Path, name: str) -> None:
     M = numbered_over_all(problem.matrix.csr_rows, ranks)
     try:
         with (folder / f"rows-{ranks.rank:05d}-of-{ranks.size:05d}.npz").open("xb") as file:
-            np.savez(file, **arrays_of(problem, M), first_row=np.array(problem.own_rows.start), save=np.array(name))
+            np.savez(
+                file,
+                **arrays_of(problem, M),
+                first_row=np.array(problem.own_rows.start),
+                save=np.array(name),
+            )
     except FileNotFoundError as error:
-        raise UnreadableFile(f"the folder {folder} is not seen; all ranks must share the file system") from error
+        raise UnreadableFile(
+            f"the folder {folder} is not seen; all ranks must share the file system"
+        ) from error
 
 
 def _put_in_place(folder: Path, target: Path) -> None:
@@ -195,18 +222,25 @@ def _heads(source: Path, ranks: Ranks) -> list[Head]:
     """Return what all chunks say of themselves, each read by one rank, in order and checked."""
     paths = ranks.from_first(lambda: _complete(source))
     own = ranks.together(lambda: [_head(path) for path in paths[ranks.rank :: ranks.size]])
-    heads = sorted((head for part in ranks.comm.allgather(own) for head in part), key=lambda head: head.path.name)
+    heads = sorted(
+        (head for part in ranks.comm.allgather(own) for head in part),
+        key=lambda head: head.path.name,
+    )
     first_row, columns, name = 0, heads[0].columns, heads[0].save
     for head in heads:
         if (head.columns, head.save) != (columns, name):
-            raise UnreadableFile(f"{head.path} and {heads[0].path.name} are not of one save; write the folder again")
+            raise UnreadableFile(
+                f"{head.path} and {heads[0].path.name} are not of one save; write the folder again"
+            )
         if head.first_row != first_row:
             raise UnreadableFile(
                 f"{head.path} begins with row {head.first_row}, but the chunks before it end with row {first_row - 1}"
             )
         first_row += head.rows
     if first_row != columns:
-        raise UnreadableFile(f"{source} holds {first_row} rows of a matrix with {columns} columns; M must be square")
+        raise UnreadableFile(
+            f"{source} holds {first_row} rows of a matrix with {columns} columns; M must be square"
+        )
     return heads
 
 
@@ -214,18 +248,23 @@ def _complete(source: Path) -> list[Path]:
     if not source.is_dir():
         raise UnreadableFile(
             f"cannot read {source}: it is a file; read it whole and cut it: LCP.from_problem(LCP.load(file), comm)"
-            if source.exists() else f"no such file or folder: {source}"
+            if source.exists()
+            else f"no such file or folder: {source}"
         )
     found = [match for one in source.iterdir() if (match := CHUNK.fullmatch(one.name))]
     totals = sorted({match[2] for match in found})
     if not found:
         raise UnreadableFile(f"{source} holds no chunk rows-…-of-….npz; write it with LCP.save")
     if len(totals) > 1:
-        raise UnreadableFile(f"{source} holds chunks of several saves (of {', '.join(totals)}); keep one of them")
+        raise UnreadableFile(
+            f"{source} holds chunks of several saves (of {', '.join(totals)}); keep one of them"
+        )
     names = [f"rows-{k:05d}-of-{totals[0]}.npz" for k in range(int(totals[0]))]
     missing = sorted(set(names) - {match[0] for match in found})
     if missing:
-        raise UnreadableFile(f"{source} lacks {len(missing)} of {len(names)} chunks, the first is {missing[0]}")
+        raise UnreadableFile(
+            f"{source} lacks {len(missing)} of {len(names)} chunks, the first is {missing[0]}"
+        )
     return [source / name for name in names]
 
 
@@ -233,8 +272,14 @@ def _head(path: Path) -> Head:
     content = read_npz(path, HEAD_KEYS)
     require_keys(path, content, HEAD_KEYS, REMEDY)
     shape, first_row = content["shape"], content["first_row"]
-    if shape.shape != (2,) or first_row.shape != () or not {shape.dtype.kind, first_row.dtype.kind} <= {"i", "u"}:
-        raise UnreadableFile(f"{path}: shape must be two whole numbers and first_row one; write it again")
+    if (
+        shape.shape != (2,)
+        or first_row.shape != ()
+        or not {shape.dtype.kind, first_row.dtype.kind} <= {"i", "u"}
+    ):
+        raise UnreadableFile(
+            f"{path}: shape must be two whole numbers and first_row one; write it again"
+        )
     return Head(path, int(first_row), int(shape[0]), int(shape[1]), str(content["save"]))
 
 

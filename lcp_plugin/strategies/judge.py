@@ -102,8 +102,13 @@ def assert_solves(
     problems = _drawn_problems(p_matrices() if matrices is None else matrices, bounds, infeasible)
 
     @settings(
-        max_examples=max_examples, deadline=None, database=None, report_multiple_bugs=False, print_blob=False,
-        suppress_health_check=[HealthCheck.too_slow], phases=PHASES,
+        max_examples=max_examples,
+        deadline=None,
+        database=None,
+        report_multiple_bugs=False,
+        print_blob=False,
+        suppress_health_check=[HealthCheck.too_slow],
+        phases=PHASES,
     )
     @given(problems)
     def solver_is_right(drawn: Drawn) -> None:
@@ -115,16 +120,22 @@ def assert_solves(
     try:
         (solver_is_right if seed is None else fixed_seed(seed)(solver_is_right))()
     except Flaky as error:
-        raise AssertionError("the solver does not answer the same problem twice in the same way") from error
+        raise AssertionError(
+            "the solver does not answer the same problem twice in the same way"
+        ) from error
 
 
 def _check_options(
     solver: Any, matrices: Any, max_examples: Any, tolerance: float, error_tolerance: float
 ) -> None:
     if not callable(solver):
-        raise InvalidOption(f"solver must be callable as solver(M, q, lower, upper), got {solver!r}")
+        raise InvalidOption(
+            f"solver must be callable as solver(M, q, lower, upper), got {solver!r}"
+        )
     if matrices is not None and not isinstance(matrices, st.SearchStrategy):
-        raise InvalidOption(f"matrices must be a strategy such as p_matrices(4), got {type(matrices).__name__}")
+        raise InvalidOption(
+            f"matrices must be a strategy such as p_matrices(4), got {type(matrices).__name__}"
+        )
     whole_number(max_examples, "max_examples must be a whole number ≥ 1", 1)
     for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
         if not value >= 0.0:
@@ -132,10 +143,15 @@ def _check_options(
 
 
 @st.composite
-def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: bool, infeasible: bool) -> Drawn:
+def _drawn_problems(
+    draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: bool, infeasible: bool
+) -> Drawn:
     """Return a problem with what is known of it, the answer, the proof that there is none, or None, and M's form."""
     given = draw(matrices)
-    classes, is_dense = st.just(given), not sp.issparse(given)  # an LCP may hold M in the other form
+    classes, is_dense = (
+        st.just(given),
+        not sp.issparse(given),
+    )  # an LCP may hold M in the other form
     kind = draw(st.integers(0, 5 if infeasible else 3))
     if kind >= 4:
         return *draw(infeasible_lcps(bounds=bounds, monotone=kind == 5)), is_dense
@@ -149,7 +165,12 @@ def _verdict(
 ) -> tuple[str, Any]:
     """Return what is wrong, "" where nothing is, and z; the solver gets copies, which must stay as they are."""
     problem, truth, is_dense = drawn
-    stated = (problem.csr.toarray() if is_dense else problem.csr, problem.q, problem.lower, problem.upper)
+    stated = (
+        problem.csr.toarray() if is_dense else problem.csr,
+        problem.q,
+        problem.lower,
+        problem.upper,
+    )
     copies = [each.copy() for each in stated]
     reason = "returned None"
     try:
@@ -169,7 +190,11 @@ def _verdict(
 
 
 def complaint_about(
-    problem: LCP, given: Any, truth: Answer | None, tolerance: float = 1e-6, error_tolerance: float = 1e-3
+    problem: LCP,
+    given: Any,
+    truth: Answer | None,
+    tolerance: float = 1e-6,
+    error_tolerance: float = 1e-3,
 ) -> str:
     """Return what is wrong with z as an answer to the problem, "" where nothing is; tolerances of `assert_solves`.
 
@@ -182,7 +207,9 @@ def complaint_about(
     """
     z = _as_array(given)
     if z.shape != (problem.n,) or z.dtype.kind not in "biuf":
-        return f"z must be {problem.n} real numbers in an array of shape ({problem.n},), got {given!r}"
+        return (
+            f"z must be {problem.n} real numbers in an array of shape ({problem.n},), got {given!r}"
+        )
     z = z.astype(np.float64)
     if not np.isfinite(z).all():
         return "z is not finite"
@@ -220,7 +247,10 @@ def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any
 def _distance(problem: LCP, z: FloatVector, truth: Answer | None, error_tolerance: float) -> str:
     if truth is None or not math.isfinite(error_tolerance) or is_exact_solution(problem, z):
         return ""
-    distance = max((abs(Fraction(value) - exact) for value, exact in zip(z.tolist(), truth, strict=True)), default=0)
+    distance = max(
+        (abs(Fraction(value) - exact) for value, exact in zip(z.tolist(), truth, strict=True)),
+        default=0,
+    )
     size = 1 + max(map(abs, truth), default=Fraction(0))
     if distance <= Fraction(error_tolerance) * size or not analyze(problem.M).is_p_matrix:
         return ""
@@ -232,4 +262,8 @@ def _shown(problem: LCP, truth: Truth, z: Any) -> list[str]:
     lines = [f"problem = {problem!r}", f"z = {z!r}"]
     if isinstance(truth, Infeasibility):
         return [*lines, f"{truth}"]
-    return lines if truth is None else [*lines, f"the exact answer is z = {[float(value) for value in truth]}"]
+    return (
+        lines
+        if truth is None
+        else [*lines, f"the exact answer is z = {[float(value) for value in truth]}"]
+    )

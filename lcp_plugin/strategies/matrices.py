@@ -47,7 +47,9 @@ def entries(density: float) -> Numbers:
         return st.just(0)
     zeros = max(1, round(values * (1.0 - density) / density))
     # 1, −1, 2, −2 … for 1, 2, 3, 4 …, and 0 for 0 and all below it: simple entries come first.
-    return st.integers(1 - zeros, values).map(lambda k: 0 if k <= 0 else (k + 1) // 2 if k % 2 else -(k // 2))
+    return st.integers(1 - zeros, values).map(
+        lambda k: 0 if k <= 0 else (k + 1) // 2 if k % 2 else -(k // 2)
+    )
 
 
 POSITIVE = st.integers(1, LARGEST_ENTRY)
@@ -73,7 +75,9 @@ def vectors(n: int, values: Numbers) -> st.SearchStrategy[FloatVector]:
 
 def orders(n: int) -> st.SearchStrategy[NDArray[np.intp]]:
     """Return a strategy for permutations of 0 … n − 1 that shrinks to the identity."""
-    return vectors(n, st.integers(0, LARGEST_SIZE - 1)).map(lambda keys: np.argsort(keys, kind="stable"))
+    return vectors(n, st.integers(0, LARGEST_SIZE - 1)).map(
+        lambda keys: np.argsort(keys, kind="stable")
+    )
 
 
 @lru_cache(maxsize=1000)
@@ -93,7 +97,9 @@ def reordered(A: Matrix, order: NDArray[np.intp]) -> Matrix:
     return A[np.ix_(order, order)]
 
 
-Build = Callable[[st.DrawFn, int, Numbers], Matrix]  # of a size, and of numbers of the density asked for
+Build = Callable[
+    [st.DrawFn, int, Numbers], Matrix
+]  # of a size, and of numbers of the density asked for
 
 
 def matrices(smallest: int = 0) -> Callable[[Build], Callable[..., st.SearchStrategy[Any]]]:

@@ -42,7 +42,9 @@ BOUNDED = {
 }
 
 
-def lcps(matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False) -> st.SearchStrategy[LCP]:
+def lcps(
+    matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False
+) -> st.SearchStrategy[LCP]:
     """Return a strategy for problems with any q: whether there is a solution depends on M.
 
     Parameters
@@ -85,7 +87,10 @@ def default_matrices() -> st.SearchStrategy[Any]:
 
 
 def solved_lcps(
-    matrices: st.SearchStrategy[Any] | None = None, *, bounds: bool = False, huge_slacks: bool = False
+    matrices: st.SearchStrategy[Any] | None = None,
+    *,
+    bounds: bool = False,
+    huge_slacks: bool = False,
 ) -> st.SearchStrategy[tuple[LCP, Answer]]:
     """Return a strategy for pairs (problem, z) where z solves the problem exactly.
 
@@ -193,7 +198,9 @@ def infeasible_lcps(
         y[pivot] = 1.0
         y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
         product = np.zeros(n)
-        if not monotone:  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
+        if (
+            not monotone
+        ):  # Mᵀy ≤ 0 where z can rise without end, ≥ 0 where it can fall, 0 where it is free
             drawn = draw(vectors(n, SIGNED))
             product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
             product[below & above] = 0.0

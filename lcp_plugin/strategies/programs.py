@@ -25,7 +25,14 @@ from .matrices import (
     sizes,
     vectors,
 )
-from .problems import Answer, columns_of, complementary_rows, exact_offset, fractions_of, solved_lcps
+from .problems import (
+    Answer,
+    columns_of,
+    complementary_rows,
+    exact_offset,
+    fractions_of,
+    solved_lcps,
+)
 
 
 class QPAnswer(NamedTuple):
@@ -83,7 +90,11 @@ def convex_qps(
     >>> answer.x, answer.objective
     ((Fraction(0, 1),), Fraction(0, 1))
     """
-    hessians = positive_definite_matrices() | positive_semidefinite_matrices() if matrices is None else matrices
+    hessians = (
+        positive_definite_matrices() | positive_semidefinite_matrices()
+        if matrices is None
+        else matrices
+    )
     inequality_count, equality_count = sizes(inequalities), sizes(equalities)
     variable, pair = complementary_rows(bounds, otherwise_free=True), complementary_rows()
 
@@ -98,7 +109,9 @@ def convex_qps(
         c = exact_offset(P, x, reduced - G.T @ multiplier - A.T @ equality)
         # ½xᵀP x + cᵀx = ½xᵀ((P x + c) + c)
         terms = zip(fractions_of(x), exact_slack(LCP(P, c), x), fractions_of(c), strict=True)
-        least = sum((value * (gradient + linear) / 2 for value, gradient, linear in terms), Fraction(0))
+        least = sum(
+            (value * (gradient + linear) / 2 for value, gradient, linear in terms), Fraction(0)
+        )
         program = QuadraticProgram(P, c, G, G @ x + gap, A, A @ x, lower, upper)
         answers = (x, multiplier, equality, np.maximum(reduced, 0.0), np.maximum(-reduced, 0.0))
         return program, QPAnswer._make([*map(fractions_of, answers), least])
@@ -172,14 +185,20 @@ def complementarity_models(
             "free": (x, F == 0),
         }
         pair = complements(*pairs.get(form, (x >= lower, F >= 0)))
-        return (cp.Problem(cp.Minimize(0), [pair]) if draw(st.booleans()) else ComplementarityProblem([pair])), {"x": z}
+        return (
+            cp.Problem(cp.Minimize(0), [pair])
+            if draw(st.booleans())
+            else ComplementarityProblem([pair])
+        ), {"x": z}
 
     return model()
 
 
 # --- Nonlinear problems -----------------------------------------------------------------------------------------
 
-TERMS: dict[str, tuple[Callable[[FloatVector], FloatVector], Callable[[FloatVector], FloatVector]]] = {
+TERMS: dict[
+    str, tuple[Callable[[FloatVector], FloatVector], Callable[[FloatVector], FloatVector]]
+] = {
     "cubic": (lambda t: t**3, lambda t: 3.0 * t**2),
     "exponential": (np.exp, np.exp),
 }

@@ -152,7 +152,11 @@ def is_positive_definite(P: Any) -> bool | None:
     if positive_definite_solver(P) is not None:
         return True
     unit, shift = scaled_to(P, 1.0 / np.sqrt(diagonal)), _margin(diagonal.size, diagonal.size)
-    return False if unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None else None
+    return (
+        False
+        if unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None
+        else None
+    )
 
 
 def symmetric_part(M: Any) -> Any:
@@ -200,7 +204,11 @@ def scaled_to(P: Any, scale: FloatVector) -> Any:
     rows = sp.csr_array(P)
     data = rows.data * np.repeat(scale, np.diff(rows.indptr)) * scale[rows.indices]
     # Of its transpose, which is the same.
-    return sp.csc_array((data, rows.indices, rows.indptr), shape=rows.shape) if np.isfinite(data).all() else None
+    return (
+        sp.csc_array((data, rows.indices, rows.indptr), shape=rows.shape)
+        if np.isfinite(data).all()
+        else None
+    )
 
 
 def _column_like(scale: FloatVector, rhs: FloatArray) -> FloatArray:

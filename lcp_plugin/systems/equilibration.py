@@ -28,7 +28,9 @@ def power_of_two(sizes: ArrayLike, most: int = 1022) -> Any:
     >>> bool(power_of_two(1e-300, 500) == 2.0**-500)
     True
     """
-    exponents = np.minimum(np.maximum(np.frexp(sizes)[1], -most), most)  # np.clip takes twice as long for one number
+    exponents = np.minimum(
+        np.maximum(np.frexp(sizes)[1], -most), most
+    )  # np.clip takes twice as long for one number
     return np.ldexp(1.0, exponents * np.isfinite(sizes))
 
 
@@ -101,7 +103,11 @@ def _balanced(ratios: FloatVector, rows: IntVector, columns: IntVector, n: int) 
     """
     position: Any = fitted(ratios, rows, columns, n)
     for _ in range(BALANCING_SWEEPS):
-        magnitude = np.exp2(np.clip(ratios + position[columns] - position[rows], -LARGEST_EXPONENT, LARGEST_EXPONENT))
+        magnitude = np.exp2(
+            np.clip(
+                ratios + position[columns] - position[rows], -LARGEST_EXPONENT, LARGEST_EXPONENT
+            )
+        )
         row_sum = np.bincount(rows, magnitude, n)
         column_sum = np.bincount(columns, magnitude, n)
         both = (row_sum > 0.0) & (column_sum > 0.0)

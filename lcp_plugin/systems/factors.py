@@ -29,8 +29,12 @@ DENSE_UP_TO_ON_DIAGONAL = 300  # the same where pivots are to come from the diag
 DENSE_ABOVE_DENSITY = 0.25
 LARGEST_DENSE = 3000
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
-SYMMETRIC_SHARE = 0.8  # of the entries that have one across the diagonal, from which on A is ordered as A + Aᵀ
-SYMMETRIC_PIVOT = 0.01  # SuperLU keeps the diagonal pivot where it is at least this share of the column's largest
+SYMMETRIC_SHARE = (
+    0.8  # of the entries that have one across the diagonal, from which on A is ordered as A + Aᵀ
+)
+SYMMETRIC_PIVOT = (
+    0.01  # SuperLU keeps the diagonal pivot where it is at least this share of the column's largest
+)
 
 ALWAYS = 1_000  # rows; up to here any fill is cheap
 LARGEST_FILL = 2e8  # entries
@@ -74,7 +78,10 @@ class PositiveFactor:
 
 
 def factorise(
-    matrix: Any, *, is_symmetric: bool = False, has_symmetric_pattern: bool = False,
+    matrix: Any,
+    *,
+    is_symmetric: bool = False,
+    has_symmetric_pattern: bool = False,
     bandwidth: tuple[int, int] | None = None,
 ) -> Factor | None:
     """Return a factor of a square matrix, or None where a pivot is exactly zero or the entries overflow.
@@ -137,7 +144,9 @@ def cholesky(matrix: FloatVector, *, overwrite: bool = False) -> Factor | None:
     return Factor("Cholesky", solve, solve, n**3 / 6.0, float(n * n))
 
 
-def dense_lu(matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False) -> Factor | None:
+def dense_lu(
+    matrix: FloatVector, *, overwrite: bool = False, by_columns: bool = False
+) -> Factor | None:
     """Return the LU factor of a dense matrix with partial pivoting, or None where a pivot is zero.
 
     It is that of Aᵀ, which LAPACK takes without a copy; with `by_columns` that of A. No rows are regular too, as on the
@@ -175,18 +184,29 @@ def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
         return lambda right: lapack.dgbtrs(factor, below, above, right, pivots, trans=trans)[0]
 
     return Factor(
-        "banded LU", solver(0), solver(1),
-        float(n * below * (below + above + 1)), float(n * (2 * below + above + 1)),
+        "banded LU",
+        solver(0),
+        solver(1),
+        float(n * below * (below + above + 1)),
+        float(n * (2 * below + above + 1)),
     )
 
 
-def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool, has_symmetric_pattern: bool) -> Factor | None:
+def _sparse_lu(
+    matrix: sp.csr_array, is_symmetric: bool, has_symmetric_pattern: bool
+) -> Factor | None:
     if not np.isfinite(matrix.data).all():
         return None
     in_one_order = is_symmetric or _suits_one_order(matrix, has_symmetric_pattern)
-    options = {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER if in_one_order else {"permc_spec": "COLAMD"}
+    options = (
+        {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER
+        if in_one_order
+        else {"permc_spec": "COLAMD"}
+    )
     try:
-        factor = sparse_lu(matrix.T, **options)  # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose
+        factor = sparse_lu(
+            matrix.T, **options
+        )  # CSR of A is CSC of Aᵀ: its factor serves, solved with the transpose
     except RuntimeError:
         return None
 
@@ -271,7 +291,9 @@ def diagonal_pivot_factor(matrix: Any) -> Any | None:
         return None
 
 
-def solver_of(matrix: Any, *, dense_up_to: int = DENSE_UP_TO_ON_DIAGONAL) -> Callable[[Any], Any] | None:
+def solver_of(
+    matrix: Any, *, dense_up_to: int = DENSE_UP_TO_ON_DIAGONAL
+) -> Callable[[Any], Any] | None:
     """Return rhs ↦ matrix⁻¹ rhs, pivots from the diagonal where it is large, or None where it is singular.
 
     Parameters
@@ -298,7 +320,11 @@ def positive_factor(matrix: Any) -> PositiveFactor | None:
         dense = cholesky(matrix)
         return None if dense is None else PositiveFactor(dense.solve, matrix.shape[0])
     factor = diagonal_pivot_factor(matrix)
-    if factor is None or not np.array_equal(factor.perm_r, factor.perm_c) or not (factor.U.diagonal() > 0.0).all():
+    if (
+        factor is None
+        or not np.array_equal(factor.perm_r, factor.perm_c)
+        or not (factor.U.diagonal() > 0.0).all()
+    ):
         return None
     return PositiveFactor(factor.solve, int(np.bincount(factor.L.indices).max()), factor)
 
@@ -307,7 +333,10 @@ def factor_fits(matrix: Any) -> bool:
     """Return whether a factorisation of a CSR or CSC array has its end in sight, by the counts of its columns."""
     from .minimum_degree import factor_sizes  # numba, which many a question does without
 
-    return matrix.shape[0] <= ALWAYS or factor_sizes(matrix, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)[0] < np.inf
+    return (
+        matrix.shape[0] <= ALWAYS
+        or factor_sizes(matrix, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)[0] < np.inf
+    )
 
 
 @fact
@@ -362,5 +391,11 @@ def bands(matrix: Matrix) -> Bands | None:
         below = above = 1
     entries = np.zeros((below + above + 1, matrix.n))
     entries[offsets + below, rows] = M.data
-    is_z = below == above == 1 and not bool((entries[::2] > 0.0).any()) and bool((entries[1] > 0.0).all())
-    return Bands(read_only(entries), below, read_only(1.0 / power_of_two(matrix.residual_scale, 1000)), is_z)
+    is_z = (
+        below == above == 1
+        and not bool((entries[::2] > 0.0).any())
+        and bool((entries[1] > 0.0).all())
+    )
+    return Bands(
+        read_only(entries), below, read_only(1.0 / power_of_two(matrix.residual_scale, 1000)), is_z
+    )

@@ -26,9 +26,13 @@ CONSISTENT = 1e-10  # backward error below which a singular system counts as sol
 LEAST_SQUARES_UP_TO = 500  # rows
 KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
 KRYLOV_STEPS = 60
-CONVERGED = 1e-9  # beyond, what the steps have left says that they do not converge, unless it is rounding
+CONVERGED = (
+    1e-9  # beyond, what the steps have left says that they do not converge, unless it is rounding
+)
 ROUNDING = 2.0**-44  # of the terms of a row
-SINGULAR = 1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
+SINGULAR = (
+    1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
+)
 BADLY_SCALED = 1e4  # residual scales that differ by more are equilibrated before a factor is made
 EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
 
@@ -82,7 +86,9 @@ class FreeSystem:
         """M_FF as a matrix with facts of its own."""
         return self.matrix if self.rows.size == self.matrix.n else Matrix(self.block)
 
-    def solve(self, right: FloatVector, *, transposed: bool = False, goal: float = KRYLOV_GOAL) -> FloatVector | None:
+    def solve(
+        self, right: FloatVector, *, transposed: bool = False, goal: float = KRYLOV_GOAL
+    ) -> FloatVector | None:
         """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None where none is to be had.
 
         The block is singular then, to working precision, or Krylov steps fail and it is too large for a factor.
@@ -122,14 +128,19 @@ class FreeSystem:
         attempts = []
         if self._ridge is not None:
             attempts.append(self._refined(self._ridge, start, right, RIDGE_STEPS, self._scale))
-            if self._backward_error(right - self.block @ attempts[0], attempts[0], right) <= CONSISTENT:
+            if (
+                self._backward_error(right - self.block @ attempts[0], attempts[0], right)
+                <= CONSISTENT
+            ):
                 return self._extended(attempts[0])
         if self._doubtful_factor is not None:  # ill-conditioned is not singular
             attempts.append(self._solved(self._doubtful_factor, right, 1, scale=self._scale))
         if self.rows.size <= LEAST_SQUARES_UP_TO:
             attempts.append(self._least_squares(right, start))
         finite = [x for x in attempts if np.isfinite(x).all()]
-        best = min(finite, key=lambda x: _largest((right - self.block @ x) / self._scale), default=None)
+        best = min(
+            finite, key=lambda x: _largest((right - self.block @ x) / self._scale), default=None
+        )
         return None if best is None else self._extended(best)
 
     def solve_as_is(self, right: FloatVector) -> FloatVector:
@@ -138,8 +149,12 @@ class FreeSystem:
         if factor is None:
             raise ValueError("the block is singular: ask is_singular first")
         self.work += factor.solve_work * (right.shape[1] if right.ndim == 2 else 1)
-        if right.ndim == 2 and self._is_badly_scaled:  # whose rows and columns are scaled one right-hand side at a time
-            return np.column_stack([factor.solve(np.ascontiguousarray(column)) for column in right.T])
+        if (
+            right.ndim == 2 and self._is_badly_scaled
+        ):  # whose rows and columns are scaled one right-hand side at a time
+            return np.column_stack(
+                [factor.solve(np.ascontiguousarray(column)) for column in right.T]
+            )
         x: FloatVector = factor.solve(right)
         return x
 
@@ -223,7 +238,9 @@ class FreeSystem:
         """The factor of the block with RIDGE on its diagonal."""
         shift = RIDGE * self._scale
         block = self.block + (sp.diags_array(shift) if sp.issparse(self.block) else np.diag(shift))
-        return self._counted(self._even_factor(sp.csr_array(block) if sp.issparse(block) else block))
+        return self._counted(
+            self._even_factor(sp.csr_array(block) if sp.issparse(block) else block)
+        )
 
     def _counted(self, factor: Factor | None) -> Factor | None:
         self.work += 0.0 if factor is None else factor.work
@@ -264,8 +281,11 @@ class FreeSystem:
             return None
         solve, solve_transposed = balanced.solve, balanced.solve_transposed
         return replace(
-            balanced, solve=lambda right: times_power(solve(times_power(right, by.row)), by.column),
-            solve_transposed=lambda right: times_power(solve_transposed(times_power(right, by.column)), by.row),
+            balanced,
+            solve=lambda right: times_power(solve(times_power(right, by.row)), by.column),
+            solve_transposed=lambda right: times_power(
+                solve_transposed(times_power(right, by.column)), by.row
+            ),
         )
 
     def _cancels(self, factor: Factor) -> bool:
@@ -285,13 +305,25 @@ class FreeSystem:
     def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
         """Return whether it is so where the right-hand side is this large, shape (|F|,)."""
         with np.errstate(all="ignore"):
-            x = factor.solve(np.random.default_rng(0).standard_normal(scale.size) * scale)  # in no range by chance
+            x = factor.solve(
+                np.random.default_rng(0).standard_normal(scale.size) * scale
+            )  # in no range by chance
             self.work += factor.solve_work
-            at_most = self.matrix.row_largest[self.rows] * np.abs(x).sum()  # spares most blocks their product
-            return not bool((at_most <= SINGULAR * scale).all() or (self._sizes @ np.abs(x) <= SINGULAR * scale).all())
+            at_most = (
+                self.matrix.row_largest[self.rows] * np.abs(x).sum()
+            )  # spares most blocks their product
+            return not bool(
+                (at_most <= SINGULAR * scale).all()
+                or (self._sizes @ np.abs(x) <= SINGULAR * scale).all()
+            )
 
     def _solved(
-        self, factor: Factor, right: FloatVector, steps: int, transposed: bool = False, scale: FloatVector | None = None
+        self,
+        factor: Factor,
+        right: FloatVector,
+        steps: int,
+        transposed: bool = False,
+        scale: FloatVector | None = None,
     ) -> FloatVector:
         """Return the solution by a factor, refined."""
         self.work += factor.solve_work
@@ -301,20 +333,35 @@ class FreeSystem:
 
     @np.errstate(all="ignore")
     def _refined(
-        self, factor: Factor, x: FloatVector, right: FloatVector, steps: int, scale: FloatVector | None,
+        self,
+        factor: Factor,
+        x: FloatVector,
+        right: FloatVector,
+        steps: int,
+        scale: FloatVector | None,
         transposed: bool = False,
     ) -> FloatVector:
         """Return the best x of steps x ← x + A⁻¹(right − M_FF x), as long as each halves its error.
 
         That is the largest |right − M_FF x|/scale, or the backward error where scale is None.
         """
-        solve, block = (factor.solve_transposed, self.block.T) if transposed else (factor.solve, self.block)
+        solve, block = (
+            (factor.solve_transposed, self.block.T) if transposed else (factor.solve, self.block)
+        )
         best, error = x, np.inf
         for step in range(steps + 1):
             left = right - block @ x
-            now = self._backward_error(left, x, right, transposed) if scale is None else _largest(left / scale)
+            now = (
+                self._backward_error(left, x, right, transposed)
+                if scale is None
+                else _largest(left / scale)
+            )
             self.work += (2.0 if scale is None else 1.0) * self._entries
-            best, is_halved, error = (x if now < error else best), now < 0.5 * error, min(now, error)
+            best, is_halved, error = (
+                (x if now < error else best),
+                now < 0.5 * error,
+                min(now, error),
+            )
             if not is_halved or error == 0.0 or step == steps:
                 break
             x = x + solve(left)
@@ -339,7 +386,9 @@ class FreeSystem:
         even = self._dense_block / self._scale[:, None]
         self.work += 4.0 * self.rows.size**3
         try:
-            step: FloatVector = lstsq(even, right / self._scale - even @ start, cond=1e-12, check_finite=False)[0]
+            step: FloatVector = lstsq(
+                even, right / self._scale - even @ start, cond=1e-12, check_finite=False
+            )[0]
         except LinAlgError:
             return np.full(right.size, np.nan)
         return start + step
@@ -375,13 +424,21 @@ class FreeSystem:
         unit = 1.0 if is_symmetric or transposed else 1.0 / matrix.residual_scale
         x, left, begun = np.zeros(right.size), right, size(right * unit)
         for _ in range(REFINEMENTS):
-            correction = KrylovCorrection(self._truncation, left.copy(), is_symmetric, transposed=transposed)
+            correction = KrylovCorrection(
+                self._truncation, left.copy(), is_symmetric, transposed=transposed
+            )
             steps, enough = 0, goal * begun / correction.unit
-            while size(correction.residual * unit) > enough and steps < KRYLOV_STEPS and correction.step():
+            while (
+                size(correction.residual * unit) > enough
+                and steps < KRYLOV_STEPS
+                and correction.step()
+            ):
                 steps += 1
             better = np.empty(right.size)
             correction.apply_to(x, better)
-            remainder = self._remainder(right, better, transposed)  # what steps keep of it on the way is not what it is
+            remainder = self._remainder(
+                right, better, transposed
+            )  # what steps keep of it on the way is not what it is
             if not size(remainder * unit) < size(left * unit):
                 break
             x, left = better, remainder
@@ -393,7 +450,11 @@ class FreeSystem:
     def _remainder(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
         """Return right − M x, or right − Mᵀx, on the free rows, 0 elsewhere."""
         matrix = self.matrix
-        product = matrix.rows.T @ x if transposed and not matrix.is_distributed else matrix.rows @ matrix.whole(x)
+        product = (
+            matrix.rows.T @ x
+            if transposed and not matrix.is_distributed
+            else matrix.rows @ matrix.whole(x)
+        )
         return np.where(self.free, right - product, 0.0)
 
     def _terms(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
@@ -406,4 +467,3 @@ class FreeSystem:
 
 def _largest(values: FloatVector) -> float:
     return float(np.max(np.abs(values), initial=0.0))
-

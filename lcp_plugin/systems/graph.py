@@ -35,7 +35,9 @@ def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> s
     if not matrix.is_distributed:
         return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
     columns = matrix.columns
-    outer = sp.csr_array((data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n))
+    outer = sp.csr_array(
+        (data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n)
+    )
     outer.sort_indices()
     return outer
 
@@ -81,7 +83,9 @@ def row_excess_signs(matrix: Matrix) -> IntVector:
     """Exact signs of |m_ii| − Σ_j≠i |m_ij|, shape (n,)."""
     M, ones = matrix.csr, np.ones(matrix.n)
     value, radius = comparison_product(M, ones)
-    signs = np.where(lower_end(value, radius) > 0.0, 1, np.where(upper_end(value, radius) < 0.0, -1, 0))
+    signs = np.where(
+        lower_end(value, radius) > 0.0, 1, np.where(upper_end(value, radius) < 0.0, -1, 0)
+    )
     for row in np.flatnonzero((signs == 0) & (radius > 0.0)):
         exact = exact_comparison_row(M, ones, int(row))
         signs[row] = (exact > 0) - (exact < 0)
@@ -95,7 +99,10 @@ def scale_spread(matrix: Matrix) -> Mapping[str, float]:
     magnitudes = np.abs(M.data)
     row_largest, column_largest = largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))
     sizes = {
-        "entries": magnitudes, "rows": row_largest, "columns": column_largest, "diagonal": np.abs(M.diagonal())
+        "entries": magnitudes,
+        "rows": row_largest,
+        "columns": column_largest,
+        "diagonal": np.abs(M.diagonal()),
     }
     return MappingProxyType({name: _decades(values) for name, values in sizes.items()})
 

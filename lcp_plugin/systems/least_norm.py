@@ -12,7 +12,10 @@ from ..core.matrix.scaling import are_well_scaled
 
 SINGULAR = 2.0**-43  # of the largest singular value: what rounding of the entries makes of 0
 HALF = 2.0**26  # terms beside their sum, 1: half of the digits of a double cancel
-ALIKE, ENTRIES = 8, 2**16  # blocks whose sizes differ by less are inverted together, of so many entries at a time
+ALIKE, ENTRIES = (
+    8,
+    2**16,
+)  # blocks whose sizes differ by less are inverted together, of so many entries at a time
 
 
 def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
@@ -73,10 +76,15 @@ class FreeBlocks:
 
     def __init__(self, J: Any, free: Any) -> None:
         self._groups = []
-        self.is_regular, self.is_singular = np.ones(len(free), np.bool_), np.zeros(len(free), np.bool_)
+        self.is_regular, self.is_singular = (
+            np.ones(len(free), np.bool_),
+            np.zeros(len(free), np.bool_),
+        )
         counts = np.minimum(-(-free.sum(axis=1) // ALIKE) * ALIKE, free.shape[1])
         for count, items in self._alike(counts):
-            rows = np.argsort(~free[items], axis=1, kind="stable")[:, :count]  # others of the block are those of I
+            rows = np.argsort(~free[items], axis=1, kind="stable")[
+                :, :count
+            ]  # others of the block are those of I
             own = free[items[:, np.newaxis], rows]
             which = (items if len(J) > 1 else np.zeros_like(items))[:, np.newaxis, np.newaxis]
             blocks = J[which, rows[:, :, np.newaxis], rows[:, np.newaxis]]
@@ -97,7 +105,7 @@ class FreeBlocks:
         for count in np.unique(counts[counts > 0]).tolist():
             items = np.flatnonzero(counts == count)
             most = max(ENTRIES // count**2, 1)
-            yield from ((count, items[k:k + most]) for k in range(0, items.size, most))
+            yield from ((count, items[k : k + most]) for k in range(0, items.size, most))
 
     def solve(self, right: Any, *, transposed: bool = False) -> Any:
         """Return the solutions of J_FF x = right_F, or of the transposed, shape (k, n), 0 in other rows."""

@@ -24,10 +24,15 @@ from ..core.kernels.compilation import helper, kernel
 # Rows with more entries than so many √n come last, as a row of constraints that ties all unknowns together: fewer rows
 # where counting takes too long otherwise.
 FULL = (10.0, 1.0)
-TOUCHED, TOUCHED_AT_LEAST = 6, 10_000_000  # of lists, beside their entries: grids take 2 to 10; no more than is counted
+TOUCHED, TOUCHED_AT_LEAST = (
+    6,
+    10_000_000,
+)  # of lists, beside their entries: grids take 2 to 10; no more than is counted
 
 
-def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: float = np.inf) -> tuple[float, float]:
+def factor_sizes(
+    matrix: Any, most_entries: float = np.inf, most_operations: float = np.inf
+) -> tuple[float, float]:
     """Return the entries of L, its diagonal included, and Σ count² over its columns, of a factor of A + Aᵀ.
 
     Parameters
@@ -44,7 +49,9 @@ def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: flo
     (199.0, 397.0)
     """
     n = matrix.shape[0]
-    pattern = sp.csr_array((np.ones(matrix.indices.size, np.int8), matrix.indices, matrix.indptr), shape=(n, n))
+    pattern = sp.csr_array(
+        (np.ones(matrix.indices.size, np.int8), matrix.indices, matrix.indptr), shape=(n, n)
+    )
     pattern = sp.csr_array(pattern + pattern.T)
     pattern.setdiag(0)
     pattern.eliminate_zeros()
@@ -56,7 +63,9 @@ def factor_sizes(matrix: Any, most_entries: float = np.inf, most_operations: flo
         begins, lists = left.indptr.astype(np.int64), left.indices.astype(np.int64)
         workspace = np.empty(lists.size + 2 * others.size + 1, np.int64)
         workspace[: lists.size] = lists
-        counts = minimum_degree(begins, workspace, float(last), most_entries, most_operations, most_touched)
+        counts = minimum_degree(
+            begins, workspace, float(last), most_entries, most_operations, most_touched
+        )
         if counts[2] <= most_touched:
             ends = np.arange(1.0, last + 1.0)
             return counts[0] + float(ends.sum()), counts[1] + float(ends @ ends)
@@ -81,7 +90,12 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     weight, degree, is_gone = np.ones(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.bool_)
     head, after, before = np.full(n + 1, -1), np.full(n, -1), np.full(n, -1)
     outside, mark, tag = np.zeros(n, np.int64), np.zeros(n, np.int64), 1
-    held, key, bucket, chain = np.empty(n, np.int64), np.empty(n, np.int64), np.full(n, -1), np.full(n, -1)
+    held, key, bucket, chain = (
+        np.empty(n, np.int64),
+        np.empty(n, np.int64),
+        np.full(n, -1),
+        np.full(n, -1),
+    )
     for i in range(n):
         begin[i], size[i] = begins[i], begins[i + 1] - begins[i]
         degree[i] = size[i]
@@ -134,7 +148,9 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
             for k in range(begin[i], begin[i] + elements[i]):
                 e = workspace[k]
                 if not is_gone[e]:
-                    outside[e] = (outside[e] if outside[e] >= base else base + degree[e]) - weight[i]
+                    outside[e] = (outside[e] if outside[e] >= base else base + degree[e]) - weight[
+                        i
+                    ]
         # Their lists become shorter: what the new element has is in none of them.
         for m in range(start, free):
             i = workspace[m]
@@ -178,7 +194,9 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
                         mark[workspace[k]] = tag
                     j = chain[i]
                     while j >= 0:
-                        is_same = weight[j] > 0 and size[j] == size[i] and elements[j] == elements[i]
+                        is_same = (
+                            weight[j] > 0 and size[j] == size[i] and elements[j] == elements[i]
+                        )
                         if is_same:
                             for k in range(begin[j] + 1, begin[j] + size[j]):
                                 if mark[workspace[k]] != tag:

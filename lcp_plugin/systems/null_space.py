@@ -19,7 +19,9 @@ MOST = 30  # directions: more are no matter of a structure that is not held
 MORE = 2  # vectors than small pivots: a pivot may hide a direction
 ROUNDS = 5  # each gains the shift beside the least eigenvalue that is not 0
 ROUNDING = 2.0**-45  # beside a unit diagonal: what rounding makes of an eigenvalue 0
-EQUAL = 2.0**-44  # of the diagonal: by so much the sum of a row's other entries may differ from it by rounding
+EQUAL = (
+    2.0**-44
+)  # of the diagonal: by so much the sum of a row's other entries may differ from it by rounding
 CLEAN = 2.0**-50  # what is left of P d, d of length 1, where no round makes it less
 
 
@@ -52,7 +54,11 @@ def null_space(P: Any) -> FloatVector | None:
     """
     diagonal: FloatVector = np.array(P.diagonal())
     empty = np.flatnonzero(diagonal == 0.0)
-    if empty.size > min(MOST, diagonal.size - 1) or (diagonal < 0.0).any() or (empty.size and abs(P[empty]).sum()):
+    if (
+        empty.size > min(MOST, diagonal.size - 1)
+        or (diagonal < 0.0).any()
+        or (empty.size and abs(P[empty]).sum())
+    ):
         return None
     filled = np.flatnonzero(diagonal > 0.0)
     if sp.issparse(P) and (known := null_space_by_rows(sp.csr_array(P))) is not None:

@@ -13,7 +13,9 @@ def asymmetry(matrix: Matrix) -> float:
     """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 where M is exactly symmetric."""
     M = matrix.csr
     transposed = M.T.tocsr()
-    if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(M.indices, transposed.indices):
+    if np.array_equal(M.indptr, transposed.indptr) and np.array_equal(
+        M.indices, transposed.indices
+    ):
         ours, theirs = M.data, transposed.data
     else:
         difference = sp.coo_array(M - transposed)

@@ -39,9 +39,14 @@ from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TESTS = Path(__file__).parents[1]
-DATA = Path(os.environ.get("LCP_PLUGIN_DATA", TESTS.parents[1] / "shared" / "data"))  # published problems, if there
+DATA = Path(
+    os.environ.get("LCP_PLUGIN_DATA", TESTS.parents[1] / "shared" / "data")
+)  # published problems, if there
 SOLVED, PROVED, OPEN, FALSE = "solved", "proved", "open", "false"
-ALIKE, LOOSE = 1e-6, 1e-4  # relative, of an objective or a residual that others judge; of a program over a cone
+ALIKE, LOOSE = (
+    1e-6,
+    1e-4,
+)  # relative, of an objective or a residual that others judge; of a program over a cone
 SHARP = 1e-8  # of the largest entry: a proved distance
 MOST_PUBLISHED = 2500  # rows and columns
 SEED, SHARE = 70, 7
@@ -88,9 +93,14 @@ def applications(*, full: bool) -> Iterator[Input]:
 
     if full:
         chosen = {
-            "obstacle_3d": {"side": 20}, "jumps": {"side": 100},
-            "put_uniform": {"n": 4000}, "put_geometric": {"n": 4000}, "seepage": {"side": 70},
-            "rotated_anisotropy": {"side": 70}, "graph_laplacian": {"n": 3000}, "plate": {"side": 30},
+            "obstacle_3d": {"side": 20},
+            "jumps": {"side": 100},
+            "put_uniform": {"n": 4000},
+            "put_geometric": {"n": 4000},
+            "seepage": {"side": 70},
+            "rotated_anisotropy": {"side": 70},
+            "graph_laplacian": {"n": 3000},
+            "plate": {"side": 30},
         }
         every: Any = [Case(name, arguments) for name, arguments in chosen.items()]
     else:
@@ -98,8 +108,11 @@ def applications(*, full: bool) -> Iterator[Input]:
     for case in every:
         for units in ("own",) if full else ("own", "both"):
             yield Input(
-                "applications, larger" if full else "applications", f"{case.name} {units}",
-                partial(case.in_units, units), lambda stated: solve(stated[0]), partial(_as_application, case),
+                "applications, larger" if full else "applications",
+                f"{case.name} {units}",
+                partial(case.in_units, units),
+                lambda stated: solve(stated[0]),
+                partial(_as_application, case),
             )
 
 
@@ -110,8 +123,13 @@ def obstacles() -> Iterator[Input]:
     for side in (150, 300):
         case = Case("obstacle_2d", {"side": side})
         for method in ("auto", "multigrid"):
-            yield Input("obstacles", f"{method}, {case.name}", partial(case.in_units, "own"),
-                        partial(_named, method), partial(_as_application, case))
+            yield Input(
+                "obstacles",
+                f"{method}, {case.name}",
+                partial(case.in_units, "own"),
+                partial(_named, method),
+                partial(_as_application, case),
+            )
 
 
 def _as_application(case: Any, stated: Any, result: Any) -> str:
@@ -132,7 +150,9 @@ def collection() -> Iterator[Input]:
         return OPEN if is_short else SOLVED if entry.truth == "solvable" else PROVED
 
     for entry in all_entries():
-        yield Input("collection", entry.name, partial(_fresh, entry.problem), solve, partial(judge, entry))
+        yield Input(
+            "collection", entry.name, partial(_fresh, entry.problem), solve, partial(judge, entry)
+        )
 
 
 def _fresh(one: LCP) -> LCP:
@@ -154,7 +174,13 @@ def small_lcps(count: int = 120) -> Iterator[Input]:
     def judge(case: int, problem: Any, result: Any) -> str:
         if false_claim(problem, truth(case), result, 1e-8):
             return FALSE
-        return OPEN if shortfall(problem, truth(case), result) else SOLVED if truth(case) == SOLVABLE else PROVED
+        return (
+            OPEN
+            if shortfall(problem, truth(case), result)
+            else SOLVED
+            if truth(case) == SOLVABLE
+            else PROVED
+        )
 
     for case in range(count):
         yield Input("small LCPs", str(case), partial(drawn, case), solve, partial(judge, case))
@@ -187,7 +213,9 @@ def residual(problem: Any, z: Any) -> float:
 
 
 def _by_residual(problem: Any, result: Any) -> str:
-    return OPEN if not result.is_solved else SOLVED if residual(problem, result.z) <= ALIKE else FALSE
+    return (
+        OPEN if not result.is_solved else SOLVED if residual(problem, result.z) <= ALIKE else FALSE
+    )
 
 
 def plain_structures() -> Iterator[Input]:
@@ -199,12 +227,18 @@ def plain_structures() -> Iterator[Input]:
     rng = np.random.default_rng(SEED)
 
     def random_rows(n: int, share: float) -> sp.csr_array:
-        A = sp.csr_array(sp.random_array((n, n), density=6.0 / n, rng=rng, data_sampler=rng.standard_normal))
+        A = sp.csr_array(
+            sp.random_array((n, n), density=6.0 / n, rng=rng, data_sampler=rng.standard_normal)
+        )
         A = A - sp.diags_array(A.diagonal())
-        return sp.csr_array(A + sp.diags_array(np.asarray(abs(A).sum(axis=1)).ravel() / share + 1e-3))
+        return sp.csr_array(
+            A + sp.diags_array(np.asarray(abs(A).sum(axis=1)).ravel() / share + 1e-3)
+        )
 
     def stencil(side: int, flow: float) -> sp.csr_array:
-        line = sp.diags_array([-1.0 - flow, 2.0 + flow, -1.0], offsets=[-1, 0, 1], shape=(side, side))
+        line = sp.diags_array(
+            [-1.0 - flow, 2.0 + flow, -1.0], offsets=[-1, 0, 1], shape=(side, side)
+        )
         return sp.csr_array(sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line))
 
     def upwind(side: int, flow: float) -> sp.csr_array:
@@ -216,7 +250,11 @@ def plain_structures() -> Iterator[Input]:
     def by_proof(problem: Any, result: Any) -> str:
         return FALSE if result.is_solved else PROVED if result.has_no_solution else OPEN
 
-    wrong, flow, contradictory = stencil(40, 0.0), stencil(150, 10.0), random_rows(3000, 0.5).tolil()
+    wrong, flow, contradictory = (
+        stencil(40, 0.0),
+        stencil(150, 10.0),
+        random_rows(3000, 0.5).tolil(),
+    )
     across = upwind(40, 20.0)
     scattered = rng.permutation(1600)
     contradictory[7, :], contradictory[7, 9] = 0.0, -1.0
@@ -224,10 +262,18 @@ def plain_structures() -> Iterator[Input]:
     against[7] = -1.0
     stated = {
         "dominant rows": (random_rows(50_000, 0.7), rng.standard_normal(50_000), _by_residual),
-        "lower triangle": (np.tril(rng.standard_normal((800, 800))) + 5.0 * np.eye(800), -np.ones(800), _by_residual),
+        "lower triangle": (
+            np.tril(rng.standard_normal((800, 800))) + 5.0 * np.eye(800),
+            -np.ones(800),
+            _by_residual,
+        ),
         "flow": (flow, rng.standard_normal(22_500), _by_residual),
         "flow of convection": (upwind(120, 5.0), rng.standard_normal(14_400), _by_residual),
-        "flow on a grid without order": (across[scattered][:, scattered], rng.standard_normal(1600), _by_residual),
+        "flow on a grid without order": (
+            across[scattered][:, scattered],
+            rng.standard_normal(1600),
+            _by_residual,
+        ),
         "wrong sign": (-wrong, wrong @ (rng.random(1600) - 0.1), by_proof),
         "contradictory row": (sp.csr_array(contradictory), against, by_proof),
     }
@@ -244,18 +290,31 @@ def unheld_structures() -> Iterator[Input]:
         return FALSE if result.is_solved else PROVED if result.has_no_solution else OPEN
 
     pulled: dict[str, Callable[[], Any]] = {
-        "block": lambda: block(60, 40, 0.0, 1.0), "chain": lambda: chain(3000, 1.0),
-        "circuit": lambda: circuit(3000, 1.0), "truss": lambda: truss(300, 1.0, braced=False),
+        "block": lambda: block(60, 40, 0.0, 1.0),
+        "chain": lambda: chain(3000, 1.0),
+        "circuit": lambda: circuit(3000, 1.0),
+        "truss": lambda: truss(300, 1.0, braced=False),
     }
     pressed: dict[str, Callable[[], Any]] = {
-        "block": lambda: block(60, 40, 0.0, -1.0), "chain": lambda: chain(3000, -1.0),
+        "block": lambda: block(60, 40, 0.0, -1.0),
+        "chain": lambda: chain(3000, -1.0),
         "circuit": lambda: circuit(3000, -1.0),
     }
     for name, made in pulled.items():
-        yield Input("unheld", f"{name}, pulled", lambda made=made: made().problem, solve, by_balance)
-        yield Input("unheld", f"{name}, pulled, program", lambda made=made: made().program, solve, by_balance)
+        yield Input(
+            "unheld", f"{name}, pulled", lambda made=made: made().problem, solve, by_balance
+        )
+        yield Input(
+            "unheld",
+            f"{name}, pulled, program",
+            lambda made=made: made().program,
+            solve,
+            by_balance,
+        )
     for name, made in pressed.items():
-        yield Input("unheld", f"{name}, pressed", lambda made=made: made().problem, solve, _by_residual)
+        yield Input(
+            "unheld", f"{name}, pressed", lambda made=made: made().problem, solve, _by_residual
+        )
 
 
 def contacts(count: int = 63) -> Iterator[Input]:
@@ -266,13 +325,19 @@ def contacts(count: int = 63) -> Iterator[Input]:
     def state(case: int) -> LCP:
         contacts, bodies = SIZES[case // len(FAMILIES) % len(SIZES)]
         ratio = RATIOS[case // (len(FAMILIES) * len(SIZES)) % 2]
-        made = FAMILIES[[*FAMILIES][case % len(FAMILIES)]](contacts, bodies, ratio, np.random.default_rng((SEED, case)))
+        made = FAMILIES[[*FAMILIES][case % len(FAMILIES)]](
+            contacts, bodies, ratio, np.random.default_rng((SEED, case))
+        )
         return LCP(*made.arrays)
 
     def judge(problem: Any, result: Any) -> str:
         if not result.is_solved:
             return OPEN
-        return FALSE if problem.n <= 40 and is_false(problem, result.z) else _by_residual(problem, result)
+        return (
+            FALSE
+            if problem.n <= 40 and is_false(problem, result.z)
+            else _by_residual(problem, result)
+        )
 
     for case in range(count):
         yield Input("contacts", str(case), partial(state, case), solve, judge)
@@ -298,7 +363,9 @@ def marches() -> Iterator[Input]:
             return OPEN
         z, worst = stated.z0, 0.0
         for forcing, answer in zip(stated.forcing, result.z, strict=True):
-            worst = max(worst, residual(stated.problem.with_q(forcing + stated.propagator @ z), answer))
+            worst = max(
+                worst, residual(stated.problem.with_q(forcing + stated.propagator @ z), answer)
+            )
             z = answer
         return SOLVED if worst <= ALIKE else FALSE
 
@@ -312,16 +379,24 @@ def marches() -> Iterator[Input]:
         payoff = np.maximum(1.0 - s, 0.0)
         M, forcing = sp.csr_array(sp.eye_array(n) + dt * A), np.zeros((steps, n))
         forcing[:, 0] = dt * (drift - diffusion)[0]
-        return made.Steps(LCP(M, np.zeros(n), lower=payoff), forcing, sp.csr_array(-sp.eye_array(n)), payoff)
+        return made.Steps(
+            LCP(M, np.zeros(n), lower=payoff), forcing, sp.csr_array(-sp.eye_array(n)), payoff
+        )
 
     stated: dict[str, Callable[[], Any]] = {
-        "Heston": lambda: made.heston(60, 30, 10)[0], "basket": lambda: made.basket(40, 10),
-        "parabolic": lambda: made.parabolic(64, 10), "rolling contact": lambda: made.contact(40, 10), "put": put,
+        "Heston": lambda: made.heston(60, 30, 10)[0],
+        "basket": lambda: made.basket(40, 10),
+        "parabolic": lambda: made.parabolic(64, 10),
+        "rolling contact": lambda: made.contact(40, 10),
+        "put": put,
     }
     for name, state in stated.items():
         yield Input(
-            "marches", name, state,
-            lambda one: march(one.problem, one.forcing, one.propagator, z0=one.z0), judge,
+            "marches",
+            name,
+            state,
+            lambda one: march(one.problem, one.forcing, one.propagator, z0=one.z0),
+            judge,
         )
 
 
@@ -360,8 +435,14 @@ def paths() -> Iterator[Input]:
         problem, along = stated[:2]
         for piece in path.pieces[:: max(len(path) // SHARE, 1)]:
             theta = 0.3 * piece.begin + 0.7 * piece.end
-            moved = {name: getattr(problem, name) + theta * np.asarray(step) for name, step in along.items()}
-            point, there = path.at(theta), problem.with_q(**moved) if "q" in moved else problem.with_vectors(**moved)
+            moved = {
+                name: getattr(problem, name) + theta * np.asarray(step)
+                for name, step in along.items()
+            }
+            point, there = (
+                path.at(theta),
+                problem.with_q(**moved) if "q" in moved else problem.with_vectors(**moved),
+            )
             if isinstance(problem, LCP) and residual(there, point.z) > ALIKE:
                 return FALSE
             value = None if isinstance(problem, LCP) else solve(there).objective
@@ -387,11 +468,19 @@ def paths() -> Iterator[Input]:
 
     stated = {f"lasso {m} × {n}": partial(lasso, m, n) for m, n in ((100, 60), (80, 300))}
     stated |= {f"linear {case}": partial(linear, case) for case in range(4)}
+
     def membrane() -> Any:
         n = 700
-        M = np.linalg.inv(np.eye(n) + 0.1 * np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / n)
+        M = np.linalg.inv(
+            np.eye(n) + 0.1 * np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / n
+        )
         M = M @ M.T
-        return LCP(M, -M @ rng.uniform(-0.2, 1.0, n)), {"q": M @ rng.uniform(-1.0, 1.0, n)}, 0.0, 0.2
+        return (
+            LCP(M, -M @ rng.uniform(-0.2, 1.0, n)),
+            {"q": M @ rng.uniform(-1.0, 1.0, n)},
+            0.0,
+            0.2,
+        )
 
     stated["many free rows"] = membrane
     stated |= {f"family {case}": partial(family, case) for case in range(16)}
@@ -410,7 +499,9 @@ def laws() -> Iterator[Input]:
         n, m, p = 3, 3, 1 + case % 3
         B = drawn.integers(-2, 3, (n, n))
         G, h = drawn.integers(-2, 3, (m, n)), drawn.integers(0, 4, m)
-        program = QuadraticProgram(B @ B.T + np.eye(n), drawn.integers(-2, 3, n), G=G, h=h, lower=-2.0, upper=2.0)
+        program = QuadraticProgram(
+            B @ B.T + np.eye(n), drawn.integers(-2, 3, n), G=G, h=h, lower=-2.0, upper=2.0
+        )
         changes = {"c": drawn.integers(-2, 3, (n, p)), "h": drawn.integers(-1, 2, (m, p))}
         return program, changes, (np.full(p, -2.0), np.full(p, 2.0))
 
@@ -428,7 +519,10 @@ def laws() -> Iterator[Input]:
 
     stated: dict[str, Callable[[], Any]] = {
         f"double integrator {horizon}": lambda horizon=horizon: (
-            *double_integrator(horizon), ([-5.0, -5.0], [5.0, 5.0])) for horizon in (3, 6)
+            *double_integrator(horizon),
+            ([-5.0, -5.0], [5.0, 5.0]),
+        )
+        for horizon in (3, 6)
     }
     stated |= {f"whole numbers {case}": partial(whole_numbers, case) for case in range(15)}
     for name, state in stated.items():
@@ -440,16 +534,23 @@ def batches_of_programs() -> Iterator[Input]:
         rng = np.random.default_rng([SEED, n])
         F, G = rng.standard_normal((count, n, n)), rng.standard_normal((count, n, n))
         P = F @ F.transpose(0, 2, 1) / n + 0.1 * np.eye(n)
-        return QuadraticProgramBatch(P, rng.standard_normal((count, n)), G, rng.random((count, n)), lower=-1.0)
+        return QuadraticProgramBatch(
+            P, rng.standard_normal((count, n)), G, rng.random((count, n)), lower=-1.0
+        )
 
     def judge(programs: Any, result: Any) -> str:
         if any(status.name != "SOLVED" for status in result.status):
             return OPEN
-        verdicts = {_by_value(programs[k], result[k], value_of_others(programs[k])) for k in range(0, len(programs), 9)}
+        verdicts = {
+            _by_value(programs[k], result[k], value_of_others(programs[k]))
+            for k in range(0, len(programs), 9)
+        }
         return FALSE if FALSE in verdicts else SOLVED
 
     for n, count in ((3, 200), (6, 100), (12, 50)):
-        yield Input("batches of programs", f"{count} of {n}", partial(state, n, count), solve_batch, judge)
+        yield Input(
+            "batches of programs", f"{count} of {n}", partial(state, n, count), solve_batch, judge
+        )
 
 
 # --- programs -------------------------------------------------------------------------------------------------------
@@ -462,7 +563,9 @@ def planted_programs(count: int = 45) -> Iterator[Input]:
     def state(case: int, what: str) -> Any:
         rng = np.random.default_rng([SEED, case])
         drawn = planted(case, rng)
-        return drawn, *((drawn.program, 1.0) if what == WHAT[0] else rescaled(drawn.program, what, rng))
+        return drawn, *(
+            (drawn.program, 1.0) if what == WHAT[0] else rescaled(drawn.program, what, rng)
+        )
 
     def judge(stated: Any, result: Any) -> str:
         drawn, program, size = stated
@@ -476,8 +579,13 @@ def planted_programs(count: int = 45) -> Iterator[Input]:
 
     for case in range(count):
         for what in (WHAT[0], WHAT[1 + case % (len(WHAT) - 1)]):
-            yield Input("planted programs", f"{case} {what}", partial(state, case, what),
-                        lambda stated: solve(stated[1]), judge)
+            yield Input(
+                "planted programs",
+                f"{case} {what}",
+                partial(state, case, what),
+                lambda stated: solve(stated[1]),
+                judge,
+            )
 
 
 def shapes(*, full: bool) -> Iterator[Input]:
@@ -485,26 +593,51 @@ def shapes(*, full: bool) -> Iterator[Input]:
     from benchmarks import programs, shapes
 
     large: list[tuple[Callable[..., Any], tuple[int, ...]]] = [
-        (shapes.lasso, (200, 800)), (shapes.separator, (600, 150)),
-        (shapes.huber, (600, 100)), (programs.portfolio, (2000, 40)), (shapes.full_portfolio, (2000, 50)),
-        (shapes.transport, (50, 50)), (shapes.control, (150,)), (shapes.nonnegative, (300, 300)),
-        (shapes.total_variation, (4000,)), (shapes.isotonic, (4000,)), (programs.sparse, (1500,)),
-        (programs.dense, (200,)), (programs.support_vectors, (300,)),
+        (shapes.lasso, (200, 800)),
+        (shapes.separator, (600, 150)),
+        (shapes.huber, (600, 100)),
+        (programs.portfolio, (2000, 40)),
+        (shapes.full_portfolio, (2000, 50)),
+        (shapes.transport, (50, 50)),
+        (shapes.control, (150,)),
+        (shapes.nonnegative, (300, 300)),
+        (shapes.total_variation, (4000,)),
+        (shapes.isotonic, (4000,)),
+        (programs.sparse, (1500,)),
+        (programs.dense, (200,)),
+        (programs.support_vectors, (300,)),
     ]
     small: list[tuple[Callable[..., Any], tuple[int, ...]]] = [
-        (shapes.lasso, (50, 100)), (shapes.lasso, (200, 60)), (shapes.elastic_net, (50, 100)),
-        (shapes.separator, (100, 10)), (shapes.kernel, (100,)), (shapes.largest_margin, (100, 10)),
-        (shapes.huber, (100, 20)), (programs.portfolio, (300, 15)), (shapes.full_portfolio, (300, 20)),
-        (shapes.transport, (15, 15)), (shapes.control, (30,)), (shapes.nonnegative, (100, 50)),
-        (shapes.total_variation, (300,)), (shapes.isotonic, (200,)), (programs.sparse, (300,)),
-        (programs.linear, (300,)), (programs.dense, (60,)), (programs.support_vectors, (100,)),
+        (shapes.lasso, (50, 100)),
+        (shapes.lasso, (200, 60)),
+        (shapes.elastic_net, (50, 100)),
+        (shapes.separator, (100, 10)),
+        (shapes.kernel, (100,)),
+        (shapes.largest_margin, (100, 10)),
+        (shapes.huber, (100, 20)),
+        (programs.portfolio, (300, 15)),
+        (shapes.full_portfolio, (300, 20)),
+        (shapes.transport, (15, 15)),
+        (shapes.control, (30,)),
+        (shapes.nonnegative, (100, 50)),
+        (shapes.total_variation, (300,)),
+        (shapes.isotonic, (200,)),
+        (programs.sparse, (300,)),
+        (programs.linear, (300,)),
+        (programs.dense, (60,)),
+        (programs.support_vectors, (100,)),
         (programs.chain, (200,)),
     ]
     for make, shape in large if full else small:
         case = make(*shape, np.random.default_rng((SEED, *shape)))
         least = cache(lambda case=case: value_of_others(case.program()))
-        yield Input(f"shapes of programs{', larger' * full}", case.name, case.program, solve,
-                    lambda program, result, least=least: _by_value(program, result, least()))
+        yield Input(
+            f"shapes of programs{', larger' * full}",
+            case.name,
+            case.program,
+            solve,
+            lambda program, result, least=least: _by_value(program, result, least()),
+        )
 
 
 def published_programs() -> Iterator[Input]:
@@ -513,15 +646,25 @@ def published_programs() -> Iterator[Input]:
             if sum(f["A_shape"]) > MOST_PUBLISHED:
                 continue
             optimal = float(f["optimal_value"]) - float(f["r"])
-        yield Input("published programs", file.stem, partial(_read_program, file), solve,
-                    lambda program, result, optimal=optimal: _by_value(program, result, optimal))
+        yield Input(
+            "published programs",
+            file.stem,
+            partial(_read_program, file),
+            solve,
+            lambda program, result, optimal=optimal: _by_value(program, result, optimal),
+        )
 
 
 def _read_program(file: Path) -> QuadraticProgram:
     with np.load(file) as f:
         P, A = (
-            sp.csr_array(sp.csc_array(tuple(f[f"{one}_{part}"] for part in ("data", "indices", "indptr")),
-                                      shape=tuple(f[f"{one}_shape"]))) for one in "PA"
+            sp.csr_array(
+                sp.csc_array(
+                    tuple(f[f"{one}_{part}"] for part in ("data", "indices", "indptr")),
+                    shape=tuple(f[f"{one}_shape"]),
+                )
+            )
+            for one in "PA"
         )
         c, low, high = f["q"], f["l"], f["u"]
     is_equality, has_low, has_high = low == high, low > -1e19, high < 1e19
@@ -538,10 +681,16 @@ def value_of_others(program: QuadraticProgram) -> float:
 
     matrices = [sp.csc_matrix(one) for one in (program.P, program.G, program.A)]
     stated = qpsolvers.Problem(
-        matrices[0], program.c, *((matrices[1], program.h) if program.h.size else (None, None)),
-        *((matrices[2], program.b) if program.b.size else (None, None)), program.lower, program.upper,
+        matrices[0],
+        program.c,
+        *((matrices[1], program.h) if program.h.size else (None, None)),
+        *((matrices[2], program.b) if program.b.size else (None, None)),
+        program.lower,
+        program.upper,
     )
-    x = qpsolvers.solve_problem(stated, solver="clarabel", tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9).x
+    x = qpsolvers.solve_problem(
+        stated, solver="clarabel", tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9
+    ).x
     return float(0.5 * x @ (program.P @ x) + program.c @ x)
 
 
@@ -551,11 +700,15 @@ def _by_value(program: Any, result: Any, optimal: float) -> str:
         return FALSE if result.has_no_solution else OPEN
     x = result.x
     value = float(0.5 * x @ (program.P @ x) + program.c @ x)
-    missed = np.concatenate([
-        (program.G @ x - program.h) / (1.0 + abs(program.G) @ np.abs(x) + np.abs(program.h)),
-        np.abs(program.A @ x - program.b) / (1.0 + abs(program.A) @ np.abs(x) + np.abs(program.b)),
-        (program.lower - x) / (1.0 + np.abs(x)), (x - program.upper) / (1.0 + np.abs(x)),
-    ])
+    missed = np.concatenate(
+        [
+            (program.G @ x - program.h) / (1.0 + abs(program.G) @ np.abs(x) + np.abs(program.h)),
+            np.abs(program.A @ x - program.b)
+            / (1.0 + abs(program.A) @ np.abs(x) + np.abs(program.b)),
+            (program.lower - x) / (1.0 + np.abs(x)),
+            (x - program.upper) / (1.0 + np.abs(x)),
+        ]
+    )
     is_optimal = abs(value - optimal) <= ALIKE * max(1.0, abs(optimal))
     return SOLVED if is_optimal and missed.max(initial=0.0) <= ALIKE else FALSE
 
@@ -573,7 +726,11 @@ def certified(count: int = 60) -> Iterator[Input]:
 
     def ask(stated: Any) -> Any:
         given, x, multipliers = stated
-        return certify(given.program, x) if multipliers is None else certify(given.program, x, multipliers)
+        return (
+            certify(given.program, x)
+            if multipliers is None
+            else certify(given.program, x, multipliers)
+        )
 
     def judge(stated: Any, said: Any) -> str:
         given, x, _ = stated
@@ -581,7 +738,9 @@ def certified(count: int = 60) -> Iterator[Input]:
             return FALSE
         if said.verdict != "proved":
             return PROVED if said.verdict == "disproved" else OPEN
-        is_near = said.distance is not None and said.distance <= SHARP * (1.0 + float(np.abs(x).max(initial=0.0)))
+        is_near = said.distance is not None and said.distance <= SHARP * (
+            1.0 + float(np.abs(x).max(initial=0.0))
+        )
         return SOLVED if not given.is_definite or is_near else OPEN
 
     for number in range(count):
@@ -590,11 +749,18 @@ def certified(count: int = 60) -> Iterator[Input]:
 
 def published_answers() -> Iterator[Input]:
     """What `certify` proves of answers to published programs."""
+
     def judge(_: Any, said: Any) -> str:
         return PROVED if said.verdict == "proved" else OPEN
 
     for one in published_programs():
-        yield Input("certify, published", one.name, one.state, lambda program: certify(solve(program)), judge)
+        yield Input(
+            "certify, published",
+            one.name,
+            one.state,
+            lambda program: certify(solve(program)),
+            judge,
+        )
 
 
 def equilibria(count: int = 40) -> Iterator[Input]:
@@ -614,8 +780,13 @@ def equilibria(count: int = 40) -> Iterator[Input]:
         return SOLVED if result.is_solved else PROVED if result.has_no_solution else OPEN
 
     for case in range(count):
-        yield Input("equilibria", str(case), partial(drawn, case), minimize_over_solutions,
-                    partial(judge, case))
+        yield Input(
+            "equilibria",
+            str(case),
+            partial(drawn, case),
+            minimize_over_solutions,
+            partial(judge, case),
+        )
 
 
 def followers_without_bounds(count: int = 8) -> Iterator[Input]:
@@ -627,8 +798,17 @@ def followers_without_bounds(count: int = 8) -> Iterator[Input]:
         rng, k = np.random.default_rng([SEED, case]), 8
         H = rng.standard_normal((k, k))
         rows = np.hstack([rng.standard_normal((k, 2)), H @ H.T + np.eye(k)])
-        lower, upper = np.append([-1.0, -1.0], np.zeros(k)), np.append([1.0, 1.0], np.full(k, np.inf))
-        return np.append(rng.standard_normal(2), -np.ones(k)), rows, rng.standard_normal(k), lower, upper
+        lower, upper = (
+            np.append([-1.0, -1.0], np.zeros(k)),
+            np.append([1.0, 1.0], np.full(k, np.inf)),
+        )
+        return (
+            np.append(rng.standard_normal(2), -np.ones(k)),
+            rows,
+            rng.standard_normal(k),
+            lower,
+            upper,
+        )
 
     def state(case: int) -> EquilibriumProgram:
         c, rows, q, lower, upper = drawn(case)
@@ -642,33 +822,55 @@ def followers_without_bounds(count: int = 8) -> Iterator[Input]:
         for open_ones in np.ndindex(*[2] * q.size):
             is_open = np.array(open_ones, dtype=bool)
             ends = np.where(np.append([True, True], is_open), upper, 0.0)
-            one = linprog(c, -rows[~is_open], q[~is_open], rows[is_open], -q[is_open], np.column_stack([lower, ends]))
+            one = linprog(
+                c,
+                -rows[~is_open],
+                q[~is_open],
+                rows[is_open],
+                -q[is_open],
+                np.column_stack([lower, ends]),
+            )
             found.append(one.fun if one.status == 0 else np.inf)
         return min(found)
 
     def judge(case: int, _: Any, result: Any) -> str:
         if not result.is_solved:
             return OPEN
-        return SOLVED if abs(result.value - least(case)) <= ALIKE * (1.0 + abs(least(case))) else FALSE
+        return (
+            SOLVED if abs(result.value - least(case)) <= ALIKE * (1.0 + abs(least(case))) else FALSE
+        )
 
     for case in range(count):
-        yield Input("followers without bounds", str(case), partial(state, case), minimize_over_solutions,
-                    partial(judge, case))
+        yield Input(
+            "followers without bounds",
+            str(case),
+            partial(state, case),
+            minimize_over_solutions,
+            partial(judge, case),
+        )
 
 
 def programs_again(count: int = 9) -> Iterator[Input]:
     """Programs whose costs have changed, from the answer before."""
+
     def state(case: int) -> Any:
         rng = np.random.default_rng([SEED, case])
         n = (5, 20, 80)[case % 3]
         F, G = rng.standard_normal((n, n)), rng.standard_normal((n, n))
         c, h = rng.standard_normal(n), rng.random(n)
-        before, now = (QuadraticProgram(F @ F.T + np.eye(n), one, G, h, lower=-1.0) for one in (c, 1.01 * c))
+        before, now = (
+            QuadraticProgram(F @ F.T + np.eye(n), one, G, h, lower=-1.0) for one in (c, 1.01 * c)
+        )
         return now, solve(before).z
 
     for case in range(count):
-        yield Input("programs again", str(case), partial(state, case), lambda stated: solve(stated[0], z0=stated[1]),
-                    lambda stated, result: _by_value(stated[0], result, value_of_others(stated[0])))
+        yield Input(
+            "programs again",
+            str(case),
+            partial(state, case),
+            lambda stated: solve(stated[0], z0=stated[1]),
+            lambda stated, result: _by_value(stated[0], result, value_of_others(stated[0])),
+        )
 
 
 def outliers(count: int = 60) -> Iterator[Input]:
@@ -679,8 +881,13 @@ def outliers(count: int = 60) -> Iterator[Input]:
     verdicts = {RIGHT: SOLVED, WRONG: FALSE}
     for case in range(count):
         for kind in ("program", "lcp", "cones"):
-            yield Input("outliers", f"{kind} {case}", partial(partial, run, kind, SEED, case), lambda case: case(),
-                        lambda _, found: verdicts.get(found.what, OPEN))
+            yield Input(
+                "outliers",
+                f"{kind} {case}",
+                partial(partial, run, kind, SEED, case),
+                lambda case: case(),
+                lambda _, found: verdicts.get(found.what, OPEN),
+            )
 
 
 # --- others ---------------------------------------------------------------------------------------------------------
@@ -695,7 +902,9 @@ def least_squares(count: int = 108) -> Iterator[Input]:
         return draw(KINDS[number % len(KINDS)], np.random.default_rng([SEED, number]))
 
     def ask(case: Any) -> Any:
-        return bounded_least_squares(case.A, case.b, case.lower, case.upper, weights=case.weights, ridge=case.ridge)
+        return bounded_least_squares(
+            case.A, case.b, case.lower, case.upper, weights=case.weights, ridge=case.ridge
+        )
 
     def judge(number: int, case: Any, result: Any) -> str:
         if not result.is_solved:
@@ -703,7 +912,9 @@ def least_squares(count: int = 108) -> Iterator[Input]:
         return FALSE if complaint(case, exact(number), result.x) == "FALSE" else SOLVED
 
     for number in range(count):
-        yield Input("least squares", str(number), partial(small, number), ask, partial(judge, number))
+        yield Input(
+            "least squares", str(number), partial(small, number), ask, partial(judge, number)
+        )
 
 
 def large_least_squares() -> Iterator[Input]:
@@ -712,7 +923,11 @@ def large_least_squares() -> Iterator[Input]:
 
     def large(m: int, n: int, density: float) -> Any:
         rng = np.random.default_rng([SEED, m, n])
-        A = rng.standard_normal((m, n)) if density == 1.0 else sp.random_array((m, n), density=density, rng=rng).tocsr()
+        A = (
+            rng.standard_normal((m, n))
+            if density == 1.0
+            else sp.random_array((m, n), density=density, rng=rng).tocsr()
+        )
         return A, rng.standard_normal(m), 0.0, np.where(rng.random(n) < 0.5, np.inf, 0.05)
 
     def by_scipy(stated: Any, result: Any) -> str:
@@ -734,15 +949,36 @@ def large_least_squares() -> Iterator[Input]:
     def by_planted(stated: Any, result: Any) -> str:
         if not result.is_solved:
             return OPEN
-        return SOLVED if result.cost <= stated[2] * np.abs(stated[3]).sum() * (1.0 + ALIKE) else FALSE
+        return (
+            SOLVED if result.cost <= stated[2] * np.abs(stated[3]).sum() * (1.0 + ALIKE) else FALSE
+        )
 
-    for shape in ((300, 100, 1.0), (100, 300, 1.0), (140, 140, 1.0), (1500, 300, 0.02), (300, 600, 0.02)):
-        for way, ask in (("", lambda stated: bounded_least_squares(*stated)), (" operator", as_operator)):
-            yield Input("least squares, larger", f"{' × '.join(map(str, shape))}{way}", partial(large, *shape), ask,
-                        by_scipy)
+    for shape in (
+        (300, 100, 1.0),
+        (100, 300, 1.0),
+        (140, 140, 1.0),
+        (1500, 300, 0.02),
+        (300, 600, 0.02),
+    ):
+        for way, ask in (
+            ("", lambda stated: bounded_least_squares(*stated)),
+            (" operator", as_operator),
+        ):
+            yield Input(
+                "least squares, larger",
+                f"{' × '.join(map(str, shape))}{way}",
+                partial(large, *shape),
+                ask,
+                by_scipy,
+            )
     for l1 in (1e-1, 1e-6, 1e-11):
-        yield Input("least squares, larger", f"lasso, l1={l1}", partial(sparse_answer, l1),
-                    lambda stated: bounded_least_squares(*stated[:2], -np.inf, l1=stated[2]), by_planted)
+        yield Input(
+            "least squares, larger",
+            f"lasso, l1={l1}",
+            partial(sparse_answer, l1),
+            lambda stated: bounded_least_squares(*stated[:2], -np.inf, l1=stated[2]),
+            by_planted,
+        )
 
 
 def cones(count: int = 60) -> Iterator[Input]:
@@ -753,7 +989,9 @@ def cones(count: int = 60) -> Iterator[Input]:
     def state(case: int) -> Any:
         rng = np.random.default_rng([SEED, case])
         if case % 4 == 0:
-            return planted_cones(int(rng.integers(1, 9)), rng, rank=float(rng.choice([0.4, 1.0])))[0]
+            return planted_cones(int(rng.integers(1, 9)), rng, rank=float(rng.choice([0.4, 1.0])))[
+                0
+            ]
         contacts, bodies = SIZES[rng.integers(len(SIZES))]
         ratio = 10.0 ** rng.uniform(0.0, 5.0)
         return planted_contacts(contacts, bodies, ratio, rng, definite=rng.random() < 0.3)[0]
@@ -761,7 +999,11 @@ def cones(count: int = 60) -> Iterator[Input]:
     def judge(problem: Any, result: Any) -> str:
         if not result.is_solved:
             return OPEN
-        return FALSE if problem.n <= 30 and exact_relative_residual(problem, result.z) > 1e-8 else SOLVED
+        return (
+            FALSE
+            if problem.n <= 30 and exact_relative_residual(problem, result.z) > 1e-8
+            else SOLVED
+        )
 
     for case in range(count):
         yield Input("cones", str(case), partial(state, case), solve, judge)
@@ -774,11 +1016,19 @@ def by_cones(problem: Any, result: Any) -> str:
     r, mu = result.z.reshape(-1, 3), np.broadcast_to(problem.friction, (result.z.size // 3,))
     u = (problem.W @ result.z + problem.q).reshape(-1, 3)
     rho = 1.0 / np.maximum(problem.W.diagonal().reshape(-1, 3).max(axis=1), 1e-300)
-    pushed = r - rho[:, None] * np.column_stack([u[:, 0] + mu * np.linalg.norm(u[:, 1:], axis=1), u[:, 1:]])
+    pushed = r - rho[:, None] * np.column_stack(
+        [u[:, 0] + mu * np.linalg.norm(u[:, 1:], axis=1), u[:, 1:]]
+    )
     normal, tangent = pushed[:, 0], np.linalg.norm(pushed[:, 1:], axis=1)
     is_inside, is_polar = tangent <= mu * normal, mu * tangent <= -normal
-    length = np.where(is_inside, normal, np.where(is_polar, 0.0, (normal + mu * tangent) / (1.0 + mu**2)))
-    share = np.where(is_inside, 1.0, np.divide(mu * length, tangent, out=np.zeros_like(tangent), where=tangent > 0))
+    length = np.where(
+        is_inside, normal, np.where(is_polar, 0.0, (normal + mu * tangent) / (1.0 + mu**2))
+    )
+    share = np.where(
+        is_inside,
+        1.0,
+        np.divide(mu * length, tangent, out=np.zeros_like(tangent), where=tangent > 0),
+    )
     nearest = np.column_stack([length, share[:, None] * pushed[:, 1:]])
     return SOLVED if np.abs(r - nearest).max() <= LOOSE * max(np.abs(r).max(), 1e-12) else FALSE
 
@@ -803,7 +1053,11 @@ def piles() -> Iterator[Input]:
         if not result.is_solved:
             return OPEN
         weight = stated[1]
-        return SOLVED if abs(result.motion.normal[:of_floor].sum() - weight) <= LOOSE * weight else FALSE
+        return (
+            SOLVED
+            if abs(result.motion.normal[:of_floor].sum() - weight) <= LOOSE * weight
+            else FALSE
+        )
 
     def heavy_on_light(light: int) -> tuple[FrictionalContact, float]:
         problem, weights = tower([1.0] * light + [1e4], (-0.5, 0.5))
@@ -813,25 +1067,51 @@ def piles() -> Iterator[Input]:
         return FALSE if result.is_solved else PROVED if result.status is Status.INFEASIBLE else OPEN
 
     def by_violation(problem: Any, result: Any) -> str:
-        return OPEN if not result.is_solved else SOLVED if violation(problem, result.z) <= LOOSE else FALSE
+        return (
+            OPEN
+            if not result.is_solved
+            else SOLVED
+            if violation(problem, result.z) <= LOOSE
+            else FALSE
+        )
 
     squeezed = np.vstack([np.eye(3), np.diag([-1.0, 1.0, 1.0])])
     hopeless: dict[str, tuple[Any, Any, Any]] = {
         "nothing moves the normal": (np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5),
         "between walls that close": (squeezed @ squeezed.T, [-1.0, 0.0, 0.0, -1.0, 0.0, 0.0], 0.5),
-        "beside one that slides": (np.diag([1.0, 1.0, 1.0, 0.0, 1.0, 1.0]), [-1.0, 3.0, 4.0, -1.0, 0.0, 0.0], 0.5),
+        "beside one that slides": (
+            np.diag([1.0, 1.0, 1.0, 0.0, 1.0, 1.0]),
+            [-1.0, 3.0, 4.0, -1.0, 0.0, 0.0],
+            0.5,
+        ),
     }
     for size in (3, 6, 9):
-        yield Input("piles", f"wall {size}", partial(wall, size, size), lambda stated: solve(stated[0]),
-                    partial(by_weight, 4 * size))
+        yield Input(
+            "piles",
+            f"wall {size}",
+            partial(wall, size, size),
+            lambda stated: solve(stated[0]),
+            partial(by_weight, 4 * size),
+        )
     for light in (2, 5):
-        yield Input("piles", f"tower {light}", partial(heavy_on_light, light),
-                    lambda stated: solve(stated[0]), partial(by_weight, 2))
+        yield Input(
+            "piles",
+            f"tower {light}",
+            partial(heavy_on_light, light),
+            lambda stated: solve(stated[0]),
+            partial(by_weight, 2),
+        )
     for name, (W, q, friction) in hopeless.items():
         yield Input("piles", name, partial(FrictionalContact, W, q, friction), solve, by_proof)
     for case in range(40):
         rng = partial(np.random.default_rng, [SEED, case])
-        yield Input("piles", f"cones {case}", lambda rng=rng: cancelled_diagonals(rng()), solve, by_violation)
+        yield Input(
+            "piles",
+            f"cones {case}",
+            lambda rng=rng: cancelled_diagonals(rng()),
+            solve,
+            by_violation,
+        )
 
 
 def moving_piles(count: int = 30, steps: int = 90, every: int = 3) -> Iterator[Input]:
@@ -846,8 +1126,13 @@ def moving_piles(count: int = 30, steps: int = 90, every: int = 3) -> Iterator[I
         kept = dict(zip(pairs, result.z.reshape(-1, 3), strict=True))
         pile.move(rows, result.z)
         if step % every == 0:
-            yield Input("piles in time", str(step), partial(deepcopy, problem),
-                        lambda problem, start=start: solve(problem, z0=start), by_cones)
+            yield Input(
+                "piles in time",
+                str(step),
+                partial(deepcopy, problem),
+                lambda problem, start=start: solve(problem, z0=start),
+                by_cones,
+            )
 
 
 def nonlinear(count: int = 30) -> Iterator[Input]:
@@ -861,12 +1146,19 @@ def nonlinear(count: int = 30) -> Iterator[Input]:
     def judge(stated: Any, result: Any) -> str:
         if not result.is_solved:
             return OPEN
-        left = stated[0].sharp_relative_residual(result.z, result.certificate.problem.residual_scale)
+        left = stated[0].sharp_relative_residual(
+            result.z, result.certificate.problem.residual_scale
+        )
         return FALSE if left > 1e-8 else SOLVED
 
     for case in range(count):
-        yield Input("nonlinear", str(case), partial(state, case),
-                    lambda stated: solve_nonlinear(stated[0].problem, stated[1]), judge)
+        yield Input(
+            "nonlinear",
+            str(case),
+            partial(state, case),
+            lambda stated: solve_nonlinear(stated[0].problem, stated[1]),
+            judge,
+        )
 
 
 def vanishing_slopes(count: int = 15) -> Iterator[Input]:
@@ -875,15 +1167,23 @@ def vanishing_slopes(count: int = 15) -> Iterator[Input]:
 
     def without_slope(case: int) -> Any:
         shapes = [*SHAPES]
-        return vanishing(np.random.default_rng([SEED, case]), shapes[case % len(shapes)],
-                         STRUCTURES[case // len(shapes) % len(STRUCTURES)])
+        return vanishing(
+            np.random.default_rng([SEED, case]),
+            shapes[case % len(shapes)],
+            STRUCTURES[case // len(shapes) % len(STRUCTURES)],
+        )
 
     def by_rows(one: Any, result: Any) -> str:
         return OPEN if not result.is_solved else FALSE if one.wrong_rows(result.z) else SOLVED
 
     for case in range(count):
-        yield Input("nonlinear, vanishing", str(case), partial(without_slope, case),
-                    lambda one: solve_nonlinear(one.problem, one.start), by_rows)
+        yield Input(
+            "nonlinear, vanishing",
+            str(case),
+            partial(without_slope, case),
+            lambda one: solve_nonlinear(one.problem, one.start),
+            by_rows,
+        )
 
 
 def proved_nonlinear(count: int = 15) -> Iterator[Input]:
@@ -898,11 +1198,18 @@ def proved_nonlinear(count: int = 15) -> Iterator[Input]:
     def by_bound(stated: Any, result: Any) -> str:
         if not result.is_solved or result.error_bound is None:
             return OPEN
-        return FALSE if is_violated(stated[0], result.z, result.error_bound.componentwise) else PROVED
+        return (
+            FALSE if is_violated(stated[0], result.z, result.error_bound.componentwise) else PROVED
+        )
 
     for case in range(count):
-        yield Input("nonlinear, proved", str(case), partial(near, case),
-                    lambda stated: solve_nonlinear(stated[0].problem, stated[1], error_bound=True), by_bound)
+        yield Input(
+            "nonlinear, proved",
+            str(case),
+            partial(near, case),
+            lambda stated: solve_nonlinear(stated[0].problem, stated[1], error_bound=True),
+            by_bound,
+        )
 
 
 # --- by name --------------------------------------------------------------------------------------------------------
@@ -927,16 +1234,31 @@ def named_methods() -> Iterator[Input]:
     for case in cases(full=False):
         for method in NAMED:
             if method != "program" and case.suits(method):
-                yield Input("methods by name", f"{method}, {case.name}", partial(case.in_units, "own"),
-                            partial(_named, method), partial(_as_application, case))
+                yield Input(
+                    "methods by name",
+                    f"{method}, {case.name}",
+                    partial(case.in_units, "own"),
+                    partial(_named, method),
+                    partial(_as_application, case),
+                )
     for light in (1, 2, 5):
         for method in ("psor", "pgs", "npsor", "newton"):
-            yield Input("methods by name", f"{method}, {light} light bodies", partial(_tower_of_lcp, light),
-                        lambda stated, method=method: solve(stated[0], method), by_weight)
+            yield Input(
+                "methods by name",
+                f"{method}, {light} light bodies",
+                partial(_tower_of_lcp, light),
+                lambda stated, method=method: solve(stated[0], method),
+                by_weight,
+            )
     for entry in all_entries()[::SHARE]:
         for method in ("lemke", "newton", "interior_point"):
-            yield Input("methods by name", f"{method}, {entry.name}", partial(_fresh, entry.problem),
-                        partial(_named, method), partial(as_stated, entry))
+            yield Input(
+                "methods by name",
+                f"{method}, {entry.name}",
+                partial(_fresh, entry.problem),
+                partial(_named, method),
+                partial(as_stated, entry),
+            )
 
 
 def _tower_of_lcp(light: int) -> tuple[LCP, Any]:
@@ -954,9 +1276,15 @@ def _named(method: str, stated: Any) -> Any:
 
 def named_engines() -> Iterator[Input]:
     """Every engine on planted programs, some with limits that stand for none, and shapes that it takes."""
+
     def with_far_limits(case: int) -> tuple[QuadraticProgram, QuadraticProgram]:
         rng, n = np.random.default_rng([SEED, case]), 8
-        F, G, h, c = rng.standard_normal((n, n)), rng.standard_normal((12, n)), rng.random(12), rng.standard_normal(n)
+        F, G, h, c = (
+            rng.standard_normal((n, n)),
+            rng.standard_normal((12, n)),
+            rng.random(12),
+            rng.standard_normal(n),
+        )
         P, pairs = F @ F.T / n + 0.1 * np.eye(n), np.eye(n) + np.roll(np.eye(n), 1, axis=1)
         far = np.concatenate([h, 10.0 ** rng.uniform(9.0, 19.0, n)])
         stated = QuadraticProgram(P, c, np.vstack([G, pairs]), far, lower=-2.0)
@@ -964,43 +1292,88 @@ def named_engines() -> Iterator[Input]:
 
     for case in range(10):
         for engine in ("daqp", "piqp", "clarabel"):
-            yield Input("engines by name", f"{engine}, far limits {case}", partial(with_far_limits, case),
-                        lambda stated, engine=engine: solve(stated[0], engine),
-                        lambda stated, result: _by_value(stated[1], result, value_of_others(stated[1])))
+            yield Input(
+                "engines by name",
+                f"{engine}, far limits {case}",
+                partial(with_far_limits, case),
+                lambda stated, engine=engine: solve(stated[0], engine),
+                lambda stated, result: _by_value(stated[1], result, value_of_others(stated[1])),
+            )
     for one in planted_programs(20):
         for engine in ("daqp", "piqp", "clarabel"):
-            yield Input("engines by name", f"{engine}, {one.name}", one.state,
-                        lambda stated, engine=engine: solve(stated[1], engine), one.judge)
+            yield Input(
+                "engines by name",
+                f"{engine}, {one.name}",
+                one.state,
+                lambda stated, engine=engine: solve(stated[1], engine),
+                one.judge,
+            )
     for one in shapes(full=False):
-        engines = ("piqp", "clarabel") if sp.csr_array(one.state().P).nnz else ("piqp", "clarabel", "highs")
+        engines = (
+            ("piqp", "clarabel")
+            if sp.csr_array(one.state().P).nnz
+            else ("piqp", "clarabel", "highs")
+        )
         for engine in engines:
-            yield Input("engines by name", f"{engine}, {one.name}", one.state,
-                        lambda program, engine=engine: solve(program, engine), one.judge)
+            yield Input(
+                "engines by name",
+                f"{engine}, {one.name}",
+                one.state,
+                lambda program, engine=engine: solve(program, engine),
+                one.judge,
+            )
 
 
 def named_over_cones() -> Iterator[Input]:
     """Every method over cones, on planted contacts and on published ones."""
     for one in [*cones(16), *published_contacts()]:
         for method in ("npgs", "newton", "interior_point"):
-            yield Input("cones by name", f"{method}, {one.name}", one.state,
-                        lambda problem, method=method: solve(problem, method), one.judge)
+            yield Input(
+                "cones by name",
+                f"{method}, {one.name}",
+                one.state,
+                lambda problem, method=method: solve(problem, method),
+                one.judge,
+            )
 
 
 SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
-    "applications": partial(applications, full=False), "collection": collection, "published LCPs": published_lcps,
-    "small LCPs": small_lcps, "plain structures": plain_structures, "contacts": contacts, "pyramids": pyramids,
+    "applications": partial(applications, full=False),
+    "collection": collection,
+    "published LCPs": published_lcps,
+    "small LCPs": small_lcps,
+    "plain structures": plain_structures,
+    "contacts": contacts,
+    "pyramids": pyramids,
     "unheld": unheld_structures,
-    "applications, larger": partial(applications, full=True), "obstacles": obstacles,
-    "marches": marches, "paths": paths, "laws": laws, "batches": batches,
-    "batches of programs": batches_of_programs, "published programs": published_programs,
-    "planted programs": planted_programs, "shapes of programs": partial(shapes, full=False),
-    "shapes of programs, larger": partial(shapes, full=True), "programs again": programs_again,
-    "outliers": outliers, "certify": certified, "certify, published": published_answers, "equilibria": equilibria,
+    "applications, larger": partial(applications, full=True),
+    "obstacles": obstacles,
+    "marches": marches,
+    "paths": paths,
+    "laws": laws,
+    "batches": batches,
+    "batches of programs": batches_of_programs,
+    "published programs": published_programs,
+    "planted programs": planted_programs,
+    "shapes of programs": partial(shapes, full=False),
+    "shapes of programs, larger": partial(shapes, full=True),
+    "programs again": programs_again,
+    "outliers": outliers,
+    "certify": certified,
+    "certify, published": published_answers,
+    "equilibria": equilibria,
     "followers without bounds": followers_without_bounds,
-    "least squares": least_squares, "least squares, larger": large_least_squares, "cones": cones,
-    "published contacts": published_contacts, "piles": piles, "piles in time": moving_piles,
-    "nonlinear": nonlinear, "nonlinear, vanishing": vanishing_slopes,
-    "nonlinear, proved": proved_nonlinear, "methods by name": named_methods, "engines by name": named_engines,
+    "least squares": least_squares,
+    "least squares, larger": large_least_squares,
+    "cones": cones,
+    "published contacts": published_contacts,
+    "piles": piles,
+    "piles in time": moving_piles,
+    "nonlinear": nonlinear,
+    "nonlinear, vanishing": vanishing_slopes,
+    "nonlinear, proved": proved_nonlinear,
+    "methods by name": named_methods,
+    "engines by name": named_engines,
     "cones by name": named_over_cones,
 }
 

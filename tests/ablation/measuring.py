@@ -97,7 +97,9 @@ def meetings(names: Sequence[str]) -> dict[str, list[list[str]]]:
     signal.signal(signal.SIGALRM, _give_up)
     with replaced([patch for patches in watched.values() for patch in patches], watched=True):
         for one in inputs():
-            before = {name: sum(patch.times for patch in patches) for name, patches in watched.items()}
+            before = {
+                name: sum(patch.times for patch in patches) for name, patches in watched.items()
+            }
             forget()
             ran = _run(one)
             _judged(one, *ran)  # some answers are computed when asked for
@@ -135,7 +137,9 @@ def measure(one: Input, patches: list[Patch], tally: Tally) -> None:
         on = _judged(one, *_run(one))
     with replaced(patches):
         off = _judged(one, *_run(one))
-    for _ in range(TIMES if max(on.seconds, off.seconds) <= QUICK else max(on.seconds, off.seconds) <= COMPILED):
+    for _ in range(
+        TIMES if max(on.seconds, off.seconds) <= QUICK else max(on.seconds, off.seconds) <= COMPILED
+    ):
         with replaced([]):
             on = on._replace(seconds=min(on.seconds, _run(one)[2].seconds))
         with replaced(patches):
@@ -158,7 +162,11 @@ def _run(one: Input) -> tuple[Any, Any, Ran]:
             has_raised = True
         finally:
             signal.alarm(0)
-        return problem, result, Ran(OPEN, 0.0, max(time.process_time() - begin, SHORTEST), has_raised)
+        return (
+            problem,
+            result,
+            Ran(OPEN, 0.0, max(time.process_time() - begin, SHORTEST), has_raised),
+        )
 
 
 def _judged(one: Input, problem: Any, result: Any, ran: Ran) -> Ran:

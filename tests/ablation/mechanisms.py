@@ -13,8 +13,17 @@ import numpy as np
 from .switching import Instead, Patch
 
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
-DIRECT, LEAST, CONES, EQUILIBRIA = "methods.direct", "problems.least_squares", "problems.cones", "problems.equilibria"
-INTERIOR, NEWTON, PROGRAMS = "methods.interior_point", "methods.newton.semismooth_newton", "problems.programs"
+DIRECT, LEAST, CONES, EQUILIBRIA = (
+    "methods.direct",
+    "problems.least_squares",
+    "problems.cones",
+    "problems.equilibria",
+)
+INTERIOR, NEWTON, PROGRAMS = (
+    "methods.interior_point",
+    "methods.newton.semismooth_newton",
+    "problems.programs",
+)
 PARAMETRIC = "problems.parametric"
 CALLS = f"{PROGRAMS}.engine_calls"
 NONLINEAR = "problems/nonlinear/test_nonlinear.py"
@@ -301,332 +310,720 @@ def is_late(choice: Any) -> bool:
 
 MECHANISMS = (
     # --- LCPs: what comes first
-    Mechanism("small loop", "small LCPs in one compiled call",
-              {"methods.small.small_dense:is_short": says(False)},
-              "methods/small/small_dense.py methods/small/kernels/small_problems.py methods/small/kernels/tableau.py "
-              "methods/small/kernels/small_systems.py methods/small/kernels/workspace.py"),
-    Mechanism("fused", "auto's first method in one compiled call where nobody watches",
-              {"core.solving.driver:fused": says(None)}, "core/solving/driver.py:fused"),
-    Mechanism("banded", "rounds of active sets on narrow bands",
-              {"methods.banded:Banded.predicted_passes": says(math.inf)}, "methods/banded"),
-    Mechanism("multigrid", "truncated V-cycles where sweeps are slow",
-              {"methods.multigrid:Multigrid.predicted_passes": says(math.inf)}, "methods/multigrid systems/hierarchy"),
-    Mechanism("psor", "relaxation found during the run, after npsor",
-              {"core.splittings.projected_relaxation:PSOR.predicted_passes": says(math.inf)}),
-    Mechanism("clear dominance", "psor at once where diagonal entries outweigh rows",
-              {"auto:_is_clearly_dominant": says(False)}, "auto.py:_is_clearly_dominant"),
-    Mechanism("triangles of M", "one exact sweep of a triangular M",
-              {"auto:_exact_order": says(None), "auto:_triangle": says(None)},
-              "auto.py:_exact_order auto.py:_triangle"),
-    Mechanism("coupling", "psor before multigrid along strong flows",
-              {"core.matrix.symmetry:mean_coupling": says(math.inf)}, "core/matrix/symmetry.py:mean_coupling"),
-    Mechanism("unheld", "a factor's pivots of 0 send auto to look for a proof",
-              {"proofs.no_solution.infeasibility:seems_unheld": says(False)},
-              "proofs/no_solution/infeasibility.py:seems_unheld proofs/no_solution/infeasibility.py:unheld_motion "
-              "proofs/no_solution/free_motion.py"),
-    Mechanism("units", "rows and columns of M scaled by powers of two",
-              {"core.matrix.scaling:scaling_of": says(None)}, "core/matrix/scaling.py",
-              "core/test_scaling.py::test_the_residual_tells_right_from_wrong_in_any_units"),
-    Mechanism("row signs", "equations of free unknowns in the sign in which M may be monotone",
-              {"core.matrix.row_signs:monotone_signs": says(None)},
-              "core/matrix/row_signs.py:monotone_signs core/matrix/row_signs.py:with_row_signs "
-              "core/matrix/row_signs.py:_spread core/matrix/row_signs.py:_has_minors",
-              "core/test_row_signs.py::test_a_method_does_the_same_however_an_equation_is_signed"),
-    Mechanism("last system", "long runs end with the linear system of the case they found",
-              {"auto:EndsWithItsCase.last_system": says(None)},
-              "auto.py:EndsWithItsCase methods/newton/active_set.py:solve_case"),
-    Mechanism("moved to bounds", "a row right with its unknown at the bound that is near is right",
-              {"core.certificates.own_terms:_at_bounds": given_back(1)}, "core/certificates/own_terms.py:_at_bounds"),
+    Mechanism(
+        "small loop",
+        "small LCPs in one compiled call",
+        {"methods.small.small_dense:is_short": says(False)},
+        "methods/small/small_dense.py methods/small/kernels/small_problems.py methods/small/kernels/tableau.py "
+        "methods/small/kernels/small_systems.py methods/small/kernels/workspace.py",
+    ),
+    Mechanism(
+        "fused",
+        "auto's first method in one compiled call where nobody watches",
+        {"core.solving.driver:fused": says(None)},
+        "core/solving/driver.py:fused",
+    ),
+    Mechanism(
+        "banded",
+        "rounds of active sets on narrow bands",
+        {"methods.banded:Banded.predicted_passes": says(math.inf)},
+        "methods/banded",
+    ),
+    Mechanism(
+        "multigrid",
+        "truncated V-cycles where sweeps are slow",
+        {"methods.multigrid:Multigrid.predicted_passes": says(math.inf)},
+        "methods/multigrid systems/hierarchy",
+    ),
+    Mechanism(
+        "psor",
+        "relaxation found during the run, after npsor",
+        {"core.splittings.projected_relaxation:PSOR.predicted_passes": says(math.inf)},
+    ),
+    Mechanism(
+        "clear dominance",
+        "psor at once where diagonal entries outweigh rows",
+        {"auto:_is_clearly_dominant": says(False)},
+        "auto.py:_is_clearly_dominant",
+    ),
+    Mechanism(
+        "triangles of M",
+        "one exact sweep of a triangular M",
+        {"auto:_exact_order": says(None), "auto:_triangle": says(None)},
+        "auto.py:_exact_order auto.py:_triangle",
+    ),
+    Mechanism(
+        "coupling",
+        "psor before multigrid along strong flows",
+        {"core.matrix.symmetry:mean_coupling": says(math.inf)},
+        "core/matrix/symmetry.py:mean_coupling",
+    ),
+    Mechanism(
+        "unheld",
+        "a factor's pivots of 0 send auto to look for a proof",
+        {"proofs.no_solution.infeasibility:seems_unheld": says(False)},
+        "proofs/no_solution/infeasibility.py:seems_unheld proofs/no_solution/infeasibility.py:unheld_motion "
+        "proofs/no_solution/free_motion.py",
+    ),
+    Mechanism(
+        "units",
+        "rows and columns of M scaled by powers of two",
+        {"core.matrix.scaling:scaling_of": says(None)},
+        "core/matrix/scaling.py",
+        "core/test_scaling.py::test_the_residual_tells_right_from_wrong_in_any_units",
+    ),
+    Mechanism(
+        "row signs",
+        "equations of free unknowns in the sign in which M may be monotone",
+        {"core.matrix.row_signs:monotone_signs": says(None)},
+        "core/matrix/row_signs.py:monotone_signs core/matrix/row_signs.py:with_row_signs "
+        "core/matrix/row_signs.py:_spread core/matrix/row_signs.py:_has_minors",
+        "core/test_row_signs.py::test_a_method_does_the_same_however_an_equation_is_signed",
+    ),
+    Mechanism(
+        "last system",
+        "long runs end with the linear system of the case they found",
+        {"auto:EndsWithItsCase.last_system": says(None)},
+        "auto.py:EndsWithItsCase methods/newton/active_set.py:solve_case",
+    ),
+    Mechanism(
+        "moved to bounds",
+        "a row right with its unknown at the bound that is near is right",
+        {"core.certificates.own_terms:_at_bounds": given_back(1)},
+        "core/certificates/own_terms.py:_at_bounds",
+    ),
     # --- LCPs: the direct methods
-    Mechanism("condensed", "unknowns without bounds eliminated by one factor",
-              {"methods.newton.condensed:condensing_passes": says(math.inf)}, "methods/newton/condensed.py"),
-    Mechanism("largest point", "−M an M-matrix: one system decides",
-              {"proofs.verdicts.report:is_negated_m_matrix": says(False)},
-              "methods/search/stages.py:LargestPoint proofs/verdicts/report.py:is_negated_m_matrix"),
-    Mechanism("first search", "all cases of few unknowns before other direct methods",
-              {f"{DIRECT}:may_be_searched": says(False)},
-              "methods/direct.py:may_be_searched methods/direct.py:_first_look methods/search/kernels.py"),
-    Mechanism("search", "all cases of few unknowns: solutions and proofs",
-              {f"{DIRECT}:may_be_searched": says(False), f"{DIRECT}:_at_last": without("search")}, "methods/search"),
-    Mechanism("whole tree", "a search for all solutions is exact where a pass in doubles leaves cases open",
-              {"methods.search:whole_tree": says(None)}, "methods/search/outlines.py:whole_tree",
-              "methods/search/test_all_cases.py::test_an_exact_search_for_all_is_left_the_open_cases"),
-    Mechanism("motions", "explain() sees free unknowns that may move beyond the size of a dense inverse",
-              {"proofs.misleading:_motions": says(None)}, "proofs/misleading.py:_motions",
-              "core/test_driver.py::test_flows_that_split_freely_are_no_wrong_digits"),
-    Mechanism("feasibility", "a linear program looks for a proof that there is no solution",
-              {f"{DIRECT}:_by_prospects": without("feasibility")}, "methods/search/stages.py:FeasibilityCheck"),
-    Mechanism("one row", "a row that contradicts its bounds by itself is looked for first",
-              {"proofs.no_solution.infeasibility:contradictory_row": says(None)},
-              "proofs/no_solution/infeasibility.py:contradictory_row"),
-    Mechanism("some pivots", "pivots before a factor of a dense M",
-              {f"{DIRECT}:_by_prospects": yielding(lambda _, one: getattr(one.algorithm, "max_pivots", None) is None)},
-              claim="core/test_choice.py::test_a_budget_row_is_pivoted_before_it_is_factorised"),
-    Mechanism("lemke", "complementary pivoting",
-              {f"{DIRECT}:_by_prospects": without("lemke")}, "methods/lemke"),
-    Mechanism("newton", "semismooth Newton on LCPs",
-              {f"{DIRECT}:_by_prospects": without("newton")},
-              "methods/newton/semismooth_newton.py methods/newton/active_set.py",
-              claim="core/test_choice.py::test_a_grid_with_strong_flows_is_solved_by_newton"),
-    Mechanism("interior point", "PIQP on the program of an LCP",
-              {f"{DIRECT}:_by_prospects": without("interior_point")}, "methods/interior_point.py"),
-    Mechanism("lemke's starts", "arbitrary starts after the principled ones",
-              {"methods.lemke.pivoting_path:starts": Instead(no_starts, if_arbitrary)},
-              "methods/lemke/pivoting_path.py:_random_cell"),
-    Mechanism("games", "paths of Lemke and Howson on bimatrix games",
-              {"methods.lemke.games:bimatrix_players": says(None)},
-              "methods/lemke/games.py methods/lemke/pivoting_path.py:_lemke_howson"),
-    Mechanism("pyramids", "contacts with friction pyramids as cones of three unknowns each",
-              {"auto:Auto.first": Instead(lambda old: lambda self, problem: self._by_numbers(problem), if_pyramids)},
-              "problems/cones/pyramids.py problems/cones/kernels.py:_face problems/cones/kernels.py:_slide_on_pyramid "
-              "problems/cones/kernels.py:_edge_at problems/contact.py:Contacts.method"),
-    Mechanism("damped steps", "a line search on the function of Fischer and Burmeister",
-              {f"{NEWTON}:damped_steps": nothing()},
-              "methods/newton/semismooth_newton.py:damped_steps methods/newton/semismooth_newton.py:_full_step "
-              "methods/newton/semismooth_newton.py:_searched methods/newton/semismooth_newton.py:_newton_direction"),
+    Mechanism(
+        "condensed",
+        "unknowns without bounds eliminated by one factor",
+        {"methods.newton.condensed:condensing_passes": says(math.inf)},
+        "methods/newton/condensed.py",
+    ),
+    Mechanism(
+        "largest point",
+        "−M an M-matrix: one system decides",
+        {"proofs.verdicts.report:is_negated_m_matrix": says(False)},
+        "methods/search/stages.py:LargestPoint proofs/verdicts/report.py:is_negated_m_matrix",
+    ),
+    Mechanism(
+        "first search",
+        "all cases of few unknowns before other direct methods",
+        {f"{DIRECT}:may_be_searched": says(False)},
+        "methods/direct.py:may_be_searched methods/direct.py:_first_look methods/search/kernels.py",
+    ),
+    Mechanism(
+        "search",
+        "all cases of few unknowns: solutions and proofs",
+        {f"{DIRECT}:may_be_searched": says(False), f"{DIRECT}:_at_last": without("search")},
+        "methods/search",
+    ),
+    Mechanism(
+        "whole tree",
+        "a search for all solutions is exact where a pass in doubles leaves cases open",
+        {"methods.search:whole_tree": says(None)},
+        "methods/search/outlines.py:whole_tree",
+        "methods/search/test_all_cases.py::test_an_exact_search_for_all_is_left_the_open_cases",
+    ),
+    Mechanism(
+        "motions",
+        "explain() sees free unknowns that may move beyond the size of a dense inverse",
+        {"proofs.misleading:_motions": says(None)},
+        "proofs/misleading.py:_motions",
+        "core/test_driver.py::test_flows_that_split_freely_are_no_wrong_digits",
+    ),
+    Mechanism(
+        "feasibility",
+        "a linear program looks for a proof that there is no solution",
+        {f"{DIRECT}:_by_prospects": without("feasibility")},
+        "methods/search/stages.py:FeasibilityCheck",
+    ),
+    Mechanism(
+        "one row",
+        "a row that contradicts its bounds by itself is looked for first",
+        {"proofs.no_solution.infeasibility:contradictory_row": says(None)},
+        "proofs/no_solution/infeasibility.py:contradictory_row",
+    ),
+    Mechanism(
+        "some pivots",
+        "pivots before a factor of a dense M",
+        {
+            f"{DIRECT}:_by_prospects": yielding(
+                lambda _, one: getattr(one.algorithm, "max_pivots", None) is None
+            )
+        },
+        claim="core/test_choice.py::test_a_budget_row_is_pivoted_before_it_is_factorised",
+    ),
+    Mechanism(
+        "lemke",
+        "complementary pivoting",
+        {f"{DIRECT}:_by_prospects": without("lemke")},
+        "methods/lemke",
+    ),
+    Mechanism(
+        "newton",
+        "semismooth Newton on LCPs",
+        {f"{DIRECT}:_by_prospects": without("newton")},
+        "methods/newton/semismooth_newton.py methods/newton/active_set.py",
+        claim="core/test_choice.py::test_a_grid_with_strong_flows_is_solved_by_newton",
+    ),
+    Mechanism(
+        "interior point",
+        "PIQP on the program of an LCP",
+        {f"{DIRECT}:_by_prospects": without("interior_point")},
+        "methods/interior_point.py",
+    ),
+    Mechanism(
+        "lemke's starts",
+        "arbitrary starts after the principled ones",
+        {"methods.lemke.pivoting_path:starts": Instead(no_starts, if_arbitrary)},
+        "methods/lemke/pivoting_path.py:_random_cell",
+    ),
+    Mechanism(
+        "games",
+        "paths of Lemke and Howson on bimatrix games",
+        {"methods.lemke.games:bimatrix_players": says(None)},
+        "methods/lemke/games.py methods/lemke/pivoting_path.py:_lemke_howson",
+    ),
+    Mechanism(
+        "pyramids",
+        "contacts with friction pyramids as cones of three unknowns each",
+        {
+            "auto:Auto.first": Instead(
+                lambda old: lambda self, problem: self._by_numbers(problem), if_pyramids
+            )
+        },
+        "problems/cones/pyramids.py problems/cones/kernels.py:_face problems/cones/kernels.py:_slide_on_pyramid "
+        "problems/cones/kernels.py:_edge_at problems/contact.py:Contacts.method",
+    ),
+    Mechanism(
+        "damped steps",
+        "a line search on the function of Fischer and Burmeister",
+        {f"{NEWTON}:damped_steps": nothing()},
+        "methods/newton/semismooth_newton.py:damped_steps methods/newton/semismooth_newton.py:_full_step "
+        "methods/newton/semismooth_newton.py:_searched methods/newton/semismooth_newton.py:_newton_direction",
+    ),
     # --- multigrid
-    Mechanism("nested start", "multigrid begins on the coarsest grid",
-              {"methods.multigrid.multigrid_run:MultigridRun._nested_start": skipped()},
-              "methods/multigrid/multigrid_run.py:MultigridRun._nested_start "
-              "methods/multigrid/multigrid_run.py:MultigridRun._add_coarse_problems "
-              "methods/multigrid/multigrid_run.py:MultigridRun._interpolated"),
-    Mechanism("Krylov", "conjugate steps preconditioned by V-cycles",
-              {"methods.multigrid.multigrid_run:MultigridRun._krylov": nothing()},
-              "methods/multigrid/multigrid_run.py:MultigridRun._krylov "
-              "systems/hierarchy/truncation.py:KrylovCorrection"),
+    Mechanism(
+        "nested start",
+        "multigrid begins on the coarsest grid",
+        {"methods.multigrid.multigrid_run:MultigridRun._nested_start": skipped()},
+        "methods/multigrid/multigrid_run.py:MultigridRun._nested_start "
+        "methods/multigrid/multigrid_run.py:MultigridRun._add_coarse_problems "
+        "methods/multigrid/multigrid_run.py:MultigridRun._interpolated",
+    ),
+    Mechanism(
+        "Krylov",
+        "conjugate steps preconditioned by V-cycles",
+        {"methods.multigrid.multigrid_run:MultigridRun._krylov": nothing()},
+        "methods/multigrid/multigrid_run.py:MultigridRun._krylov "
+        "systems/hierarchy/truncation.py:KrylovCorrection",
+    ),
     # --- interior points
-    Mechanism("descents", "active sets of falling objective where a dense program has bounds only",
-              {f"{INTERIOR}:ConvexProgram.descents": nothing()}, "methods/primal"),
-    Mechanism("cases", "the linear system of the case that an engine's point of an LCP shows",
-              {f"{INTERIOR}:_cases": nothing()}, "methods/interior_point.py:_cases"),
-    Mechanism("signs", "the program of a saddle point problem rather than that of its gap",
-              {f"{INTERIOR}:signs_of": says(None)}, "methods/interior_point.py:signs_of"),
-    Mechanism("monotone rows", "row factors that make M monotone",
-              {f"{INTERIOR}:monotone_rows": says(None)},
-              "methods/interior_point.py:monotone_rows methods/interior_point.py:_may_be_monotone",
-              "methods/test_interior_point.py::test_rows_of_a_definite_matrix_may_be_in_any_units"),
-    Mechanism("unit diagonal", "an engine is asked in units in which the diagonal of P is 1",
-              {f"{INTERIOR}:unit_of_diagonal": says(None)}, "methods/interior_point.py:unit_of_diagonal",
-              "methods/test_interior_point.py::test_a_kernel_in_other_units_takes_no_more_than_its_own_times_six"),
+    Mechanism(
+        "descents",
+        "active sets of falling objective where a dense program has bounds only",
+        {f"{INTERIOR}:ConvexProgram.descents": nothing()},
+        "methods/primal",
+    ),
+    Mechanism(
+        "cases",
+        "the linear system of the case that an engine's point of an LCP shows",
+        {f"{INTERIOR}:_cases": nothing()},
+        "methods/interior_point.py:_cases",
+    ),
+    Mechanism(
+        "signs",
+        "the program of a saddle point problem rather than that of its gap",
+        {f"{INTERIOR}:signs_of": says(None)},
+        "methods/interior_point.py:signs_of",
+    ),
+    Mechanism(
+        "monotone rows",
+        "row factors that make M monotone",
+        {f"{INTERIOR}:monotone_rows": says(None)},
+        "methods/interior_point.py:monotone_rows methods/interior_point.py:_may_be_monotone",
+        "methods/test_interior_point.py::test_rows_of_a_definite_matrix_may_be_in_any_units",
+    ),
+    Mechanism(
+        "unit diagonal",
+        "an engine is asked in units in which the diagonal of P is 1",
+        {f"{INTERIOR}:unit_of_diagonal": says(None)},
+        "methods/interior_point.py:unit_of_diagonal",
+        "methods/test_interior_point.py::test_a_kernel_in_other_units_takes_no_more_than_its_own_times_six",
+    ),
     # --- programs
-    Mechanism("engines", "programs answered by solvers of others, judged here",
-              {f"{CALLS}:engines_for": without_engines("daqp", "piqp", "clarabel", "highs")},
-              "engines problems/programs/engine_calls.py"),
-    Mechanism("daqp", "the engine of small dense programs", {f"{CALLS}:engines_for": without_engines("daqp")},
-              "engines/daqp.py"),
-    Mechanism("as given", "a small dense program to an active set as it stands, judged by sums of its terms",
-              {f"{PROGRAMS}.solving:solved_as_given": says(None)},
-              "problems/programs/engine_calls.py:solved_as_given problems/programs/criterion.py:Errors.above"),
-    Mechanism("daqp at last", "an active set where steps between the bounds have no answer",
-              {f"{CALLS}:engines_for": yielding(lambda _, engine: not engine.options)}, "",
-              "problems/programs/test_convex_programs.py::"
-              "test_units_and_limits_that_nobody_reaches_cost_no_steps"),
-    Mechanism("PIQP", "the engine of all other programs", {f"{CALLS}:engines_for": without_engines("piqp")},
-              "engines/piqp.py"),
-    Mechanism("Clarabel", "the engine that is asked last", {f"{CALLS}:engines_for": without_engines("clarabel")},
-              "engines/clarabel.py"),
-    Mechanism("HiGHS", "the engine of linear programs", {f"{CALLS}:engines_for": without_engines("highs")},
-              "engines/highs.py"),
-    Mechanism("engine polish", "the linear system of the case that an engine's point names",
-              {"engines.polish:polished": nothing()}, "engines/polish.py"),
-    Mechanism("engine units", "an engine is asked again in units fitted to a program's entries",
-              {"engines.statement:Prepared.of": Instead(in_given_units, if_in_other_units)}),
-    Mechanism("far limits", "an engine is asked again without limits far beyond all others",
-              {"engines.statement:far_limits": differing(no_limit)}, "engines/statement.py:far_limits"),
-    Mechanism("what acts", "rows and costs too small to count beside what acts at the answer",
-              {f"{PROGRAMS}.criterion:Acting.of": Instead(lambda old: lambda cls, *_: cls(0.0, 0.0, np.zeros(1)))},
-              "problems/programs/criterion.py:Acting"),
-    Mechanism("hidden costs", "far out, where columns cancel, rounding hides no cost that a nearer point has not",
-              {"problems.least_squares.enclosures:Enclosures.hidden_costs": says((np.zeros(1), np.zeros(1, np.bool_)))},
-              "problems/least_squares/certificate.py:_basic problems/least_squares/certificate.py:_near_answer",
-              "problems/least_squares/test_least_squares.py::"
-              "test_no_large_row_that_shares_columns_excuses_rounding"),
-    Mechanism("Newton's falls", "what is SOLVED costs no more than where Newton's steps lead",
-              {f"{PROGRAMS}.newton_falls:newton_fall": says(0.0)}, "problems/programs/newton_falls.py",
-              "problems/programs/test_criterion.py::"
-              "test_what_is_solved_of_a_nearly_singular_curvature_is_right"),
-    Mechanism("folded rows", "rows with one entry become bounds",
-              {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)}),
-    Mechanism("defined variables", "what an equation alone defines is put in before a run",
-              {f"{PROGRAMS}.reductions:DefinedVariables.of": says(None)},
-              "problems/programs/reductions.py:DefinedVariables",
-              "problems/programs/test_reductions.py::test_sweeps_take_residuals_that_equations_define"),
-    Mechanism("noise", "rounding beside the largest of an engine's numbers put to 0",
-              {f"{PROGRAMS}.engine_calls:without_noise": says(())}, "problems/programs/engine_calls.py:without_noise",
-              "published/test_programs.py::test_value_and_violations_are_those_published"),
-    Mechanism("at rest", "an engine's point without what is rounding beside its equations, where no force is left",
-              {f"{PROGRAMS}.engine_calls:at_rest": says(())}, "problems/programs/engine_calls.py:at_rest",
-              "problems/programs/test_convex_programs.py::test_an_exact_fit_is_optimal"),
-    Mechanism("seen contradictions", "multipliers of engines and of least squares that a proof is made of",
-              {f"{PROGRAMS}.program:ProgramFacts.sees_contradiction": says(False)},
-              "problems/programs/contradictions.py problems/programs/program.py:ProgramFacts.sees_contradiction "
-              "problems/programs/no_minimum.py:refuted",
-              "problems/programs/test_contradictions.py::test_contradictions_on_graphs_take_no_linear_program"),
-    Mechanism("unheld programs", "a factor of P asks for a proof before a run",
-              {f"{PROGRAMS}.no_minimum:prove_unheld": says(None)}, "problems/programs/no_minimum.py:prove_unheld"),
+    Mechanism(
+        "engines",
+        "programs answered by solvers of others, judged here",
+        {f"{CALLS}:engines_for": without_engines("daqp", "piqp", "clarabel", "highs")},
+        "engines problems/programs/engine_calls.py",
+    ),
+    Mechanism(
+        "daqp",
+        "the engine of small dense programs",
+        {f"{CALLS}:engines_for": without_engines("daqp")},
+        "engines/daqp.py",
+    ),
+    Mechanism(
+        "as given",
+        "a small dense program to an active set as it stands, judged by sums of its terms",
+        {f"{PROGRAMS}.solving:solved_as_given": says(None)},
+        "problems/programs/engine_calls.py:solved_as_given problems/programs/criterion.py:Errors.above",
+    ),
+    Mechanism(
+        "daqp at last",
+        "an active set where steps between the bounds have no answer",
+        {f"{CALLS}:engines_for": yielding(lambda _, engine: not engine.options)},
+        "",
+        "problems/programs/test_convex_programs.py::"
+        "test_units_and_limits_that_nobody_reaches_cost_no_steps",
+    ),
+    Mechanism(
+        "PIQP",
+        "the engine of all other programs",
+        {f"{CALLS}:engines_for": without_engines("piqp")},
+        "engines/piqp.py",
+    ),
+    Mechanism(
+        "Clarabel",
+        "the engine that is asked last",
+        {f"{CALLS}:engines_for": without_engines("clarabel")},
+        "engines/clarabel.py",
+    ),
+    Mechanism(
+        "HiGHS",
+        "the engine of linear programs",
+        {f"{CALLS}:engines_for": without_engines("highs")},
+        "engines/highs.py",
+    ),
+    Mechanism(
+        "engine polish",
+        "the linear system of the case that an engine's point names",
+        {"engines.polish:polished": nothing()},
+        "engines/polish.py",
+    ),
+    Mechanism(
+        "engine units",
+        "an engine is asked again in units fitted to a program's entries",
+        {"engines.statement:Prepared.of": Instead(in_given_units, if_in_other_units)},
+    ),
+    Mechanism(
+        "far limits",
+        "an engine is asked again without limits far beyond all others",
+        {"engines.statement:far_limits": differing(no_limit)},
+        "engines/statement.py:far_limits",
+    ),
+    Mechanism(
+        "what acts",
+        "rows and costs too small to count beside what acts at the answer",
+        {
+            f"{PROGRAMS}.criterion:Acting.of": Instead(
+                lambda old: lambda cls, *_: cls(0.0, 0.0, np.zeros(1))
+            )
+        },
+        "problems/programs/criterion.py:Acting",
+    ),
+    Mechanism(
+        "hidden costs",
+        "far out, where columns cancel, rounding hides no cost that a nearer point has not",
+        {
+            "problems.least_squares.enclosures:Enclosures.hidden_costs": says(
+                (np.zeros(1), np.zeros(1, np.bool_))
+            )
+        },
+        "problems/least_squares/certificate.py:_basic problems/least_squares/certificate.py:_near_answer",
+        "problems/least_squares/test_least_squares.py::"
+        "test_no_large_row_that_shares_columns_excuses_rounding",
+    ),
+    Mechanism(
+        "Newton's falls",
+        "what is SOLVED costs no more than where Newton's steps lead",
+        {f"{PROGRAMS}.newton_falls:newton_fall": says(0.0)},
+        "problems/programs/newton_falls.py",
+        "problems/programs/test_criterion.py::"
+        "test_what_is_solved_of_a_nearly_singular_curvature_is_right",
+    ),
+    Mechanism(
+        "folded rows",
+        "rows with one entry become bounds",
+        {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)},
+    ),
+    Mechanism(
+        "defined variables",
+        "what an equation alone defines is put in before a run",
+        {f"{PROGRAMS}.reductions:DefinedVariables.of": says(None)},
+        "problems/programs/reductions.py:DefinedVariables",
+        "problems/programs/test_reductions.py::test_sweeps_take_residuals_that_equations_define",
+    ),
+    Mechanism(
+        "noise",
+        "rounding beside the largest of an engine's numbers put to 0",
+        {f"{PROGRAMS}.engine_calls:without_noise": says(())},
+        "problems/programs/engine_calls.py:without_noise",
+        "published/test_programs.py::test_value_and_violations_are_those_published",
+    ),
+    Mechanism(
+        "at rest",
+        "an engine's point without what is rounding beside its equations, where no force is left",
+        {f"{PROGRAMS}.engine_calls:at_rest": says(())},
+        "problems/programs/engine_calls.py:at_rest",
+        "problems/programs/test_convex_programs.py::test_an_exact_fit_is_optimal",
+    ),
+    Mechanism(
+        "seen contradictions",
+        "multipliers of engines and of least squares that a proof is made of",
+        {f"{PROGRAMS}.program:ProgramFacts.sees_contradiction": says(False)},
+        "problems/programs/contradictions.py problems/programs/program.py:ProgramFacts.sees_contradiction "
+        "problems/programs/no_minimum.py:refuted",
+        "problems/programs/test_contradictions.py::test_contradictions_on_graphs_take_no_linear_program",
+    ),
+    Mechanism(
+        "unheld programs",
+        "a factor of P asks for a proof before a run",
+        {f"{PROGRAMS}.no_minimum:prove_unheld": says(None)},
+        "problems/programs/no_minimum.py:prove_unheld",
+    ),
     # --- least squares
-    Mechanism("nnls", "scipy's nnls on dense problems with bounds on one side",
-              {f"{LEAST}.engine_points:_by_nnls": Instead(nothing_found)},
-              "problems/least_squares/engine_points.py:_by_nnls"),
-    Mechanism("nnls as given", "small nonnegative problems by nnls as they stand, judged at once",
-              {f"{LEAST}.engine_points:nonnegative_as_given": says(None)},
-              "problems/least_squares/engine_points.py:nonnegative_as_given"),
-    Mechanism("PIQP of least squares", "PIQP on boxes, and on the dual",
-              {f"{LEAST}.engine_points:_by_piqp": Instead(no_point)},
-              "problems/least_squares/engine_points.py:_by_bounds "
-              "problems/least_squares/engine_points.py:dual_program"),
-    Mechanism("face of an engine's point", "an engine's point solved on the face that it names",
-              {f"{LEAST}.engine_points:on_its_face": Instead(lambda old: lambda point, A, b: point)},
-              "problems/least_squares/engine_points.py:on_its_face",
-              "problems/least_squares/test_least_squares.py::test_boxed_problems_as_by_scipy_bvls"),
-    Mechanism("small slopes", "faces of a lasso whose penalties are far below the data",
-              {f"{LEAST}.engine_points:_with_small_slopes": Instead(lambda old: lambda *_: iter(()))},
-              "problems/least_squares/engine_points.py:_with_small_slopes",
-              "problems/least_squares/test_lasso.py::test_penalties_far_below_the_data_are_no_trouble"),
-    Mechanism("projected steps", "projected gradients and conjugate steps",
-              {f"{LEAST}.run:projected_steps": only_start()},
-              "problems/least_squares/steps.py:projected_steps problems/least_squares/steps.py:_conjugate_steps "
-              "problems/least_squares/steps.py:_spectral_steps"),
-    Mechanism("refined steps", "active sets solved to the last digit of each row",
-              {f"{LEAST}.run:refined_steps": only_start()}, "problems/least_squares/refined_steps.py"),
-    Mechanism("repaired duals", "dual points repaired for the certificate of least squares",
-              {f"{LEAST}.certificate:_repaired": nothing()},
-              "problems/least_squares/certificate.py:_repaired problems/least_squares/certificate.py:_pushes"),
+    Mechanism(
+        "nnls",
+        "scipy's nnls on dense problems with bounds on one side",
+        {f"{LEAST}.engine_points:_by_nnls": Instead(nothing_found)},
+        "problems/least_squares/engine_points.py:_by_nnls",
+    ),
+    Mechanism(
+        "nnls as given",
+        "small nonnegative problems by nnls as they stand, judged at once",
+        {f"{LEAST}.engine_points:nonnegative_as_given": says(None)},
+        "problems/least_squares/engine_points.py:nonnegative_as_given",
+    ),
+    Mechanism(
+        "PIQP of least squares",
+        "PIQP on boxes, and on the dual",
+        {f"{LEAST}.engine_points:_by_piqp": Instead(no_point)},
+        "problems/least_squares/engine_points.py:_by_bounds "
+        "problems/least_squares/engine_points.py:dual_program",
+    ),
+    Mechanism(
+        "face of an engine's point",
+        "an engine's point solved on the face that it names",
+        {f"{LEAST}.engine_points:on_its_face": Instead(lambda old: lambda point, A, b: point)},
+        "problems/least_squares/engine_points.py:on_its_face",
+        "problems/least_squares/test_least_squares.py::test_boxed_problems_as_by_scipy_bvls",
+    ),
+    Mechanism(
+        "small slopes",
+        "faces of a lasso whose penalties are far below the data",
+        {f"{LEAST}.engine_points:_with_small_slopes": Instead(lambda old: lambda *_: iter(()))},
+        "problems/least_squares/engine_points.py:_with_small_slopes",
+        "problems/least_squares/test_lasso.py::test_penalties_far_below_the_data_are_no_trouble",
+    ),
+    Mechanism(
+        "projected steps",
+        "projected gradients and conjugate steps",
+        {f"{LEAST}.run:projected_steps": only_start()},
+        "problems/least_squares/steps.py:projected_steps problems/least_squares/steps.py:_conjugate_steps "
+        "problems/least_squares/steps.py:_spectral_steps",
+    ),
+    Mechanism(
+        "refined steps",
+        "active sets solved to the last digit of each row",
+        {f"{LEAST}.run:refined_steps": only_start()},
+        "problems/least_squares/refined_steps.py",
+    ),
+    Mechanism(
+        "repaired duals",
+        "dual points repaired for the certificate of least squares",
+        {f"{LEAST}.certificate:_repaired": nothing()},
+        "problems/least_squares/certificate.py:_repaired problems/least_squares/certificate.py:_pushes",
+    ),
     # --- cones
-    Mechanism("cone loop", "small problems over cones in one compiled loop",
-              {f"{CONES}.solving:_is_for_the_loop": says(False)},
-              "problems/cones/small.py problems/cones/small_kernels.py"),
-    Mechanism("cone bodies", "contacts of few bodies: Newton's method and a central path over the velocities of these",
-              {f"{CONES}.solving:has_few_bodies": says(False)},
-              "problems/cones/step_kernels.py problems/cones/path_kernels.py problems/cones/body_kernels.py "
-              "problems/cones/block_factors.py",
-              "problems/cones/test_cones.py::test_the_velocities_of_bodies_are_a_system_of_less_work"),
-    Mechanism("growing friction", "Newton's method along friction that grows from none",
-              {f"{CONES}.solving:ConeAuto._stages": without("continuation")},
-              "problems/cones/methods.py:Continuation",
-              "problems/cones/test_cones.py::test_planted_contacts_that_jam_are_solved_along_their_friction"),
-    Mechanism("cone programs", "a fixed point over convex programs at the end of auto's chain",
-              {f"{CONES}.solving:ConeAuto._stages": without("fixed_point")},
-              claim="problems/cones/test_cones.py::test_towers_that_get_heavier_upwards_stand"),
-    Mechanism("late stages", "more sweeps and other starts at the end",
-              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))},
-              claim="problems/cones/test_cones.py::test_groups_of_contacts_are_right_each"),
-    Mechanism("cone interior", "an interior point along the central path of contacts",
-              {f"{CONES}.solving:ConeAuto._stages": without("interior_point")},
-              "problems/cones/methods.py:InteriorPoint problems/cones/central_path.py",
-              "problems/cones/test_cones.py::test_the_central_path_spares_starts_at_random"),
-    Mechanism("cone restarts", "Newton from starts moved at random",
-              {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not getattr(one.algorithm, "seed", 0))}),
-    Mechanism("cone proofs", "a conic program looks for a proof that there is no answer",
-              {f"{CONES}.solving:ConeAuto._stages": without("infeasibility")}, "problems/cones/infeasibility.py"),
-    Mechanism("cone floor", "small problems at the limit of rounding end where the compiled loop has left them",
-              {f"{CONES}.solving:_at_rounding_level": says(None)}, "problems/cones/solving.py:_at_rounding_level",
-              "problems/cones/test_cones.py::test_what_rounding_limits_ends_after_one_look"),
-    Mechanism("components of cones", "components that a common run leaves open, each alone",
-              {f"{CONES}.solving:_solved_apart": Instead(lambda old: lambda together, *_: together)},
-              "problems/cones/solving.py:_solved_apart problems/cones/solving.py:_open_components"),
-    Mechanism("last step of cones", "the linear system of the cases that a run found",
-              {f"{CONES}.solving:ConeJudge.final": Instead(lambda old: lambda self, z, *_: self.certificate_of(z))},
-              "problems/cones/solving.py:ConeJudge.final",
-              "problems/cones/test_cones.py::test_a_run_ends_with_the_linear_system_of_its_cases"),
+    Mechanism(
+        "cone loop",
+        "small problems over cones in one compiled loop",
+        {f"{CONES}.solving:_is_for_the_loop": says(False)},
+        "problems/cones/small.py problems/cones/small_kernels.py",
+    ),
+    Mechanism(
+        "cone bodies",
+        "contacts of few bodies: Newton's method and a central path over the velocities of these",
+        {f"{CONES}.solving:has_few_bodies": says(False)},
+        "problems/cones/step_kernels.py problems/cones/path_kernels.py problems/cones/body_kernels.py "
+        "problems/cones/block_factors.py",
+        "problems/cones/test_cones.py::test_the_velocities_of_bodies_are_a_system_of_less_work",
+    ),
+    Mechanism(
+        "growing friction",
+        "Newton's method along friction that grows from none",
+        {f"{CONES}.solving:ConeAuto._stages": without("continuation")},
+        "problems/cones/methods.py:Continuation",
+        "problems/cones/test_cones.py::test_planted_contacts_that_jam_are_solved_along_their_friction",
+    ),
+    Mechanism(
+        "cone programs",
+        "a fixed point over convex programs at the end of auto's chain",
+        {f"{CONES}.solving:ConeAuto._stages": without("fixed_point")},
+        claim="problems/cones/test_cones.py::test_towers_that_get_heavier_upwards_stand",
+    ),
+    Mechanism(
+        "late stages",
+        "more sweeps and other starts at the end",
+        {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))},
+        claim="problems/cones/test_cones.py::test_groups_of_contacts_are_right_each",
+    ),
+    Mechanism(
+        "cone interior",
+        "an interior point along the central path of contacts",
+        {f"{CONES}.solving:ConeAuto._stages": without("interior_point")},
+        "problems/cones/methods.py:InteriorPoint problems/cones/central_path.py",
+        "problems/cones/test_cones.py::test_the_central_path_spares_starts_at_random",
+    ),
+    Mechanism(
+        "cone restarts",
+        "Newton from starts moved at random",
+        {
+            f"{CONES}.solving:ConeAuto._stages": yielding(
+                lambda _, one: not getattr(one.algorithm, "seed", 0)
+            )
+        },
+    ),
+    Mechanism(
+        "cone proofs",
+        "a conic program looks for a proof that there is no answer",
+        {f"{CONES}.solving:ConeAuto._stages": without("infeasibility")},
+        "problems/cones/infeasibility.py",
+    ),
+    Mechanism(
+        "cone floor",
+        "small problems at the limit of rounding end where the compiled loop has left them",
+        {f"{CONES}.solving:_at_rounding_level": says(None)},
+        "problems/cones/solving.py:_at_rounding_level",
+        "problems/cones/test_cones.py::test_what_rounding_limits_ends_after_one_look",
+    ),
+    Mechanism(
+        "components of cones",
+        "components that a common run leaves open, each alone",
+        {f"{CONES}.solving:_solved_apart": Instead(lambda old: lambda together, *_: together)},
+        "problems/cones/solving.py:_solved_apart problems/cones/solving.py:_open_components",
+    ),
+    Mechanism(
+        "last step of cones",
+        "the linear system of the cases that a run found",
+        {
+            f"{CONES}.solving:ConeJudge.final": Instead(
+                lambda old: lambda self, z, *_: self.certificate_of(z)
+            )
+        },
+        "problems/cones/solving.py:ConeJudge.final",
+        "problems/cones/test_cones.py::test_a_run_ends_with_the_linear_system_of_its_cases",
+    ),
     # --- nonlinear
-    Mechanism("nonlinear restarts", "other starts of small nonlinear problems",
-              {f"{STEPS}.start_elsewhere": says(False)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun.start_elsewhere"),
-    Mechanism("proximal", "linearisations with a larger diagonal", {f"{STEPS}._proximal": says(None)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal "
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point",
-              f"{NONLINEAR}::test_steps_that_are_far_too_long_are_shortened"),
-    Mechanism("descent", "steepest descent at last", {f"{STEPS}._descended": says(None)},
-              "problems/nonlinear/josephy_newton.py:_NewtonRun._descended",
-              f"{NONLINEAR}::test_of_several_solutions_one_near_the_start_is_found"),
-    Mechanism("Krawczyk", "proves a solution of a nonlinear problem near an answer",
-              {"problems.nonlinear.krawczyk:krawczyk_bound": says(None)}, "problems/nonlinear/krawczyk.py"),
+    Mechanism(
+        "nonlinear restarts",
+        "other starts of small nonlinear problems",
+        {f"{STEPS}.start_elsewhere": says(False)},
+        "problems/nonlinear/josephy_newton.py:_NewtonRun.start_elsewhere",
+    ),
+    Mechanism(
+        "proximal",
+        "linearisations with a larger diagonal",
+        {f"{STEPS}._proximal": says(None)},
+        "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal "
+        "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point",
+        f"{NONLINEAR}::test_steps_that_are_far_too_long_are_shortened",
+    ),
+    Mechanism(
+        "descent",
+        "steepest descent at last",
+        {f"{STEPS}._descended": says(None)},
+        "problems/nonlinear/josephy_newton.py:_NewtonRun._descended",
+        f"{NONLINEAR}::test_of_several_solutions_one_near_the_start_is_found",
+    ),
+    Mechanism(
+        "Krawczyk",
+        "proves a solution of a nonlinear problem near an answer",
+        {"problems.nonlinear.krawczyk:krawczyk_bound": says(None)},
+        "problems/nonlinear/krawczyk.py",
+    ),
     # --- equilibria
-    Mechanism("own nodes", "branch and bound of ours before and after SCIP",
-              {f"{EQUILIBRIA}.branch_and_bound:BranchAndBound._search": skipped()},
-              "problems/equilibria/branch_and_bound.py:BranchAndBound._search "
-              "problems/equilibria/branch_and_bound.py:BranchAndBound._branch "
-              "problems/equilibria/branch_and_bound.py:BranchAndBound._settle "
-              "problems/equilibria/branch_and_bound.py:BranchAndBound._pair"),
-    Mechanism("SCIP", "another's global search where ours is long",
-              {"interfaces.scip:minimize_or_none": says(None)}, "interfaces/scip.py",
-              "problems/equilibria/test_best_equilibrium_network.py::test_a_bilinear_leader_is_solved_by_scip"),
-    Mechanism("lower level", "bounds that a monotone lower level gives",
-              {f"{EQUILIBRIA}.lower_level:tightened": given_back()}, "problems/equilibria/lower_level.py"),
-    Mechanism("leaders first", "incumbents from followers solved for given leaders",
-              {f"{EQUILIBRIA}.incumbents:LocalSearch.from_leaders": skipped()},
-              "problems/equilibria/incumbents.py:LocalSearch.from_leaders "
-              "problems/equilibria/incumbents.py:followers_solved problems/equilibria/incumbents.py:leaders "
-              "problems/equilibria/incumbents.py:_followed",
-              "problems/equilibria/test_best_equilibrium_network.py"
-              "::test_the_optimum_on_a_network_is_believed_with_scip_and_found_without"),
-    Mechanism("incumbents", "solutions from the points of relaxations",
-              {f"{EQUILIBRIA}.incumbents:LocalSearch.from_point": says(None)},
-              "problems/equilibria/incumbents.py:LocalSearch.from_point"),
+    Mechanism(
+        "own nodes",
+        "branch and bound of ours before and after SCIP",
+        {f"{EQUILIBRIA}.branch_and_bound:BranchAndBound._search": skipped()},
+        "problems/equilibria/branch_and_bound.py:BranchAndBound._search "
+        "problems/equilibria/branch_and_bound.py:BranchAndBound._branch "
+        "problems/equilibria/branch_and_bound.py:BranchAndBound._settle "
+        "problems/equilibria/branch_and_bound.py:BranchAndBound._pair",
+    ),
+    Mechanism(
+        "SCIP",
+        "another's global search where ours is long",
+        {"interfaces.scip:minimize_or_none": says(None)},
+        "interfaces/scip.py",
+        "problems/equilibria/test_best_equilibrium_network.py::test_a_bilinear_leader_is_solved_by_scip",
+    ),
+    Mechanism(
+        "lower level",
+        "bounds that a monotone lower level gives",
+        {f"{EQUILIBRIA}.lower_level:tightened": given_back()},
+        "problems/equilibria/lower_level.py",
+    ),
+    Mechanism(
+        "leaders first",
+        "incumbents from followers solved for given leaders",
+        {f"{EQUILIBRIA}.incumbents:LocalSearch.from_leaders": skipped()},
+        "problems/equilibria/incumbents.py:LocalSearch.from_leaders "
+        "problems/equilibria/incumbents.py:followers_solved problems/equilibria/incumbents.py:leaders "
+        "problems/equilibria/incumbents.py:_followed",
+        "problems/equilibria/test_best_equilibrium_network.py"
+        "::test_the_optimum_on_a_network_is_believed_with_scip_and_found_without",
+    ),
+    Mechanism(
+        "incumbents",
+        "solutions from the points of relaxations",
+        {f"{EQUILIBRIA}.incumbents:LocalSearch.from_point": says(None)},
+        "problems/equilibria/incumbents.py:LocalSearch.from_point",
+    ),
     # --- certify
-    Mechanism("sharp distance", "how far an x is, by its residuals",
-              {f"{PROGRAMS}.certification:ProgramProofs.sharpened": given_back(1)},
-              "problems/programs/sharp_distances.py problems/programs/certification.py:ProgramProofs.sharpened"),
-    Mechanism("dual slack", "dual points repaired to have the signs that are needed",
-              {f"{BOUNDS}._with_slack": given_back(1)}, "problems/programs/dual_bounds.py:DualBounds._with_slack"),
-    Mechanism("exact dual", "the dual bound in exact arithmetic",
-              {f"{BOUNDS}._exact_value": says(-math.inf)}, "problems/programs/dual_bounds.py:DualBounds._exact_value"),
-    Mechanism("implied box", "bounds of unknowns that the rows imply",
-              {f"{PROGRAMS}.dual_bounds:implied_box": differing(lambda old: lambda one: (one.lower, one.upper))},
-              "problems/programs/dual_bounds.py:implied_box problems/programs/dual_bounds.py:_tighten"),
-    Mechanism("exact points", "feasible points in exact arithmetic",
-              {f"{PROGRAMS}.feasible_points:FeasiblePoints.exactly_near": says(None)},
-              "problems/programs/feasible_points.py:FeasiblePoints.exactly_near",
-              "problems/programs/test_certify.py::test_feasible_points_are_feasible"),
+    Mechanism(
+        "sharp distance",
+        "how far an x is, by its residuals",
+        {f"{PROGRAMS}.certification:ProgramProofs.sharpened": given_back(1)},
+        "problems/programs/sharp_distances.py problems/programs/certification.py:ProgramProofs.sharpened",
+    ),
+    Mechanism(
+        "dual slack",
+        "dual points repaired to have the signs that are needed",
+        {f"{BOUNDS}._with_slack": given_back(1)},
+        "problems/programs/dual_bounds.py:DualBounds._with_slack",
+    ),
+    Mechanism(
+        "exact dual",
+        "the dual bound in exact arithmetic",
+        {f"{BOUNDS}._exact_value": says(-math.inf)},
+        "problems/programs/dual_bounds.py:DualBounds._exact_value",
+    ),
+    Mechanism(
+        "implied box",
+        "bounds of unknowns that the rows imply",
+        {
+            f"{PROGRAMS}.dual_bounds:implied_box": differing(
+                lambda old: lambda one: (one.lower, one.upper)
+            )
+        },
+        "problems/programs/dual_bounds.py:implied_box problems/programs/dual_bounds.py:_tighten",
+    ),
+    Mechanism(
+        "exact points",
+        "feasible points in exact arithmetic",
+        {f"{PROGRAMS}.feasible_points:FeasiblePoints.exactly_near": says(None)},
+        "problems/programs/feasible_points.py:FeasiblePoints.exactly_near",
+        "problems/programs/test_certify.py::test_feasible_points_are_feasible",
+    ),
     # --- many
-    Mechanism("lesson", "a step of a march begins with what ended the one before",
-              {"problems.march.marching:StepPolicy.following": says(None)}, "problems/march/marching.py",
-              "problems/march/test_march_beginnings.py::test_rows_without_bounds_are_eliminated_once"),
-    Mechanism("march loop", "steps of banded marches in one compiled loop",
-              {"problems.march:_fused": nothing()},
-              "problems/march/__init__.py:_fused methods/banded/march_kernels.py"),
+    Mechanism(
+        "lesson",
+        "a step of a march begins with what ended the one before",
+        {"problems.march.marching:StepPolicy.following": says(None)},
+        "problems/march/marching.py",
+        "problems/march/test_march_beginnings.py::test_rows_without_bounds_are_eliminated_once",
+    ),
+    Mechanism(
+        "march loop",
+        "steps of banded marches in one compiled loop",
+        {"problems.march:_fused": nothing()},
+        "problems/march/__init__.py:_fused methods/banded/march_kernels.py",
+    ),
     # --- paths
-    Mechanism("changes of an inverse", "the inverse of the free rows is changed by one row at a breakpoint",
-              {f"{PARAMETRIC}.free_block:FreeBlock.enter": Instead(lambda old: renewed_with),
-               f"{PARAMETRIC}.free_block:FreeBlock.leave": Instead(lambda old: renewed_without)},
-              "problems/parametric/free_block.py:FreeBlock.enter problems/parametric/free_block.py:FreeBlock.leave",
-              "problems/parametric/test_trace.py::test_a_change_costs_less_than_a_factor"),
-    Mechanism("segments of solutions", "a path goes along a segment of solutions at one value",
-              {f"{PARAMETRIC}.following:Follower._slide": ends()}, "problems/parametric/following.py:Follower._slide",
-              "problems/parametric/test_trace.py::test_linear_programs_move_along_faces"),
-    Mechanism("rows at rest", "unknowns that nothing determines rest where they are",
-              {f"{PARAMETRIC}.following:Follower._park": ends()}, "problems/parametric/following.py:Follower._park",
-              "problems/parametric/test_trace.py::test_what_nothing_determines_rests"),
-    Mechanism("lassos together", "breakpoints of least squares are certified together",
-              {f"{PARAMETRIC}.families:surely_optimal":
-               differing(lambda old: lambda problem, x, *_: np.zeros(len(x), dtype=bool))},
-              "problems/parametric/stacked_lasso.py"),
-    Mechanism("beside an end", "an end of a piece is judged just inside where data cancel at it",
-              {f"{PARAMETRIC}.families:Family.is_solved_beside": says(False)},
-              "problems/parametric/families.py:Family.is_solved_beside",
-              "problems/parametric/test_trace.py::test_terms_that_cancel_at_a_breakpoint_stall_no_path"),
-    Mechanism("behind a facet", "a solve behind a facet where one change of the case leads to no region",
-              {f"{PARAMETRIC}.exploring:_Family.solved": Instead(solved_once)}),
-    Mechanism("one change", "the next region is that of the case with one change, without a solve",
-              {f"{PARAMETRIC}.exploring:_Family.solved": Instead(remembered),
-               f"{PARAMETRIC}.exploring:_Family._region": Instead(of_answers_alone)},
-              claim="problems/parametric/test_regions.py::test_a_narrow_range_has_its_own_regions"),
-    Mechanism("batch loop", "small problems of a batch in one compiled loop",
-              {"problems.batches.batch_run:BatchRun._solve_compiled": skipped()},
-              "problems/batches/batch_run.py:BatchRun._solve_compiled "
-              "problems/batches/batch_run.py:BatchRun._run_compiled problems/batches/batch_groups.py"),
-    Mechanism("batch of programs", "small programs of a batch judged together",
-              {"problems.batches.program_batch:ProgramBatchRun._solve_compiled": skipped()},
-              "problems/batches/program_batch.py:ProgramBatchRun._solve_compiled"),
-    Mechanism("threads", "loops shared among threads: batches, worlds and marches 1.55–1.95 × on the wall of two cores",
-              {"core.kernels.threads:threads_for.__init__": Instead(lambda old: lambda self, count: old(self, 1))},
-              "core/kernels/threads.py problems/many/chunks.py",
-              "core/test_threads.py::test_pieces_run_at_the_same_time"),
+    Mechanism(
+        "changes of an inverse",
+        "the inverse of the free rows is changed by one row at a breakpoint",
+        {
+            f"{PARAMETRIC}.free_block:FreeBlock.enter": Instead(lambda old: renewed_with),
+            f"{PARAMETRIC}.free_block:FreeBlock.leave": Instead(lambda old: renewed_without),
+        },
+        "problems/parametric/free_block.py:FreeBlock.enter problems/parametric/free_block.py:FreeBlock.leave",
+        "problems/parametric/test_trace.py::test_a_change_costs_less_than_a_factor",
+    ),
+    Mechanism(
+        "segments of solutions",
+        "a path goes along a segment of solutions at one value",
+        {f"{PARAMETRIC}.following:Follower._slide": ends()},
+        "problems/parametric/following.py:Follower._slide",
+        "problems/parametric/test_trace.py::test_linear_programs_move_along_faces",
+    ),
+    Mechanism(
+        "rows at rest",
+        "unknowns that nothing determines rest where they are",
+        {f"{PARAMETRIC}.following:Follower._park": ends()},
+        "problems/parametric/following.py:Follower._park",
+        "problems/parametric/test_trace.py::test_what_nothing_determines_rests",
+    ),
+    Mechanism(
+        "lassos together",
+        "breakpoints of least squares are certified together",
+        {
+            f"{PARAMETRIC}.families:surely_optimal": differing(
+                lambda old: lambda problem, x, *_: np.zeros(len(x), dtype=bool)
+            )
+        },
+        "problems/parametric/stacked_lasso.py",
+    ),
+    Mechanism(
+        "beside an end",
+        "an end of a piece is judged just inside where data cancel at it",
+        {f"{PARAMETRIC}.families:Family.is_solved_beside": says(False)},
+        "problems/parametric/families.py:Family.is_solved_beside",
+        "problems/parametric/test_trace.py::test_terms_that_cancel_at_a_breakpoint_stall_no_path",
+    ),
+    Mechanism(
+        "behind a facet",
+        "a solve behind a facet where one change of the case leads to no region",
+        {f"{PARAMETRIC}.exploring:_Family.solved": Instead(solved_once)},
+    ),
+    Mechanism(
+        "one change",
+        "the next region is that of the case with one change, without a solve",
+        {
+            f"{PARAMETRIC}.exploring:_Family.solved": Instead(remembered),
+            f"{PARAMETRIC}.exploring:_Family._region": Instead(of_answers_alone),
+        },
+        claim="problems/parametric/test_regions.py::test_a_narrow_range_has_its_own_regions",
+    ),
+    Mechanism(
+        "batch loop",
+        "small problems of a batch in one compiled loop",
+        {"problems.batches.batch_run:BatchRun._solve_compiled": skipped()},
+        "problems/batches/batch_run.py:BatchRun._solve_compiled "
+        "problems/batches/batch_run.py:BatchRun._run_compiled problems/batches/batch_groups.py",
+    ),
+    Mechanism(
+        "batch of programs",
+        "small programs of a batch judged together",
+        {"problems.batches.program_batch:ProgramBatchRun._solve_compiled": skipped()},
+        "problems/batches/program_batch.py:ProgramBatchRun._solve_compiled",
+    ),
+    Mechanism(
+        "threads",
+        "loops shared among threads: batches, worlds and marches 1.55–1.95 × on the wall of two cores",
+        {
+            "core.kernels.threads:threads_for.__init__": Instead(
+                lambda old: lambda self, count: old(self, 1)
+            )
+        },
+        "core/kernels/threads.py problems/many/chunks.py",
+        "core/test_threads.py::test_pieces_run_at_the_same_time",
+    ),
 )
 NAMES = {one.name: one for one in MECHANISMS}
 HEAVIEST = (
-    "small loop", "multigrid", "banded", "units", "search", "lemke", "interior point", "newton",
+    "small loop",
+    "multigrid",
+    "banded",
+    "units",
+    "search",
+    "lemke",
+    "interior point",
+    "newton",
     "engines",
 )
 
@@ -649,8 +1046,16 @@ def _counted(file: Path, names: Sequence[str]) -> int:
         node = next(one for one in node.body if getattr(one, "name", "") == name)
     lines = text.splitlines()
     first, end = (getattr(node, "lineno", 1), getattr(node, "end_lineno", len(lines)))
-    kept = {k for k in range(first, end + 1) if (line := lines[k - 1].strip()) and not line.startswith("#")}
+    kept = {
+        k
+        for k in range(first, end + 1)
+        if (line := lines[k - 1].strip()) and not line.startswith("#")
+    }
     for one in ast.walk(node):
-        if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str):
+        if (
+            isinstance(one, ast.Expr)
+            and isinstance(one.value, ast.Constant)
+            and isinstance(one.value.value, str)
+        ):
             kept -= {*range(one.lineno, (one.end_lineno or one.lineno) + 1)}
     return len(kept)

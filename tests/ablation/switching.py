@@ -22,7 +22,9 @@ class Modules:
         self._seen: set[str] = set()
 
     def new(self) -> list[Any]:
-        names = [name for name in sys.modules if name.startswith(PACKAGE) and name not in self._seen]
+        names = [
+            name for name in sys.modules if name.startswith(PACKAGE) and name not in self._seen
+        ]
         self._seen.update(names)
         return [sys.modules[name] for name in names]
 
@@ -81,7 +83,11 @@ class Patch:
         owner: Any = import_module(f"{PACKAGE}{module}")
         for one in owners:
             owner = getattr(owner, one)
-        return owner, name, vars(owner)[name] if isinstance(owner, type) else getattr_static(owner, name)
+        return (
+            owner,
+            name,
+            vars(owner)[name] if isinstance(owner, type) else getattr_static(owner, name),
+        )
 
     def make(self, *, watched: bool) -> None:
         """Find what stands there, and make what is to stand there."""
@@ -110,8 +116,11 @@ class Patch:
         owner, name, _ = self.find()
         if callable(self._old):
             self._spots += [
-                (module, own) for module in self._modules.new() if module is not owner
-                for own, value in vars(module).items() if value is now
+                (module, own)
+                for module in self._modules.new()
+                if module is not owner
+                for own, value in vars(module).items()
+                if value is now
             ]
         for one, own in [(owner, name), *self._spots]:
             setattr(one, own, then)
@@ -137,7 +146,11 @@ _caches: list[Any] = []
 
 def forget() -> None:
     """Empty the caches of the package's functions, but those that make what is compared by identity (x² is SQUARE)."""
-    _caches.extend(value for module in _modules.new() for value in vars(module).values()
-                   if isinstance(value, _lru_cache_wrapper) and value.__module__ not in MAKES_IDENTITIES)
+    _caches.extend(
+        value
+        for module in _modules.new()
+        for value in vars(module).values()
+        if isinstance(value, _lru_cache_wrapper) and value.__module__ not in MAKES_IDENTITIES
+    )
     for one in _caches:
         one.cache_clear()

@@ -23,7 +23,19 @@ anything goes. What no input meets is not shown to be of use. Where inputs show 
 that test is named. Threads gain time on the wall, which is not counted here.
 
 """
-COLUMNS = ("mechanism", "what for", "met", "solved", "proved", "false", "work", "time", "at most", "lines", "loses")
+COLUMNS = (
+    "mechanism",
+    "what for",
+    "met",
+    "solved",
+    "proved",
+    "false",
+    "work",
+    "time",
+    "at most",
+    "lines",
+    "loses",
+)
 
 
 def columns() -> list[str]:
@@ -56,8 +68,11 @@ def write_page(rows: list[dict[str, str]]) -> None:
     lines = [HEAD.format(slower=SLOWER) + line(COLUMNS), line(["---"] * len(COLUMNS))]
     for name in [*NAMES, *pairs]:
         lines.append(line(cells_of(name, [row for row in rows if row["mechanism"] == name])))
-    free = [name for name, one in NAMES.items()
-            if name in measured and not (one.claim or lost(rows_of(rows, name)))]
+    free = [
+        name
+        for name, one in NAMES.items()
+        if name in measured and not (one.claim or lost(rows_of(rows, name)))
+    ]
     unmet = [name for name in free if not total(rows_of(rows, name), "met")]
     shown = [name + of_all(rows_of(rows, name)) for name in free if name not in unmet]
     lines += ["", f"Lose nothing, of so many that meet them: {', '.join(shown) or 'none'}."]
@@ -100,11 +115,16 @@ def lost(rows: list[dict[str, str]]) -> list[str]:
 def cells_of(name: str, rows: list[dict[str, str]]) -> list[str]:
     """Return the cells of a mechanism's line, or of a pair's."""
     parts = [NAMES[one] for one in name.split(" + ")]
-    purpose, lines = (parts[0].purpose if len(parts) == 1 else ""), str(sum(part.lines for part in parts))
+    purpose, lines = (
+        (parts[0].purpose if len(parts) == 1 else ""),
+        str(sum(part.lines for part in parts)),
+    )
     if not rows:
         return [name, purpose, "not measured", *[""] * 6, lines, ""]
     met = total(rows, "met")
-    counts = [f"{total(rows, one)} → {total(rows, f'{one}_off')}" for one in ("solved", "proved", "false")]
+    counts = [
+        f"{total(rows, one)} → {total(rows, f'{one}_off')}" for one in ("solved", "proved", "false")
+    ]
 
     def over_all(column: str) -> float:
         logs = [int(row["met"]) * math.log(float(row[column])) for row in rows]

@@ -42,7 +42,10 @@ def test_a_claim_is_a_test() -> None:
 
 def test_what_is_no_more_is_missed() -> None:
     """A mechanism that has another name now, or another module, fails."""
-    with pytest.raises(KeyError), replaced([Patch("methods.small.small_dense:SmallDenseSolver.taken", says(None))]):
+    with (
+        pytest.raises(KeyError),
+        replaced([Patch("methods.small.small_dense:SmallDenseSolver.taken", says(None))]),
+    ):
         pass
     with pytest.raises(ModuleNotFoundError), replaced([Patch("methods.smaller:taken", says(None))]):
         pass
@@ -57,8 +60,13 @@ def test_names_are_unique() -> None:
 def test_page_has_a_line_for_each() -> None:
     """ablation.md is what the rows that were measured say, a line a mechanism."""
     text = table.PAGE.read_text(encoding="utf-8")
-    assert [line.split(" | ")[0].removeprefix("| ") for line in text.splitlines() if line.startswith("| ")][2:] == [
-        *NAMES, *dict.fromkeys(row["mechanism"] for row in table.read() if " + " in row["mechanism"]),
+    assert [
+        line.split(" | ")[0].removeprefix("| ")
+        for line in text.splitlines()
+        if line.startswith("| ")
+    ][2:] == [
+        *NAMES,
+        *dict.fromkeys(row["mechanism"] for row in table.read() if " + " in row["mechanism"]),
     ]
 
 
@@ -81,13 +89,17 @@ def test_package_is_put_back() -> None:
 
 def test_a_loss_is_seen() -> None:
     """What raises without a mechanism, and so has no answer, is counted against leaving it out."""
+
     def wrong(old: Any) -> Any:
         return lambda *_, **__: 1 / 0
 
     tally = measuring.Tally("none", "tiny")
     measuring.measure(one(), [Patch("auto:Auto.first", Instead(wrong))], tally)
     assert (tally.met, tally.solved, tally.solved_off, tally.raised_off) == (1, 1, 0, 1)
-    assert table.lost([dict(zip(tally.columns(), tally.cells(), strict=True))]) == ["1 solved", "1 raised"]
+    assert table.lost([dict(zip(tally.columns(), tally.cells(), strict=True))]) == [
+        "1 solved",
+        "1 raised",
+    ]
 
 
 def test_what_would_do_the_same_is_not_met(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,7 +120,9 @@ def test_false_answers_are_seen() -> None:
 @pytest.mark.full
 def test_unknown_names_are_refused() -> None:
     """Exit code 2, and the names that there are."""
-    done = subprocess.run([sys.executable, str(HERE), "bandid"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, str(HERE), "bandid"], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     assert "'bandid'; there are small loop" in done.stderr
 

@@ -62,11 +62,15 @@ class Entry:
 ENTRIES: dict[str, Entry] = {}
 
 
-def application(small: Any, full: Any) -> Callable[[Callable[..., Application]], Callable[..., Application]]:
+def application(
+    small: Any, full: Any
+) -> Callable[[Callable[..., Application]], Callable[..., Application]]:
     """Register a function with the arguments of each of its small and large cases."""
 
     def register(build: Callable[..., Application]) -> Callable[..., Application]:
-        ENTRIES[build.__name__] = Entry(build, *([c] if isinstance(c, dict) else c for c in (small, full)))
+        ENTRIES[build.__name__] = Entry(
+            build, *([c] if isinstance(c, dict) else c for c in (small, full))
+        )
         return build
 
     return register

@@ -20,10 +20,16 @@ from applications.table import all_runs, cases, differences, path_of, read, summ
 
 def main() -> int:
     """Print what changed and how auto stands; return the exit code: 2 for bad input."""
-    parser = argparse.ArgumentParser("python tests/applications", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        "python tests/applications", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("names", nargs="*", help="which applications; all without a name")
-    parser.add_argument("--full", action="store_true", help="the large sizes, in a table of their own")
-    parser.add_argument("--against", metavar="COMMIT", help="compare the table with a commit's; nothing is measured")
+    parser.add_argument(
+        "--full", action="store_true", help="the large sizes, in a table of their own"
+    )
+    parser.add_argument(
+        "--against", metavar="COMMIT", help="compare the table with a commit's; nothing is measured"
+    )
     parser.add_argument("--dry-run", action="store_true", help="leave the table as it is")
     given = parser.parse_args()
     if unknown := set(given.names) - set(entries()):
@@ -31,8 +37,12 @@ def main() -> int:
     file = path_of(full=given.full)
     old = read(file.read_text(encoding="utf-8")) if file.exists() else {}
     if given.against:
-        shown = subprocess.run(["git", "show", f"{given.against}:./{file.name}"], cwd=file.parent, capture_output=True,
-                               text=True)
+        shown = subprocess.run(
+            ["git", "show", f"{given.against}:./{file.name}"],
+            cwd=file.parent,
+            capture_output=True,
+            text=True,
+        )
         if shown.returncode:
             parser.error(f"no table in {given.against}: {shown.stderr.strip()}")
         old, new = read(shown.stdout), old
@@ -41,11 +51,21 @@ def main() -> int:
         for case in cases(full=given.full, names=given.names):
             begin = time.perf_counter()
             new.update(case.measure(all_runs(full=given.full)))
-            print(f"{case.name} (n = {case.n}): {time.perf_counter() - begin:.1f} s", file=sys.stderr, flush=True)
+            print(
+                f"{case.name} (n = {case.n}): {time.perf_counter() - begin:.1f} s",
+                file=sys.stderr,
+                flush=True,
+            )
         if given.names:  # the others stay as they are, in their places
-            kept = {key: row for key, row in old.items() if key.problem.partition(" ")[0] not in given.names}
+            kept = {
+                key: row
+                for key, row in old.items()
+                if key.problem.partition(" ")[0] not in given.names
+            }
             both, order = {**kept, **new}, list(entries())
-            new = dict(sorted(both.items(), key=lambda row: order.index(row[0].problem.partition(" ")[0])))
+            new = dict(
+                sorted(both.items(), key=lambda row: order.index(row[0].problem.partition(" ")[0]))
+            )
         if not given.dry_run:
             file.write_text(written(new), encoding="utf-8")
     print("\n".join([*differences(old, new), *summary(new)]))

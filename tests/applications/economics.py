@@ -19,11 +19,22 @@ def spatial_prices(supplies: int, demands: int) -> Application:
     rng = np.random.default_rng(34)
     b, d = rng.uniform(0.5, 2.0, supplies), rng.uniform(0.5, 2.0, demands)
     a, c = rng.uniform(1.0, 5.0, supplies), rng.uniform(15.0, 30.0, demands)
-    cost = 10.0 * np.hypot(*(rng.random((supplies, 1)) - rng.random((1, demands)) for _ in range(2)))
-    M = np.kron(np.diag(b), np.ones((demands, demands))) + np.kron(np.ones((supplies, supplies)), np.diag(d))
+    cost = 10.0 * np.hypot(
+        *(rng.random((supplies, 1)) - rng.random((1, demands)) for _ in range(2))
+    )
+    M = np.kron(np.diag(b), np.ones((demands, demands))) + np.kron(
+        np.ones((supplies, supplies)), np.diag(d)
+    )
     q = (a[:, None] + cost - c).ravel()
-    return Application(sp.csr_array(M), q, answer=semidefinite,
-                       determined=lambda z: (z.reshape(supplies, demands).sum(1), z.reshape(supplies, demands).sum(0)))
+    return Application(
+        sp.csr_array(M),
+        q,
+        answer=semidefinite,
+        determined=lambda z: (
+            z.reshape(supplies, demands).sum(1),
+            z.reshape(supplies, demands).sum(0),
+        ),
+    )
 
 
 @application(small=dict(side=4, pairs=6), full=dict(side=8, pairs=40))
@@ -42,14 +53,24 @@ def traffic(side: int, pairs: int) -> Application:
             paths.append(streets)
             owner.append(pair)
     path = np.repeat(np.arange(len(paths)), [len(p) for p in paths])
-    uses = sp.coo_array((np.ones(path.size), (np.concatenate(paths), path)), shape=(2 * side**2, len(paths))).tocsr()
-    joins = sp.coo_array((np.ones(len(paths)), (owner, np.arange(len(paths)))), shape=(pairs, len(paths))).tocsr()
+    uses = sp.coo_array(
+        (np.ones(path.size), (np.concatenate(paths), path)), shape=(2 * side**2, len(paths))
+    ).tocsr()
+    joins = sp.coo_array(
+        (np.ones(len(paths)), (owner, np.arange(len(paths)))), shape=(pairs, len(paths))
+    ).tocsr()
     slope, free = rng.uniform(0.1, 2.0, 2 * side**2), rng.uniform(1.0, 3.0, 2 * side**2)
     demand = rng.uniform(1.0, 5.0, pairs)
-    M = sp.csr_array(sp.block_array([[uses.T @ sp.diags_array(slope) @ uses, -joins.T], [joins, None]]))
+    M = sp.csr_array(
+        sp.block_array([[uses.T @ sp.diags_array(slope) @ uses, -joins.T], [joins, None]])
+    )
     size = len(paths)
-    return Application(M, np.concatenate([uses.T @ free, -demand]), answer=semidefinite,
-                       determined=lambda z: (uses @ z[:size], z[size:]))
+    return Application(
+        M,
+        np.concatenate([uses.T @ free, -demand]),
+        answer=semidefinite,
+        determined=lambda z: (uses @ z[:size], z[size:]),
+    )
 
 
 @application(small=dict(firms=5, markets=8), full=dict(firms=15, markets=20))
@@ -90,5 +111,10 @@ def portfolio(assets: int) -> Application:
     gain, one = rng.uniform(0.0, 0.05, assets), np.ones((assets, 1))
     M = np.block([[risk, -one], [one.T, np.zeros((1, 1))]])
     lower = np.append(np.zeros(assets), -np.inf)
-    return Application(M, np.append(-gain, -1.0), lower=lower, determined=lambda z: (z[:-1], z[-1:]),
-                       program=QuadraticProgram(risk, -gain, A=one.T, b=[1.0], lower=0.0))
+    return Application(
+        M,
+        np.append(-gain, -1.0),
+        lower=lower,
+        determined=lambda z: (z[:-1], z[-1:]),
+        program=QuadraticProgram(risk, -gain, A=one.T, b=[1.0], lower=0.0),
+    )

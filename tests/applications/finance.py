@@ -18,7 +18,10 @@ def differences(x: Any) -> tuple[Any, Any]:
     n, span = x.size - 2, left + right
     first = [-right / (left * span), (right - left) / (left * right), left / (right * span)]
     second = [2.0 / (left * span), -2.0 / (left * right), 2.0 / (right * span)]
-    return tuple(sp.csr_array(sp.diags_array(three, offsets=[0, 1, 2], shape=(n, n + 2))) for three in (first, second))
+    return tuple(
+        sp.csr_array(sp.diags_array(three, offsets=[0, 1, 2], shape=(n, n + 2)))
+        for three in (first, second)
+    )
 
 
 def step(A: Any, payoff: Any, inner: Any, dt: float) -> Application:
@@ -33,7 +36,11 @@ def put(s: Any, dt: float = 0.1) -> Application:
     D, DD = differences(s)
     x, n = s[1:-1], s.size
     inside = sp.csr_array(sp.eye_array(n))[1:-1]
-    A = -0.5 * sp.diags_array((VOLATILITY * x) ** 2) @ DD - RATE * sp.diags_array(x) @ D + RATE * inside
+    A = (
+        -0.5 * sp.diags_array((VOLATILITY * x) ** 2) @ DD
+        - RATE * sp.diags_array(x) @ D
+        + RATE * inside
+    )
     return step(A, np.maximum(STRIKE - s, 0.0), np.arange(1, n - 1), dt)
 
 
@@ -54,7 +61,11 @@ def put_logarithmic(n: int) -> Application:
     """The same in x = log S, constant coefficients; Jaillet, Lamberton, Lapeyre (1990)."""
     x = np.linspace(-3.0, 3.0, n + 2)
     D, DD = differences(x)
-    A = -0.5 * VOLATILITY**2 * DD - (RATE - 0.5 * VOLATILITY**2) * D + RATE * sp.csr_array(sp.eye_array(n + 2))[1:-1]
+    A = (
+        -0.5 * VOLATILITY**2 * DD
+        - (RATE - 0.5 * VOLATILITY**2) * D
+        + RATE * sp.csr_array(sp.eye_array(n + 2))[1:-1]
+    )
     return step(A, STRIKE * np.maximum(1.0 - np.exp(x), 0.0), np.arange(1, n + 1), 0.1)
 
 
@@ -65,7 +76,11 @@ def two_assets(side: int) -> Application:
     D, DD = differences(x)
     inside = sp.csr_array(sp.eye_array(side + 2))[1:-1]
     a, b, drift = 0.3, 0.2, RATE
-    A = -0.5 * a * a * sp.kron(DD, inside) - 0.5 * b * b * sp.kron(inside, DD) - 0.6 * a * b * sp.kron(D, D)
+    A = (
+        -0.5 * a * a * sp.kron(DD, inside)
+        - 0.5 * b * b * sp.kron(inside, DD)
+        - 0.6 * a * b * sp.kron(D, D)
+    )
     A = A - (drift - 0.5 * a * a) * sp.kron(D, inside) - (drift - 0.5 * b * b) * sp.kron(inside, D)
     A = A + RATE * sp.kron(inside, inside)
     X, Y = np.meshgrid(x, x, indexing="ij")
@@ -77,8 +92,13 @@ def two_assets(side: int) -> Application:
 STEPS = (0.25, 0.02, 0.001)
 
 
-@application(small=[dict(m=m, k=k, dt=dt) for (m, k), dt in zip([(20, 10), (40, 16), (60, 20)], STEPS, strict=True)],
-             full=[dict(m=m, k=k, dt=dt) for m, k in ((100, 40), (200, 80), (400, 150)) for dt in STEPS])
+@application(
+    small=[
+        dict(m=m, k=k, dt=dt)
+        for (m, k), dt in zip([(20, 10), (40, 16), (60, 20)], STEPS, strict=True)
+    ],
+    full=[dict(m=m, k=k, dt=dt) for m, k in ((100, 40), (200, 80), (400, 150)) for dt in STEPS],
+)
 def heston(m: int, k: int, dt: float) -> Application:
     """Heston's put, m prices by k variances, four-point cross derivative, hybrid upwind; Ikonen, Toivanen (2009)."""
     strike, rate, sigma, kappa, theta, rho = 10.0, 0.1, 0.9, 5.0, 0.16, 0.1
@@ -90,9 +110,15 @@ def heston(m: int, k: int, dt: float) -> Application:
     # Upwind where the drift prevails, which is so much more diffusion, at v = 0 for one.
     along_s = np.maximum(0.5 * np.outer(s**2, v), 0.5 * rate * s[1] * s[:, None]).ravel()
     along_v = sp.diags_array(np.maximum(0.5 * sigma**2 * v, 0.5 * abs(pull) * v[1]))
-    A = -sp.diags_array(along_s) @ sp.kron(DDs, J) - sp.kron(I, along_v @ DDv) - rho * sigma * sp.kron(S @ Ds, V @ Dv)
+    A = (
+        -sp.diags_array(along_s) @ sp.kron(DDs, J)
+        - sp.kron(I, along_v @ DDv)
+        - rho * sigma * sp.kron(S @ Ds, V @ Dv)
+    )
     A = A - rate * sp.kron(S @ Ds, J) - sp.kron(I, sp.diags_array(pull) @ Dv) + rate * sp.kron(I, J)
-    inner = np.arange((m + 1) * (k + 1)).reshape(m + 1, k + 1)[1:].ravel()  # at s = 0 the price is the strike
+    inner = (
+        np.arange((m + 1) * (k + 1)).reshape(m + 1, k + 1)[1:].ravel()
+    )  # at s = 0 the price is the strike
     payoff = np.repeat(np.maximum(strike - s, 0.0), k + 1)
     return step(sp.csr_array(A)[inner], payoff, inner, dt)
 
@@ -100,8 +126,15 @@ def heston(m: int, k: int, dt: float) -> Application:
 def _closed(x: Any) -> tuple[Any, Any]:
     """Both derivatives at all nodes, the first 0 at both ends (Neumann)."""
     h, n = x[1] - x[0], x.size
-    D = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1], shape=(n, n)).tolil() / (2.0 * h)
-    DD = sp.diags_array([np.ones(n - 1), -2.0 * np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1]).tolil() / h**2
+    D = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1], shape=(n, n)).tolil() / (
+        2.0 * h
+    )
+    DD = (
+        sp.diags_array(
+            [np.ones(n - 1), -2.0 * np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1]
+        ).tolil()
+        / h**2
+    )
     D, DD = D.tolil(), DD.tolil()
     D[0, :2], D[-1, -2:] = 0.0, 0.0
     DD[0, 1], DD[-1, -2] = 2.0 / h**2, 2.0 / h**2
@@ -115,9 +148,15 @@ def merton(n: int) -> Application:
     D, DD = differences(x)
     rate, mean, spread = 0.8, -0.2, 0.3
     drop = np.exp(mean + 0.5 * spread**2) - 1.0
-    density = np.exp(-0.5 * ((x - x[1:-1, None] - mean) / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
+    density = np.exp(-0.5 * ((x - x[1:-1, None] - mean) / spread) ** 2) / (
+        spread * np.sqrt(2.0 * np.pi)
+    )
     inside = sp.csr_array(sp.eye_array(n + 2))[1:-1]
-    A = -0.5 * VOLATILITY**2 * DD - (RATE - 0.5 * VOLATILITY**2 - rate * drop) * D + (RATE + rate) * inside
+    A = (
+        -0.5 * VOLATILITY**2 * DD
+        - (RATE - 0.5 * VOLATILITY**2 - rate * drop) * D
+        + (RATE + rate) * inside
+    )
     A = A - sp.csr_array(rate * (x[1] - x[0]) * density)
     dense = step(A, STRIKE * np.maximum(1.0 - np.exp(x), 0.0), np.arange(1, n + 1), 0.1)
     return Application(dense.M.toarray(), dense.q, lower=dense.lower)
@@ -142,4 +181,6 @@ def queue(n: int) -> Application:
     up, down = 10.0 ** rng.uniform(-2, 2, n - 1), 10.0 ** rng.uniform(-2, 2, n - 1)
     leave = np.append(up, 0.0) + np.append(0.0, down)
     M = sp.diags_array([-down, leave + 0.05, -up], offsets=[-1, 0, 1])
-    return Application(sp.csr_array(M), 1.0 - 0.1 * rng.uniform(0.0, 40.0, n), lower=-rng.uniform(0.0, 5.0, n))
+    return Application(
+        sp.csr_array(M), 1.0 - 0.1 * rng.uniform(0.0, 40.0, n), lower=-rng.uniform(0.0, 5.0, n)
+    )

@@ -23,8 +23,13 @@ def support_vectors(samples: int) -> Application:
     Q = y[:, None] * y * np.exp(-2.0 * distance)
     M = np.block([[Q, -y[:, None]], [y[None], np.zeros((1, 1))]])
     lower, upper = np.append(np.zeros(samples), -np.inf), np.append(np.ones(samples), np.inf)
-    return Application(M, np.append(-np.ones(samples), 0.0), lower=lower, upper=upper,
-                       program=QuadraticProgram(Q, -np.ones(samples), A=y[None], b=[0.0], lower=0.0, upper=1.0))
+    return Application(
+        M,
+        np.append(-np.ones(samples), 0.0),
+        lower=lower,
+        upper=upper,
+        program=QuadraticProgram(Q, -np.ones(samples), A=y[None], b=[0.0], lower=0.0, upper=1.0),
+    )
 
 
 @application(small=dict(sources=40), full=dict(sources=300))
@@ -43,9 +48,13 @@ def image_restoration(side: int) -> Application:
     rng = np.random.default_rng(41)
     offsets = np.arange(-2, 3)
     weights = np.exp(-0.5 * offsets**2) / np.exp(-0.5 * offsets**2).sum()
-    blur = sp.diags_array([np.full(side - abs(k), w) for k, w in zip(offsets, weights, strict=True)], offsets=offsets)
+    blur = sp.diags_array(
+        [np.full(side - abs(k), w) for k, w in zip(offsets, weights, strict=True)], offsets=offsets
+    )
     K = sp.csr_array(sp.kron(blur, blur))
-    smooth = sp.kron(line(side, 1.0), sp.eye_array(side)) + sp.kron(sp.eye_array(side), line(side, 1.0))
+    smooth = sp.kron(line(side, 1.0), sp.eye_array(side)) + sp.kron(
+        sp.eye_array(side), line(side, 1.0)
+    )
     picture = np.kron(rng.integers(0, 2, size=(4, 4)), np.ones((side // 4, side // 4))).ravel()
     data: Any = K @ picture + 0.02 * rng.normal(size=side**2)
     return Application(sp.csr_array(K.T @ K + 1e-3 * smooth), -(K.T @ data), upper=1.0)

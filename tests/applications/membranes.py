@@ -13,7 +13,10 @@ from . import Application, application
 def line(n: int, h: float | None = None) -> Any:
     """−u'' at n inner nodes, u = 0 at both ends."""
     h = 1.0 / (n + 1) if h is None else h
-    return sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1]) / h**2
+    return (
+        sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+        / h**2
+    )
 
 
 def laplacian(*sides: int) -> Any:
@@ -26,7 +29,10 @@ def laplacian(*sides: int) -> Any:
 
 def nodes(*sides: int) -> Any:
     """Coordinates of the inner nodes of the unit square or cube, flat."""
-    return [x.ravel() for x in np.meshgrid(*(np.arange(1, n + 1) / (n + 1) for n in sides), indexing="ij")]
+    return [
+        x.ravel()
+        for x in np.meshgrid(*(np.arange(1, n + 1) / (n + 1) for n in sides), indexing="ij")
+    ]
 
 
 def conduction(x: Any, y: Any, k: Any) -> Any:
@@ -35,13 +41,20 @@ def conduction(x: Any, y: Any, k: Any) -> Any:
     nx, ny = x.size, y.size
     index = np.arange(nx * ny).reshape(nx, ny)
     inner = index[1:-1, 1:-1].ravel()
-    east = 0.5 * (k[:, :-1] * hy[:-1] + k[:, 1:] * hy[1:]) / hx[:, None]  # faces between (i, j) and (i + 1, j), j inner
+    east = (
+        0.5 * (k[:, :-1] * hy[:-1] + k[:, 1:] * hy[1:]) / hx[:, None]
+    )  # faces between (i, j) and (i + 1, j), j inner
     north = 0.5 * (k[:-1] * hx[:-1, None] + k[1:] * hx[1:, None]) / hy
     a = np.concatenate([index[:-1, 1:-1].ravel(), index[1:-1, :-1].ravel()])
     b = np.concatenate([index[1:, 1:-1].ravel(), index[1:-1, 1:].ravel()])
     g = np.concatenate([east.ravel(), north.ravel()])
-    A = sp.coo_array((np.concatenate([g, g, -g, -g]), (np.concatenate([a, b, a, b]), np.concatenate([a, b, b, a]))),
-                     shape=(nx * ny, nx * ny)).tocsr()
+    A = sp.coo_array(
+        (
+            np.concatenate([g, g, -g, -g]),
+            (np.concatenate([a, b, a, b]), np.concatenate([a, b, b, a])),
+        ),
+        shape=(nx * ny, nx * ny),
+    ).tocsr()
     return sp.csr_array(A[inner][:, inner])
 
 
@@ -49,7 +62,9 @@ def conduction(x: Any, y: Any, k: Any) -> Any:
 def obstacle_2d(side: int) -> Application:
     """A membrane over hills and between, as every course on variational inequalities has it; Rodrigues (1987), §1.3."""
     x, y = nodes(side, side)
-    return Application(laplacian(side, side), np.zeros(side**2), lower=np.sin(9.2 * x) * np.sin(9.3 * y))
+    return Application(
+        laplacian(side, side), np.zeros(side**2), lower=np.sin(9.2 * x) * np.sin(9.3 * y)
+    )
 
 
 @application(small=dict(side=10), full=dict(side=26))
@@ -57,7 +72,11 @@ def obstacle_3d(side: int) -> Application:
     """A concentration kept above a ball's profile; a free boundary in space; Rodrigues (1987), ch. 2."""
     x, y, z = nodes(side, side, side)
     M = laplacian(side, side, side)
-    return Application(M, np.full(side**3, 2.0), lower=0.3 - 4.0 * ((x - 0.5) ** 2 + (y - 0.5) ** 2 + (z - 0.4) ** 2))
+    return Application(
+        M,
+        np.full(side**3, 2.0),
+        lower=0.3 - 4.0 * ((x - 0.5) ** 2 + (y - 0.5) ** 2 + (z - 0.4) ** 2),
+    )
 
 
 @application(small=dict(side=30), full=dict(side=150))
@@ -65,7 +84,9 @@ def torsion(side: int) -> Application:
     """Stress function of a twisted square bar, |∇u| ≤ 1 as |u| ≤ distance; Moré, Toraldo (1991)."""
     x, y = nodes(side, side)
     distance = np.minimum(np.minimum(x, 1 - x), np.minimum(y, 1 - y))
-    return Application(laplacian(side, side), np.full(side**2, -5.0), lower=-distance, upper=distance)
+    return Application(
+        laplacian(side, side), np.full(side**2, -5.0), lower=-distance, upper=distance
+    )
 
 
 @application(small=dict(side=9), full=dict(side=24))
@@ -73,11 +94,18 @@ def torsion_3d(side: int) -> Application:
     """The same bound in the cube, a load that changes its sign; Glowinski, *Numerical Methods* (1984)."""
     x, y, z = nodes(side, side, side)
     distance = np.minimum.reduce([x, 1 - x, y, 1 - y, z, 1 - z])
-    return Application(laplacian(side, side, side), -20.0 * np.sin(6.0 * x) * (1 + y), lower=-distance, upper=distance)
+    return Application(
+        laplacian(side, side, side),
+        -20.0 * np.sin(6.0 * x) * (1 + y),
+        lower=-distance,
+        upper=distance,
+    )
 
 
-@application(small=[dict(side=24, eccentricity=0.1), dict(side=24, eccentricity=0.9)],
-             full=[dict(side=150, eccentricity=0.1), dict(side=150, eccentricity=0.9)])
+@application(
+    small=[dict(side=24, eccentricity=0.1), dict(side=24, eccentricity=0.9)],
+    full=[dict(side=150, eccentricity=0.1), dict(side=150, eccentricity=0.9)],
+)
 def bearing(side: int, eccentricity: float) -> Application:
     """Pressure of the film in a journal bearing, cavitation as p ≥ 0; Cryer (1971), MINPACK-2."""
     x, y = np.linspace(0.0, 2.0 * np.pi, side + 2), np.linspace(0.0, 20.0, side + 2)
@@ -137,7 +165,11 @@ def jumps(side: int) -> Application:
 def rotated_anisotropy(side: int) -> Application:
     """Diffusion along fibres at 30°, 1000 to 1, cross derivative by four points; Trottenberg et al. (2001), ch. 5."""
     c, s, e = np.cos(np.pi / 6), np.sin(np.pi / 6), 1e-3
-    D = sp.diags_array([-np.ones(side - 1), np.ones(side - 1)], offsets=[-1, 1], shape=(side, side)) * (side + 1) / 2
+    D = (
+        sp.diags_array([-np.ones(side - 1), np.ones(side - 1)], offsets=[-1, 1], shape=(side, side))
+        * (side + 1)
+        / 2
+    )
     L, eye = line(side), sp.eye_array(side)
     M = sp.kron((c * c + e * s * s) * L, eye) + sp.kron(eye, (s * s + e * c * c) * L)
     M = sp.csr_array(M - 2.0 * (1.0 - e) * c * s * sp.kron(D, D))

@@ -14,7 +14,9 @@ from scipy.sparse.linalg import splu
 ROUNDING = 1e-12  # of a row's own terms: what a right answer may leave
 LEAST_SQUARES = 1e-10  # and one of nonnegative least squares
 ROUNDS = 300
-PATIENCE = 8  # rounds without fewer wrong rows, until one row at a time is exchanged (Júdice and Pires)
+PATIENCE = (
+    8  # rounds without fewer wrong rows, until one row at a time is exchanged (Júdice and Pires)
+)
 
 
 class NoReference(Exception):
@@ -31,7 +33,10 @@ def active_sets(problem: Any, starts: Iterable[Any]) -> Any:
     for z in [*starts, np.clip(0.0, lower, upper)]:
         trial = z - (M @ z + q) / d
         try:
-            return checked(problem, _pivoted(problem, np.where(trial <= lower, -1, np.where(trial >= upper, 1, 0))))
+            return checked(
+                problem,
+                _pivoted(problem, np.where(trial <= lower, -1, np.where(trial >= upper, 1, 0))),
+            )
         except NoReference:
             continue
     raise NoReference("no active set ends in an answer")
@@ -113,7 +118,9 @@ def checked(problem: Any, z: Any, rounding: float = ROUNDING) -> Any:
     wrong = np.where(z <= lower, -w, np.where(z >= upper, w, abs(w)))
     wrong = np.where(lower == upper, 0.0, wrong)
     if (z < lower).any() or (z > upper).any() or (wrong > rounding * terms).any():
-        raise NoReference(f"wrong by {np.max(wrong / np.maximum(terms, 1e-300)):.1e} of a row's terms")
+        raise NoReference(
+            f"wrong by {np.max(wrong / np.maximum(terms, 1e-300)):.1e} of a row's terms"
+        )
     return z
 
 
@@ -122,7 +129,9 @@ def violation(problem: Any, z: Any) -> float:
     M, _, lower, upper = problem
     d = scale(M)
     first = np.clip(0.0, lower, upper)
-    norms = [float(abs(x - np.clip(x - slack(problem, x) / d, lower, upper)).max()) for x in (z, first)]
+    norms = [
+        float(abs(x - np.clip(x - slack(problem, x) / d, lower, upper)).max()) for x in (z, first)
+    ]
     return norms[0] / norms[1]
 
 

@@ -20,11 +20,20 @@ from . import Application, entries
 from .references import NoReference, active_sets
 
 HERE = Path(__file__).parent
-UNITS = ("own", "one", "rows", "both")  # one unknown, or all rows, or rows and columns, times powers of two
+UNITS = (
+    "own",
+    "one",
+    "rows",
+    "both",
+)  # one unknown, or all rows, or rows and columns, times powers of two
 LARGEST_UNIT, ONE_UNIT = 20, 12  # exponents
 NAMED = ("npsor", "psor", "newton", "multigrid", "interior_point", "lemke", "banded", "program")
 
-MORE_WORK, LARGER_ERROR, NO_ERROR = 1.1, 10.0, 1e-12  # what fails; errors below the last are rounding
+MORE_WORK, LARGER_ERROR, NO_ERROR = (
+    1.1,
+    10.0,
+    1e-12,
+)  # what fails; errors below the last are rounding
 FEW_PASSES = 5.0  # a pivot more or less is a matter of rounding: another processor's
 FAR_BEHIND = 3.0  # times the work of the best named method: nobody's choice, and often chaotic, so not compared
 CHAOTIC = 100.0  # times that: of auto in other units; paths of pivots there depend on the processor's rounding
@@ -34,7 +43,13 @@ TARGET = 1.5  # times the work of the best named method
 # A run ends here: no clock is asked.
 STEPS = {"auto": 10_000, "npsor": 2000, "psor": 2000, "multigrid": 150, "newton": 150, "interior_point": 100,
          "banded": 100}  # fmt: skip
-ROWS = {"newton": 50_000, "interior_point": 30_000, "lemke": 500, "banded": 12_000, "program": 30_000}  # else hopeless
+ROWS = {
+    "newton": 50_000,
+    "interior_point": 30_000,
+    "lemke": 500,
+    "banded": 12_000,
+    "program": 30_000,
+}  # else hopeless
 PLACES = {"newton": 2e6, "interior_point": 2e6}  # entries of M
 BAND = 60  # rows from the diagonal, beyond 200 rows
 
@@ -63,7 +78,15 @@ class Measured:
     @property
     def rank(self) -> int:
         """0 for solved, 3 for called solved though it is not."""
-        return 0 if self.is_solved else 3 if self.status == "SOLVED" else 1 if self.status == "PRECISION_LIMIT" else 2
+        return (
+            0
+            if self.is_solved
+            else 3
+            if self.status == "SOLVED"
+            else 1
+            if self.status == "PRECISION_LIMIT"
+            else 2
+        )
 
     def __str__(self) -> str:
         return f"{'falsely ' * (self.rank == 3)}{self.status}, work {self.work:g}, error {self.error:.1e}"
@@ -81,7 +104,9 @@ class Case:
         self.stated: Application = entries()[name].build(**arguments)
         one, q = self.stated, np.array(self.stated.q, dtype=float)
         n = q.size
-        lower, upper = (np.broadcast_to(np.asarray(bound, dtype=float), n) for bound in (one.lower, one.upper))
+        lower, upper = (
+            np.broadcast_to(np.asarray(bound, dtype=float), n) for bound in (one.lower, one.upper)
+        )
         self.is_dense = isinstance(one.M, np.ndarray)
         self.data = (sp.csr_array(one.M), q, lower, upper)
         self._reference: Any = None
@@ -104,8 +129,12 @@ class Case:
         c[self.n // 2] += ONE_UNIT * (units == "one")
         moved = M.copy()
         moved.data = np.ldexp(M.data, np.repeat(r, np.diff(M.indptr)) + c[M.indices])
-        problem = LCP(moved.toarray() if self.is_dense else moved, np.ldexp(q, r),
-                      lower=np.ldexp(lower, -c), upper=np.ldexp(upper, -c))
+        problem = LCP(
+            moved.toarray() if self.is_dense else moved,
+            np.ldexp(q, r),
+            lower=np.ldexp(lower, -c),
+            upper=np.ldexp(upper, -c),
+        )
         return problem, c
 
     def error(self, z: Any, starts: Iterable[Any]) -> float:
@@ -113,7 +142,9 @@ class Case:
         if self.stated.error is not None:
             return self.stated.error(z)
         found, exact = self.stated.determined(z), self.stated.determined(self.reference(starts))
-        return max(float(abs(a - b).max() / abs(b).max()) for a, b in zip(found, exact, strict=True))
+        return max(
+            float(abs(a - b).max() / abs(b).max()) for a, b in zip(found, exact, strict=True)
+        )
 
     def reference(self, starts: Iterable[Any]) -> Any:
         if self._reference is None:
@@ -160,10 +191,15 @@ class Case:
                 ran = self.run(method, units)
                 if ran is not None:
                     runs[method, units] = ran
-        starts = [z for result, z in sorted(runs.values(), key=lambda ran: ran[0].status.name != "SOLVED")
-                  if np.isfinite(z).all()]
+        starts = [
+            z
+            for result, z in sorted(runs.values(), key=lambda ran: ran[0].status.name != "SOLVED")
+            if np.isfinite(z).all()
+        ]
         for (method, units), (result, z) in runs.items():
-            work = sum(stage.work for stage in result.stages) if method == "program" else result.work
+            work = (
+                sum(stage.work for stage in result.stages) if method == "program" else result.work
+            )
             error = self._error_of(method, z, starts)
             row = Measured(self.n, result.status.name, float(f"{work:.5g}"), float(f"{error:.1e}"))
             if method == "auto" or (row.is_solved if units == "own" else row.rank == 3):
@@ -205,8 +241,9 @@ def path_of(*, full: bool) -> Path:
 def read(text: str) -> Table:
     """Return the table that a file holds."""
     return {
-        Key(row["problem"], row["method"], row["units"]):
-        Measured(int(row["n"]), row["status"], float(row["work"]), float(row["error"]))
+        Key(row["problem"], row["method"], row["units"]): Measured(
+            int(row["n"]), row["status"], float(row["work"]), float(row["error"])
+        )
         for row in csv.DictReader(io.StringIO(text))
     }
 
@@ -214,7 +251,10 @@ def read(text: str) -> Table:
 def written(table: Table) -> str:
     """Return the file of a table, a line a row."""
     lines = [",".join(COLUMNS)]
-    lines += [f"{','.join(key)},{row.n},{row.status},{row.work:g},{row.error:.1e}" for key, row in table.items()]
+    lines += [
+        f"{','.join(key)},{row.n},{row.status},{row.work:g},{row.error:.1e}"
+        for key, row in table.items()
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -223,11 +263,15 @@ def written(table: Table) -> str:
 
 def regressions(old: Table, new: Table) -> list[str]:
     """Return a line for each row of `old` that is worse in `new`, and for each that only `new` has falsely SOLVED."""
-    lines = [f"{' '.join(key)}: {row}" for key, row in new.items() if row.rank == 3 and key not in old]
+    lines = [
+        f"{' '.join(key)}: {row}" for key, row in new.items() if row.rank == 3 and key not in old
+    ]
     least = best_of_named(old)
     for key, before in old.items():
         after = new.get(key)
-        if key.method != "auto" and (key.units != "own" or before.work > FAR_BEHIND * least[key.problem][1]):
+        if key.method != "auto" and (
+            key.units != "own" or before.work > FAR_BEHIND * least[key.problem][1]
+        ):
             continue
         if after is None:
             why = "no longer solved"
@@ -236,7 +280,8 @@ def regressions(old: Table, new: Table) -> list[str]:
         elif after.rank < before.rank or after.rank > 0:
             continue  # better, or as unsolved as before
         elif after.work > max(MORE_WORK * before.work, before.work + FEW_PASSES) and not (
-            key.units != "own" and before.work > CHAOTIC * max(least.get(key.problem, ("", np.inf))[1], 1.0)
+            key.units != "own"
+            and before.work > CHAOTIC * max(least.get(key.problem, ("", np.inf))[1], 1.0)
         ):
             why = f"{after.work / before.work:.2f} × the work"
         elif after.error > LARGER_ERROR * max(before.error, NO_ERROR):
@@ -258,7 +303,9 @@ def differences(old: Table, new: Table) -> Iterator[str]:
 
 def _differ(a: Measured, b: Measured) -> bool:
     small = max(a.error, NO_ERROR), max(b.error, NO_ERROR)
-    return (a.status, a.rank, a.n, a.work) != (b.status, b.rank, b.n, b.work) or max(small) > 2.0 * min(small)
+    return (a.status, a.rank, a.n, a.work) != (b.status, b.rank, b.n, b.work) or max(
+        small
+    ) > 2.0 * min(small)
 
 
 class Standing(NamedTuple):
@@ -274,7 +321,11 @@ def best_of_named(table: Table) -> dict[str, tuple[str, float]]:
     """Return the named method of least work on each problem that one solves in its own units, and that work."""
     best: dict[str, tuple[str, float]] = {}
     for key, row in table.items():
-        if key.method != "auto" and key.units == "own" and row.work < best.get(key.problem, ("", np.inf))[1]:
+        if (
+            key.method != "auto"
+            and key.units == "own"
+            and row.work < best.get(key.problem, ("", np.inf))[1]
+        ):
             best[key.problem] = key.method, row.work
     return best
 

@@ -38,7 +38,9 @@ def worse(*, full: bool, name: str, everything: bool = False) -> list[str]:
     for arguments in entry.full if full else entry.small:
         case = Case(name, arguments)
         of_table = [(key.method, key.units) for key in table if key.problem == case.name]
-        new.update(case.measure(all_runs(full=False) if everything else of_table))  # large ones take long to no end
+        new.update(
+            case.measure(all_runs(full=False) if everything else of_table)
+        )  # large ones take long to no end
     old = {key: row for key, row in table.items() if key.problem.partition(" ")[0] == name}
     assert {key.problem for key in new} == {key.problem for key in old}, rewriting(full, name)
     lines = regressions(old, new)
@@ -51,7 +53,9 @@ def rewriting(full: bool, name: str) -> str:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", entries())
-def test_small_applications_cost_no_more_than_the_table_says(name: str, pytestconfig: pytest.Config) -> None:
+def test_small_applications_cost_no_more_than_the_table_says(
+    name: str, pytestconfig: pytest.Config
+) -> None:
     """Status, counted work and error of auto in all units and of the best named methods.
 
     In the full suite named methods are asked in other units, too: none more is falsely SOLVED.
@@ -73,8 +77,11 @@ def test_every_application_has_its_rows(full: bool) -> None:
     text = path_of(full=full).read_text(encoding="utf-8")
     table = read(text)
     assert written(table) == text
-    names = [Case.name_of(name, arguments) for name, entry in entries().items()
-             for arguments in (entry.full if full else entry.small)]
+    names = [
+        Case.name_of(name, arguments)
+        for name, entry in entries().items()
+        for arguments in (entry.full if full else entry.small)
+    ]
     assert [key.problem for key in table if key[1:] == ("auto", "own")] == names
     assert len([key for key in table if key.method == "auto"]) == len(UNITS) * len(names)
     assert {key.problem for key in table} == set(names)
@@ -128,7 +135,9 @@ def test_named_methods_are_compared_where_they_are_near_the_best() -> None:
     assert best_of_named(old) == {KEY.problem: ("psor", 100.0)}
     assert regressions(old, {psor: BEFORE}) == []
     assert len(regressions(old, {newton: BEFORE})) == 1
-    assert len(regressions(old, {**old, psor._replace(units="one"): replace(BEFORE, error=0.5)})) == 1
+    assert (
+        len(regressions(old, {**old, psor._replace(units="one"): replace(BEFORE, error=0.5)})) == 1
+    )
 
 
 def test_paths_that_depend_on_rounding_are_not_compared_by_work() -> None:
@@ -137,7 +146,9 @@ def test_paths_that_depend_on_rounding_are_not_compared_by_work() -> None:
     for work, count in ((9e3, 1), (2e4, 0)):
         old = {psor: BEFORE, rows: replace(BEFORE, work=work)}
         assert len(regressions(old, {psor: BEFORE, rows: replace(BEFORE, work=3 * work)})) == count
-        assert len(regressions(old, {psor: BEFORE, rows: replace(BEFORE, work=work, error=0.5)})) == 1
+        assert (
+            len(regressions(old, {psor: BEFORE, rows: replace(BEFORE, work=work, error=0.5)})) == 1
+        )
 
 
 def test_the_summary_names_where_auto_is_behind() -> None:
@@ -146,7 +157,9 @@ def test_the_summary_names_where_auto_is_behind() -> None:
     table = {KEY: BEFORE, multigrid: replace(BEFORE, work=50.0)}
     assert [one.ratio for one in standings(table)] == [2.0]
     assert "multigrid 50: 2.00 ×" in "\n".join(summary(table))
-    assert [one.ratio for one in standings({**table, KEY: replace(BEFORE, status="STALLED")})] == [np.inf]
+    assert [one.ratio for one in standings({**table, KEY: replace(BEFORE, status="STALLED")})] == [
+        np.inf
+    ]
 
 
 def test_units_are_exact() -> None:
@@ -168,12 +181,16 @@ def test_references_are_checked() -> None:
     with pytest.raises(NoReference, match="of a row's terms"):
         checked(problem, np.array([0.5, 1e-9]))
     with pytest.raises(NoReference):
-        active_sets((sp.csr_array(-np.eye(1)), np.array([-1.0]), np.zeros(1), np.full(1, np.inf)), [])
+        active_sets(
+            (sp.csr_array(-np.eye(1)), np.array([-1.0]), np.zeros(1), np.full(1, np.inf)), []
+        )
 
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:
     """What ``python tests/applications`` does with these arguments."""
-    return subprocess.run([sys.executable, str(Path(__file__).parent), *arguments], capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, str(Path(__file__).parent), *arguments], capture_output=True, text=True
+    )
 
 
 @pytest.mark.full
@@ -190,7 +207,8 @@ def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    ("arguments", "told"), [("papr", "unknown application 'papr'.*paper"), ("--against none", "no table in none")]
+    ("arguments", "told"),
+    [("papr", "unknown application 'papr'.*paper"), ("--against none", "no table in none")],
 )
 def test_what_is_wrong_is_said_without_a_traceback(arguments: str, told: str) -> None:
     """A wrong name or commit: exit code 2, and what is wrong in words."""

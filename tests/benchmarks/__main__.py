@@ -24,23 +24,39 @@ from lcp_plugin.core.errors import LCPError  # noqa: E402
 
 def main() -> int:
     """Print the lines of a benchmark as they come; return the exit code: 2 for bad input."""
-    parser = argparse.ArgumentParser("python tests/benchmarks", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        "python tests/benchmarks", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("name", nargs="?", help="which benchmark; without a name they are listed")
-    parser.add_argument("files", nargs="*", help="of programs (.npz, .qps, .mps) or cones (.npz, .h5), not random ones")
-    parser.add_argument("--plot", metavar="FILE", help="of cones: a picture of the performance profile")
-    parser.add_argument("--quick", action="store_true", help="small sizes: to see that it runs, not for figures")
+    parser.add_argument(
+        "files",
+        nargs="*",
+        help="of programs (.npz, .qps, .mps) or cones (.npz, .h5), not random ones",
+    )
+    parser.add_argument(
+        "--plot", metavar="FILE", help="of cones: a picture of the performance profile"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="small sizes: to see that it runs, not for figures"
+    )
     given = parser.parse_args()
     if given.name is None:
         print("\n".join(f"{name:<16} {purpose}" for name, purpose in BENCHMARKS.items()))
         return 0
     if given.name not in BENCHMARKS:
-        meant = "".join(f"; did you mean {one!r}?" for one in get_close_matches(given.name, BENCHMARKS, 1))
-        parser.error(f"unknown benchmark {given.name!r}{meant or ';'} known: {', '.join(BENCHMARKS)}")
+        meant = "".join(
+            f"; did you mean {one!r}?" for one in get_close_matches(given.name, BENCHMARKS, 1)
+        )
+        parser.error(
+            f"unknown benchmark {given.name!r}{meant or ';'} known: {', '.join(BENCHMARKS)}"
+        )
     run = load(given.name)
     wishes = {name: value for name in ("files", "plot") if (value := getattr(given, name))}
     for name, value in wishes.items():
         if name not in inspect.signature(run).parameters:
-            parser.error(f"{given.name} takes no {name}; leave out {value if name == 'plot' else value[0]}")
+            parser.error(
+                f"{given.name} takes no {name}; leave out {value if name == 'plot' else value[0]}"
+            )
     try:
         for line in run(quick=given.quick, **wishes):
             print(line, flush=True)

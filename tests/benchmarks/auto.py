@@ -54,7 +54,9 @@ def lasso(samples: int, features: int) -> LCP:
     x = np.where(rng.random(features) < 0.1, rng.standard_normal(features), 0.0)
     product = A.T @ (A @ x + 0.1 * rng.standard_normal(samples))
     weight = 0.1 * np.abs(product).max()
-    return LCP(np.kron([[1.0, -1.0], [-1.0, 1.0]], A.T @ A), weight + np.concatenate([-product, product]))
+    return LCP(
+        np.kron([[1.0, -1.0], [-1.0, 1.0]], A.T @ A), weight + np.concatenate([-product, product])
+    )
 
 
 def program(n: int, rows: int) -> LCP:
@@ -62,7 +64,10 @@ def program(n: int, rows: int) -> LCP:
     rng = np.random.default_rng(SEED)
     half = sp.random_array((n, n), density=0.02, rng=rng, data_sampler=rng.standard_normal)
     P = sp.csr_array(half @ half.T + 0.01 * sp.eye_array(n))
-    G, A = (sp.random_array((m, n), density=0.05, rng=rng, data_sampler=rng.standard_normal) for m in (rows, n // 10))
+    G, A = (
+        sp.random_array((m, n), density=0.05, rng=rng, data_sampler=rng.standard_normal)
+        for m in (rows, n // 10)
+    )
     x: FloatVector = rng.standard_normal(n)
     slack = np.maximum(rng.standard_normal(rows), 0.0)
     return LCP.from_qp(P, rng.standard_normal(n), G, G @ x + slack, A, A @ x, form="kkt")
@@ -76,11 +81,26 @@ def bimatrix_game(m: int, n: int) -> LCP:
 
 
 SCENES = (
-    ("obstacle_2d", 50), ("obstacle_2d", 200), ("obstacle_bumps", 60), ("convection_diffusion", 40),
-    ("convection_diffusion", 100), ("optimal_stopping", 100), ("american_put", 1001), ("journal_bearing", 60),
-    ("elastic_plastic_torsion", 60), ("coefficient_jumps", 60), ("rotated_anisotropy", 60),
+    ("obstacle_2d", 50),
+    ("obstacle_2d", 200),
+    ("obstacle_bumps", 60),
+    ("convection_diffusion", 40),
+    ("convection_diffusion", 100),
+    ("optimal_stopping", 100),
+    ("american_put", 1001),
+    ("journal_bearing", 60),
+    ("elastic_plastic_torsion", 60),
+    ("coefficient_jumps", 60),
+    ("rotated_anisotropy", 60),
 )
-OTHER_SCENES = ("half_active", "random_h_plus", "rigid_stack", "relay_control", "market_equilibrium", "murty")
+OTHER_SCENES = (
+    "half_active",
+    "random_h_plus",
+    "rigid_stack",
+    "relay_control",
+    "market_equilibrium",
+    "murty",
+)
 
 
 def problems(*, quick: bool) -> Iterator[tuple[str, Sequence[LCP]]]:
@@ -110,7 +130,9 @@ def compared(chosen: Sequence[LCP], repeats: int) -> Comparison | None:
     limit = FAR_BEHIND * quickest(calls)["auto"].seconds + 1e-3
     for name in NAMED:
         # The first run computes what M alone says, the quicker one of the others counts.
-        in_time, at_ease = (partial(_solved, chosen, name, seconds) for seconds in (0.1 + 5.0 * limit, None))
+        in_time, at_ease = (
+            partial(_solved, chosen, name, seconds) for seconds in (0.1 + 5.0 * limit, None)
+        )
         if in_time() and quickest({name: at_ease})[name].seconds <= limit:
             calls[name] = at_ease
     least = {name: one.seconds for name, one in quickest(calls, repeats).items()}
@@ -140,5 +162,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
             f"{name:<32} auto {each * one.auto:9.1f} µs, best named {one.best} {each * one.least:9.1f} µs, "
             f"ratio {one.ratio:.2f}{' *' if one.ratio > TARGET else ''}"
         )
-    beyond = [f"{name} {ratio:.2f} × " for ratio, name in sorted(found, reverse=True) if ratio > TARGET]
+    beyond = [
+        f"{name} {ratio:.2f} × " for ratio, name in sorted(found, reverse=True) if ratio > TARGET
+    ]
     yield f"at most {max(found)[0]:.2f} × the best named method, target ≤ {TARGET}; beyond: {', '.join(beyond) or '–'}"

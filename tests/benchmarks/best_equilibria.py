@@ -50,6 +50,8 @@ def random_leader(pairs: int, is_linear: bool, seed: int = 0) -> EquilibriumProg
     A = np.hstack([random.standard_normal((pairs, leaders)), M, -np.eye(pairs)])
     lower, upper = np.zeros(n), np.full(n, np.inf)
     lower[:leaders], upper[:leaders] = -1.0, 1.0
-    program = QuadraticProgram(P, c, A=A, b=-random.standard_normal(pairs), lower=lower, upper=upper)
+    program = QuadraticProgram(
+        P, c, A=A, b=-random.standard_normal(pairs), lower=lower, upper=upper
+    )
     followers = np.arange(leaders, leaders + pairs)
     return EquilibriumProgram(program, followers, followers + pairs)

@@ -65,7 +65,9 @@ def _laplacian(size: int) -> Iterator[str]:
 
     def bounded(sharp: bool) -> None:
         stated_anew = fresh(problem)
-        if not analyze(stated_anew).is_h_plus or not np.isfinite(error_bound(stated_anew, near, sharp=sharp).infinity):
+        if not analyze(stated_anew).is_h_plus or not np.isfinite(
+            error_bound(stated_anew, near, sharp=sharp).infinity
+        ):
             raise RuntimeError("the plain Laplacian is an H₊-matrix, but no bound came back")
 
     bounds = {"v-certificate bound": partial(bounded, False), "sharp bound": partial(bounded, True)}

@@ -20,13 +20,26 @@ from . import first_solves
 
 # At most so many times as long as the two kernels.
 TARGETS = {
-    "ten": 6, "string": 6, "grid": 12, "model": 9, "program": 8, "least squares": 7, "nonlinear": 9,
-    "game": 5, "warm-up": 40,
+    "ten": 6,
+    "string": 6,
+    "grid": 12,
+    "model": 9,
+    "program": 8,
+    "least squares": 7,
+    "nonlinear": 9,
+    "game": 5,
+    "warm-up": 40,
 }
 WHAT = {
-    "ten": "dense, n = 10", "string": "string, 200 nodes", "grid": "obstacle, 200 × 200", "model": "model in cvxpy",
-    "program": "program in cvxpy", "least squares": "least squares", "nonlinear": "nonlinear",
-    "game": "bimatrix game", "warm-up": "warm-up",
+    "ten": "dense, n = 10",
+    "string": "string, 200 nodes",
+    "grid": "obstacle, 200 × 200",
+    "model": "model in cvxpy",
+    "program": "program in cvxpy",
+    "least squares": "least squares",
+    "nonlinear": "nonlinear",
+    "game": "bimatrix game",
+    "warm-up": "warm-up",
 }
 
 
@@ -89,4 +102,6 @@ def _output_of(command: list[str], cache_folder: str | None) -> str:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     if cache_folder is not None:
         environment["NUMBA_CACHE_DIR"] = cache_folder
-    return subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
+    return subprocess.run(
+        command, env=environment, stdout=subprocess.PIPE, text=True, check=True
+    ).stdout

@@ -36,7 +36,9 @@ SICONOS = ("NSGS", "NSN_AC")
 Outcome = tuple[float, float]
 
 
-def run(*, quick: bool = False, files: Sequence[str] = (), plot: str | None = None) -> Iterator[str]:
+def run(
+    *, quick: bool = False, files: Sequence[str] = (), plot: str | None = None
+) -> Iterator[str]:
     """Yield a line for each size or file, for the profile, and for a pile in time."""
     ways: dict[str, Callable[[FrictionalContact], Outcome]] = {"auto": _ours}
     if not files:
@@ -57,17 +59,26 @@ def run(*, quick: bool = False, files: Sequence[str] = (), plot: str | None = No
         yield f"{label}: {', '.join(told)}"
     least = [min(own) for own in zip(*seconds.values(), strict=True)]
     for name, own in seconds.items():
-        shares = [np.mean([mine <= ratio * best < np.inf for mine, best in zip(own, least, strict=True)])
-                  for ratio in RATIOS]
-        within = ", ".join(f"{ratio:g} × {share:.0%}" for ratio, share in zip(RATIOS, shares, strict=True))
+        shares = [
+            np.mean([mine <= ratio * best < np.inf for mine, best in zip(own, least, strict=True)])
+            for ratio in RATIOS
+        ]
+        within = ", ".join(
+            f"{ratio:g} × {share:.0%}" for ratio, share in zip(RATIOS, shares, strict=True)
+        )
         solved = np.isfinite(own)
         yield f"{name}: solved {solved.sum()} of {solved.size}, within so many times the quickest: {within}"
     rivals = [own for name, own in seconds.items() if name.startswith("Siconos")]
     if rivals:
-        beside = [mine / min(one) for mine, *one in zip(seconds["auto"], *rivals, strict=True)
-                  if mine < np.inf and min(one) < np.inf]
-        yield (f"geometric mean of auto / the quicker of Siconos's two, where both have an answer ({len(beside)}): "
-               f"{float(np.exp(np.mean(np.log(beside)))):.2f}")
+        beside = [
+            mine / min(one)
+            for mine, *one in zip(seconds["auto"], *rivals, strict=True)
+            if mine < np.inf and min(one) < np.inf
+        ]
+        yield (
+            f"geometric mean of auto / the quicker of Siconos's two, where both have an answer ({len(beside)}): "
+            f"{float(np.exp(np.mean(np.log(beside)))):.2f}"
+        )
     if plot is not None:
         _draw(seconds, least, plot)
         yield f"performance profile: {plot}"
@@ -80,16 +91,21 @@ def run(*, quick: bool = False, files: Sequence[str] = (), plot: str | None = No
 
 def _planted(*, quick: bool) -> Iterator[tuple[str, list[FrictionalContact]]]:
     for count, bodies in ((4, 2), (10, 5)) if quick else ((4, 2), (10, 5), (30, 15), (100, 50)):
-        yield f"{count} contacts", [
-            planted_contacts(count, bodies, 10.0, np.random.default_rng(seed), most=1.0)[0]
-            for seed in range(2 if quick else 10)
-        ]
+        yield (
+            f"{count} contacts",
+            [
+                planted_contacts(count, bodies, 10.0, np.random.default_rng(seed), most=1.0)[0]
+                for seed in range(2 if quick else 10)
+            ],
+        )
 
 
 def _of_files(files: Sequence[str]) -> Iterator[tuple[str, list[FrictionalContact]]]:
     for name in files:
         if not Path(name).is_file():
-            raise UnreadableFile(f"{name} is no file; give .npz files of contacts, or none for planted problems")
+            raise UnreadableFile(
+                f"{name} is no file; give .npz files of contacts, or none for planted problems"
+            )
         problem: Any = load_problem(name)
         yield f"{Path(name).stem} ({problem.slope.size} contacts)", [problem]
 
@@ -138,8 +154,12 @@ def siconos_answer(name: str, problem: FrictionalContact, start: Any = None) -> 
         np.savez(source, **matrix, b=problem.b, mu=problem.friction, start=start)
         script = str(Path(__file__).with_name("siconos_contacts.py"))
         try:
-            subprocess.run([SYSTEM_PYTHON, script, str(source), name, str(TOLERANCE), str(target)],
-                           capture_output=True, check=True, timeout=LIMIT)
+            subprocess.run(
+                [SYSTEM_PYTHON, script, str(source), name, str(TOLERANCE), str(target)],
+                capture_output=True,
+                check=True,
+                timeout=LIMIT,
+            )
         except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
             return np.inf, np.nan
         answer = np.load(target)
@@ -158,8 +178,12 @@ def _draw(seconds: dict[str, list[float]], least: list[float], target: str) -> N
 
     plt.style.use(STYLE)
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
-    ratios = {name: [mine / best if best < np.inf else np.inf for mine, best in zip(own, least, strict=True)]
-              for name, own in seconds.items()}
+    ratios = {
+        name: [
+            mine / best if best < np.inf else np.inf for mine, best in zip(own, least, strict=True)
+        ]
+        for name, own in seconds.items()
+    }
     end = 1.3 * max((one for own in ratios.values() for one in own if one < np.inf), default=1.0)
     for name, own in ratios.items():
         steps = np.sort(own)
@@ -168,8 +192,14 @@ def _draw(seconds: dict[str, list[float]], least: list[float], target: str) -> N
         x = np.concatenate([[1.0], steps[is_in], [end]])
         y = np.concatenate([[0.0], shares[is_in], [shares[is_in][-1] if is_in.any() else 0.0]])
         axes.step(x, y, where="post", label=name)
-    axes.set(xscale="log", xlim=(1.0, end), ylim=(0.0, 1.03), xlabel="seconds ÷ those of the quickest",
-             ylabel="share of the problems solved", title=f"Contact with friction, tolerance {TOLERANCE:g}")
+    axes.set(
+        xscale="log",
+        xlim=(1.0, end),
+        ylim=(0.0, 1.03),
+        xlabel="seconds ÷ those of the quickest",
+        ylabel="share of the problems solved",
+        title=f"Contact with friction, tolerance {TOLERANCE:g}",
+    )
     axes.legend(loc="lower right")
     figure.savefig(target, dpi=150)
     plt.close(figure)
@@ -200,9 +230,11 @@ def _pile(count: int, steps: int) -> str:
     median = statistics.median(seconds)
     late = sum(one > 3.0 * median for one in seconds)
     sweep, residual = map(statistics.median, zip(*swept, strict=True))
-    return (f"{count} spheres poured into a box, {steps} steps of 10 ms, {len(pairs)} contacts at the end: "
-            f"{1e3 * median:.2f} ms a warm step, {max(seconds):.2g} s at the most, {late} later than 3 × the median, "
-            f"{slow} than 10 ms, {unsolved} unsolved; 50 sweeps {1e3 * sweep:.2f} ms, to a residual of {residual:.0e}")
+    return (
+        f"{count} spheres poured into a box, {steps} steps of 10 ms, {len(pairs)} contacts at the end: "
+        f"{1e3 * median:.2f} ms a warm step, {max(seconds):.2g} s at the most, {late} later than 3 × the median, "
+        f"{slow} than 10 ms, {unsolved} unsolved; 50 sweeps {1e3 * sweep:.2f} ms, to a residual of {residual:.0e}"
+    )
 
 
 def _walls(sizes: Sequence[int]) -> str:
@@ -211,7 +243,9 @@ def _walls(sizes: Sequence[int]) -> str:
     for size in sizes:
         problem = wall(size, size)[0]
         seconds, residual = _ours(problem)
-        told.append(f"{problem.slope.size} contacts {1e3 * seconds:.0f} ms (residual {residual:.0e})")
+        told.append(
+            f"{problem.slope.size} contacts {1e3 * seconds:.0f} ms (residual {residual:.0e})"
+        )
     return f"walls of bricks from nothing: {', '.join(told)}"
 
 
@@ -223,8 +257,13 @@ class Pile:
     def __init__(self, count: int) -> None:
         side = max(2, round(count ** (1 / 3) * 0.9))
         place = np.arange(count)
-        grid = np.column_stack([place % side - 0.5 * (side - 1), place // side % side - 0.5 * (side - 1),
-                                place // side**2 + 0.7])
+        grid = np.column_stack(
+            [
+                place % side - 0.5 * (side - 1),
+                place // side % side - 0.5 * (side - 1),
+                place // side**2 + 0.7,
+            ]
+        )
         noise = np.random.default_rng(0).uniform(-0.08, 0.08, grid.shape)
         self.at, self.half = self.radius * (2.2 * grid + noise), 1.25 * self.radius * side
         mass = 4000.0 / 3.0 * np.pi * self.radius**3
@@ -247,7 +286,9 @@ class Pile:
         for number, (normal, away) in enumerate(zip(walls, [0.0, *[self.half] * 4], strict=True)):
             gap = self.at @ normal + away - self.radius
             near = np.flatnonzero(gap < reach)
-            parts.append((near, np.full(near.size, -1 - number), np.tile(normal, (near.size, 1)), gap[near]))
+            parts.append(
+                (near, np.full(near.size, -1 - number), np.tile(normal, (near.size, 1)), gap[near])
+            )
         one, other, n, gaps = (np.concatenate(part) for part in zip(*parts, strict=True))
         t = np.cross(n, np.where(np.abs(n[:, :1]) < 0.6, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]))
         t /= np.linalg.norm(t, axis=1)[:, None]
@@ -257,8 +298,10 @@ class Pile:
         rows = np.concatenate([ways, arms, -sides * ways, sides * arms], axis=2)
         places = 6 * np.stack([one, np.maximum(other, 0)], axis=1)[:, None, :, None] + np.arange(6)
         columns = np.broadcast_to(places, (len(n), 3, 2, 6))
-        J = sp.csr_array((rows.ravel(), columns.ravel(), np.arange(0, rows.size + 1, 12)),
-                         shape=(3 * len(n), self.mass.size))
+        J = sp.csr_array(
+            (rows.ravel(), columns.ravel(), np.arange(0, rows.size + 1, 12)),
+            shape=(3 * len(n), self.mass.size),
+        )
         J.sum_duplicates()  # of walls
         b = (J @ self.free).reshape(-1, 3)
         b[:, 0] += np.where(gaps > self.slop, gaps, 0.0) / self.step
@@ -290,8 +333,10 @@ def _batch(count: int) -> str:
             own.append(time.perf_counter() - began)
             assert found.all_solved
     cones, four, eight = (min(own[1:]) for own in seconds)
-    return (f"{count} problems of 4 contacts: {1e6 * cones / count:.0f} µs each, {cones / four:.1f} times pyramids of "
-            f"4 edges, {cones / eight:.1f} of 8\n{_worlds(W, b.reshape(count, -1), mu)}")
+    return (
+        f"{count} problems of 4 contacts: {1e6 * cones / count:.0f} µs each, {cones / four:.1f} times pyramids of "
+        f"4 edges, {cones / eight:.1f} of 8\n{_worlds(W, b.reshape(count, -1), mu)}"
+    )
 
 
 def _worlds(W: Any, b: Any, mu: Any) -> str:

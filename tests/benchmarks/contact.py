@@ -47,7 +47,10 @@ def _steps(contacts: int, count: int) -> str:
     seconds: dict[str, list[float]] = {}
     unsolved = 0
     for k, case in enumerate([*cases[:1], *cases]):  # the first compiles
-        for name, make in (("arrays", lambda: LCP(case.M, case.q)), ("stated", partial(_given, LCP(case.M, case.q)))):  # noqa: B023
+        for name, make in (
+            ("arrays", lambda: LCP(case.M, case.q)),  # noqa: B023
+            ("stated", partial(_given, LCP(case.M, case.q))),
+        ):
             began = time.perf_counter()
             result = solve(make())
             seconds.setdefault(name, []).append(time.perf_counter() - began)
@@ -58,7 +61,9 @@ def _steps(contacts: int, count: int) -> str:
             seconds.setdefault("compiled Lemke", []).append(time.perf_counter() - began)
         if k == 0:
             seconds = {}
-    told = ", ".join(f"{name} {1e3 * statistics.median(values):.2f} ms" for name, values in seconds.items())
+    told = ", ".join(
+        f"{name} {1e3 * statistics.median(values):.2f} ms" for name, values in seconds.items()
+    )
     return f"{contacts} contacts from scratch: {told}; worst {1e3 * max(seconds['stated']):.2f} ms; {unsolved} unsolved"
 
 
@@ -76,17 +81,24 @@ def tower(boxes: int, rng: np.random.Generator) -> tuple[Any, Any]:
         signs = (1 - 2 * (corner // 2), 1 - 2 * (corner % 2), -1)
         arm = np.array([0.2, 0.2, 0.1]) * signs * rng.uniform(0.9, 1.0, 3)
         for k, d in enumerate(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])):
-            J[row, k, 6 * box:6 * box + 6] = [*d, *np.cross(arm, d)]
+            J[row, k, 6 * box : 6 * box + 6] = [*d, *np.cross(arm, d)]
             if box:
-                J[row, k, 6 * box - 6:6 * box] = [*-d, *-np.cross(arm * [1, 1, -1], d)]
+                J[row, k, 6 * box - 6 : 6 * box] = [*-d, *-np.cross(arm * [1, 1, -1], d)]
     return J, mass
 
 
-def trajectory(boxes: int, steps: int, *, is_warm: bool, seed: int = 0) -> Iterator[tuple[Any, Any, Any, Any]]:
+def trajectory(
+    boxes: int, steps: int, *, is_warm: bool, seed: int = 0
+) -> Iterator[tuple[Any, Any, Any, Any]]:
     """Yield (problem, start, result, seconds) of a tower that is shaken: its corners lift and come down again."""
     rng = np.random.default_rng(seed)
     J, mass = tower(boxes, rng)
-    velocity, gap, before, touched = np.zeros(6 * boxes), np.zeros(4 * boxes), None, np.full(4 * boxes, -1)
+    velocity, gap, before, touched = (
+        np.zeros(6 * boxes),
+        np.zeros(4 * boxes),
+        None,
+        np.full(4 * boxes, -1),
+    )
     for k in range(steps):
         force = np.zeros(6 * boxes)
         force[2::6] = -GRAVITY
@@ -97,12 +109,18 @@ def trajectory(boxes: int, steps: int, *, is_warm: bool, seed: int = 0) -> Itera
         without = (rows @ free).reshape(-1, 3)
         without[:, 0] += np.maximum(gap[closed], 0.0) / STEP
         problem = LCP.from_contacts((rows / mass) @ rows.T, FRICTION, without)
-        start = None if before is None or not is_warm else problem.origin.start_from(before, touched[closed])
+        start = (
+            None
+            if before is None or not is_warm
+            else problem.origin.start_from(before, touched[closed])
+        )
         began = time.perf_counter()
         result = solve(problem, z0=start)
         yield problem, start, result, time.perf_counter() - began
         motion = problem.origin.recover(result)
-        velocity = free + rows.T @ np.column_stack([motion.normal, motion.tangential]).ravel() / mass
+        velocity = (
+            free + rows.T @ np.column_stack([motion.normal, motion.tangential]).ravel() / mass
+        )
         gap = np.maximum(gap + STEP * (J[:, 0] @ velocity), 0.0)
         before, touched = result, np.full(4 * boxes, -1)
         touched[closed] = np.arange(closed.size)
@@ -124,7 +142,7 @@ def _trajectory(boxes: int, steps: int, *, is_warm: bool) -> str:
             others[name].append(time.perf_counter() - began)
             overlap = -(origin.W @ x + free)[::3].min() / np.abs(free).max()
             overlaps[name] = max(overlaps[name], overlap)
-    later = seconds[min(5, steps // 2):]
+    later = seconds[min(5, steps // 2) :]
     told = ", ".join(
         f"{name} {1e3 * statistics.median(values):.2f} ms with overlaps up to {overlaps[name]:.0e}"
         for name, values in others.items()
@@ -159,7 +177,11 @@ def dantzig(W, free, mu):  # type: ignore[no-untyped-def]
     n, W = free.size, W.copy()
     for i in range(n):
         W[i, i] *= 1.0 + SOFTNESS
-    x, w, side = np.zeros(n), free.copy(), np.zeros(n, np.int64)  # 1: clamped (w = 0), 0 at lower, 2 at upper, 3 later
+    x, w, side = (
+        np.zeros(n),
+        free.copy(),
+        np.zeros(n, np.int64),
+    )  # 1: clamped (w = 0), 0 at lower, 2 at upper, 3 later
     inverse, members = np.zeros((n, n)), np.zeros(n, np.int64)
     count = 0
     side[:] = 3
@@ -195,7 +217,9 @@ def dantzig(W, free, mu):  # type: ignore[no-untyped-def]
                 elif side[j] == 1 and change[j] > 0.0 and (top - x[j]) / change[j] < least:
                     least, at, becomes = (top - x[j]) / change[j], j, 2
                 else:
-                    is_turning = (side[j] == 0 and speed[j] < 0.0) or (side[j] == 2 and speed[j] > 0.0)
+                    is_turning = (side[j] == 0 and speed[j] < 0.0) or (
+                        side[j] == 2 and speed[j] > 0.0
+                    )
                     if is_turning and -w[j] / speed[j] < least:
                         least, at, becomes = -w[j] / speed[j], j, 1
             if at < 0:
@@ -231,7 +255,9 @@ def dantzig(W, free, mu):  # type: ignore[no-untyped-def]
                 members[place] = members[count]
                 for a in range(count):
                     for b in range(count):
-                        inverse[a, b] -= inverse[a, count] * inverse[count, b] / inverse[count, count]
+                        inverse[a, b] -= (
+                            inverse[a, count] * inverse[count, b] / inverse[count, count]
+                        )
                 side[at] = becomes
             else:
                 side[at] = becomes
@@ -249,7 +275,8 @@ def _batches(count: int) -> Iterator[str]:
         batch = solve_batch(M, q, threads=1)
         unsolved = sum(status is not Status.SOLVED for status in batch.status)
         calls = {
-            "scratch": partial(solve_batch, M, q, threads=1), "warm": partial(solve_batch, M, q, z0=batch.z, threads=1),
+            "scratch": partial(solve_batch, M, q, threads=1),
+            "warm": partial(solve_batch, M, q, z0=batch.z, threads=1),
         }
         seconds = medians(calls, 3)
         told = ", ".join(f"{name} {1e6 * each / count:.2f} µs" for name, each in seconds.items())

@@ -28,7 +28,9 @@ def lasso(k: int, rng: np.random.Generator) -> Any:
     import cvxpy as cp
 
     A, b, x = rng.standard_normal((k, 2 * k)), rng.standard_normal(k), cp.Variable(2 * k)
-    return cp.Minimize(0.5 * cp.sum_squares(A @ x - b) + 0.1 * np.abs(A.T @ b).max() * cp.norm1(x)), []
+    return cp.Minimize(
+        0.5 * cp.sum_squares(A @ x - b) + 0.1 * np.abs(A.T @ b).max() * cp.norm1(x)
+    ), []
 
 
 def elastic_net(k: int, rng: np.random.Generator) -> Any:
@@ -52,7 +54,11 @@ def portfolio(k: int, rng: np.random.Generator) -> Any:
     """Return the portfolio of 5k assets in a model of k/5 factors, without short sales."""
     import cvxpy as cp
 
-    F, d, mean = rng.standard_normal((5 * k, max(k // 5, 2))), rng.random(5 * k), rng.standard_normal(5 * k)
+    F, d, mean = (
+        rng.standard_normal((5 * k, max(k // 5, 2))),
+        rng.random(5 * k),
+        rng.standard_normal(5 * k),
+    )
     x = cp.Variable(5 * k)
     risk = cp.sum_squares(F.T @ x) + cp.sum_squares(cp.multiply(np.sqrt(d), x))
     return cp.Maximize(mean @ x - risk), [cp.sum(x) == 1, x >= 0]
@@ -73,7 +79,10 @@ def transport(k: int, rng: np.random.Generator) -> Any:
     n = k // 2
     T = cp.Variable((n, n), nonneg=True)
     supply, demand = rng.dirichlet(np.ones(n)), rng.dirichlet(np.ones(n))
-    return cp.Minimize(cp.sum(cp.multiply(rng.random((n, n)), T))), [cp.sum(T, 1) == supply, cp.sum(T, 0) == demand]
+    return cp.Minimize(cp.sum(cp.multiply(rng.random((n, n)), T))), [
+        cp.sum(T, 1) == supply,
+        cp.sum(T, 0) == demand,
+    ]
 
 
 def control(k: int, rng: np.random.Generator) -> Any:
@@ -91,19 +100,32 @@ def nonnegative(k: int, rng: np.random.Generator) -> Any:
     import cvxpy as cp
 
     x = cp.Variable(k, nonneg=True)
-    return cp.Minimize(cp.sum_squares(rng.standard_normal((4 * k, k)) @ x - rng.standard_normal(4 * k))), []
+    return cp.Minimize(
+        cp.sum_squares(rng.standard_normal((4 * k, k)) @ x - rng.standard_normal(4 * k))
+    ), []
 
 
 def total_variation(k: int, rng: np.random.Generator) -> Any:
     """Return the sequence of few steps near a noisy one of 5k numbers."""
     import cvxpy as cp
 
-    a, x = np.repeat(rng.standard_normal(5), k) + 0.2 * rng.standard_normal(5 * k), cp.Variable(5 * k)
+    a, x = (
+        np.repeat(rng.standard_normal(5), k) + 0.2 * rng.standard_normal(5 * k),
+        cp.Variable(5 * k),
+    )
     return cp.Minimize(0.5 * cp.sum_squares(x - a) + 2 * cp.tv(x)), []
 
 
 MODELS: tuple[Model, ...] = (
-    lasso, elastic_net, support_vectors, portfolio, huber, transport, control, nonnegative, total_variation,
+    lasso,
+    elastic_net,
+    support_vectors,
+    portfolio,
+    huber,
+    transport,
+    control,
+    nonnegative,
+    total_variation,
 )
 SIZES = (20, 60, 200)
 

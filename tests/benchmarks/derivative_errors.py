@@ -34,7 +34,9 @@ def run(*, quick: bool = False) -> Iterator[str]:
                 yield f"{text:<24} {way:<11} tolerance {tolerance:.0e}   {seconds:.4f} s   error {error:.1e}"
 
 
-def _measured(way: str, problem: LCP, exact: FloatVector, h: FloatVector, tolerance: float) -> tuple[float, float]:
+def _measured(
+    way: str, problem: LCP, exact: FloatVector, h: FloatVector, tolerance: float
+) -> tuple[float, float]:
     seconds = []
     for _ in range(REPEATS + 1):  # the first one may compile
         stated_anew, began = fresh(problem), time.perf_counter()
@@ -48,9 +50,15 @@ def _planted(problem: LCP, z: FloatVector) -> tuple[FloatVector, FloatVector]:
 
     Rows at a bound stay there; where w = 0 as well, w grows to the side that holds them.
     """
-    held, sizes = is_at_bound(problem, z), np.random.default_rng(0).uniform(0.5, 1.5, (2, problem.n))
+    held, sizes = (
+        is_at_bound(problem, z),
+        np.random.default_rng(0).uniform(0.5, 1.5, (2, problem.n)),
+    )
     dz = np.where(held, 0.0, sizes[0])
-    dw = np.where(held, np.where(z == problem.lower, sizes[1], -sizes[1]), 0.0) * problem.residual_scale
+    dw = (
+        np.where(held, np.where(z == problem.lower, sizes[1], -sizes[1]), 0.0)
+        * problem.residual_scale
+    )
     return dz, dw - problem.csr @ dz
 
 
@@ -60,5 +68,7 @@ def _change(way: str, problem: LCP, h: FloatVector, tolerance: float) -> FloatVe
     if way == "derivative":
         return derivative(result).jvp(dq=h)
     step = np.sqrt(tolerance) * np.abs(problem.q).max() / np.abs(h).max()
-    change: FloatVector = (solve(problem.with_q(problem.q + step * h), tolerance=tolerance).z - result.z) / step
+    change: FloatVector = (
+        solve(problem.with_q(problem.q + step * h), tolerance=tolerance).z - result.z
+    ) / step
     return change

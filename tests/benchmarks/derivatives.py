@@ -41,8 +41,16 @@ ROWS = [
     Row("obstacle, sphere", "obstacle_2d:size=1024", "obstacle_2d:size=60", "≤ 1.0"),
     Row("obstacle 3-D", "obstacle_3d:size=100", "obstacle_3d:size=12", "≤ 1.0"),
     Row("bearing 0.9", "journal_bearing:size=1000,eccentricity=0.9", "journal_bearing:size=50"),
-    Row("wind, ε = 1e-2", "convection_diffusion:size=1000,diffusion=1e-2", "convection_diffusion:size=50"),
-    Row("wind, ε = 1e-5", "convection_diffusion:size=1000,diffusion=1e-5", "convection_diffusion:size=50"),
+    Row(
+        "wind, ε = 1e-2",
+        "convection_diffusion:size=1000,diffusion=1e-2",
+        "convection_diffusion:size=50",
+    ),
+    Row(
+        "wind, ε = 1e-5",
+        "convection_diffusion:size=1000,diffusion=1e-5",
+        "convection_diffusion:size=50",
+    ),
 ]
 
 
@@ -132,10 +140,14 @@ def _by_cvxpy(scene: Scene, answer: Any) -> None:
 
     size = round(scene.n**0.5)
     along = sp.diags_array([1.0, -1.0], offsets=[0, -1], shape=(size + 1, size))
-    D = sp.vstack([sp.kron(along, sp.eye_array(size)), sp.kron(sp.eye_array(size), along)], format="csc")
+    D = sp.vstack(
+        [sp.kron(along, sp.eye_array(size)), sp.kron(sp.eye_array(size), along)], format="csc"
+    )
     D = D * np.sqrt(scene.problem.diagonal[0] / 4.0)
     z, q = cp.Variable(scene.n), cp.Parameter(scene.n, value=np.array(scene.problem.q))
-    problem = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(D @ z) + q @ z), [z >= scene.problem.lower])
+    problem = cp.Problem(
+        cp.Minimize(0.5 * cp.sum_squares(D @ z) + q @ z), [z >= scene.problem.lower]
+    )
     forward = timed(lambda: problem.solve(requires_grad=True))
     z.gradient = direction(scene.n)
     backward = timed(problem.backward)

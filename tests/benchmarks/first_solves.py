@@ -89,8 +89,14 @@ def _nonlinear() -> None:
 
 
 SOLVES: dict[str, Callable[[], None]] = {
-    "ten": _ten, "string": _string, "grid": _grid, "model": _model, "program": _program,
-    "least squares": _least_squares, "nonlinear": _nonlinear, "game": _game,
+    "ten": _ten,
+    "string": _string,
+    "grid": _grid,
+    "model": _model,
+    "program": _program,
+    "least squares": _least_squares,
+    "nonlinear": _nonlinear,
+    "game": _game,
 }
 
 
@@ -111,7 +117,9 @@ def _dense_lu(A: Any, order: Any) -> None:
                 A[i, j] -= A[i, k] * A[k, j]
 
 
-def _projected_gauss_seidel(data: Any, indices: Any, indptr: Any, q: Any, z: Any, sweeps: int) -> float:
+def _projected_gauss_seidel(
+    data: Any, indices: Any, indptr: Any, q: Any, z: Any, sweeps: int
+) -> float:
     """Sweep in place; return the largest change of the last sweep."""
     change = 0.0
     for _ in range(sweeps):
@@ -134,7 +142,9 @@ def reference() -> dict[str, float]:
     began, processor = time.perf_counter(), time.process_time()
     njit(_dense_lu)(_definite(), np.empty(SIZE, np.int64))
     pointers = np.arange(SIZE + 1)
-    njit(_projected_gauss_seidel)(np.ones(SIZE), pointers[:-1], pointers, _random(SIZE), np.zeros(SIZE), 2)
+    njit(_projected_gauss_seidel)(
+        np.ones(SIZE), pointers[:-1], pointers, _random(SIZE), np.zeros(SIZE), 2
+    )
     return {"seconds": time.perf_counter() - began, "processor": time.process_time() - processor}
 
 

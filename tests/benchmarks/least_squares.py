@@ -23,7 +23,9 @@ from .timing import medians, rounds, timed
 STEPS = 30  # enough to time one
 OVERHEAD = 60e-6  # seconds that a call may cost beside scipy's
 ALLOWED = 2.0  # times scipy's seconds, and the overhead
-LONG_ENOUGH = 0.003  # seconds, which shorter calls are repeated for: a slice that one process has for itself
+LONG_ENOUGH = (
+    0.003  # seconds, which shorter calls are repeated for: a slice that one process has for itself
+)
 UPPER = 0.5  # of boxes: about half the positive entries of the planted x exceed it
 SOLVED = 1e-8  # optimality of a rival that counts
 ROUNDS = 15
@@ -42,7 +44,9 @@ def planted(A: Any, seed: int = SEED) -> tuple[FloatVector, FloatVector]:
     rng = np.random.default_rng(seed)
     is_free = rng.random(A.shape[1]) < 0.5
     x = np.where(is_free, 0.1 + rng.random(is_free.size), 0.0)
-    residual = lsmr(A.T, np.where(is_free, 0.0, rng.random(is_free.size)), atol=1e-15, btol=1e-15)[0]
+    residual = lsmr(A.T, np.where(is_free, 0.0, rng.random(is_free.size)), atol=1e-15, btol=1e-15)[
+        0
+    ]
     return A @ x - residual, x
 
 
@@ -50,7 +54,9 @@ def random_rows(m: int, n: int, per_row: int = 10, seed: int = SEED) -> sp.csr_a
     """Return a sparse A with so many entries in (0, 1) a row."""
     rng = np.random.default_rng(seed)
     rows = np.repeat(np.arange(m), per_row)
-    return sp.csr_array((rng.random(m * per_row), (rows, rng.integers(0, n, m * per_row))), shape=(m, n))
+    return sp.csr_array(
+        (rng.random(m * per_row), (rows, rng.integers(0, n, m * per_row))), shape=(m, n)
+    )
 
 
 def accelerated_gradients(A: Any, b: FloatVector, tolerance: float) -> FloatVector:
@@ -76,7 +82,10 @@ def accelerated_gradients(A: Any, b: FloatVector, tolerance: float) -> FloatVect
 def of_condition(m: int, n: int, condition: float, rng: np.random.Generator) -> FloatVector:
     """Return a dense A with singular values from 1 to 1/condition, in even ratios."""
     k = min(m, n)
-    left, right = np.linalg.qr(rng.standard_normal((m, k)))[0], np.linalg.qr(rng.standard_normal((n, k)))[0]
+    left, right = (
+        np.linalg.qr(rng.standard_normal((m, k)))[0],
+        np.linalg.qr(rng.standard_normal((n, k)))[0],
+    )
     product: FloatVector = (left * np.logspace(0.0, -np.log10(condition), k)) @ right.T
     return product
 
@@ -85,16 +94,29 @@ def cases(*, quick: bool = False) -> Iterator[tuple[str, Any, FloatVector]]:
     """Yield a name, A and b of each row of the table: b = A x and a tenth of noise, half of x ≥ 0 is 0."""
     rng, scale = np.random.default_rng(SEED), 10 if quick else 1
     kinds: dict[str, Callable[[int, int], Any]] = {
-        "normal": lambda m, n: rng.standard_normal((m, n)), "positive": lambda m, n: rng.random((m, n)),
-        "condition 1e8": lambda m, n: of_condition(m, n, 1e8, rng), "sparse": lambda m, n: random_rows(m, n, 8),
+        "normal": lambda m, n: rng.standard_normal((m, n)),
+        "positive": lambda m, n: rng.random((m, n)),
+        "condition 1e8": lambda m, n: of_condition(m, n, 1e8, rng),
+        "sparse": lambda m, n: random_rows(m, n, 8),
     }
     shapes = {
         "normal": ((8, 5), (40, 20), (200, 100), (2000, 400), (2000, 1000), (300, 800)),
-        "positive": ((8, 5), (40, 20), (200, 100), (2000, 400), (20_000, 100), (2000, 1000), (300, 800)),
-        "condition 1e8": ((60, 30), (600, 300), (400, 400)), "sparse": ((3000, 600), (40_000, 8000)),
+        "positive": (
+            (8, 5),
+            (40, 20),
+            (200, 100),
+            (2000, 400),
+            (20_000, 100),
+            (2000, 1000),
+            (300, 800),
+        ),
+        "condition 1e8": ((60, 30), (600, 300), (400, 400)),
+        "sparse": ((3000, 600), (40_000, 8000)),
     }
     for kind, sizes in shapes.items():
-        for small in dict.fromkeys((-(-m // scale), -(-n // scale)) if m * n > UNSCALED else (m, n) for m, n in sizes):
+        for small in dict.fromkeys(
+            (-(-m // scale), -(-n // scale)) if m * n > UNSCALED else (m, n) for m, n in sizes
+        ):
             A = kinds[kind](*small)
             exact = A @ np.where(rng.random(small[1]) < 0.5, rng.random(small[1]), 0.0)
             b = exact + 0.1 * np.abs(exact).mean() * rng.standard_normal(small[0])
@@ -120,7 +142,9 @@ def _beside_scipy(A: Any, b: FloatVector, upper: float, repeats: int) -> str:
                 calls[rival] = call
     counts = {name: max(1, int(LONG_ENOUGH / timed(call).seconds)) for name, call in calls.items()}
     many = {name: lambda name=name: [calls[name]() for _ in range(counts[name])] for name in calls}
-    for name, runs in rounds(many, repeats).items():  # the quickest, as scipy's microseconds drown in others' work
+    for name, runs in rounds(
+        many, repeats
+    ).items():  # the quickest, as scipy's microseconds drown in others' work
         seconds[name] = min(one.seconds for one in runs) / counts[name]
     ours = seconds.pop("ours")
     said = f"{1e3 * ours:.3f} ms, {result.status.name} to {result.optimality:.0e}"
@@ -168,7 +192,8 @@ def run(*, quick: bool = False) -> Iterator[str]:
 def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[str]:
     result = bounded_least_squares(A, b)
     calls: dict[str, Callable[[], Any]] = {
-        "ours": lambda: bounded_least_squares(A, b), "rival": lambda: accelerated_gradients(A, b, 1e-6),
+        "ours": lambda: bounded_least_squares(A, b),
+        "rival": lambda: accelerated_gradients(A, b, 1e-6),
         "pair": lambda: A.T @ (A @ x),
     }
     seconds = medians(calls, repeats)
@@ -181,7 +206,9 @@ def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[st
 
 def _dense(n: int) -> tuple[ScaledLeastSquares, float]:
     rng = np.random.default_rng(SEED)
-    return BoundedLeastSquares(rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n), upper=1.0).scaled, float(n)
+    return BoundedLeastSquares(
+        rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n), upper=1.0
+    ).scaled, float(n)
 
 
 def _chain(n: int) -> tuple[ScaledLeastSquares, float]:

@@ -60,13 +60,17 @@ def run(*, quick: bool = False) -> Iterator[str]:
 
 def _puts(n: int, steps: int, count: int) -> Iterator[str]:
     x = np.linspace(-1.5, 1.5, n)
-    A = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (0.045 / (x[1] - x[0]) ** 2)
+    A = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (
+        0.045 / (x[1] - x[0]) ** 2
+    )
     problem = LCP(sp.csr_array(sp.eye_array(n) * (1.0 + 0.05 / steps) + A / steps), np.zeros(n))
     payoffs = np.maximum(np.linspace(0.8, 1.2, count)[:, None] - np.exp(x), 0.0)
     forcing, weights = np.zeros((steps, n)), np.eye(n)[n // 2]
 
     def alone() -> list[March]:
-        return [march(problem.with_q(problem.q, lower=payoff), forcing, z0=payoff) for payoff in payoffs]
+        return [
+            march(problem.with_q(problem.q, lower=payoff), forcing, z0=payoff) for payoff in payoffs
+        ]
 
     def together() -> list[March]:
         return march_many(problem, forcing, lower=payoffs, z0=payoffs, threads=1)
@@ -79,8 +83,13 @@ def _puts(n: int, steps: int, count: int) -> Iterator[str]:
     one = alone()[0], together()[0]
     change = max(abs(a - b).max() for a, b in zip(one[0].z, one[1].z, strict=True))
     derivative(one[0]).vjp(weights)
-    rounds = [(taken(alone), taken(together), taken(lambda: derivative(one[0]).vjp(weights))) for _ in range(3)]
-    by_one, by_all, by_gradient = (statistics.median(seconds) for seconds in zip(*rounds, strict=True))
+    rounds = [
+        (taken(alone), taken(together), taken(lambda: derivative(one[0]).vjp(weights)))
+        for _ in range(3)
+    ]
+    by_one, by_all, by_gradient = (
+        statistics.median(seconds) for seconds in zip(*rounds, strict=True)
+    )
     ratio = by_gradient * count / by_one
     yield f"put, n = {n}, {steps} steps: march {by_one / count:.4f} s, its gradient ÷ march {ratio:.2f}"
     yield f"{count} strikes: one by one {by_one:.3f} s, at once ÷ one by one {by_all / by_one:.2f}, change {change:.0e}"
@@ -109,17 +118,28 @@ def _strikes(n: int, steps: int, count: int) -> Iterator[str]:
         return V.T
 
     def by_lapack() -> FloatVector:
-        bands, V = np.array([np.full(n, above), np.full(n, centre), np.full(n, below)]), payoffs.T.copy()
+        bands, V = (
+            np.array([np.full(n, above), np.full(n, centre), np.full(n, below)]),
+            payoffs.T.copy(),
+        )
         for _ in range(steps):
-            V = np.maximum(solve_banded((1, 1), bands, V, overwrite_b=True, check_finite=False), payoffs.T)
+            V = np.maximum(
+                solve_banded((1, 1), bands, V, overwrite_b=True, check_finite=False), payoffs.T
+            )
         return V.T
 
     def by_march(threads: int) -> Callable[[], list[March]]:
-        return lambda: march_many(problem, forcing, lower=payoffs, z0=payoffs, threads=threads, keep_every=steps)
+        return lambda: march_many(
+            problem, forcing, lower=payoffs, z0=payoffs, threads=threads, keep_every=steps
+        )
 
     march_many(problem, forcing[:2], lower=payoffs[:2], z0=payoffs[:2])  # compile
-    ways = {"numpy's loop": by_numpy, "solve_banded": by_lapack, "march_many, 1 thread": by_march(1),
-            "march_many, 2 threads": by_march(2)}
+    ways = {
+        "numpy's loop": by_numpy,
+        "solve_banded": by_lapack,
+        "march_many, 1 thread": by_march(1),
+        "march_many, 2 threads": by_march(2),
+    }
     slowest, answers = 0.0, {}
     for name, way in ways.items():
         began = time.perf_counter(), time.process_time()
@@ -129,10 +149,14 @@ def _strikes(n: int, steps: int, count: int) -> Iterator[str]:
         tracemalloc.start()
         memory = tracemalloc.get_traced_memory()[1] / 2**20 if way() is not None else 0.0
         tracemalloc.stop()
-        yield (f"{count} strikes × {n} × {steps}, {name:<22} {wall:.2f} s, processor {taken:.2f} s, "
-               f"numpy's loop ÷ this {slowest / (wall if '2' in name else taken):.1f}, {memory:.0f} MB")
+        yield (
+            f"{count} strikes × {n} × {steps}, {name:<22} {wall:.2f} s, processor {taken:.2f} s, "
+            f"numpy's loop ÷ this {slowest / (wall if '2' in name else taken):.1f}, {memory:.0f} MB"
+        )
     one, two = (answers[f"march_many, {k}"] for k in ("1 thread", "2 threads"))
-    change = max(abs(done.z[-1] - V).max() for done, V in zip(one, answers["numpy's loop"], strict=True))
+    change = max(
+        abs(done.z[-1] - V).max() for done, V in zip(one, answers["numpy's loop"], strict=True)
+    )
     same = all(np.array_equal(a.z[-1], b.z[-1]) for a, b in zip(one, two, strict=True))
     solved = sum(status.name == "SOLVED" for done in one for status in done.status)
     yield f"{solved} of {count * steps} steps SOLVED, change {change:.0e}, the same bits on two threads: {same}"
@@ -142,7 +166,9 @@ def _volatilities(n: int, steps: int, count: int) -> Iterator[str]:
     x, sigma = np.linspace(-1.5, 1.5, n), np.linspace(0.15, 0.45, count)
     dt, rate, h = 1.0 / steps, 0.05, x[1] - x[0]
     floor, forcing = np.maximum(1.0 - np.exp(x), 0.0), np.broadcast_to(np.zeros(n), (steps, n))
-    below, above = (-dt * (sigma**2 / h**2 + sign * (sigma**2 / 2 - rate) / h) / 2 for sign in (1, -1))
+    below, above = (
+        -dt * (sigma**2 / h**2 + sign * (sigma**2 / 2 - rate) / h) / 2 for sign in (1, -1)
+    )
     by_sigma = [-dt * (2 * sigma / h**2 + sign * sigma / h) / 2 for sign in (1, -1)]
     centre = 1.0 + rate * dt - below - above
 
@@ -166,14 +192,23 @@ def _volatilities(n: int, steps: int, count: int) -> Iterator[str]:
     def by_march(keep_every: int) -> list[March]:
         each = zip(below, centre, above, strict=True)
         problems = [LCP(matrix(*one), np.zeros(n), lower=floor) for one in each]
-        return cast("list[March]", march(problems, forcing, z0=floor, threads=1, keep_every=keep_every))
+        return cast(
+            "list[March]", march(problems, forcing, z0=floor, threads=1, keep_every=keep_every)
+        )
 
     def vega(one: March, a: float, c: float) -> FloatVector:
         return derivative(one).jvp(dM=matrix(a, -a - c, c), only_last=True)
 
-    march([LCP(matrix(a, 3.0, c), np.zeros(n), lower=floor) for a, c in ((-0.9, -0.9), (-0.8, -0.8))], forcing[:2])
+    march(
+        [LCP(matrix(a, 3.0, c), np.zeros(n), lower=floor) for a, c in ((-0.9, -0.9), (-0.8, -0.8))],
+        forcing[:2],
+    )
     taken, answers = {}, {}
-    for name, way in {"numpy's loop": by_numpy, "prices": lambda: by_march(steps), "kept": lambda: by_march(1)}.items():
+    for name, way in {
+        "numpy's loop": by_numpy,
+        "prices": lambda: by_march(steps),
+        "kept": lambda: by_march(1),
+    }.items():
         began = time.process_time()
         answers[name] = way()
         taken[name] = time.process_time() - began
@@ -182,9 +217,14 @@ def _volatilities(n: int, steps: int, count: int) -> Iterator[str]:
     for one, a, c in zip(answers["kept"], *by_sigma, strict=True):
         vega(one, a, c)
     both, by_loop = taken["kept"] + time.process_time() - began, taken["numpy's loop"]
-    change = max(abs(one.z[-1] - V).max() for one, V in zip(answers["prices"], answers["numpy's loop"], strict=True))
-    yield (f"{count} volatilities × {n} × {steps}: numpy's loop {by_loop:.2f} s, prices ÷ it "
-           f"{taken['prices'] / by_loop:.2f}, prices and vegas ÷ it {both / by_loop:.2f}, change {change:.0e}")
+    change = max(
+        abs(one.z[-1] - V).max()
+        for one, V in zip(answers["prices"], answers["numpy's loop"], strict=True)
+    )
+    yield (
+        f"{count} volatilities × {n} × {steps}: numpy's loop {by_loop:.2f} s, prices ÷ it "
+        f"{taken['prices'] / by_loop:.2f}, prices and vegas ÷ it {both / by_loop:.2f}, change {change:.0e}"
+    )
 
 
 def _line(what: str, results: list[Result], seconds: list[float]) -> str:
@@ -211,6 +251,7 @@ def _alone(steps: marches.Steps) -> tuple[list[Result], list[float]]:
 
 def _together(steps: marches.Steps) -> tuple[list[Result], list[float]]:
     """Tell steps apart by what the first one alone takes."""
+
     def taken(forcing: FloatVector) -> tuple[Any, float]:
         began = time.process_time()
         done = march(_fresh(steps), forcing, steps.propagator, z0=steps.z0, threads=1)

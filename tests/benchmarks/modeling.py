@@ -75,7 +75,9 @@ def _nonlinear(n: int) -> str:
         beside.append(whole - problem.solver_stats.solve_time)
     stated: Any = build_from(problem).problem
     point = np.ones(n)
-    seconds = medians({"derivative": lambda: stated.jacobian(point), "product": lambda: M @ point}, repeats=9)
+    seconds = medians(
+        {"derivative": lambda: stated.jacobian(point), "product": lambda: M @ point}, repeats=9
+    )
     return (
         f"n = {n}, with exp(x): all of problem.solve beside the solver {np.median(beside[1:]):.3f} s   target ≤ "
         f"{TARGET_NONLINEAR[n]:g} s; F′(x) ÷ product with M {seconds['derivative'] / seconds['product']:.1f}"

@@ -54,8 +54,11 @@ FORWARD, BACKWARD = (("gauss_seidel", {"sweep": sweep}) for sweep in ("forward",
 PYAMG: dict[str, dict[str, Any]] = {
     "classical": {"max_coarse": 50},
     "direct": {
-        "max_coarse": 500, "coarse_solver": "splu", "interpolation": "direct",
-        "presmoother": FORWARD, "postsmoother": BACKWARD,
+        "max_coarse": 500,
+        "coarse_solver": "splu",
+        "interpolation": "direct",
+        "presmoother": FORWARD,
+        "postsmoother": BACKWARD,
     },
 }
 
@@ -74,23 +77,62 @@ class Row(NamedTuple):
 JUMPS = "coefficient_jumps:size={},contrast={}"
 WIND = "convection_diffusion:size={},diffusion={}"
 ROWS = [
-    Row("obstacle, sphere", "obstacle_2d:size=1024", "obstacle_2d:size=60", "≤ 0.42 linear, auto 0.38", True),
-    Row("obstacle, bumps", "obstacle_bumps:size=1024", "obstacle_bumps:size=60", "≤ 0.42 linear, auto 0.38", True),
+    Row(
+        "obstacle, sphere",
+        "obstacle_2d:size=1024",
+        "obstacle_2d:size=60",
+        "≤ 0.42 linear, auto 0.38",
+        True,
+    ),
+    Row(
+        "obstacle, bumps",
+        "obstacle_bumps:size=1024",
+        "obstacle_bumps:size=60",
+        "≤ 0.42 linear, auto 0.38",
+        True,
+    ),
     Row("obstacle 3-D", "obstacle_3d:size=100", "obstacle_3d:size=12", "≤ 1.2 linear", True),
-    Row("bearing 0.9", "journal_bearing:size=1000,eccentricity=0.9", "journal_bearing:size=50", "≤ 2 linear", True),
-    Row("bearing 0.99", "journal_bearing:size=1000,eccentricity=0.99", "journal_bearing:size=50,eccentricity=0.99",
-        "≤ 2 linear", True),
+    Row(
+        "bearing 0.9",
+        "journal_bearing:size=1000,eccentricity=0.9",
+        "journal_bearing:size=50",
+        "≤ 2 linear",
+        True,
+    ),
+    Row(
+        "bearing 0.99",
+        "journal_bearing:size=1000,eccentricity=0.99",
+        "journal_bearing:size=50,eccentricity=0.99",
+        "≤ 2 linear",
+        True,
+    ),
     *(
         Row(f"wind, ε = {e}", WIND.format(500, e), WIND.format(50, e), "≤ 25 cycles", True, True)
         for e in ("1", "1e-2", "1e-3", "1e-5")
     ),
-    Row("anisotropy, 30°", "rotated_anisotropy:size=500", "rotated_anisotropy:size=50", "≤ 25 cycles", True, True),
+    Row(
+        "anisotropy, 30°",
+        "rotated_anisotropy:size=500",
+        "rotated_anisotropy:size=50",
+        "≤ 25 cycles",
+        True,
+        True,
+    ),
     *(
         Row(f"jumps {c}", JUMPS.format(500, c), JUMPS.format(50, c), target, True, True)
-        for c, target in (("1e2", "≤ 20 cycles"), ("1e6", "≤ 60 cycles"), ("1e10", "≤ newton's time"))
+        for c, target in (
+            ("1e2", "≤ 20 cycles"),
+            ("1e6", "≤ 60 cycles"),
+            ("1e10", "≤ newton's time"),
+        )
     ),
-    Row("Example 1, δ = 0", "paper_example_1:n=1000000,delta=0", "paper_example_1:n=2500,delta=0", "≤ 0.9 linear",
-        True),
+    Row(
+        "Example 1, δ = 0",
+        "paper_example_1:n=1000000,delta=0",
+        "paper_example_1:n=2500,delta=0",
+        "≤ 0.9 linear",
+        True,
+    ),
 ]
 
 FIRST_RUN = """
@@ -110,7 +152,9 @@ LARGEST = Row("10⁷ unknowns", "obstacle_2d:size=3163", "obstacle_2d:size=100",
 
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield the table, the growth with n, the march in time, and what others need."""
-    warm_up = parse(ROWS[0].quick if quick else ROWS[0].scene)  # compiles, and touches the memory for the first time
+    warm_up = parse(
+        ROWS[0].quick if quick else ROWS[0].scene
+    )  # compiles, and touches the memory for the first time
     for smoother in ("pgs", "npsor"):
         from_scratch(warm_up.problem, smoother=smoother)
     for hierarchy in PYAMG:
@@ -124,7 +168,10 @@ def run(*, quick: bool = False) -> Iterator[str]:
     yield f"{LARGEST.title}: {1e-9 * peak_memory():.1f} GB at the peak of this process, libraries included"
     yield american_put(*(2000, 10) if quick else (100_000, 100))
     yield from sweeping(2500 if quick else 1_000_000)
-    yield from others(parse("obstacle_2d:size=30" if quick else "obstacle_2d:size=316"), 5.0 if quick else TIME_LIMIT)
+    yield from others(
+        parse("obstacle_2d:size=30" if quick else "obstacle_2d:size=316"),
+        5.0 if quick else TIME_LIMIT,
+    )
 
 
 def product_seconds(problem: LCP) -> float:
@@ -158,12 +205,16 @@ def _line(row: Row, quick: bool) -> str:
         calls |= {name: partial(linear_solve, scene, name) for name in PYAMG}
     best = quickest(calls)
     ours, theirs = best["pgs"], best["npsor"]
-    rival = min((name for name in PYAMG if name in best), key=lambda name: best[name].seconds, default="")
+    rival = min(
+        (name for name in PYAMG if name in best), key=lambda name: best[name].seconds, default=""
+    )
     seconds, product = ours.seconds, statistics.median((product, product_seconds(problem)))
     result: Result = ours.answer
     parts = [
-        f"{row.title:<22} n = {problem.n:<8}", f"{result.status.name} {result.iterations:3d} cycles",
-        f"work {result.work:4.0f}", f"{seconds:7.3f} s = {seconds / product:5.0f} products",
+        f"{row.title:<22} n = {problem.n:<8}",
+        f"{result.status.name} {result.iterations:3d} cycles",
+        f"work {result.work:4.0f}",
+        f"{seconds:7.3f} s = {seconds / product:5.0f} products",
         f"npsor {theirs.answer.status.name} {theirs.answer.iterations} cycles, ÷ pgs {theirs.seconds / seconds:.2f}",
     ]
     if rival:
@@ -173,7 +224,9 @@ def _line(row: Row, quick: bool) -> str:
     if row.exact:
         parts.append(f"true error {true_error(problem, result.z):.1e} (target {TRUE_ERROR:g})")
     if "newton" in row.target and "newton" in REGISTRY:
-        parts.append(f"newton ÷ ours {timed(partial(from_scratch, problem, 'newton')).seconds / seconds:.1f}")
+        parts.append(
+            f"newton ÷ ours {timed(partial(from_scratch, problem, 'newton')).seconds / seconds:.1f}"
+        )
     return "   ".join([*parts, f"target {row.target}"])
 
 
@@ -181,17 +234,27 @@ def _on_all_threads(problem: LCP, calls: dict[str, Callable[[], Any]]) -> str:
     """Return what auto and multigrid need on all threads and on one, beside the linear solve, in elapsed seconds."""
     threads = checked_threads(None)
     for name in ("auto", "multigrid"):
-        calls |= {f"{name} on {count}": partial(from_scratch, problem, name, threads=count) for count in (1, threads)}
-    elapsed = {name: min(one.seconds for one in runs) for name, runs in timing.rounds(calls, 2).items()}
+        calls |= {
+            f"{name} on {count}": partial(from_scratch, problem, name, threads=count)
+            for count in (1, threads)
+        }
+    elapsed = {
+        name: min(one.seconds for one in runs) for name, runs in timing.rounds(calls, 2).items()
+    }
     linear = elapsed.pop("linear")
-    parts = [f"{name} {seconds:.2f} s ÷ linear {seconds / linear:.2f}" for name, seconds in elapsed.items()]
+    parts = [
+        f"{name} {seconds:.2f} s ÷ linear {seconds / linear:.2f}"
+        for name, seconds in elapsed.items()
+    ]
     return ", ".join(["elapsed", *parts])
 
 
 def first_run(row: Row, quick: bool) -> str:
     """Return what auto needs for the first time in a process, compiled kernels on disk, beside its best run there."""
     program = FIRST_RUN.format(row.quick if quick else row.scene)
-    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    told = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout.split()
     first, *others = map(float, told)
     return (
         f"first run in a process, {row.title}: {first:.2f} s elapsed on {checked_threads(None)} threads, "
@@ -250,7 +313,10 @@ def traffic(scene: Scene) -> str:
     hierarchy = hierarchy_of(scene.problem.matrix, COARSEST)
     truncation = Truncation(hierarchy)
     from_here, to = np.ones(COPIED), np.empty(COPIED)
-    best = quickest({"cycle": partial(truncation.correct, 0), "copy": partial(np.copyto, to, from_here)}, CYCLES_TIMED)
+    best = quickest(
+        {"cycle": partial(truncation.correct, 0), "copy": partial(np.copyto, to, from_here)},
+        CYCLES_TIMED,
+    )
     cycle, copy = (max(best[name].seconds, 1e-9) for name in ("cycle", "copy"))
     moved = _cycle_bytes(hierarchy)
     return (
@@ -263,8 +329,14 @@ def _cycle_bytes(hierarchy: Any) -> float:
     """Two passes over each matrix; one over P and its transpose; 13 reads or writes a row."""
     moved = 0.0
     for grid, transfer in zip(hierarchy.grids, hierarchy.transfers, strict=False):
-        moved += 2.0 * _entry_bytes(grid.matrix) * grid.matrix.data.size + 13.0 * grid.inverse.itemsize * grid.n
-        moved += sum(_entry_bytes(way) * way.data.size for way in (transfer.prolongation, transfer.restriction))
+        moved += (
+            2.0 * _entry_bytes(grid.matrix) * grid.matrix.data.size
+            + 13.0 * grid.inverse.itemsize * grid.n
+        )
+        moved += sum(
+            _entry_bytes(way) * way.data.size
+            for way in (transfer.prolongation, transfer.restriction)
+        )
     return moved
 
 
@@ -280,10 +352,13 @@ def growth(sizes: tuple[int, ...]) -> Iterator[str]:
     """
     for name in ("obstacle_2d", "obstacle_bumps"):
         problems = [build(name, size=size).problem for size in sizes]
-        best = quickest({str(p.n): partial(_user_seconds, p) for p in problems}, repeats=GROWTH_RUNS)
+        best = quickest(
+            {str(p.n): partial(_user_seconds, p) for p in problems}, repeats=GROWTH_RUNS
+        )
         yield f"growth {name}: n = {', '.join(best)}, cycles {[one.answer[0] for one in best.values()]}"
         for what, seconds in (
-            ("all", [one.seconds for one in best.values()]), ("the program's", [one.answer[1] for one in best.values()])
+            ("all", [one.seconds for one in best.values()]),
+            ("the program's", [one.answer[1] for one in best.values()]),
         ):
             factors = ", ".join(f"{b / max(a, TICK):.2f}" for a, b in pairwise(seconds))
             shown = ", ".join(f"{value:.3f}" for value in seconds)
@@ -300,7 +375,9 @@ def american_put(size: int, steps: int) -> str:
     scene = build("american_put_march", size=size, steps=steps)
     advance = scene.advance
     if advance is None:
-        raise InvalidProblem(f"{scene!r} is no march: nothing tells the q of the next step; give it `advance`")
+        raise InvalidProblem(
+            f"{scene!r} is no march: nothing tells the q of the next step; give it `advance`"
+        )
 
     def march() -> tuple[int, int]:
         problem = prepare(LCP(scene.problem.csr, scene.problem.q, lower=scene.problem.lower))
@@ -321,7 +398,10 @@ def american_put(size: int, steps: int) -> str:
 
 def sweeping(n: int) -> Iterator[str]:
     """Yield what auto, the presets and multigrid need where sweeps alone are good enough."""
-    for text, target in ((f"random_h_plus:n={n}", "≤ 60 work"), (f"paper_example_1:n={n},delta=4", "")):
+    for text, target in (
+        (f"random_h_plus:n={n}", "≤ 60 work"),
+        (f"paper_example_1:n={n},delta=4", ""),
+    ):
         problem = parse(text).problem
         names = ("auto", *PRESETS, "multigrid")
         best = quickest({name: partial(from_scratch, problem, name) for name in names}, repeats=5)
@@ -344,7 +424,9 @@ def others(scene: Scene, limit: float) -> Iterator[str]:
         name: partial(_status, problem, name, limit) for name in ("multigrid", "psor", "npgs")
     }
     calls["OSQP"] = partial(_judged, problem, lambda: RIVALS["OSQP"].answer(case, TOLERANCE, limit))
-    calls["PIQP"] = partial(_judged, problem, lambda: RIVALS["PIQP sparse"].answer(case, 0.1 * TOLERANCE, limit))
+    calls["PIQP"] = partial(
+        _judged, problem, lambda: RIVALS["PIQP sparse"].answer(case, 0.1 * TOLERANCE, limit)
+    )
     for name, call in calls.items():
         try:
             one = timed(call)

@@ -39,16 +39,21 @@ def run(*, quick: bool = False) -> Iterator[str]:
         return z, count
 
     scipys: dict[str, Prepare] = {
-        "splu": factorised, "splu, tuned": factorised_without_panels, "spsolve_triangular": substituted
+        "splu": factorised,
+        "splu, tuned": factorised_without_panels,
+        "spsolve_triangular": substituted,
     }
     calls: Calls = {"lcp_plugin": ours} | {
-        f"scipy {name}": partial(scipy_npsor, M, q, start, prepare) for name, prepare in scipys.items()
+        f"scipy {name}": partial(scipy_npsor, M, q, start, prepare)
+        for name, prepare in scipys.items()
     }
     once = {name: call for name, call in calls.items() if "triangular" in name}
     often = {name: call for name, call in calls.items() if name not in once}
     rounds(often, 1)
     runs = rounds(often, 3 if quick else 5) | rounds(once, 1)
-    seconds = {name: statistics.median(one.seconds for one in every) for name, every in runs.items()}
+    seconds = {
+        name: statistics.median(one.seconds for one in every) for name, every in runs.items()
+    }
     yield f"Example 1, n = {q.size}, NPSOR({RELAXATION}) to Res < {TOLERANCE:g}, everything from (M, q) to the answer"
     for name, every in runs.items():
         z, iterations = every[0].answer
@@ -88,7 +93,9 @@ def factorised(lower: sp.csr_array, **panels: int) -> Callable[[Any], Any]:
     return solve_with
 
 
-factorised_without_panels = partial(factorised, relax=1, panel_size=1)  # which halves the time of the factorisation
+factorised_without_panels = partial(
+    factorised, relax=1, panel_size=1
+)  # which halves the time of the factorisation
 
 
 def substituted(lower: sp.csr_array) -> Callable[[Any], Any]:

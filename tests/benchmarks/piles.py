@@ -40,7 +40,10 @@ def run(*, quick: bool = False) -> Iterator[str]:
             found = [(*siconos_answer(name, problem, start), problem) for problem, start in later]
             told: Steps = [(seconds, one.slope.size, residual) for seconds, residual, one in found]
             yield _line(count, f"Siconos {name}", told, f", {len(told)} of these steps")
-        for name, module, way in (("MuJoCo", "mujoco", _mujoco), ("Drake (SAP)", "pydrake", _drake)):
+        for name, module, way in (
+            ("MuJoCo", "mujoco", _mujoco),
+            ("Drake (SAP)", "pydrake", _drake),
+        ):
             if find_spec(module) is not None:
                 yield _line(count, name, list(way(Pile(count), steps)))
     if not has_siconos():
@@ -51,14 +54,20 @@ def run(*, quick: bool = False) -> Iterator[str]:
 
 
 def _line(count: int, name: str, steps: Steps, more: str = "") -> str:
-    seconds, contacts, residuals = (np.array(column) for column in zip(*steps[len(steps) // 2:], strict=True))
+    seconds, contacts, residuals = (
+        np.array(column) for column in zip(*steps[len(steps) // 2 :], strict=True)
+    )
     median = float(np.median(seconds))
-    return (f"{count} spheres, {name}: {1e3 * median:.2f} ms a step, worst {1e3 * seconds.max():.1f}, "
-            f"{int((seconds > 3.0 * median).sum())} later than 3 × the median, {int(np.median(contacts))} contacts, "
-            f"residual {np.median(residuals):.0e}{more}")
+    return (
+        f"{count} spheres, {name}: {1e3 * median:.2f} ms a step, worst {1e3 * seconds.max():.1f}, "
+        f"{int((seconds > 3.0 * median).sum())} later than 3 × the median, {int(np.median(contacts))} contacts, "
+        f"residual {np.median(residuals):.0e}{more}"
+    )
 
 
-def _ours(count: int, steps: int, engines: dict[str, Steps]) -> Iterator[tuple[FrictionalContact, Any, float, bool]]:
+def _ours(
+    count: int, steps: int, engines: dict[str, Steps]
+) -> Iterator[tuple[FrictionalContact, Any, float, bool]]:
     """Yield each step's problem, start, seconds, and whether it is solved; add it, and that of sweeps, to the lists."""
     pile, kept = Pile(count), dict[Any, Any]()
     for _ in range(steps):
@@ -72,7 +81,9 @@ def _ours(count: int, steps: int, engines: dict[str, Steps]) -> Iterator[tuple[F
         next(sweeps)
         began = time.process_time()
         step = next(sweeps)
-        engines[f"{SWEEPS} sweeps"].append((time.process_time() - began, len(pairs), step.residual or 0.0))
+        engines[f"{SWEEPS} sweeps"].append(
+            (time.process_time() - began, len(pairs), step.residual or 0.0)
+        )
         yield problem, start, seconds, result.is_solved
         kept = dict(zip(pairs, result.z.reshape(-1, 3), strict=True))
         pile.move(rows, result.z)
@@ -89,10 +100,12 @@ def _residual(pile: Pile, velocities: Any, contacts: list[tuple[int, int, Any, A
         for body, sign in ((one, 1.0), (other, -1.0)):
             if body >= 0:
                 arms = np.cross(point - pile.at[body], frame)
-                J[3 * k:3 * k + 3, 6 * body:6 * body + 6] = sign * np.hstack([frame, arms])
+                J[3 * k : 3 * k + 3, 6 * body : 6 * body + 6] = sign * np.hstack([frame, arms])
         r.append(frame @ impulse)
     problem = FrictionalContact(J / pile.mass @ J.T, J @ velocities, FRICTION)
-    return float(solve(problem, z0=np.concatenate(r), max_iterations=0).certificate.relative_residual)
+    return float(
+        solve(problem, z0=np.concatenate(r), max_iterations=0).certificate.relative_residual
+    )
 
 
 def _walls(pile: Pile) -> list[tuple[Any, Any]]:
@@ -107,10 +120,14 @@ def _mujoco(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
     def geom(kind: str, place: Any, rest: str) -> str:
         return f'<geom type="{kind}" pos="{" ".join(map(str, place))}" friction="{FRICTION} 0 0" {rest}/>'
 
-    walls = "".join(geom("plane", at, f'size="9 9 1" zaxis="{" ".join(map(str, n))}"') for n, at in _walls(pile))
-    balls = "".join(f'<body pos="{" ".join(map(str, at))}"><freejoint/>'
-                    f'{geom("sphere", np.zeros(3), f"""size="{pile.radius}" density="1000" condim="3" """)}</body>'
-                    for at in pile.at)
+    walls = "".join(
+        geom("plane", at, f'size="9 9 1" zaxis="{" ".join(map(str, n))}"') for n, at in _walls(pile)
+    )
+    balls = "".join(
+        f'<body pos="{" ".join(map(str, at))}"><freejoint/>'
+        f'{geom("sphere", np.zeros(3), f"""size="{pile.radius}" density="1000" condim="3" """)}</body>'
+        for at in pile.at
+    )
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="{pile.step}" cone="elliptic" gravity="0 0 -9.81"/>'
         f"<worldbody>{walls}{balls}</worldbody></mujoco>"
@@ -118,7 +135,9 @@ def _mujoco(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
     data, force = mujoco.MjData(model), np.zeros(6)
     for _ in range(steps):
         before = data.qvel.reshape(-1, 6).copy()
-        before[:, 3:] = np.einsum("bij,bj->bi", data.xmat[1:].reshape(-1, 3, 3), before[:, 3:])  # to the world's axes
+        before[:, 3:] = np.einsum(
+            "bij,bj->bi", data.xmat[1:].reshape(-1, 3, 3), before[:, 3:]
+        )  # to the world's axes
         began = time.process_time()
         mujoco.mj_step(model, data)
         seconds = time.process_time() - began
@@ -126,8 +145,12 @@ def _mujoco(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
         for k in range(data.ncon):
             mujoco.mj_contactForce(model, data, k, force)
             one, two = (int(model.geom_bodyid[geom]) - 1 for geom in data.contact[k].geom)
-            frame = np.array(data.contact[k].frame).reshape(3, 3)  # its normal from the first to the second
-            contacts.append((two, one, np.array(data.contact[k].pos), frame[0], frame.T @ force[:3] * pile.step))
+            frame = np.array(data.contact[k].frame).reshape(
+                3, 3
+            )  # its normal from the first to the second
+            contacts.append(
+                (two, one, np.array(data.contact[k].pos), frame[0], frame.T @ force[:3] * pile.step)
+            )
         before[:, 2] -= 9.81 * pile.step
         yield seconds, len(contacts), _residual(pile, before.ravel(), contacts)
         pile.at = data.qpos.reshape(-1, 7)[:, :3].copy()
@@ -136,7 +159,11 @@ def _mujoco(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
 def _drake(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
     from pydrake.geometry import HalfSpace, Sphere
     from pydrake.math import RigidTransform
-    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, DiscreteContactApproximation
+    from pydrake.multibody.plant import (
+        AddMultibodyPlantSceneGraph,
+        CoulombFriction,
+        DiscreteContactApproximation,
+    )
     from pydrake.multibody.tree import SpatialInertia
     from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder
@@ -146,11 +173,17 @@ def _drake(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
     rough = CoulombFriction(FRICTION, FRICTION)
     for k, (n, at) in enumerate(_walls(pile)):
-        plant.RegisterCollisionGeometry(plant.world_body(), HalfSpace.MakePose(n, at), HalfSpace(), f"wall{k}", rough)
+        plant.RegisterCollisionGeometry(
+            plant.world_body(), HalfSpace.MakePose(n, at), HalfSpace(), f"wall{k}", rough
+        )
     bodies = []
     for k in range(len(pile.at)):
-        body = plant.AddRigidBody(f"ball{k}", SpatialInertia.SolidSphereWithMass(pile.mass[6 * k], pile.radius))
-        plant.RegisterCollisionGeometry(body, RigidTransform(), Sphere(pile.radius), f"ball{k}", rough)
+        body = plant.AddRigidBody(
+            f"ball{k}", SpatialInertia.SolidSphereWithMass(pile.mass[6 * k], pile.radius)
+        )
+        plant.RegisterCollisionGeometry(
+            body, RigidTransform(), Sphere(pile.radius), f"ball{k}", rough
+        )
         bodies.append(body)
     plant.Finalize()
     diagram = builder.Build()
@@ -175,7 +208,14 @@ def _drake(pile: Pile, steps: int) -> Iterator[tuple[float, int, float]]:
             one = found.point_pair_contact_info(k)
             pair = [number.get(index, -1) for index in (one.bodyB_index(), one.bodyA_index())]
             # Its normal leads from B to A, and the force acts on B.
-            contacts.append((*pair, one.contact_point(), -one.point_pair().nhat_BA_W, one.contact_force() * pile.step))
+            contacts.append(
+                (
+                    *pair,
+                    one.contact_point(),
+                    -one.point_pair().nhat_BA_W,
+                    one.contact_force() * pile.step,
+                )
+            )
         before[:, 2] -= 9.81 * pile.step
         yield seconds, len(contacts), _residual(pile, before.ravel(), contacts)
         pile.at = state(lambda body: plant.EvalBodyPoseInWorld(context, body).translation())

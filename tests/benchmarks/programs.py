@@ -74,17 +74,25 @@ def cases(*, quick: bool) -> Iterator[Case]:
 def sparse(n: int, rng: np.random.Generator) -> Case:
     """Return a sparse program with equations, inequalities and bounds, P of half the rank."""
     factor = sp.random_array((n, n // 2), density=min(1.0, 3.0 / n), rng=rng)
-    G, A = (sp.random_array((m, n), density=min(1.0, 4.0 / n), rng=rng, format="csr") for m in (n // 2, n // 4))
+    G, A = (
+        sp.random_array((m, n), density=min(1.0, 4.0 / n), rng=rng, format="csr")
+        for m in (n // 2, n // 4)
+    )
     x = rng.random(n)
     h = G @ x + rng.random(n // 2) * (rng.random(n // 2) < 0.5)
-    return Case(f"sparse {n}", (sp.csr_array(factor @ factor.T), rng.standard_normal(n), G, h, A, A @ x, 0.0, 1.0))
+    return Case(
+        f"sparse {n}",
+        (sp.csr_array(factor @ factor.T), rng.standard_normal(n), G, h, A, A @ x, 0.0, 1.0),
+    )
 
 
 def linear(n: int, rng: np.random.Generator) -> Case:
     """Return a linear program."""
     G = sp.random_array((n // 2, n), density=min(1.0, 5.0 / n), rng=rng, format="csr")
     h = G @ rng.random(n) + 0.1
-    return Case(f"linear {n}", (sp.csr_array((n, n)), rng.standard_normal(n), G, h, None, None, 0.0, 2.0))
+    return Case(
+        f"linear {n}", (sp.csr_array((n, n)), rng.standard_normal(n), G, h, None, None, 0.0, 2.0)
+    )
 
 
 def dense(n: int, rng: np.random.Generator) -> Case:
@@ -92,7 +100,11 @@ def dense(n: int, rng: np.random.Generator) -> Case:
     factor, G, A = (rng.standard_normal(shape) for shape in ((n, n + 5), (n // 2, n), (n // 10, n)))
     x = rng.random(n)
     P = factor @ factor.T / n + 0.01 * np.eye(n)
-    return Case(f"dense {n}", (P, rng.standard_normal(n), G, G @ x + 0.1, A, A @ x, 0.0, np.inf), is_dense=True)
+    return Case(
+        f"dense {n}",
+        (P, rng.standard_normal(n), G, G @ x + 0.1, A, A @ x, 0.0, np.inf),
+        is_dense=True,
+    )
 
 
 def support_vectors(n: int, rng: np.random.Generator) -> Case:
@@ -100,23 +112,36 @@ def support_vectors(n: int, rng: np.random.Generator) -> Case:
     points, label = rng.standard_normal((n, 5)), np.where(rng.random(n) < 0.5, -1.0, 1.0)
     distance = ((points[:, None] - points) ** 2).sum(axis=2)
     P = label[:, None] * np.exp(-0.1 * distance) * label
-    return Case(f"SVM {n}", (P, -np.ones(n), None, None, label[None], [0.0], 0.0, 1.0), is_dense=True)
+    return Case(
+        f"SVM {n}", (P, -np.ones(n), None, None, label[None], [0.0], 0.0, 1.0), is_dense=True
+    )
 
 
 def portfolio(assets: int, factors: int, rng: np.random.Generator) -> Case:
     """Return a portfolio of least risk and most return in a factor model, the factors' shares unknowns."""
-    loads = sp.random_array((factors, assets), density=0.5, rng=rng, data_sampler=rng.standard_normal)
+    loads = sp.random_array(
+        (factors, assets), density=0.5, rng=rng, data_sampler=rng.standard_normal
+    )
     P = sp.block_diag([sp.diags_array(rng.random(assets) * factors**0.5), sp.eye_array(factors)])
-    A = sp.vstack([
-        sp.hstack([loads, -sp.eye_array(factors)]),
-        sp.csr_array(np.append(np.ones(assets), np.zeros(factors))[None]),
-    ])
-    c, b = np.append(-rng.standard_normal(assets), np.zeros(factors)), np.append(np.zeros(factors), 1.0)
+    A = sp.vstack(
+        [
+            sp.hstack([loads, -sp.eye_array(factors)]),
+            sp.csr_array(np.append(np.ones(assets), np.zeros(factors))[None]),
+        ]
+    )
+    c, b = (
+        np.append(-rng.standard_normal(assets), np.zeros(factors)),
+        np.append(np.zeros(factors), 1.0),
+    )
     lower = np.append(np.zeros(assets), np.full(factors, -np.inf))
-    return Case(f"portfolio {assets}", (sp.csr_array(P), c, None, None, sp.csr_array(A), b, lower, np.inf))
+    return Case(
+        f"portfolio {assets}", (sp.csr_array(P), c, None, None, sp.csr_array(A), b, lower, np.inf)
+    )
 
 
-def dynamics(growth: float, rng: np.random.Generator, states: int = 6, inputs: int = 2) -> tuple[Any, Any]:
+def dynamics(
+    growth: float, rng: np.random.Generator, states: int = 6, inputs: int = 2
+) -> tuple[Any, Any]:
     """Return x' = F x + B u with a spectral radius of that size."""
     F = rng.standard_normal((states, states))
     return F * (growth / np.abs(np.linalg.eigvals(F)).max()), rng.standard_normal((states, inputs))
@@ -126,23 +151,40 @@ def controller(horizon: int, growth: float, rng: np.random.Generator) -> Case:
     """Return the plan of a controller: states and inputs over the horizon, inputs bounded."""
     F, B = dynamics(growth, rng)
     (states, inputs), steps = B.shape, np.eye(horizon)
-    A = sp.hstack([
-        sp.kron(steps, sp.eye_array(states)) - sp.kron(sp.eye_array(horizon, k=-1), F),
-        -sp.kron(steps, sp.csr_array(B)),
-    ])
+    A = sp.hstack(
+        [
+            sp.kron(steps, sp.eye_array(states)) - sp.kron(sp.eye_array(horizon, k=-1), F),
+            -sp.kron(steps, sp.csr_array(B)),
+        ]
+    )
     b = np.append(F @ rng.standard_normal(states), np.zeros((horizon - 1) * states))
     P = sp.diags_array(np.repeat([1.0, 0.1], [horizon * states, horizon * inputs]))
     bound = np.repeat([10.0 if growth <= 1.0 else 1e3, 0.5], [horizon * states, horizon * inputs])
-    return Case(f"control {horizon}", (
-        sp.csr_array(P), np.zeros(bound.size), None, None, sp.csr_array(A), b, -bound, bound,
-    ))
+    return Case(
+        f"control {horizon}",
+        (
+            sp.csr_array(P),
+            np.zeros(bound.size),
+            None,
+            None,
+            sp.csr_array(A),
+            b,
+            -bound,
+            bound,
+        ),
+    )
 
 
 def chain(n: int, rng: np.random.Generator) -> Case:
     """Return the convex sequence nearest to a noisy one."""
     x = np.linspace(-1.0, 1.0, n) ** 2 + 0.1 * rng.standard_normal(n)
-    G = -sp.diags_array([np.ones(n), np.full(n, -2.0), np.ones(n)], offsets=[0, 1, 2], shape=(n - 2, n))
-    return Case(f"convex sequence {n}", (sp.eye_array(n, format="csr"), -x, sp.csr_array(G), np.zeros(n - 2)))
+    G = -sp.diags_array(
+        [np.ones(n), np.full(n, -2.0), np.ones(n)], offsets=[0, 1, 2], shape=(n - 2, n)
+    )
+    return Case(
+        f"convex sequence {n}",
+        (sp.eye_array(n, format="csr"), -x, sp.csr_array(G), np.zeros(n - 2)),
+    )
 
 
 def from_file(path: str | Path) -> Case:
@@ -188,7 +230,9 @@ def _measured(case: Case, present: Sequence[str], *, quick: bool) -> tuple[dict[
     first = timed(call)
     repeats = 1 if quick else int(np.clip(SECONDS / first.seconds, 2, MOST_ROUNDS))
     every = rounds(
-        {"ours": call} | {name: SETUPS[name](program, case.is_dense) for name in present}, repeats, time.process_time
+        {"ours": call} | {name: SETUPS[name](program, case.is_dense) for name in present},
+        repeats,
+        time.process_time,
     )
     seconds = {name: min(one.seconds for one in runs) for name, runs in every.items()}
     return seconds, first.answer.error
@@ -203,7 +247,15 @@ def _piqp(program: QuadraticProgram, is_dense: bool) -> Callable[[], Any]:
     def call() -> Any:
         solver = piqp.DenseSolver() if is_dense else piqp.SparseSolver()
         solver.setup(
-            P, program.c, A, program.b, G, np.full(program.h.size, -np.inf), program.h, program.lower, program.upper
+            P,
+            program.c,
+            A,
+            program.b,
+            G,
+            np.full(program.h.size, -np.inf),
+            program.h,
+            program.lower,
+            program.upper,
         )
         solver.solve()
         return solver.result.x
@@ -224,10 +276,15 @@ def _clarabel(program: QuadraticProgram, is_dense: bool) -> Callable[[], Any]:
     listed = np.concatenate([equal, most])
     P, A = sp.triu(sp.csc_matrix(program.P), format="csc"), sp.csc_matrix(rows.matrix[listed])
     cones = [clarabel.ZeroConeT(equal.size), clarabel.NonnegativeConeT(most.size)]
-    return lambda: clarabel.DefaultSolver(P, program.c, A, rows.limit[listed], cones, settings).solve().x
+    return lambda: (
+        clarabel.DefaultSolver(P, program.c, A, rows.limit[listed], cones, settings).solve().x
+    )
 
 
-SETUPS: dict[str, Callable[[QuadraticProgram, bool], Callable[[], Any]]] = {"piqp": _piqp, "clarabel": _clarabel}
+SETUPS: dict[str, Callable[[QuadraticProgram, bool], Callable[[], Any]]] = {
+    "piqp": _piqp,
+    "clarabel": _clarabel,
+}
 
 
 def _finite_rows(program: QuadraticProgram) -> tuple[Any, Any]:
@@ -242,7 +299,9 @@ def _from_arrays(*, quick: bool) -> Iterator[str]:
     for n in (10,) if quick else (10, 25, 50, 100, 200, 400):
         factor, G = rng.standard_normal((n, n + 5)), rng.standard_normal((n, n))
         h = G @ rng.random(n) + 0.5 * rng.random(n) + 0.1 * (rng.random(n) < 0.5)
-        program = QuadraticProgram(factor @ factor.T / n + 0.01 * np.eye(n), 3.0 * rng.standard_normal(n), G, h)
+        program = QuadraticProgram(
+            factor @ factor.T / n + 0.01 * np.eye(n), 3.0 * rng.standard_normal(n), G, h
+        )
 
         def call(given: QuadraticProgram = program) -> Any:
             answer = solve(QuadraticProgram(given.P, given.c, given.G, given.h)).require_solved()
@@ -266,10 +325,19 @@ def _again(*, quick: bool) -> str:
     states, inputs = B.shape
 
     def again(solver: Any) -> Callable[[], Any]:
-        present, x, u = cp.Parameter(states), cp.Variable((states, horizon + 1)), cp.Variable((inputs, horizon))
+        present, x, u = (
+            cp.Parameter(states),
+            cp.Variable((states, horizon + 1)),
+            cp.Variable((inputs, horizon)),
+        )
         problem = cp.Problem(
             cp.Minimize(cp.sum_squares(x) + 0.1 * cp.sum_squares(u)),
-            [x[:, 0] == present, x[:, 1:] == F @ x[:, :-1] + B @ u, cp.abs(u) <= 0.5, cp.abs(x) <= 10.0],
+            [
+                x[:, 0] == present,
+                x[:, 1:] == F @ x[:, :-1] + B @ u,
+                cp.abs(u) <= 0.5,
+                cp.abs(x) <= 10.0,
+            ],
         )
         values = np.random.default_rng(SEED).uniform(-1.0, 1.0, (count, states))
 

@@ -44,15 +44,21 @@ def support_vectors() -> QuadraticProgram:
     label = np.where(np.arange(60) % 2, 1.0, -1.0)
     points = np.round(64.0 * (rng.normal(size=(60, 4)) + 0.5 * label[:, None])) / 64.0
     signed = label[:, None] * points
-    return QuadraticProgram(signed @ signed.T, -np.ones(60), A=label[None, :], b=[0.0], lower=0.0, upper=1.0)
+    return QuadraticProgram(
+        signed @ signed.T, -np.ones(60), A=label[None, :], b=[0.0], lower=0.0, upper=1.0
+    )
 
 
 def convex_fit() -> QuadraticProgram:
     """Return the least squares fit of a convex sequence to 60 values: a chain of second differences."""
     rng, n = np.random.default_rng(3), 60
     values = np.linspace(-1.0, 1.0, n) ** 2 + 0.1 * rng.normal(size=n)
-    bend = sp.diags_array([-np.ones(n), 2.0 * np.ones(n), -np.ones(n)], offsets=[0, 1, 2], shape=(n - 2, n))
-    return QuadraticProgram(sp.eye_array(n, format="csr"), -values, G=bend.tocsr(), h=np.zeros(n - 2))
+    bend = sp.diags_array(
+        [-np.ones(n), 2.0 * np.ones(n), -np.ones(n)], offsets=[0, 1, 2], shape=(n - 2, n)
+    )
+    return QuadraticProgram(
+        sp.eye_array(n, format="csr"), -values, G=bend.tocsr(), h=np.zeros(n - 2)
+    )
 
 
 def unstable_control() -> QuadraticProgram:
@@ -62,20 +68,29 @@ def unstable_control() -> QuadraticProgram:
     start = np.zeros(steps)
     start[0] = 1.2 * 0.9
     return QuadraticProgram(
-        sp.diags_array(np.repeat([1.0, 0.1], steps)), np.zeros(2 * steps),
-        A=sp.hstack([grow, -sp.eye_array(steps)], format="csr"), b=start,
-        lower=np.repeat([-np.inf, -0.25], steps), upper=np.repeat([np.inf, 0.25], steps),
+        sp.diags_array(np.repeat([1.0, 0.1], steps)),
+        np.zeros(2 * steps),
+        A=sp.hstack([grow, -sp.eye_array(steps)], format="csr"),
+        b=start,
+        lower=np.repeat([-np.inf, -0.25], steps),
+        upper=np.repeat([np.inf, 0.25], steps),
     )
 
 
 def transport() -> QuadraticProgram:
     """Return the cheapest transport from six places to eight: a linear program with many bases."""
     rng = np.random.default_rng(4)
-    rows = sp.vstack([
-        sp.kron(sp.eye_array(6), np.ones((1, 8))), sp.kron(np.ones((1, 6)), sp.eye_array(8)),
-    ], format="csr")
+    rows = sp.vstack(
+        [
+            sp.kron(sp.eye_array(6), np.ones((1, 8))),
+            sp.kron(np.ones((1, 6)), sp.eye_array(8)),
+        ],
+        format="csr",
+    )
     amounts = np.concatenate([np.full(6, 8.0), np.full(8, 6.0)])
-    return QuadraticProgram(sp.csr_array((48, 48)), rng.integers(1, 10, 48).astype(float), A=rows, b=amounts, lower=0.0)
+    return QuadraticProgram(
+        sp.csr_array((48, 48)), rng.integers(1, 10, 48).astype(float), A=rows, b=amounts, lower=0.0
+    )
 
 
 def badly_scaled() -> QuadraticProgram:
@@ -85,8 +100,10 @@ def badly_scaled() -> QuadraticProgram:
     factor, x = rng.normal(size=(20, 20)), rng.normal(size=20)
     G = rng.normal(size=(12, 20))
     return QuadraticProgram(
-        columns[:, None] * (factor @ factor.T) * columns, columns * rng.normal(size=20),
-        G=rows[:, None] * G * columns, h=rows * (G @ x + rng.uniform(0.0, 1.0, 12)),
+        columns[:, None] * (factor @ factor.T) * columns,
+        columns * rng.normal(size=20),
+        G=rows[:, None] * G * columns,
+        h=rows * (G @ x + rng.uniform(0.0, 1.0, 12)),
     )
 
 
@@ -94,16 +111,25 @@ def contradiction() -> QuadraticProgram:
     """Return a program whose constraints contradict by a thousandth."""
     rng = np.random.default_rng(6)
     G = np.round(8.0 * rng.normal(size=(3, 6)))
-    return QuadraticProgram(np.eye(6), np.ones(6), G=np.vstack([G, -G.sum(axis=0)]), h=[1.0, 2.0, 3.0, -6.001])
+    return QuadraticProgram(
+        np.eye(6), np.ones(6), G=np.vstack([G, -G.sum(axis=0)]), h=[1.0, 2.0, 3.0, -6.001]
+    )
 
 
 def endless_descent() -> QuadraticProgram:
     """Return a program whose objective falls without end where two variables grow together."""
-    return QuadraticProgram(np.diag([0.0, 0.0, 1.0]), [1.0, -2.0, 0.0], A=[[1.0, -1.0, 0.0]], b=[0.0], lower=0.0)
+    return QuadraticProgram(
+        np.diag([0.0, 0.0, 1.0]), [1.0, -2.0, 0.0], A=[[1.0, -1.0, 0.0]], b=[0.0], lower=0.0
+    )
 
 
 SAMPLES: dict[str, Callable[[], QuadraticProgram]] = {
-    "portfolio": portfolio, "support vectors": support_vectors, "convex fit": convex_fit,
-    "unstable control": unstable_control, "transport": transport, "badly scaled": badly_scaled,
-    "contradiction": contradiction, "endless descent": endless_descent,
+    "portfolio": portfolio,
+    "support vectors": support_vectors,
+    "convex fit": convex_fit,
+    "unstable control": unstable_control,
+    "transport": transport,
+    "badly scaled": badly_scaled,
+    "contradiction": contradiction,
+    "endless descent": endless_descent,
 }

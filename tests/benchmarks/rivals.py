@@ -43,7 +43,9 @@ class Case:
     @property
     def bounds(self) -> tuple[FloatVector, FloatVector]:
         """Lower and upper bounds, shape (n,) each."""
-        return np.broadcast_to(self.lower, self.q.shape).copy(), np.broadcast_to(self.upper, self.q.shape).copy()
+        return np.broadcast_to(self.lower, self.q.shape).copy(), np.broadcast_to(
+            self.upper, self.q.shape
+        ).copy()
 
     @property
     def dense(self) -> FloatVector:
@@ -80,7 +82,9 @@ def spectrum(n: int, condition: float, active: float, seed: int = SEED) -> Case:
     vectors, _ = np.linalg.qr(rng.standard_normal((n, n)))
     M = (vectors * np.geomspace(1.0, 1.0 / condition, n)) @ vectors.T
     M = 0.5 * (M + M.T)
-    return Case(f"SPD n = {n}, κ = {condition:.0e}, {active:.0%} active", M, _offset(M, active, rng))
+    return Case(
+        f"SPD n = {n}, κ = {condition:.0e}, {active:.0%} active", M, _offset(M, active, rng)
+    )
 
 
 def contact(n: int, seed: int = SEED) -> Case:
@@ -96,7 +100,9 @@ def contact(n: int, seed: int = SEED) -> Case:
         for body, sign in ((first, 1.0), (second, -1.0)):
             if body < bodies:
                 arm = 0.5 * rng.standard_normal(3)
-                J[i, 6 * body : 6 * body + 6] = sign * np.concatenate([normal, np.cross(arm, normal)])
+                J[i, 6 * body : 6 * body + 6] = sign * np.concatenate(
+                    [normal, np.cross(arm, normal)]
+                )
     mass = np.repeat(np.exp(rng.standard_normal(bodies)), 6)
     M = (J / mass) @ J.T
     return Case(f"contact n = {n}", M, _offset(M, 0.4, rng))
@@ -132,7 +138,11 @@ def cases(*, quick: bool) -> Iterator[Case]:
 
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield one block a case: every solver's median time at its cheapest setting that reaches the residual."""
-    solvers = {name: solver for name, solver in (OURS | RIVALS).items() if find_spec(solver.package) is not None}
+    solvers = {
+        name: solver
+        for name, solver in (OURS | RIVALS).items()
+        if find_spec(solver.package) is not None
+    }
     for name in RIVALS.keys() - solvers.keys():
         yield f"{name} is not installed and left out"
     first, behind, count = 0, 1.0, 0
@@ -152,7 +162,9 @@ def run(*, quick: bool = False) -> Iterator[str]:
     yield f"first on {first} of {count}; nowhere more than {behind:.2f} × behind   target ≥ 7 of 9, ≤ 2 ×"
 
 
-def _measured(case: Case, solvers: dict[str, Solver], repeats: int) -> tuple[dict[str, float], dict[str, str]]:
+def _measured(
+    case: Case, solvers: dict[str, Solver], repeats: int
+) -> tuple[dict[str, float], dict[str, str]]:
     """Return the median seconds of those that reach the residual, and a note on every solver."""
     calls: dict[str, Callable[[], object]] = {}
     notes: dict[str, str] = {}
@@ -199,7 +211,9 @@ def _piqp(case: Case, precision: float, limit: float, *, is_dense: bool) -> tupl
 
     solver = piqp.DenseSolver() if is_dense else piqp.SparseSolver()
     settings = solver.settings
-    settings.eps_abs = settings.eps_rel = settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = precision
+    settings.eps_abs = settings.eps_rel = settings.eps_duality_gap_abs = (
+        settings.eps_duality_gap_rel
+    ) = precision
     P = np.asfortranarray(case.dense) if is_dense else sp.csc_matrix(case.M)
     lower, upper = case.bounds
     solver.setup(P=P, c=case.q, x_l=lower, x_u=upper)
@@ -213,8 +227,17 @@ def _osqp(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     solver = osqp.OSQP()
     lower, upper = case.bounds
     solver.setup(
-        P=sp.triu(sp.csc_matrix(case.M), format="csc"), q=case.q, A=sp.eye(case.q.size, format="csc"), l=lower, u=upper,
-        verbose=False, eps_abs=precision, eps_rel=precision, max_iter=200_000, polishing=True, time_limit=limit,
+        P=sp.triu(sp.csc_matrix(case.M), format="csc"),
+        q=case.q,
+        A=sp.eye(case.q.size, format="csc"),
+        l=lower,
+        u=upper,
+        verbose=False,
+        eps_abs=precision,
+        eps_rel=precision,
+        max_iter=200_000,
+        polishing=True,
+        time_limit=limit,
     )
     answer = solver.solve(raise_error=False)
     return answer.x, answer.info.status
@@ -239,8 +262,12 @@ def _clarabel(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = precision
     n = case.q.size
     solver = clarabel.DefaultSolver(
-        sp.triu(sp.csc_matrix(case.M), format="csc"), case.q, -sp.eye(n, format="csc"), -case.bounds[0],
-        [clarabel.NonnegativeConeT(n)], settings,
+        sp.triu(sp.csc_matrix(case.M), format="csc"),
+        case.q,
+        -sp.eye(n, format="csc"),
+        -case.bounds[0],
+        [clarabel.NonnegativeConeT(n)],
+        settings,
     )
     return solver.solve().x, ""
 
@@ -251,8 +278,15 @@ def _daqp(case: Case, precision: float, limit: float) -> tuple[Any, str]:
     n = case.q.size
     lower, upper = case.bounds
     x, *_ = daqp.solve(
-        np.ascontiguousarray(case.dense), case.q, np.zeros((0, n)), np.minimum(upper, 1e30), lower,
-        np.zeros(n, dtype=np.int32), primal_tol=precision, dual_tol=precision, iter_limit=100_000,
+        np.ascontiguousarray(case.dense),
+        case.q,
+        np.zeros((0, n)),
+        np.minimum(upper, 1e30),
+        lower,
+        np.zeros(n, dtype=np.int32),
+        primal_tol=precision,
+        dual_tol=precision,
+        iter_limit=100_000,
     )
     return x, ""
 
@@ -263,11 +297,17 @@ def _psor(case: Case, precision: float, limit: float) -> tuple[Any, str]:
 
     problem = LCP(case.M, case.q)
     rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
-    csr, split, z = problem.csr, kernels.row_splits(problem.csr, backward=False), np.zeros(problem.n)
+    csr, split, z = (
+        problem.csr,
+        kernels.row_splits(problem.csr, backward=False),
+        np.zeros(problem.n),
+    )
     began = time.perf_counter()
     while time.perf_counter() - began < limit:
         for _ in range(10):
-            change, _ = kernels.relaxation_sweep(csr.indptr, split, csr.indices, csr.data, rows, 1.0, False, z)
+            change, _ = kernels.relaxation_sweep(
+                csr.indptr, split, csr.indices, csr.data, rows, 1.0, False, z
+            )
         if change <= precision:
             break
     return z, ""

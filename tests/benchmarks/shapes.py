@@ -21,7 +21,16 @@ from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.problems.programs.program import QuadraticProgram
 from lcp_plugin.problems.programs.solving import solve_program
 
-from .programs import MOST_ROUNDS, OPTIMAL, SECONDS, SETUPS, Case, controller, portfolio, support_vectors
+from .programs import (
+    MOST_ROUNDS,
+    OPTIMAL,
+    SECONDS,
+    SETUPS,
+    Case,
+    controller,
+    portfolio,
+    support_vectors,
+)
 from .rivals import SEED
 from .timing import rounds, timed
 
@@ -51,7 +60,9 @@ def lasso(m: int, n: int, rng: np.random.Generator) -> Case:
     A, b = regression(m, n, rng)
     weight, identity = 0.1 * np.abs(A.T @ b).max(), sp.eye_array(n)
     P = sp.block_diag([sp.csr_array((2 * n, 2 * n)), sp.eye_array(m)])
-    G = sp.block_array([[identity, -identity, sp.csr_array((n, m))], [-identity, -identity, sp.csr_array((n, m))]])
+    G = sp.block_array(
+        [[identity, -identity, sp.csr_array((n, m))], [-identity, -identity, sp.csr_array((n, m))]]
+    )
     equations = sp.block_array([[sp.csr_array(A), sp.csr_array((m, n)), -sp.eye_array(m)]])
     c = np.repeat([0.0, weight, 0.0], [n, n, m])
     return Case(f"lasso {m}×{n}", (P, c, G, np.zeros(2 * n), equations, b, -FREE, FREE))
@@ -62,7 +73,11 @@ def split_lasso(m: int, n: int, rng: np.random.Generator) -> Case:
     A, b = regression(m, n, rng)
     both = np.hstack([A, -A])
     c = 0.1 * np.abs(A.T @ b).max() - both.T @ b
-    return Case(f"lasso, split {m}×{n}", (both.T @ both, c, None, None, None, None, 0.0, FREE), is_dense=True)
+    return Case(
+        f"lasso, split {m}×{n}",
+        (both.T @ both, c, None, None, None, None, 0.0, FREE),
+        is_dense=True,
+    )
 
 
 def elastic_net(m: int, n: int, rng: np.random.Generator) -> Case:
@@ -77,10 +92,14 @@ def separator(points: int, features: int, rng: np.random.Generator) -> Case:
     label = np.where(rng.random(points) < 0.5, -1.0, 1.0)
     X = rng.standard_normal((points, features)) + label[:, None] * (rng.random(features) < 0.2)
     P = sp.diags_array(np.repeat([1.0, 0.0], [features, points + 1]))
-    G = sp.block_array([[sp.csr_array(-label[:, None] * X), sp.csr_array(-label[:, None]), -sp.eye_array(points)]])
+    G = sp.block_array(
+        [[sp.csr_array(-label[:, None] * X), sp.csr_array(-label[:, None]), -sp.eye_array(points)]]
+    )
     c = np.repeat([0.0, 1.0], [features + 1, points])
     lower = np.repeat([-FREE, 0.0], [features + 1, points])
-    return Case(f"linear SVM {points}×{features}", (P, c, G, -np.ones(points), None, None, lower, FREE))
+    return Case(
+        f"linear SVM {points}×{features}", (P, c, G, -np.ones(points), None, None, lower, FREE)
+    )
 
 
 def largest_margin(points: int, features: int, rng: np.random.Generator) -> Case:
@@ -88,9 +107,16 @@ def largest_margin(points: int, features: int, rng: np.random.Generator) -> Case
     label = np.where(rng.random(points) < 0.5, -1.0, 1.0)
     X = rng.standard_normal((points, features)) + label[:, None] * (rng.random(features) < 0.2)
     n = features + 2 + points
-    G = sp.block_array([[
-        sp.csr_array(-label[:, None] * X), sp.csr_array(-label[:, None]), np.ones((points, 1)), -sp.eye_array(points),
-    ]])
+    G = sp.block_array(
+        [
+            [
+                sp.csr_array(-label[:, None] * X),
+                sp.csr_array(-label[:, None]),
+                np.ones((points, 1)),
+                -sp.eye_array(points),
+            ]
+        ]
+    )
     c = np.repeat([0.0, -0.1 * points, 1.0], [features + 1, 1, points])
     lower = np.repeat([-1.0, -FREE, 0.0], [features, 2, points])
     upper = np.repeat([1.0, FREE, FREE], [features, 2, points])
@@ -113,8 +139,13 @@ def full_portfolio(assets: int, factors: int, rng: np.random.Generator) -> Case:
     """Return a portfolio whose every asset has a load on every factor."""
     loads = rng.standard_normal((factors, assets))
     P = sp.diags_array(np.append(rng.random(assets) * factors**0.5, np.ones(factors)))
-    A = sp.block_array([[sp.csr_array(loads), -sp.eye_array(factors)], [np.ones((1, assets)), None]])
-    c, b = np.append(-rng.standard_normal(assets), np.zeros(factors)), np.append(np.zeros(factors), 1.0)
+    A = sp.block_array(
+        [[sp.csr_array(loads), -sp.eye_array(factors)], [np.ones((1, assets)), None]]
+    )
+    c, b = (
+        np.append(-rng.standard_normal(assets), np.zeros(factors)),
+        np.append(np.zeros(factors), 1.0),
+    )
     lower = np.append(np.zeros(assets), np.full(factors, -FREE))
     return Case(f"full portfolio {assets}, {factors}", (P, c, None, None, A, b, lower, FREE))
 
@@ -124,12 +155,18 @@ def transport(sources: int, sinks: int, rng: np.random.Generator) -> Case:
     places = rng.random((sources, 2)), rng.random((sinks, 2))
     cost = np.sqrt(((places[0][:, None] - places[1]) ** 2).sum(axis=2)).ravel()
     supply, demand = rng.random(sources) + 0.1, rng.random(sinks) + 0.1
-    A = sp.vstack([
-        sp.kron(sp.eye_array(sources), np.ones((1, sinks))), sp.kron(np.ones((1, sources)), sp.eye_array(sinks)),
-    ])
+    A = sp.vstack(
+        [
+            sp.kron(sp.eye_array(sources), np.ones((1, sinks))),
+            sp.kron(np.ones((1, sources)), sp.eye_array(sinks)),
+        ]
+    )
     b = np.concatenate([supply / supply.sum(), demand / demand.sum()])
     n = cost.size
-    return Case(f"transport {sources}×{sinks}", (sp.csr_array((n, n)), cost, None, None, sp.csr_array(A), b, 0.0, FREE))
+    return Case(
+        f"transport {sources}×{sinks}",
+        (sp.csr_array((n, n)), cost, None, None, sp.csr_array(A), b, 0.0, FREE),
+    )
 
 
 def control(horizon: int, rng: np.random.Generator) -> Case:
@@ -148,13 +185,18 @@ def nonnegative(m: int, n: int, rng: np.random.Generator) -> Case:
 
 def steps(n: int, rng: np.random.Generator) -> FloatVector:
     """Return noisy steps."""
-    noisy: FloatVector = np.repeat(rng.standard_normal(10), -(-n // 10))[:n] + 0.2 * rng.standard_normal(n)
+    noisy: FloatVector = np.repeat(rng.standard_normal(10), -(-n // 10))[
+        :n
+    ] + 0.2 * rng.standard_normal(n)
     return noisy
 
 
 def total_variation(n: int, rng: np.random.Generator) -> Case:
     """Return ½‖x − a‖² + 2 Σ t, −t ≤ D x ≤ t."""
-    D, identity = sp.diags_array([-np.ones(n), np.ones(n)], offsets=[0, 1], shape=(n - 1, n)), sp.eye_array(n - 1)
+    D, identity = (
+        sp.diags_array([-np.ones(n), np.ones(n)], offsets=[0, 1], shape=(n - 1, n)),
+        sp.eye_array(n - 1),
+    )
     P = sp.diags_array(np.repeat([1.0, 0.0], [n, n - 1]))
     G = sp.block_array([[D, -identity], [-D, -identity]])
     c = np.append(-steps(n, rng), np.full(n - 1, 2.0))
@@ -174,7 +216,10 @@ def kernel(n: int, rng: np.random.Generator) -> Case:
 
 
 QUICK: dict[Callable[..., Case], Sequence[tuple[int, ...]]] = {
-    lasso: [(10, 20)], separator: [(30, 4)], transport: [(4, 5)], nonnegative: [(20, 5)],
+    lasso: [(10, 20)],
+    separator: [(30, 4)],
+    transport: [(4, 5)],
+    nonnegative: [(20, 5)],
 }
 FAMILIES: dict[Callable[..., Case], Sequence[tuple[int, ...]]] = {
     lasso: [(50, 100), (300, 1600), (1600, 300), (100, 2000)],
@@ -202,7 +247,11 @@ def ours(case: Case) -> FloatVector:
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield a line a program: seconds of ours, and over those of each rival; † where it is less accurate."""
     present = [name for name in (*BETTER_OF, *BESIDE) if find_spec(name) is not None]
-    yield from (f"{name} is not installed and left out" for name in (*BETTER_OF, *BESIDE) if name not in present)
+    yield from (
+        f"{name} is not installed and left out"
+        for name in (*BETTER_OF, *BESIDE)
+        if name not in present
+    )
     ratios = []
     for case in cases(quick=quick):
         seconds, errors = measured(case, present, quick=quick)
@@ -220,7 +269,9 @@ def run(*, quick: bool = False) -> Iterator[str]:
         yield f"{mean:.2f} × the better of {' and '.join(BETTER_OF)}, geometric mean; {max(ratios):.2f} × at the worst"
 
 
-def measured(case: Case, present: Sequence[str], *, quick: bool) -> tuple[dict[str, float], dict[str, float]]:
+def measured(
+    case: Case, present: Sequence[str], *, quick: bool
+) -> tuple[dict[str, float], dict[str, float]]:
     """Return the quickest of some rounds of each solver, and the errors of their answers."""
     program = case.program()
     calls = {"ours": lambda: ours(case)} | {
@@ -232,14 +283,17 @@ def measured(case: Case, present: Sequence[str], *, quick: bool) -> tuple[dict[s
             break
     first |= {name: timed(calls[name], time.process_time) for name in present}
     repeats = 1 if quick else int(np.clip(SECONDS / first["ours"].seconds, 2, MOST_ROUNDS))
-    again = {name: call for name, call in calls.items() if name == "ours" or first[name].seconds < LONG}
+    again = {
+        name: call for name, call in calls.items() if name == "ours" or first[name].seconds < LONG
+    }
     every = {name: [first[name]] for name in calls} | rounds(again, repeats, time.process_time)
     points = {name: np.asarray(one.answer) for name, one in first.items()}
     infeasible = {name: infeasibility(program, x) for name, x in points.items()}
     feasible = [name for name in calls if infeasible[name] <= OPTIMAL]
     least = min((program.objective(points[name]) for name in feasible), default=np.inf)
     errors = {
-        name: max(infeasible[name], (program.objective(x) - least) / (1.0 + abs(least))) for name, x in points.items()
+        name: max(infeasible[name], (program.objective(x) - least) / (1.0 + abs(least)))
+        for name, x in points.items()
     }
     return {name: min(one.seconds for one in runs) for name, runs in every.items()}, errors
 
@@ -247,8 +301,10 @@ def measured(case: Case, present: Sequence[str], *, quick: bool) -> tuple[dict[s
 def infeasibility(program: QuadraticProgram, x: FloatVector) -> float:
     """Return the largest violation of a constraint, beside the largest limit, or 1 where all are 0."""
     parts = [
-        (program.G @ x - program.h, program.h), (abs(program.A @ x - program.b), program.b),
-        (program.lower - x, program.lower), (x - program.upper, program.upper),
+        (program.G @ x - program.h, program.h),
+        (abs(program.A @ x - program.b), program.b),
+        (program.lower - x, program.lower),
+        (x - program.upper, program.upper),
     ]
     largest = max(float(np.abs(limit[np.isfinite(limit)]).max(initial=0.0)) for _, limit in parts)
     worst = max(float(left.max(initial=0.0)) for left, _ in parts)
@@ -269,7 +325,15 @@ def _osqp(program: QuadraticProgram, is_dense: bool) -> Callable[[], Any]:
     def call() -> Any:
         solver = osqp.OSQP()
         solver.setup(
-            P, program.c, A, lower, upper, verbose=False, eps_abs=OPTIMAL, eps_rel=OPTIMAL, polishing=True,
+            P,
+            program.c,
+            A,
+            lower,
+            upper,
+            verbose=False,
+            eps_abs=OPTIMAL,
+            eps_rel=OPTIMAL,
+            polishing=True,
             max_iter=100_000,
         )
         return solver.solve(raise_error=False).x

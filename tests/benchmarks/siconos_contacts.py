@@ -22,7 +22,9 @@ def main(source: str, name: str, tolerance: str, target: str) -> None:
     W.sort_indices()  # where they are not, Siconos' sweeps find no diagonal blocks
     W.indices, W.indptr = W.indices.astype(np.int64), W.indptr.astype(np.int64)
     forms = [W] if name == "NSGS" else [W, W.toarray()]
-    found = [timed(one, data["b"], data["mu"], data["start"], name, float(tolerance)) for one in forms]
+    found = [
+        timed(one, data["b"], data["mu"], data["start"], name, float(tolerance)) for one in forms
+    ]
     is_solved, seconds, r = min(found, key=lambda one: (not one[0], one[1]))
     np.savez(target, r=r, seconds=seconds, is_solved=is_solved)
 

@@ -65,7 +65,9 @@ def friction(contacts: int, seed: int = SEED) -> Case:
         pairs = ((int(rng.integers(bodies)), 1.0), (int(rng.integers(bodies)), -1.0))
         for body, sign in pairs[: 1 if pairs[0][0] == pairs[1][0] else 2]:
             rows_of_contact = [c, *(contacts + 4 * c + np.arange(4))]
-            for row, d in zip(rows_of_contact, (normal, first, second, -first, -second), strict=True):
+            for row, d in zip(
+                rows_of_contact, (normal, first, second, -first, -second), strict=True
+            ):
                 J[row, 6 * body : 6 * body + 6] += sign * np.concatenate([d, np.cross(arm, d)])
     M = np.zeros((m + contacts, m + contacts))
     M[:m, :m] = (J * np.exp(0.5 * rng.standard_normal(6 * bodies))) @ J.T
@@ -75,7 +77,9 @@ def friction(contacts: int, seed: int = SEED) -> Case:
         M[m + c, edges], M[edges, m + c] = -1.0, 1.0
     velocity = rng.standard_normal(6 * bodies)
     velocity[2::6] -= 2.0  # they fall
-    return Case(f"friction n = {6 * contacts}", M, np.concatenate([J @ velocity, np.zeros(contacts)]))
+    return Case(
+        f"friction n = {6 * contacts}", M, np.concatenate([J @ velocity, np.zeros(contacts)])
+    )
 
 
 def rows(*, quick: bool) -> Iterator[Row]:
@@ -84,9 +88,16 @@ def rows(*, quick: bool) -> Iterator[Row]:
     for n in (2, 10, 30) if quick else (2, 10, 30, 100):
         yield Row(f"dense SPD n = {n}, κ = 1e2", [spectrum(n, 1e2, 0.4, k) for k in range(few)])
     for condition in (1e6, 1e10):
-        yield Row(f"dense SPD n = 30, κ = {condition:.0e}", [spectrum(30, condition, 0.4, k) for k in range(few)])
+        yield Row(
+            f"dense SPD n = 30, κ = {condition:.0e}",
+            [spectrum(30, condition, 0.4, k) for k in range(few)],
+        )
     for contacts in (2, 5, 10):
-        yield Row(f"friction n = {6 * contacts}", [friction(contacts, k) for k in range(few)], ("compiled Lemke",))
+        yield Row(
+            f"friction n = {6 * contacts}",
+            [friction(contacts, k) for k in range(few)],
+            ("compiled Lemke",),
+        )
     for contacts in (100 // scale, 200 // scale):
         yield Row(f"friction n = {6 * contacts}", [friction(contacts)], ("compiled Lemke",))
     for n in (152 // scale, 548 // scale):
@@ -116,7 +127,11 @@ COMPILED_LEMKE = Solver("quantecon", _lemke)
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield what a call costs, the table, and batches."""
     rivals = {"compiled Lemke": COMPILED_LEMKE} | RIVALS
-    rivals = {name: one for name, one in rivals.items() if name in BEHIND and find_spec(one.package) is not None}
+    rivals = {
+        name: one
+        for name, one in rivals.items()
+        if name in BEHIND and find_spec(one.package) is not None
+    }
     for name in set(BEHIND) - rivals.keys():
         yield f"{name} is not installed and left out"
     repeats = 2 if quick else REPEATS
@@ -127,7 +142,11 @@ def run(*, quick: bool = False) -> Iterator[str]:
         own = seconds["auto"]
         others = {name: seconds[name] / own for name in rivals if name in seconds}
         told = ", ".join(f"{name} {ratio:.2f}" for name, ratio in others.items())
-        failed = "; failed: " + ", ".join(f"{name} {k}" for name, k in failures.items()) if failures else ""
+        failed = (
+            "; failed: " + ", ".join(f"{name} {k}" for name, k in failures.items())
+            if failures
+            else ""
+        )
         yield f"{row.name:<32} auto {1e6 * own / len(row.cases):10.1f} µs; ÷ auto: {told}{failed} (of {len(row.cases)})"
         count += 1
         first += not others or min(others.values()) >= 1.0
@@ -144,7 +163,8 @@ def _calls(repeats: int) -> Iterator[str]:
     case = spectrum(10, 1e2, 0.4)
     problem = LCP(case.M, case.q)
     calls: dict[str, Callable[[], Any]] = {
-        f"{name}, dense n = 10": partial(solve, problem, name) for name in ("auto", "newton", "lemke", "psor")
+        f"{name}, dense n = 10": partial(solve, problem, name)
+        for name in ("auto", "newton", "lemke", "psor")
     }
     calls["auto, dense n = 10, from arrays"] = lambda: solve(LCP(case.M, case.q))
     calls["npsor, Example 1, n = 100, to the paper's Res < 1e-5"] = partial(
@@ -154,7 +174,9 @@ def _calls(repeats: int) -> Iterator[str]:
         yield f"{name}: {1e6 * seconds:.0f} µs"
 
 
-def _measured(row: Row, rivals: dict[str, Solver], repeats: int) -> tuple[dict[str, float], dict[str, int]]:
+def _measured(
+    row: Row, rivals: dict[str, Solver], repeats: int
+) -> tuple[dict[str, float], dict[str, int]]:
     """Return the median seconds of auto and of each rival that solves any, and how many are left unsolved."""
     problems = row.problems()
     calls: dict[str, Callable[[], Any]] = {"auto": partial(_solved, problems)}
@@ -191,12 +213,15 @@ def _arrives(solver: Solver, case: Case) -> bool:
 def _batches(repeats: int, rivals: dict[str, Solver], count: int) -> Iterator[str]:
     """Yield what a problem of a batch costs, on one thread and on two, beside the compiled Lemke in a loop."""
     definite = [(f"SPD n = {n}", partial(spectrum, n, 1e2, 0.4)) for n in (10, 30, 100)]
-    rough = [(f"friction n = {6 * contacts}", partial(friction, contacts)) for contacts in (2, 5, 10)]
+    rough = [
+        (f"friction n = {6 * contacts}", partial(friction, contacts)) for contacts in (2, 5, 10)
+    ]
     for name, kind in (*definite, *rough):
         cases = [kind(k) for k in range(count if "100" not in name else count // 10)]
         M, q = np.array([case.M for case in cases]), np.array([case.q for case in cases])
         calls: dict[str, Callable[[], Any]] = {
-            "one": partial(solve_batch, M, q, threads=1), "two": partial(solve_batch, M, q, threads=2)
+            "one": partial(solve_batch, M, q, threads=1),
+            "two": partial(solve_batch, M, q, threads=2),
         }
         if "compiled Lemke" in rivals:
             calls["rival"] = partial(_asked, COMPILED_LEMKE, cases)
@@ -206,21 +231,32 @@ def _batches(repeats: int, rivals: dict[str, Solver], count: int) -> Iterator[st
             calls["gradients"] = partial(_gradients, batch)
             calls["matrices too"] = partial(_gradients, batch, of_matrices=True)
         seconds = medians(calls, max(repeats // 3, 1))
-        told = f"÷ compiled Lemke {seconds['one'] / seconds['rival']:.2f}, " if "rival" in seconds else ""
+        told = (
+            f"÷ compiled Lemke {seconds['one'] / seconds['rival']:.2f}, "
+            if "rival" in seconds
+            else ""
+        )
         yield (
             f"batch of {len(cases)} {name}: {1e6 * seconds['one'] / len(cases):.2f} µs a problem, {told}"
             f"two threads {seconds['one'] / seconds['two']:.2f} × faster, {unsolved} unsolved"
         )
         if "gradients" in seconds:
-            ratio, with_M = (seconds[name] / seconds["one"] for name in ("gradients", "matrices too"))
+            ratio, with_M = (
+                seconds[name] / seconds["one"] for name in ("gradients", "matrices too")
+            )
             yield f"their gradients by q and the bounds ÷ solving: {ratio:.2f}, by M too {with_M:.2f}   target ≤ 1 ×"
 
 
 def _programs(repeats: int, count: int, n: int = 10, m: int = 20) -> str:
     """Return what a strictly convex program of a batch costs, on one thread and on two, beside loops over rivals."""
     rng = np.random.default_rng(SEED)
-    factor, G, x = (rng.standard_normal(shape) for shape in ((count, n, n + 5), (count, m, n), (count, n)))
-    P, c = factor @ factor.transpose(0, 2, 1) / n + 0.01 * np.eye(n), rng.standard_normal((count, n))
+    factor, G, x = (
+        rng.standard_normal(shape) for shape in ((count, n, n + 5), (count, m, n), (count, n))
+    )
+    P, c = (
+        factor @ factor.transpose(0, 2, 1) / n + 0.01 * np.eye(n),
+        rng.standard_normal((count, n)),
+    )
     h = np.einsum("kij,kj->ki", G, x) + rng.random((count, m)) * (rng.random((count, m)) < 0.7)
 
     def ours(threads: int) -> Any:
@@ -239,9 +275,15 @@ def _programs(repeats: int, count: int, n: int = 10, m: int = 20) -> str:
             solver.solve()
 
     calls: dict[str, Callable[[], Any]] = {"one": partial(ours, 1), "two": partial(ours, 2)}
-    calls |= {name: loop for name, loop in (("daqp", daqp), ("piqp", piqp)) if find_spec(name) is not None}
+    calls |= {
+        name: loop for name, loop in (("daqp", daqp), ("piqp", piqp)) if find_spec(name) is not None
+    }
     seconds, answers = medians(calls, max(repeats // 3, 1)), ours(1)
-    told = "".join(f"÷ {name} in a loop {seconds['one'] / seconds[name]:.2f}, " for name in calls if "qp" in name)
+    told = "".join(
+        f"÷ {name} in a loop {seconds['one'] / seconds[name]:.2f}, "
+        for name in calls
+        if "qp" in name
+    )
     return (
         f"batch of {count} programs n = {n}, m = {m}: {1e6 * seconds['one'] / count:.2f} µs a program, {told}"
         f"two threads {seconds['one'] / seconds['two']:.2f} × faster, "

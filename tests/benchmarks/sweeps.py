@@ -35,7 +35,9 @@ def run(*, quick: bool = False) -> Iterator[str]:
     yield f"n = {problem.n}, nonzeros = {problem.nonzeros}; one scipy CSR product: {1e3 * product:.2f} ms"
     for name, value in seconds.items():
         target = f"   target ≤ {TARGETS[name]}" if name in TARGETS else ""
-        with_residual = " with its residual" if "pgs" not in name.split()[0] or name.startswith("n") else ""
+        with_residual = (
+            " with its residual" if "pgs" not in name.split()[0] or name.startswith("n") else ""
+        )
         yield f"one {name} sweep{with_residual}: {1e3 * value:.2f} ms = {value / product:.2f} products{target}"
 
 
@@ -43,17 +45,25 @@ def npgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], 
     """Return a call that does one NPGS sweep with its residual norm."""
     M, split, new = problem.csr, row_splits(problem.matrix, backward), np.empty(problem.n)
     rows = kernels.packed(
-        problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), np.ones(problem.n),
+        problem.q,
+        problem.lower,
+        problem.upper,
+        inverse_residual_scale(problem.matrix),
+        np.ones(problem.n),
         1.0 / (2.0 * problem.diagonal + 2.0),
     )
-    return lambda: kernels.splitting_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, True, backward, z, new)
+    return lambda: kernels.splitting_sweep(
+        M.indptr, split, M.indices, M.data, rows, 1.0, True, backward, z, new
+    )
 
 
 def pgs_sweep(problem: LCP, z: FloatVector, *, backward: bool) -> Callable[[], object]:
     """Return a call that does one projected Gauss–Seidel sweep in place, on a copy of z."""
     M, split, own = problem.csr, row_splits(problem.matrix, backward), z.copy()
     rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
-    return lambda: kernels.relaxation_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, backward, own)
+    return lambda: kernels.relaxation_sweep(
+        M.indptr, split, M.indices, M.data, rows, 1.0, backward, own
+    )
 
 
 def mgs_sweep(problem: LCP, z: FloatVector) -> Callable[[], object]:
@@ -61,7 +71,10 @@ def mgs_sweep(problem: LCP, z: FloatVector) -> Callable[[], object]:
     M, split = problem.csr, row_splits(problem.matrix, False)
     new, answer = np.empty(problem.n), np.empty(problem.n)
     rows = kernels.packed(
-        problem.q, problem.lower, inverse_residual_scale(problem.matrix), problem.diagonal,
+        problem.q,
+        problem.lower,
+        inverse_residual_scale(problem.matrix),
+        problem.diagonal,
         1.0 / (2.0 * problem.diagonal),
     )
     return lambda: modulus_sweep(

@@ -26,7 +26,9 @@ def timed(call: Callable[[], Any], clock: Callable[[], float] = time.perf_counte
     return Timed(answer, clock() - began)
 
 
-def rounds(calls: Calls, repeats: int, clock: Callable[[], float] = time.perf_counter) -> dict[str, list[Timed]]:
+def rounds(
+    calls: Calls, repeats: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, list[Timed]]:
     """Return all runs of each call, in rounds of all of them in turn."""
     runs = [{name: timed(call, clock) for name, call in calls.items()} for _ in range(repeats)]
     return {name: [run[name] for run in runs] for name in calls}

@@ -51,10 +51,13 @@ def _dense(n: int) -> LCP:
 def _seconds_of_sweep(problem: LCP, name: str, repeats: int) -> float:
     """Return what a driven sweep takes."""
     sweeps = 400
-    seconds = medians({
-        "sweeps": lambda: solve(problem, name, max_iterations=sweeps, tolerance=0.0),
-        "none": lambda: solve(problem, name, max_iterations=0, tolerance=0.0),
-    }, repeats)
+    seconds = medians(
+        {
+            "sweeps": lambda: solve(problem, name, max_iterations=sweeps, tolerance=0.0),
+            "none": lambda: solve(problem, name, max_iterations=0, tolerance=0.0),
+        },
+        repeats,
+    )
     return max((seconds["sweeps"] - seconds["none"]) / sweeps, 1e-9)
 
 
@@ -134,7 +137,10 @@ def _friction(contacts: int) -> LCP:
 
 
 def _interior_steps(repeats: int) -> str:
-    runs = (solve(_friction(contacts), "interior_point", prove_infeasibility=False) for contacts in (10, 40, 100))
+    runs = (
+        solve(_friction(contacts), "interior_point", prove_infeasibility=False)
+        for contacts in (10, 40, 100)
+    )
     steps = [int(run.stages[-1].remark.split()[2]) for run in runs]  # "piqp took 14 steps"
     return "on frictional contact with n = 60, 240 and 600: " + ", ".join(map(str, steps))
 
@@ -145,7 +151,9 @@ def _pivots_or_interior(repeats: int) -> str:
         problem = _friction(contacts)
         seconds = medians({name: partial(_solved_afresh, problem, name) for name in names}, repeats)
         if seconds["lemke"] > seconds["interior_point"]:
-            return f"lemke, then interior_point is the faster one between {last} and {problem.n} rows"
+            return (
+                f"lemke, then interior_point is the faster one between {last} and {problem.n} rows"
+            )
         last = problem.n
     return f"lemke is the faster one up to {last} rows"
 
@@ -154,13 +162,17 @@ def random_band(n: int, width: int, coupling: float) -> LCP:
     """Return a problem with full random diagonals that dominates its rows by little; the couplings have that sign."""
     rng = np.random.default_rng(n)
     sides = [k for k in range(-width, width + 1) if k]
-    M = sp.diags_array([coupling * rng.random(n - abs(k)) for k in sides], offsets=sides, shape=(n, n))
+    M = sp.diags_array(
+        [coupling * rng.random(n - abs(k)) for k in sides], offsets=sides, shape=(n, n)
+    )
     M = M + sp.diags_array(1.01 * np.asarray(abs(M).sum(axis=1)).ravel())
     return LCP(M, rng.normal(size=n), upper=rng.exponential(size=n))
 
 
 def _rounds(width: int, coupling: float, repeats: int) -> str:
-    counts = [solve(random_band(1000 + k, width, coupling), "banded").iterations for k in range(repeats)]
+    counts = [
+        solve(random_band(1000 + k, width, coupling), "banded").iterations for k in range(repeats)
+    ]
     return f"{min(counts)} to {max(counts)} rounds in boxes, {width} diagonals on either side"
 
 
@@ -191,15 +203,21 @@ def _operations(repeats: int) -> str:
     for size in (100, 300):
         problem = _grid(size)
         operations = sizes_of_factor(problem.matrix)[1]
-        seconds = medians({"factor": partial(factorise, problem.M, is_symmetric=True)}, repeats)["factor"]
-        ratios.append(seconds / operations * problem.nonzeros / _seconds_of_sweep(problem, "npgs", repeats))
+        seconds = medians({"factor": partial(factorise, problem.M, is_symmetric=True)}, repeats)[
+            "factor"
+        ]
+        ratios.append(
+            seconds / operations * problem.nonzeros / _seconds_of_sweep(problem, "npgs", repeats)
+        )
         seconds_of_largest = seconds / operations * tuning.FACTOR_OPERATIONS_UP_TO
     return f"{seconds_of_largest:.0f} s; an operation is {min(ratios):.2f} to {max(ratios):.2f} entries of a sweep"
 
 
 def _speed(problem: LCP, operations: float, repeats: int) -> str:
     """Return how many operations a second a factorisation of M makes."""
-    seconds = medians({"factor": partial(factorise, problem.M, is_symmetric=True)}, repeats)["factor"]
+    seconds = medians({"factor": partial(factorise, problem.M, is_symmetric=True)}, repeats)[
+        "factor"
+    ]
     return f"{operations / seconds:.1e} operations a second, n = {problem.n}"
 
 
@@ -226,7 +244,9 @@ def _semidefiniteness(repeats: int) -> str:
 def _sweep_or_change(repeats: int) -> str:
     problem = _dense(tuning.SWEEPS_FIRST_UP_TO)
     solved = solver_of(problem.M, dense_up_to=problem.n) or np.copy
-    seconds = medians({"sweep": lambda: problem.M @ problem.q, "change": lambda: solved(problem.q)}, repeats)
+    seconds = medians(
+        {"sweep": lambda: problem.M @ problem.q, "change": lambda: solved(problem.q)}, repeats
+    )
     return f"a product with M costs {seconds['sweep'] / seconds['change']:.1f} solves with its factor, n = {problem.n}"
 
 
@@ -242,12 +262,17 @@ def _definite_band(n: int, share: float) -> sp.csr_array:
     """Return a definite matrix with that share of entries, whose factor has no others."""
     width = round(0.5 * share * n)
     sides = [k for k in range(-width, width + 1) if k]
-    band = sp.diags_array([2.0 * width + 1.0, *(-1.0 for _ in sides)], offsets=[0, *sides], shape=(n, n))
+    band = sp.diags_array(
+        [2.0 * width + 1.0, *(-1.0 for _ in sides)], offsets=[0, *sides], shape=(n, n)
+    )
     return sp.csr_array(band)
 
 
 def _seconds_of_cholesky(P: sp.csr_array, repeats: int) -> dict[str, float]:
-    ways = {"dense": lambda: positive_factor(P.toarray()), "sparse": lambda: positive_factor(sp.csc_array(P))}
+    ways = {
+        "dense": lambda: positive_factor(P.toarray()),
+        "sparse": lambda: positive_factor(sp.csc_array(P)),
+    }
     return medians(ways, repeats)
 
 
@@ -278,7 +303,9 @@ def _scattered(n: int) -> LCP:
     """Return a sparse H₊ problem without narrow bands."""
     rng = np.random.default_rng(n)
     places = sp.random_array((n, n), density=0.04, rng=rng)
-    M = sp.csr_array(sp.diags_array(0.5 + np.asarray((places + places.T).sum(axis=1))) - (places + places.T))
+    M = sp.csr_array(
+        sp.diags_array(0.5 + np.asarray((places + places.T).sum(axis=1))) - (places + places.T)
+    )
     return LCP(M, rng.normal(size=n))
 
 
@@ -292,28 +319,47 @@ def _hand_over(repeats: int) -> str:
     """Return what two threads that wait for each other once need beside what a pass over so many rows takes."""
     problem, together = build("obstacle_2d", size=256).problem, threading.Barrier(2)
     with threads_for(2):
-        seconds = medians({
-            "hand-over": lambda: share(lambda first, end: together.wait(), 2, 1),
-            "pass": lambda: problem.csr @ problem.q,
-        }, 10 * repeats)
+        seconds = medians(
+            {
+                "hand-over": lambda: share(lambda first, end: together.wait(), 2, 1),
+                "pass": lambda: problem.csr @ problem.q,
+            },
+            10 * repeats,
+        )
     over, product = 1e6 * seconds["hand-over"], 1e6 * seconds["pass"]
     return f"a hand-over takes {over:.0f} µs, a product with a five-point M of {problem.n} rows {product:.0f} µs"
 
 
 MEASURED: dict[str, Callable[[int], str]] = {
-    "DIRECT_PASSES": _direct_dense, "DIRECT_ROWS": _direct_in_rows,
-    "DIRECT_ENTRIES": _direct, "DIRECT_CUBE": _direct_small, "SWEEP_ENTRIES": _calls_of_a_sweep,
-    "MULTIGRID_PASSES": _multigrid, "MULTIGRID_ROWS": _multigrid_small,
-    "BANDED_PASSES": _small_band, "PSOR_GAIN": _gain,
-    "PSOR_PASSES": _least, "INTERIOR_STEPS": _interior_steps, "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
-    "BANDED_ROUNDS": partial(_rounds, 2, 1.0), "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
+    "DIRECT_PASSES": _direct_dense,
+    "DIRECT_ROWS": _direct_in_rows,
+    "DIRECT_ENTRIES": _direct,
+    "DIRECT_CUBE": _direct_small,
+    "SWEEP_ENTRIES": _calls_of_a_sweep,
+    "MULTIGRID_PASSES": _multigrid,
+    "MULTIGRID_ROWS": _multigrid_small,
+    "BANDED_PASSES": _small_band,
+    "PSOR_GAIN": _gain,
+    "PSOR_PASSES": _least,
+    "INTERIOR_STEPS": _interior_steps,
+    "PIVOTS_FIRST_UP_TO": _pivots_or_interior,
+    "BANDED_ROUNDS": partial(_rounds, 2, 1.0),
+    "BOXED_ROUNDS": partial(_rounds, 1, -1.0),
     "COMPILED_UP_TO": partial(_compiled, _dense, "COMPILED_UP_TO"),
     "COMPILED_SPARSE_UP_TO": partial(_compiled, _scattered, "COMPILED_SPARSE_UP_TO"),
-    "DIRECT_UP_TO": _factor_or_multigrid, "LINEAR_PROGRAM_UP_TO": _program,
-    "FACTOR_OPERATIONS_UP_TO": _operations, "DENSE_OPERATIONS": _dense_speed, "SPARSE_OPERATIONS": _sparse_speed,
-    "PIVOTED_UP_TO": _pivoted, "SEMIDEFINITENESS_UP_TO": _semidefiniteness, "SWEEPS_FIRST_UP_TO": _sweep_or_change,
+    "DIRECT_UP_TO": _factor_or_multigrid,
+    "LINEAR_PROGRAM_UP_TO": _program,
+    "FACTOR_OPERATIONS_UP_TO": _operations,
+    "DENSE_OPERATIONS": _dense_speed,
+    "SPARSE_OPERATIONS": _sparse_speed,
+    "PIVOTED_UP_TO": _pivoted,
+    "SEMIDEFINITENESS_UP_TO": _semidefiniteness,
+    "SWEEPS_FIRST_UP_TO": _sweep_or_change,
     "CHOLESKY_UP_TO": partial(_cholesky, tuning.CHOLESKY_UP_TO, 0.01),
-    "FULL_CHOLESKY_UP_TO": partial(_largest_cholesky, tuning.FULL_CHOLESKY_UP_TO, tuning.FULL_CHOLESKY_FROM),
+    "FULL_CHOLESKY_UP_TO": partial(
+        _largest_cholesky, tuning.FULL_CHOLESKY_UP_TO, tuning.FULL_CHOLESKY_FROM
+    ),
     "FULL_CHOLESKY_FROM": partial(_cholesky, 500, tuning.FULL_CHOLESKY_FROM),
-    "SHARP_SAMPLES_UP_TO": _sharp_bound, "SHARED_FROM": _hand_over,
+    "SHARP_SAMPLES_UP_TO": _sharp_bound,
+    "SHARED_FROM": _hand_over,
 }

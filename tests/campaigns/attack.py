@@ -39,7 +39,11 @@ from lcp_plugin.problems.programs.solution import QPSolution
 
 Generator = np.random.Generator
 ERROR, POLISH = 0.01, 1e-3
-LEAST, MOST, HALVINGS = -13.0, -0.01, 9  # decimal exponents of tolerances, and how finely they are found
+LEAST, MOST, HALVINGS = (
+    -13.0,
+    -0.01,
+    9,
+)  # decimal exponents of tolerances, and how finely they are found
 JUDGES = {"lcp": 1e-8, "program": 1e-6, "linear": 1e-6}
 OTHERS = {  # the climbers of other kinds: functions of (rng, count) that yield or return falls
     "cones": ("attack_cones", "attack_cones"), "nonlinear": ("attack_nonlinear", "attack_nonlinear"),
@@ -107,7 +111,9 @@ def stepped(rng: Generator, value: float) -> float:
     if kind == 2:
         return value + float(rng.choice([-1, 1]) * 10.0 ** rng.uniform(-12, 12))
     if kind == 3:
-        return float(rng.choice([-1, 1]) * 10.0 ** rng.choice([-15, -12, -9, -6, -3, 0, 3, 6, 9, 12]))
+        return float(
+            rng.choice([-1, 1]) * 10.0 ** rng.choice([-15, -12, -9, -6, -3, 0, 3, 6, 9, 12])
+        )
     return (
         value * 10.0 ** rng.uniform(-3, 3)
         if kind == 4
@@ -144,9 +150,15 @@ def planted_lcp(rng: Generator) -> Target:
     elif kind == "triangular":
         M = np.tril(A, -1) + np.diag(rng.choice([1.0, 1e-6, 1e-9], n))
     state = rng.integers(0, 3, n)
-    z = np.where(state == 0, rng.integers(1, 5, n), 0) * rng.choice([1.0, 1e-6, 1e6], n, p=[0.7, 0.15, 0.15])
-    w = np.where(state == 1, rng.integers(1, 5, n), 0) * rng.choice([1.0, 1e-6, 1e6], n, p=[0.7, 0.15, 0.15])
-    rows, columns = (rng.choice([1.0, 1e-9, 1e-4, 1e6], n, p=[0.6, 0.15, 0.15, 0.1]) for _ in range(2))
+    z = np.where(state == 0, rng.integers(1, 5, n), 0) * rng.choice(
+        [1.0, 1e-6, 1e6], n, p=[0.7, 0.15, 0.15]
+    )
+    w = np.where(state == 1, rng.integers(1, 5, n), 0) * rng.choice(
+        [1.0, 1e-6, 1e6], n, p=[0.7, 0.15, 0.15]
+    )
+    rows, columns = (
+        rng.choice([1.0, 1e-9, 1e-4, 1e6], n, p=[0.6, 0.15, 0.15, 0.1]) for _ in range(2)
+    )
     if rng.random() < 0.5:
         M, w, z = rows[:, None] * M * columns, rows * w, z / columns
     if rng.random() < 0.4:
@@ -187,7 +199,9 @@ def planted_lcp(rng: Generator) -> Target:
         return np.maximum(moved, 0.0)
 
     def text(point: np.ndarray) -> str:
-        return f"{kind}: LCP({M.tolist()}, {q.tolist()}) at {point.tolist()}, right {right.tolist()}"
+        return (
+            f"{kind}: LCP({M.tolist()}, {q.tolist()}) at {point.tolist()}, right {right.tolist()}"
+        )
 
     return Target(right, passes, error, moves, lambda point: exact.wrong(point) <= 1e-7, text)
 
@@ -198,11 +212,22 @@ def planted_lcp(rng: Generator) -> Target:
 def planted_program(rng: Generator, *, linear: bool = False) -> Target:
     """Answers and multipliers come first; rows in units, tiny ones, doubled ones, idle unknowns, far costs."""
     n, m = int(rng.integers(1, 5)), int(rng.integers(1, 5))
-    G, x = integers(rng, m, n), integers(rng, n) * rng.choice([1.0, 1e-6, 1e6], n, p=[0.7, 0.15, 0.15])
+    G, x = (
+        integers(rng, m, n),
+        integers(rng, n) * rng.choice([1.0, 1e-6, 1e6], n, p=[0.7, 0.15, 0.15]),
+    )
     A = integers(rng, int(rng.random() < 0.4), n)
     L = integers(rng, n, int(rng.integers(1, n + 1)))
-    P = np.zeros((n, n)) if linear else L @ L.T if rng.random() < 0.6 else np.diag(rng.integers(0, 3, n).astype(float))
-    rows, columns = (rng.choice([1.0, 1e-9, 1e-4, 1e6], size, p=[0.7, 0.1, 0.1, 0.1]) for size in (m, n))
+    P = (
+        np.zeros((n, n))
+        if linear
+        else L @ L.T
+        if rng.random() < 0.6
+        else np.diag(rng.integers(0, 3, n).astype(float))
+    )
+    rows, columns = (
+        rng.choice([1.0, 1e-9, 1e-4, 1e6], size, p=[0.7, 0.1, 0.1, 0.1]) for size in (m, n)
+    )
     if rng.random() < 0.5:
         G = rows[:, None] * G
     if rng.random() < 0.3:
@@ -228,7 +253,10 @@ def planted_program(rng: Generator, *, linear: bool = False) -> Target:
     has_low, has_high = low | (rng.random(n) < 0.3), high | (rng.random(n) < 0.2)
     lower = np.where(has_low, np.where(low, x, x - rng.integers(1, 9, n)), -np.inf)
     upper = np.where(has_high, np.where(high, x, x + rng.integers(1, 9, n)), np.inf)
-    below, above = np.where(low, rng.integers(0, 4, n), 0) * 1.0, np.where(high, rng.integers(0, 4, n), 0) * 1.0
+    below, above = (
+        np.where(low, rng.integers(0, 4, n), 0) * 1.0,
+        np.where(high, rng.integers(0, 4, n), 0) * 1.0,
+    )
     c = -(P @ x + G.T @ y + A.T @ e - below + above)
     data = [P, c, G, h, A, b, lower, upper]
     program = lp.QuadraticProgram(*data[:6], lower=lower, upper=upper)
@@ -299,16 +327,23 @@ def planted_program(rng: Generator, *, linear: bool = False) -> Target:
                 below[j] += size
                 e[0] += size / A[0, j]
         at = np.minimum(np.maximum(at, limits(lower)), limits(upper))
-        below, above = np.where(np.isfinite(lower), below, 0), np.where(np.isfinite(upper), above, 0)
+        below, above = (
+            np.where(np.isfinite(lower), below, 0),
+            np.where(np.isfinite(upper), above, 0),
+        )
         return np.concatenate([at, np.maximum(y, 0), e, np.maximum(below, 0), np.maximum(above, 0)])
 
     def text(point: np.ndarray) -> str:
         names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
-        stated = ", ".join(f"{name}={np.asarray(part).tolist()}" for name, part in zip(names, data, strict=True))
+        stated = ", ".join(
+            f"{name}={np.asarray(part).tolist()}" for name, part in zip(names, data, strict=True)
+        )
         parts = zip(("x", "y", "e", "zl", "zu"), split(point), strict=True)
         at = ", ".join(f"{name}={part.tolist()}" for name, part in parts)
         here = value_of(data, point[:n])[0]
-        return f"QuadraticProgram({stated}) at {at}; right {x.tolist()}: {best:.6g}, here {here:.6g}"
+        return (
+            f"QuadraticProgram({stated}) at {at}; right {x.tolist()}: {best:.6g}, here {here:.6g}"
+        )
 
     right = np.concatenate([x, y, e, below, above])
     return Target(right, passes, error, moves, lambda _: False, text)
@@ -340,7 +375,9 @@ def attacked(kind: str, seed: int, k: int, steps: int) -> tuple[str, str]:
 
 def main() -> int:
     """Attack."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--kind", choices=[*KINDS, *OTHERS, "all"], default="all")
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--steps", type=int, default=400)
@@ -352,12 +389,19 @@ def main() -> int:
     np.seterr(all="ignore")
     is_bad = False
     for kind in [*KINDS, *OTHERS] if given.kind == "all" else [given.kind]:
-        began, counts, told = time.perf_counter(), collections.Counter[str](), collections.Counter[str]()
+        began, counts, told = (
+            time.perf_counter(),
+            collections.Counter[str](),
+            collections.Counter[str](),
+        )
         for k, (what, text) in enumerate(_of_kind(kind, given)):
             counts[what] += 1
             told[what] += 1
             if text and told[what] <= given.show:
-                print(f"  {kind} {k if given.only is None else given.only}: {what}: {text}", flush=True)
+                print(
+                    f"  {kind} {k if given.only is None else given.only}: {what}: {text}",
+                    flush=True,
+                )
         words = ", ".join(f"{count} {what}" for what, count in sorted(counts.items()))
         print(f"{kind:14s} {words}, {time.perf_counter() - began:.0f} s", flush=True)
         is_bad |= counts["falls polished"] > max(counts.total() / 1000, 0)
@@ -370,7 +414,9 @@ def _of_kind(kind: str, given: Any) -> Iterator[tuple[str, str]]:
             yield attacked(kind, given.seed, k, given.steps)
         return
     module, name = OTHERS[kind]
-    falls = getattr(importlib.import_module(module), name)(np.random.default_rng(given.seed), given.count)
+    falls = getattr(importlib.import_module(module), name)(
+        np.random.default_rng(given.seed), given.count
+    )
     yield from (("falls polished", str(fall)) for fall in falls)
 
 

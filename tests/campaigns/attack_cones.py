@@ -27,7 +27,10 @@ from lcp_plugin.problems.cones.certificate import ConeCertificate
 
 Generator = np.random.Generator
 ERROR, TOLERANCE, POLISH, HOPELESS = 0.01, 1e-8, 1e-3, 1e-7
-SIZES, UNITS = ([3], [3, 3], [3, 3, 3], [2, 2], [1, 3], [3, 1, 1], [1, 2, 2]), [1.0, 1e-9, 1e-4, 1e6]
+SIZES, UNITS = (
+    ([3], [3, 3], [3, 3, 3], [2, 2], [1, 3], [3, 1, 1], [1, 2, 2]),
+    [1.0, 1e-9, 1e-4, 1e6],
+)
 seen = Counter[str]()
 
 
@@ -38,7 +41,11 @@ def planted(rng: Generator) -> tuple[Any, Any]:
     n, starts = sum(sizes), np.concatenate([[0], np.cumsum(sizes)])
     A = rng.integers(-3, 4, (n, n)).astype(float)
     M = A @ A.T + np.diag(rng.choice([1.0, 1e-3, 1e-6, 1e-9], n))
-    mu = rng.choice([0.0, 0.1, 0.3], len(sizes)) if has_friction else np.where(np.array(sizes) > 1, 1.0, 0.0)
+    mu = (
+        rng.choice([0.0, 0.1, 0.3], len(sizes))
+        if has_friction
+        else np.where(np.array(sizes) > 1, 1.0, 0.0)
+    )
     if has_friction:
         M = M + 10.0 * np.eye(n)
     elif rng.random() < 0.5:
@@ -57,7 +64,10 @@ def planted(rng: Generator) -> tuple[Any, Any]:
             z[own] = rng.integers(1, 4) * edge
             w[own] = rng.uniform(0.1, 2.0) * np.array([0.0 if has_friction else 1.0, *-way[1:]])
     if rng.random() < 0.5 and not has_friction:
-        rows, columns = (np.repeat(rng.choice(UNITS, len(sizes), p=[0.6, 0.15, 0.15, 0.1]), sizes) for _ in range(2))
+        rows, columns = (
+            np.repeat(rng.choice(UNITS, len(sizes), p=[0.6, 0.15, 0.15, 0.1]), sizes)
+            for _ in range(2)
+        )
         M, w, z = rows[:, None] * M * columns, rows * w, z / columns
     if rng.random() < 0.4 and not has_friction:
         M, sizes = np.pad(M, ((0, 3), (0, 3))), [*sizes, 3]
@@ -71,8 +81,14 @@ def planted(rng: Generator) -> tuple[Any, Any]:
 
 def error(problem: Any, right: Any, point: Any) -> float:
     """The largest error of a component, beside its answer; the component at 1e12 is the last block."""
-    parts = [slice(0, problem.n)] if not right.max(initial=0.0) >= 1e11 else [slice(0, problem.n - 3), slice(-3, None)]
-    return max(float(abs(point - right)[own].max() / (abs(right)[own].max() or 1e-9)) for own in parts)
+    parts = (
+        [slice(0, problem.n)]
+        if not right.max(initial=0.0) >= 1e11
+        else [slice(0, problem.n - 3), slice(-3, None)]
+    )
+    return max(
+        float(abs(point - right)[own].max() / (abs(right)[own].max() or 1e-9)) for own in parts
+    )
 
 
 def moved(rng: Generator, problem: Any, point: Any) -> Any:
@@ -89,10 +105,14 @@ def moved(rng: Generator, problem: Any, point: Any) -> Any:
     elif kind < 0.4:
         free = (rng.random(problem.slope.size) < 0.5)[problem.block_of_row]
         new = np.zeros(problem.n) if rng.random() < 0.5 else new
-        new[free] = np.linalg.lstsq(M[np.ix_(free, free)], -(problem.q + M @ np.where(free, 0.0, new))[free])[0]
+        new[free] = np.linalg.lstsq(
+            M[np.ix_(free, free)], -(problem.q + M @ np.where(free, 0.0, new))[free]
+        )[0]
     elif kind < 0.6:
         k = rng.integers(problem.slope.size)
-        new[problem.starts[k]:problem.starts[k + 1]] *= rng.choice([0.0, 10.0 ** rng.uniform(-3, 3)])
+        new[problem.starts[k] : problem.starts[k + 1]] *= rng.choice(
+            [0.0, 10.0 ** rng.uniform(-3, 3)]
+        )
     else:
         i = rng.integers(problem.n)
         new[i] = stepped(rng, new[i])
@@ -129,7 +149,9 @@ def attack_cones(rng: Generator, count: int, steps: int = 400) -> Iterator[str]:
             continue
         is_hopeless = violation(problem, best) <= HOPELESS
         is_polished = least <= POLISH * TOLERANCE
-        seen["ill-conditioned" if is_hopeless else "falls polished" if is_polished else "falls"] += 1
+        seen[
+            "ill-conditioned" if is_hopeless else "falls polished" if is_polished else "falls"
+        ] += 1
         if is_polished and not is_hopeless:
             yield (
                 f"{problem!r} M {problem.rows.csr.toarray().tolist()}, q {problem.q.tolist()}, at {best.tolist()}, "
@@ -138,6 +160,8 @@ def attack_cones(rng: Generator, count: int, steps: int = 400) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    for fall in attack_cones(np.random.default_rng(int(sys.argv[2]) if sys.argv[2:] else 0), int(sys.argv[1])):
+    for fall in attack_cones(
+        np.random.default_rng(int(sys.argv[2]) if sys.argv[2:] else 0), int(sys.argv[1])
+    ):
         print(fall)
     print(dict(seen))

@@ -38,13 +38,16 @@ def planted(rng: np.random.Generator) -> Target:
     n = int(rng.integers(1, 5))
     A, kind = integers(rng, n, n), str(rng.choice(["dominant", "definite", "skew", "triangular"]))
     M = {
-        "dominant": A + np.diag(abs(A).sum(axis=1) + 1 - A.diagonal()), "definite": A @ A.T + np.eye(n),
+        "dominant": A + np.diag(abs(A).sum(axis=1) + 1 - A.diagonal()),
+        "definite": A @ A.T + np.eye(n),
         "skew": A - A.T + np.diag(rng.choice([1.0, 1e-6, 1e-9, 1e-12], n)),
         "triangular": np.tril(A, -1) + np.diag(rng.choice([1.0, 1e-6, 1e-9], n)),
     }[kind]
     shapes = rng.integers(0, 4, n)
-    state, rows, units = rng.integers(0, 3, n), *(
-        rng.choice([1.0, 1e-9, 1e-4, 1e6], n, p=[0.6, 0.15, 0.15, 0.1]) for _ in range(2))
+    state, rows, units = (
+        rng.integers(0, 3, n),
+        *(rng.choice([1.0, 1e-9, 1e-4, 1e6], n, p=[0.6, 0.15, 0.15, 0.1]) for _ in range(2)),
+    )
     if rng.random() < 0.5:
         units = np.ones(n)
     far = np.where(rng.random(n) < 0.15, 1e6, 1.0) * (shapes != 2) + (shapes == 2)
@@ -71,7 +74,9 @@ def planted(rng: np.random.Generator) -> Target:
 
     def passes(x: np.ndarray, tolerance: float) -> bool:
         at = Linearisation(problem, x)
-        return at.is_defined and NonlinearCertificate.at(at, reference).is_solved(Settings(tolerance=tolerance))
+        return at.is_defined and NonlinearCertificate.at(at, reference).is_solved(
+            Settings(tolerance=tolerance)
+        )
 
     def error(x: np.ndarray) -> float:
         wrong, size = abs(x * units - right).max(), abs(right).max()
@@ -92,8 +97,10 @@ def planted(rng: np.random.Generator) -> Target:
         return bool((wrong <= ILL_CONDITIONED * terms).all())
 
     def text(x: np.ndarray) -> str:
-        return (f"{kind}: M={M.tolist()}, q={q.tolist()}, shapes={shapes.tolist()}, rows={rows.tolist()}, "
-                f"units={units.tolist()} at {x.tolist()}, right {answer.tolist()}")
+        return (
+            f"{kind}: M={M.tolist()}, q={q.tolist()}, shapes={shapes.tolist()}, rows={rows.tolist()}, "
+            f"units={units.tolist()} at {x.tolist()}, right {answer.tolist()}"
+        )
 
     return Target(answer, passes, error, moves, is_hopeless, text)
 
@@ -120,7 +127,9 @@ def attack_nonlinear(rng: np.random.Generator, count: int) -> Iterator[str]:
 
 def main() -> int:
     """Attack."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()

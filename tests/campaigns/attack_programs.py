@@ -66,7 +66,9 @@ def program(rng: np.random.Generator) -> QuadraticProgram:
     c, lower, upper = rng.integers(-4, 5, n).astype(float), np.full(n, -10.0), np.full(n, 10.0)
     h = G @ rng.integers(-2, 3, n) + rng.integers(0, 3, m)
     P = F @ F.T
-    for place in rng.choice(("G", "h", "c", "lower", "upper", "P", "none"), int(rng.integers(1, 3))):
+    for place in rng.choice(
+        ("G", "h", "c", "lower", "upper", "P", "none"), int(rng.integers(1, 3))
+    ):
         odd, j = float(rng.choice(ODD) * rng.choice([-1.0, 1.0])), int(rng.integers(n))
         if place == "G" and m:
             G[int(rng.integers(m)), j] = odd
@@ -106,7 +108,9 @@ def candidates(given: QuadraticProgram) -> Iterator[list[Fraction]]:
             system = [[*row, *(C[i][j] for i in active)] for j, row in enumerate(P)]
             system += [[*C[i], *[ZERO] * k] for i in active]
             found = solved(system, [*(-v for v in c), *(d[i] for i in active)])
-            if found is not None and all(a <= b for a, b in zip(product(C, found[:n]), d, strict=True)):
+            if found is not None and all(
+                a <= b for a, b in zip(product(C, found[:n]), d, strict=True)
+            ):
                 yield found[:n]
 
 
@@ -136,7 +140,11 @@ def attack_certify(rng: np.random.Generator, count: int) -> list[str]:
                 continue
             said = certify(given, at)
             terms = float(value(P, c, fractions(at))[1])
-            measure = np.inf if said.gap is None else max(said.gap / max(terms, 1e-300), said.violation or 0.0)
+            measure = (
+                np.inf
+                if said.gap is None
+                else max(said.gap / max(terms, 1e-300), said.violation or 0.0)
+            )
             if said.verdict == "proved":
                 worst = f"{at.tolist()} of {given!r}: {said}"
                 break
@@ -166,7 +174,10 @@ def least_squares(kind: str, rng: np.random.Generator) -> dict[str, Any]:
     A, b = rng.integers(-3, 4, (m, n)).astype(float), rng.integers(-3, 4, m).astype(float)
     if rng.random() < 0.5:
         A, b = rng.normal(size=(m, n)), rng.normal(size=m)
-    lower, upper = np.where(rng.random(n) < 0.5, 0.0, -np.inf), np.where(rng.random(n) < 0.3, 1.0, np.inf)
+    lower, upper = (
+        np.where(rng.random(n) < 0.5, 0.0, -np.inf),
+        np.where(rng.random(n) < 0.3, 1.0, np.inf),
+    )
     weights, ridge, l1 = np.ones(m), 0.0, np.zeros(n)
     i, j = int(rng.integers(m)), int(rng.integers(n))
     if kind == "entry":
@@ -184,16 +195,31 @@ def least_squares(kind: str, rng: np.random.Generator) -> dict[str, Any]:
     elif kind == "b":
         b[i] = odd
     else:
-        upper, lower = np.where(rng.random(n) < 0.5, odd, upper), np.where(rng.random(n) < 0.3, -odd, lower)
-    return {"A": A, "b": b, "lower": lower, "upper": upper, "weights": weights, "ridge": ridge, "l1": l1}
+        upper, lower = (
+            np.where(rng.random(n) < 0.5, odd, upper),
+            np.where(rng.random(n) < 0.3, -odd, lower),
+        )
+    return {
+        "A": A,
+        "b": b,
+        "lower": lower,
+        "upper": upper,
+        "weights": weights,
+        "ridge": ridge,
+        "l1": l1,
+    }
 
 
 def cost(case: dict[str, Any], x: list[Fraction]) -> Fraction:
     """Return the cost without rounding."""
-    rest = [v - b for v, b in zip(product(fractions(case["A"]), x), fractions(case["b"]), strict=True)]
+    rest = [
+        v - b for v, b in zip(product(fractions(case["A"]), x), fractions(case["b"]), strict=True)
+    ]
     squares = sum((w * r * r for w, r in zip(fractions(case["weights"]), rest, strict=True)), ZERO)
     curved = squares + Fraction(case["ridge"]) * sum((v * v for v in x), ZERO)
-    return curved / 2 + sum((a * abs(v) for a, v in zip(fractions(case["l1"]), x, strict=True)), ZERO)
+    return curved / 2 + sum(
+        (a * abs(v) for a, v in zip(fractions(case["l1"]), x, strict=True)), ZERO
+    )
 
 
 def least_cost(case: dict[str, Any]) -> Fraction:
@@ -201,7 +227,10 @@ def least_cost(case: dict[str, Any]) -> Fraction:
     A, b, w = fractions(case["A"]), fractions(case["b"]), fractions(case["weights"])
     n, ridge, l1 = len(A[0]), Fraction(case["ridge"]), fractions(case["l1"])
     gram = [
-        [sum((v * r[i] * r[j] for r, v in zip(A, w, strict=True)), ridge * (i == j)) for j in range(n)]
+        [
+            sum((v * r[i] * r[j] for r, v in zip(A, w, strict=True)), ridge * (i == j))
+            for j in range(n)
+        ]
         for i in range(n)
     ]
     pull = [sum((v * r[i] * e for r, v, e in zip(A, w, b, strict=True)), ZERO) for i in range(n)]
@@ -210,7 +239,9 @@ def least_cost(case: dict[str, Any]) -> Fraction:
         ends = {float(end) for end in (case["lower"][j], case["upper"][j]) if abs(end) < 1e20}
         at = ends | ({0.0} if case["lower"][j] <= 0.0 <= case["upper"][j] else set())
         slants = (1, -1) if l1[j] else (1,)
-        states.append([(True, Fraction(sign)) for sign in slants] + [(False, Fraction(v)) for v in at])
+        states.append(
+            [(True, Fraction(sign)) for sign in slants] + [(False, Fraction(v)) for v in at]
+        )
     for state in itertools.product(*states):
         free = [j for j in range(n) if state[j][0]]
         x = [ZERO if is_free else v for is_free, v in state]
@@ -220,7 +251,9 @@ def least_cost(case: dict[str, Any]) -> Fraction:
             continue
         for j, v in zip(free, found, strict=True):
             x[j] = v
-        if all(low <= v <= high for low, v, high in zip(case["lower"], x, case["upper"], strict=True)):
+        if all(
+            low <= v <= high for low, v, high in zip(case["lower"], x, case["upper"], strict=True)
+        ):
             here = cost(case, x)
             best = here if best is None else min(best, here)
     assert best is not None

@@ -68,7 +68,11 @@ def bounds_of_pairs(rng: Generator, k: int) -> tuple[np.ndarray, np.ndarray]:
     lower, upper = np.zeros(k), np.full(k, INF)
     kinds = rng.choice(4, k, p=[0.7, 0.15, 0.075, 0.075])
     for i, kind in enumerate(kinds):
-        if kind == 1 and 3.0 ** (kinds[: i + 1] == 1).sum() * 2.0 ** (k - (kinds[: i + 1] == 1).sum()) <= MOST_PIECES:
+        if (
+            kind == 1
+            and 3.0 ** (kinds[: i + 1] == 1).sum() * 2.0 ** (k - (kinds[: i + 1] == 1).sum())
+            <= MOST_PIECES
+        ):
             lower[i], upper[i] = -rng.integers(0, 3), rng.integers(1, 4)
         elif kind == 2:
             lower[i], upper[i] = -INF, rng.integers(-1, 3)
@@ -93,7 +97,11 @@ def random_problem(rng: Generator, most: int = 12) -> EquilibriumProgram:
     k, free = 2 + int((most - 1) * rng.random() ** 2), int(rng.integers(0, 4))
     own_lower, own_upper = bounds_of_pairs(rng, k)
     n, N, M = free + 2 * k, small(rng, k, free), matrix_of_pairs(rng, k)
-    z = np.where(np.isfinite(own_lower), own_lower, np.where(np.isfinite(own_upper), own_upper, rng.integers(-2, 3)))
+    z = np.where(
+        np.isfinite(own_lower),
+        own_lower,
+        np.where(np.isfinite(own_upper), own_upper, rng.integers(-2, 3)),
+    )
     is_between = rng.random(k) < 0.5
     z = np.where(is_between, np.clip(z + rng.integers(-1, 3, k), own_lower, own_upper), z)
     sign = np.where(z == own_lower, 1.0, np.where(z == own_upper, -1.0, 0.0))
@@ -142,11 +150,19 @@ class Pieces:
             model.setOptionValue(option, value)
         lp = highspy.HighsLp()
         lp.num_col_, lp.num_row_ = program.n, rows.shape[0]
-        lp.col_cost_, lp.col_lower_, lp.col_upper_ = np.zeros(program.n), program.lower, program.upper
+        lp.col_cost_, lp.col_lower_, lp.col_upper_ = (
+            np.zeros(program.n),
+            program.lower,
+            program.upper,
+        )
         lp.row_lower_ = np.concatenate([np.full(program.h.size, -INF), program.b])
         lp.row_upper_ = np.concatenate([program.h, program.b])
         lp.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
-        lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = rows.indptr, rows.indices, rows.data
+        lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = (
+            rows.indptr,
+            rows.indices,
+            rows.data,
+        )
         model.passModel(lp)
         self.model, self.columns = model, np.arange(program.n, dtype=np.int32)
 
@@ -166,7 +182,9 @@ class Pieces:
                 lower[z], upper[w] = max(lower[z], own_upper), min(upper[w], 0.0)
         return lower, upper
 
-    def is_feasible(self, lower: np.ndarray, upper: np.ndarray, cost: np.ndarray | None = None) -> bool | None:
+    def is_feasible(
+        self, lower: np.ndarray, upper: np.ndarray, cost: np.ndarray | None = None
+    ) -> bool | None:
         """Whether there is a point within; with a cost, None where it falls without end."""
         if (lower > upper).any():
             return False
@@ -178,8 +196,11 @@ class Pieces:
             self.model.clearSolver()
             self.model.run()
             status = self.model.getModelStatus()
-        answers = {highspy.HighsModelStatus.kOptimal: True, highspy.HighsModelStatus.kInfeasible: False,
-                   highspy.HighsModelStatus.kUnbounded: None}
+        answers = {
+            highspy.HighsModelStatus.kOptimal: True,
+            highspy.HighsModelStatus.kInfeasible: False,
+            highspy.HighsModelStatus.kUnbounded: None,
+        }
         if status not in answers:
             raise ArithmeticError(f"HiGHS says {status}")
         return answers[status]
@@ -223,22 +244,28 @@ class Pieces:
         return np.array(solution.x)
 
 
-def exact_objective(problem: EquilibriumProgram, x: np.ndarray, cases: list[int]) -> Fraction | None:
+def exact_objective(
+    problem: EquilibriumProgram, x: np.ndarray, cases: list[int]
+) -> Fraction | None:
     """The objective at a rational point beside x, where that satisfies everything exactly."""
     program, (lower, upper) = problem.program, Pieces(problem).bounds(cases)
     for largest in (60, 2000, 100_000):
         point = [Fraction(float(value)).limit_denominator(largest) for value in x]
 
         def product(row: np.ndarray, point: list[Fraction] = point) -> Fraction:
-            return sum((Fraction(float(a)) * v for a, v in zip(row, point, strict=True) if a), Fraction(0))
+            return sum(
+                (Fraction(float(a)) * v for a, v in zip(row, point, strict=True) if a), Fraction(0)
+            )
 
         is_within = all(
-            (low == -INF or Fraction(float(low)) <= value) and (high == INF or value <= Fraction(float(high)))
+            (low == -INF or Fraction(float(low)) <= value)
+            and (high == INF or value <= Fraction(float(high)))
             for low, value, high in zip(lower, point, upper, strict=True)
         )
         P, A, G = (sp.csr_array(matrix).toarray() for matrix in (program.P, program.A, program.G))
         if (
-            is_within and all(product(row) == limit for row, limit in zip(A, program.b, strict=True))
+            is_within
+            and all(product(row) == limit for row, limit in zip(A, program.b, strict=True))
             and all(product(row) <= limit for row, limit in zip(G, program.h, strict=True))
         ):
             bent = [product(row) for row in P]
@@ -271,8 +298,12 @@ def is_solution(problem: EquilibriumProgram, x: np.ndarray) -> bool:
     program, z, w = problem.program, x[problem.first], x[problem.second]
     allowed = ACCURACY * (1.0 + np.abs(x).max())
     kept = [
-        program.G @ x <= program.h + allowed, np.abs(program.A @ x - program.b) <= allowed,
-        program.lower <= x + allowed, x <= program.upper + allowed, problem.lower <= z, z <= problem.upper,
+        program.G @ x <= program.h + allowed,
+        np.abs(program.A @ x - program.b) <= allowed,
+        program.lower <= x + allowed,
+        x <= program.upper + allowed,
+        problem.lower <= z,
+        z <= problem.upper,
         ((z == problem.lower) & (w >= 0)) | (w == 0) | ((z == problem.upper) & (w <= 0)),
     ]
     return all(bool(np.all(one)) for one in kept)
@@ -288,9 +319,17 @@ def complaints(result: Any, known: Truth) -> list[str]:
     allowed = ACCURACY * max(1.0, abs(known.value)) if math.isfinite(known.value) else 0.0
     if result.x is not None and result.value < known.value - 2.0 * allowed:
         said.append(f"value {result.value} below {known.value}")
-    if result.is_solved and known.status is Status.SOLVED and result.value > known.value + 2.0 * allowed:
+    if (
+        result.is_solved
+        and known.status is Status.SOLVED
+        and result.value > known.value + 2.0 * allowed
+    ):
         said.append(f"value {result.value} above {known.value}")
-    if math.isfinite(result.lower_bound) and known.exact is not None and Fraction(result.lower_bound) > known.exact:
+    if (
+        math.isfinite(result.lower_bound)
+        and known.exact is not None
+        and Fraction(result.lower_bound) > known.exact
+    ):
         if result.lower_bound - float(known.exact) > 1e-9 * max(1.0, abs(known.value)):
             said.append(f"bound {result.lower_bound} above {float(known.exact)}")
     elif result.lower_bound > known.value + allowed:
@@ -311,8 +350,13 @@ def damaged(result: Any) -> Iterator[tuple[str, Any]]:
             yield "value lowered", replace(result, value=result.value - step)
     if result.x is not None:
         problem = result.problem
-        moves = (("x", np.arange(problem.program.n), 0.5), ("z", problem.first, 0.5), ("z", problem.first, -5.0),
-                 ("w", problem.second, 0.5), ("w", problem.second, -5.0))
+        moves = (
+            ("x", np.arange(problem.program.n), 0.5),
+            ("z", problem.first, 0.5),
+            ("z", problem.first, -5.0),
+            ("w", problem.second, 0.5),
+            ("w", problem.second, -5.0),
+        )
         for name, entries, step in moves:
             moved = np.array(result.x)
             moved[entries] += step
@@ -320,18 +364,36 @@ def damaged(result: Any) -> Iterator[tuple[str, Any]]:
                 yield f"{name} moved", replace(result, x=moved)
     if result.searched is not result.problem:
         program = result.searched.program
-        lower = np.where(np.isfinite(program.upper), np.minimum(program.lower, program.upper - 1.0), program.lower)
-        moved = replace(result.searched, program=program.with_vectors(lower=lower, upper=program.upper - 1e-3))
+        lower = np.where(
+            np.isfinite(program.upper),
+            np.minimum(program.lower, program.upper - 1.0),
+            program.lower,
+        )
+        moved = replace(
+            result.searched, program=program.with_vectors(lower=lower, upper=program.upper - 1e-3)
+        )
         yield "bounds moved", replace(result, searched=moved)
     leaves = [node for node in result.tree if node.pair < 0]
     if len(result.tree) > 1 and result.status is not Status.UNBOUNDED:
-        yield "leaf removed", replace(result, tree=tuple(node for node in result.tree if node is not leaves[-1]))
+        yield (
+            "leaf removed",
+            replace(result, tree=tuple(node for node in result.tree if node is not leaves[-1])),
+        )
     if result.status in (Status.INFEASIBLE, Status.NO_SOLUTION):
-        yield "unproved", replace(result, tree=tuple(replace(node, proof=None) for node in result.tree))
+        yield (
+            "unproved",
+            replace(result, tree=tuple(replace(node, proof=None) for node in result.tree)),
+        )
     else:
-        yield "called infeasible", replace(result, status=Status.NO_SOLUTION, x=None, value=INF, lower_bound=INF)
+        yield (
+            "called infeasible",
+            replace(result, status=Status.NO_SOLUTION, x=None, value=INF, lower_bound=INF),
+        )
     if result.status is not Status.UNBOUNDED:
-        yield "called unbounded", replace(result, status=Status.UNBOUNDED, x=None, value=-INF, lower_bound=-INF)
+        yield (
+            "called unbounded",
+            replace(result, status=Status.UNBOUNDED, x=None, value=-INF, lower_bound=-INF),
+        )
 
 
 def undetected(result: Any) -> list[str]:
@@ -364,13 +426,21 @@ def main() -> int:
         said = complaints(result, known) + ([] if asked.believe else undetected(result))
         is_open = not (result.is_solved or result.has_no_solution)
         kinds[f"{known.status}: {result.status}"] += 1
-        wrong, opened, exact = wrong + bool(said), opened + is_open, exact + (known.exact is not None)
+        wrong, opened, exact = (
+            wrong + bool(said),
+            opened + is_open,
+            exact + (known.exact is not None),
+        )
         pieces, nodes = pieces + known.pieces, nodes + result.nodes
         if asked.show and (said or is_open):
-            print(case, problem, f"{known.status} {known.value}", result, *said, sep="; ", flush=True)
+            print(
+                case, problem, f"{known.status} {known.value}", result, *said, sep="; ", flush=True
+            )
     for kind, count in sorted(kinds.items()):
         print(f"{count:6} {kind}")
-    print(f"{wrong} wrong, {opened} open; {exact} optima exact; {pieces} pieces, {nodes} nodes, {seconds:.1f} s")
+    print(
+        f"{wrong} wrong, {opened} open; {exact} optima exact; {pieces} pieces, {nodes} nodes, {seconds:.1f} s"
+    )
     return int(wrong > 0 or opened > MOST_OPEN * asked.cases)
 
 

@@ -47,8 +47,26 @@ ALLOWED = 2e-6  # of max(1, |value|): values that agree; what followers lose, an
 BIG = 1e4
 MOST_PAIRS, MOST_PIECES = 14, 5000  # that are enumerated
 PUBLISHED = (
-    "bard1", "bard2", "gauvin", "ex9_1_1", "ex9_1_2", "ex9_1_4", "ex9_1_6", "ex9_1_9", "ex9_2_1", "ex9_2_2", "ex9_2_4",
-    "ex9_2_6", "ex9_2_9", "flp2", "nash1", "jr1", "kth3", "scholtes5", "sl1", "qpec1",
+    "bard1",
+    "bard2",
+    "gauvin",
+    "ex9_1_1",
+    "ex9_1_2",
+    "ex9_1_4",
+    "ex9_1_6",
+    "ex9_1_9",
+    "ex9_2_1",
+    "ex9_2_2",
+    "ex9_2_4",
+    "ex9_2_6",
+    "ex9_2_9",
+    "flp2",
+    "nash1",
+    "jr1",
+    "kth3",
+    "scholtes5",
+    "sl1",
+    "qpec1",
 )
 
 
@@ -86,11 +104,13 @@ class Leader:
         """The optimality conditions: unknowns x, y, the multipliers of rows, and the other sides of pairs."""
         (n, m), k, rows = self.C.shape, self.h.size, self.b.size
         nothing = np.zeros((k, k))
-        A = np.block([
-            [self.C, self.P, self.G.T, self.A.T, -np.eye(n), np.zeros((n, k))],
-            [self.H, -self.G, nothing, np.zeros((k, rows)), np.zeros((k, n)), -np.eye(k)],
-            [np.zeros((rows, m)), self.A, np.zeros((rows, k + rows + n + k))],
-        ])
+        A = np.block(
+            [
+                [self.C, self.P, self.G.T, self.A.T, -np.eye(n), np.zeros((n, k))],
+                [self.H, -self.G, nothing, np.zeros((k, rows)), np.zeros((k, n)), -np.eye(k)],
+                [np.zeros((rows, m)), self.A, np.zeros((rows, k + rows + n + k))],
+            ]
+        )
         width, other = A.shape[1], m + n + k + rows
         Q, d = np.zeros((width, width)), np.zeros(width)
         Q[: m + n, : m + n], d[: m + n] = self.Q, self.d
@@ -98,7 +118,9 @@ class Leader:
         lower[:m], upper[:m] = self.box
         lower[m + n + k : other] = -np.inf
         first = np.arange(m, m + n + k)
-        program = QuadraticProgram(Q, d, A=A, b=np.concatenate([-self.c, -self.h, self.b]), lower=lower, upper=upper)
+        program = QuadraticProgram(
+            Q, d, A=A, b=np.concatenate([-self.c, -self.h, self.b]), lower=lower, upper=upper
+        )
         whole = np.arange(m) if self.is_whole else np.zeros(0, dtype=int)
         return EquilibriumProgram(program, first, other + np.arange(n + k), integers=whole)
 
@@ -107,11 +129,19 @@ class Leader:
         x, y = v[: self.C.shape[1]], v[self.C.shape[1] : sum(self.C.shape)]
         cost, limit = self.c + self.C @ x, self.h + self.H @ x
         best = cp.Variable(y.size, nonneg=True)
-        rows = [self.G @ best <= limit] * bool(limit.size) + [self.A @ best == self.b] * bool(self.b.size)
+        rows = [self.G @ best <= limit] * bool(limit.size) + [self.A @ best == self.b] * bool(
+            self.b.size
+        )
         goal = 0.5 * cp.quad_form(best, cp.psd_wrap(self.P)) + cost @ best
         least = cp.Problem(cp.Minimize(goal), rows).solve(solver=cp.CLARABEL)
         lost = (0.5 * y @ self.P @ y + cost @ y - least) / max(1.0, abs(least))
-        beside = [-y, self.G @ y - limit, np.abs(self.A @ y - self.b), self.box[0] - x, x - self.box[1]]
+        beside = [
+            -y,
+            self.G @ y - limit,
+            np.abs(self.A @ y - self.b),
+            self.box[0] - x,
+            x - self.box[1],
+        ]
         return max(lost, *(float(one.max(initial=0.0)) / (1.0 + np.abs(v).max()) for one in beside))
 
 
@@ -126,8 +156,12 @@ def linear(rng: Any, k: int) -> Leader:
     m = max(2, k // 10)
     square = rng.standard_normal((k, k)) * (rng.random((k, k)) < min(1.0, 6.0 / k))
     return Leader(
-        np.zeros((m + k, m + k)), rng.standard_normal(m + k), (-1.0, 1.0), square @ square.T + np.eye(k),
-        rng.standard_normal(k), rng.standard_normal((k, m)),
+        np.zeros((m + k, m + k)),
+        rng.standard_normal(m + k),
+        (-1.0, 1.0),
+        square @ square.T + np.eye(k),
+        rng.standard_normal(k),
+        rng.standard_normal((k, m)),
     )
 
 
@@ -146,8 +180,16 @@ def tolls(rng: Any, pairs: int) -> Leader:
     C, A = np.zeros((k, groups)), np.kron(np.eye(groups), np.ones(roads))
     C[::roads] = np.eye(groups)
     Q = np.block([[np.zeros((groups, groups)), -C.T], [-C, np.zeros((k, k))]])
-    return Leader(Q, np.zeros(groups + k), (0.0, 10.0), np.diag(rng.uniform(0.2, 1, k)), rng.uniform(1, 3, k), C,
-                  A=A, b=rng.uniform(4, 8, groups))
+    return Leader(
+        Q,
+        np.zeros(groups + k),
+        (0.0, 10.0),
+        np.diag(rng.uniform(0.2, 1, k)),
+        rng.uniform(1, 3, k),
+        C,
+        A=A,
+        b=rng.uniform(4, 8, groups),
+    )
 
 
 def stackelberg(rng: Any, pairs: int) -> Leader:
@@ -157,8 +199,17 @@ def stackelberg(rng: Any, pairs: int) -> Leader:
     share = np.kron(np.eye(markets), np.ones((firms, 1)))
     Q = np.block([[2.0 * np.eye(markets), share.T], [share, np.zeros((k, k))]])
     d = np.concatenate([np.full(markets, 2.0 - start), np.zeros(k)])
-    return Leader(Q, d, (0.0, 40.0), share @ share.T + np.eye(k), rng.uniform(1, 6, k) - start, share,
-                  np.eye(k), rng.uniform(2, 6, k), np.zeros((k, markets)))
+    return Leader(
+        Q,
+        d,
+        (0.0, 40.0),
+        share @ share.T + np.eye(k),
+        rng.uniform(1, 6, k) - start,
+        share,
+        np.eye(k),
+        rng.uniform(2, 6, k),
+        np.zeros((k, markets)),
+    )
 
 
 def taxes(rng: Any, k: int) -> Leader:
@@ -187,9 +238,18 @@ def network(rng: Any, pairs: int) -> Leader:
     wider = np.zeros((roads, built))
     wider[rng.choice(roads, built, replace=False), range(built)] = 2.0
     return Leader(
-        np.zeros((built + roads + 1,) * 2), np.concatenate([rng.uniform(1, 5, built), length]), (0.0, 1.0),
-        np.diag(np.append(rng.uniform(0.1, 1, roads), 0.1)), length, np.zeros((roads + 1, built)),
-        np.eye(roads, roads + 1), rng.uniform(1, 3, roads), wider, incidence[1:], demand[1:], is_whole=True,
+        np.zeros((built + roads + 1,) * 2),
+        np.concatenate([rng.uniform(1, 5, built), length]),
+        (0.0, 1.0),
+        np.diag(np.append(rng.uniform(0.1, 1, roads), 0.1)),
+        length,
+        np.zeros((roads + 1, built)),
+        np.eye(roads, roads + 1),
+        rng.uniform(1, 3, roads),
+        wider,
+        incidence[1:],
+        demand[1:],
+        is_whole=True,
     )
 
 
@@ -209,15 +269,25 @@ class Case(NamedTuple):
 def pyomo_model(stated: EquilibriumProgram) -> pe.ConcreteModel:
     """Return the model as Pyomo's, slacks put into the pairs."""
     program, m = stated.program, pe.ConcreteModel()
-    ends = [[None if np.isinf(end) else float(end) for end in side] for side in (program.lower, program.upper)]
+    ends = [
+        [None if np.isinf(end) else float(end) for end in side]
+        for side in (program.lower, program.upper)
+    ]
     whole = set(stated.integers.tolist())
-    m.x = pe.Var(range(program.n), bounds=lambda m, j: (ends[0][j], ends[1][j]),
-                 domain=lambda m, j: pe.Integers if j in whole else pe.Reals)
+    m.x = pe.Var(
+        range(program.n),
+        bounds=lambda m, j: (ends[0][j], ends[1][j]),
+        domain=lambda m, j: pe.Integers if j in whole else pe.Reals,
+    )
 
     def row(matrix: Any, k: int) -> Any:
         start, stop = matrix.indptr[k : k + 2]
-        return sum(a * m.x[j] for j, a in zip(matrix.indices[start:stop].tolist(), matrix.data[start:stop].tolist(),
-                                              strict=True))
+        return sum(
+            a * m.x[j]
+            for j, a in zip(
+                matrix.indices[start:stop].tolist(), matrix.data[start:stop].tolist(), strict=True
+            )
+        )
 
     G, A, P = (sp.csr_array(one) for one in (program.G, program.A, program.P))
     m.rows = pe.ConstraintList()
@@ -229,11 +299,15 @@ def pyomo_model(stated: EquilibriumProgram) -> pe.ConcreteModel:
         raise ValueError("a box, which the rivals' forms do not take")
     z, w = stated.first.tolist(), stated.second.tolist()
     m.pair = Complementarity(
-        range(len(z)), rule=lambda m, i: complements(m.x[z[i]] - float(stated.lower[i]) >= 0, m.x[w[i]] >= 0)
+        range(len(z)),
+        rule=lambda m, i: complements(m.x[z[i]] - float(stated.lower[i]) >= 0, m.x[w[i]] >= 0),
     )
     linear = sum(float(a) * m.x[j] for j, a in enumerate(program.c) if a)
-    m.goal = pe.Objective(expr=linear + sum(0.5 * m.x[k] * row(P, k) for k in range(program.n) if P[[k]].nnz)
-                          + stated.offset)
+    m.goal = pe.Objective(
+        expr=linear
+        + sum(0.5 * m.x[k] * row(P, k) for k in range(program.n) if P[[k]].nnz)
+        + stated.offset
+    )
     return m
 
 
@@ -254,7 +328,11 @@ def ours(model: Any) -> Answer:
     solver = pe.SolverFactory("lcp_plugin")
     results = solver.solve(model, options={"max_seconds": SECONDS})
     done = results.solver.termination_condition == pe.TerminationCondition.optimal
-    x = None if solver.result.x is None else np.array([pe.value(model.x[j], exception=False) for j in model.x])
+    x = (
+        None
+        if solver.result.x is None
+        else np.array([pe.value(model.x[j], exception=False) for j in model.x])
+    )
     return Answer(done, x, solver.result.lower_bound, str(solver.result.bound_by))
 
 
@@ -299,7 +377,9 @@ def is_point(case: Case, x: np.ndarray) -> bool:
     """Whether followers' own program, or the rows and pairs of a published model, agree."""
     if case.leader is not None:
         whole = x[case.stated.integers]
-        return case.leader.missed(x) <= ALLOWED and bool((np.abs(whole - np.rint(whole)) <= ALLOWED).all())
+        return case.leader.missed(x) <= ALLOWED and bool(
+            (np.abs(whole - np.rint(whole)) <= ALLOWED).all()
+        )
     return case.stated.excess(x) <= ALLOWED * (1.0 + np.abs(x).max())
 
 
@@ -321,15 +401,29 @@ def least_of_piece(problem: EquilibriumProgram, lower: np.ndarray, upper: np.nda
     """Return what SCIP finds where bounds say which case each pair has."""
     program, scip, whole = problem.program, pyscipopt.Model(), set(problem.integers.tolist())
     scip.hideOutput()
-    x = [scip.addVar(lb=None if np.isinf(low) else low, ub=None if np.isinf(high) else high,
-                     vtype="I" if j in whole else "C") for j, (low, high) in enumerate(zip(lower, upper, strict=True))]
-    for matrix, limits, is_equation in ((program.G, program.h, False), (program.A, program.b, True)):
+    x = [
+        scip.addVar(
+            lb=None if np.isinf(low) else low,
+            ub=None if np.isinf(high) else high,
+            vtype="I" if j in whole else "C",
+        )
+        for j, (low, high) in enumerate(zip(lower, upper, strict=True))
+    ]
+    for matrix, limits, is_equation in (
+        (program.G, program.h, False),
+        (program.A, program.b, True),
+    ):
         for row, limit in zip(sp.csr_array(matrix).toarray(), limits, strict=True):
             total = pyscipopt.quicksum(float(row[j]) * x[j] for j in np.flatnonzero(row))
             scip.addCons(total == limit if is_equation else total <= limit)
     height, P = scip.addVar(lb=None), sp.coo_array(program.P)
-    scip.addCons(pyscipopt.quicksum(0.5 * a * x[i] * x[j] for i, j, a in zip(P.row, P.col, P.data, strict=True))
-                 + pyscipopt.quicksum(float(a) * one for a, one in zip(program.c, x, strict=True)) <= height)
+    scip.addCons(
+        pyscipopt.quicksum(
+            0.5 * a * x[i] * x[j] for i, j, a in zip(P.row, P.col, P.data, strict=True)
+        )
+        + pyscipopt.quicksum(float(a) * one for a, one in zip(program.c, x, strict=True))
+        <= height
+    )
     scip.setObjective(height)
     scip.setParams({"limits/gap": 1e-8, "numerics/feastol": 1e-8})
     scip.optimize()
@@ -348,7 +442,11 @@ def wrongs(case: Case, found: dict[str, Answer], truth: float | None) -> list[st
     if mine.x is not None and not is_point(case, mine.x):
         said.append("no equilibrium")
     value = math.inf if mine.x is None else case.stated.objective(mine.x)
-    allowed = 2.0 * ALLOWED * max(1.0, *(abs(one) for one in known.values() if np.isfinite(one))) if known else 0.0
+    allowed = (
+        2.0 * ALLOWED * max(1.0, *(abs(one) for one in known.values() if np.isfinite(one)))
+        if known
+        else 0.0
+    )
     for name, one in known.items():
         if mine.bound > one + allowed:
             said.append(f"bound {mine.bound:.9g} above {name}'s {one:.9g}")
@@ -365,16 +463,20 @@ def cases(quick: bool) -> dict[str, Callable[[], Case]]:
     """Return what makes each case, by its name."""
     found: dict[str, Callable[[], Case]] = {}
     for name in PUBLISHED:
+
         def published(name: str = name) -> Case:
             problem = COLLECTION[name].state()
             sign = 1.0 if isinstance(problem.objective, cp.Minimize) else -1.0
             return Case(stated_program(problem).program, None, sign * COLLECTION[name].optimum)
+
         found[name] = published
     sizes = (10, 20, 30) if quick else (10, 20, 30, 50, 100)
     for kind, pairs, seed in itertools.product(KINDS, sizes, range(1 if quick else 2)):
+
         def random(kind: str = kind, pairs: int = pairs, seed: int = seed) -> Case:
             made = leader(kind, pairs, seed)
             return Case(made.stated(), made)
+
         found[f"{kind} {pairs} {seed}"] = random
     return found
 
@@ -418,8 +520,10 @@ def main() -> int:
         wrong += any(not one.startswith("(") for one in said)
         print(*line, "; ".join(said), flush=True)
     for solver, own in counts.items():
-        print(f"{solver:15} {own['solved']:.0f} of {total} solved, {own['seconds']:.1f} s, "
-              f"{own['no equilibrium']:.0f} points are no equilibria")
+        print(
+            f"{solver:15} {own['solved']:.0f} of {total} solved, {own['seconds']:.1f} s, "
+            f"{own['no equilibrium']:.0f} points are no equilibria"
+        )
     print(f"{wrong} wrong, {enumerated} held against all their pieces")
     return int(wrong > 0)
 

@@ -110,7 +110,12 @@ def from_cvxpy(problem: EquilibriumProgram) -> Said:
     bent = 0.5 * cp.quad_form(x, cp.psd_wrap(P)) if problem.is_convex else 0.0
     if not problem.is_convex:
         entries = sp.coo_array(P)
-        bent = 0.5 * cp.sum([a * x[int(i)] * x[int(j)] for i, j, a in zip(*entries.coords, entries.data, strict=True)])
+        bent = 0.5 * cp.sum(
+            [
+                a * x[int(i)] * x[int(j)]
+                for i, j, a in zip(*entries.coords, entries.data, strict=True)
+            ]
+        )
     rows: list[Any] = [program.G @ x <= program.h] if program.h.size else []
     rows += [program.A @ x == program.b] if program.b.size else []
     for ends, sign in ((program.lower, 1.0), (program.upper, -1.0)):
@@ -120,19 +125,31 @@ def from_cvxpy(problem: EquilibriumProgram) -> Said:
     stated = cp.Problem(cp.Minimize(bent + program.c @ x + problem.offset), [*rows, *pairs])
     stated.solve(method="LCP", max_seconds=SECONDS)
     result = stated.solver_stats.extra_stats
-    return Said(result.status, None if result.x is None else float(stated.value), result.lower_bound)
+    return Said(
+        result.status, None if result.x is None else float(stated.value), result.lower_bound
+    )
 
 
 def in_pyomo(problem: EquilibriumProgram) -> pe.ConcreteModel:
     """Return the same in Pyomo."""
     m, program, n = pe.ConcreteModel(), problem.program, problem.program.n
-    ends = [[None if math.isinf(one) else float(one) for one in limits] for limits in (program.lower, program.upper)]
+    ends = [
+        [None if math.isinf(one) else float(one) for one in limits]
+        for limits in (program.lower, program.upper)
+    ]
     whole = set(problem.integers.tolist())
-    m.x = pe.Var(range(n), bounds=lambda m, j: (ends[0][j], ends[1][j]),
-                 domain=lambda m, j: pe.Integers if j in whole else pe.Reals)
+    m.x = pe.Var(
+        range(n),
+        bounds=lambda m, j: (ends[0][j], ends[1][j]),
+        domain=lambda m, j: pe.Integers if j in whole else pe.Reals,
+    )
     P = sp.coo_array(sp.csr_array(program.P))
-    bent = sum(0.5 * a * m.x[int(i)] * m.x[int(j)] for i, j, a in zip(*P.coords, P.data, strict=True))
-    m.goal = pe.Objective(expr=bent + sum(float(c) * m.x[j] for j, c in enumerate(program.c)) + problem.offset)
+    bent = sum(
+        0.5 * a * m.x[int(i)] * m.x[int(j)] for i, j, a in zip(*P.coords, P.data, strict=True)
+    )
+    m.goal = pe.Objective(
+        expr=bent + sum(float(c) * m.x[j] for j, c in enumerate(program.c)) + problem.offset
+    )
     m.rows = pe.ConstraintList()
     for matrix, limit, is_equation in ((program.G, program.h, False), (program.A, program.b, True)):
         for row, right in zip(sp.csr_array(matrix).toarray(), limit, strict=True):
@@ -160,7 +177,9 @@ def from_pyomo(problem: EquilibriumProgram) -> Said:
     m, solver = in_pyomo(problem), pe.SolverFactory("lcp_plugin")
     solver.solve(m, timelimit=SECONDS)
     found = solver.result
-    return Said(found.status, None if found.x is None else float(pe.value(m.goal)), found.lower_bound)
+    return Said(
+        found.status, None if found.x is None else float(pe.value(m.goal)), found.lower_bound
+    )
 
 
 def from_ampl(problem: EquilibriumProgram) -> Said:
@@ -183,8 +202,11 @@ def from_ampl(problem: EquilibriumProgram) -> Said:
 
 
 WAYS: dict[str, Callable[[EquilibriumProgram], Said]] = {
-    "arrays": from_arrays, "arrays, prove": lambda problem: from_arrays(problem, prove=True), "cvxpy": from_cvxpy,
-    "Pyomo": from_pyomo, "AMPL": from_ampl,
+    "arrays": from_arrays,
+    "arrays, prove": lambda problem: from_arrays(problem, prove=True),
+    "cvxpy": from_cvxpy,
+    "Pyomo": from_pyomo,
+    "AMPL": from_ampl,
 }
 
 
@@ -204,7 +226,11 @@ def complaints(said: Said, status: Status, value: float) -> list[str]:
         found.append(f"says {said.status.name}, is {status.name}")
     if said.value is not None and said.value < value - 2.0 * allowed:
         found.append(f"value {said.value} below {value}")
-    if said.status is Status.SOLVED and said.value is not None and said.value > value + 2.0 * allowed:
+    if (
+        said.status is Status.SOLVED
+        and said.value is not None
+        and said.value > value + 2.0 * allowed
+    ):
         found.append(f"value {said.value} above {value}")
     if said.bound is not None and said.bound > value + 2.0 * allowed:
         found.append(f"bound {said.bound} above {value}")

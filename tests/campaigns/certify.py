@@ -28,7 +28,10 @@ from lcp_plugin.problems.programs.certification import Certification
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")
-TOLERANCE, LOOSE = 1e-6, 10  # x is disproved where it is farther than LOOSE · TOLERANCE ‖x‖∞ from all optima
+TOLERANCE, LOOSE = (
+    1e-6,
+    10,
+)  # x is disproved where it is farther than LOOSE · TOLERANCE ‖x‖∞ from all optima
 ROUNDING = 1e-13  # gaps below that, beside 1 + |f|, are nobody's to be sharp about
 
 
@@ -50,7 +53,11 @@ def eighths(rng: np.random.Generator, shape: Any, low: int = -16, high: int = 17
 def case(kind: str, rng: np.random.Generator, largest: int) -> Case:
     """Return a program of that kind and its answer."""
     n = int(rng.integers(1, largest + 1))
-    p = int(rng.integers(1, max(2, n // 2 + 1))) if "equations" in kind else int(rng.integers(0, n // 3 + 1))
+    p = (
+        int(rng.integers(1, max(2, n // 2 + 1)))
+        if "equations" in kind
+        else int(rng.integers(0, n // 3 + 1))
+    )
     m = int(rng.integers(0, n + 3))
     rank = 0 if kind == "linear" else n if kind.startswith("definite") else max(1, n // 2)
     F = eighths(rng, (n, rank), -8, 9)
@@ -71,7 +78,9 @@ def case(kind: str, rng: np.random.Generator, largest: int) -> Case:
     c = -(P @ x + G.T @ inequality + A.T @ equality - at_lower + at_upper)
     program = QuadraticProgram(P, c, G, h, A, A @ x, lower, upper)
     is_definite = bool(np.linalg.eigvalsh(P)[0] > 1e-9)
-    return Case(program, x, (inequality, equality, at_lower, at_upper), objective(program, x), is_definite)
+    return Case(
+        program, x, (inequality, equality, at_lower, at_upper), objective(program, x), is_definite
+    )
 
 
 def objective(program: QuadraticProgram, x: Any) -> Fraction:
@@ -79,7 +88,14 @@ def objective(program: QuadraticProgram, x: Any) -> Fraction:
     at = [Fraction(value) for value in x.tolist()]
     total = sum((Fraction(c) * a for c, a in zip(program.c.tolist(), at, strict=True)), Fraction(0))
     for row, a in zip(np.asarray(program.P).tolist(), at, strict=True):
-        total += a * sum((Fraction(entry) * b for entry, b in zip(row, at, strict=True) if entry), Fraction(0)) / 2
+        total += (
+            a
+            * sum(
+                (Fraction(entry) * b for entry, b in zip(row, at, strict=True) if entry),
+                Fraction(0),
+            )
+            / 2
+        )
     return total
 
 
@@ -90,23 +106,35 @@ def violation(program: QuadraticProgram, x: Any) -> Fraction:
     matrix = rows.matrix.toarray().tolist()
     for row, limit, is_equality in zip(matrix, rows.limit.tolist(), rows.is_equality, strict=True):
         if np.isfinite(limit):
-            excess = sum((Fraction(e) * a for e, a in zip(row, at, strict=True) if e), Fraction(0)) - Fraction(limit)
+            excess = sum(
+                (Fraction(e) * a for e, a in zip(row, at, strict=True) if e), Fraction(0)
+            ) - Fraction(limit)
             worst = max(worst, abs(excess) if is_equality else excess)
     return worst
 
 
 def size(program: QuadraticProgram, x: Any) -> Fraction:
     """Return Σ|c_j x_j| + |xᵀP x| without rounding."""
-    linear = [Fraction(c) * Fraction(a) for c, a in zip(program.c.tolist(), x.tolist(), strict=True)]
-    return sum(map(abs, linear), Fraction(0)) + 2 * abs(objective(program, x) - sum(linear, Fraction(0)))
+    linear = [
+        Fraction(c) * Fraction(a) for c, a in zip(program.c.tolist(), x.tolist(), strict=True)
+    ]
+    return sum(map(abs, linear), Fraction(0)) + 2 * abs(
+        objective(program, x) - sum(linear, Fraction(0))
+    )
 
 
 def is_met(program: QuadraticProgram, x: Any) -> bool:
     """Return whether x violates each row by no more than its terms or a small step excuses, without rounding."""
-    rows, at, tolerance = program.constraints, [Fraction(value) for value in x.tolist()], Fraction(TOLERANCE)
+    rows, at, tolerance = (
+        program.constraints,
+        [Fraction(value) for value in x.tolist()],
+        Fraction(TOLERANCE),
+    )
     step = tolerance * min(Fraction(1), max(map(abs, at), default=Fraction(0)))
     bounds = list(zip(program.lower.tolist(), program.upper.tolist(), strict=True))
-    for row, limit, is_equality in zip(rows.matrix.toarray().tolist(), rows.limit, rows.is_equality, strict=True):
+    for row, limit, is_equality in zip(
+        rows.matrix.toarray().tolist(), rows.limit, rows.is_equality, strict=True
+    ):
         if not np.isfinite(limit):
             continue
         terms = [Fraction(e) * a for e, a in zip(row, at, strict=True)]
@@ -115,8 +143,14 @@ def is_met(program: QuadraticProgram, x: Any) -> bool:
             continue
         for entry, a, ends in zip(row, at, bounds, strict=True):
             end = ends[0] if (entry > 0) == (excess > 0) else ends[1]
-            room = max(abs(a - Fraction(end)) if (a > end) == (end == ends[0]) else Fraction(0), Fraction(0)) \
-                if np.isfinite(end) else step
+            room = (
+                max(
+                    abs(a - Fraction(end)) if (a > end) == (end == ends[0]) else Fraction(0),
+                    Fraction(0),
+                )
+                if np.isfinite(end)
+                else step
+            )
             mended += abs(Fraction(entry)) * min(room, step)
         if abs(excess) > max(tolerance * max(abs(Fraction(limit)), *map(abs, terms)), mended):
             return False
@@ -136,12 +170,21 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
         found.append("violation")
     if said.gap is not None and Fraction(said.gap) < abs(value - Fraction(said.lower)):
         found.append("gap")
-    apart = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True))
-    if said.distance is not None and (not given.is_definite or Fraction(said.distance) ** 2 < apart):
+    apart = sum(
+        (Fraction(a) - Fraction(b)) ** 2 for a, b in zip(x.tolist(), given.x.tolist(), strict=True)
+    )
+    if said.distance is not None and (
+        not given.is_definite or Fraction(said.distance) ** 2 < apart
+    ):
         found.append("distance")
     far = LOOSE * tolerance * Fraction(float(np.abs(x).max(initial=0.0)))
-    off = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)), default=0)
-    is_near = off <= far or (missed <= 0 and value == given.value)  # "farther from every optimal one" is disproved
+    off = max(
+        (abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)),
+        default=0,
+    )
+    is_near = off <= far or (
+        missed <= 0 and value == given.value
+    )  # "farther from every optimal one" is disproved
     if said.verdict == "disproved" and is_optimal and is_near:
         found.append("wrong disproof")
     if said.verdict == "proved" and not is_optimal:
@@ -154,7 +197,9 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
     program, x, multipliers = given.program, given.x, given.multipliers
     wrong = {}
     y = np.concatenate(multipliers)
-    acts = np.concatenate([*(abs(rows) @ np.ones(x.size) for rows in (program.G, program.A)), np.ones(2 * x.size)])
+    acts = np.concatenate(
+        [*(abs(rows) @ np.ones(x.size) for rows in (program.G, program.A)), np.ones(2 * x.size)]
+    )
     if (used := np.flatnonzero(y * acts)).size:
         k = int(rng.choice(used))
         y[k] = -y[k]
@@ -175,9 +220,19 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
         from lcp_plugin.problems.programs.certification import ProgramProofs
 
         other = QuadraticProgram(
-            program.P, program.c, program.G[kept], program.h[kept], program.A, program.b, program.lower, program.upper
+            program.P,
+            program.c,
+            program.G[kept],
+            program.h[kept],
+            program.A,
+            program.b,
+            program.lower,
+            program.upper,
         )
-        if other.facts.proof_of_no_minimum is None and (own := ProgramProofs(other).own_solution) is not None:
+        if (
+            other.facts.proof_of_no_minimum is None
+            and (own := ProgramProofs(other).own_solution) is not None
+        ):
             wrong["a constraint dropped"] = (own.x, None)
     return wrong
 
@@ -196,7 +251,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--largest", type=int, default=8, help="variables")
     parser.add_argument("--kind", default=None)
-    parser.add_argument("--tell", action="store_true", help="what is unproved or false, case by case")
+    parser.add_argument(
+        "--tell", action="store_true", help="what is unproved or false, case by case"
+    )
     arguments = parser.parse_args()
     counts: Counter[tuple[str, str]] = Counter()
     false: Counter[str] = Counter()
@@ -208,18 +265,26 @@ def main() -> int:
         given = case(kind, rng, arguments.largest)
         noise = given.x + 1e-9 * rng.normal(size=given.x.size)
         answers = {
-            f"right, {kind}": (given.x, None), f"right, with multipliers, {kind}": (given.x, given.multipliers),
-            "right to 1e-9": (noise, None), **planted(given, rng),
+            f"right, {kind}": (given.x, None),
+            f"right, with multipliers, {kind}": (given.x, given.multipliers),
+            "right to 1e-9": (noise, None),
+            **planted(given, rng),
         }
         for name, (x, y) in answers.items():
             said = certify(given.program, x, y, tolerance=TOLERANCE)
             wrong = faults(given, x, said)
-            is_planted = name in MULTIPLIERS or (name.startswith(("off", "a con")) and not is_still_right(given, x))
+            is_planted = name in MULTIPLIERS or (
+                name.startswith(("off", "a con")) and not is_still_right(given, x)
+            )
             if said.verdict == "proved" and is_planted:
                 wrong.append(f"proved: {name}")
             counts[name, said.verdict] += 1
             false.update(wrong)
-            if wrong or (arguments.tell and ("right" in name or "1e-2" in name) and said.verdict == "unproved"):
+            if wrong or (
+                arguments.tell
+                and ("right" in name or "1e-2" in name)
+                and said.verdict == "unproved"
+            ):
                 print(f"{k} {kind}, {name}: {said}; {', '.join(wrong)}")
             true_gap = abs(objective(given.program, x) - given.value)
             if said.gap is not None and true_gap > Fraction(ROUNDING) * (1 + abs(given.value)):
@@ -230,8 +295,12 @@ def main() -> int:
     for name in dict.fromkeys(name for name, _ in counts):
         row = {verdict: counts[name, verdict] for verdict in ("proved", "unproved", "disproved")}
         print(f"{name:<45} " + "  ".join(f"{verdict} {count}" for verdict, count in row.items()))
-    print(f"gap ÷ true gap: median {np.median(ratios):.3g}, 95 % {np.quantile(ratios, 0.95):.3g}, of {len(ratios)}")
-    print(f"false: {dict(false) or 'nothing'}; {arguments.cases} programs, {time.perf_counter() - began:.0f} s")
+    print(
+        f"gap ÷ true gap: median {np.median(ratios):.3g}, 95 % {np.quantile(ratios, 0.95):.3g}, of {len(ratios)}"
+    )
+    print(
+        f"false: {dict(false) or 'nothing'}; {arguments.cases} programs, {time.perf_counter() - began:.0f} s"
+    )
     return int(bool(false))
 
 

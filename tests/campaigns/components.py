@@ -91,7 +91,9 @@ class Case:
     def kind(self) -> str:
         if np.isnan(self.z).any():
             return UNSOLVABLE
-        return SOLVABLE if self.relative(self.z.tolist()) <= Fraction(TOLERANCE) / 100 else UNDECIDED
+        return (
+            SOLVABLE if self.relative(self.z.tolist()) <= Fraction(TOLERANCE) / 100 else UNDECIDED
+        )
 
 
 # --- Components -----------------------------------------------------------------------------------------------------
@@ -156,7 +158,16 @@ def saddle(n: int, rng: Generator) -> Vector:
 FAMILIES: dict[str, tuple[Callable[[int, Generator], Vector], bool]] = {
     one.__name__: (one, one not in (semidefinite, nothing, saddle))
     for one in (
-        dominant, definite, semidefinite, nonsymmetric, triangular, chain, cycle, single, nothing, saddle,
+        dominant,
+        definite,
+        semidefinite,
+        nonsymmetric,
+        triangular,
+        chain,
+        cycle,
+        single,
+        nothing,
+        saddle,
     )
 }
 
@@ -164,18 +175,28 @@ FAMILIES: dict[str, tuple[Callable[[int, Generator], Vector], bool]] = {
 def planted(M: Vector, rng: Generator, *, is_regular: bool) -> Component:
     """Rows with bounds of all kinds, at them, between them, and with w = 0 at them."""
     n = len(M)
-    kinds = rng.choice(["lower", "upper", "box", "free"], n, p=[0.7, 0.05, 0.2, 0.05]) if rng.random() < 0.5 else \
-        np.full(n, "lower")
+    kinds = (
+        rng.choice(["lower", "upper", "box", "free"], n, p=[0.7, 0.05, 0.2, 0.05])
+        if rng.random() < 0.5
+        else np.full(n, "lower")
+    )
     start = whole(rng, n) if rng.random() < 0.3 else np.zeros(n)
     lower = np.where(np.isin(kinds, ["lower", "box"]), start, -np.inf)
     width = rng.integers(1, 5, n)
     upper = np.where(kinds == "upper", start, np.where(kinds == "box", start + width, np.inf))
-    is_at, is_top = rng.random(n) < rng.choice([0.2, 0.5, 1.0], p=[0.4, 0.4, 0.2]), rng.random(n) < 0.3
+    is_at, is_top = (
+        rng.random(n) < rng.choice([0.2, 0.5, 1.0], p=[0.4, 0.4, 0.2]),
+        rng.random(n) < 0.3,
+    )
     at_lower = is_at & np.isfinite(lower) & ~(is_top & np.isfinite(upper))
     at_upper = is_at & np.isfinite(upper) & ~at_lower
     away = rng.integers(1, 4, n)
-    inside = np.where(np.isfinite(lower), lower + np.minimum(away, 0.5 * (upper - lower)), upper - away)
-    z = np.where(at_lower, lower, np.where(at_upper, upper, np.where(kinds == "free", whole(rng, n), inside)))
+    inside = np.where(
+        np.isfinite(lower), lower + np.minimum(away, 0.5 * (upper - lower)), upper - away
+    )
+    z = np.where(
+        at_lower, lower, np.where(at_upper, upper, np.where(kinds == "free", whole(rng, n), inside))
+    )
     w = np.where(at_lower, 1.0, np.where(at_upper, -1.0, 0.0)) * rng.integers(1, 4, n)
     is_degenerate = (rng.random(n) < 0.2) & (rng.random() < 0.3)
     w = np.where(is_degenerate, 0.0, w)
@@ -207,7 +228,13 @@ def random_component(rng: Generator) -> Component:
     if draw < 0.12:
         return at_zero(n, rng)
     if draw < 0.15:  # a box as narrow as rounding of its q
-        return Component(np.eye(1), np.array([-1.0]), np.zeros(1), np.array([2.0 ** -int(rng.integers(30, 70))]), None)
+        return Component(
+            np.eye(1),
+            np.array([-1.0]),
+            np.zeros(1),
+            np.array([2.0 ** -int(rng.integers(30, 70))]),
+            None,
+        )
     make, is_regular = FAMILIES[str(rng.choice(list(FAMILIES)))]
     return planted(make(n, rng), rng, is_regular=is_regular)
 
@@ -218,14 +245,22 @@ def grid(rng: Generator) -> Component:
     T = 2.0 * np.eye(side) - np.eye(side, k=1) - np.eye(side, k=-1)
     M = np.kron(T, np.eye(side)) + np.kron(np.eye(side), T)
     z = rng.integers(1, 5, side * side) * (rng.random(side * side) < 0.3)
-    return Component(M, (z == 0.0) * 1.0 - M @ z, np.zeros(len(M)), np.full(len(M), np.inf), z + 0.0)
+    return Component(
+        M, (z == 0.0) * 1.0 - M @ z, np.zeros(len(M)), np.full(len(M), np.inf), z + 0.0
+    )
 
 
 def powers(rng: Generator, size: int, count: int) -> Vector:
     """Units: powers of two, of ten, or none."""
     kind = rng.choice(["two", "ten", "one"], p=[0.45, 0.35, 0.2])
     exponents = rng.integers(-size, size + 1, count)
-    return np.ones(count) if kind == "one" else 2.0 ** (3.3 * exponents).round() if kind == "two" else 10.0**exponents
+    return (
+        np.ones(count)
+        if kind == "one"
+        else 2.0 ** (3.3 * exponents).round()
+        if kind == "two"
+        else 10.0**exponents
+    )
 
 
 def rescaled(component: Component, unit: float, rng: Generator) -> Component:
@@ -234,11 +269,16 @@ def rescaled(component: Component, unit: float, rng: Generator) -> Component:
     columns = 2.0 ** rng.integers(-8, 9, n) if rng.random() < 0.2 else np.ones(n)
     size = unit * columns
     if component.z is None and np.isfinite(component.upper).all():  # the box: z is at its upper end
-        component = Component(component.M, component.q, component.lower, component.upper, component.upper)
+        component = Component(
+            component.M, component.q, component.lower, component.upper, component.upper
+        )
     return Component(
-        rows[:, None] * component.M / columns, rows * unit * component.q,
-        size * component.lower, size * component.upper,
-        None if component.z is None else size * component.z, component.is_regular,
+        rows[:, None] * component.M / columns,
+        rows * unit * component.q,
+        size * component.lower,
+        size * component.upper,
+        None if component.z is None else size * component.z,
+        component.is_regular,
     )
 
 
@@ -246,29 +286,54 @@ def joined(components: list[Component], rng: Generator, *, is_dense: bool) -> Ca
     """The components as one problem, in any order."""
     count = sum(len(component.q) for component in components)
     order = rng.permutation(count)
-    M = sp.block_diag([sp.csr_array(component.M) for component in components], format="csr")[order][:, order]
+    M = sp.block_diag([sp.csr_array(component.M) for component in components], format="csr")[order][
+        :, order
+    ]
     M.eliminate_zeros()
-    q, lower, upper = (np.concatenate([getattr(component, name) for component in components])[order]
-                       for name in ("q", "lower", "upper"))
-    labels = np.repeat(np.arange(len(components)), [len(component.q) for component in components])[order]
-    z = np.concatenate([np.full(len(one.q), np.nan) if one.z is None else one.z for one in components])[order]
+    q, lower, upper = (
+        np.concatenate([getattr(component, name) for component in components])[order]
+        for name in ("q", "lower", "upper")
+    )
+    labels = np.repeat(np.arange(len(components)), [len(component.q) for component in components])[
+        order
+    ]
+    z = np.concatenate(
+        [np.full(len(one.q), np.nan) if one.z is None else one.z for one in components]
+    )[order]
     M = M.toarray() if is_dense else sp.csr_array(M)
-    return Case(LCP(M, q, lower=lower, upper=upper), labels, z, all(component.is_regular for component in components))
+    return Case(
+        LCP(M, q, lower=lower, upper=upper),
+        labels,
+        z,
+        all(component.is_regular for component in components),
+    )
 
 
 def random_case(rng: Generator, number: int) -> Case:
     if number % GRIDS_EVERY == GRIDS_EVERY - 1:
         components, is_dense = [grid(rng), grid(rng)], False
     else:
-        components, is_dense = [random_component(rng) for _ in range(int(rng.integers(2, 7)))], bool(rng.random() < 0.6)
-    units = np.concatenate([powers(rng, 12, 1) for _ in components]) * powers(rng, 12, 1)[0] ** (rng.random() < 0.2)
-    scaled = [rescaled(component, unit, rng) for component, unit in zip(components, units, strict=True)]
+        components, is_dense = (
+            [random_component(rng) for _ in range(int(rng.integers(2, 7)))],
+            bool(rng.random() < 0.6),
+        )
+    units = np.concatenate([powers(rng, 12, 1) for _ in components]) * powers(rng, 12, 1)[0] ** (
+        rng.random() < 0.2
+    )
+    scaled = [
+        rescaled(component, unit, rng) for component, unit in zip(components, units, strict=True)
+    ]
     return joined(scaled, rng, is_dense=is_dense)
 
 
 def right_in_some(case: Case, rng: Generator) -> Vector:
     """A start that is the answer in some components, near it in others, and anything in the rest."""
-    size = np.array([np.nanmax(np.abs(np.r_[case.z[case.labels == k], 0.0])) for k in range(case.labels.max() + 1)])
+    size = np.array(
+        [
+            np.nanmax(np.abs(np.r_[case.z[case.labels == k], 0.0]))
+            for k in range(case.labels.max() + 1)
+        ]
+    )
     noise = rng.choice([0.0, 1e-9, 1e-3, 1.0, 1e6], size.size)
     if rng.random() < 0.2:
         size[:] = size.max()
@@ -286,7 +351,11 @@ def complaints(case: Case, result: Any) -> Iterator[str]:
         residual = case.relative(z)
         if status is Status.SOLVED and residual > Fraction(TOLERANCE):
             yield f"SOLVED with {float(residual):.3e}"
-        if residual > Fraction(certificate.relative_residual) if certificate.relative_residual < np.inf else False:
+        if (
+            residual > Fraction(certificate.relative_residual)
+            if certificate.relative_residual < np.inf
+            else False
+        ):
             yield f"certificate of {certificate.relative_residual:.3e}, exactly {float(residual):.3e}"
         yield from misnamed(case, z, certificate, residual)
     elif status is Status.SOLVED:
@@ -331,7 +400,9 @@ def bits(result: Any) -> tuple[bytes, Status, int]:
 
 
 def frozen(problem: LCP) -> list[bytes]:
-    return [vector.tobytes() for vector in (problem.csr.data, problem.q, problem.lower, problem.upper)]
+    return [
+        vector.tobytes() for vector in (problem.csr.data, problem.q, problem.lower, problem.upper)
+    ]
 
 
 # --- What is asked --------------------------------------------------------------------------------------------------
@@ -344,7 +415,9 @@ def named(case: Case, rng: Generator, name: str) -> list[str]:
     bad = []
     for start in (None, right_in_some(case, rng)):
         try:
-            result = solve(case.problem, name, z0=start, max_iterations=None if name == "auto" else MOST_STEPS)
+            result = solve(
+                case.problem, name, z0=start, max_iterations=None if name == "auto" else MOST_STEPS
+            )
         except (UnsuitableMatrix, UnsuitableProblem):
             continue
         bad += told(f"{name}, {'cold' if start is None else 'warm'}", complaints(case, result))
@@ -367,8 +440,15 @@ def recorded(case: Case, rng: Generator) -> list[str]:
 def in_batches(case: Case, rng: Generator) -> list[str]:
     """Stacked and listed, with components in other units and connected ones beside them: the bits of single solves."""
     problem, n = case.problem, case.problem.n
-    problems = [as_dense(problem, np.arange(n), np.ones(n)), as_dense(problem, rng.permutation(n), np.ones(n))]
-    problems.append(as_dense(problem, np.arange(n), 2.0 ** rng.integers(-30, 31, case.labels.max() + 1)[case.labels]))
+    problems = [
+        as_dense(problem, np.arange(n), np.ones(n)),
+        as_dense(problem, rng.permutation(n), np.ones(n)),
+    ]
+    problems.append(
+        as_dense(
+            problem, np.arange(n), 2.0 ** rng.integers(-30, 31, case.labels.max() + 1)[case.labels]
+        )
+    )
     problems.append(LCP(definite(n, rng), whole(rng, n)))
     problems = [problems[k] for k in rng.permutation(4)[: rng.integers(1, 5)]]
     starts = None
@@ -376,12 +456,19 @@ def in_batches(case: Case, rng: Generator) -> list[str]:
         starts = np.stack([right_in_some(case, rng) for _ in problems])
     name = str(rng.choice(["auto", "newton", "lemke", "npsor"], p=[0.7, 0.1, 0.1, 0.1]))
     options: dict[str, Any] = {"algorithm": name, "max_iterations": MOST_STEPS}
-    stacks = {name: np.stack([getattr(one, name) for one in problems]) for name in ("q", "lower", "upper")}
+    stacks = {
+        name: np.stack([getattr(one, name) for one in problems]) for name in ("q", "lower", "upper")
+    }
     stacks["M"] = np.stack([one.csr.toarray() for one in problems])
     batches = [
         ("stacked", problems, starts, lambda: solve_batch(**stacks, z0=starts, **options)),
     ]
-    mixed = [*problems, problem, as_dense(problem, np.arange(n), np.full(n, 0.25)), LCP(np.eye(1), [-1.0])]
+    mixed = [
+        *problems,
+        problem,
+        as_dense(problem, np.arange(n), np.full(n, 0.25)),
+        LCP(np.eye(1), [-1.0]),
+    ]
     given = None if starts is None else [*starts, None, None, None]
     batches.append(("listed", mixed, given, lambda: solve_batch(mixed, z0=given, **options)))
     bad: list[str] = []
@@ -389,7 +476,9 @@ def in_batches(case: Case, rng: Generator) -> list[str]:
         batch = ask()
         for k, one in enumerate(items):
             try:
-                alone = solve(one, name, z0=None if at is None else at[k], max_iterations=MOST_STEPS)
+                alone = solve(
+                    one, name, z0=None if at is None else at[k], max_iterations=MOST_STEPS
+                )
             except (UnsuitableMatrix, UnsuitableProblem):
                 if k not in batch.errors:
                     bad.append(f"{how} {k}: no error")
@@ -397,7 +486,9 @@ def in_batches(case: Case, rng: Generator) -> list[str]:
             bad += differences(f"{how} {k} {name}", alone, batch[k])
             if (batch.z[k].tobytes(), batch.status[k], batch.iterations[k]) != bits(batch[k]):
                 bad.append(f"{how} {k}: arrays and results differ")
-            if batch.status[k] is Status.SOLVED and ExactData(one).is_lie(batch.z[k].tolist(), TOLERANCE):
+            if batch.status[k] is Status.SOLVED and ExactData(one).is_lie(
+                batch.z[k].tolist(), TOLERANCE
+            ):
                 bad.append(f"{how} {k}: false SOLVED")
     return bad
 
@@ -405,14 +496,18 @@ def in_batches(case: Case, rng: Generator) -> list[str]:
 def differences(prefix: str, alone: Any, other: Any) -> list[str]:
     if bits(alone) == bits(other):
         return []
-    return [f"{prefix}: alone {alone.status.name} {alone.iterations} {alone.algorithm}, "
-            f"not {other.status.name} {other.iterations} {other.algorithm}, "
-            f"{np.abs(alone.z - other.z).max():.1e} apart"]
+    return [
+        f"{prefix}: alone {alone.status.name} {alone.iterations} {alone.algorithm}, "
+        f"not {other.status.name} {other.iterations} {other.algorithm}, "
+        f"{np.abs(alone.z - other.z).max():.1e} apart"
+    ]
 
 
 def as_dense(problem: LCP, order: Vector, units: Vector) -> LCP:
     M = problem.csr.toarray()[np.ix_(order, order)]
-    q, lower, upper = ((vector * units)[order] for vector in (problem.q, problem.lower, problem.upper))
+    q, lower, upper = (
+        (vector * units)[order] for vector in (problem.q, problem.lower, problem.upper)
+    )
     return LCP(M, q, lower=lower, upper=upper)
 
 
@@ -425,7 +520,9 @@ def many_offsets(case: Case, rng: Generator) -> list[str]:
     for q, found in zip(Q, solve_many(problem, Q), strict=True):
         one = problem.with_q(q)
         bad += differences("many", solve(one), found)
-        bad += ["many: false SOLVED"] * (found.is_solved and ExactData(one).is_lie(found.z.tolist(), TOLERANCE))
+        bad += ["many: false SOLVED"] * (
+            found.is_solved and ExactData(one).is_lie(found.z.tolist(), TOLERANCE)
+        )
     return bad
 
 
@@ -437,9 +534,13 @@ def marched(case: Case, rng: Generator) -> list[str]:
     state = problem.nearest_to_zero
     bad: list[str] = []
     for k, step in enumerate(march(problem, forcing, propagator)):
-        one = problem.with_q(forcing[k] + sp.csr_array(sp.diags_array(np.full(problem.n, propagator))) @ state)
+        one = problem.with_q(
+            forcing[k] + sp.csr_array(sp.diags_array(np.full(problem.n, propagator))) @ state
+        )
         bad += differences(f"march {k}", solve(one, z0=state), step)
-        bad += [f"march {k}: false SOLVED"] * (step.is_solved and ExactData(one).is_lie(step.z.tolist(), TOLERANCE))
+        bad += [f"march {k}: false SOLVED"] * (
+            step.is_solved and ExactData(one).is_lie(step.z.tolist(), TOLERANCE)
+        )
         state = step.z
     return bad
 
@@ -495,8 +596,16 @@ def bounded(case: Case, rng: Generator) -> list[str]:
     bad: list[str] = []
     truth = [Fraction(value) for value in case.z.tolist()]
     results = []
-    for options in ({"error_bound": True}, {"tolerance_on": "error"},
-                    {"tolerance_on": "error", "record": True, "algorithm": "npsor", "max_iterations": MOST_STEPS}):
+    for options in (
+        {"error_bound": True},
+        {"tolerance_on": "error"},
+        {
+            "tolerance_on": "error",
+            "record": True,
+            "algorithm": "npsor",
+            "max_iterations": MOST_STEPS,
+        },
+    ):
         try:
             results.append(solve(case.problem, **options))  # type: ignore[arg-type]
         except UnsuitableMatrix:
@@ -506,13 +615,22 @@ def bounded(case: Case, rng: Generator) -> list[str]:
     for result in results:
         errors = [abs(Fraction(a) - b) for a, b in zip(result.z.tolist(), truth, strict=True)]
         size = max(abs(Fraction(value)) for value in result.z.tolist())
-        if result.tolerance_on == "error" and result.is_solved and max(errors) > Fraction(TOLERANCE) * size:
+        if (
+            result.tolerance_on == "error"
+            and result.is_solved
+            and max(errors) > Fraction(TOLERANCE) * size
+        ):
             bad.append("error: false SOLVED")
-        for bound in (result.error_bound, error_bound(case.problem, right_in_some(case, rng)) if result.error_bound
-                      else None):
+        for bound in (
+            result.error_bound,
+            error_bound(case.problem, right_in_some(case, rng)) if result.error_bound else None,
+        ):
             if bound is result.error_bound and bound is not None and bound.kind == "rigorous":
                 bad += ["error: a component outside of its bound"] * any(
-                    e > Fraction(b) for e, b in zip(errors, bound.componentwise.tolist(), strict=True) if b < np.inf)
+                    e > Fraction(b)
+                    for e, b in zip(errors, bound.componentwise.tolist(), strict=True)
+                    if b < np.inf
+                )
     return bad
 
 
@@ -525,7 +643,9 @@ def differentiated(case: Case, rng: Generator) -> list[str]:
         return []
     k = int(rng.integers(case.labels.max() + 1))
     rows = case.labels == k
-    dq = np.where(rows, rng.normal(size=rows.size) * np.abs(case.problem.q).max(initial=0.0, where=rows), 0.0)
+    dq = np.where(
+        rows, rng.normal(size=rows.size) * np.abs(case.problem.q).max(initial=0.0, where=rows), 0.0
+    )
     dz = derivative(result).jvp(dq=dq)
     free = rows & (case.z > case.problem.lower) & (case.z < case.problem.upper)
     expected = np.zeros(rows.size)
@@ -535,12 +655,23 @@ def differentiated(case: Case, rng: Generator) -> list[str]:
         expected[free] = np.linalg.solve(M / scale[:, None], -dq[free] / scale)
     bad = ["derivative: another component moved"] * bool(dz[~rows].any())
     if not np.allclose(dz, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(initial=0.0)):
-        bad.append(f"derivative: {np.abs(dz - expected).max():.1e} off, of {np.abs(expected).max():.1e}")
+        bad.append(
+            f"derivative: {np.abs(dz - expected).max():.1e} off, of {np.abs(expected).max():.1e}"
+        )
     return bad
 
 
 ASKED: tuple[Asked, ...] = (
-    recorded, in_batches, many_offsets, marched, filed, through_cvxpy, bounded, differentiated, in_batches, bounded,
+    recorded,
+    in_batches,
+    many_offsets,
+    marched,
+    filed,
+    through_cvxpy,
+    bounded,
+    differentiated,
+    in_batches,
+    bounded,
 )
 
 
@@ -577,8 +708,12 @@ def judge(seed: int, number: int) -> tuple[list[str], str, str]:
 def main(cases: int, seed: int, workers: int) -> int:
     counts: Counter[tuple[str, str]] = Counter()
     failed = 0
-    with Pool(workers, initializer=warnings.simplefilter, initargs=("ignore",)) as pool:  # of methods not covered
-        for number, (bad, kind, status) in enumerate(pool.imap(partial(judge, seed), range(cases), chunksize=10)):
+    with Pool(
+        workers, initializer=warnings.simplefilter, initargs=("ignore",)
+    ) as pool:  # of methods not covered
+        for number, (bad, kind, status) in enumerate(
+            pool.imap(partial(judge, seed), range(cases), chunksize=10)
+        ):
             counts[kind, status] += 1
             wrong = [text for text in bad if not text.startswith("open")]
             failed += bool(wrong)
@@ -588,7 +723,9 @@ def main(cases: int, seed: int, workers: int) -> int:
                 print(f"case {number} (seed {seed}): open: {status}", flush=True)
     for kind in (SOLVABLE, UNSOLVABLE, UNDECIDED):
         of = Counter({status: count for (one, status), count in counts.items() if one == kind})
-        print(f"{kind:<20}{of.total():>6}  {', '.join(f'{name} {count}' for name, count in of.most_common())}")
+        print(
+            f"{kind:<20}{of.total():>6}  {', '.join(f'{name} {count}' for name, count in of.most_common())}"
+        )
     solvable = sum(count for (kind, _), count in counts.items() if kind == SOLVABLE)
     left = solvable - counts[SOLVABLE, "SOLVED"]
     print(f"{cases} cases, {failed} with a claim that fails; {left} of {solvable} open")

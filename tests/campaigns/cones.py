@@ -30,7 +30,9 @@ SIZES = ((1, 1), (2, 1), (4, 1), (4, 4), (10, 3), (10, 10), (30, 5), (30, 15))  
 def objective(problem: Any, z: Any) -> tuple[float, float]:
     """½ zᵀM z + qᵀz, and the sum of its terms' sizes."""
     Mz = problem.M @ z
-    return float(0.5 * z @ Mz + problem.q @ z), float(0.5 * abs(z * Mz).sum() + abs(problem.q * z).sum())
+    return float(0.5 * z @ Mz + problem.q @ z), float(
+        0.5 * abs(z * Mz).sum() + abs(problem.q * z).sum()
+    )
 
 
 def main() -> int:
@@ -43,24 +45,32 @@ def main() -> int:
         rng = np.random.default_rng([given.seed, k])
         problem: Any
         if rng.random() < CONVEX:
-            problem, _ = planted_cones(int(rng.integers(1, 9)), rng, rank=float(rng.choice([0.4, 1.0])))
+            problem, _ = planted_cones(
+                int(rng.integers(1, 9)), rng, rank=float(rng.choice([0.4, 1.0]))
+            )
         else:
             contacts, bodies = SIZES[rng.integers(len(SIZES))]
             ratio = 10.0 ** rng.uniform(0.0, 5.0)
-            problem, _, _ = planted_contacts(contacts, bodies, ratio, rng, definite=rng.random() < 0.3)
+            problem, _, _ = planted_contacts(
+                contacts, bodies, ratio, rng, definite=rng.random() < 0.3
+            )
         began = time.perf_counter()
         result = solve(problem)
         seconds += time.perf_counter() - began
         counts["cases"] += 1
         ways[result.algorithm] += 1
-        if result.status is Status.PRECISION_LIMIT:  # a planted answer of 0, up to rounding of the data
+        if (
+            result.status is Status.PRECISION_LIMIT
+        ):  # a planted answer of 0, up to rounding of the data
             counts["at the limit of rounding"] += 1
             continue
         if not result.is_solved:
             counts["unsolved"] += 1
             print(k, problem, result.status.name, f"{result.residual:.1e}", flush=True)
             continue
-        if (problem.n <= ALL_EXACT or k % ONE_IN == 0) and exact_relative_residual(problem, result.z) > TOLERANCE:
+        if (problem.n <= ALL_EXACT or k % ONE_IN == 0) and exact_relative_residual(
+            problem, result.z
+        ) > TOLERANCE:
             counts["false"] += 1
             print(k, problem, "falsely SOLVED", flush=True)
         if not isinstance(problem, FrictionalContact):
@@ -71,7 +81,9 @@ def main() -> int:
                 print(k, problem, "another value than Clarabel's", flush=True)
     print(dict(counts), f"{1e3 * seconds / given.cases:.2f} ms a case")
     print(dict(ways.most_common(8)))
-    is_bad = counts["false"] or counts["worse than Clarabel"] or counts["unsolved"] > 0.002 * given.cases
+    is_bad = (
+        counts["false"] or counts["worse than Clarabel"] or counts["unsolved"] > 0.002 * given.cases
+    )
     return int(bool(is_bad))
 
 

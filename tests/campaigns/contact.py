@@ -40,11 +40,16 @@ def is_false(problem: LCP, z: Any) -> bool:
     rows, d = exact_rows(scaled.csr), [Fraction(value) for value in scaled.residual_scale.tolist()]
     q = [Fraction(value) for value in scaled.q.tolist()]
     residuals = [
-        min(point[i], (q[i] + sum(a * x for a, x in zip(rows[i], point, strict=True) if a and x)) / d[i])
+        min(
+            point[i],
+            (q[i] + sum(a * x for a, x in zip(rows[i], point, strict=True) if a and x)) / d[i],
+        )
         for i in range(scaled.n)
     ]
     at_zero = [min(Fraction(0), q[i] / d[i]) for i in range(scaled.n)]
-    return bool(relative_residual(residuals, at_zero, component_of_rows(scaled.csr)) > Fraction(TOLERANCE))
+    return bool(
+        relative_residual(residuals, at_zero, component_of_rows(scaled.csr)) > Fraction(TOLERANCE)
+    )
 
 
 def velocities(origin: Any, answer: Any) -> Any:
@@ -74,7 +79,9 @@ def main() -> int:
         rng = np.random.default_rng((given.seed, case))
         name = [*FAMILIES][case % len(FAMILIES)]
         contacts, bodies = SIZES[case // len(FAMILIES) % len(SIZES)]
-        origin = FAMILIES[name](contacts, bodies, RATIOS[case // (len(FAMILIES) * len(SIZES)) % 2], rng)
+        origin = FAMILIES[name](
+            contacts, bodies, RATIOS[case // (len(FAMILIES) * len(SIZES)) % 2], rng
+        )
         problem = LCP(*origin.arrays)
         result = solve(problem)
         look(f"{name}, {contacts} contacts of {bodies}", problem, result)
@@ -82,7 +89,10 @@ def main() -> int:
             inner = solve(problem, "interior_point", tolerance=1e-10, prove_infeasibility=False)
             if inner.is_solved:
                 scale = np.abs(origin.velocities).max()
-                is_alike = np.abs(velocities(origin, result) - velocities(origin, inner)).max() <= ALIKE * scale
+                is_alike = (
+                    np.abs(velocities(origin, result) - velocities(origin, inner)).max()
+                    <= ALIKE * scale
+                )
                 wrong += name == "frictionless" and not is_alike
                 other[f"{name}: interior point {'the same' if is_alike else 'another'}"] += 1
             else:
@@ -92,9 +102,14 @@ def main() -> int:
             look(f"tower of {boxes}, warm", problem, result)
     for name in cases:
         print(f"{name:<36} {cases[name] - unsolved[name]:>5} of {cases[name]:>5} solved")
-    print(*(f"{name}: {count}" for name, count in [*sorted(other.items()), *ways.most_common()]), sep="\n")
+    print(
+        *(f"{name}: {count}" for name, count in [*sorted(other.items()), *ways.most_common()]),
+        sep="\n",
+    )
     total = cases.total()
-    print(f"{total} cases, {unsolved.total()} unsolved, {false} false, {wrong} velocities on ice that differ")
+    print(
+        f"{total} cases, {unsolved.total()} unsolved, {false} false, {wrong} velocities on ice that differ"
+    )
     return int(false > 0 or wrong > 0 or unsolved.total() > 1e-3 * total)
 
 

@@ -30,7 +30,16 @@ from lcp_plugin.problems.programs.solving import solve_program
 
 TOLERANCE = 1e-6
 STATES, INPUTS = 4, 2  # of a system that is controlled
-STRUCTURES = ("sparse", "dense", "staircase", "block-angular", "network", "transport", "group sums", "chain")
+STRUCTURES = (
+    "sparse",
+    "dense",
+    "staircase",
+    "block-angular",
+    "network",
+    "transport",
+    "group sums",
+    "chain",
+)
 INF = np.inf
 
 
@@ -87,20 +96,44 @@ FAMILIES: dict[str, Recipe] = {
     "fixed by equations": Recipe(fixed=True, free=0.5),
     "wide answers": Recipe(wide=4.0),
     "Netlib-like": Recipe(
-        rows=2.0, columns=2.0, redundant=0.2, digits=12, free=0.1, tight=0.8, strict=0.5, far=0.1, linear=0.5, wide=2.0,
-        structures=("staircase", "block-angular", "sparse"), ranges=0.3,
+        rows=2.0,
+        columns=2.0,
+        redundant=0.2,
+        digits=12,
+        free=0.1,
+        tight=0.8,
+        strict=0.5,
+        far=0.1,
+        linear=0.5,
+        wide=2.0,
+        structures=("staircase", "block-angular", "sparse"),
+        ranges=0.3,
     ),
     "everything": Recipe(
-        structures=STRUCTURES, rows=3.0, columns=3.0, redundant=0.3, digits=11, tight=0.8, strict=0.5, far=0.2,
-        objective=3.0, wide=2.0,
+        structures=STRUCTURES,
+        rows=3.0,
+        columns=3.0,
+        redundant=0.3,
+        digits=11,
+        tight=0.8,
+        strict=0.5,
+        far=0.2,
+        objective=3.0,
+        wide=2.0,
     ),
     "infeasible": Recipe(spoilt="infeasible", integers=True, structures=STRUCTURES, largest=300),
-    "infeasible, graded": Recipe(spoilt="infeasible", integers=True, rows=4.0, columns=3.0, largest=300),
+    "infeasible, graded": Recipe(
+        spoilt="infeasible", integers=True, rows=4.0, columns=3.0, largest=300
+    ),
     "unbounded": Recipe(spoilt="unbounded", integers=True, structures=STRUCTURES, largest=300),
-    "unbounded, graded": Recipe(spoilt="unbounded", integers=True, rows=4.0, columns=3.0, largest=300),
+    "unbounded, graded": Recipe(
+        spoilt="unbounded", integers=True, rows=4.0, columns=3.0, largest=300
+    ),
     "strictly convex": Recipe(linear=0.0, ridge=0.1),
     "condition 1e8": Recipe(linear=0.0, condition=8.0, structures=("sparse", "dense"), largest=200),
-    "condition 1e10": Recipe(linear=0.0, condition=10.0, structures=("sparse", "dense"), largest=200),
+    "condition 1e10": Recipe(
+        linear=0.0, condition=10.0, structures=("sparse", "dense"), largest=200
+    ),
     "no bounds": Recipe(free=1.0),
     "stable control": Recipe(structures=("stable control",), linear=0.0),
     "unstable control": Recipe(structures=("unstable control",), linear=0.0, largest=200),
@@ -110,7 +143,9 @@ FAMILIES: dict[str, Recipe] = {
 SOLVABLE = tuple(family for family, recipe in FAMILIES.items() if not recipe.spoilt)
 
 
-def planted(family: str, rng: np.random.Generator, largest: int = 2000) -> tuple[QuadraticProgram, float]:
+def planted(
+    family: str, rng: np.random.Generator, largest: int = 2000
+) -> tuple[QuadraticProgram, float]:
     """Return a program of the family and its minimum, NaN where it has none or nobody knows it."""
     recipe = FAMILIES[family]
     most = min(largest, recipe.largest)
@@ -121,17 +156,23 @@ def planted(family: str, rng: np.random.Generator, largest: int = 2000) -> tuple
     n = P.shape[0]
     if recipe.redundant and A.shape[0]:
         sums = sp.random_array(
-            (int(np.ceil(recipe.redundant * A.shape[0])), A.shape[0]), density=min(1.0, 3.0 / A.shape[0]), rng=rng
+            (int(np.ceil(recipe.redundant * A.shape[0])), A.shape[0]),
+            density=min(1.0, 3.0 / A.shape[0]),
+            rng=rng,
         )
         A = sp.csr_array(sp.vstack([A, sums @ A]))
     wide = 10.0 ** rng.uniform(-recipe.wide / 2.0, recipe.wide / 2.0, n)
     x = rng.integers(-3, 4, n).astype(float) if recipe.integers else rng.standard_normal(n) * wide
-    is_free, met, below = (rng.random(n) < chance for chance in (recipe.free, recipe.tight / 2.0, 0.5))
+    is_free, met, below = (
+        rng.random(n) < chance for chance in (recipe.free, recipe.tight / 2.0, 0.5)
+    )
     lower, upper = bounds(recipe, x, met, below, rng)
     lower[is_free], upper[is_free], met[is_free] = -INF, INF, False
     mu = np.where(met & (rng.random(n) < recipe.strict), rng.uniform(0.1, 2.0, n), 0.0) * wide[::-1]
     tight = rng.random(G.shape[0]) < recipe.tight / 2.0
-    y = np.where(tight & (rng.random(tight.size) < recipe.strict), rng.uniform(0.1, 2.0, tight.size), 0.0)
+    y = np.where(
+        tight & (rng.random(tight.size) < recipe.strict), rng.uniform(0.1, 2.0, tight.size), 0.0
+    )
     y *= 10.0 ** rng.uniform(-recipe.wide / 2.0, recipe.wide / 2.0, y.size)
     v = rng.standard_normal(A.shape[0])
     h = G @ x + np.where(tight, 0.0, rng.uniform(0.1, 2.0, tight.size) * (0.1 + abs(G) @ abs(x)))
@@ -148,7 +189,9 @@ def case(family: str, seed: int, k: int, largest: int = 2000) -> tuple[Quadratic
     return planted(family, np.random.default_rng([seed, k, list(FAMILIES).index(family)]), largest)
 
 
-def bounds(recipe: Recipe, x: Any, met: Any, below: Any, rng: np.random.Generator) -> tuple[Any, Any]:
+def bounds(
+    recipe: Recipe, x: Any, met: Any, below: Any, rng: np.random.Generator
+) -> tuple[Any, Any]:
     """Return bounds of x: at it where one is met, on the side that is said, on the other, far away or none."""
     n = x.size
     away = rng.integers(1, 4, n) if recipe.integers else rng.uniform(0.1, 3.0, n) * (1.0 + abs(x))
@@ -158,12 +201,17 @@ def bounds(recipe: Recipe, x: Any, met: Any, below: Any, rng: np.random.Generato
     return x - np.where(below, near, other), x + np.where(below, other, near)
 
 
-def constraints_and_curvature(recipe: Recipe, n: int, rng: np.random.Generator) -> tuple[Any, Any, Any]:
+def constraints_and_curvature(
+    recipe: Recipe, n: int, rng: np.random.Generator
+) -> tuple[Any, Any, Any]:
     """Return A, G and P in about n unknowns."""
     structure = recipe.structures[int(rng.integers(len(recipe.structures)))]
     if recipe.fixed:
         n = min(n, 600)
-        A, G = entries(n, n, rng, recipe.integers, structure == "dense"), entries(n // 3, n, rng, recipe.integers)
+        A, G = (
+            entries(n, n, rng, recipe.integers, structure == "dense"),
+            entries(n // 3, n, rng, recipe.integers),
+        )
     elif structure in ("sparse", "dense"):
         n = min(n, 300) if structure == "dense" else n
         p, m = int(rng.integers(0, n // 2 + 1)), int(rng.integers(1, n + 1))
@@ -174,12 +222,16 @@ def constraints_and_curvature(recipe: Recipe, n: int, rng: np.random.Generator) 
     return A, G, curvature(recipe, n, rng, structure)
 
 
-def entries(rows: int, n: int, rng: np.random.Generator, integers: bool, dense: bool = False) -> sp.csr_array:
+def entries(
+    rows: int, n: int, rng: np.random.Generator, integers: bool, dense: bool = False
+) -> sp.csr_array:
     """Return rows with a few entries each, or full ones."""
     density = 1.0 if dense else min(1.0, rng.uniform(1.5, 5.0) / n)
     found = sp.random_array((rows, n), density=density, rng=rng, format="csr")
     size = rng.standard_normal(found.nnz)
-    found.data = np.where(size < 0.0, -1.0, 1.0) * rng.integers(1, 4, found.nnz) if integers else size
+    found.data = (
+        np.where(size < 0.0, -1.0, 1.0) * rng.integers(1, 4, found.nnz) if integers else size
+    )
     return sp.csr_array(found)
 
 
@@ -188,11 +240,18 @@ def staircase(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, An
     width = max(2, int(rng.integers(2, 21)))
     periods = max(2, n // width)
     height = max(1, width // 2)
-    here = sp.block_diag([entries(height, width, rng, integers) for _ in range(periods)], format="csr")
-    before = sp.block_diag([entries(height, width, rng, integers) for _ in range(periods - 1)], format="csr")
-    shifted = sp.vstack([
-        sp.csr_array((height, width * periods)), sp.hstack([before, sp.csr_array((height * (periods - 1), width))])
-    ])
+    here = sp.block_diag(
+        [entries(height, width, rng, integers) for _ in range(periods)], format="csr"
+    )
+    before = sp.block_diag(
+        [entries(height, width, rng, integers) for _ in range(periods - 1)], format="csr"
+    )
+    shifted = sp.vstack(
+        [
+            sp.csr_array((height, width * periods)),
+            sp.hstack([before, sp.csr_array((height * (periods - 1), width))]),
+        ]
+    )
     return sp.csr_array(here + shifted), entries(max(1, n // 3), width * periods, rng, integers)
 
 
@@ -200,8 +259,12 @@ def block_angular(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any
     """Blocks of their own and a few rows over all of them."""
     width = max(2, int(rng.integers(2, 31)))
     blocks = max(1, n // width)
-    own = sp.block_diag([entries(max(1, width // 2), width, rng, integers) for _ in range(blocks)], format="csr")
-    shared = sp.random_array((int(rng.integers(1, 8)), width * blocks), density=0.3, rng=rng, format="csr")
+    own = sp.block_diag(
+        [entries(max(1, width // 2), width, rng, integers) for _ in range(blocks)], format="csr"
+    )
+    shared = sp.random_array(
+        (int(rng.integers(1, 8)), width * blocks), density=0.3, rng=rng, format="csr"
+    )
     if integers:
         shared.data = np.ones(shared.nnz)
     return own, sp.csr_array(shared)
@@ -213,7 +276,9 @@ def network(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, Any]
     tail, head = rng.integers(0, nodes, (2, n))
     head = np.where(head == tail, (head + 1) % nodes, head)
     arcs = np.arange(n)
-    A = sp.csr_array((np.repeat([1.0, -1.0], n), (np.r_[tail, head], np.r_[arcs, arcs])), shape=(nodes, n))
+    A = sp.csr_array(
+        (np.repeat([1.0, -1.0], n), (np.r_[tail, head], np.r_[arcs, arcs])), shape=(nodes, n)
+    )
     return A, sp.csr_array((0, n))
 
 
@@ -222,7 +287,12 @@ def transport(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, An
     sources = max(2, int(rng.integers(2, max(3, int(np.sqrt(n)) + 1))))
     targets = max(2, n // sources)
     ones = np.ones((1, targets))
-    A = sp.vstack([sp.kron(sp.eye_array(sources), ones), sp.kron(np.ones((1, sources)), sp.eye_array(targets))])
+    A = sp.vstack(
+        [
+            sp.kron(sp.eye_array(sources), ones),
+            sp.kron(np.ones((1, sources)), sp.eye_array(targets)),
+        ]
+    )
     return sp.csr_array(A), sp.csr_array((0, sources * targets))
 
 
@@ -237,7 +307,9 @@ def group_sums(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, A
 def chain(n: int, rng: np.random.Generator, integers: bool) -> tuple[Any, Any]:
     """Second differences of n points, of one sign."""
     n = max(n, 5)
-    return sp.csr_array((0, n)), sp.csr_array(sp.diags_array([-1.0, 2.0, -1.0], offsets=[0, 1, 2], shape=(n - 2, n)))
+    return sp.csr_array((0, n)), sp.csr_array(
+        sp.diags_array([-1.0, 2.0, -1.0], offsets=[0, 1, 2], shape=(n - 2, n))
+    )
 
 
 def control(n: int, rng: np.random.Generator, radius: float) -> tuple[Any, Any]:
@@ -246,15 +318,23 @@ def control(n: int, rng: np.random.Generator, radius: float) -> tuple[Any, Any]:
     move, push = rng.normal(size=(STATES, STATES)), rng.normal(size=(STATES, INPUTS))
     move *= radius / np.abs(np.linalg.eigvals(move)).max()
     here, before = sp.eye_array(steps), sp.eye_array(steps, k=-1)
-    A = sp.hstack([
-        sp.kron(here, sp.eye_array(STATES)) - sp.kron(before, sp.csr_array(move)), -sp.kron(here, sp.csr_array(push))
-    ])
+    A = sp.hstack(
+        [
+            sp.kron(here, sp.eye_array(STATES)) - sp.kron(before, sp.csr_array(move)),
+            -sp.kron(here, sp.csr_array(push)),
+        ]
+    )
     return sp.csr_array(A), sp.csr_array((0, A.shape[1]))
 
 
 STRUCTURED = {
-    "staircase": staircase, "block-angular": block_angular, "network": network, "transport": transport,
-    "group sums": group_sums, "chain": chain, "stable control": lambda n, rng, integers: control(n, rng, 0.95),
+    "staircase": staircase,
+    "block-angular": block_angular,
+    "network": network,
+    "transport": transport,
+    "group sums": group_sums,
+    "chain": chain,
+    "stable control": lambda n, rng, integers: control(n, rng, 0.95),
     "unstable control": lambda n, rng, integers: control(n, rng, 1.5),
 }
 
@@ -265,7 +345,9 @@ def support_vectors(n: int, rng: np.random.Generator) -> QuadraticProgram:
     label[:2] = 1.0, -1.0
     points = label[:, None] * (rng.normal(size=(n, 3)) + label[:, None])
     most = 10.0 ** rng.uniform(-2, 2)
-    return QuadraticProgram(points @ points.T, -np.ones(n), A=label[None, :], b=[0.0], lower=0.0, upper=most)
+    return QuadraticProgram(
+        points @ points.T, -np.ones(n), A=label[None, :], b=[0.0], lower=0.0, upper=most
+    )
 
 
 def portfolio(n: int, rng: np.random.Generator) -> QuadraticProgram:
@@ -296,7 +378,13 @@ def curvature(recipe: Recipe, n: int, rng: np.random.Generator, structure: str) 
         P = sp.diags_array(np.where(rng.random(n) < 0.7, rng.uniform(0.1, 2.0, n), 0.0)).tocsr()
     else:
         rank = max(1, int(rng.integers(1, max(2, int(recipe.rank * n) + 1))))
-        factor = entries(n, rank, rng, recipe.integers, dense=structure == "dense" or (recipe.rank < 0.1 and n <= 300))
+        factor = entries(
+            n,
+            rank,
+            rng,
+            recipe.integers,
+            dense=structure == "dense" or (recipe.rank < 0.1 and n <= 300),
+        )
         P = sp.csr_array(factor @ factor.T)
         P = sp.csr_array((P + P.T) * 0.5)
     P = P * 10.0**recipe.curvature
@@ -310,7 +398,9 @@ def finished(
     P, c, G, h, A, b, lower, upper = data
     n = c.size
     if recipe.spoilt == "infeasible":
-        weights = rng.integers(1, 3, G.shape[0] + A.shape[0]) * (rng.random(G.shape[0] + A.shape[0]) < 0.3)
+        weights = rng.integers(1, 3, G.shape[0] + A.shape[0]) * (
+            rng.random(G.shape[0] + A.shape[0]) < 0.3
+        )
         rows = sp.vstack([G, A])
         where = np.isfinite(lower) & np.isfinite(upper)
         total, most = weights @ rows, float(weights @ np.r_[h, b])
@@ -322,15 +412,25 @@ def finished(
         h = np.append(h, -most - 10.0 ** rng.uniform(-3, 1) * (1.0 + size + abs(most)))
     if recipe.spoilt == "unbounded":
         P = sp.block_diag([P, sp.csr_array((2, 2))])
-        c, lower, upper = np.append(c, [-1.0, 0.5]), np.append(lower, [0.0, 0.0]), np.append(upper, [INF] * 2)
+        c, lower, upper = (
+            np.append(c, [-1.0, 0.5]),
+            np.append(lower, [0.0, 0.0]),
+            np.append(upper, [INF] * 2),
+        )
         G, A = (sp.hstack([rows, rows[:, [0]], -rows[:, [0]]]) for rows in (G, A))
         n += 2
     rows, equations, columns = (
         10.0 ** rng.uniform(-size, size, count)
-        for size, count in ((recipe.rows, G.shape[0]), (recipe.rows, A.shape[0]), (recipe.columns, n))
+        for size, count in (
+            (recipe.rows, G.shape[0]),
+            (recipe.rows, A.shape[0]),
+            (recipe.columns, n),
+        )
     )
     if recipe.spoilt:  # sums of rows that rounding has bent may be met far out
-        rows, equations, columns = (np.exp2(np.rint(np.log2(sizes))) for sizes in (rows, equations, columns))
+        rows, equations, columns = (
+            np.exp2(np.rint(np.log2(sizes))) for sizes in (rows, equations, columns)
+        )
     C, objective = sp.diags_array(columns), 10.0 ** rng.uniform(-recipe.objective, recipe.objective)
     P, c = sp.csr_array(C @ P @ C) * objective, columns * c * objective
     G, h = sp.diags_array(rows) @ G @ C, rows * h
@@ -344,7 +444,13 @@ def finished(
     x_low = h - rows * 1e3 * (1.0 + np.abs(h) / rows)
     low = np.where(with_range, np.minimum(low, x_low), -INF)
     program = QuadraticProgram.from_ranges(
-        (P + P.T) * 0.5, c, sp.vstack([G, A]), np.concatenate([low, b]), np.concatenate([h, b]), lower, upper
+        (P + P.T) * 0.5,
+        c,
+        sp.vstack([G, A]),
+        np.concatenate([low, b]),
+        np.concatenate([h, b]),
+        lower,
+        upper,
     )
     return program, value
 
@@ -363,8 +469,12 @@ class Tally:
     def add(self, other: Tally) -> None:
         """Add what happened elsewhere."""
         self.count, self.wrong, self.at_odds = (
-            mine + theirs for mine, theirs in (
-                (self.count, other.count), (self.wrong, other.wrong), (self.at_odds, other.at_odds))
+            mine + theirs
+            for mine, theirs in (
+                (self.count, other.count),
+                (self.wrong, other.wrong),
+                (self.at_odds, other.at_odds),
+            )
         )
         for way in (0, 1):
             self.unsolved[way] += other.unsolved[way]
@@ -380,8 +490,10 @@ class Tally:
         )
 
 
-HEAD = (f"{'family':<22}{'count':>6}{'QP':>6}{'LCP':>6}{'wrong':>7}{'at odds':>8}{'steps':>7}{'s QP':>9}{'s LCP':>8}"
-        f"{'slowest':>8}")
+HEAD = (
+    f"{'family':<22}{'count':>6}{'QP':>6}{'LCP':>6}{'wrong':>7}{'at odds':>8}{'steps':>7}{'s QP':>9}{'s LCP':>8}"
+    f"{'slowest':>8}"
+)
 
 
 def holds(program: QuadraticProgram, answer: Any) -> bool:
@@ -392,16 +504,28 @@ def holds(program: QuadraticProgram, answer: Any) -> bool:
         rows = sp.csr_array(matrix)
         over = rows @ x - limit
         size = 1.0 + abs(rows) @ np.abs(x) + np.where(np.isfinite(limit), np.abs(limit), 0.0)
-        errors.append(np.where(np.isfinite(limit), np.abs(over) if is_equal else np.maximum(over, 0.0), 0.0) / size)
-    errors += [np.maximum(side, 0.0) / (1.0 + np.abs(x)) for side in (program.lower - x, x - program.upper)]
+        errors.append(
+            np.where(np.isfinite(limit), np.abs(over) if is_equal else np.maximum(over, 0.0), 0.0)
+            / size
+        )
+    errors += [
+        np.maximum(side, 0.0) / (1.0 + np.abs(x)) for side in (program.lower - x, x - program.upper)
+    ]
     terms = program.P @ x, program.c, program.G.T @ y, program.A.T @ v, -answer.lower, answer.upper
-    size = abs(program.P) @ np.abs(x) + np.abs(program.c) + abs(program.G).T @ np.abs(y) + abs(program.A).T @ np.abs(v)
+    size = (
+        abs(program.P) @ np.abs(x)
+        + np.abs(program.c)
+        + abs(program.G).T @ np.abs(y)
+        + abs(program.A).T @ np.abs(v)
+    )
     errors.append(np.abs(sum(terms)) / (1.0 + size))
     errors += [np.maximum(-part, 0.0) for part in (y, answer.lower, answer.upper)]
     return all(error.max(initial=0.0) <= 10.0 * TOLERANCE for error in errors)
 
 
-def said(program: QuadraticProgram, answer: Any, status: str, value: float, spoilt: str) -> tuple[bool, bool]:
+def said(
+    program: QuadraticProgram, answer: Any, status: str, value: float, spoilt: str
+) -> tuple[bool, bool]:
     """Return whether what a way said of the program settles it, and whether it is wrong."""
     if spoilt:
         return status == spoilt, status not in (spoilt, "unknown")
@@ -411,7 +535,9 @@ def said(program: QuadraticProgram, answer: Any, status: str, value: float, spoi
     return status == "optimal", status == "optimal" and (off or not holds(program, answer))
 
 
-def judged(family: str, program: QuadraticProgram, value: float, seconds: float = 60.0) -> tuple[Tally, str]:
+def judged(
+    family: str, program: QuadraticProgram, value: float, seconds: float = 60.0
+) -> tuple[Tally, str]:
     """Return what happened to one program both ways, and words on what went wrong."""
     tally, words, spoilt = Tally(1), [], FAMILIES[family].spoilt
     for way in (0, 1):
@@ -446,7 +572,14 @@ def judged(family: str, program: QuadraticProgram, value: float, seconds: float 
 def afresh(program: QuadraticProgram) -> QuadraticProgram:
     """Return the program with nothing of what it knows by now."""
     made = QuadraticProgram(
-        program.P, program.c, program.G, program.h, program.A, program.b, program.lower, program.upper
+        program.P,
+        program.c,
+        program.G,
+        program.h,
+        program.A,
+        program.b,
+        program.lower,
+        program.upper,
     )
     made.__dict__["ranges"] = program.ranges
     return made

@@ -55,7 +55,11 @@ def regulariser(e: Any, draw: Draw) -> Any:
 
 def largest(e: Any, draw: Draw) -> Any:
     """Return the sum of the largest entries; of all of them only where this cvxpy can evaluate that."""
-    return cp.sum_largest(e, int(draw.integers(1, e.size + ALL_OF_THEM))) if e.size >= 2 - ALL_OF_THEM else cp.max(e)
+    return (
+        cp.sum_largest(e, int(draw.integers(1, e.size + ALL_OF_THEM)))
+        if e.size >= 2 - ALL_OF_THEM
+        else cp.max(e)
+    )
 
 
 def steps(e: Any, draw: Draw) -> Any:
@@ -83,7 +87,9 @@ CONVEX: dict[str, Atom] = {
     "quad_over_lin": lambda e, draw: cp.quad_over_lin(e, draw.uniform(0.5, 3.0)),
     "huber": lambda e, draw: cp.sum(cp.huber(e, draw.uniform(0.2, 2.0))),
     "sum_largest": largest,
-    "sum_smallest": lambda e, draw: -cp.sum_smallest(e, int(draw.integers(1, e.size))) if e.size > 1 else -cp.min(e),
+    "sum_smallest": lambda e, draw: (
+        -cp.sum_smallest(e, int(draw.integers(1, e.size))) if e.size > 1 else -cp.min(e)
+    ),
     "min": lambda e, draw: -cp.min(e),
     "minimum": lambda e, draw: -cp.sum(cp.minimum(e, draw.normal(size=e.size))),
     "tv": steps,
@@ -114,7 +120,9 @@ def is_quadratic(name: str) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            cp.Problem(cp.Minimize(CONVEX[name](cp.Variable(3), np.random.default_rng(0)))).get_problem_data(QPSolver)
+            cp.Problem(
+                cp.Minimize(CONVEX[name](cp.Variable(3), np.random.default_rng(0)))
+            ).get_problem_data(QPSolver)
         except cp.error.SolverError:
             return False
     return True
@@ -141,7 +149,9 @@ def sliced(parts: list[Any], draw: Draw) -> Any:
 
 def affine(parts: list[Any], draw: Draw) -> Any:
     rows = int(draw.integers(1, 5))
-    return sum(draw.normal(size=(rows, part.size)) @ part for part in parts) + draw.normal(size=rows)
+    return sum(draw.normal(size=(rows, part.size)) @ part for part in parts) + draw.normal(
+        size=rows
+    )
 
 
 def added(parts: list[Any], draw: Draw) -> Any:
@@ -151,12 +161,18 @@ def added(parts: list[Any], draw: Draw) -> Any:
 
 def reshaped(parts: list[Any], draw: Draw) -> Any:
     part = parts[0]
-    square = cp.reshape(part[: part.size // 2 * 2], (2, part.size // 2), order="F") if part.size > 1 else part
+    square = (
+        cp.reshape(part[: part.size // 2 * 2], (2, part.size // 2), order="F")
+        if part.size > 1
+        else part
+    )
     return flat(square.T if len(square.shape) == 2 else square)
 
 
 def kronecker(parts: list[Any], draw: Draw) -> Any:
-    return flat(cp.kron(draw.normal(size=(2, 1)), cp.reshape(parts[0], (parts[0].size, 1), order="F")))
+    return flat(
+        cp.kron(draw.normal(size=(2, 1)), cp.reshape(parts[0], (parts[0].size, 1), order="F"))
+    )
 
 
 def diagonal(parts: list[Any], draw: Draw) -> Any:
@@ -165,7 +181,9 @@ def diagonal(parts: list[Any], draw: Draw) -> Any:
 
 
 def column_sums(parts: list[Any], draw: Draw) -> Any:
-    return cp.sum(cp.multiply(draw.normal(size=(parts[0].size, 2)), cp.vstack([parts[0], parts[0]]).T), axis=0)
+    return cp.sum(
+        cp.multiply(draw.normal(size=(parts[0].size, 2)), cp.vstack([parts[0], parts[0]]).T), axis=0
+    )
 
 
 def convolved(parts: list[Any], draw: Draw) -> Any:
@@ -266,8 +284,11 @@ def program(draw: Draw) -> Case:
         constraints.append(convex <= limit)
         e = expression()
         wanted = draw.normal(size=e.size)
-        contradiction = [[cp.sum(e) >= 2.0, wanted * 0 + cp.sum(e) <= 1.0], [cp.norm1(e) <= -0.1],
-                         [cp.max(e) <= wanted.min() - 0.1, e >= wanted]]
+        contradiction = [
+            [cp.sum(e) >= 2.0, wanted * 0 + cp.sum(e) <= 1.0],
+            [cp.norm1(e) <= -0.1],
+            [cp.max(e) <= wanted.min() - 0.1, e >= wanted],
+        ]
         constraints += contradiction[int(draw.integers(0, 3))]
     objective = cp.Minimize(goal) if draw.random() < 0.6 else cp.Maximize(-goal)
     return Case(cp.Problem(objective, constraints), is_infeasible, used)
@@ -337,7 +358,11 @@ def verdict(case: Case, ours: Opinion, theirs: list[Opinion]) -> str:
         # A point as feasible as anybody's with a smaller value is what a minimum is: the others stopped early.
         if agreeing or (solved and ours.violation <= SOFT):
             return "agreed"
-        return "wrong status" if all(other.status in ("infeasible", "unbounded") for other in theirs) else "not judged"
+        return (
+            "wrong status"
+            if all(other.status in ("infeasible", "unbounded") for other in theirs)
+            else "not judged"
+        )
     if any(other.status == ours.status for other in theirs) and not solved:
         return "agreed"
     if solved and all(other.is_solved() for other in theirs):
@@ -353,6 +378,7 @@ def verdict(case: Case, ours: Opinion, theirs: list[Opinion]) -> str:
 
 def judged(seed: int, k: int, *, second_solve: bool) -> tuple[str, Case, Opinion, list[Opinion]]:
     """Return the outcome of case k of a seed, the case and the opinions."""
+
     def drawn() -> Case:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -376,16 +402,23 @@ def main() -> int:
     outcomes: Counter[str] = Counter()
     statuses: Counter[str] = Counter()
     start = told = time.perf_counter()
-    print(f"cvxpy {cp.__version__}, {len(CONVEX)} atoms, {len(COMBINATIONS)} combinations", flush=True)
+    print(
+        f"cvxpy {cp.__version__}, {len(CONVEX)} atoms, {len(COMBINATIONS)} combinations", flush=True
+    )
     for k in range(options.first, options.first + options.cases):
         outcome, case, ours, theirs = judged(options.seed, k, second_solve=options.second_solve)
         outcomes[outcome] += 1
         statuses[ours.status.split(":")[0]] += 1
         if outcome != "agreed":
-            print(f"{outcome}: case {k} of seed {options.seed}: ours {ours}, others {theirs}; {case.atoms}", flush=True)
+            print(
+                f"{outcome}: case {k} of seed {options.seed}: ours {ours}, others {theirs}; {case.atoms}",
+                flush=True,
+            )
         if time.perf_counter() - told > 60.0:
             told = time.perf_counter()
-            print(f"after {k - options.first + 1}, {told - start:.0f} s: {dict(outcomes)}", flush=True)
+            print(
+                f"after {k - options.first + 1}, {told - start:.0f} s: {dict(outcomes)}", flush=True
+            )
     print(f"{'outcome':<14}{'cases':>8}")
     for outcome in OUTCOMES:
         print(f"{outcome:<14}{outcomes[outcome]:>8}")

@@ -92,12 +92,23 @@ def nearly_degenerate(n: int, rng: Generator) -> np.ndarray:
 
 FAMILIES: dict[str, Callable[[int, Generator], np.ndarray]] = {
     one.__name__: one
-    for one in (h_plus, definite, p_matrix, nonsymmetric, ill_conditioned, scaled, chain, nearly_degenerate)
+    for one in (
+        h_plus,
+        definite,
+        p_matrix,
+        nonsymmetric,
+        ill_conditioned,
+        scaled,
+        chain,
+        nearly_degenerate,
+    )
 }
 PROVEN_H_PLUS = ("h_plus", "chain", "scaled")
 
 
-def rows(kind: str, states: np.ndarray, z: np.ndarray, rng: Generator) -> tuple[np.ndarray, np.ndarray]:
+def rows(
+    kind: str, states: np.ndarray, z: np.ndarray, rng: Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Return bounds that give each row of z its state; −1, 0, 1 as in `exact`."""
     n = states.size
     away = rng.integers(1, 5, (2, n)).astype(float)
@@ -202,17 +213,25 @@ class Judged:
         dz = self.found.jvp(dM=dM, dq=change.dq, dlower=change.dlower, dupper=change.dupper)
         dw = self.found.dw(dz, dM=dM, dq=change.dq)
         inner = np.r_[
-            found.q * change.dq, found.lower * change.dlower, found.upper * change.dupper, found.M.data * dM.data,
-            -self.g * dz, -self.gw * dw,
+            found.q * change.dq,
+            found.lower * change.dlower,
+            found.upper * change.dupper,
+            found.M.data * dM.data,
+            -self.g * dz,
+            -self.gw * dw,
         ]
-        parts = abs(inner).sum() + abs(self.gw) @ (abs(M) @ abs(dz) + abs(dM) @ abs(self.found.z) + abs(change.dq))
+        parts = abs(inner).sum() + abs(self.gw) @ (
+            abs(M) @ abs(dz) + abs(dM) @ abs(self.found.z) + abs(change.dq)
+        )
         allowed = ADJOINT * max(1.0, self.condition / WELL_CONDITIONED)
         error = abs(inner.sum()) / parts
         if not error <= allowed:
             self.wrong.append(f"ADJOINT off by {error:.1e}, condition {self.condition:.1e}")
 
 
-def judge_strict(family: str, kind: str, largest: int, rng: Generator) -> Iterator[tuple[str, bool]]:
+def judge_strict(
+    family: str, kind: str, largest: int, rng: Generator
+) -> Iterator[tuple[str, bool]]:
     """Yield (what happened, whether it is wrong) of one problem that is not degenerate."""
     problem = drawn(family, kind, largest, rng)
     tolerance = rng.choice([1e-8, 1e-8, COARSE])
@@ -227,7 +246,10 @@ def judge_strict(family: str, kind: str, largest: int, rng: Generator) -> Iterat
         return
     if not piece.is_strict:
         is_lost = tolerance == COARSE and found.is_unique is None
-        yield "not settled from a coarse z" if is_lost else "ROWS of no solution, or degenerate", not is_lost
+        yield (
+            "not settled from a coarse z" if is_lost else "ROWS of no solution, or degenerate",
+            not is_lost,
+        )
         return
     judged = Judged(found, piece, rng)
     judged.near("z", found.z, piece.z)
@@ -245,7 +267,10 @@ def judge_degenerate(kind: str, largest: int, rng: Generator) -> Iterator[tuple[
         yield f"{result.status.name}", True
         return
     found = derivative(result)
-    yield f"{planted.size} planted rows, is_unique {found.is_unique}", bool(found.is_unique and planted.size)
+    yield (
+        f"{planted.size} planted rows, is_unique {found.is_unique}",
+        bool(found.is_unique and planted.size),
+    )
     if not np.array_equal(found.degenerate, planted):
         yield f"DEGENERATE {found.degenerate} for {planted}", True
     piece = piece_at(problem, z, found.free)
@@ -267,7 +292,11 @@ def judge(arguments: tuple[int, int, int, bool]) -> list[tuple[str, str, str]]:
     kind, family = KINDS[k % 3], "planted" if is_planted else list(FAMILIES)[k // 3 % len(FAMILIES)]
     where = f"{family} {kind} --only {k}" + (" --planted" if is_planted else "")
     try:
-        found = judge_degenerate(kind, largest, rng) if is_planted else judge_strict(family, kind, largest, rng)
+        found = (
+            judge_degenerate(kind, largest, rng)
+            if is_planted
+            else judge_strict(family, kind, largest, rng)
+        )
         return [(family, what, where if is_wrong else "") for what, is_wrong in found]
     except Exception as error:  # a campaign counts what a caller would see
         return [(family, f"EXCEPTION {type(error).__name__}: {error}", where)]
@@ -300,7 +329,11 @@ def main() -> int:
     for (family, what), count in sorted(counts.items()):
         print(f"{family:<16} {what:<40} {count}")
     unique, others = (
-        sum(count for (family, what), count in counts.items() if family in PROVEN_H_PLUS and what in whats)
+        sum(
+            count
+            for (family, what), count in counts.items()
+            if family in PROVEN_H_PLUS and what in whats
+        )
         for whats in (("is_unique True",), ("is_unique False", "is_unique None"))
     )
     if unique < SHARE * (unique + others):

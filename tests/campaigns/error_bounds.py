@@ -36,7 +36,9 @@ def random_matrix(generator: np.random.Generator, radius: float) -> np.ndarray:
     """Return an H₊-matrix with ρ(D⁻¹|B|) = radius up to rounding, random signs, rows and columns scaled."""
     n = int(generator.integers(2, 7))
     while True:
-        B = generator.standard_normal((n, n)) * (generator.random((n, n)) < generator.choice([0.4, 0.7, 1.0]))
+        B = generator.standard_normal((n, n)) * (
+            generator.random((n, n)) < generator.choice([0.4, 0.7, 1.0])
+        )
         np.fill_diagonal(B, 0.0)
         largest = max(abs(np.linalg.eigvals(abs(B))))
         if largest > 1e-6:
@@ -75,7 +77,9 @@ def random_problem(generator: np.random.Generator, kind: float | str) -> LCP:
     return LCP(M, w - M @ z, lower=lower, upper=upper)
 
 
-def points(generator: np.random.Generator, problem: LCP, exact: Exact) -> Iterator[tuple[str, np.ndarray]]:
+def points(
+    generator: np.random.Generator, problem: LCP, exact: Exact
+) -> Iterator[tuple[str, np.ndarray]]:
     """Yield approximations of the solution by quality; some leave the bounds, some keep the active rows exact."""
     z = np.array([float(value) for value in exact.z])
     size = np.maximum(np.abs(z), generator.choice([0.0, 1.0]) * np.abs(z).max())
@@ -94,15 +98,22 @@ def violations(problem: LCP, z: np.ndarray, exact: Exact, bound: ErrorBound) -> 
     outside = wrong = 0
     for i, (truth, slack) in enumerate(zip(exact.z, exact.w, strict=True)):
         limit = bound.componentwise[i]
-        outside += bool(np.isfinite(limit)) and abs(Fraction(float(z[i])) - truth) > Fraction(float(limit))
-        ends = [Fraction(float(end)) for end in (problem.lower[i], problem.upper[i]) if np.isfinite(end)]
+        outside += bool(np.isfinite(limit)) and abs(Fraction(float(z[i])) - truth) > Fraction(
+            float(limit)
+        )
+        ends = [
+            Fraction(float(end)) for end in (problem.lower[i], problem.upper[i]) if np.isfinite(end)
+        ]
         wrong += bool(bound.proven_active[i]) and truth not in ends
         wrong += bool(bound.proven_inactive[i]) and (truth in ends or slack != 0)
     with np.errstate(over="ignore"):  # beside a z near the largest double
         others = (z, np.zeros_like(z), 1.0 - 3.0 * z)
     for other in others:
         limits = zip(other, exact.z, bound.carried_to(other), strict=True)
-        outside += sum(bool(np.isfinite(y)) and abs(Fraction(float(a)) - b) > Fraction(float(y)) for a, b, y in limits)
+        outside += sum(
+            bool(np.isfinite(y)) and abs(Fraction(float(a)) - b) > Fraction(float(y))
+            for a, b, y in limits
+        )
     error = max(abs(Fraction(float(a)) - b) for a, b in zip(z, exact.z, strict=True))
     size = Fraction(float(np.abs(z).max()))
     if np.isfinite(bound.relative):
@@ -123,12 +134,16 @@ class Tally:
     """What the campaign has counted."""
 
     def __init__(self) -> None:
-        self.outside = self.wrong = self.enumerated = self.infinite = self.refused = self.exact_points = 0
+        self.outside = self.wrong = self.enumerated = self.infinite = self.refused = (
+            self.exact_points
+        ) = 0
         self.norm: dict[tuple[float | str, str, bool], list[float]] = defaultdict(list)
         self.part: dict[tuple[float | str, str, bool], list[float]] = defaultdict(list)
         self.proven: dict[str, list[bool]] = defaultdict(list)
 
-    def count(self, kind: float | str, quality: str, problem: LCP, z: np.ndarray, exact: Exact) -> None:
+    def count(
+        self, kind: float | str, quality: str, problem: LCP, z: np.ndarray, exact: Exact
+    ) -> None:
         """Judge the bounds of one point."""
         for sharp in (True, False):
             try:
@@ -163,21 +178,30 @@ class Tally:
             f"refused: {self.refused}   z exact: {self.exact_points}   enumeration: {self.enumerated}"
         )
         for table, sharp, title in (
-            (self.norm, True, "sharp, maximum norm"), (self.part, True, "sharp, worst component"),
+            (self.norm, True, "sharp, maximum norm"),
+            (self.part, True, "sharp, worst component"),
             (self.norm, False, "sharp=False, maximum norm"),
         ):
             print(f"\nbound/error, {title}: median (95 % quantile)")
             print(f"{'ρ(J)':>6} " + "".join(f"{quality:>24}" for quality in QUALITIES))
             for kind in CLASSES:
-                pairs = [np.quantile(table[kind, q, sharp] or [np.nan], [0.5, 0.95]) for q in QUALITIES]
+                pairs = [
+                    np.quantile(table[kind, q, sharp] or [np.nan], [0.5, 0.95]) for q in QUALITIES
+                ]
                 print(f"{kind:>6} " + "".join(f"{f'{a:.4g} ({b:.3g})':>24}" for a, b in pairs))
-        shares = ", ".join(f"{quality} {np.mean(self.proven[quality]):.0%}" for quality in QUALITIES)
+        shares = ", ".join(
+            f"{quality} {np.mean(self.proven[quality]):.0%}" for quality in QUALITIES
+        )
         print(f"\nactive set proven: {shares}")
 
     @property
     def worst_median(self) -> float:
         """The largest median of the sharp bound for H₊-matrices at convergence."""
-        return max(float(np.median(self.norm[kind, q, True] or [np.nan])) for kind in RADII for q in QUALITIES[1:])
+        return max(
+            float(np.median(self.norm[kind, q, True] or [np.nan]))
+            for kind in RADII
+            for q in QUALITIES[1:]
+        )
 
 
 def run(cases: int, seed: int) -> int:
@@ -188,14 +212,18 @@ def run(cases: int, seed: int) -> int:
     kinds = [RADII[case % len(RADII)] for case in range(cases)] + [DEFINITE] * (cases // 10)
     for kind in kinds:
         tally.judge(kind, generator)
-    print(f"{cases} H₊ and {cases // 10} definite problems, seed {seed}, {time.perf_counter() - began:.0f} s")
+    print(
+        f"{cases} H₊ and {cases // 10} definite problems, seed {seed}, {time.perf_counter() - began:.0f} s"
+    )
     tally.show()
     print(f"largest median at convergence, H₊: {tally.worst_median:.4g} (must be ≤ 10)")
     return int(tally.outside > 0 or tally.wrong > 0 or not tally.worst_median <= 10.0)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cases", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()

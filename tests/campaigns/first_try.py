@@ -45,7 +45,9 @@ def planted(rng: RNG, M: Any, *, degenerate: float = 0.2, bounds: bool = True) -
     z = np.where(at < 0.4, lower, np.where((at > 0.8) & (kind == "box"), upper, np.minimum(z, 1.9)))
     z = np.where(kind == "free", rng.standard_normal(n), z)
     slack = np.where(rng.random(n) < degenerate, 0.0, np.abs(rng.standard_normal(n)))
-    w = np.where(kind == "free", 0.0, np.where(z == lower, slack, np.where(z == upper, -slack, 0.0)))
+    w = np.where(
+        kind == "free", 0.0, np.where(z == lower, slack, np.where(z == upper, -slack, 0.0))
+    )
     return LCP(M, w - M @ z, lower=lower, upper=upper)
 
 
@@ -73,8 +75,12 @@ def monotone(rng: RNG) -> LCP:
 
 def h_plus(rng: RNG) -> LCP:
     n = size(rng, 300)
-    M = sp.random_array((n, n), density=min(1.0, 4.0 / n), rng=rng, format="csr", data_sampler=rng.normal)
-    return planted(rng, sp.csr_array(M + sp.diags_array(0.1 + np.asarray(abs(M).sum(axis=1)).ravel())))
+    M = sp.random_array(
+        (n, n), density=min(1.0, 4.0 / n), rng=rng, format="csr", data_sampler=rng.normal
+    )
+    return planted(
+        rng, sp.csr_array(M + sp.diags_array(0.1 + np.asarray(abs(M).sum(axis=1)).ravel()))
+    )
 
 
 def p_matrix(rng: RNG) -> LCP:
@@ -87,7 +93,12 @@ def p_matrix(rng: RNG) -> LCP:
 def triangular(rng: RNG) -> LCP:
     n = size(rng, 30)
     diagonal = np.abs(rng.standard_normal(n)) * (rng.random(n) < 0.7)
-    return planted(rng, np.tril(rng.standard_normal((n, n)), -1) + np.diag(diagonal), bounds=False, degenerate=0.5)
+    return planted(
+        rng,
+        np.tril(rng.standard_normal((n, n)), -1) + np.diag(diagonal),
+        bounds=False,
+        degenerate=0.5,
+    )
 
 
 def block_triangular(rng: RNG) -> LCP:
@@ -107,7 +118,12 @@ def contact(rng: RNG) -> LCP:
     contacts = int(rng.integers(bodies, 4 * bodies + 1))
     J = rng.standard_normal((contacts, 3 * bodies)) * (rng.random((contacts, 3 * bodies)) < 0.7)
     J = J[np.abs(J).sum(axis=1) > 0.0]
-    return planted(rng, J @ np.diag(1.0 / rng.uniform(0.1, 10.0, 3 * bodies)) @ J.T, bounds=False, degenerate=0.5)
+    return planted(
+        rng,
+        J @ np.diag(1.0 / rng.uniform(0.1, 10.0, 3 * bodies)) @ J.T,
+        bounds=False,
+        degenerate=0.5,
+    )
 
 
 def game(rng: RNG) -> LCP:
@@ -172,16 +188,26 @@ def portfolio(rng: RNG) -> cp.Problem:
 
 def transport(rng: RNG) -> cp.Problem:
     m, n = int(rng.integers(2, 8)), int(rng.integers(2, 8))
-    supply, cost, x = rng.integers(1, 10, m).astype(float), rng.integers(1, 20, (m, n)), cp.Variable((m, n))
+    supply, cost, x = (
+        rng.integers(1, 10, m).astype(float),
+        rng.integers(1, 20, (m, n)),
+        cp.Variable((m, n)),
+    )
     demand = rng.dirichlet(np.ones(n)) * supply.sum()
-    limits = [cp.sum(x, axis=1) <= supply * (1.0 + rng.choice([0.0, 0.1])), cp.sum(x, axis=0) >= demand * 0.999, x >= 0]
+    limits = [
+        cp.sum(x, axis=1) <= supply * (1.0 + rng.choice([0.0, 0.1])),
+        cp.sum(x, axis=0) >= demand * 0.999,
+        x >= 0,
+    ]
     return cp.Problem(cp.Minimize(cp.sum(cp.multiply(cost, x))), limits)
 
 
 def simplex(rng: RNG) -> cp.Problem:
     n = int(rng.integers(2, 60))
     x = cp.Variable(n)
-    return cp.Problem(cp.Minimize(cp.sum_squares(x - rng.standard_normal(n))), [cp.sum(x) == 1, x >= 0])
+    return cp.Problem(
+        cp.Minimize(cp.sum_squares(x - rng.standard_normal(n))), [cp.sum(x) == 1, x >= 0]
+    )
 
 
 def linear_program(rng: RNG) -> cp.Problem:
@@ -206,7 +232,9 @@ def equations_fix_all(rng: RNG) -> cp.Problem:
     n = int(rng.integers(2, 8))
     A, x = rng.standard_normal((n, n)), cp.Variable(n)
     x0 = np.abs(rng.standard_normal(n))
-    return cp.Problem(cp.Minimize(cp.sum_squares(x) + rng.standard_normal(n) @ x), [A @ x == A @ x0, x >= 0])
+    return cp.Problem(
+        cp.Minimize(cp.sum_squares(x) + rng.standard_normal(n) @ x), [A @ x == A @ x0, x >= 0]
+    )
 
 
 def redundant_rows(rng: RNG) -> cp.Problem:
@@ -225,7 +253,9 @@ def infeasible(rng: RNG) -> cp.Problem:
     A[-1] = -(y[:-1] @ A[:-1]) / y[-1]
     b = rng.standard_normal(n + 1)
     b[-1] = -(y[:-1] @ b[:-1] + rng.uniform(0.1, 1.0)) / y[-1]
-    return cp.Problem(cp.Minimize(cp.sum_squares(x) if rng.random() < 0.5 else cp.sum(x)), [A @ x <= b])
+    return cp.Problem(
+        cp.Minimize(cp.sum_squares(x) if rng.random() < 0.5 else cp.sum(x)), [A @ x <= b]
+    )
 
 
 def redundant_infeasible(rng: RNG) -> cp.Problem:
@@ -234,7 +264,9 @@ def redundant_infeasible(rng: RNG) -> cp.Problem:
     E = rng.integers(1, 10, (k, n)) / 10.0
     E, b = np.vstack([E, E[0] + E[1]]), rng.integers(1, 10, 2).astype(float)
     x = cp.Variable(n)
-    return cp.Problem(problem.objective.__class__(cp.sum_squares(x)), [E @ x == np.append(b, b.sum() + 0.1)])
+    return cp.Problem(
+        problem.objective.__class__(cp.sum_squares(x)), [E @ x == np.append(b, b.sum() + 0.1)]
+    )
 
 
 def unbounded(rng: RNG) -> cp.Problem:
@@ -247,13 +279,38 @@ def unbounded(rng: RNG) -> cp.Problem:
 
 
 LCPS: tuple[Callable[[RNG], LCP], ...] = (
-    definite, semidefinite, monotone, h_plus, p_matrix, triangular, block_triangular, contact, game, obstacle, units,
+    definite,
+    semidefinite,
+    monotone,
+    h_plus,
+    p_matrix,
+    triangular,
+    block_triangular,
+    contact,
+    game,
+    obstacle,
+    units,
 )
 PROGRAMS: tuple[Callable[[RNG], cp.Problem], ...] = (
-    lasso, support_vectors, group_sums, portfolio, transport, simplex, linear_program, fixed_variables,
-    equations_fix_all, redundant_rows, infeasible, redundant_infeasible, unbounded,
+    lasso,
+    support_vectors,
+    group_sums,
+    portfolio,
+    transport,
+    simplex,
+    linear_program,
+    fixed_variables,
+    equations_fix_all,
+    redundant_rows,
+    infeasible,
+    redundant_infeasible,
+    unbounded,
 )
-EXPECTED = {"infeasible": cp.INFEASIBLE, "redundant_infeasible": cp.INFEASIBLE, "unbounded": cp.UNBOUNDED}
+EXPECTED = {
+    "infeasible": cp.INFEASIBLE,
+    "redundant_infeasible": cp.INFEASIBLE,
+    "unbounded": cp.UNBOUNDED,
+}
 
 
 class Campaign:
@@ -276,7 +333,12 @@ class Campaign:
         if result.has_no_solution:
             self.complain(f"WRONG {name}: {result.status.name} although a solution was planted")
         elif not result.is_solved:
-            self.left_open(name, result.status.name, result.seconds, lambda by, limit: _is_solved(problem, by, limit))
+            self.left_open(
+                name,
+                result.status.name,
+                result.seconds,
+                lambda by, limit: _is_solved(problem, by, limit),
+            )
 
     def program(self, name: str, build: Callable[[RNG], cp.Problem], rng: RNG) -> None:
         problem = build(rng)
@@ -291,15 +353,22 @@ class Campaign:
             other = problem.solve(solver=cp.CLARABEL)
             if problem.status == cp.OPTIMAL and abs(own - other) > VALUE * (1.0 + abs(other)):
                 self.complain(f"WRONG {name}: {own:.9g}, Clarabel {other:.9g}")
-        elif problem.status in (cp.OPTIMAL, cp.INFEASIBLE, cp.UNBOUNDED) and problem.status != expected:
+        elif (
+            problem.status in (cp.OPTIMAL, cp.INFEASIBLE, cp.UNBOUNDED)
+            and problem.status != expected
+        ):
             self.complain(f"WRONG {name}: {problem.status}, expected {expected}")
         elif problem.status != expected and expected == cp.OPTIMAL:
-            self.left_open(name, problem.status, seconds, lambda by, limit: _is_optimal(problem, by, limit))
+            self.left_open(
+                name, problem.status, seconds, lambda by, limit: _is_optimal(problem, by, limit)
+            )
         elif problem.status != expected:
             self.unsolved += 1
             print(f"OPEN {name}: {problem.status}, expected {expected}", flush=True)
 
-    def left_open(self, name: str, status: str, seconds: float, solves: Callable[[str, float], bool]) -> None:
+    def left_open(
+        self, name: str, status: str, seconds: float, solves: Callable[[str, float], bool]
+    ) -> None:
         self.unsolved += 1
         limit = max(TIMES * seconds, AT_LEAST)
         by = [method for method in NAMED if solves(method, limit)]
@@ -336,13 +405,20 @@ def main(cases: int, seed: int, first: int) -> int:
         build = kinds[case % len(kinds)]
         name = f"case {case} {build.__name__}"
         try:
-            (campaign.lcp if build in LCPS else campaign.program)(name, build, np.random.default_rng([seed, case]))
+            (campaign.lcp if build in LCPS else campaign.program)(
+                name, build, np.random.default_rng([seed, case])
+            )
         except Exception as error:
             campaign.complain(f"RAISED {name}: {type(error).__name__}: {error}")
     print("\n".join(f"{count:>6} × {what}" for what, count in sorted(campaign.counts.items())))
-    print("the longest: " + ", ".join(f"{seconds:.1f} s ({name})" for seconds, name in campaign.longest))
-    print(f"{cases} cases in {time.perf_counter() - began:.0f} s: {campaign.solvable} solvable, {campaign.unsolved} "
-          f"not answered, {campaign.bad} raised, wrong or left to a named method")
+    print(
+        "the longest: "
+        + ", ".join(f"{seconds:.1f} s ({name})" for seconds, name in campaign.longest)
+    )
+    print(
+        f"{cases} cases in {time.perf_counter() - began:.0f} s: {campaign.solvable} solvable, {campaign.unsolved} "
+        f"not answered, {campaign.bad} raised, wrong or left to a named method"
+    )
     return int(campaign.bad > 0 or campaign.unsolved > ENOUGH * campaign.solvable)
 
 

@@ -42,8 +42,15 @@ def flow(rng: np.random.Generator, m: int) -> sp.csr_array:
     diagonal = np.full(m * m, 10.0 ** rng.uniform(-3.0, 0.0))
     for axis, (here, there) in enumerate(((size[:, :-1], size[:, 1:]), (size[:-1], size[1:]))):
         i, j = here.ravel(), there.ravel()
-        k, v = 2.0 / (1.0 / spread[i] + 1.0 / spread[j]), peclet * 0.5 * (speed[axis][i] + speed[axis][j])
-        to_right, to_left = (k + np.maximum(v, 0.0), k + np.maximum(-v, 0.0)) if is_upwind else (k + v / 2, k - v / 2)
+        k, v = (
+            2.0 / (1.0 / spread[i] + 1.0 / spread[j]),
+            peclet * 0.5 * (speed[axis][i] + speed[axis][j]),
+        )
+        to_right, to_left = (
+            (k + np.maximum(v, 0.0), k + np.maximum(-v, 0.0))
+            if is_upwind
+            else (k + v / 2, k - v / 2)
+        )
         M[j, i], M[i, j] = -to_right, -to_left
         np.add.at(diagonal, j, to_right)
         np.add.at(diagonal, i, to_left)
@@ -69,14 +76,21 @@ def exponents(rng: np.random.Generator, units: str, n: int) -> tuple[Any, Any]:
 def judged(rng: np.random.Generator, counts: Counter[str], extremes: dict[str, float]) -> list[str]:
     """What is false of one problem; counts are added to."""
     method, units = str(rng.choice(METHODS)), str(rng.choice(UNITS))
-    m = int(rng.integers(12, 41)) if method not in LARGEST else int(rng.integers(6, int(LARGEST[method] ** 0.5)))
+    m = (
+        int(rng.integers(12, 41))
+        if method not in LARGEST
+        else int(rng.integers(6, int(LARGEST[method] ** 0.5)))
+    )
     M = flow(rng, m)
     n = m * m
     z = np.maximum(rng.normal(size=n), 0.0)
     w = np.where((z > 0.0) | (rng.random(n) < 0.2), 0.0, np.abs(rng.normal(size=n)))
     q, (r, c) = w - M @ z, exponents(rng, units, n)
     rows = np.repeat(np.arange(n), np.diff(M.indptr))
-    problem = LCP(sp.csr_array((np.ldexp(M.data, r[rows] + c[M.indices]), M.indices, M.indptr)), np.ldexp(q, r))
+    problem = LCP(
+        sp.csr_array((np.ldexp(M.data, r[rows] + c[M.indices]), M.indices, M.indptr)),
+        np.ldexp(q, r),
+    )
     planted = Certificate.of(problem, np.ldexp(z, -c))
     found = []
     extremes["guard"] = max(extremes["guard"], planted.term_residual / 1e-8)
@@ -92,7 +106,9 @@ def judged(rng: np.random.Generator, counts: Counter[str], extremes: dict[str, f
     residual = np.abs(np.minimum(x, (M @ x + q) / d)).max() / np.abs(np.minimum(q / d, 0.0)).max()
     error = np.abs(x - z).max() / z.max()
     if result.is_solved and residual > 1e-5 and error > 1e-3:
-        found.append(f"FALSE: {method}, {units}, n = {n}: residual {residual:.0e}, error {error:.0e}")
+        found.append(
+            f"FALSE: {method}, {units}, n = {n}: residual {residual:.0e}, error {error:.0e}"
+        )
     elif result.is_solved:
         extremes["error"] = max(extremes["error"], error)
     return found
@@ -106,13 +122,17 @@ def main(cases: int, seed: int) -> int:
             failed += 1
             print(f"case {case}: {told}", flush=True)
     print(*(f"{count:6d}  {name}" for name, count in sorted(counts.items())), sep="\n")
-    print(f"{cases} cases, {failed} failures; a right answer's term residual is at most {extremes['guard']:.0e} of the "
-          f"tolerance, the largest error of a right SOLVED {extremes['error']:.0e}")
+    print(
+        f"{cases} cases, {failed} failures; a right answer's term residual is at most {extremes['guard']:.0e} of the "
+        f"tolerance, the largest error of a right SOLVED {extremes['error']:.0e}"
+    )
     return int(failed > 0)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cases", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()

@@ -56,10 +56,18 @@ def game(rng: np.random.Generator, odd: float | None = None) -> tuple[np.ndarray
 def wrong_equilibria(A: np.ndarray, B: np.ndarray) -> str:
     """Return which extreme equilibria are missing or additional, or nothing."""
     problem, expected = LCP.from_game(A, B), extreme_equilibria(A, B)
-    found = {strategies(vertex, len(A)) for face in all_solutions(problem) for vertex in face.exact_vertices}
-    additional, missing = (sum(not is_among(one, others) for one in these)
-                           for these, others in ((found, expected), (expected, found)))
-    return f"{additional} additional and {missing} missing equilibria" if additional or missing else ""
+    found = {
+        strategies(vertex, len(A))
+        for face in all_solutions(problem)
+        for vertex in face.exact_vertices
+    }
+    additional, missing = (
+        sum(not is_among(one, others) for one in these)
+        for these, others in ((found, expected), (expected, found))
+    )
+    return (
+        f"{additional} additional and {missing} missing equilibria" if additional or missing else ""
+    )
 
 
 def missed(A: np.ndarray, B: np.ndarray) -> str:
@@ -69,11 +77,18 @@ def missed(A: np.ndarray, B: np.ndarray) -> str:
     if not result.is_solved:
         return f"solve: {result.status.name}"
     equilibrium = problem.origin.recover(result)
-    x, y = ([Fraction(value) for value in s.tolist()] for s in (equilibrium.row_strategy, equilibrium.column_strategy))
+    x, y = (
+        [Fraction(value) for value in s.tolist()]
+        for s in (equilibrium.row_strategy, equilibrium.column_strategy)
+    )
     for name, payoffs, own, other in (("row", A, x, y), ("column", B.T, y, x)):
-        terms = [[Fraction(a) * t for a, t in zip(row, other, strict=True)] for row in payoffs.tolist()]
+        terms = [
+            [Fraction(a) * t for a, t in zip(row, other, strict=True)] for row in payoffs.tolist()
+        ]
         gains, size = [sum(row) for row in terms], max(abs(term) for row in terms for term in row)
-        worst = max(max(gains) - gain for gain, played in zip(gains, own, strict=True) if played > LITTLE)
+        worst = max(
+            max(gains) - gain for gain, played in zip(gains, own, strict=True) if played > LITTLE
+        )
         if worst > MISSED * size:
             return f"solve: the {name} player plays an action that is worse by {float(worst):.3g}"
     return ""
@@ -82,8 +97,12 @@ def missed(A: np.ndarray, B: np.ndarray) -> str:
 def is_among(pair: tuple[Strategy, Strategy], others: set[tuple[Strategy, Strategy]]) -> bool:
     """Return whether a pair is one of the others, to what costs beside 1e19 or 1e-17 round in doubles."""
     return pair in others or any(
-        all(abs(a - b) <= Fraction(1, 10**9) for one, two in zip(pair, other, strict=True)
-            for a, b in zip(one, two, strict=True)) for other in others
+        all(
+            abs(a - b) <= Fraction(1, 10**9)
+            for one, two in zip(pair, other, strict=True)
+            for a, b in zip(one, two, strict=True)
+        )
+        for other in others
     )
 
 

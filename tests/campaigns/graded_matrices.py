@@ -36,7 +36,12 @@ from matrix_verdicts import Case, check, extreme
 from lcp_plugin import LCP
 from lcp_plugin.algorithms import Algorithm, create
 from lcp_plugin.core.errors import LCPError
-from lcp_plugin.core.matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
+from lcp_plugin.core.matrix.iteration_facts import (
+    MODULUS,
+    PROJECTED_RELAXATION,
+    PROJECTED_SPLITTING,
+    IterationFacts,
+)
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.guarantees.convergence import numbers
@@ -60,7 +65,11 @@ def random_exponents(rng: np.random.Generator) -> np.ndarray:
     """Return a matrix whose entries have nothing to do with each other."""
     n = int(rng.integers(2, 6))
     reach = float(rng.choice([20.0, 160.0, 300.0]))
-    M = power(rng, reach, (n, n)) * rng.choice([-1.0, 1.0], (n, n)) * (rng.random((n, n)) < rng.choice([0.4, 0.8]))
+    M = (
+        power(rng, reach, (n, n))
+        * rng.choice([-1.0, 1.0], (n, n))
+        * (rng.random((n, n)) < rng.choice([0.4, 0.8]))
+    )
     if rng.random() < 0.8:
         M[np.diag_indices(n)] = power(rng, reach, n) if rng.random() < 0.5 else 1.0
     return M
@@ -73,11 +82,15 @@ def cycles(rng: np.random.Generator) -> np.ndarray:
     for _ in range(int(rng.integers(1, 4))):
         rows = rng.permutation(n)[: int(rng.integers(2, n + 1))]
         exponents = rng.uniform(-250, 250, rows.size)
-        exponents -= exponents.mean() + rng.choice([0.0, 0.0, -1.0, 1.0, -40.0, 40.0]) * rng.random()
+        exponents -= (
+            exponents.mean() + rng.choice([0.0, 0.0, -1.0, 1.0, -40.0, 40.0]) * rng.random()
+        )
         exponents = np.clip(np.rint(exponents * rng.choice([1.0, 3.0])), -1000, 1000)
         exponents[0] -= exponents.sum() if rng.random() < 0.5 else 0.0
         values = np.exp2(np.clip(exponents, -1074, 1023)) * rng.choice([-1.0, 1.0], rows.size)
-        M[rows, np.roll(rows, 1)] = np.where(rng.random(rows.size) < 0.1, np.nextafter(values, np.inf), values)
+        M[rows, np.roll(rows, 1)] = np.where(
+            rng.random(rows.size) < 0.1, np.nextafter(values, np.inf), values
+        )
     return M
 
 
@@ -103,7 +116,9 @@ def favoured(rng: np.random.Generator) -> np.ndarray:
     M = np.eye(n)
     reach = float(rng.choice([100.0, 200.0, 300.0]))
     for i, j in combinations(range(n), 2):
-        sizes = 10.0 ** np.rint(rng.uniform(-reach, reach, 2)) * (rng.random(2) < rng.choice([0.3, 0.6]))
+        sizes = 10.0 ** np.rint(rng.uniform(-reach, reach, 2)) * (
+            rng.random(2) < rng.choice([0.3, 0.6])
+        )
         sign = rng.choice([-1.0, 1.0])
         M[i, j], M[j, i] = sign * sizes[0], -sign * sizes[1]
     return against(rng, M) if rng.random() < 0.7 else M
@@ -160,7 +175,11 @@ def one_ulp(rng: np.random.Generator) -> np.ndarray:
 def dominant(rng: np.random.Generator) -> np.ndarray:
     """Return ⟨M⟩ with row sums of a unit or so in the last place, of either sign or zero, columns in any unit."""
     n = int(rng.integers(2, 6))
-    B = rng.random((n, n)) * power(rng, float(rng.choice([1.0, 8.0, 100.0])), (n, n)) * (rng.random((n, n)) < 0.7)
+    B = (
+        rng.random((n, n))
+        * power(rng, float(rng.choice([1.0, 8.0, 100.0])), (n, n))
+        * (rng.random((n, n)) < 0.7)
+    )
     np.fill_diagonal(B, 0.0)
     with np.errstate(all="ignore"):
         d = B.sum(axis=1)
@@ -183,8 +202,14 @@ def subnormal(rng: np.random.Generator) -> np.ndarray:
 
 
 KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
-    "random exponents": random_exponents, "cycles": cycles, "chain": chain, "favoured": favoured, "one ulp": one_ulp,
-    "dominant": dominant, "subnormal": subnormal, "extreme": extreme,
+    "random exponents": random_exponents,
+    "cycles": cycles,
+    "chain": chain,
+    "favoured": favoured,
+    "one ulp": one_ulp,
+    "dominant": dominant,
+    "subnormal": subnormal,
+    "extreme": extreme,
 }
 
 
@@ -205,7 +230,9 @@ def exact_arithmetic(is_allowed: bool) -> Iterator[None]:
             setattr(module, name, value)
 
 
-def wrong_verdicts(rng: np.random.Generator, kind: str, M: np.ndarray, counts: Counter[tuple[str, str]]) -> list[str]:
+def wrong_verdicts(
+    rng: np.random.Generator, kind: str, M: np.ndarray, counts: Counter[tuple[str, str]]
+) -> list[str]:
     """Judge all verdicts on M and their proofs, with and without the exact arithmetic."""
     is_bare = bool(rng.random() < 0.5)
     with exact_arithmetic(not is_bare):
@@ -227,23 +254,37 @@ def any_algorithm(rng: np.random.Generator, problem: LCP) -> Algorithm:
     if kind == 0:
         omega = (alpha - 1.0) / alpha if alpha > 1.0 else 0.5
         omega = abs(omega) * (1.0 + float(rng.integers(-4, 5)) * 2.0**-52) + (omega == 0.0)
-        return create("maor", {"relaxation": alpha, "acceleration": alpha, "omega": omega, "sweep": sweep})
+        return create(
+            "maor", {"relaxation": alpha, "acceleration": alpha, "omega": omega, "sweep": sweep}
+        )
     if kind == 1:
-        return create("psor", {"relaxation": float(2.0 - 2.0 ** rng.uniform(-52, -1)), "sweep": sweep})
+        return create(
+            "psor", {"relaxation": float(2.0 - 2.0 ** rng.uniform(-52, -1)), "sweep": sweep}
+        )
     if kind == 2:
         omega = float(np.exp2(rng.uniform(-60, 60)))
-        return create("maor", {"relaxation": min(alpha, 1.0), "acceleration": 0.5, "omega": omega, "sweep": sweep})
-    return create("npaor", {
-        "relaxation": float(np.exp2(rng.uniform(-60, 60))), "acceleration": float(np.exp2(rng.uniform(-60, 60))),
-        "sweep": sweep, "scaling": rng.choice([None, "auto", "diagonal"]),
-    })
+        return create(
+            "maor",
+            {"relaxation": min(alpha, 1.0), "acceleration": 0.5, "omega": omega, "sweep": sweep},
+        )
+    return create(
+        "npaor",
+        {
+            "relaxation": float(np.exp2(rng.uniform(-60, 60))),
+            "acceleration": float(np.exp2(rng.uniform(-60, 60))),
+            "sweep": sweep,
+            "scaling": rng.choice([None, "auto", "diagonal"]),
+        },
+    )
 
 
 def exact(values: np.ndarray) -> list[Fraction]:
     return [Fraction(float(value)) for value in values]
 
 
-def one_pass(facts: IterationFacts, problem: LCP, piece: tuple[bool, ...], backward: bool) -> Matrix | None:
+def one_pass(
+    facts: IterationFacts, problem: LCP, piece: tuple[bool, ...], backward: bool
+) -> Matrix | None:
     """Return T with e⁺ = T e where the rows of the piece follow w and the others z; step sizes are those of a run.
 
     None where a step size is no positive double: such an iteration cannot run.
@@ -252,13 +293,21 @@ def one_pass(facts: IterationFacts, problem: LCP, piece: tuple[bool, ...], backw
     M = [exact(row) for row in problem.csr.toarray()]
     diagonal = problem.diagonal
     alpha, beta = numbers(facts)
-    taken = [[M[i][j] if (j > i if backward else j < i) else Fraction(0) for j in range(n)] for i in range(n)]
+    taken = [
+        [M[i][j] if (j > i if backward else j < i) else Fraction(0) for j in range(n)]
+        for i in range(n)
+    ]
     identity = [[Fraction(i == j) for j in range(n)] for i in range(n)]
     if facts.family == MODULUS:
         inverse = 1.0 / (alpha * facts.omega + diagonal)
         omega, weight = exact(facts.omega), Fraction(beta)
-        drive = [[2 * Fraction(alpha) * (M[i][j] if piece[j] else identity[i][j] * omega[i]) for j in range(n)]
-                 for i in range(n)]
+        drive = [
+            [
+                2 * Fraction(alpha) * (M[i][j] if piece[j] else identity[i][j] * omega[i])
+                for j in range(n)
+            ]
+            for i in range(n)
+        ]
     elif facts.family == PROJECTED_RELAXATION:
         in_place = facts.relaxation == facts.acceleration
         inverse = alpha * (1.0 / diagonal) if in_place else alpha / diagonal
@@ -269,10 +318,16 @@ def one_pass(facts: IterationFacts, problem: LCP, piece: tuple[bool, ...], backw
         inverse = 1.0 / (scaling * diagonal / alpha + scaling * diagonal + 2.0)
         weight, s = Fraction(beta / alpha), exact(scaling)
         taken = [[s[i] * entry for entry in row] for i, row in enumerate(taken)]
-        drive = [[2 * (s[i] * M[i][j] if piece[i] else identity[i][j]) for j in range(n)] for i in range(n)]
+        drive = [
+            [2 * (s[i] * M[i][j] if piece[i] else identity[i][j]) for j in range(n)]
+            for i in range(n)
+        ]
     if not (np.isfinite(inverse).all() and (inverse > 0.0).all()):
         return None
-    P = [[weight * taken[i][j] + identity[i][j] / Fraction(float(inverse[i])) for j in range(n)] for i in range(n)]
+    P = [
+        [weight * taken[i][j] + identity[i][j] / Fraction(float(inverse[i])) for j in range(n)]
+        for i in range(n)
+    ]
     N = [[P[i][j] - drive[i][j] for j in range(n)] for i in range(n)]
     if facts.family == PROJECTED_RELAXATION:
         P = [row if piece[i] else identity[i] for i, row in enumerate(P)]
@@ -295,7 +350,10 @@ def pieces(facts: IterationFacts, problem: LCP) -> Iterator[tuple[tuple[bool, ..
 
 
 def times(A: Matrix, B: Matrix) -> Matrix:
-    return [[sum(a * b for a, b in zip(row, column, strict=True)) for column in zip(*B, strict=True)] for row in A]
+    return [
+        [sum(a * b for a, b in zip(row, column, strict=True)) for column in zip(*B, strict=True)]
+        for row in A
+    ]
 
 
 def is_contracting(T: Matrix) -> bool:
@@ -305,16 +363,23 @@ def is_contracting(T: Matrix) -> bool:
     for k in range(1, n + 1):
         power = times(T, power)
         polynomial.append(-sum(power[i][i] for i in range(n)) / k)
-        power = [[entry + polynomial[-1] * (i == j) for j, entry in enumerate(row)] for i, row in enumerate(power)]
+        power = [
+            [entry + polynomial[-1] * (i == j) for j, entry in enumerate(row)]
+            for i, row in enumerate(power)
+        ]
     while len(polynomial) > 1:
         first, last = polynomial[0], polynomial[-1]
         if abs(last) >= abs(first):
             return False
-        polynomial = [first * a - last * b for a, b in zip(polynomial, polynomial[::-1], strict=True)][:-1]
+        polynomial = [
+            first * a - last * b for a, b in zip(polynomial, polynomial[::-1], strict=True)
+        ][:-1]
     return True
 
 
-def wrong_guarantees(rng: np.random.Generator, M: np.ndarray, counts: Counter[tuple[str, str]]) -> list[str]:
+def wrong_guarantees(
+    rng: np.random.Generator, M: np.ndarray, counts: Counter[tuple[str, str]]
+) -> list[str]:
     """Judge what is guaranteed of a random algorithm on M."""
     problem = LCP(M, -np.ones(len(M)))
     algorithm = any_algorithm(rng, problem)
@@ -325,7 +390,9 @@ def wrong_guarantees(rng: np.random.Generator, M: np.ndarray, counts: Counter[tu
     except LCPError:
         facts = None
     counts["guarantee", guarantee.verdict] += 1
-    is_judged = facts is not None and facts.relaxation is not None and facts.family != PROJECTED_SPLITTING
+    is_judged = (
+        facts is not None and facts.relaxation is not None and facts.family != PROJECTED_SPLITTING
+    )
     if not is_judged or guarantee.verdict == "not covered" or problem.n > LARGEST_PIECES:
         return found
     counts["guarantee", "judged"] += 1
@@ -336,9 +403,13 @@ def wrong_guarantees(rng: np.random.Generator, M: np.ndarray, counts: Counter[tu
             v, rate = exact(guarantee.v), Fraction(guarantee.rate)
             grown = [sum(abs(entry) * w for entry, w in zip(row, v, strict=True)) for row in T]
             if any(g > rate * w for g, w in zip(grown, v, strict=True)):
-                found.append(f"{algorithm}: the rate {guarantee.rate} does not hold on the piece {piece}")
+                found.append(
+                    f"{algorithm}: the rate {guarantee.rate} does not hold on the piece {piece}"
+                )
         elif not is_contracting(T):
-            found.append(f"{algorithm}: guaranteed by {guarantee.theorem}, but not on the piece {piece}")
+            found.append(
+                f"{algorithm}: guaranteed by {guarantee.theorem}, but not on the piece {piece}"
+            )
     return found
 
 
@@ -359,7 +430,9 @@ def random_problem(rng: np.random.Generator, M: np.ndarray) -> LCP:
     return LCP(M, q, lower=lower, upper=upper)
 
 
-def wrong_bounds(rng: np.random.Generator, M: np.ndarray, counts: Counter[tuple[str, str]]) -> list[str]:
+def wrong_bounds(
+    rng: np.random.Generator, M: np.ndarray, counts: Counter[tuple[str, str]]
+) -> list[str]:
     """Judge the error bounds of some points of a problem with M, where M has any."""
     problem = random_problem(rng, M)
     try:
@@ -369,14 +442,22 @@ def wrong_bounds(rng: np.random.Generator, M: np.ndarray, counts: Counter[tuple[
         return []
     with np.errstate(all="ignore"):
         truth: Exact = exact_solution(problem)
-        near = [(quality, z) for quality, z in points(rng, problem, clipped(truth)) if np.isfinite(z).all()]
+        near = [
+            (quality, z)
+            for quality, z in points(rng, problem, clipped(truth))
+            if np.isfinite(z).all()
+        ]
     found = []
     for quality, z in near:
         bound = error_bound(problem, z, sharp=bool(rng.random() < 0.7))
-        outside, misplaced = violations(problem, z, truth, bound) if bound.kind == "rigorous" else (0, 0)
+        outside, misplaced = (
+            violations(problem, z, truth, bound) if bound.kind == "rigorous" else (0, 0)
+        )
         counts["error bound", "finite" if np.isfinite(bound.infinity) else "infinite"] += 1
         if outside or misplaced:
-            found.append(f"error bound, {quality}: {outside} rows outside, {misplaced} classified wrongly")
+            found.append(
+                f"error bound, {quality}: {outside} rows outside, {misplaced} classified wrongly"
+            )
     return found
 
 
@@ -398,7 +479,8 @@ def run_case(seed: int, k: int, counts: Counter[tuple[str, str]]) -> list[str]:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for judge in (
-            lambda: wrong_verdicts(rng, kind, M, counts), lambda: wrong_guarantees(rng, M, counts),
+            lambda: wrong_verdicts(rng, kind, M, counts),
+            lambda: wrong_guarantees(rng, M, counts),
             lambda: wrong_bounds(rng, M, counts),
         ):
             try:
@@ -410,7 +492,9 @@ def run_case(seed: int, k: int, counts: Counter[tuple[str, str]]) -> list[str]:
 
 def main() -> int:
     """Run the campaign; return 1 where anything is wrong."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cases", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
@@ -421,7 +505,10 @@ def main() -> int:
         wrong += run_case(options.seed, k, counts)
     print(f"{options.cases} matrices, {time.perf_counter() - began:.0f} s, {len(wrong)} wrong")
     for name in sorted({name for name, _ in counts}):
-        print(f"{name:<26}", *(f"{out} {count:<7}" for (of, out), count in sorted(counts.items()) if of == name))
+        print(
+            f"{name:<26}",
+            *(f"{out} {count:<7}" for (of, out), count in sorted(counts.items()) if of == name),
+        )
     print("\n".join(wrong[:40]))
     return 1 if wrong else 0
 

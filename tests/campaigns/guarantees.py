@@ -47,11 +47,17 @@ def random_matrix(rng: np.random.Generator, kind: str) -> np.ndarray:
     B = abs(rng.normal(size=(n, n))) * (rng.random((n, n)) < rng.choice([0.3, 0.6, 1.0]))
     B[np.arange(n), np.roll(np.arange(n), 1)] = 1.0
     np.fill_diagonal(B, 0.0)
-    radius = {"H₊": rng.uniform(0.05, 0.95), "nearly H₊": rng.uniform(0.95, 0.9999), "not H₊": rng.uniform(1.01, 3.0)}
+    radius = {
+        "H₊": rng.uniform(0.05, 0.95),
+        "nearly H₊": rng.uniform(0.95, 0.9999),
+        "not H₊": rng.uniform(1.01, 3.0),
+    }
     v = np.exp(rng.choice([0.0, 0.5, 2.0]) * rng.normal(size=n))
     d = (B @ v) / (v * radius[kind]) if n > 1 else np.ones(1)
     M = (B * rng.choice([-1.0, 1.0], B.shape) if rng.random() < 0.6 else -B) + np.diag(d)
-    rows = rng.choice([np.ones(n), np.exp2(rng.integers(-4, 5, size=n)), 1.0 / d, rng.uniform(0.2, 2.2, n) / d])
+    rows = rng.choice(
+        [np.ones(n), np.exp2(rng.integers(-4, 5, size=n)), 1.0 / d, rng.uniform(0.2, 2.2, n) / d]
+    )
     return np.asarray(rows)[:, None] * M
 
 
@@ -67,7 +73,12 @@ def planted(rng: np.random.Generator, M: np.ndarray, *, plain: bool) -> tuple[LC
     z = np.clip(rng.normal(size=n) * 10.0 ** rng.uniform(-3, 1, size=n), lower, upper)
     at_lower = np.isfinite(lower) & (rng.random(n) < 0.4)
     z = np.where(at_lower, lower, z)
-    w = rng.exponential(size=n) * 10.0 ** rng.uniform(-3, 1, size=n) * np.diag(M) * (rng.random(n) < 0.8)
+    w = (
+        rng.exponential(size=n)
+        * 10.0 ** rng.uniform(-3, 1, size=n)
+        * np.diag(M)
+        * (rng.random(n) < 0.8)
+    )
     w = np.where(z == lower, abs(w), np.where(z == upper, -abs(w), 0.0))
     return LCP(sp.csr_array(M), w - M @ z, lower=lower, upper=upper), z
 
@@ -81,12 +92,20 @@ def random_algorithm(rng: np.random.Generator, family: str, n: int) -> Algorithm
         omega = float(rng.uniform(0.1, 1.99))
         name = str(rng.choice(["pj", "pgs", "psor", "psor", "paor", "paor", "gfp"]))
         options = {"psor": {"relaxation": omega}, "gfp": {"relaxation": omega * 1.1}}
-        options["paor"] = {"relaxation": omega * 1.1, "acceleration": omega * float(rng.uniform(-0.2, 1.3))}
+        options["paor"] = {
+            "relaxation": omega * 1.1,
+            "acceleration": omega * float(rng.uniform(-0.2, 1.3)),
+        }
         return create(name, {"sweep": sweep, **options.get(name, {})})
     if family == "modulus":
-        Omega = float(rng.uniform(0.3, 3.0)) if rng.random() < 0.6 else rng.uniform(0.1, 4.0, size=n)
+        Omega = (
+            float(rng.uniform(0.3, 3.0)) if rng.random() < 0.6 else rng.uniform(0.1, 4.0, size=n)
+        )
         alpha = min(alpha, 1.9)
-        return create("maor", {"relaxation": alpha, "acceleration": beta * 0.7, "omega": Omega, "sweep": sweep})
+        return create(
+            "maor",
+            {"relaxation": alpha, "acceleration": beta * 0.7, "omega": Omega, "sweep": sweep},
+        )
     scaling = {"scaling": rng.choice([None, "auto", "diagonal"])}
     if scaling["scaling"] == "diagonal":
         scaling["scaling_factor"] = float(rng.choice([0.3, 1.0, 1.5, 2.5]))
@@ -100,31 +119,49 @@ def weighted(x: np.ndarray, v: np.ndarray) -> float:
     return float(np.max(abs(x) / v))
 
 
-def rate_violations(rng: np.random.Generator, problem: LCP, exact: np.ndarray, algorithm: Algorithm) -> list[str]:
+def rate_violations(
+    rng: np.random.Generator, problem: LCP, exact: np.ndarray, algorithm: Algorithm
+) -> list[str]:
     """Return in which steps of a run, from a start that is far in every row, rate or bound fails."""
     guarantee = convergence_guarantee(problem, algorithm)
     v, rate = guarantee.v, guarantee.rate
     assert v is not None
     assert rate is not None
-    far = 10.0 ** rng.uniform(-2, 1) * v * rng.choice([-1.0, 1.0], size=v.size) * rng.uniform(0.9, 1.0, size=v.size)
+    far = (
+        10.0 ** rng.uniform(-2, 1)
+        * v
+        * rng.choice([-1.0, 1.0], size=v.size)
+        * rng.uniform(0.9, 1.0, size=v.size)
+    )
     start = np.clip(exact + far, problem.lower, problem.upper)
     path = [step.z.copy() for step in islice(algorithm.iterates(problem, start.copy()), STEPS + 1)]
     # What rounding q = w* − M z* and the steps may do.
-    unit = weighted(abs(exact) + abs(start) + (abs(problem.csr) @ abs(exact) + abs(problem.q)) / problem.diagonal, v)
+    unit = weighted(
+        abs(exact)
+        + abs(start)
+        + (abs(problem.csr) @ abs(exact) + abs(problem.q)) / problem.diagonal,
+        v,
+    )
     noise = ROUNDING * unit / (1.0 - rate)
     found = []
     if guarantee.speaks_of == "x":
         Omega = algorithm.facts(problem).omega
-        x_start, x_exact = start - problem.lower, exact - problem.lower - problem.slack(exact) / Omega
+        x_start, x_exact = (
+            start - problem.lower,
+            exact - problem.lower - problem.slack(exact) / Omega,
+        )
         first = weighted(x_start - x_exact, v)
         found += [
-            f"step {k}: modulus error above cᵏ" for k, z in enumerate(path)
+            f"step {k}: modulus error above cᵏ"
+            for k, z in enumerate(path)
             if k and weighted(z - exact, v) > rate**k * first + noise
         ]
         return found
     for k, (old, new) in enumerate(pairwise(path)):
         if weighted(new - exact, v) > rate * weighted(old - exact, v) + noise:
-            found.append(f"step {k + 1}: {weighted(new - exact, v):.3e} > {rate} · {weighted(old - exact, v):.3e}")
+            found.append(
+                f"step {k + 1}: {weighted(new - exact, v):.3e} > {rate} · {weighted(old - exact, v):.3e}"
+            )
         if weighted(new - exact, v) > rate / (1.0 - rate) * weighted(new - old, v) + noise:
             found.append(f"step {k + 1}: contraction bound violated")
     return found
@@ -133,7 +170,9 @@ def rate_violations(rng: np.random.Generator, problem: LCP, exact: np.ndarray, a
 def converged(problem: LCP, algorithm: Algorithm, exact: np.ndarray) -> bool:
     """Return whether a run ends at z*; where z° is z* up to rounding, no residual can tell, but the error does."""
     result = solve(problem, algorithm, z0=exact + 1.0, max_iterations=50_000)
-    return result.is_solved or float(np.max(abs(result.z - exact))) <= 1e-7 * (1.0 + float(np.max(abs(exact))))
+    return result.is_solved or float(np.max(abs(result.z - exact))) <= 1e-7 * (
+        1.0 + float(np.max(abs(exact)))
+    )
 
 
 def run_case(rng: np.random.Generator) -> Outcome:
@@ -153,10 +192,20 @@ def run_case(rng: np.random.Generator) -> Outcome:
         found += rate_violations(rng, problem, exact, algorithm)
         if kind == "not H₊" and problem.n > 1 and family != "splitting":
             found.append("a rate, though M is no H₊-matrix")
-    if guarantee.is_guaranteed and (guarantee.rate is None or guarantee.rate < 0.999) and rng.random() < 0.3:
-        found += [] if converged(problem, algorithm, exact) else ["guaranteed, but the run did not converge"]
+    if (
+        guarantee.is_guaranteed
+        and (guarantee.rate is None or guarantee.rate < 0.999)
+        and rng.random() < 0.3
+    ):
+        found += (
+            []
+            if converged(problem, algorithm, exact)
+            else ["guaranteed, but the run did not converge"]
+        )
     rated = " with rate" if guarantee.rate is not None else ""
-    return Outcome(f"{family}: {guarantee.verdict}{rated}", [f"{kind} {algorithm}: {text}" for text in found])
+    return Outcome(
+        f"{family}: {guarantee.verdict}{rated}", [f"{kind} {algorithm}: {text}" for text in found]
+    )
 
 
 def main() -> int:
@@ -170,7 +219,9 @@ def main() -> int:
     for label, count in sorted(Counter(outcome.label for outcome in outcomes).items()):
         print(f"{label:<45} {count:>6}")
     violations = [text for outcome in outcomes for text in outcome.violations]
-    print(f"{chosen.cases} cases, {len(violations)} violations, {time.perf_counter() - began:.1f} s")
+    print(
+        f"{chosen.cases} cases, {len(violations)} violations, {time.perf_counter() - began:.1f} s"
+    )
     for text in violations[:20]:
         print("  ", text)
     return 1 if violations else 0

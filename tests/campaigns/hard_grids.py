@@ -44,12 +44,18 @@ def membrane(across: np.ndarray, along: np.ndarray, generator: np.random.Generat
     """Return a membrane whose edges, (size₀ + 1, size₁) and (size₀, size₁ + 1), have these stiffnesses, and a load."""
     shape = along.shape[0], across.shape[1]
     M = balanced_matrix(shape, ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]))
-    x, y = (np.broadcast_to(axis, shape) for axis in np.ix_(*((np.arange(size) + 0.5) / size for size in shape)))
+    x, y = (
+        np.broadcast_to(axis, shape)
+        for axis in np.ix_(*((np.arange(size) + 0.5) / size for size in shape))
+    )
     stiffness = M.diagonal()
     typical = float(np.exp(generator.uniform(np.log(stiffness.min()), np.log(stiffness.max()))))
     unit = typical * 10.0 ** generator.uniform(-1.0, 2.0) / max(shape) ** 2
     first, second = generator.integers(1, 6, 2) * np.pi
-    force = unit * (np.sin(first * x + generator.random()) * np.sin(second * y + generator.random())).ravel()
+    force = (
+        unit
+        * (np.sin(first * x + generator.random()) * np.sin(second * y + generator.random())).ravel()
+    )
     kind = generator.integers(5)
     if kind == 0:  # pulled from the ground
         return LCP(M, -force)
@@ -57,9 +63,15 @@ def membrane(across: np.ndarray, along: np.ndarray, generator: np.random.Generat
     if kind == 1:  # lies on stones
         return LCP(M, weight, lower=-generator.random(M.shape[0]))
     if kind == 2:  # lies on posts
-        posts = np.where(generator.random(M.shape[0]) < 0.01, -generator.random(M.shape[0]), -np.inf)
+        posts = np.where(
+            generator.random(M.shape[0]) < 0.01, -generator.random(M.shape[0]), -np.inf
+        )
         return LCP(M, weight, lower=posts)
-    bumps = 0.1 * np.cos(generator.integers(1, 10) * np.pi * x) * np.cos(generator.integers(1, 10) * np.pi * y)
+    bumps = (
+        0.1
+        * np.cos(generator.integers(1, 10) * np.pi * x)
+        * np.cos(generator.integers(1, 10) * np.pi * y)
+    )
     lower = (bumps + 0.1 - (generator.random() - x) ** 2 - (generator.random() - y) ** 2).ravel()
     if kind == 3:  # lies on bumps
         return LCP(M, weight, lower=lower)
@@ -74,7 +86,9 @@ def strip(generator: np.random.Generator) -> Instance:
     across[[0, -1][held:]] = 0.0
     if generator.random() < 0.5:
         across, along = across.T.copy(), along.T.copy()
-        return Instance("strip", f"{LONG} × {width}, {held} held", membrane(along, across, generator))
+        return Instance(
+            "strip", f"{LONG} × {width}, {held} held", membrane(along, across, generator)
+        )
     return Instance("strip", f"{width} × {LONG}, {held} held", membrane(across, along, generator))
 
 
@@ -82,10 +96,16 @@ def half_space(generator: np.random.Generator) -> Instance:
     """Two half-spaces, one stiffer than the other."""
     decades, angle = float(generator.choice([2, 4, 6])), math.pi * generator.random()
     axis = np.linspace(-0.5, 0.5, SIZE + 1)
-    side = np.add.outer(math.cos(angle) * axis, math.sin(angle) * axis) > 0.3 * (generator.random() - 0.5)
+    side = np.add.outer(math.cos(angle) * axis, math.sin(angle) * axis) > 0.3 * (
+        generator.random() - 0.5
+    )
     below, above = stiff_cells(10.0 ** (decades * side))
     across, along = edges(below, above)
-    return Instance("half-space", f"1e{decades:.0f}, {math.degrees(angle):.0f}°", membrane(across, along, generator))
+    return Instance(
+        "half-space",
+        f"1e{decades:.0f}, {math.degrees(angle):.0f}°",
+        membrane(across, along, generator),
+    )
 
 
 def blocks(generator: np.random.Generator) -> Instance:
@@ -99,11 +119,16 @@ def blocks(generator: np.random.Generator) -> Instance:
 
 def jumps(generator: np.random.Generator) -> Instance:
     """Every edge has its own stiffness, the logarithm uniform or one of two."""
-    decades, kind = float(generator.uniform(2.0, 10.0)), str(generator.choice(["all", "half", "tenth"]))
+    decades, kind = (
+        float(generator.uniform(2.0, 10.0)),
+        str(generator.choice(["all", "half", "tenth"])),
+    )
 
     def stiffness(*shape: int) -> np.ndarray:
         share = generator.random(shape)
-        return 10.0 ** (decades * {"all": share - 0.5, "half": share < 0.5, "tenth": share < 0.1}[kind])
+        return 10.0 ** (
+            decades * {"all": share - 0.5, "half": share < 0.5, "tenth": share < 0.1}[kind]
+        )
 
     across, along = stiffness(SIZE + 1, SIZE), stiffness(SIZE, SIZE + 1)
     return Instance("edges", f"1e{decades:.1f}, {kind}", membrane(across, along, generator))
@@ -147,7 +172,9 @@ def smooth_seconds(n: int, known: dict[int, float]) -> float:
 
 def main() -> int:
     """Print a line an instance that misses what is wanted, and a table of the families; 1 where one missed it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
@@ -162,14 +189,17 @@ def main() -> int:
         alone, seconds = quickest(instance.problem, "multigrid", 1, max_seconds=30.0)
         auto, auto_seconds = quickest(instance.problem, "auto", REPEATS, max_seconds=30.0)
         ratio = auto_seconds / smooth
-        fits = (alone.is_solved and alone.iterations <= CYCLES) or (auto.is_solved and ratio <= TIMES)
+        fits = (alone.is_solved and alone.iterations <= CYCLES) or (
+            auto.is_solved and ratio <= TIMES
+        )
         rows.setdefault(instance.family, []).append((alone, seconds / smooth, auto, ratio, fits))
         if chosen.all or not fits:
             print(
                 f"{case:4d} {instance.family:<10} {instance.told:<22} n = {instance.problem.n:<6} "
                 f"multigrid {alone.status.name} {alone.iterations} cycles {alone.certificate.relative_residual:.0e} "
                 f"{seconds:.2f} s   {auto.algorithm} {auto.status.name} {auto_seconds:.2f} s, ÷ smooth {ratio:.1f}"
-                f"{'' if fits else '   MISSED'}", flush=True,
+                f"{'' if fits else '   MISSED'}",
+                flush=True,
             )
     for family, runs in rows.items():
         cycles = sorted(alone.iterations for alone, *_ in runs)

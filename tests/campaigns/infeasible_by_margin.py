@@ -72,13 +72,19 @@ def planted_lcp(rng: np.random.Generator) -> Planted:
     """A problem whose smallest residual is known: w of every row in y misses its sign by the same d_i t at z̄."""
     n = int(rng.integers(2, 9))
     is_whole = bool(rng.random() < 0.6)
-    kinds = rng.choice(["lower", "upper", "free", "box"], n, p=[0.55, 0.15, 0.15 * is_whole, 0.3 - 0.15 * is_whole])
+    kinds = rng.choice(
+        ["lower", "upper", "free", "box"], n, p=[0.55, 0.15, 0.15 * is_whole, 0.3 - 0.15 * is_whole]
+    )
     pivot = int(rng.integers(n))
     kinds[pivot] = rng.choice(["lower", "upper"])
     start = rng.integers(-2, 3, n) * (rng.random(n) < 0.4)
     lower = np.where(np.isin(kinds, ["lower", "box"]), start, -np.inf)
-    upper = np.where(kinds == "upper", start, np.where(kinds == "box", start + rng.integers(1, 4, n), np.inf))
-    y = np.where(rng.random(n) < 0.5, rng.integers(1, 4, n) if is_whole else rng.uniform(0.3, 3.0, n), 0.0)
+    upper = np.where(
+        kinds == "upper", start, np.where(kinds == "box", start + rng.integers(1, 4, n), np.inf)
+    )
+    y = np.where(
+        rng.random(n) < 0.5, rng.integers(1, 4, n) if is_whole else rng.uniform(0.3, 3.0, n), 0.0
+    )
     turned = np.where(kinds == "upper", -1, np.where(kinds == "free", rng.choice([-1, 1], n), 1))
     y = np.where(kinds == "box", 0.0, turned * y)
     y[pivot] = 1.0 if kinds[pivot] == "lower" else -1.0
@@ -87,17 +93,27 @@ def planted_lcp(rng: np.random.Generator) -> Planted:
     product = np.where(is_slack | (kinds == "free"), 0.0, np.where(kinds == "upper", size, -size))
     at_top = (kinds == "box") & (rng.random(n) < 0.5)
     product = np.where(at_top, np.abs(product), product)
-    z = np.where(at_top, upper, np.where(kinds == "upper", upper, np.where(kinds == "free", 1.0, lower)))
+    z = np.where(
+        at_top, upper, np.where(kinds == "upper", upper, np.where(kinds == "free", 1.0, lower))
+    )
     z = z + is_slack * np.where(kinds == "lower", 2.0, np.where(kinds == "upper", -2.0, 0.0))
-    M = (rng.integers(-3, 4, (n, n)) if is_whole else rng.standard_normal((n, n))) * (rng.random((n, n)) < 0.7)
+    M = (rng.integers(-3, 4, (n, n)) if is_whole else rng.standard_normal((n, n))) * (
+        rng.random((n, n)) < 0.7
+    )
     M = M + np.diag(rng.integers(1, 5, n) * (rng.random(n) < 0.6))
     M[pivot] = 0.0
     M[pivot] = y[pivot] * (product - y @ M)
-    rows, columns = (2.0 ** rng.integers(-8, 9, n) if rng.random() < 0.3 else np.ones(n) for _ in range(2))
+    rows, columns = (
+        2.0 ** rng.integers(-8, 9, n) if rng.random() < 0.3 else np.ones(n) for _ in range(2)
+    )
     M, y = rows[:, None] * M * columns, y / rows
     lower, upper, z = lower / columns, upper / columns, z / columns
     scale = divisors(LCP(M, np.zeros(n)))
-    ok = rng.integers(0, 3, n) * np.where(kinds == "upper", -1.0, np.where(kinds == "free", 0.0, 1.0)) * rows
+    ok = (
+        rng.integers(0, 3, n)
+        * np.where(kinds == "upper", -1.0, np.where(kinds == "free", 0.0, 1.0))
+        * rows
+    )
     sign = rng.choice([1.0, 1.0, 1.0, -1.0])  # −1: feasible by that margin
 
     def with_margin(t: float) -> LCP:
@@ -117,12 +133,16 @@ def measured(problem: LCP, y: Any, z: Any) -> Planted:
     references = exact_references(problem)
     d = [Fraction(float(v)) for v in divisors(problem)]
     exact_y = [Fraction(float(v)) for v in y]
-    missing = wrong_signs(problem, [Fraction(float(v)) for v in np.clip(z, problem.lower, problem.upper)])
+    missing = wrong_signs(
+        problem, [Fraction(float(v)) for v in np.clip(z, problem.lower, problem.upper)]
+    )
     c = max(contradiction(problem, exact_y), Fraction(0))
     weight = sum(abs(v) * s * of for v, s, of in zip(exact_y, d, references, strict=True))
     absolute = c / sum(abs(v) * s for v, s in zip(exact_y, d, strict=True))
     high = max(v / s / of for v, s, of in zip(missing, d, references, strict=True))
-    return Planted(problem, Margin(float(c / weight), float(high)), True, is_data(problem, absolute))
+    return Planted(
+        problem, Margin(float(c / weight), float(high)), True, is_data(problem, absolute)
+    )
 
 
 def divisors(problem: LCP) -> Any:
@@ -133,7 +153,9 @@ def divisors(problem: LCP) -> Any:
 
 def is_data(problem: LCP, absolute: Fraction) -> bool:
     """Whether a margin in the unit of z is more than rounding of the largest number in q; ten times, to be sure."""
-    return float(absolute) > 10.0 * 2.0**-44 * float(np.abs(problem.q / problem.residual_scale).max())
+    return float(absolute) > 10.0 * 2.0**-44 * float(
+        np.abs(problem.q / problem.residual_scale).max()
+    )
 
 
 def forced(rng: np.random.Generator) -> Planted:
@@ -167,7 +189,11 @@ def exact_references(problem: LCP) -> list[Fraction]:
     z = [Fraction(float(v)) for v in np.clip(0.0, problem.lower, problem.upper)]
     at_zero = []
     for v, w, d, low, high in zip(
-        z, exact_slack(problem, z), divisors(problem).tolist(), problem.lower.tolist(), problem.upper.tolist(),
+        z,
+        exact_slack(problem, z),
+        divisors(problem).tolist(),
+        problem.lower.tolist(),
+        problem.upper.tolist(),
         strict=True,
     ):
         step = v - w / Fraction(d)
@@ -175,7 +201,11 @@ def exact_references(problem: LCP) -> list[Fraction]:
         step = min(step, Fraction(high)) if np.isfinite(high) else step
         at_zero.append(v - step)
     scaling = RowScaling.of(problem)
-    weights = [Fraction(1)] * problem.n if scaling is None else [Fraction(2) ** -k for k in scaling.column.tolist()]
+    weights = (
+        [Fraction(1)] * problem.n
+        if scaling is None
+        else [Fraction(2) ** -k for k in scaling.column.tolist()]
+    )
     weighted = [r * weight for r, weight in zip(at_zero, weights, strict=True)]
     of_rows = references_of_rows(weighted, component_of_rows(problem.csr))
     return [of / weight for of, weight in zip(of_rows, weights, strict=True)]
@@ -185,7 +215,11 @@ def wrong_signs(problem: LCP, z: list[Fraction]) -> list[Fraction]:
     """By how much each w has a sign that its row's bounds never permit."""
     w = exact_slack(problem, z)
     return [
-        max(-value if np.isinf(high) else Fraction(0), value if np.isinf(low) else Fraction(0), Fraction(0))
+        max(
+            -value if np.isinf(high) else Fraction(0),
+            value if np.isinf(low) else Fraction(0),
+            Fraction(0),
+        )
         for value, low, high in zip(w, problem.lower, problem.upper, strict=True)
     ]
 
@@ -195,7 +229,9 @@ def contradiction(problem: LCP, y: list[Fraction]) -> Fraction:
     dense = problem.csr.toarray()
     total = sum((a * Fraction(b) for a, b in zip(y, problem.q.tolist(), strict=True)), Fraction(0))
     for j in range(problem.n):
-        slope = sum((a * Fraction(float(b)) for a, b in zip(y, dense[:, j], strict=True)), Fraction(0))
+        slope = sum(
+            (a * Fraction(float(b)) for a, b in zip(y, dense[:, j], strict=True)), Fraction(0)
+        )
         bound = float(problem.upper[j] if slope > 0 else problem.lower[j])
         if slope:
             if np.isinf(bound):
@@ -234,12 +270,20 @@ def planted_program(rng: np.random.Generator) -> PlantedProgram:
     loose = (y == 0.0) & (np.arange(m + p) < m)
     sign = rng.choice([1.0, 1.0, 1.0, -1.0])
     t = 10.0 ** rng.uniform(-16, -1)
-    gap = np.where(loose, -rng.integers(0, 2, m + p), np.where(y == 0.0, 0.0, np.where(y < 0.0, -1.0, 1.0) * t * sign))
+    gap = np.where(
+        loose,
+        -rng.integers(0, 2, m + p),
+        np.where(y == 0.0, 0.0, np.where(y < 0.0, -1.0, 1.0) * t * sign),
+    )
     right = C @ x - gap * (unit + np.abs(C @ x))
     B = rng.integers(-2, 3, (int(rng.integers(0, n + 1)), n)) + 0.0
     P = B.T @ B + (np.eye(n) if rng.random() < 0.4 else 0.0)
     multipliers = np.concatenate([rng.integers(0, 3, m), rng.integers(-2, 3, p)])
-    c = -P @ rng.integers(-2, 3, n) - C.T @ multipliers + np.where(has_bounds, np.where(push >= 0.0, 1.0, -1.0), 0.0)
+    c = (
+        -P @ rng.integers(-2, 3, n)
+        - C.T @ multipliers
+        + np.where(has_bounds, np.where(push >= 0.0, 1.0, -1.0), 0.0)
+    )
     program = QuadraticProgram(P, c, C[:m], right[:m], C[m:], right[m:], lower, upper)
     return PlantedProgram(program, program_margin(program, y, x))
 
@@ -249,23 +293,35 @@ def program_margin(program: QuadraticProgram, y: Any, x: Any) -> Margin:
     m = program.h.size
     C = np.vstack([np.asarray(program.G), np.asarray(program.A)])
     right = np.concatenate([program.h, program.b])
-    every = [Fraction(float(v)) for v in program.constraints.own_sizes]  # of rows, of lower and of upper bounds
+    every = [
+        Fraction(float(v)) for v in program.constraints.own_sizes
+    ]  # of rows, of lower and of upper bounds
     units, of_lower, of_upper = np.split(every, [right.size, right.size + program.n])
     high = Fraction(0)
     for i, (row, limit) in enumerate(zip(C.tolist(), right.tolist(), strict=True)):
-        miss = sum((Fraction(a) * Fraction(v) for a, v in zip(row, x.tolist(), strict=True)), -Fraction(limit))
+        miss = sum(
+            (Fraction(a) * Fraction(v) for a, v in zip(row, x.tolist(), strict=True)),
+            -Fraction(limit),
+        )
         high = max(high, (miss if i < m else abs(miss)) / units[i])
     exact_y = [Fraction(float(v)) for v in y]
-    value = sum((a * Fraction(b) for a, b in zip(exact_y, right.tolist(), strict=True)), Fraction(0))
+    value = sum(
+        (a * Fraction(b) for a, b in zip(exact_y, right.tolist(), strict=True)), Fraction(0)
+    )
     weight = sum((abs(a) * u for a, u in zip(exact_y, units, strict=True)), Fraction(0))
     for j in range(program.n):
-        left = sum((a * Fraction(float(b)) for a, b in zip(exact_y, C[:, j], strict=True)), Fraction(0))
+        left = sum(
+            (a * Fraction(float(b)) for a, b in zip(exact_y, C[:, j], strict=True)), Fraction(0)
+        )
         bound = float(program.lower[j] if left > 0 else program.upper[j])
         if left:
             if np.isinf(bound):
                 return Margin(0.0, float(high))
             value -= left * Fraction(bound)
-            pulls = sum((abs(a * Fraction(float(b))) for a, b in zip(exact_y, C[:, j], strict=True)), abs(left))
+            pulls = sum(
+                (abs(a * Fraction(float(b))) for a, b in zip(exact_y, C[:, j], strict=True)),
+                abs(left),
+            )
             weight += pulls * (of_lower if left > 0 else of_upper)[j]
     low = max(-value, Fraction(0)) / weight if weight else Fraction(0)
     return Margin(float(low), float(high))
@@ -279,7 +335,10 @@ def runs(case: Planted, number: int) -> Iterator[tuple[str, Any]]:
     few = ("auto", DIRECT[number // 2 % 3])
     for name in few if number % ALL_METHODS_EVERY else ("auto", *REGISTRY):
         try:
-            yield name, solve(case.problem, name, max_iterations=None if name == "auto" else MOST_STEPS)
+            yield (
+                name,
+                solve(case.problem, name, max_iterations=None if name == "auto" else MOST_STEPS),
+            )
         except (UnsuitableMatrix, UnsuitableProblem):
             continue
 
@@ -294,7 +353,9 @@ def violations(case: Planted, number: int) -> tuple[list[str], Status]:
         if name == "auto":
             told = result.status
         proof = result.infeasibility
-        is_bounded = result.status is Status.INFEASIBLE or not case.is_linear  # z̄ meets the linear constraints only
+        is_bounded = (
+            result.status is Status.INFEASIBLE or not case.is_linear
+        )  # z̄ meets the linear constraints only
         if result.status in PROVED and is_bounded and margin.high <= TOLERANCE:
             bad.append(f"{name}: {result.status.name} at a margin of {margin.high:.3e}")
         if result.status in PROVED and not (proof.verify() and proof.margin > TOLERANCE):
@@ -319,19 +380,31 @@ def program_violations(case: PlantedProgram) -> tuple[list[str], str]:
         statuses.add(solution.status)
         if solution.status == "infeasible" and not solution.proof.verify():
             bad.append(f"{form}: infeasible without a proof")
-        if result.status in PROVED and case.margin.high <= CONSTRAINTS and solution.status != "unbounded":
-            bad.append(f"{form}: the problem {result.status.name} at a margin of {case.margin.high:.3e}")
+        if (
+            result.status in PROVED
+            and case.margin.high <= CONSTRAINTS
+            and solution.status != "unbounded"
+        ):
+            bad.append(
+                f"{form}: the problem {result.status.name} at a margin of {case.margin.high:.3e}"
+            )
     result = solve_program(case.program)
     solution = result.solution
     statuses.add("optimal" if solution.is_optimal() else solution.status)
     if "infeasible" in statuses and case.margin.high <= CONSTRAINTS:
         bad.append(f"infeasible at a margin of {case.margin.high:.3e}")
     proof = case.program.facts.proof_of_no_minimum
-    if proof is not None and proof.verdict == "infeasible" and proof.margin > case.margin.high * (1.0 + 1e-12):
+    if (
+        proof is not None
+        and proof.verdict == "infeasible"
+        and proof.margin > case.margin.high * (1.0 + 1e-12)
+    ):
         bad.append(f"margin {proof.margin:.3e} claimed of {case.margin.high:.3e}")
     if {"optimal", "infeasible"} <= statuses:
         bad.append("optimal and infeasible")
-    return bad, next((s for s in ("infeasible", "optimal", "unbounded") if s in statuses), "unknown")
+    return bad, next(
+        (s for s in ("infeasible", "optimal", "unbounded") if s in statuses), "unknown"
+    )
 
 
 def decade(margin: Margin, tolerance: float) -> str:
@@ -361,7 +434,9 @@ def one(seed: int, case: int) -> tuple[list[str], list[tuple[str, str, str]]]:
 def main(cases: int, seed: int, workers: int) -> int:
     counts: Counter[tuple[str, str, str]] = Counter()
     failed = 0
-    with Pool(workers, initializer=warnings.simplefilter, initargs=("ignore",)) as pool:  # of methods not covered
+    with Pool(
+        workers, initializer=warnings.simplefilter, initargs=("ignore",)
+    ) as pool:  # of methods not covered
         outcomes = pool.imap(partial(one, seed), range(cases), chunksize=20)
         for case, (bad, lines) in enumerate(outcomes):
             counts.update(lines)
@@ -380,14 +455,20 @@ def table(counts: Counter[tuple[str, str, str]]) -> int:
     for kind, where in sorted({key[:2] for key in counts}):
         told = Counter({key[2]: count for key, count in counts.items() if key[:2] == (kind, where)})
         total = told.total()
-        print(f"{kind:<18}{where:<22}{total:>6}  {', '.join(f'{name} {count}' for name, count in told.most_common())}")
+        print(
+            f"{kind:<18}{where:<22}{total:>6}  {', '.join(f'{name} {count}' for name, count in told.most_common())}"
+        )
     for kind in sorted({key[0] for key in counts}):
         wanted = {"≥ proved": ("INFEASIBLE", "NO_SOLUTION", "infeasible")}
         if kind == "program":
             wanted["≤ tolerance/100 solved"] = ("optimal",)
         for what, names in wanted.items():
             where = "≤ tolerance/100" if "solved" in what else "≥"
-            chosen = {key: count for key, count in counts.items() if key[0] == kind and key[1].startswith(where)}
+            chosen = {
+                key: count
+                for key, count in counts.items()
+                if key[0] == kind and key[1].startswith(where)
+            }
             right = sum(count for key, count in chosen.items() if key[2] in names)
             share = right / max(sum(chosen.values()), 1)
             print(f"{kind}: {what}: {right} of {sum(chosen.values())} ({share:.2%})")

@@ -20,7 +20,15 @@ from lcp_plugin.methods.interior_point import InteriorPoint
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 
 MATRICES = ("definite", "rank-deficient", "integer", "nonsymmetric", "skew", "zero")
-PROGRAMS = ("strictly convex", "rank-deficient P", "P = 0", "κ(P) = 1e8", "equations, free", "redundant", "degenerate")
+PROGRAMS = (
+    "strictly convex",
+    "rank-deficient P",
+    "P = 0",
+    "κ(P) = 1e8",
+    "equations, free",
+    "redundant",
+    "degenerate",
+)
 
 
 def monotone_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:
@@ -46,16 +54,24 @@ def problem_with_answer(kind: str, rng: np.random.Generator) -> LCP:
     if rng.random() < 0.6:
         row = rng.integers(0, 5, n)
         lower = np.where(row <= 1, -np.inf, rng.integers(-3, 3, n).astype(float))
-        upper = np.where((row == 1) | (row == 2), np.inf, np.where(row == 0, 1.0, lower + rng.integers(0, 4, n)))
+        upper = np.where(
+            (row == 1) | (row == 2), np.inf, np.where(row == 0, 1.0, lower + rng.integers(0, 4, n))
+        )
         upper = np.where(row == 4, lower, upper)
     bound = np.where(rng.random(n) < 0.5, lower, upper)
-    z = np.where((rng.random(n) < 0.5) & np.isfinite(bound), bound, np.clip(2.0 * rng.random(n), lower, upper))
+    z = np.where(
+        (rng.random(n) < 0.5) & np.isfinite(bound),
+        bound,
+        np.clip(2.0 * rng.random(n), lower, upper),
+    )
     size = np.where(rng.random(n) < rng.choice([0.0, 0.3]), 0.0, rng.random(n))
     w = np.where(z == lower, size, 0.0) - np.where((z == upper) & (z != lower), size, 0.0)
     q = w - M @ z
     c = 10.0 ** (rng.choice([0.0, 0.0, 2.0]) * rng.uniform(-1.0, 1.0, n))
     M = M * c[:, None] * c
-    return LCP(sp.csr_array(M) if rng.random() < 0.5 else M, q * c, lower=lower / c, upper=upper / c)
+    return LCP(
+        sp.csr_array(M) if rng.random() < 0.5 else M, q * c, lower=lower / c, upper=upper / c
+    )
 
 
 def quadratic_part(kind: str, n: int, density: float, rng: np.random.Generator) -> Any:
@@ -86,12 +102,24 @@ def program_with_answer(kind: str, largest: int, rng: np.random.Generator) -> Qu
     is_bounded = kind != "equations, free"
     lower = np.where((rng.random(n) < 0.6) & is_bounded, 0.0, -np.inf)
     upper = np.where((rng.random(n) < 0.3) & is_bounded, 2.0 * rng.random(n), np.inf)
-    x = np.where((rng.random(n) < 0.4) & np.isfinite(lower), lower, np.clip(rng.standard_normal(n), lower, upper))
+    x = np.where(
+        (rng.random(n) < 0.4) & np.isfinite(lower),
+        lower,
+        np.clip(rng.standard_normal(n), lower, upper),
+    )
     held = rng.random(G.shape[0]) < 0.5
-    multiplier, gap = np.where(held, rng.random(held.size), 0.0), np.where(held, 0.0, rng.random(held.size))
+    multiplier, gap = (
+        np.where(held, rng.random(held.size), 0.0),
+        np.where(held, 0.0, rng.random(held.size)),
+    )
     if kind == "degenerate":
-        multiplier, gap = multiplier * (rng.random(held.size) < 0.5), gap * (rng.random(held.size) < 0.5)
-    pull = np.where(x == lower, rng.random(n), 0.0) - np.where((x == upper) & (x != lower), rng.random(n), 0.0)
+        multiplier, gap = (
+            multiplier * (rng.random(held.size) < 0.5),
+            gap * (rng.random(held.size) < 0.5),
+        )
+    pull = np.where(x == lower, rng.random(n), 0.0) - np.where(
+        (x == upper) & (x != lower), rng.random(n), 0.0
+    )
     c = pull - P @ x - G.T @ multiplier - A.T @ rng.standard_normal(A.shape[0])
     return QuadraticProgram(P, c, G, G @ x + gap, A, A @ x, lower, upper)
 
@@ -108,13 +136,19 @@ def main() -> int:
     for case in range(options.cases):
         rng = np.random.default_rng([options.seed, case])
         kind = f"LCP, {MATRICES[case % len(MATRICES)]}"
-        result = solve(problem_with_answer(MATRICES[case % len(MATRICES)], rng), InteriorPoint(), tolerance=1e-9)
+        result = solve(
+            problem_with_answer(MATRICES[case % len(MATRICES)], rng),
+            InteriorPoint(),
+            tolerance=1e-9,
+        )
         count[kind] += 1
         is_solved = result.status in (Status.SOLVED, Status.PRECISION_LIMIT)
         if not is_solved and not result.certificate.is_at_rounding_level:
             failed[kind].append(case)
         kind = f"QP, {PROGRAMS[case % len(PROGRAMS)]}"
-        problem = lcp_from_qp(program_with_answer(PROGRAMS[case % len(PROGRAMS)], options.largest, rng), "kkt")
+        problem = lcp_from_qp(
+            program_with_answer(PROGRAMS[case % len(PROGRAMS)], options.largest, rng), "kkt"
+        )
         solution = problem.origin.recover(solve(problem, InteriorPoint(), tolerance=1e-9))
         count[kind] += 1
         if not solution.is_optimal(1e-6):

@@ -33,7 +33,9 @@ def main(cases: int, seed: int) -> int:
         is_dominant = case % 2 == 0
         one = polynomial(rng, is_dominant=is_dominant)
         n, scatter = one.x.size, 10.0 ** rng.uniform(-12, 0)
-        result = solve_nonlinear(one.problem, one.x + 0.01 * rng.standard_normal(n), error_bound=True)
+        result = solve_nonlinear(
+            one.problem, one.x + 0.01 * rng.standard_normal(n), error_bound=True
+        )
         bound = result.error_bound
         if result.is_solved and (is_dominant or np.abs(result.z - one.x).max() < NEAR):
             judged += 1
@@ -56,11 +58,15 @@ def main(cases: int, seed: int) -> int:
                 upper = np.maximum(one.upper, lower)
                 cut = type(one)(one.a, one.b, one.d, one.e, one.c, lower, upper, one.x)
                 bound = krawczyk_bound(cut.problem.linearised(one.x), one.x, cut)
-                is_false = bound is not None and bool(bound.componentwise[free[0]] < lower[free[0]] - one.x[free[0]])
+                is_false = bound is not None and bool(
+                    bound.componentwise[free[0]] < lower[free[0]] - one.x[free[0]]
+                )
                 violated += is_false
                 refused += not is_false
-    print(f"{cases} cases: {proved} of {judged} answers proved ({proved / max(judged, 1):.1%}), {violated} violated; "
-          f"at a distance {proved_nearby} of {nearby}; {refused} cut off and not claimed")
+    print(
+        f"{cases} cases: {proved} of {judged} answers proved ({proved / max(judged, 1):.1%}), {violated} violated; "
+        f"at a distance {proved_nearby} of {nearby}; {refused} cut off and not claimed"
+    )
     print(f"bound ÷ error (at least 1e-16): median {np.median(ratios):.2g}")
     return int(violated > 0 or proved < ENOUGH * judged)
 

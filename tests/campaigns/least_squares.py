@@ -34,7 +34,17 @@ EPSILON = float(np.finfo(float).eps)
 TOLERANCE = 1e-8
 PATIENCE = 2.0  # seconds for an answer of scipy's, whose lsq_linear may not end
 UNSOLVED = 0.005  # of the problems, at the most
-KINDS = ("integers", "rows", "columns", "both", "weights", "rows and weights", "rank", "rank in units", "exact fit")
+KINDS = (
+    "integers",
+    "rows",
+    "columns",
+    "both",
+    "weights",
+    "rows and weights",
+    "rank",
+    "rank in units",
+    "exact fit",
+)
 
 
 @dataclass(frozen=True)
@@ -77,7 +87,15 @@ def draw(kind: str, rng: np.random.Generator) -> Case:
     if kind in ("weights", "rows and weights"):
         weights = 10.0 ** rng.integers(-8, 9, m)
     ridge = float(rng.choice([0.0, 0.0, 0.0, 0.5])) if kind != "exact fit" else 0.0
-    return Case(kind, rows[:, None] * A * columns, rows * b, lower / columns, upper / columns, weights, ridge)
+    return Case(
+        kind,
+        rows[:, None] * A * columns,
+        rows * b,
+        lower / columns,
+        upper / columns,
+        weights,
+        ridge,
+    )
 
 
 class Exact:
@@ -88,7 +106,9 @@ class Exact:
         self.n, self.m = n, m
         self.A = [[Fraction(v) for v in row] for row in case.A]
         self.b = [Fraction(v) for v in case.b]
-        self.weights = [Fraction(1)] * m if case.weights is None else [Fraction(v) for v in case.weights]
+        self.weights = (
+            [Fraction(1)] * m if case.weights is None else [Fraction(v) for v in case.weights]
+        )
         self.ridge = Fraction(case.ridge)
         self.lower = [None if v == -INF else Fraction(v) for v in case.lower]
         self.upper = [None if v == INF else Fraction(v) for v in case.upper]
@@ -100,18 +120,25 @@ class Exact:
 
     def residual(self, x: list[Fraction]) -> list[Fraction]:
         """Return A x − b."""
-        return [sum((a * v for a, v in zip(row, x, strict=True)), -c) for row, c in zip(self.A, self.b, strict=True)]
+        return [
+            sum((a * v for a, v in zip(row, x, strict=True)), -c)
+            for row, c in zip(self.A, self.b, strict=True)
+        ]
 
     def cost(self, x: list[Fraction]) -> Fraction:
         """Return the cost."""
-        squares = sum((w * r * r for w, r in zip(self.weights, self.residual(x), strict=True)), Fraction(0))
+        squares = sum(
+            (w * r * r for w, r in zip(self.weights, self.residual(x), strict=True)), Fraction(0)
+        )
         return (squares + self.ridge * sum(v * v for v in x)) / 2
 
     def gradient(self, x: list[Fraction]) -> list[Fraction]:
         """Return the gradient of the cost."""
         pulls = [w * r for w, r in zip(self.weights, self.residual(x), strict=True)]
-        return [sum((row[j] * p for row, p in zip(self.A, pulls, strict=True)), self.ridge * x[j])
-                for j in range(self.n)]
+        return [
+            sum((row[j] * p for row, p in zip(self.A, pulls, strict=True)), self.ridge * x[j])
+            for j in range(self.n)
+        ]
 
     @cached_property
     def least(self) -> Fraction:
@@ -145,7 +172,9 @@ class Exact:
                 best, largest = j, g * g / self.gram[j][j]
         return best
 
-    def _share(self, x: list[Fraction], free: list[int], step: list[Fraction]) -> tuple[Fraction, list[int]]:
+    def _share(
+        self, x: list[Fraction], free: list[int], step: list[Fraction]
+    ) -> tuple[Fraction, list[int]]:
         share, hits = Fraction(1), []
         for j, d in zip(free, step, strict=True):
             bound = self.upper[j] if d > 0 else self.lower[j]
@@ -183,7 +212,10 @@ def complaint(case: Case, exact: Exact, x: Any, tolerance: float = TOLERANCE) ->
     def rounding(x: Any) -> float:
         return float(np.linalg.norm(root * EPSILON * (np.abs(case.A) @ np.abs(x) + np.abs(case.b))))
 
-    length, shortest = np.sqrt(2.0 * float(cost)), np.sqrt(2.0 * float(least) / max(1.0 - tolerance, EPSILON))
+    length, shortest = (
+        np.sqrt(2.0 * float(cost)),
+        np.sqrt(2.0 * float(least) / max(1.0 - tolerance, EPSILON)),
+    )
     if length <= shortest + 8.0 * (case.A.shape[1] + 4) * rounding(x):
         return "above by rounding" if least else "attained 0"
     return "out of reach" if rounding([float(v) for v in exact.answer]) >= length else "FALSE"
@@ -194,12 +226,17 @@ def scipy_answers(case: Case) -> dict[str, Any]:
     root = np.ones(case.b.size) if case.weights is None else np.sqrt(case.weights)
     A, b = root[:, None] * case.A, root * case.b
     if case.ridge:
-        A, b = np.vstack([A, np.sqrt(case.ridge) * np.eye(A.shape[1])]), np.concatenate([b, np.zeros(A.shape[1])])
+        A, b = (
+            np.vstack([A, np.sqrt(case.ridge) * np.eye(A.shape[1])]),
+            np.concatenate([b, np.zeros(A.shape[1])]),
+        )
     answers: dict[str, Any] = {}
     calls: dict[str, Any] = {
-        f"lsq_linear {method}": lambda method=method: lsq_linear(
-            A, b, (case.lower, case.upper), method=method, tol=1e-14).x
-        for method in ("bvls", "trf") if (case.lower < case.upper).all()
+        f"lsq_linear {method}": lambda method=method: (
+            lsq_linear(A, b, (case.lower, case.upper), method=method, tol=1e-14).x
+        )
+        for method in ("bvls", "trf")
+        if (case.lower < case.upper).all()
     }
     if not case.lower.any() and (case.upper == INF).all():
         calls["nnls"] = lambda: nnls(A, b)[0]
@@ -225,7 +262,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--cases", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--alone", action="store_true", help="without scipy beside")
-    parser.add_argument("--show", action="store_true", help="print the kind and number of every failure")
+    parser.add_argument(
+        "--show", action="store_true", help="print the kind and number of every failure"
+    )
     options = parser.parse_args(arguments)
     if not options.alone:
         warnings.simplefilter("ignore")
@@ -239,23 +278,42 @@ def main(arguments: list[str] | None = None) -> int:
         exact = Exact(case)
         begin = time.perf_counter()
         result = bounded_least_squares(
-            case.A, case.b, case.lower, case.upper, weights=case.weights, ridge=case.ridge, tolerance=TOLERANCE)
+            case.A,
+            case.b,
+            case.lower,
+            case.upper,
+            weights=case.weights,
+            ridge=case.ridge,
+            tolerance=TOLERANCE,
+        )
         seconds += time.perf_counter() - begin
         word = complaint(case, exact, result.x)
         counts[kind].update([result.status.name] + [word] * (result.is_solved and word != ""))
         if options.show and (not result.is_solved or word in ("FALSE", "out of reach")):
-            print(number, kind, case.A.shape, result.status.name, word, result.cost, float(exact.least))
+            print(
+                number,
+                kind,
+                case.A.shape,
+                result.status.name,
+                word,
+                result.cost,
+                float(exact.least),
+            )
         for name, x in ({} if options.alone else scipy_answers(case)).items():
-            is_missed = x is None or not np.isfinite(x).all() or complaint(case, exact, x) == "FALSE"
+            is_missed = (
+                x is None or not np.isfinite(x).all() or complaint(case, exact, x) == "FALSE"
+            )
             rivals.update([name] + [f"{name} missed"] * is_missed)
     for kind, told in counts.items():
         print(f"{kind:18}", dict(told))
     print("beside:", dict(rivals))
     total = sum(counts.values(), Counter())
     unsolved = options.cases - total["SOLVED"]
-    print(f"{options.cases} problems, {unsolved} not solved, {total['FALSE']} falsely, "
-          f"{total['attained 0']} beside a cost of 0 and {total['above by rounding']} others above by rounding, "
-          f"{total['out of reach']} where the least is out of reach, {1e3 * seconds / options.cases:.2f} ms each")
+    print(
+        f"{options.cases} problems, {unsolved} not solved, {total['FALSE']} falsely, "
+        f"{total['attained 0']} beside a cost of 0 and {total['above by rounding']} others above by rounding, "
+        f"{total['out of reach']} where the least is out of reach, {1e3 * seconds / options.cases:.2f} ms each"
+    )
     return int(total["FALSE"] > 0 or unsolved > UNSOLVED * options.cases)
 
 

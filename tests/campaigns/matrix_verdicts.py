@@ -66,7 +66,10 @@ def draw_radius(rng: np.random.Generator, near: bool) -> float:
 def draw(rng: np.random.Generator, kind: str) -> Case:
     """Return a random case of that kind."""
     n = int(rng.integers(2, EXACT_UP_TO + 1)) if rng.random() < 0.5 else int(rng.integers(7, 41))
-    radius = draw_radius(rng, near=kind == "near singular" or (kind in ("reducible", "scaled") and rng.random() < 0.3))
+    radius = draw_radius(
+        rng,
+        near=kind == "near singular" or (kind in ("reducible", "scaled") and rng.random() < 0.3),
+    )
     if kind == "H₊":
         radius = float(rng.uniform(0.1, 0.999))
     B = offdiagonal(rng, n, float(rng.uniform(0.1, 1.0)))
@@ -105,8 +108,14 @@ def reducible(rng: np.random.Generator, radius: float) -> tuple[np.ndarray, floa
     for k, size in enumerate(sizes):
         own = radius if k == worst else min(radius, float(rng.uniform(0.1, 0.99)))
         block = slice(start, start + size)
-        M[block, block] = with_radius(rng, offdiagonal(rng, int(size), 0.7), own) if size > 1 else rng.uniform(0.5, 2)
-        M[block, :start] = rng.normal(size=(size, start)) * 10.0 ** rng.uniform(-3, 5) * (rng.random() < 0.8)
+        M[block, block] = (
+            with_radius(rng, offdiagonal(rng, int(size), 0.7), own)
+            if size > 1
+            else rng.uniform(0.5, 2)
+        )
+        M[block, :start] = (
+            rng.normal(size=(size, start)) * 10.0 ** rng.uniform(-3, 5) * (rng.random() < 0.8)
+        )
         start += int(size)
     order = rng.permutation(n)
     return M[np.ix_(order, order)], radius
@@ -116,7 +125,10 @@ def symmetric(rng: np.random.Generator, n: int) -> np.ndarray:
     """Return a symmetric matrix with a smallest eigenvalue of either sign, or zero up to rounding, in random units."""
     n = min(n, EXACT_UP_TO)
     basis, _ = np.linalg.qr(rng.normal(size=(n, n)))
-    values = np.r_[10.0 ** rng.uniform(-3, 0, n - 1), rng.choice([-1.0, 0.0, 1.0]) * 10.0 ** rng.uniform(-13, 0)]
+    values = np.r_[
+        10.0 ** rng.uniform(-3, 0, n - 1),
+        rng.choice([-1.0, 0.0, 1.0]) * 10.0 ** rng.uniform(-13, 0),
+    ]
     S = (basis * values) @ basis.T
     units = 10.0 ** rng.uniform(-3, 3, n)
     S = units[:, None] * S * units
@@ -126,14 +138,38 @@ def symmetric(rng: np.random.Generator, n: int) -> np.ndarray:
 def extreme(rng: np.random.Generator) -> np.ndarray:
     """Return a small matrix with entries from both ends of the range of doubles."""
     n = int(rng.integers(1, 5))
-    ends = [0, 1, 2, -1, -2, 5e-324, 1e-310, 1.7e308, -1.7e308, 1e300, 1e-300, -1e-300, 1e-160, 1e160]
+    ends = [
+        0,
+        1,
+        2,
+        -1,
+        -2,
+        5e-324,
+        1e-310,
+        1.7e308,
+        -1.7e308,
+        1e300,
+        1e-300,
+        -1e-300,
+        1e-160,
+        1e160,
+    ]
     M = rng.choice(ends, (n, n)).astype(float)
     if rng.random() < 0.7:
         M[np.diag_indices(n)] = np.abs(np.diag(M)) + (np.diag(M) == 0.0)
     return np.tril(M) + np.tril(M, -1).T if rng.random() < 0.4 else M
 
 
-KINDS = ("H₊", "wrong sign", "near singular", "reducible", "scaled", "symmetric", "integer", "extreme")
+KINDS = (
+    "H₊",
+    "wrong sign",
+    "near singular",
+    "reducible",
+    "scaled",
+    "symmetric",
+    "integer",
+    "extreme",
+)
 
 
 def exact_truth(M: np.ndarray, delta: float) -> dict[str, bool]:
@@ -194,7 +230,11 @@ def proofs_hold(report: MatrixReport, M: np.ndarray) -> bool:
                 return False
     if report.not_h_vector is not None:
         y = [Fraction(float(entry)) for entry in report.not_h_vector]
-        return any(y) and min(y) >= 0 and all(sum(entry * y[j] for j, entry in row) <= 0 for row in rows)
+        return (
+            any(y)
+            and min(y) >= 0
+            and all(sum(entry * y[j] for j, entry in row) <= 0 for row in rows)
+        )
     return True
 
 
@@ -217,7 +257,9 @@ def check(case: Case, counts: Counter[tuple[str, str]]) -> list[str]:
         counts[case.kind, outcome if name == "is_h_matrix" else "other"] += 1
         far = name == "is_h_matrix" and distance.get(name, case.distance) >= DECIDED_FROM
         if outcome == "wrong" or (outcome == "undecided" and far):
-            wrong.append(f"{case.kind} n={len(case.M)} {name}: {outcome} {value}, |1−ρ| = {case.distance:.1e}")
+            wrong.append(
+                f"{case.kind} n={len(case.M)} {name}: {outcome} {value}, |1−ρ| = {case.distance:.1e}"
+            )
     if not proofs_hold(report, case.M):
         wrong.append(f"{case.kind} n={len(case.M)}: a proof does not hold")
     if report.is_h_matrix and report.v is None:
@@ -238,7 +280,10 @@ def main() -> int:
         wrong += [f"case {k}: {line}" for line in check(draw(rng, KINDS[k % len(KINDS)]), counts)]
     print(f"{options.cases} matrices, {time.perf_counter() - began:.0f} s")
     for name in sorted({name for name, _ in counts}):
-        print(f"{name:<26}", *(f"{out} {counts[name, out]:<7}" for out in ("right", "undecided", "wrong")))
+        print(
+            f"{name:<26}",
+            *(f"{out} {counts[name, out]:<7}" for out in ("right", "undecided", "wrong")),
+        )
     print("\n".join(wrong[:20]))
     return 1 if wrong else 0
 

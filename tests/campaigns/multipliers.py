@@ -91,7 +91,9 @@ def main() -> int:
         answer, theirs = solve_program(case).solution, largest_of_highs(case)
         ours = float(np.abs(answer.multipliers).max(initial=0.0))
         if theirs is None or not answer.is_optimal():
-            counts[kind, "left out: HiGHS has none" if theirs is None else f"ours is {answer.status}"] += 1
+            counts[
+                kind, "left out: HiGHS has none" if theirs is None else f"ours is {answer.status}"
+            ] += 1
             continue
         ratio = ours / max(theirs, NOTHING) if ours > NOTHING else 0.0
         ratios.append((ratio, kind, k, ours))
@@ -99,8 +101,10 @@ def main() -> int:
     for (kind, what), count in sorted(counts.items()):
         print(f"{kind:<12} {what:<30} {count}")
     values = np.array([ratio for ratio, *_ in ratios])
-    print(f"ours ÷ HiGHS's: median {np.median(values):.3g}, 99 % {np.quantile(values, 0.99):.3g}, "
-          f"largest {max(ratios)}, of {values.size}; {time.perf_counter() - began:.0f} s")
+    print(
+        f"ours ÷ HiGHS's: median {np.median(values):.3g}, 99 % {np.quantile(values, 0.99):.3g}, "
+        f"largest {max(ratios)}, of {values.size}; {time.perf_counter() - began:.0f} s"
+    )
     return int(bool((values > MOST).any()) or any("ours" in what for _, what in counts))
 
 

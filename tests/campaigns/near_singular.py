@@ -200,14 +200,19 @@ def campaign(cases: int, seed: int, jobs: int) -> int:
             print(*lines, sep="\n", end="\n" if lines else "", flush=True)
             if k % 20 == 19:
                 seconds = time.perf_counter() - began
-                print(f"{total['problems']} problems, {total['lies']} lies, {seconds:.0f} s", flush=True)
+                print(
+                    f"{total['problems']} problems, {total['lies']} lies, {seconds:.0f} s",
+                    flush=True,
+                )
     for name, count in sorted(total.items()):
         print(f"{count:>9}  {name}")
     return int(total["lies"] + total["exceptions"] > 0)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cases", type=int, default=600)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)

@@ -59,7 +59,11 @@ def outcome(path: Path) -> str:
         said = f"CRASH: {traceback.format_exc(limit=-1)}"
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    return said if peak <= 10 * path.stat().st_size + EMPTY else f"MEMORY: {peak} of {path.stat().st_size}"
+    return (
+        said
+        if peak <= 10 * path.stat().st_size + EMPTY
+        else f"MEMORY: {peak} of {path.stat().st_size}"
+    )
 
 
 def main() -> int:

@@ -61,7 +61,9 @@ def main() -> int:
         for case in range(options.processes):
             rng = np.random.default_rng([options.seed, case])
             write_nl(random_model(rng), stub.with_suffix(".nl"))
-            found[by_process(stub, [word for word in drawn_words(rng) if "max_seconds" not in word])] += 1
+            found[
+                by_process(stub, [word for word in drawn_words(rng) if "max_seconds" not in word])
+            ] += 1
     for said, count in found.most_common():
         print(f"{count:>8} {said}")
     return int(any(said[:2].isupper() for said in found))

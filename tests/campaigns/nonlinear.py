@@ -57,17 +57,28 @@ def main(cases: int, seed: int, first: int) -> int:
         steps.append(result.iterations)
         name = f"case {case}, {kind}, n = {n}: {result.status.name}, {result.residual:.1e} after {result.iterations}"
         if result.status is Status.SOLVED:
-            residual = one.sharp_relative_residual(result.z, result.certificate.problem.residual_scale)
+            residual = one.sharp_relative_residual(
+                result.z, result.certificate.problem.residual_scale
+            )
             if residual > TOLERANCE:
                 false += 1
                 print(f"FALSE: {name}, and {residual:.3e} in sixty digits", flush=True)
         else:
-            print(f"{name}; the distance from the planted one is {np.abs(result.z - one.x).max():.1e}", flush=True)
+            print(
+                f"{name}; the distance from the planted one is {np.abs(result.z - one.x).max():.1e}",
+                flush=True,
+            )
     print("\n".join(f"{count:>6} × {status}" for status, count in sorted(statuses.items())))
     solved = sum(count for status, count in statuses.items() if status.endswith(" SOLVED"))
-    print(f"steps: median {np.median(steps):.0f}, 99 % at most {np.quantile(steps, 0.99):.0f}, the most {max(steps)}")
-    print(f"{sum(t for t, *_ in times):.0f} s; the longest: " + ", ".join(
-        f"{t:.1f} s (case {case}, n = {n})" for t, case, n in sorted(times, reverse=True)[:3]))
+    print(
+        f"steps: median {np.median(steps):.0f}, 99 % at most {np.quantile(steps, 0.99):.0f}, the most {max(steps)}"
+    )
+    print(
+        f"{sum(t for t, *_ in times):.0f} s; the longest: "
+        + ", ".join(
+            f"{t:.1f} s (case {case}, n = {n})" for t, case, n in sorted(times, reverse=True)[:3]
+        )
+    )
     print(f"{cases} cases: {solved} solved ({solved / cases:.2%}), {false} false")
     return int(false > 0 or solved < ENOUGH * cases)
 
@@ -77,7 +88,10 @@ def vanishings(cases: int, seed: int, first: int) -> int:
     tally: dict[str, list[bool]] = {}
     times, bad = [], 0
     for case in range(first, first + cases):
-        shape, structure = list(SHAPES)[case % len(SHAPES)], STRUCTURES[case // len(SHAPES) % len(STRUCTURES)]
+        shape, structure = (
+            list(SHAPES)[case % len(SHAPES)],
+            STRUCTURES[case // len(SHAPES) % len(STRUCTURES)],
+        )
         one = vanishing(np.random.default_rng([seed, case]), shape, structure)
         how = "exact" if one.has_jacobian else "differences"
         name = f"case {case}, {structure} {', '.join(one.shapes)}, {how}"
@@ -92,7 +106,9 @@ def vanishings(cases: int, seed: int, first: int) -> int:
         if times[-1][0] > TOO_LONG:
             bad += 1
             print(f"LONG: {name}: {times[-1][0]:.0f} s, {result.iterations} steps", flush=True)
-        counts[f"{'with' if one.t is not None else 'without'} a solution: {result.status.name}"] += 1
+        counts[
+            f"{'with' if one.t is not None else 'without'} a solution: {result.status.name}"
+        ] += 1
         if one.t is not None:
             for key in (f"shape {shape}", f"{structure}, {how}", f"start 1e{decade_of(one):+03d}"):
                 tally.setdefault(key, []).append(result.is_solved)
@@ -100,10 +116,18 @@ def vanishings(cases: int, seed: int, first: int) -> int:
             bad += 1
             print(f"FALSE: {name}: x = {result.z}, (row, |F|, terms) = {wrong}", flush=True)
     print("\n".join(f"{count:>6} × {status}" for status, count in sorted(counts.items())))
-    print("\n".join(f"{key:>24}: {sum(solved):>5} of {len(solved):>5} solved" for key, solved in sorted(tally.items())))
+    print(
+        "\n".join(
+            f"{key:>24}: {sum(solved):>5} of {len(solved):>5} solved"
+            for key, solved in sorted(tally.items())
+        )
+    )
     seconds, longest = [t for t, _ in times], sorted(times, reverse=True)[:3]
-    print(f"{sum(seconds):.0f} s of one processor, median {np.median(seconds):.2f} s, 99 % at most "
-          f"{np.quantile(seconds, 0.99):.1f} s; the longest: " + ", ".join(f"{t:.1f} s (case {k})" for t, k in longest))
+    print(
+        f"{sum(seconds):.0f} s of one processor, median {np.median(seconds):.2f} s, 99 % at most "
+        f"{np.quantile(seconds, 0.99):.1f} s; the longest: "
+        + ", ".join(f"{t:.1f} s (case {k})" for t, k in longest)
+    )
     print(f"{cases} cases: {bad} false, raised or too long")
     return int(bad > 0)
 
@@ -115,7 +139,10 @@ def membranes(sizes: list[int]) -> int:
         began, worked = time.perf_counter(), time.process_time()
         result = solve_nonlinear(problem, np.zeros(size * size))
         seconds = f"{time.perf_counter() - began:.2f} s, {time.process_time() - worked:.2f} s of one processor"
-        print(f"n = {size * size:>8}: {result.status.name}, {result.iterations} Newton steps, {seconds}", flush=True)
+        print(
+            f"n = {size * size:>8}: {result.status.name}, {result.iterations} Newton steps, {seconds}",
+            flush=True,
+        )
     return 0
 
 

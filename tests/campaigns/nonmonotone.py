@@ -36,7 +36,9 @@ def problem(rng: np.random.Generator, *, is_hard: bool) -> LCP:
     lower, upper = np.zeros(n), np.full(n, np.inf)
     order = rng.permutation(n)
     free = 17 if is_hard else int(rng.choice([0, n // 4, n // 2, 3 * n // 4]))
-    boxed = int(rng.choice([0, 3])) if is_hard else int(rng.choice([0, 0, (n - free) // 3, n - free]))
+    boxed = (
+        int(rng.choice([0, 3])) if is_hard else int(rng.choice([0, 0, (n - free) // 3, n - free]))
+    )
     lower[order[:free]] = -np.inf
     upper[order[free : free + boxed]] = rng.uniform(0.1, 3.0, boxed)
     if not is_hard and rng.random() < 0.3:
@@ -48,7 +50,10 @@ def complaint(lcp: LCP, result: Result) -> str:
     """What is false about a result, or nothing."""
     if result.status is Status.SOLVED and ExactData(lcp).is_lie(result.z, TOLERANCE):
         return "SOLVED, which is not true"
-    if result.status in (Status.INFEASIBLE, Status.NO_SOLUTION) and not result.infeasibility.verify():
+    if (
+        result.status in (Status.INFEASIBLE, Status.NO_SOLUTION)
+        and not result.infeasibility.verify()
+    ):
         return f"{result.status.name} by a proof that does not verify"
     return ""
 
@@ -59,13 +64,17 @@ def main(cases: int, seed: int) -> int:
     failed = 0
     for case in range(cases):
         lcp = problem(np.random.default_rng([seed, case]), is_hard=case % 2 == 1)
-        for (name, taken), limit, longest in zip(times.items(), (None, LIMIT), (LONGEST, TOO_LATE), strict=True):
+        for (name, taken), limit, longest in zip(
+            times.items(), (None, LIMIT), (LONGEST, TOO_LATE), strict=True
+        ):
             began, worked = time.perf_counter(), time.process_time()
             result = solve(lcp, max_seconds=limit)
             seconds = time.perf_counter() - began
             if limit is None:
                 seconds = min(seconds, time.process_time() - worked)
-            taken.append((seconds, f"case {case} (n = {lcp.n}): {result.status.name}, {result.algorithm}"))
+            taken.append(
+                (seconds, f"case {case} (n = {lcp.n}): {result.status.name}, {result.algorithm}")
+            )
             statuses[f"{name}: {result.status.name}"] += 1
             wrong = complaint(lcp, result) or ("too long" if seconds > longest else "")
             if wrong:

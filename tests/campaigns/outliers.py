@@ -66,7 +66,10 @@ class Outcome(NamedTuple):
 
 def exact(values: Any) -> list[Any]:
     """Doubles as fractions; infinities stay."""
-    return [Fraction(value) if np.isfinite(value) else value for value in np.asarray(values, float).tolist()]
+    return [
+        Fraction(value) if np.isfinite(value) else value
+        for value in np.asarray(values, float).tolist()
+    ]
 
 
 def limits(values: Any) -> np.ndarray:
@@ -81,10 +84,15 @@ class ExactLCP:
     def __init__(self, M: np.ndarray, q: np.ndarray, lower: Any = 0.0, upper: Any = np.inf) -> None:
         self.n = len(q)
         self.M, self.q = exact_rows(np.asarray(M, float)), exact(q)
-        self.lower, self.upper = (exact(limits(np.broadcast_to(bound, self.n))) for bound in (lower, upper))
+        self.lower, self.upper = (
+            exact(limits(np.broadcast_to(bound, self.n))) for bound in (lower, upper)
+        )
 
     def w(self, z: list[Fraction]) -> list[Fraction]:
-        return [sum((m * x for m, x in zip(row, z, strict=True)), q) for row, q in zip(self.M, self.q, strict=True)]
+        return [
+            sum((m * x for m, x in zip(row, z, strict=True)), q)
+            for row, q in zip(self.M, self.q, strict=True)
+        ]
 
     def wrong(self, z: np.ndarray, *, leaves_negligible: bool = False) -> float:
         """The largest wrong part of w_i beside |q_i| + Σ|m_ij z_j|, and of z_i beside itself.
@@ -107,12 +115,15 @@ class ExactLCP:
             elif w[i] < 0 and self.upper[i] - value <= reach:
                 values[i] = self.upper[i]
         sizes = [
-            abs(self.q[i]) + sum(abs(m * x) for m, x in zip(self.M[i], values, strict=True)) for i in range(self.n)
+            abs(self.q[i]) + sum(abs(m * x) for m, x in zip(self.M[i], values, strict=True))
+            for i in range(self.n)
         ]
         largest = float(outside)
         for i, slack in enumerate(self.w(values)):
             is_low, is_high = values[i] <= self.lower[i], values[i] >= self.upper[i]
-            wrong = 0 if is_low and is_high else -slack if is_low else slack if is_high else abs(slack)
+            wrong = (
+                0 if is_low and is_high else -slack if is_low else slack if is_high else abs(slack)
+            )
             if wrong > 0 and not (leaves_negligible and self._is_negligible(i, values, sizes)):
                 largest = max(largest, float(wrong / sizes[i]))
         return largest
@@ -130,7 +141,11 @@ class ExactLCP:
     def solutions(self) -> Iterator[list[Fraction]]:
         """Every solution of a regular case."""
         sides = [
-            [side for side in (self.lower[i], None, self.upper[i]) if side is None or abs(side) < np.inf]
+            [
+                side
+                for side in (self.lower[i], None, self.upper[i])
+                if side is None or abs(side) < np.inf
+            ]
             for i in range(self.n)
         ]
         for case in itertools.product(*sides):
@@ -138,7 +153,9 @@ class ExactLCP:
             z = [Fraction(0) if side is None else side for side in case]
             if free:
                 w = self.w(z)
-                found = solve_fractions([[self.M[i][j] for j in free] for i in free], [-w[i] for i in free])
+                found = solve_fractions(
+                    [[self.M[i][j] for j in free] for i in free], [-w[i] for i in free]
+                )
                 if found is None:
                     continue
                 for i, value in zip(free, found, strict=True):
@@ -162,7 +179,8 @@ class ExactLCP:
         for solution in self.solutions():
             some, right = False, np.array([float(value) for value in solution])
             if all(
-                abs(z - right)[part == k].max() <= NEAR * abs(right)[part == k].max() for k in range(part.max() + 1)
+                abs(z - right)[part == k].max() <= NEAR * abs(right)[part == k].max()
+                for k in range(part.max() + 1)
             ):
                 return True
         return some
@@ -178,7 +196,9 @@ def judged_lcp(problem: ExactLCP, status: Any, z: np.ndarray, radius: float, tex
         near = problem.is_near(z)
         if (near is None and wrong <= 1e-4) or problem.wrong(z, leaves_negligible=True) <= HOLDS:
             return Outcome(RIGHT if near else OPEN)
-        return Outcome(RIGHT if near else FALSE, f"SOLVED {z.tolist()}, wrong by {wrong:.1e}: {text}")
+        return Outcome(
+            RIGHT if near else FALSE, f"SOLVED {z.tolist()}, wrong by {wrong:.1e}: {text}"
+        )
     solution = next(problem.solutions(), None)
     if name in ("INFEASIBLE", "NO_SOLUTION"):
         if solution is None or max(map(abs, solution)) > min(radius, 1e20):
@@ -190,9 +210,15 @@ def judged_lcp(problem: ExactLCP, status: Any, z: np.ndarray, radius: float, tex
 class ExactProgram:
     """Minimise ½xᵀPx + cᵀx, G x ≤ h, A x = b, bounds, convex, in fractions."""
 
-    def __init__(self, P: Any, c: Any, G: Any, h: Any, A: Any, b: Any, lower: Any, upper: Any) -> None:
+    def __init__(
+        self, P: Any, c: Any, G: Any, h: Any, A: Any, b: Any, lower: Any, upper: Any
+    ) -> None:
         n = len(c)
-        self.P = exact_rows(np.zeros((n, n)) if P is None else np.asarray(P, float)) if not isinstance(P, list) else P
+        self.P = (
+            exact_rows(np.zeros((n, n)) if P is None else np.asarray(P, float))
+            if not isinstance(P, list)
+            else P
+        )
         self.c = exact(c) if not isinstance(c, list) else c
         keep = limits(h) < np.inf
         self.G, self.h = exact_rows(np.asarray(G)[keep]), exact(np.asarray(h)[keep])
@@ -201,7 +227,8 @@ class ExactProgram:
 
     def count(self) -> int:
         sides = [
-            1 + (abs(low) < np.inf) + (abs(high) < np.inf) for low, high in zip(self.lower, self.upper, strict=True)
+            1 + (abs(low) < np.inf) + (abs(high) < np.inf)
+            for low, high in zip(self.lower, self.upper, strict=True)
         ]
         return int(np.prod(sides)) * 2 ** len(self.h)
 
@@ -238,7 +265,9 @@ class ExactProgram:
             if any(value < 0 for value in y[: len(active)]) or not self._is_feasible(x):
                 continue
             slope = [
-                self.c[j] + _dot(self.P[j], x) + sum(value * row[j] for value, row in zip(y, rows, strict=True))
+                self.c[j]
+                + _dot(self.P[j], x)
+                + sum(value * row[j] for value, row in zip(y, rows, strict=True))
                 for j in range(n)
             ]
             if all(
@@ -251,7 +280,9 @@ class ExactProgram:
 
     def _is_feasible(self, x: list[Fraction]) -> bool:
         rows = all(_dot(row, x) <= limit for row, limit in zip(self.G, self.h, strict=True))
-        return rows and all(low <= value <= high for low, value, high in zip(self.lower, x, self.upper, strict=True))
+        return rows and all(
+            low <= value <= high for low, value, high in zip(self.lower, x, self.upper, strict=True)
+        )
 
 
 def _dot(row: list[Fraction], x: list[Fraction]) -> Fraction:
@@ -265,7 +296,9 @@ def integers(rng: Generator, *shape: int, largest: int = 3) -> np.ndarray:
     return rng.integers(-largest, largest + 1, shape).astype(float)
 
 
-def some(rng: Generator, values: Any, shape: Any, share: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
+def some(
+    rng: Generator, values: Any, shape: Any, share: float = 0.3
+) -> tuple[np.ndarray, np.ndarray]:
     """Where an odd number stands, and which."""
     return rng.random(shape) < share, np.asarray(rng.choice(values, shape), float)
 
@@ -286,7 +319,9 @@ def matrix(rng: Generator, n: int) -> tuple[np.ndarray, str]:
     return A, str(kind)
 
 
-def odd_lcp(rng: Generator, largest: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]:
+def odd_lcp(
+    rng: Generator, largest: int = 5
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]:
     """M, q, lower, upper of an LCP with odd numbers, and which."""
     n = int(rng.integers(1, largest + 1))
     M, kind = matrix(rng, n)
@@ -312,7 +347,9 @@ def odd_lcp(rng: Generator, largest: int = 5) -> tuple[np.ndarray, np.ndarray, n
         elif word == "column":
             M[:, i] *= rng.choice((1e-9, 1e6, 1e10))
         elif word == "noise":
-            M = np.where((M == 0) & (rng.random(M.shape) < 0.5), rng.choice([-1, 1], M.shape) * COSINE, M)
+            M = np.where(
+                (M == 0) & (rng.random(M.shape) < 0.5), rng.choice([-1, 1], M.shape) * COSINE, M
+            )
         elif word == "upper":
             here, far = some(rng, (*NONE, 1.0, 2.0), len(q), 0.6)
             upper = np.where(here, far, upper)
@@ -345,15 +382,30 @@ def odd_program(rng: Generator, *, linear: bool) -> tuple[list[Any], str]:
     n, m = (int(rng.integers(1, top)) for top in ((4, 4) if is_small else (16, 20)))
     p = int(rng.integers(0, max(1, n // 2) + 1)) * (rng.random() < 0.4)
     real = not is_small and rng.random() < 0.5
-    draw = (lambda *shape: rng.standard_normal(shape)) if real else (lambda *shape: integers(rng, *shape))
+    draw = (
+        (lambda *shape: rng.standard_normal(shape))
+        if real
+        else (lambda *shape: integers(rng, *shape))
+    )
     x0 = draw(n)
     G, A, c = draw(m, n), draw(p, n), draw(n)
     G = G * (rng.random(G.shape) < rng.choice([0.4, 1.0]))
-    h, b = G @ x0 + (rng.integers(0, 3, m) if not real else rng.random(m) * (rng.random(m) < 0.5)), A @ x0
+    h, b = (
+        G @ x0 + (rng.integers(0, 3, m) if not real else rng.random(m) * (rng.random(m) < 0.5)),
+        A @ x0,
+    )
     L = draw(n, max(1, n - int(rng.integers(0, 2))))
-    P = None if linear else L @ L.T if rng.random() < 0.5 else np.diag(rng.integers(0, 3, n).astype(float))
+    P = (
+        None
+        if linear
+        else L @ L.T
+        if rng.random() < 0.5
+        else np.diag(rng.integers(0, 3, n).astype(float))
+    )
     lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
-    bounded = str(rng.choice(["none", "box", "positive"], p=[0.1, 0.6, 0.3] if linear else [0.5, 0.3, 0.2]))
+    bounded = str(
+        rng.choice(["none", "box", "positive"], p=[0.1, 0.6, 0.3] if linear else [0.5, 0.3, 0.2])
+    )
     if bounded == "box":
         lower, upper = x0 - 5, x0 + 5
     elif bounded == "positive":
@@ -400,7 +452,11 @@ def odd_program(rng: Generator, *, linear: bool) -> tuple[list[Any], str]:
             c[i] *= scale
             lower[i], upper[i] = lower[i] / scale, upper[i] / scale
             if P is not None:
-                P = P * np.where(np.arange(n) == i, scale, 1) * np.where(np.arange(n) == i, scale, 1)[:, None]
+                P = (
+                    P
+                    * np.where(np.arange(n) == i, scale, 1)
+                    * np.where(np.arange(n) == i, scale, 1)[:, None]
+                )
         elif word == "zeros":
             c = c * (rng.random(n) < 0.3)
             if len(h):
@@ -428,7 +484,16 @@ def without_far(data: list[Any]) -> list[Any]:
     """The program without its limits beyond 1e9."""
     P, c, G, h, A, b, lower, upper = data
     keep = abs(h) < 1e9
-    return [P, c, G[keep], h[keep], A, b, np.where(lower < -1e9, -np.inf, lower), np.where(upper > 1e9, np.inf, upper)]
+    return [
+        P,
+        c,
+        G[keep],
+        h[keep],
+        A,
+        b,
+        np.where(lower < -1e9, -np.inf, lower),
+        np.where(upper > 1e9, np.inf, upper),
+    ]
 
 
 def by_others(data: list[Any]) -> np.ndarray | None:
@@ -454,9 +519,13 @@ def by_others(data: list[Any]) -> np.ndarray | None:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
-        cones = [clarabel.ZeroConeT(len(b))] * bool(len(b)) + [clarabel.NonnegativeConeT(len(d))] * bool(len(d))
+        cones = [clarabel.ZeroConeT(len(b))] * bool(len(b)) + [
+            clarabel.NonnegativeConeT(len(d))
+        ] * bool(len(d))
         matrix, vector = sp.csc_matrix(np.vstack([A, C])), np.concatenate([b, d])
-        found = clarabel.DefaultSolver(sp.csc_matrix(np.triu(P)), c, matrix, vector, cones, settings).solve()
+        found = clarabel.DefaultSolver(
+            sp.csc_matrix(np.triu(P)), c, matrix, vector, cones, settings
+        ).solve()
         x = np.array(found.x) if str(found.status) == "Solved" else None
     return x if x is not None and violation(data, x) <= 1e-8 else None
 
@@ -471,9 +540,16 @@ def violation(data: list[Any], x: np.ndarray) -> float:
         if len(right):
             own = np.maximum(abs(rows * x).max(axis=1), np.where(np.isfinite(right), abs(right), 0))
             size = np.maximum(own, 1e-6 * abs(rows).max(axis=1) * largest)
-            worst = max(worst, float(np.where(wrong > 0, wrong / np.maximum(size, 1e-300), 0).max()))
+            worst = max(
+                worst, float(np.where(wrong > 0, wrong / np.maximum(size, 1e-300), 0).max())
+            )
     outside = np.maximum(lower - x, x - upper)
-    return max(worst, float(np.where(outside > 0, outside / np.maximum(abs(x), 1e-6 * largest), 0).max(initial=0)))
+    return max(
+        worst,
+        float(
+            np.where(outside > 0, outside / np.maximum(abs(x), 1e-6 * largest), 0).max(initial=0)
+        ),
+    )
 
 
 @np.errstate(all="ignore")
@@ -528,12 +604,16 @@ def best_of(data: list[Any], cases: int = 600) -> tuple[float, float, float] | s
     return None if x is None else (*value_of(data, x), abs(x).max())
 
 
-def judged_program(data: list[Any], status: str, x: np.ndarray, duals: Any, radius: float, text: str) -> Outcome:
+def judged_program(
+    data: list[Any], status: str, x: np.ndarray, duals: Any, radius: float, text: str
+) -> Outcome:
     """The verdict on a status, an x and its multipliers."""
     if status == "SOLVED":
         if not np.isfinite(x).all():
             return Outcome(FALSE, f"SOLVED {x}: {text}")
-        rounded = np.where(abs(x) <= 1e-15 * abs(x).max(), 0.0, x)  # rounding of a zero has no size to be beside
+        rounded = np.where(
+            abs(x) <= 1e-15 * abs(x).max(), 0.0, x
+        )  # rounding of a zero has no size to be beside
         if min(conditions(data, x, duals), conditions(data, rounded, duals)) <= HOLDS_OF_PROGRAMS:
             return Outcome(RIGHT)
         best, violated, (value, size) = best_of(data), violation(data, x), value_of(data, x)
@@ -544,7 +624,13 @@ def judged_program(data: list[Any], status: str, x: np.ndarray, duals: Any, radi
         if best == "none":
             return Outcome(OPEN, f"SOLVED {x.tolist()} where no case has an optimum: {text}")
         is_off = abs(value - best[0]) > 1e-4 * (abs(best[0]) + max(size, best[1]))
-        what = RIGHT if not is_off else OPEN if value < best[0] and violated <= HOLDS_OF_PROGRAMS else FALSE
+        what = (
+            RIGHT
+            if not is_off
+            else OPEN
+            if value < best[0] and violated <= HOLDS_OF_PROGRAMS
+            else FALSE
+        )
         return Outcome(what, f"SOLVED {x.tolist()}: {value:.9g}, right {best[0]:.9g}: {text}")
     best = best_of(data, 20_000 if status == "UNBOUNDED" else 600)
     if best is None or best == "none":
@@ -558,7 +644,9 @@ def judged_program(data: list[Any], status: str, x: np.ndarray, duals: Any, radi
 def shown(data: list[Any], words: str) -> str:
     names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
     parts = [
-        f"{name}={np.asarray(value).tolist()}" for name, value in zip(names, data, strict=True) if value is not None
+        f"{name}={np.asarray(value).tolist()}"
+        for name, value in zip(names, data, strict=True)
+        if value is not None
     ]
     return f"{words}: {', '.join(parts)}"[:1500]
 
@@ -589,7 +677,9 @@ def linear_case(rng: Generator) -> Outcome:
 
 
 def lcp_text(M: Any, q: Any, lower: Any, upper: Any, words: str) -> str:
-    return f"{words}: LCP({M.tolist()}, {q.tolist()}, lower={lower.tolist()}, upper={upper.tolist()})"
+    return (
+        f"{words}: LCP({M.tolist()}, {q.tolist()}, lower={lower.tolist()}, upper={upper.tolist()})"
+    )
 
 
 def lcp_case(rng: Generator) -> Outcome:
@@ -609,14 +699,22 @@ def batch_case(rng: Generator) -> Outcome:
     if way == "programs":
         data, words = odd_program(rng, linear=False)
         P, c, G, h, A, b, low, high = data
-        found = lp.solve_batch(lp.QuadraticProgramBatch(P, np.array([c, 2 * c]), G, h, A, b, low, high))
-        duals = {name: getattr(found, name)[0] for name in ("inequality", "equality", "lower", "upper")}
+        found = lp.solve_batch(
+            lp.QuadraticProgramBatch(P, np.array([c, 2 * c]), G, h, A, b, low, high)
+        )
+        duals = {
+            name: getattr(found, name)[0] for name in ("inequality", "equality", "lower", "upper")
+        }
         radius = float(getattr(found[0].proof, "radius", np.inf) or np.inf)
-        return judged_program(data, found.status[0].name, found.x[0], duals, radius, f"batch, {shown(data, words)}")
+        return judged_program(
+            data, found.status[0].name, found.x[0], duals, radius, f"batch, {shown(data, words)}"
+        )
     if way == "list":
         found = lp.solve_batch([lp.LCP(M, one, lower=lower, upper=upper) for one in qs])
     else:
-        found = lp.solve_batch(M if way == "one matrix" else np.array([M] * 3), qs, lower=lower, upper=upper)
+        found = lp.solve_batch(
+            M if way == "one matrix" else np.array([M] * 3), qs, lower=lower, upper=upper
+        )
     k = int(rng.integers(0, 3))
     text = f"{way}, item {k} of {qs.tolist()}, {lcp_text(M, qs[k], lower, upper, words)}"
     proof = found[k].proof if found.status[k].name in ("INFEASIBLE", "NO_SOLUTION") else None
@@ -659,7 +757,9 @@ def derivative_case(rng: Generator) -> Outcome:
         return Outcome(OPEN)
     right = np.zeros(problem.n)
     if free:
-        solved = solve_fractions([[problem.M[i][j] for j in free] for i in free], [-Fraction(dq[i]) for i in free])
+        solved = solve_fractions(
+            [[problem.M[i][j] for j in free] for i in free], [-Fraction(dq[i]) for i in free]
+        )
         if solved is None:
             return Outcome(OPEN)
         right[free] = [float(value) for value in solved]
@@ -668,7 +768,10 @@ def derivative_case(rng: Generator) -> Outcome:
     if len(found.degenerate):
         return Outcome(REFUSED, f"degenerate {found.degenerate}: {text}")
     dz, part = found.jvp(dq=dq), problem.parts()
-    is_near = all(abs(dz - right)[part == k].max() <= NEAR * abs(right)[part == k].max() for k in range(part.max() + 1))
+    is_near = all(
+        abs(dz - right)[part == k].max() <= NEAR * abs(right)[part == k].max()
+        for k in range(part.max() + 1)
+    )
     return Outcome(RIGHT if is_near else FALSE, f"{dz.tolist()}, right {right.tolist()}: {text}")
 
 
@@ -690,11 +793,18 @@ def game_case(rng: Generator) -> Outcome:
     text = f"{name}, {words}: from_game({A.tolist()}, {B.tolist()})"
     result = lp.solve(problem, name, max_seconds=SECONDS)
     if result.status.name != "SOLVED":
-        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+        return Outcome(
+            FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}"
+        )
     found = problem.origin.recover(result)
     worst = min(
         _loss(
-            A, B, *(exact(np.where(share > noise, share, 0.0)) for share in (found.row_strategy, found.column_strategy))
+            A,
+            B,
+            *(
+                exact(np.where(share > noise, share, 0.0))
+                for share in (found.row_strategy, found.column_strategy)
+            ),
         )
         for noise in (0.0, 1e-12)  # a share of 1e-16 is rounding, but beside payoffs of 1e19
     )
@@ -710,7 +820,9 @@ def _loss(A: np.ndarray, B: np.ndarray, x: list[Fraction], y: list[Fraction]) ->
         loss = values[best] * sum(own) - _dot(values, own)
         played = {best, *(i for i, share in enumerate(own) if share > 0)}
         size = max(sum(abs(a * s) for a, s in zip(payoffs[i], other, strict=True)) for i in played)
-        worst = max(worst, float(loss / size) if size else 0.0, abs(float(sum(own)) - 1), -float(min(own)))
+        worst = max(
+            worst, float(loss / size) if size else 0.0, abs(float(sum(own)) - 1), -float(min(own))
+        )
     return worst
 
 
@@ -765,12 +877,16 @@ def equilibrium_case(rng: Generator) -> Outcome:
             return Outcome(OPEN)
         if wrong > 1e-6 and not ExactLCP(M, q, lower, upper).is_near(z):
             return Outcome(FALSE, f"SOLVED {z.tolist()}, wrong by {wrong:.1e}: {text}")
-        return Outcome(FALSE if is_off else RIGHT, f"SOLVED {z.tolist()}, better {best.tolist()}: {text}")
+        return Outcome(
+            FALSE if is_off else RIGHT, f"SOLVED {z.tolist()}, better {best.tolist()}: {text}"
+        )
     if result.has_no_solution and result.status.name != "UNBOUNDED":
         radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
         what = FALSE if abs(best).max() <= min(radius, 1e20) else OPEN
         return Outcome(what, f"{result.status.name}, but {best.tolist()}: {text}")
-    return Outcome(REFUSED if result.status.name != "UNBOUNDED" else OPEN, f"{result.status.name}: {text}")
+    return Outcome(
+        REFUSED if result.status.name != "UNBOUNDED" else OPEN, f"{result.status.name}: {text}"
+    )
 
 
 # --- Least squares, cones, contacts, nonlinear ----------------------------------------------------------------------
@@ -782,7 +898,11 @@ def least_squares_case(rng: Generator) -> Outcome:
     A, b = integers(rng, m, n), integers(rng, m)
     lower, upper, ridge, words = np.zeros(n), np.full(n, np.inf), 0.0, []
     for _ in range(int(rng.integers(1, 3))):
-        word = str(rng.choice(["b", "entry", "row", "column", "noise", "upper", "free", "origin", "ridge", "unit"]))
+        word = str(
+            rng.choice(
+                ["b", "entry", "row", "column", "noise", "upper", "free", "origin", "ridge", "unit"]
+            )
+        )
         words.append(word)
         i, j = int(rng.integers(0, m)), int(rng.integers(0, n))
         if word == "b":
@@ -813,7 +933,11 @@ def least_squares_case(rng: Generator) -> Outcome:
     text = f"{words}, ridge {ridge}: {A.tolist()}, {b.tolist()}, lower={lower.tolist()}, upper={upper.tolist()}"
     rows, right = exact_rows(A), exact(b)
     P = [
-        [sum(row[i] * row[j] for row in rows) + (Fraction(ridge) if i == j else 0) for j in range(n)] for i in range(n)
+        [
+            sum(row[i] * row[j] for row in rows) + (Fraction(ridge) if i == j else 0)
+            for j in range(n)
+        ]
+        for i in range(n)
     ]
     c = [-sum(row[j] * value for row, value in zip(rows, right, strict=True)) for j in range(n)]
     program = ExactProgram(P, c, np.zeros((0, n)), [], np.zeros((0, n)), [], lower, upper)
@@ -821,34 +945,46 @@ def least_squares_case(rng: Generator) -> Outcome:
     if best is None:
         return Outcome(FALSE if result.has_no_solution else OPEN, f"{result.status.name}: {text}")
     if result.status.name != "SOLVED":
-        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+        return Outcome(
+            FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}"
+        )
     if not np.isfinite(result.x).all():
         return Outcome(FALSE, f"SOLVED {result.x}: {text}")
     x = exact(result.x)
     if not program._is_feasible(x):
         return Outcome(FALSE, f"SOLVED {result.x.tolist()}, outside: {text}")
-    part = sp.csgraph.connected_components(sp.csr_array(abs(A).T != 0) @ sp.csr_array(A != 0), directed=False)[1]
+    part = sp.csgraph.connected_components(
+        sp.csr_array(abs(A).T != 0) @ sp.csr_array(A != 0), directed=False
+    )[1]
     for k in range(part.max() + 1):
         mine = [j for j in range(n) if part[j] == k]
         touched = [i for i in range(m) if any(rows[i][j] for j in mine)]
 
-        def cost(of: list[Fraction], touched: list[int] = touched, mine: list[int] = mine) -> Fraction:
-            return sum((_dot(rows[i], of) - right[i]) ** 2 for i in touched) + Fraction(ridge) * sum(
-                of[j] ** 2 for j in mine
-            )
+        def cost(
+            of: list[Fraction], touched: list[int] = touched, mine: list[int] = mine
+        ) -> Fraction:
+            return sum((_dot(rows[i], of) - right[i]) ** 2 for i in touched) + Fraction(
+                ridge
+            ) * sum(of[j] ** 2 for j in mine)
 
         size = cost([Fraction(0)] * n)
         above = cost(x) - cost(best)
         if above > Fraction(1, 10**6) * cost(best) + Fraction(1, 10**15) * size:
             distance = max(abs(x[j] - best[j]) for j in mine)
             if distance > Fraction(1, 1000) * max(abs(best[j]) for j in mine):
-                is_nearby = _slope_beside_rounding(rows, right, Fraction(ridge), x, program) <= 1e-14
+                is_nearby = (
+                    _slope_beside_rounding(rows, right, Fraction(ridge), x, program) <= 1e-14
+                )
                 what = OPEN if is_nearby else FALSE
-                return Outcome(what, f"SOLVED {result.x.tolist()}, right {[float(v) for v in best]}: {text}")
+                return Outcome(
+                    what, f"SOLVED {result.x.tolist()}, right {[float(v) for v in best]}: {text}"
+                )
     return Outcome(RIGHT)
 
 
-def _slope_beside_rounding(rows: Any, right: Any, ridge: Fraction, x: list[Fraction], program: ExactProgram) -> float:
+def _slope_beside_rounding(
+    rows: Any, right: Any, ridge: Fraction, x: list[Fraction], program: ExactProgram
+) -> float:
     """The largest slope of the wrong sign beside what a relative change 1 of every entry of A and b can make of it.
 
     Where that is a rounding error, x is an answer of the same problem but for one: where the distance to the answer is
@@ -865,7 +1001,12 @@ def _slope_beside_rounding(rows: Any, right: Any, ridge: Fraction, x: list[Fract
         is_low, is_high = value <= program.lower[j], value >= program.upper[j]
         wrong = 0 if is_low and is_high else -slope if is_low else slope if is_high else abs(slope)
         if wrong > 0:
-            worst = max(worst, float(wrong / sum(abs(row[j]) * size for row, size in zip(rows, sizes, strict=True))))
+            worst = max(
+                worst,
+                float(
+                    wrong / sum(abs(row[j]) * size for row, size in zip(rows, sizes, strict=True))
+                ),
+            )
     return worst
 
 
@@ -905,7 +1046,10 @@ def cone_case(rng: Generator) -> Outcome:
         elif state == 1:
             w[a] = 2.0
         else:
-            z[a:b], w[a:b] = first * (state == 2 or rng.random() < 0.7), second * (state == 3 or rng.random() < 0.7)
+            z[a:b], w[a:b] = (
+                first * (state == 2 or rng.random() < 0.7),
+                second * (state == 3 or rng.random() < 0.7),
+            )
     z *= rng.choice([1.0, 1e6, 1e-6])
     w *= rng.choice([1.0, 1e6, 1e-6])
     q = w - M @ z
@@ -913,7 +1057,9 @@ def cone_case(rng: Generator) -> Outcome:
     result = lp.solve(lp.ConeProblem(M, q, cones), max_seconds=SECONDS)
     text = f"{word}: ConeProblem({M.tolist()}, {q.tolist()}, {cones}), planted {z.tolist()}"
     if result.status.name != "SOLVED":
-        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+        return Outcome(
+            FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}"
+        )
     x, wrong = result.z.copy(), 0.0
     alone = np.repeat(np.array(sizes) == 1, sizes)
     x[alone & (x <= 1e-9 * abs(x).max()) & (M @ x + q > 0)] = 0.0  # so near to its bound is at it
@@ -931,7 +1077,9 @@ def cone_case(rng: Generator) -> Outcome:
         wrong = max(wrong, own_wrong)
     if wrong <= HOLDS or abs(x - z).max() <= NEAR * abs(z).max():
         return Outcome(RIGHT)
-    return Outcome(OPEN if is_negligible else FALSE, f"SOLVED {x.tolist()}, wrong by {wrong:.1e}: {text}")
+    return Outcome(
+        OPEN if is_negligible else FALSE, f"SOLVED {x.tolist()}, wrong by {wrong:.1e}: {text}"
+    )
 
 
 def contact_case(rng: Generator) -> Outcome:
@@ -977,7 +1125,9 @@ def contact_case(rng: Generator) -> Outcome:
     result = lp.solve(lp.FrictionalContact(W, q, friction, dimension=d), max_seconds=SECONDS)
     text = f"{word}: W={W.toarray().tolist()}, b={q.tolist()}, mu={friction.tolist()}, planted {r.tolist()}"
     if result.status.name != "SOLVED":
-        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+        return Outcome(
+            FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}"
+        )
     found, at = result.x, 0
     for block, offset in zip(groups, qs, strict=True):
         own, right = found[at : at + len(offset)], r[at : at + len(offset)]
@@ -994,7 +1144,10 @@ def contact_case(rng: Generator) -> Outcome:
             outside = _in_cone(impulse, slope) / length if largest else 0.0
             wrong = max(wrong, -u[d * i] / size if size else 0.0, power, outside)
         is_tower = word == "tower"
-        if not (wrong <= 1e-6 and not is_tower) and not abs(own - right)[::d].max() <= NEAR * abs(right).max():
+        if (
+            not (wrong <= 1e-6 and not is_tower)
+            and not abs(own - right)[::d].max() <= NEAR * abs(right).max()
+        ):
             return Outcome(FALSE, f"SOLVED {own.tolist()}, laws broken by {wrong:.1e}: {text}")
     return Outcome(RIGHT)
 
@@ -1041,7 +1194,9 @@ def nonlinear_case(rng: Generator) -> Outcome:
     result = lp.solve(problem, x0=x0, max_seconds=SECONDS)
     text = f"{word}: M={M.tolist()}, q={q.tolist()}, scale={scale.tolist()}, {kinds}, planted {planted.tolist()}"
     if result.status.name != "SOLVED":
-        return Outcome(FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}")
+        return Outcome(
+            FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}"
+        )
     x = result.x
     v = F(x)
     terms = scale * (abs(M) @ abs(x) + abs(curve(x)) + abs(q))
@@ -1071,11 +1226,15 @@ def run(kind: str, seed: int, k: int) -> Outcome:
 
 def main() -> int:
     """Run the campaign."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--kind", choices=[*KINDS, "all"], default="all")
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=np.inf, help="a kind takes no new problem after so many")
+    parser.add_argument(
+        "--seconds", type=float, default=np.inf, help="a kind takes no new problem after so many"
+    )
     parser.add_argument("--only", type=int, help="problem k alone, told in full")
     parser.add_argument("--show", type=int, default=3, help="so many false ones of a kind are told")
     parser.add_argument("--refused", action="store_true", help="tell refused ones, too")
@@ -1090,7 +1249,13 @@ def main() -> int:
             before = {(row[0], row[1], row[2]): row[3] for row in csv.reader(file)}
     found, false = [], 0
     for kind in KINDS if given.kind == "all" else [given.kind]:
-        began, counts, told, lost, gained = time.perf_counter(), collections.Counter[str](), 0, [], 0
+        began, counts, told, lost, gained = (
+            time.perf_counter(),
+            collections.Counter[str](),
+            0,
+            [],
+            0,
+        )
         for k in range(given.count) if given.only is None else [given.only]:
             if time.perf_counter() - began > given.seconds:
                 break
@@ -1101,13 +1266,24 @@ def main() -> int:
             if old == RIGHT and outcome.what == REFUSED:
                 lost.append(k)
             gained += old in (REFUSED, FALSE) and outcome.what == RIGHT
-            is_shown = outcome.what == FALSE or (given.refused and outcome.what == REFUSED) or given.only is not None
+            is_shown = (
+                outcome.what == FALSE
+                or (given.refused and outcome.what == REFUSED)
+                or given.only is not None
+            )
             if is_shown and (told < given.show or given.only is not None):
                 told += 1
-                print(f"  --kind {kind} --seed {given.seed} --only {k}: {outcome.what}: {outcome.text}", flush=True)
+                print(
+                    f"  --kind {kind} --seed {given.seed} --only {k}: {outcome.what}: {outcome.text}",
+                    flush=True,
+                )
         false += counts[FALSE]
         words = ", ".join(f"{counts[what]} {what}" for what in (RIGHT, REFUSED, FALSE, OPEN))
-        beside = f"; beside: {len(lost)} right ones refused now {lost[:9]}, {gained} gained" if before else ""
+        beside = (
+            f"; beside: {len(lost)} right ones refused now {lost[:9]}, {gained} gained"
+            if before
+            else ""
+        )
         print(f"{kind:14s} {words}{beside}, {time.perf_counter() - began:.0f} s", flush=True)
     if given.csv:
         with given.csv.open("w", encoding="utf-8", newline="") as file:

@@ -32,12 +32,19 @@ def random_family(rng: np.random.Generator, largest: int) -> tuple[LCP, np.ndarr
     is_whole, rank = rng.random() < 0.3, int(rng.integers(1, n + 1))
     B, K = rng.standard_normal((n, rank)), rng.standard_normal((n, n))
     if is_whole:
-        B, K = rng.integers(-2, 3, (n, rank)).astype(float), rng.integers(-1, 2, (n, n)).astype(float)
+        B, K = (
+            rng.integers(-2, 3, (n, rank)).astype(float),
+            rng.integers(-1, 2, (n, n)).astype(float),
+        )
     M = B @ B.T * (1.0 if is_whole else 1.0 / n) + rng.choice([0.0, 1.0]) * (K - K.T)
     if rng.random() < 0.4:
         M += np.diag(rng.integers(1, 4, n).astype(float))
-    lower = np.where(rng.random(n) < rng.choice([0.7, 1.0]), -rng.integers(0, 2, n).astype(float), -INF)
-    upper = np.where(rng.random(n) < rng.choice([0.0, 0.5]), rng.integers(1, 3, n).astype(float), INF)
+    lower = np.where(
+        rng.random(n) < rng.choice([0.7, 1.0]), -rng.integers(0, 2, n).astype(float), -INF
+    )
+    upper = np.where(
+        rng.random(n) < rng.choice([0.0, 0.5]), rng.integers(1, 3, n).astype(float), INF
+    )
     ends = []
     for _ in range(2):
         z = np.clip(np.round(2.0 * rng.standard_normal(n)), lower, upper)
@@ -46,7 +53,9 @@ def random_family(rng: np.random.Generator, largest: int) -> tuple[LCP, np.ndarr
     return LCP(M, ends[0], lower=lower, upper=upper), ends[1] - ends[0]
 
 
-def examined(rng: np.random.Generator, largest: int, values: int) -> tuple[str, int, int, int, float]:
+def examined(
+    rng: np.random.Generator, largest: int, values: int
+) -> tuple[str, int, int, int, float]:
     """Return the status of one path, its pieces, the wrong ones, those apart, and time ÷ (solve × breakpoints)."""
     problem, dq = random_family(rng, largest)
     path = trace(problem, {"q": dq}, 0.0, 1.0)
@@ -79,10 +88,15 @@ def demand_sweep(count: int) -> int:
     slope, free = rng.uniform(0.05, 0.5, roads), rng.uniform(1.0, 3.0, roads)
     serves = np.kron(np.eye(pairs), np.ones((1, ways)))
     # Paths: time − price ≥ 0 ⟂ flow ≥ 0; prices: served = demand.
-    M = np.block([[uses.T @ (slope[:, None] * uses), -serves.T], [serves, np.zeros((pairs, pairs))]])
+    M = np.block(
+        [[uses.T @ (slope[:, None] * uses), -serves.T], [serves, np.zeros((pairs, pairs))]]
+    )
     demand = rng.uniform(0.5, 2.0, pairs)
-    problem = LCP(M, np.concatenate([uses.T @ free, np.zeros(pairs)]),
-                  lower=np.concatenate([np.zeros(pairs * ways), np.full(pairs, -INF)]))
+    problem = LCP(
+        M,
+        np.concatenate([uses.T @ free, np.zeros(pairs)]),
+        lower=np.concatenate([np.zeros(pairs * ways), np.full(pairs, -INF)]),
+    )
     dq = np.concatenate([np.zeros(pairs * ways), -demand])
     begun = time.perf_counter()
     path = trace(problem, {"q": dq}, 0.1, 10.0)
@@ -93,10 +107,14 @@ def demand_sweep(count: int) -> int:
     solved = time.perf_counter() - begun
     wrong = 0
     for theta, z in zip(thetas, answers.z, strict=True):
-        flow, other = (uses @ one[: pairs * ways] for one in (path.at(theta).z, z))  # on roads it is unique
+        flow, other = (
+            uses @ one[: pairs * ways] for one in (path.at(theta).z, z)
+        )  # on roads it is unique
         wrong += bool(np.abs(flow - other).max() > 1e-6 * np.abs(flow).max())
-    print(f"demand: {path!r}; {count} solves {solved:.2f} s, the trace {traced:.3f} s; {wrong} wrong; "
-          f"trace ÷ (one solve × breakpoints) {traced / (solved / count * len(path)):.2f}")
+    print(
+        f"demand: {path!r}; {count} solves {solved:.2f} s, the trace {traced:.3f} s; {wrong} wrong; "
+        f"trace ÷ (one solve × breakpoints) {traced / (solved / count * len(path)):.2f}"
+    )
     return wrong + (not path.is_solved)
 
 
@@ -115,7 +133,8 @@ def main() -> int:
     shares = []
     for case in range(asked.cases):
         status, count, bad, off, share = examined(
-            np.random.default_rng([asked.seed, case]), asked.largest, asked.values)
+            np.random.default_rng([asked.seed, case]), asked.largest, asked.values
+        )
         statuses[status] = statuses.get(status, 0) + 1
         pieces, wrong, apart = pieces + count, wrong + bad, apart + off
         shares.append(share)
@@ -124,9 +143,13 @@ def main() -> int:
     failed = asked.sweep and demand_sweep(asked.sweep)
     unsolved = asked.cases - statuses.get("SOLVED", 0)
     if asked.cases:
-        quartiles = ", ".join(f"{value:.2f}" for value in np.nanquantile(shares, (0.25, 0.5, 0.75, 1.0)))
-        print(f"{asked.cases} paths, {pieces} pieces: {statuses}; {wrong} wrong, {apart} apart; "
-              f"time ÷ (one solve × pieces), quartiles and most: {quartiles}")
+        quartiles = ", ".join(
+            f"{value:.2f}" for value in np.nanquantile(shares, (0.25, 0.5, 0.75, 1.0))
+        )
+        print(
+            f"{asked.cases} paths, {pieces} pieces: {statuses}; {wrong} wrong, {apart} apart; "
+            f"time ÷ (one solve × pieces), quartiles and most: {quartiles}"
+        )
     return int(bool(wrong or apart or failed or unsolved > 0.005 * asked.cases))
 
 

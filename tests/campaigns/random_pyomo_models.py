@@ -51,9 +51,21 @@ HOLDS = 1e-7  # the residual in Pyomo
 OPTIONS = {"tolerance": 1e-12, "absolute_tolerance": 1e-13}
 KINDS = ("lower", "upper", "both", "none")
 SMOOTH = (
-    lambda e: pe.exp(0.3 * e), lambda e: pe.log(e**2 + 1.5), lambda e: pe.sqrt(e**2 + 1), pe.sin, pe.cos, pe.tanh,
-    pe.atan, lambda e: e**2, lambda e: e**3, lambda e: 1 / (e**2 + 2), lambda e: (e**2 + 1) ** 1.5,
-    lambda e: pe.sinh(0.2 * e), lambda e: pe.log10(e**2 + 2), lambda e: 2.0 ** (0.2 * e), pe.asinh,
+    lambda e: pe.exp(0.3 * e),
+    lambda e: pe.log(e**2 + 1.5),
+    lambda e: pe.sqrt(e**2 + 1),
+    pe.sin,
+    pe.cos,
+    pe.tanh,
+    pe.atan,
+    lambda e: e**2,
+    lambda e: e**3,
+    lambda e: 1 / (e**2 + 2),
+    lambda e: (e**2 + 1) ** 1.5,
+    lambda e: pe.sinh(0.2 * e),
+    lambda e: pe.log10(e**2 + 2),
+    lambda e: 2.0 ** (0.2 * e),
+    pe.asinh,
 )
 
 
@@ -80,17 +92,25 @@ def planted(rng: np.random.Generator) -> Planted:
     M = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.5)
     M[np.diag_indices(n)] = np.abs(M).sum(axis=1) + 1.0 + rng.random(n)
     m.price = pe.Param(range(n), mutable=True, initialize={i: float(spot[i]) for i in range(n)})
-    home.shared = pe.Expression(range(n), rule=lambda b, i: SMOOTH[int(rng.integers(len(SMOOTH)))](
-        x[i] + 0.5 * x[int(rng.integers(n))] - float(rng.normal())
-    ))
+    home.shared = pe.Expression(
+        range(n),
+        rule=lambda b, i: SMOOTH[int(rng.integers(len(SMOOTH)))](
+            x[i] + 0.5 * x[int(rng.integers(n))] - float(rng.normal())
+        ),
+    )
     kinds: list[str] = []
     home.list = ComplementarityList()
     home.pairs, home.equations = Complementarity(pe.Any), pe.Constraint(pe.Any)
     for i in range(n):
-        x[i].set_value(float(spot[i] + 0.3 * rng.normal()) if rng.random() < 0.8 else None, skip_validation=True)
+        x[i].set_value(
+            float(spot[i] + 0.3 * rng.normal()) if rng.random() < 0.8 else None,
+            skip_validation=True,
+        )
         row = sum(float(M[i, j]) * x[j] for j in range(n) if M[i, j]) + float(rng.normal())
         if is_nonlinear and rng.random() < 0.7:
-            row = row + 0.05 * home.shared[int(rng.integers(n))] * (1.0 if rng.random() < 0.7 else home.shared[i])
+            row = row + 0.05 * home.shared[int(rng.integers(n))] * (
+                1.0 if rng.random() < 0.7 else home.shared[i]
+            )
             case.features.add("defined")
         kind = KINDS[int(rng.integers(4))]
         case.features.add(kind)
@@ -98,14 +118,20 @@ def planted(rng: np.random.Generator) -> Planted:
         state(rng, case, home, i, row, kind, float(spot[i]), value_at(row, x, spot))
     for i in range(n):
         case.answer.append((x[i], float(spot[i])))
-    can_be_fixed = [i for i in range(n) if kinds[i] != "none" and ("extra", i) not in home.equations]
-    if n > 1 and can_be_fixed and rng.random() < 0.2:  # the pair of such a variable has nothing left that gives way
+    can_be_fixed = [
+        i for i in range(n) if kinds[i] != "none" and ("extra", i) not in home.equations
+    ]
+    if (
+        n > 1 and can_be_fixed and rng.random() < 0.2
+    ):  # the pair of such a variable has nothing left that gives way
         case.features.add("fixed")
         k = int(rng.choice(can_be_fixed))
         x[k].fix(float(spot[k]), skip_validation=True)
     if rng.random() < 0.2:
         margin = float(rng.random())
-        m.beside = pe.Constraint(expr=sum(x[i] ** 2 for i in range(n)) <= float(spot @ spot) + margin)
+        m.beside = pe.Constraint(
+            expr=sum(x[i] ** 2 for i in range(n)) <= float(spot @ spot) + margin
+        )
         case.features.add("inequality beside")
     if rng.random() < 0.15:
         m.idle = pe.Constraint(expr=x[0] * 1e3 >= 1e9)
@@ -124,11 +150,20 @@ def value_at(row: Any, x: Any, spot: np.ndarray) -> float:
 
 
 def state(
-    rng: np.random.Generator, case: Planted, home: Any, i: int, row: Any, kind: str, spot: float, there: float
+    rng: np.random.Generator,
+    case: Planted,
+    home: Any,
+    i: int,
+    row: Any,
+    kind: str,
+    spot: float,
+    there: float,
 ) -> None:
     """Add pair or equation i with x_i = spot and the row's value there less a constant as the kind allows."""
     m, variable = case.model, home.x[i]
-    place = int(rng.choice({"lower": (-1, 0), "upper": (0, 1), "both": (-1, 0, 1), "none": (0,)}[kind]))
+    place = int(
+        rng.choice({"lower": (-1, 0), "upper": (0, 1), "both": (-1, 0, 1), "none": (0,)}[kind])
+    )
     slack = float(rng.random() * (rng.random() < 0.8))
     w = -place * slack
     row = row - (there - w)  # its value at x*
@@ -196,14 +231,21 @@ def differences(statement: Statement, rng: np.random.Generator) -> float:
                 continue
             shift = 0.0
             if not isinstance(row, Pair):
-                limits = (content.row_lower, row.lower) if row.lower is not None else (content.row_upper, row.upper)
+                limits = (
+                    (content.row_lower, row.lower)
+                    if row.lower is not None
+                    else (content.row_upper, row.upper)
+                )
                 shift = limits[0][i] - float(limits[1])
             slopes = slopes_of(expression, variables)
             if slopes is None:
                 slopes = jacobian[i]
             terms = 1.0 + abs(value[i]) + np.abs(slopes) @ np.abs(point)
             worst = max(worst, abs(value[i] - shift - float(pe.value(expression))) / terms)
-            worst = max(worst, float(np.abs(jacobian[i] - slopes).max()) / (1.0 + float(np.abs(slopes).max())))
+            worst = max(
+                worst,
+                float(np.abs(jacobian[i] - slopes).max()) / (1.0 + float(np.abs(slopes).max())),
+            )
     finally:
         for variable, number in zip(variables, before, strict=True):
             variable.set_value(number, skip_validation=True)
@@ -213,7 +255,9 @@ def differences(statement: Statement, rng: np.random.Generator) -> float:
 def slopes_of(expression: Any, variables: list[Any]) -> np.ndarray | None:
     """Pyomo's derivative; None for the hyperbolic functions, which it does not differentiate."""
     try:
-        return np.array(differentiate(expression, wrt_list=variables, mode=Modes.reverse_numeric), dtype=float)
+        return np.array(
+            differentiate(expression, wrt_list=variables, mode=Modes.reverse_numeric), dtype=float
+        )
     except DifferentiationException:
         return None
 
@@ -225,7 +269,9 @@ def residual(model: Any, with_inequalities: bool = True) -> float:
 
 def parts_of(model: Any) -> tuple[list[Any], list[Any]]:
     """The sides of each pair, and the constraints."""
-    pairs = [condition._args for condition in model.component_data_objects(Complementarity, active=True)]
+    pairs = [
+        condition._args for condition in model.component_data_objects(Complementarity, active=True)
+    ]
     return pairs, list(model.component_data_objects(pe.Constraint, active=True))
 
 
@@ -238,8 +284,13 @@ def residual_of(pairs: list[Any], constraints: list[Any], with_inequalities: boo
         if not (row.equality or with_inequalities):
             continue
         body = pe.value(row.body)
-        worst = max(worst, *(pe.value(row.lower) - body if row.lower is not None else 0.0,
-                             body - pe.value(row.upper) if row.upper is not None else 0.0))
+        worst = max(
+            worst,
+            *(
+                pe.value(row.lower) - body if row.lower is not None else 0.0,
+                body - pe.value(row.upper) if row.upper is not None else 0.0,
+            ),
+        )
     return worst
 
 
@@ -268,9 +319,18 @@ def pair_residual(first: tuple[float, float, float], second: tuple[float, float,
 
 def picture(model: Any) -> list[Any]:
     """What may not change by a solve."""
-    components = [(block.name, sorted(block.component_map())) for block in model.block_data_objects(active=None)]
-    return [components, [(v.name, v.lb, v.ub, v.fixed) for v in model.component_data_objects(pe.Var)],
-            [(c.name, c.active, str(c._args), hidden(c._args)) for c in model.component_data_objects(Complementarity)]]
+    components = [
+        (block.name, sorted(block.component_map()))
+        for block in model.block_data_objects(active=None)
+    ]
+    return [
+        components,
+        [(v.name, v.lb, v.ub, v.fixed) for v in model.component_data_objects(pe.Var)],
+        [
+            (c.name, c.active, str(c._args), hidden(c._args))
+            for c in model.component_data_objects(Complementarity)
+        ],
+    ]
 
 
 def hidden(expressions: Any) -> list[Any]:
@@ -288,7 +348,10 @@ def faults_of(case: Planted, rng: np.random.Generator) -> Iterator[str]:
         yield f"F or Jacobian differ by {found:.1e}"
     results = pe.SolverFactory("lcp_plugin").solve(model, options=OPTIONS)
     size = 1.0 + max(abs(number) for _, number in case.answer)
-    if is_another := max(abs(variable.value - number) for variable, number in case.answer) > NEAR * size:
+    if (
+        is_another := max(abs(variable.value - number) for variable, number in case.answer)
+        > NEAR * size
+    ):
         case.features.add("another solution")
     is_optimal = pe.check_optimal_termination(results)
     if not is_optimal and not (is_another and "beside does not hold" in results.solver.message):
@@ -297,7 +360,12 @@ def faults_of(case: Planted, rng: np.random.Generator) -> Iterator[str]:
         yield f"residual in Pyomo {off:.1e}"
     if picture(model) != before:
         yield "the model has changed"
-    if not case.features & {"both", "own bounds", "inequality beside", "fixed"} and case.features & {"lower", "upper"}:
+    if not case.features & {
+        "both",
+        "own bounds",
+        "inequality beside",
+        "fixed",
+    } and case.features & {"lower", "upper"}:
         case.features.add("by mpec.nl")
         yield from faults_by_file(model)
 
@@ -306,7 +374,9 @@ def faults_by_file(model: Any) -> Iterator[str]:
     """What is wrong with the answer to the file that Pyomo writes after its own transformation."""
     names = {variable.name: variable for variable in model.component_data_objects(pe.Var)}
     parts = parts_of(model)
-    pe.TransformationFactory("mpec.nl").apply_to(model)  # in place: a clone loses the sides of its pairs
+    pe.TransformationFactory("mpec.nl").apply_to(
+        model
+    )  # in place: a clone loses the sides of its pairs
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.nl"
         model.write(str(path), io_options={"symbolic_solver_labels": True})

@@ -52,7 +52,9 @@ def planted(case: int, rng: np.random.Generator, largest: int = 24) -> Planted:
     m, p = int(rng.integers(1, n + 2)), int(rng.integers(0, (n + 1) // 2))
     share = 0.2 if kind == "sparse" else 0.9
     C = _entries(rng, (m + p, n), share)
-    B = _entries(rng, (0 if kind == "linear" else n // 2 if kind == "rank deficient" else n, n), share)
+    B = _entries(
+        rng, (0 if kind == "linear" else n // 2 if kind == "rank deficient" else n, n), share
+    )
     x, is_low = rng.normal(size=n), rng.random(n) < 0.4
     d = None
     if outcome is Status.UNBOUNDED:
@@ -63,8 +65,13 @@ def planted(case: int, rng: np.random.Generator, largest: int = 24) -> Planted:
         B[np.abs(B) < 1e-12] = 0.0  # rounding, which a small P would be made of
         C[:m] *= np.where(C[:m] @ d > 0.0, -1.0, 1.0)[:, None]
     meets = rng.random(m) < 0.5
-    y = np.where(meets & ((rng.random(m) < 0.5) | (kind != "degenerate")), rng.uniform(0.5, 2.0, m), 0.0)
-    v, low = rng.normal(size=p), np.where(is_low, rng.uniform(0.5, 2.0, n) * (rng.random(n) < 0.7), 0.0)
+    y = np.where(
+        meets & ((rng.random(m) < 0.5) | (kind != "degenerate")), rng.uniform(0.5, 2.0, m), 0.0
+    )
+    v, low = (
+        rng.normal(size=p),
+        np.where(is_low, rng.uniform(0.5, 2.0, n) * (rng.random(n) < 0.7), 0.0),
+    )
     if kind in ("degenerate", "rank deficient") and p:  # rows twice
         C, v, p = np.vstack([C, 2.0 * C[m:]]), np.append(v, 0.0 * v), 2 * p
     G, A, P = C[:m], C[m:], B.T @ B
@@ -97,15 +104,25 @@ def _across(rows: Any, d: Any) -> Any:
     return rows - np.outer(rows @ d, d) / (d @ d)
 
 
-def rescaled(program: QuadraticProgram, what: str, rng: np.random.Generator) -> tuple[QuadraticProgram, float]:
+def rescaled(
+    program: QuadraticProgram, what: str, rng: np.random.Generator
+) -> tuple[QuadraticProgram, float]:
     """Return the program in other units, and what its objective is multiplied by."""
     size = int(rng.choice(EXPONENTS))
     m, p, n = program.h.size, program.b.size, program.n
 
     def drawn(count: int, asked: str) -> Any:
-        return 10.0 ** (size * rng.choice([-1, 1], count)) if what in (asked, "together") else np.ones(count)
+        return (
+            10.0 ** (size * rng.choice([-1, 1], count))
+            if what in (asked, "together")
+            else np.ones(count)
+        )
 
-    objective, rows, unknowns = float(drawn(1, "objective")[0]), drawn(m + p, "rows"), drawn(n, "unknowns")
+    objective, rows, unknowns = (
+        float(drawn(1, "objective")[0]),
+        drawn(m + p, "rows"),
+        drawn(n, "unknowns"),
+    )
 
     def scaled(matrix: Any, of_rows: Any) -> Any:
         made = sp.diags_array(of_rows) @ sp.csr_array(matrix) @ sp.diags_array(unknowns)
@@ -113,8 +130,14 @@ def rescaled(program: QuadraticProgram, what: str, rng: np.random.Generator) -> 
 
     P = objective * scaled(program.P, unknowns)
     return QuadraticProgram(
-        (P + P.T) * 0.5, objective * unknowns * program.c, scaled(program.G, rows[:m]), rows[:m] * program.h,
-        scaled(program.A, rows[m:]), rows[m:] * program.b, program.lower / unknowns, program.upper / unknowns,
+        (P + P.T) * 0.5,
+        objective * unknowns * program.c,
+        scaled(program.G, rows[:m]),
+        rows[:m] * program.h,
+        scaled(program.A, rows[m:]),
+        rows[m:] * program.b,
+        program.lower / unknowns,
+        program.upper / unknowns,
     ), objective
 
 
@@ -125,12 +148,17 @@ def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str
     if result.status is Status.SOLVED:
         x, c = result.x, program.c
         terms = float(np.abs(c) @ np.abs(x) + 0.5 * np.abs(x) @ (abs(program.P) @ np.abs(x)))
-        if case.value is not None and not abs(result.objective - size * case.value) <= CLOSE * terms:
+        if (
+            case.value is not None
+            and not abs(result.objective - size * case.value) <= CLOSE * terms
+        ):
             bad.append(f"objective {result.objective / size:.9g} for {case.value:.9g}")
         solution = result.solution
         if solution.error > SURE:
             proof = program.facts.proof_of_no_minimum
-            bad += ["SOLVED, and an exact proof against it"] * (proof is not None and proof.is_exact)
+            bad += ["SOLVED, and an exact proof against it"] * (
+                proof is not None and proof.is_exact
+            )
     elif result.proof is not None and not result.proof.verify():
         bad.append("a proof that does not verify")
     return result.status.name, bad
@@ -144,19 +172,31 @@ def said_by_others(program: QuadraticProgram, is_linear: bool) -> dict[str, str]
     matrix, limit = rows.matrix[rows.finite], rows.limit[rows.finite]
     is_equation = rows.is_equality[rows.finite]
     order = np.concatenate([np.flatnonzero(is_equation), np.flatnonzero(~is_equation)])
-    cones = [clarabel.ZeroConeT(int(is_equation.sum())), clarabel.NonnegativeConeT(int((~is_equation).sum()))]
+    cones = [
+        clarabel.ZeroConeT(int(is_equation.sum())),
+        clarabel.NonnegativeConeT(int((~is_equation).sum())),
+    ]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     P = sp.csc_matrix(sp.triu(sp.csc_array(program.P)))
-    found = clarabel.DefaultSolver(P, program.c, sp.csc_matrix(matrix[order]), limit[order], cones, settings).solve()
+    found = clarabel.DefaultSolver(
+        P, program.c, sp.csc_matrix(matrix[order]), limit[order], cones, settings
+    ).solve()
     names = {"Solved": "SOLVED", "PrimalInfeasible": "INFEASIBLE", "DualInfeasible": "UNBOUNDED"}
     said = {"Clarabel": names.get(str(found.status), str(found.status))}
     if is_linear:
         from scipy.optimize import linprog
 
         b = program.b if program.b.size else None
-        answer = linprog(program.c, program.G, program.h, program.A if b is not None else None, b,
-                         np.column_stack([program.lower, np.full(n, INF)]), method="highs")
+        answer = linprog(
+            program.c,
+            program.G,
+            program.h,
+            program.A if b is not None else None,
+            b,
+            np.column_stack([program.lower, np.full(n, INF)]),
+            method="highs",
+        )
         said["HiGHS"] = {0: "SOLVED", 2: "INFEASIBLE", 3: "UNBOUNDED"}.get(answer.status, "none")
     return said
 
@@ -166,7 +206,9 @@ def one(seed: int, others: bool, case: int) -> tuple[list[str], list[tuple[str, 
     rng = np.random.default_rng([seed, case])
     drawn, bad, lines = planted(case, rng), list[str](), list[tuple[str, str, bool]]()
     for what in WHAT:
-        program, size = (drawn.program, 1.0) if what == "as drawn" else rescaled(drawn.program, what, rng)
+        program, size = (
+            (drawn.program, 1.0) if what == "as drawn" else rescaled(drawn.program, what, rng)
+        )
         _, wrong = failures(drawn, program, size)
         bad += [f"{KINDS[case % len(KINDS)]}, {what}: {word}" for word in wrong]
         lines.append(("lcp_plugin", what, not wrong))
@@ -180,7 +222,9 @@ def main(cases: int, seed: int, workers: int, show: bool, others: bool) -> int:
     """Run them, print who had which share right, and return the exit code."""
     right, asked, failed = Counter[tuple[str, str]](), Counter[tuple[str, str]](), Counter[str]()
     with Pool(workers, initializer=warnings.simplefilter, initargs=("ignore",)) as pool:
-        for case, (bad, lines) in enumerate(pool.imap(partial(one, seed, others), range(cases), chunksize=10)):
+        for case, (bad, lines) in enumerate(
+            pool.imap(partial(one, seed, others), range(cases), chunksize=10)
+        ):
             for name, what, is_right in lines:
                 asked[name, what] += 1
                 right[name, what] += is_right
@@ -189,7 +233,9 @@ def main(cases: int, seed: int, workers: int, show: bool, others: bool) -> int:
                 print(f"case {case} (seed {seed}): {complaint}", flush=True)
     print(f"{'right of ' + str(cases):<16}{''.join(f'{what:>12}' for what in WHAT)}")
     for name in dict.fromkeys(name for name, _ in asked):
-        print(f"{name:<16}{''.join(f'{right[name, what]:>7}/{asked[name, what]:<4}' for what in WHAT)}")
+        print(
+            f"{name:<16}{''.join(f'{right[name, what]:>7}/{asked[name, what]:<4}' for what in WHAT)}"
+        )
     print("wrong:", dict(failed) or "nothing")
     return int(bool(failed))
 

@@ -55,7 +55,11 @@ def friction(rng: np.random.Generator, n: int) -> Entries:
     """Pyramids: normal impulses, four directions each, and a multiplier with a zero on the diagonal."""
     c = max(1, n // 6)
     J = rng.standard_normal((5 * c, 3 * c + 2))
-    A, E, U = J @ J.T + 0.1 * np.eye(5 * c), np.kron(np.eye(c), np.ones((4, 1))), np.diag(0.3 + rng.random(c))
+    A, E, U = (
+        J @ J.T + 0.1 * np.eye(5 * c),
+        np.kron(np.eye(c), np.ones((4, 1))),
+        np.diag(0.3 + rng.random(c)),
+    )
     right = np.vstack([np.zeros((c, c)), E])
     return np.block([[A, right], [np.hstack([U, -E.T]), np.zeros((c, c))]])
 
@@ -90,7 +94,10 @@ def answered(kind: Any, seed: int) -> tuple[Entries, Entries, Entries]:
     is_free = rng.random(len(M)) < 0.6
     is_free[[0, -1]] = True  # so that q says something of both blocks of a game
     sizes = np.exp(rng.uniform(-1.0, 1.0, (2, len(M))))
-    z, w = np.where(is_free, sizes[0], 0.0), np.where(is_free, 0.0, sizes[1] * np.abs(M).max(axis=1))
+    z, w = (
+        np.where(is_free, sizes[0], 0.0),
+        np.where(is_free, 0.0, sizes[1] * np.abs(M).max(axis=1)),
+    )
     return M, w - M @ z, z
 
 
@@ -129,13 +136,19 @@ def judged(kind: Any, seed: int, units: str, extremes: dict[str, float]) -> list
         found.append("right refused")
     others = random_scaling(seed + 10**6, z.size, units)
     again = measured(M, q, *others)
-    ends = sorted([shown.relative_residual, Certificate.of(again, wrong * others[1]).relative_residual])
+    ends = sorted(
+        [shown.relative_residual, Certificate.of(again, wrong * others[1]).relative_residual]
+    )
     extremes["ratio"] = max(extremes["ratio"], ends[1] / ends[0] if ends[0] > 0.0 else 1.0)
     result, other = solve(problem), solve(again)
     found.append(f"auto {result.status.name}")
     if other.status is not result.status:
         found.append("other units, another status")
-    if result.is_solved and not np.abs(result.z / of_z - z).max() <= 1e-3 and not is_answer(M, q, result.z / of_z):
+    if (
+        result.is_solved
+        and not np.abs(result.z / of_z - z).max() <= 1e-3
+        and not is_answer(M, q, result.z / of_z)
+    ):
         found.append("SOLVED, but far")
     return found
 
@@ -148,7 +161,9 @@ def main(cases: int, seed: int) -> int:
     for kind in KINDS:
         for units in ("mixed", "smooth"):
             extremes = {"guard": 0.0, "ratio": 1.0}
-            counts = Counter(told for k in range(cases) for told in judged(kind, seed + k, units, extremes))
+            counts = Counter(
+                told for k in range(cases) for told in judged(kind, seed + k, units, extremes)
+            )
             failed += sum(counts[name] for name in FAILURES)
             told = ", ".join(f"{name} {n}" for name, n in sorted(counts.items()))
             ends = f"guard {extremes['guard']:.0e}, residuals up to {extremes['ratio']:.0f} apart"

@@ -36,10 +36,15 @@ def is_satisfiable(system: list[Inequality]) -> bool:
         equation = next(((a, c) for a, c in known if (tuple(-x for x in a), -c) in known), None)
         if equation is not None:
             j = next(k for k in range(n) if equation[0][k])
-            system = [combined(row, (*equation, False), -row[0][j] / equation[0][j]) for row in system]
+            system = [
+                combined(row, (*equation, False), -row[0][j] / equation[0][j]) for row in system
+            ]
             continue
         used = [k for k in range(n) if any(a[k] for a, _, _ in system)]
-        j = min(used, key=lambda k: sum(a[k] > 0 for a, _, _ in system) * sum(a[k] < 0 for a, _, _ in system))
+        j = min(
+            used,
+            key=lambda k: sum(a[k] > 0 for a, _, _ in system) * sum(a[k] < 0 for a, _, _ in system),
+        )
         above = [row for row in system if row[0][j] > 0]
         below = [row for row in system if row[0][j] < 0]
         rest = [row for row in system if not row[0][j]]
@@ -65,13 +70,17 @@ class Enumeration:
         n = self.n = len(q)
         self.lower, self.upper = lower.tolist(), upper.tolist()
         self.z = [(tuple(Fraction(int(i == j)) for j in range(n)), Fraction(0)) for i in range(n)]
-        self.w = [(tuple(Fraction(float(x)) for x in M[i]), Fraction(float(q[i]))) for i in range(n)]
+        self.w = [
+            (tuple(Fraction(float(x)) for x in M[i]), Fraction(float(q[i]))) for i in range(n)
+        ]
         self.choices = [self.row_choices(i) for i in range(n)]
 
     def row_choices(self, i):
         if self.lower[i] == self.upper[i]:
             return ["fixed"]
-        return ["lower"] * (self.lower[i] > -np.inf) + ["zero"] + ["upper"] * (self.upper[i] < np.inf)
+        return (
+            ["lower"] * (self.lower[i] > -np.inf) + ["zero"] + ["upper"] * (self.upper[i] < np.inf)
+        )
 
     def at_least(self, form, bound, sign=1, strict=False):
         """sign·(form − bound) ≥ 0 (or > 0); nothing for an infinite bound."""
@@ -89,10 +98,14 @@ class Enumeration:
         return box + (self.at_least(z, high) + self.at_least(w, 0, -1) if choice == "upper" else [])
 
     def system(self, pattern):
-        return [inequality for i, choice in enumerate(pattern) for inequality in self.row(i, choice)]
+        return [
+            inequality for i, choice in enumerate(pattern) for inequality in self.row(i, choice)
+        ]
 
     def solvable_patterns(self):
-        return [pattern for pattern in product(*self.choices) if is_satisfiable(self.system(pattern))]
+        return [
+            pattern for pattern in product(*self.choices) if is_satisfiable(self.system(pattern))
+        ]
 
     def is_linearly_feasible(self):
         system = []
@@ -116,12 +129,15 @@ class Enumeration:
 
     def is_a_point(self, pattern, z):
         system = self.system(pattern)
-        moved = [self.at_least(self.z[i], z[i], sign, True) for i in range(self.n) for sign in (1, -1)]
+        moved = [
+            self.at_least(self.z[i], z[i], sign, True) for i in range(self.n) for sign in (1, -1)
+        ]
         return not any(is_satisfiable(system + row) for row in moved)
 
     def satisfies(self, pattern, z):
         return all(
-            sum((x * y for x, y in zip(a, z, strict=True)), c) >= 0 for a, c, _ in self.system(pattern)
+            sum((x * y for x, y in zip(a, z, strict=True)), c) >= 0
+            for a, c, _ in self.system(pattern)
         )
 
 
@@ -152,9 +168,14 @@ def random_problem(rng, largest=4):
     if rng.random() < 0.6:
         for i in range(n):
             a, b = sorted(rng.integers(-2, 3, 2).astype(float))
-            lower[i], upper[i] = [(0, np.inf), (a, b), (-np.inf, b), (-np.inf, np.inf), (a, np.inf), (a, a)][
-                rng.choice(6, p=[0.3, 0.25, 0.15, 0.1, 0.15, 0.05])
-            ]
+            lower[i], upper[i] = [
+                (0, np.inf),
+                (a, b),
+                (-np.inf, b),
+                (-np.inf, np.inf),
+                (a, np.inf),
+                (a, a),
+            ][rng.choice(6, p=[0.3, 0.25, 0.15, 0.1, 0.15, 0.05])]
     return M, q, lower, upper
 
 
@@ -171,11 +192,21 @@ def violations(M, q, lower, upper):
         if isinstance(outcome, NoSolution) and not outcome.verify():
             bad.append("proof of no solution does not verify")
         if isinstance(outcome, Solutions):
-            bad += [complaint for s in outcome.solutions for complaint in wrong_with(truth, s, outcome is every)]
+            bad += [
+                complaint
+                for s in outcome.solutions
+                for complaint in wrong_with(truth, s, outcome is every)
+            ]
     if isinstance(every, Solutions):
         listed = [s.pattern for s in every.solutions]
-        bad += [f"{p} is not covered" for p in patterns if not any(truth.lies_in(p, other) for other in listed)]
-        bad += [f"{p} lies in {o}" for p in listed for o in listed if p != o and truth.lies_in(p, o)]
+        bad += [
+            f"{p} is not covered"
+            for p in patterns
+            if not any(truth.lies_in(p, other) for other in listed)
+        ]
+        bad += [
+            f"{p} lies in {o}" for p in listed for o in listed if p != o and truth.lies_in(p, o)
+        ]
     proof, is_feasible = find_infeasibility(problem), truth.is_linearly_feasible()
     if proof is not None and (is_feasible or not proof.verify()):
         bad.append("false INFEASIBLE")

@@ -160,7 +160,9 @@ def anywhere(low: int, high: int) -> Callable[[Generator, tuple[int, ...]], Matr
     """Numbers of either sign, a third of them 0, whose exponents of two are anything from low to high."""
 
     def draw(rng: Generator, shape: tuple[int, ...]) -> Matrix:
-        mantissa = rng.choice([1.0, 1.0, 1.5, rng.uniform(1.0, 2.0)], shape) * rng.choice([-1.0, 0.0, 1.0], shape)
+        mantissa = rng.choice([1.0, 1.0, 1.5, rng.uniform(1.0, 2.0)], shape) * rng.choice(
+            [-1.0, 0.0, 1.0], shape
+        )
         return np.ldexp(mantissa, rng.integers(low, high + 1, shape))
 
     return draw
@@ -174,7 +176,9 @@ EXTREMES: dict[str, Callable[[Generator, tuple[int, ...]], Matrix]] = {
     "subnormal": anywhere(-1074, -1010),
     "squares overflow": anywhere(-520, 520),
     "ordinary beside huge": lambda rng, shape: np.where(
-        rng.random(shape) < 0.7, rng.integers(-3, 4, shape).astype(float), anywhere(-1000, 1000)(rng, shape)
+        rng.random(shape) < 0.7,
+        rng.integers(-3, 4, shape).astype(float),
+        anywhere(-1000, 1000)(rng, shape),
     ),
 }
 
@@ -188,7 +192,9 @@ def extreme_problem(kind: str, rng: Generator) -> LCP:
     lower, upper = np.zeros(n), np.full(n, np.inf)
     if rng.random() < 0.5:
         ends = np.sort(draw(rng, (2, n)), axis=0)
-        shape = rng.choice(5, n, p=[0.4, 0.2, 0.15, 0.1, 0.15])  # plain, box or fixed, upper only, free, shifted
+        shape = rng.choice(
+            5, n, p=[0.4, 0.2, 0.15, 0.1, 0.15]
+        )  # plain, box or fixed, upper only, free, shifted
         lower = np.select([shape == 0, (shape == 2) | (shape == 3)], [0.0, -np.inf], ends[0])
         upper = np.select([(shape == 1) | (shape == 2)], [ends[1]], np.inf)
     return LCP(M, q, lower=lower, upper=upper)
@@ -207,7 +213,9 @@ def random_problem(kind: str, rng: Generator) -> LCP:
 def random_bounds(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
     a = rng.integers(-2, 2, n).astype(float)
     b = a + rng.integers(1, 4, n)
-    shape = rng.choice(6, n, p=[0.35, 0.2, 0.15, 0.1, 0.15, 0.05])  # plain, box, upper only, free, shifted, fixed
+    shape = rng.choice(
+        6, n, p=[0.35, 0.2, 0.15, 0.1, 0.15, 0.05]
+    )  # plain, box, upper only, free, shifted, fixed
     lower = np.select([shape == 0, (shape == 2) | (shape == 3)], [0.0, -np.inf], a)
     upper = np.select([(shape == 1) | (shape == 2), shape == 5], [b, a], np.inf)
     return lower, upper
@@ -250,7 +258,9 @@ def judged(problem: LCP, algorithm: str, tolerance: float, truth: str = "") -> t
     except Exception as error:  # whatever is raised here is a finding, and the campaign goes on
         return truth, "raised", f"{type(error).__name__}: {error}"
     complaint = false_claim(problem, truth, result, tolerance)
-    status = "right" if not complaint and not shortfall(problem, truth, result) else result.status.name
+    status = (
+        "right" if not complaint and not shortfall(problem, truth, result) else result.status.name
+    )
     return truth, status, complaint
 
 
@@ -264,7 +274,10 @@ def main(cases: int, seed: int, algorithm: str, tolerance: float, only: str, sho
         problem = random_problem(kind, np.random.default_rng([seed, case]))
         start = time.perf_counter()
         truth, status, complaint = judged(problem, algorithm, tolerance)
-        slowest = max(slowest, (time.perf_counter() - start, f"case {case} ({kind}, n = {problem.n}, {truth})"))
+        slowest = max(
+            slowest,
+            (time.perf_counter() - start, f"case {case} ({kind}, n = {problem.n}, {truth})"),
+        )
         counts[kind, truth, "right" if status == "right" else "not"] += 1
         if complaint:
             false += 1
@@ -288,7 +301,9 @@ def report(
     def row(title: str, chosen: list[str]) -> tuple[int, int]:
         cells, right = [], 0
         for truth in (SOLVABLE, INFEASIBLE, NO_SOLUTION):
-            good, bad = (sum(counts[kind, truth, verdict] for kind in chosen) for verdict in ("right", "not"))
+            good, bad = (
+                sum(counts[kind, truth, verdict] for kind in chosen) for verdict in ("right", "not")
+            )
             cells.append(f"{good:>8} of {good + bad:>6}")
             if truth == SOLVABLE:
                 right, total = good, good + bad
@@ -313,8 +328,14 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--algorithm", default="auto")
     parser.add_argument("--tolerance", type=float, default=1e-9)
-    parser.add_argument("--kind", default="", choices=["", *KINDS], help="one kind only; all in turn by default")
-    parser.add_argument("--show", type=int, default=20, help="how many unsolved solvable cases to print")
+    parser.add_argument(
+        "--kind", default="", choices=["", *KINDS], help="one kind only; all in turn by default"
+    )
+    parser.add_argument(
+        "--show", type=int, default=20, help="how many unsolved solvable cases to print"
+    )
     given = parser.parse_args()
     warnings.simplefilter("error")
-    sys.exit(main(given.cases, given.seed, given.algorithm, given.tolerance, given.kind, given.show))
+    sys.exit(
+        main(given.cases, given.seed, given.algorithm, given.tolerance, given.kind, given.show)
+    )

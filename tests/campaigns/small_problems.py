@@ -40,7 +40,13 @@ def long_road(drawn: LCP, algorithm: str) -> Result:
 
 def verdict(result: Result) -> str:
     """Return solved, infeasible or open."""
-    return "solved" if result.status in SOLVED else "infeasible" if result.status in INFEASIBLE else "open"
+    return (
+        "solved"
+        if result.status in SOLVED
+        else "infeasible"
+        if result.status in INFEASIBLE
+        else "open"
+    )
 
 
 def judge(arguments: tuple[int, int, int, int]) -> list[tuple[str, str, str]]:
@@ -53,7 +59,14 @@ def judge(arguments: tuple[int, int, int, int]) -> list[tuple[str, str, str]]:
     drawn, where = problem(family, largest, rng), f"{family} {algorithm} --only {k}"
     try:
         short = solve(drawn, algorithm, max_seconds=SECONDS)
-        found = [(family, f"{algorithm} {verdict(short)}" + (" at once" if short.setup_seconds == 0.0 else ""), "")]
+        found = [
+            (
+                family,
+                f"{algorithm} {verdict(short)}"
+                + (" at once" if short.setup_seconds == 0.0 else ""),
+                "",
+            )
+        ]
         if short.status is Status.SOLVED and ExactData(drawn).is_lie(short.z, TOLERANCE):
             found.append((family, "LIE", where))
         if k % long_every == 0:

@@ -36,7 +36,9 @@ def random_case(rng: np.random.Generator) -> StressCase:
     z, w = rng.integers(1, 10, size=(2, n)).astype(float)
     z[rng.random(n) < 0.5] = 0.0
     w[(z > 0.0) | (rng.random(n) < 0.2)] = 0.0
-    row, column = (np.exp2(rng.integers(-spread, spread + 1, size=n)) for spread in rng.choice(SPREADS, size=2))
+    row, column = (
+        np.exp2(rng.integers(-spread, spread + 1, size=n)) for spread in rng.choice(SPREADS, size=2)
+    )
     return rescaled("random units", planted("", M.astype(float), z, w), row, column)
 
 
@@ -84,7 +86,11 @@ def main() -> int:
                 is_bad = True
                 print(f"case {number}, {name}: {lie}; {told(case.problem)}")
     for name in ("auto", *REGISTRY):
-        found = {status: count for (algorithm, status), count in sorted(counts.items()) if algorithm == name}
+        found = {
+            status: count
+            for (algorithm, status), count in sorted(counts.items())
+            if algorithm == name
+        }
         print(f"{name:<15} " + ", ".join(f"{count} {status}" for status, count in found.items()))
     return int(is_bad)
 

@@ -55,7 +55,10 @@ def planted(rng: np.random.Generator, n: int = 20) -> tuple[np.ndarray, np.ndarr
 
 def beside(rows: list[Exact], right: Exact, x: Exact) -> Exact | None:
     """Return the solution of a linear system with the unknowns that it leaves open at x; None where it has none."""
-    system, pivots = [[*row, value] for row, value in zip(rows, right, strict=True)], dict[int, int]()
+    system, pivots = (
+        [[*row, value] for row, value in zip(rows, right, strict=True)],
+        dict[int, int](),
+    )
     for k, row in enumerate(system):
         for column, at in pivots.items():
             factor = row[column]
@@ -82,7 +85,9 @@ def solutions_near(M: np.ndarray, q: np.ndarray, z: np.ndarray) -> Iterator[Exac
     n = q.size
     exact, offset, point = ([Fraction(v) for v in array.ravel().tolist()] for array in (M, q, z))
     own = tuple(np.flatnonzero(z > M @ z + q).tolist())
-    for free in chain([own], (F for k in range(n + 1) for F in combinations(range(n), k) if own != F)):
+    for free in chain(
+        [own], (F for k in range(n + 1) for F in combinations(range(n), k) if own != F)
+    ):
         rows = [[exact[i * n + j] for j in free] for i in free]
         found = beside(rows, [-offset[i] for i in free], [point[i] for i in free])
         if found is None:
@@ -132,7 +137,9 @@ def largest_wrong_part(M: np.ndarray, q: np.ndarray, z: np.ndarray) -> float:
 def judged(case: tuple[np.ndarray, np.ndarray], algorithm: str = "auto") -> tuple[str, np.ndarray]:
     """Return the status, with what z is behind it where it is SOLVED and z is no answer, and z."""
     result = solve(LCP(*case), algorithm, max_iterations=1000)
-    return result.status.name + (kind_of_answer(*case, result.z) if result.is_solved else ""), result.z
+    return result.status.name + (
+        kind_of_answer(*case, result.z) if result.is_solved else ""
+    ), result.z
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -91,7 +91,12 @@ def run(name: str, kind: Any, number: int) -> list[Finding]:
             found += ROUND[name][0](np.random.default_rng(number), kind)
     except Exception as error:  # a finding, and the campaign goes on
         where = traceback.extract_tb(error.__traceback__)[-1]
-        found.append(Finding(CRASH, f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"))
+        found.append(
+            Finding(
+                CRASH,
+                f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})",
+            )
+        )
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     found += watch.changes()
@@ -103,7 +108,11 @@ def prepare_process() -> None:
     """Make warnings errors, and let a clock end what hangs."""
     warnings.simplefilter("error")
     signal.signal(signal.SIGALRM, too_long)
-    for name in ("pyamg", "cvxpy", "scipy.optimize"):  # what other packages do when they are loaded is not our doing
+    for name in (
+        "pyamg",
+        "cvxpy",
+        "scipy.optimize",
+    ):  # what other packages do when they are loaded is not our doing
         importlib.import_module(name)
 
 
@@ -158,7 +167,10 @@ def stretches(left: list[int], cases: int, seed: int, jobs: int) -> Iterator[Rep
     os.environ["OMP_NUM_THREADS"] = "1"  # as many processes as processors
     while left:
         with ProcessPoolExecutor(jobs, context, prepare_process) as pool:
-            under_way = {pool.submit(stretch, first, min(first + CHUNK, cases), seed): first for first in left}
+            under_way = {
+                pool.submit(stretch, first, min(first + CHUNK, cases), seed): first
+                for first in left
+            }
             try:
                 for done in as_completed(under_way):
                     part = done.result()
@@ -173,15 +185,24 @@ def stretches(left: list[int], cases: int, seed: int, jobs: int) -> Iterator[Rep
 def summary(total: Report, seconds: float) -> int:
     """Print the table; return 1 where there is any violation."""
     columns = (*VIOLATIONS, *TOLD)
-    print(f"{'kind':<12}{'instances':>10}" + "".join(f"{column:>14}" for column in columns) + f"{'cpu ms each':>13}")
+    print(
+        f"{'kind':<12}{'instances':>10}"
+        + "".join(f"{column:>14}" for column in columns)
+        + f"{'cpu ms each':>13}"
+    )
     for name in ROUND:
         cells = "".join(f"{total.counts[name, column]:>14}" for column in columns)
         each = 1000.0 * total.seconds[name] / max(total.cases[name], 1)
         print(f"{name:<12}{total.cases[name]:>10}{cells}{each:>13.1f}")
-    sums = [sum(count for (_, what), count in total.counts.items() if what == column) for column in columns]
+    sums = [
+        sum(count for (_, what), count in total.counts.items() if what == column)
+        for column in columns
+    ]
     print(f"{'all':<12}{total.cases.total():>10}" + "".join(f"{count:>14}" for count in sums))
     rate = total.cases.total() / seconds
-    print(f"{seconds:.0f} s, {rate:.0f} instances a second; the longest took {total.slowest[0]:.1f} s of a processor:")
+    print(
+        f"{seconds:.0f} s, {rate:.0f} instances a second; the longest took {total.slowest[0]:.1f} s of a processor:"
+    )
     print(f"--only '{total.slowest[1]}'")
     return int(sum(sums[: len(VIOLATIONS)]) > 0)
 
@@ -200,10 +221,16 @@ def repeat(target: str) -> int:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", default="", metavar="KIND:NUMBER", help="repeat one case")
     options = parser.parse_args()
-    sys.exit(repeat(options.only) if options.only else campaign(options.cases, options.seed, options.jobs))
+    sys.exit(
+        repeat(options.only)
+        if options.only
+        else campaign(options.cases, options.seed, options.jobs)
+    )

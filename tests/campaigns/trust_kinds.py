@@ -36,7 +36,12 @@ from lcp_plugin.problems.batches.batch import solve_many
 Generator = np.random.Generator
 
 SOLVED, BOUND, VERDICT, CLAIM, CRASH, MODIFIED = VIOLATIONS = (
-    "false SOLVED", "bound", "verdict", "false claim", "crash", "modified"
+    "false SOLVED",
+    "bound",
+    "verdict",
+    "false claim",
+    "crash",
+    "modified",
 )
 NEAR, OPEN = TOLD = "near", "open"
 TOLERANCE = 1e-9
@@ -81,7 +86,9 @@ def claims(problem: LCP, truth: str, algorithms: tuple[str, ...]) -> Found:
     """Judge what each algorithm says about a problem of which the truth is known."""
     for name in algorithms:
         _, status, complaint = small_lcps.judged(problem, name, TOLERANCE, truth)
-        if complaint == "false SOLVED" and is_within(problem, solve(problem, name, tolerance=TOLERANCE).z, TOLERANCE):
+        if complaint == "false SOLVED" and is_within(
+            problem, solve(problem, name, tolerance=TOLERANCE).z, TOLERANCE
+        ):
             yield Finding(NEAR, f"{name}: {truth}, but not within the tolerance")
         elif complaint:
             is_crash = status in ("raised", "refused")
@@ -120,7 +127,9 @@ def extreme(rng: Generator, kind: str) -> Found:
 
 def related(rng: Generator, kind: str) -> Found:
     """A small problem and a changed one: what is true of one is true of both."""
-    problem = small_lcps.random_problem(str(rng.choice([k for k in small_lcps.KINDS if k != "doubles"])), rng)
+    problem = small_lcps.random_problem(
+        str(rng.choice([k for k in small_lcps.KINDS if k != "doubles"])), rng
+    )
     truth = decide(problem).verdict
     changed, back = EXACT[kind](problem, rng)
     yield from claims(changed, truth, ("auto", str(rng.choice(ALGORITHMS))))
@@ -130,7 +139,9 @@ def related(rng: Generator, kind: str) -> Found:
             yield Finding(CLAIM, "the relation does not hold")
             return
         z = np.array([float(value) for value in exact])
-        if [Fraction(value) for value in z] == list(exact) and not ExactData(problem).is_solution(back(z)):
+        if [Fraction(value) for value in z] == list(exact) and not ExactData(problem).is_solution(
+            back(z)
+        ):
             yield Finding(CLAIM, "the way back of the relation does not hold")
 
 
@@ -149,7 +160,11 @@ def random_options(name: str, rng: Generator) -> dict[str, Any]:
         "coarsest": lambda: int(rng.integers(1, 9)),
         "max_pivots": lambda: int(rng.integers(1, 30)),
     }
-    known = [] if name == "auto" else [each for each in algorithm_class(name).__dataclass_fields__ if each in offered]
+    known = (
+        []
+        if name == "auto"
+        else [each for each in algorithm_class(name).__dataclass_fields__ if each in offered]
+    )
     options = {option: offered[option]() for option in known if rng.random() < 0.5}
     return options | ({"scaling": "diagonal"} if "scaling_factor" in options else {})
 
@@ -159,14 +174,18 @@ def optional(rng: Generator, name: str) -> Found:
     kind = str(rng.choice([k for k in small_lcps.KINDS if k != "badly scaled"]))
     problem = small_lcps.random_problem(kind, rng)
     truth = decide(problem).verdict
-    if rng.random() < 0.5:  # another unit of w in every row and of z: powers of two, so that the truth stays
+    if (
+        rng.random() < 0.5
+    ):  # another unit of w in every row and of z: powers of two, so that the truth stays
         spread = int(rng.choice([3, 30, 250]))
         problem = scaled(problem, np.exp2(rng.integers(-spread, spread + 1, problem.n)), np.exp2(np.full(
             problem.n, rng.integers(-spread, spread + 1)))).problem  # fmt: skip
     tolerance = float(rng.choice([0.0, 1e-15, 1e-12, 1e-6, 1e-2]))
     asked: dict[str, Any] = {
         "tolerance": tolerance,
-        "z0": None if rng.random() < 0.5 else rng.normal(size=problem.n) * 10.0 ** rng.integers(-9, 10),
+        "z0": None
+        if rng.random() < 0.5
+        else rng.normal(size=problem.n) * 10.0 ** rng.integers(-9, 10),
         "max_iterations": int(rng.choice([0, 3, 50, 1000])),
         "record": bool(rng.random() < 0.3),
         "error_bound": bool(rng.random() < 0.5),
@@ -183,7 +202,11 @@ def optional(rng: Generator, name: str) -> Found:
     if bits(asked["z0"]) != start:
         yield Finding(MODIFIED, "z0")
     if asked["tolerance_on"] == "residual" or result.status.name != "SOLVED":
-        if result.status.name == "SOLVED" and problem.n and not is_within(problem, result.z, tolerance):
+        if (
+            result.status.name == "SOLVED"
+            and problem.n
+            and not is_within(problem, result.z, tolerance)
+        ):
             yield Finding(SOLVED, f"{truth}, {asked}")
         elif result.status.name == "SOLVED" and truth != SOLVABLE:
             yield Finding(NEAR, f"{truth}, but not within the tolerance, {asked}")
@@ -209,7 +232,11 @@ def planted(rng: Generator, kind: str) -> Found:
     """Seven to twelve unknowns with a planted solution; auto and another algorithm."""
     n = int(rng.integers(7, 13))
     M = small_lcps.KINDS[kind](n, rng)
-    lower, upper = small_lcps.random_bounds(n, rng) if rng.random() < 0.5 else (np.zeros(n), np.full(n, np.inf))
+    lower, upper = (
+        small_lcps.random_bounds(n, rng)
+        if rng.random() < 0.5
+        else (np.zeros(n), np.full(n, np.inf))
+    )
     problem = LCP(M, small_lcps.planted_offset(M, lower, upper, rng), lower=lower, upper=upper)
     yield from claims(problem, SOLVABLE, ("auto", str(rng.choice(ALGORITHMS))))
 
@@ -225,12 +252,19 @@ def large(rng: Generator, kind: str) -> Found:
     d = abs(B) @ np.ones(n) + rng.integers(1, 3)
     rows = np.exp2(rng.integers(-8, 9, n)) if kind == "scaled" else np.ones(n)
     M = sp.csr_array(sp.diags_array(rows) @ sp.csr_array(B + sp.diags_array(d)))
-    lower, upper = small_lcps.random_bounds(n, rng) if rng.random() < 0.5 else (np.zeros(n), np.full(n, np.inf))
+    lower, upper = (
+        small_lcps.random_bounds(n, rng)
+        if rng.random() < 0.5
+        else (np.zeros(n), np.full(n, np.inf))
+    )
     z = np.clip(rng.integers(-3, 4, n).astype(float), lower, upper)
     w = rows * rng.integers(0, 4, n) * ((z == lower) * 1.0 - ((z == upper) & (lower < upper)))
     problem = LCP(M, w - M @ z, lower=lower, upper=upper)
     yield from claims(problem, SOLVABLE, ("auto", str(rng.choice(ALGORITHMS))))
-    for near in (solve(problem, tolerance=float(rng.choice([1e-2, 1e-9]))).z, z + rng.normal(size=n) * 1e-3):
+    for near in (
+        solve(problem, tolerance=float(rng.choice([1e-2, 1e-9]))).z,
+        z + rng.normal(size=n) * 1e-3,
+    ):
         bound = error_bound(problem, near, sharp=bool(rng.random() < 0.5))
         below = sum(
             abs(Fraction(float(a)) - Fraction(float(b))) > Fraction(float(limit))
@@ -301,11 +335,19 @@ def files(rng: Generator, kind: str) -> Found:
         problem.save(path)
         if stored(LCP.load(path)) != stored(problem):
             yield Finding(CLAIM, "the file holds another problem")
-        member = path if kind == "npz" else path / str(rng.choice(["M.mtx", "q.mtx", "lower.mtx", "upper.mtx"]))
+        member = (
+            path
+            if kind == "npz"
+            else path / str(rng.choice(["M.mtx", "q.mtx", "lower.mtx", "upper.mtx"]))
+        )
         whole = member.read_bytes()
         for _ in range(5):
-            damaged = bytearray(whole[: int(rng.integers(len(whole) + 1))] if rng.random() < 0.3 else whole)
-            for place in rng.integers(len(damaged), size=int(rng.integers(1, 5))) if damaged else ():
+            damaged = bytearray(
+                whole[: int(rng.integers(len(whole) + 1))] if rng.random() < 0.3 else whole
+            )
+            for place in (
+                rng.integers(len(damaged), size=int(rng.integers(1, 5))) if damaged else ()
+            ):
                 damaged[place] = rng.choice([rng.integers(256), *b"0123456789 -.\n%eE"])
             member.write_bytes(damaged)
             with suppress(LCPError):
@@ -317,7 +359,11 @@ def batches(rng: Generator, kind: str) -> Found:
     M = small_lcps.p_matrix(int(rng.integers(1, 6)), rng)
     Q = rng.integers(-6, 7, (len(M), 4)).astype(float)
     Q[:, 1] = np.nan
-    name = "auto" if kind == "auto" else str(rng.choice(["npsor", "psor", "lemke", "newton", "multigrid"]))
+    name = (
+        "auto"
+        if kind == "auto"
+        else str(rng.choice(["npsor", "psor", "lemke", "newton", "multigrid"]))
+    )
     shared, given = prepare(LCP(M, Q[:, 0])), bits(Q)
     try:
         answers = solve_many(shared, Q, name)
@@ -328,7 +374,9 @@ def batches(rng: Generator, kind: str) -> Found:
     start = rng.normal(size=len(M))
     for q, answer in zip(Q.T, answers, strict=True):
         if isinstance(answer, LCPError):
-            if not np.isnan(q).any() and not isinstance(answer, (UnsuitableMatrix, UnsuitableProblem)):
+            if not np.isnan(q).any() and not isinstance(
+                answer, (UnsuitableMatrix, UnsuitableProblem)
+            ):
                 yield Finding(CRASH, repr(answer))
             continue
         fresh = solve(LCP(M, q), name)
@@ -359,7 +407,11 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
 
 def order_of_a_round() -> list[tuple[str, Any]]:
     """Every kind as often as its share says, in an order that mixes them."""
-    kinds = [(name, kinds[k % len(kinds)]) for name, (_, kinds, share) in ROUND.items() for k in range(share)]
+    kinds = [
+        (name, kinds[k % len(kinds)])
+        for name, (_, kinds, share) in ROUND.items()
+        for k in range(share)
+    ]
     return [kinds[k] for k in np.random.default_rng(0).permutation(len(kinds))]
 
 

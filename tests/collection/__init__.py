@@ -7,7 +7,17 @@ from __future__ import annotations
 
 from functools import cache
 
-from . import circuits, contact, economics, families, games, matrices, programs, textbook, unsolvable
+from . import (
+    circuits,
+    contact,
+    economics,
+    families,
+    games,
+    matrices,
+    programs,
+    textbook,
+    unsolvable,
+)
 from .entry import Entry
 
 MODULES = (textbook, families, games, economics, circuits, contact, programs, matrices, unsolvable)

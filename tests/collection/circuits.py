@@ -29,7 +29,9 @@ def entries() -> Iterator[Entry]:
     yield from _relays()
 
 
-def circuit(resistors: Sequence[tuple[int, int, float]], diodes: Sequence[tuple[int, int]], nodes: int) -> Matrix:
+def circuit(
+    resistors: Sequence[tuple[int, int, float]], diodes: Sequence[tuple[int, int]], nodes: int
+) -> Matrix:
     """Return M of (node potentials free, diode currents ≥ 0): currents balance, no diode has forward voltage.
 
     Node 0 is the ground. A resistor is (node, node, conductance), a diode (from, to).
@@ -63,7 +65,9 @@ def diode_problem(
     q = np.concatenate([-np.asarray(injected, dtype=float), np.full(len(diodes), drop)])
     lower = np.concatenate([np.full(nodes, -np.inf), np.zeros(len(diodes))])
     theorem = MONOTONE if len(q) > 10 else ""
-    return solvable(name, f"{source}; own numbers", M, q, "mixed", "PSD", *flags, lower=lower, theorem=theorem)
+    return solvable(
+        name, f"{source}; own numbers", M, q, "mixed", "PSD", *flags, lower=lower, theorem=theorem
+    )
 
 
 BRIDGE = [(1, 3), (2, 3), (4, 1), (4, 2)]
@@ -71,7 +75,9 @@ BRIDGE = [(1, 3), (2, 3), (4, 1), (4, 2)]
 
 def _diodes() -> Iterator[Entry]:
     for current in (2.0, -2.0, 0.0):
-        yield diode_problem(f"half_wave_{current:+g}", [(1, 0, 0.5), (2, 0, 1.0)], [(1, 2)], [current, 0.0])
+        yield diode_problem(
+            f"half_wave_{current:+g}", [(1, 0, 0.5), (2, 0, 1.0)], [(1, 2)], [current, 0.0]
+        )
     for current in (3.0, -3.0, 0.0):
         resistors = [(1, 2, 0.125), (3, 4, 1.0), (4, 0, 1.0)]
         yield diode_problem(
@@ -82,12 +88,22 @@ def _diodes() -> Iterator[Entry]:
             *(["degenerate"] if not current else []),
         )
     yield diode_problem(
-        "bridge_with_drop", [(1, 2, 0.125), (3, 4, 1.0), (4, 0, 1.0)], BRIDGE, [3.0, -3.0, 0.0, 0.0], drop=0.5
+        "bridge_with_drop",
+        [(1, 2, 0.125), (3, 4, 1.0), (4, 0, 1.0)],
+        BRIDGE,
+        [3.0, -3.0, 0.0, 0.0],
+        drop=0.5,
     )
     yield diode_problem(
-        "bridge_weak_load", [(1, 2, 2.0**-20), (3, 4, 2.0**10), (4, 0, 1.0)], BRIDGE, [3.0, -3.0, 0.0, 0.0], "scaled"
+        "bridge_weak_load",
+        [(1, 2, 2.0**-20), (3, 4, 2.0**10), (4, 0, 1.0)],
+        BRIDGE,
+        [3.0, -3.0, 0.0, 0.0],
+        "scaled",
     )
-    yield diode_problem("clipper", [(1, 0, 1.0), (1, 2, 4.0), (2, 0, 0.25)], [(2, 0), (0, 2)], [5.0, 0.0], drop=0.75)
+    yield diode_problem(
+        "clipper", [(1, 0, 1.0), (1, 2, 4.0), (2, 0, 0.25)], [(2, 0), (0, 2)], [5.0, 0.0], drop=0.75
+    )
     yield diode_problem(
         "maximum_of_three",
         [(1, 0, 1.0), (2, 0, 1.0), (3, 0, 1.0), (4, 0, 0.5)],
@@ -95,14 +111,23 @@ def _diodes() -> Iterator[Entry]:
         [3.0, 5.0, 4.0, 0.0],
     )
     yield diode_problem(
-        "parallel_diodes", [(1, 0, 1.0), (2, 0, 1.0)], [(1, 2), (1, 2), (1, 2)], [4.0, 0.0], "singular", "degenerate"
+        "parallel_diodes",
+        [(1, 0, 1.0), (2, 0, 1.0)],
+        [(1, 2), (1, 2), (1, 2)],
+        [4.0, 0.0],
+        "singular",
+        "degenerate",
     )
-    yield diode_problem("antiparallel_loop", [(1, 0, 1.0), (2, 0, 1.0)], [(1, 2), (2, 1)], [4.0, 0.0], "singular")
+    yield diode_problem(
+        "antiparallel_loop", [(1, 0, 1.0), (2, 0, 1.0)], [(1, 2), (2, 1)], [4.0, 0.0], "singular"
+    )
 
 
 def _ladders() -> Iterator[Entry]:
     for stages in (10, 100):
-        resistors = [(k, 0, 0.25) for k in range(1, stages + 1)] + [(k, k + 1, 1.0) for k in range(1, stages)]
+        resistors = [(k, 0, 0.25) for k in range(1, stages + 1)] + [
+            (k, k + 1, 1.0) for k in range(1, stages)
+        ]
         diodes = [(k, k + 1) for k in range(1, stages)] + [(0, k) for k in range(1, stages + 1)]
         M = circuit(resistors, diodes, stages)
         generator = np.random.default_rng(stages)
@@ -125,25 +150,51 @@ def _ladders() -> Iterator[Entry]:
 
 
 def relay(
-    name: str, M: Matrix, q: Sequence[float], *flags: str, solution: Sequence[object] | None = None, source: str = ACARY
+    name: str,
+    M: Matrix,
+    q: Sequence[float],
+    *flags: str,
+    solution: Sequence[object] | None = None,
+    source: str = ACARY,
 ) -> Entry:
     """Return the relay problem z ∈ [−1, 1], z = ∓1 where w = M z + q is positive or negative."""
     theorem = "continuous piecewise linear map on a compact box: Brouwer"
     return solvable(
-        name, source, M, q, "box", "relay", *flags, lower=-1.0, upper=1.0, solution=solution, theorem=theorem
+        name,
+        source,
+        M,
+        q,
+        "box",
+        "relay",
+        *flags,
+        lower=-1.0,
+        upper=1.0,
+        solution=solution,
+        theorem=theorem,
     )
 
 
 def _relays() -> Iterator[Entry]:
     yield relay("relay_sliding", np.array([[2.0]]), [-1.0], solution=["1/2"])
     yield relay("relay_reaching", np.array([[2.0]]), [-5.0], solution=[1])
-    yield relay("relay_twisting", np.array([[1.0, 0.5], [0.0, 2.0]]), [-0.25, 1.0], solution=["1/2", "-1/2"])
+    yield relay(
+        "relay_twisting", np.array([[1.0, 0.5], [0.0, 2.0]]), [-0.25, 1.0], solution=["1/2", "-1/2"]
+    )
     yield relay("relay_edge", np.eye(2), [1.0, -1.0], "degenerate", solution=[-1, 1])
     yield relay(
-        "relay_without_influence", np.zeros((3, 3)), [2.0, -1.0, 0.0], "singular", "degenerate", solution=[-1, 1, 0]
+        "relay_without_influence",
+        np.zeros((3, 3)),
+        [2.0, -1.0, 0.0],
+        "singular",
+        "degenerate",
+        solution=[-1, 1, 0],
     )
     yield relay(
-        "relay_filippov", np.array([[0.0, -1.0], [1.0, 0.0]]), [0.5, 0.25], "singular", solution=["-1/4", "1/2"]
+        "relay_filippov",
+        np.array([[0.0, -1.0], [1.0, 0.0]]),
+        [0.5, 0.25],
+        "singular",
+        solution=["-1/4", "1/2"],
     )
     yield relay(
         "relay_skew_4",
@@ -158,7 +209,9 @@ def _relays() -> Iterator[Entry]:
         [0.5, -1, 2, 0],
         "indefinite",
     )
-    yield relay("relay_large_gain", 2.0**20 * np.array([[2.0, 1.0], [1.0, 2.0]]), [2.0**18, -3.0], "scaled")
+    yield relay(
+        "relay_large_gain", 2.0**20 * np.array([[2.0, 1.0], [1.0, 2.0]]), [2.0**18, -3.0], "scaled"
+    )
     for n in (20, 100):
         generator = np.random.default_rng(n)
         B = generator.integers(-2, 3, (n, n)).astype(float)

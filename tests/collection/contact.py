@@ -34,7 +34,12 @@ def entries() -> Iterator[Entry]:
 
 def _blocks() -> Iterator[Entry]:
     """One plane block (vertical velocity, rotation) on supports at given distances from its centre."""
-    for name, arms in (("two", [-1, 1]), ("three", [-1, 0, 1]), ("five", [-2, -1, 0, 1, 2]), ("one_side", [1, 2, 3])):
+    for name, arms in (
+        ("two", [-1, 1]),
+        ("three", [-1, 0, 1]),
+        ("five", [-2, -1, 0, 1, 2]),
+        ("one_side", [1, 2, 3]),
+    ):
         J = np.column_stack([np.ones(len(arms)), arms])
         M = J @ np.diag([1.0, 0.5]) @ J.T
         yield solvable(
@@ -67,8 +72,25 @@ def _blocks() -> Iterator[Entry]:
         "singular",
         solution=["1/4"] * 4,
     )
-    yield solvable("table_loaded_at_a_corner", LOTSTEDT, M, J @ [-1.0, -1.0, -0.75], "PSD", "contact", "singular")
-    yield solvable("two_equal_contacts", OWN, np.ones((2, 2)), [-1, -1], "PSD", "contact", "singular", solution=[1, 0])
+    yield solvable(
+        "table_loaded_at_a_corner",
+        LOTSTEDT,
+        M,
+        J @ [-1.0, -1.0, -0.75],
+        "PSD",
+        "contact",
+        "singular",
+    )
+    yield solvable(
+        "two_equal_contacts",
+        OWN,
+        np.ones((2, 2)),
+        [-1, -1],
+        "PSD",
+        "contact",
+        "singular",
+        solution=[1, 0],
+    )
     yield solvable(
         "wedged_ball",
         f"{OWN}: two walls against each other",
@@ -117,7 +139,9 @@ def _stacks() -> Iterator[Entry]:
 def _random(dofs: int, contacts: int) -> Iterator[Entry]:
     generator = np.random.default_rng(contacts)
     J = generator.integers(-3, 4, (contacts, dofs)).astype(float)
-    J[:, 0] = 1.0 + np.abs(J[:, 0])  # all gaps open when the first coordinate rises: strictly feasible
+    J[:, 0] = 1.0 + np.abs(
+        J[:, 0]
+    )  # all gaps open when the first coordinate rises: strictly feasible
     W = np.diag(2.0 ** generator.integers(-3, 2, dofs))
     M = J @ W @ J.T
     touching = generator.random(contacts) < 0.6
@@ -132,9 +156,21 @@ def _random(dofs: int, contacts: int) -> Iterator[Entry]:
     delassus = irregular @ W @ irregular.T
     rounded = GRID * np.round(delassus / GRID)
     rounded = np.tril(rounded) + np.tril(rounded, -1).T
-    yield planted(f"{name}_rounded", f"{MOREAU}; stored with seven digits", rounded, z, w, "rounded", *flags)
-    sides = GRID * np.where(np.tri(contacts, dtype=bool), np.floor(delassus / GRID), np.ceil(delassus / GRID))
-    yield planted(f"{name}_rounded_unsymmetric", f"{MOREAU}; stored with seven digits", sides, z, w, "rounded", *flags)
+    yield planted(
+        f"{name}_rounded", f"{MOREAU}; stored with seven digits", rounded, z, w, "rounded", *flags
+    )
+    sides = GRID * np.where(
+        np.tri(contacts, dtype=bool), np.floor(delassus / GRID), np.ceil(delassus / GRID)
+    )
+    yield planted(
+        f"{name}_rounded_unsymmetric",
+        f"{MOREAU}; stored with seven digits",
+        sides,
+        z,
+        w,
+        "rounded",
+        *flags,
+    )
     # q of the unrounded problem, rounded: strictly feasible and monotone, hence solvable, also after small changes.
     velocity = generator.standard_normal(dofs)
     velocity[0] = -3.0

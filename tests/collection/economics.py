@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from .entry import COTTLE_PANG_STONE, OWN, Entry, planted, solvable
 
-TAKAYAMA_JUDGE = "Takayama, Judge, Spatial and Temporal Price and Allocation Models, North-Holland 1971"
+TAKAYAMA_JUDGE = (
+    "Takayama, Judge, Spatial and Temporal Price and Allocation Models, North-Holland 1971"
+)
 DANTZIG_MANNE = (
     "Hansen, Koopmans, On the definition and computation of a capital stock invariant under optimization, "
     "J. Economic Theory 5 (1972); Dantzig, Manne, A complementarity algorithm for an optimal capital path with "
@@ -39,21 +41,37 @@ def _spatial_prices() -> Iterator[Entry]:
         supply_slope, demand_slope = generator.integers(1, 5, m), generator.integers(1, 5, k)
         M = _shipments(np.diag(supply_slope), np.diag(demand_slope))
         intercept = (
-            generator.integers(1, 10, (m, 1)) - generator.integers(20, 40, k) + generator.integers(1, 12, (m, k))
+            generator.integers(1, 10, (m, 1))
+            - generator.integers(20, 40, k)
+            + generator.integers(1, 12, (m, k))
         )
         yield solvable(
-            f"spatial_price_{m}x{k}", f"{TAKAYAMA_JUDGE}; own numbers", M, intercept.ravel(), "PSD", "singular"
+            f"spatial_price_{m}x{k}",
+            f"{TAKAYAMA_JUDGE}; own numbers",
+            M,
+            intercept.ravel(),
+            "PSD",
+            "singular",
         )
     for m, k, seed in ((5, 5, 3), (10, 12, 4)):
         generator = np.random.default_rng(seed)
         # Prices here depend on the quantities there too, and not symmetrically.
-        slopes = [np.diag(generator.integers(8, 16, size)) + generator.integers(0, 2, (size, size)) for size in (m, k)]
+        slopes = [
+            np.diag(generator.integers(8, 16, size)) + generator.integers(0, 2, (size, size))
+            for size in (m, k)
+        ]
         M = _shipments(*slopes)
         ships = generator.random(m * k) < 0.3
         z = ships * generator.integers(1, 9, m * k)
         w = ~ships * generator.integers(0, 9, m * k)
         yield planted(
-            f"spatial_price_{m}x{k}_asymmetric", f"{TAKAYAMA_JUDGE}; planted", M, z, w, "singular", "degenerate"
+            f"spatial_price_{m}x{k}_asymmetric",
+            f"{TAKAYAMA_JUDGE}; planted",
+            M,
+            z,
+            w,
+            "singular",
+            "degenerate",
         )
     generator = np.random.default_rng(5)
     m, k = 3, 3
@@ -63,7 +81,9 @@ def _spatial_prices() -> Iterator[Entry]:
     M = np.block([[slopes, A], [-A.T, np.zeros((m * k, m * k))]])
     z = np.concatenate([[3, 5, 4], [9, 8, 9], [2, 0, 0, 0, 3, 0, 0, 1, 6]])
     w = np.concatenate([np.zeros(6), [0, 1, 2, 3, 0, 1, 2, 0, 0]])
-    yield planted("spatial_price_in_prices", f"{TAKAYAMA_JUDGE}; planted", M, z, w, "PSD", "singular")
+    yield planted(
+        "spatial_price_in_prices", f"{TAKAYAMA_JUDGE}; planted", M, z, w, "PSD", "singular"
+    )
 
 
 def _shipments(supply: Matrix, demand: Matrix) -> Matrix:
@@ -112,7 +132,13 @@ def _capital() -> Iterator[Entry]:
     for gamma in (1.0, 0.75, 0.5):
         primal, dual = inputs - outputs, inputs - gamma * outputs
         M = np.block([[np.diag([2.0, 1.0, 4.0]), dual.T], [-primal, np.zeros((2, 2))]])
-        yield solvable(f"capital_stock_{gamma}", f"{DANTZIG_MANNE}; own numbers", M, [-10, -8, -6, 7, 5], "market")
+        yield solvable(
+            f"capital_stock_{gamma}",
+            f"{DANTZIG_MANNE}; own numbers",
+            M,
+            [-10, -8, -6, 7, 5],
+            "market",
+        )
     generator = np.random.default_rng(7)
     goods, activities = 6, 12
     inputs = generator.integers(1, 8, (goods, activities)) / 4.0
@@ -125,17 +151,26 @@ def _capital() -> Iterator[Entry]:
     )
     n = goods + activities
     z = generator.integers(1, 6, n) * (generator.random(n) < 0.4)
-    yield planted("capital_stock_linear_18", f"{DANTZIG_MANNE}; planted", M, z, 2.0 * (z == 0), "singular")
+    yield planted(
+        "capital_stock_linear_18", f"{DANTZIG_MANNE}; planted", M, z, 2.0 * (z == 0), "singular"
+    )
 
 
 def _oligopoly() -> Iterator[Entry]:
     """Price a − b Σ x; firm i: marginal cost c_i + d_i x_i. M = b (I + 1 1ᵀ) + diag d."""
     for n in (2, 5, 30):
         M = np.eye(n) + np.ones((n, n))
-        yield solvable(f"cournot_{n}_equal_firms", COURNOT, M, [-(n + 1.0)] * n, "P", solution=[1] * n)
+        yield solvable(
+            f"cournot_{n}_equal_firms", COURNOT, M, [-(n + 1.0)] * n, "P", solution=[1] * n
+        )
         z = np.arange(n) % 3
         yield planted(
-            f"cournot_{n}_some_stay_out", f"{COURNOT}; planted", M + np.diag(np.arange(n) % 2), z, (z == 0) * 1.0, "P"
+            f"cournot_{n}_some_stay_out",
+            f"{COURNOT}; planted",
+            M + np.diag(np.arange(n) % 2),
+            z,
+            (z == 0) * 1.0,
+            "P",
         )
     z, w = np.array([0, 4, 2, 4.0]), np.array([3, -2, 0, 0.0])
     yield planted(
@@ -162,15 +197,28 @@ def _traffic() -> Iterator[Entry]:
     """Path flows ⟂ path cost − least cost, least cost ⟂ flow − demand; the bridge makes all travel longer."""
     links = np.array([[1, 0, 0, 1, 0], [0, 1, 1, 0, 0], [1, 0, 1, 0, 1]]).T  # columns: paths
     slope, free = np.diag([10.0, 1.0, 10.0, 1.0, 1.0]), np.array([0.0, 50.0, 0.0, 50.0, 10.0])
-    for name, paths, answer in (("with_bridge", 3, [2, 2, 2, 92]), ("without_bridge", 2, [3, 3, 83])):
+    for name, paths, answer in (
+        ("with_bridge", 3, [2, 2, 2, 92]),
+        ("without_bridge", 2, [3, 3, 83]),
+    ):
         used = links[:, :paths]
-        M = np.block([[used.T @ slope @ used, -np.ones((paths, 1))], [np.ones((1, paths)), np.zeros((1, 1))]])
+        M = np.block(
+            [[used.T @ slope @ used, -np.ones((paths, 1))], [np.ones((1, paths)), np.zeros((1, 1))]]
+        )
         q = np.concatenate([used.T @ free, [-6.0]])
         yield solvable(f"braess_{name}", BRAESS, M, q, "PSD", solution=answer)
         lower = np.zeros(paths + 1)
         lower[-1] = -np.inf
-        yield solvable(f"braess_{name}_mixed", BRAESS, M, q, "PSD", "mixed", solution=answer, lower=lower)
-    yield solvable("two_routes_one_unused", OWN, [[1, 0, -1], [0, 1, -1], [1, 1, 0]], [1, 9, -4], solution=[4, 0, 5])
+        yield solvable(
+            f"braess_{name}_mixed", BRAESS, M, q, "PSD", "mixed", solution=answer, lower=lower
+        )
+    yield solvable(
+        "two_routes_one_unused",
+        OWN,
+        [[1, 0, -1], [0, 1, -1], [1, 1, 0]],
+        [1, 9, -4],
+        solution=[4, 0, 5],
+    )
     yield _grid_traffic()
 
 
@@ -181,10 +229,22 @@ def _grid_traffic() -> Entry:
     links = (generator.random((12, paths)) < 0.3).astype(float)
     belongs = np.kron(np.eye(pairs), np.ones((1, 3)))
     M = np.block(
-        [[links.T @ np.diag(generator.integers(1, 5, 12)) @ links, -belongs.T], [belongs, np.zeros((pairs, pairs))]]
+        [
+            [links.T @ np.diag(generator.integers(1, 5, 12)) @ links, -belongs.T],
+            [belongs, np.zeros((pairs, pairs))],
+        ]
     )
     flows = generator.integers(0, 4, paths).astype(float)
     flows[::3] += 1.0
     costs = generator.integers(20, 30, pairs).astype(float)
     w = np.concatenate([(flows == 0) * 3.0, np.zeros(pairs)])
-    return planted("traffic_10_pairs", OWN, M, np.concatenate([flows, costs]), w, "PSD", "singular", "degenerate")
+    return planted(
+        "traffic_10_pairs",
+        OWN,
+        M,
+        np.concatenate([flows, costs]),
+        w,
+        "PSD",
+        "singular",
+        "degenerate",
+    )

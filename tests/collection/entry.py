@@ -62,15 +62,31 @@ def solvable(
 
 
 def planted(
-    name: str, source: str, M: Any, z: Any, w: Any, *flags: str, lower: Any = 0.0, upper: Any = np.inf
+    name: str,
+    source: str,
+    M: Any,
+    z: Any,
+    w: Any,
+    *flags: str,
+    lower: Any = 0.0,
+    upper: Any = np.inf,
 ) -> Entry:
     """Return the entry with q = w − M z, for data with few enough bits that this is exact."""
     z, w = np.asarray(z, dtype=float), np.asarray(w, dtype=float)
-    return solvable(name, source, M, w - M @ z, *flags, solution=z.tolist(), lower=lower, upper=upper)
+    return solvable(
+        name, source, M, w - M @ z, *flags, solution=z.tolist(), lower=lower, upper=upper
+    )
 
 
 def infeasible(
-    name: str, source: str, M: Any, q: Any, *flags: str, farkas: Any = None, lower: Any = 0.0, upper: Any = np.inf
+    name: str,
+    source: str,
+    M: Any,
+    q: Any,
+    *flags: str,
+    farkas: Any = None,
+    lower: Any = 0.0,
+    upper: Any = np.inf,
 ) -> Entry:
     """Return an entry whose linear constraints contradict each other."""
     weights = None if farkas is None else tuple(Fraction(int(y)) for y in farkas)
@@ -82,4 +98,6 @@ def without_solution(
     name: str, source: str, M: Any, q: Any, *flags: str, lower: Any = 0.0, upper: Any = np.inf
 ) -> Entry:
     """Return an entry that is linearly feasible and has no solution."""
-    return Entry(name, source, LCP(M, q, lower=lower, upper=upper), NO_SOLUTION, flags=frozenset(flags))
+    return Entry(
+        name, source, LCP(M, q, lower=lower, upper=upper), NO_SOLUTION, flags=frozenset(flags)
+    )

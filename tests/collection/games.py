@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from .entry import OWN, Entry, solvable
 
 NASH = "Nash 1950: every finite game has an equilibrium"
-LEMKE_HOWSON = "Lemke, Howson, Equilibrium points of bimatrix games, J. SIAM 12 (1964), doi:10.1137/0112033"
+LEMKE_HOWSON = (
+    "Lemke, Howson, Equilibrium points of bimatrix games, J. SIAM 12 (1964), doi:10.1137/0112033"
+)
 CLASSIC = (
     "von Neumann, Morgenstern, Theory of Games and Economic Behavior, Princeton 1944; Luce, Raiffa, Games and "
     "Decisions, Wiley 1957"
 )
 SAVANI = (
-    "Savani, von Stengel, Hard-to-solve bimatrix games, Econometrica 74 (2006), doi:10.1111/j.1468-0262.2006.00667.x"
+    "Savani, von Stengel, Hard-to-solve bimatrix games, Econometrica 74 (2006), "
+    "doi:10.1111/j.1468-0262.2006.00667.x"
 )
 SHAPLEY = "Shapley, Some topics in two-person games, 1964"
 
@@ -40,26 +43,47 @@ def game(name: str, source: str, A: Any, B: Any, *flags: str, solution: Any = No
     m, k = A.shape
     M = np.zeros((m + k, m + k))
     M[:m, m:], M[m:, :m] = A.max() + 1.0 - A, (B.max() + 1.0 - B).T
-    return solvable(name, source, M, -np.ones(m + k), "bimatrix", *flags, solution=solution, theorem=NASH)
+    return solvable(
+        name, source, M, -np.ones(m + k), "bimatrix", *flags, solution=solution, theorem=NASH
+    )
 
 
 def _named() -> Iterator[Entry]:
     yield game("battle_of_the_sexes", CLASSIC, [[2, 0], [0, 1]], [[1, 0], [0, 2]])
-    yield game("prisoners_dilemma", CLASSIC, [[-1, -3], [0, -2]], [[-1, 0], [-3, -2]], solution=[0, "1/3", 0, "1/3"])
-    yield game("matching_pennies", CLASSIC, [[1, -1], [-1, 1]], [[-1, 1], [1, -1]], solution=["1/4"] * 4)
+    yield game(
+        "prisoners_dilemma",
+        CLASSIC,
+        [[-1, -3], [0, -2]],
+        [[-1, 0], [-3, -2]],
+        solution=[0, "1/3", 0, "1/3"],
+    )
+    yield game(
+        "matching_pennies", CLASSIC, [[1, -1], [-1, 1]], [[-1, 1], [1, -1]], solution=["1/4"] * 4
+    )
     yield game("chicken", CLASSIC, [[0, -1], [1, -9]], [[0, 1], [-1, -9]])
     yield game("stag_hunt", CLASSIC, [[4, 1], [3, 2]], [[4, 3], [1, 2]])
     yield game("inspection", CLASSIC, [[0, 10], [1, 5]], [[0, -10], [0, -90]])
     turn = [[0, -1, 1], [1, 0, -1], [-1, 1, 0]]
     yield game("rock_paper_scissors", CLASSIC, turn, -np.array(turn), solution=["1/6"] * 6)
-    five = [[0, -1, 1, 1, -1], [1, 0, -1, -1, 1], [-1, 1, 0, 1, -1], [-1, 1, -1, 0, 1], [1, -1, 1, -1, 0]]
-    yield game("rock_paper_scissors_lizard_spock", CLASSIC, five, -np.array(five), solution=["1/10"] * 10)
+    five = [
+        [0, -1, 1, 1, -1],
+        [1, 0, -1, -1, 1],
+        [-1, 1, 0, 1, -1],
+        [-1, 1, -1, 0, 1],
+        [1, -1, 1, -1, 0],
+    ]
+    yield game(
+        "rock_paper_scissors_lizard_spock", CLASSIC, five, -np.array(five), solution=["1/10"] * 10
+    )
     A = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
     yield game("shapley_cycle", SHAPLEY, A, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], solution=["1/5"] * 6)
     yield game("lemke_howson_3x2", LEMKE_HOWSON, [[3, 3], [2, 5], [0, 6]], [[3, 2], [2, 6], [3, 1]])
     blotto = [[int(np.sign(i - j)) + int(np.sign(j - i + 1)) for j in range(4)] for i in range(4)]
     yield game("colonel_blotto_small", CLASSIC, blotto, -np.array(blotto))
-    guess = [[float(min(i, j)) + (2.0 if i < j else -2.0 if i > j else 0.0) for j in range(2, 8)] for i in range(2, 8)]
+    guess = [
+        [float(min(i, j)) + (2.0 if i < j else -2.0 if i > j else 0.0) for j in range(2, 8)]
+        for i in range(2, 8)
+    ]
     yield game(
         "travellers_dilemma_6x6",
         "Basu, The traveler's dilemma, American Economic Review 84 (1994)",
@@ -69,13 +93,25 @@ def _named() -> Iterator[Entry]:
 
 
 def _degenerate() -> Iterator[Entry]:
-    yield game("all_equal_2x2", OWN, np.ones((2, 2)), np.ones((2, 2)), "degenerate", solution=[1, 0, 1, 0])
+    yield game(
+        "all_equal_2x2", OWN, np.ones((2, 2)), np.ones((2, 2)), "degenerate", solution=[1, 0, 1, 0]
+    )
     yield game("all_equal_5x7", OWN, np.ones((5, 7)), np.ones((5, 7)), "degenerate")
-    yield game("duplicate_rows", OWN, [[1, 0], [1, 0], [0, 1]], [[0, 1], [0, 1], [1, 0]], "degenerate")
+    yield game(
+        "duplicate_rows", OWN, [[1, 0], [1, 0], [0, 1]], [[0, 1], [0, 1], [1, 0]], "degenerate"
+    )
     yield game("weak_dominance", OWN, [[1, 1], [1, 0]], [[1, 1], [1, 0]], "degenerate")
-    yield game("one_sided_indifference_3x3", OWN, [[1, 1, 1]] * 3, [[3, 2, 1], [1, 3, 2], [2, 1, 3]], "degenerate")
+    yield game(
+        "one_sided_indifference_3x3",
+        OWN,
+        [[1, 1, 1]] * 3,
+        [[3, 2, 1], [1, 3, 2], [2, 1, 3]],
+        "degenerate",
+    )
     yield game("identity_8x8", OWN, np.eye(8), np.eye(8), "degenerate")
-    yield game("identity_against_8x8", OWN, np.eye(8), -np.eye(8), solution=["1/9"] * 8 + ["1/15"] * 8)
+    yield game(
+        "identity_against_8x8", OWN, np.eye(8), -np.eye(8), solution=["1/9"] * 8 + ["1/15"] * 8
+    )
     yield game("single_row", OWN, [[1, 2, 3]], [[2, 2, 1]], "degenerate")
     yield game("single_cell", OWN, [[4]], [[-4]], solution=[1, 1])
     for n in (4, 8):

@@ -19,7 +19,8 @@ def false_claim(problem: Any, truth: str, result: Any, tolerance: float) -> str:
         return "false SOLVED"
     data, has_no_solution = ExactData(problem), result.infeasibility is not None
     if status == "PRECISION_LIMIT" and not (
-        data.is_at_rounding_level(result.z) or (has_no_solution and data.misses_by_rounding_of_q(result.z))
+        data.is_at_rounding_level(result.z)
+        or (has_no_solution and data.misses_by_rounding_of_q(result.z))
     ):
         return "PRECISION_LIMIT, but rounding does not explain the residual"
     if status == "INFEASIBLE" and truth != INFEASIBLE:
@@ -34,9 +35,11 @@ def false_claim(problem: Any, truth: str, result: Any, tolerance: float) -> str:
 def shortfall(problem: Any, truth: str, result: Any) -> str:
     """Return what the result should have said and did not, or nothing."""
     status = result.status.name
-    wanted = {SOLVABLE: ("SOLVED", "PRECISION_LIMIT"), INFEASIBLE: ("INFEASIBLE",), NO_SOLUTION: ("NO_SOLUTION",)}[
-        truth
-    ]
+    wanted = {
+        SOLVABLE: ("SOLVED", "PRECISION_LIMIT"),
+        INFEASIBLE: ("INFEASIBLE",),
+        NO_SOLUTION: ("NO_SOLUTION",),
+    }[truth]
     if truth == NO_SOLUTION and problem.n > LARGEST_EXHAUSTIVE:
         wanted = ("NO_SOLUTION", "STALLED")
     if status in wanted:
@@ -55,4 +58,6 @@ def is_proven(problem: Any, result: Any) -> bool:
 def judge(entry: Entry, result: Any, tolerance: float) -> str:
     """Return everything wrong with a result on an entry of the collection, or nothing."""
     truth = entry.truth
-    return false_claim(entry.problem, truth, result, tolerance) or shortfall(entry.problem, truth, result)
+    return false_claim(entry.problem, truth, result, tolerance) or shortfall(
+        entry.problem, truth, result
+    )

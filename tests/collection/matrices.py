@@ -9,7 +9,9 @@ import scipy.sparse as sp
 
 from .entry import COTTLE_PANG_STONE, OWN, Entry, infeasible, planted, solvable
 
-CHANDRASEKARAN = "Chandrasekaran, A special case of the complementary pivot problem, Opsearch 7 (1970)"
+CHANDRASEKARAN = (
+    "Chandrasekaran, A special case of the complementary pivot problem, Opsearch 7 (1970)"
+)
 CRYER = (
     "Cryer, The method of Christopherson for solving free boundary problems for infinite journal bearings, "
     "Math. Computation 25 (1971)"
@@ -37,9 +39,21 @@ def entries() -> Iterator[Entry]:
 
 
 def _z_matrices() -> Iterator[Entry]:
-    yield solvable("z_least_element", CHANDRASEKARAN, [[1, -1, 0], [-1, 2, -1], [0, -1, 3]], [-1, 2, -3], "Z")
-    yield solvable("z_singular_m", CHANDRASEKARAN, [[1, -1], [-1, 1]], [1, -1], "Z", "singular", solution=[0, 1])
-    yield infeasible("z_singular_m_infeasible", CHANDRASEKARAN, [[1, -1], [-1, 1]], [1, -2], "Z", "singular")
+    yield solvable(
+        "z_least_element", CHANDRASEKARAN, [[1, -1, 0], [-1, 2, -1], [0, -1, 3]], [-1, 2, -3], "Z"
+    )
+    yield solvable(
+        "z_singular_m",
+        CHANDRASEKARAN,
+        [[1, -1], [-1, 1]],
+        [1, -1],
+        "Z",
+        "singular",
+        solution=[0, 1],
+    )
+    yield infeasible(
+        "z_singular_m_infeasible", CHANDRASEKARAN, [[1, -1], [-1, 1]], [1, -2], "Z", "singular"
+    )
     yield solvable("z_negative_diagonal", CHANDRASEKARAN, [[-1, -1], [-2, 1]], [5, -1], "Z")
     yield infeasible("z_infeasible", CHANDRASEKARAN, [[1, -2], [-2, 1]], [-1, -1], "Z")
     for n in (10, 100):
@@ -49,12 +63,25 @@ def _z_matrices() -> Iterator[Entry]:
         np.fill_diagonal(M, -M.sum(axis=1))  # rows sum to zero: singular M-matrix
         z = generator.integers(0, 4, n).astype(float)
         yield planted(
-            f"singular_m_{n}", OWN, M, z, (z == 0) * generator.integers(0, 3, n), "Z", "singular", "degenerate"
+            f"singular_m_{n}",
+            OWN,
+            M,
+            z,
+            (z == 0) * generator.integers(0, 3, n),
+            "Z",
+            "singular",
+            "degenerate",
         )
 
 
 def _nonnegative() -> Iterator[Entry]:
-    yield solvable("nonnegative_zero_diagonal", OWN, [[0, 2, 1], [1, 0, 1], [1, 3, 0]], [-1, -1, -1], "nonnegative")
+    yield solvable(
+        "nonnegative_zero_diagonal",
+        OWN,
+        [[0, 2, 1], [1, 0, 1], [1, 3, 0]],
+        [-1, -1, -1],
+        "nonnegative",
+    )
     yield solvable(
         "nonnegative_one_good_row",
         OWN,
@@ -72,7 +99,15 @@ def _nonnegative() -> Iterator[Entry]:
 
 
 def _copositive() -> Iterator[Entry]:
-    horn = np.array([[1, -1, 1, 1, -1], [-1, 1, -1, 1, 1], [1, -1, 1, -1, 1], [1, 1, -1, 1, -1], [-1, 1, 1, -1, 1.0]])
+    horn = np.array(
+        [
+            [1, -1, 1, 1, -1],
+            [-1, 1, -1, 1, 1],
+            [1, -1, 1, -1, 1],
+            [1, 1, -1, 1, -1],
+            [-1, 1, 1, -1, 1.0],
+        ]
+    )
     yield solvable(
         "horn_matrix",
         f"Horn's copositive matrix (Hall, Newman 1963); {COTTLE_PANG_STONE}",
@@ -81,7 +116,9 @@ def _copositive() -> Iterator[Entry]:
         "copositive",
         solution=[0] * 5,
     )
-    yield solvable("horn_matrix_negative_right_side", OWN, horn + np.eye(5), [-1, -2, 1, -1, -3], "copositive")
+    yield solvable(
+        "horn_matrix_negative_right_side", OWN, horn + np.eye(5), [-1, -2, 1, -1, -3], "copositive"
+    )
     yield solvable(
         "motzkin_straus_petersen",
         MOTZKIN,
@@ -105,7 +142,9 @@ def _diagonals() -> Iterator[Entry]:
     for n in (100, 1000):
         d = 2.0 ** ((np.arange(n) % 61) - 30)
         z = (np.arange(n) % 2).astype(float)
-        yield planted(f"diagonal_scaled_{n}", OWN, sp.diags_array(d).tocsr(), z, (1 - z) * d, "H+", "scaled")
+        yield planted(
+            f"diagonal_scaled_{n}", OWN, sp.diags_array(d).tocsr(), z, (1 - z) * d, "H+", "scaled"
+        )
     generator = np.random.default_rng(3)
     n = 300
     M = sp.random_array((n, n), density=0.02, rng=generator).tocsr()
@@ -123,7 +162,9 @@ def _diagonals() -> Iterator[Entry]:
 def _stopping() -> Iterator[Entry]:
     """Upwinded drift, integers, planted; the free region is a band, with a few degenerate nodes."""
     for size, drift in ((10, 1), (30, 50), (50, 1000)):
-        line = sp.diags_array([-1.0 - drift, 2.0 + drift, -1.0], offsets=[-1, 0, 1], shape=(size, size))
+        line = sp.diags_array(
+            [-1.0 - drift, 2.0 + drift, -1.0], offsets=[-1, 0, 1], shape=(size, size)
+        )
         eye = sp.eye_array(size)
         M = (sp.kron(line, eye) + sp.kron(eye, line) + sp.eye_array(size * size)).tocsr()
         x, y = np.divmod(np.arange(size * size), size)
@@ -131,7 +172,13 @@ def _stopping() -> Iterator[Entry]:
         z = np.where(free, 1.0 + (x * y) % 5, 0.0)
         w = np.where(free, 0.0, (x + 2 * y) % 4)
         yield planted(
-            f"optimal_stopping_{size * size}_drift_{drift}", f"{KUSHNER}; planted", M, z, w, "H+", "degenerate"
+            f"optimal_stopping_{size * size}_drift_{drift}",
+            f"{KUSHNER}; planted",
+            M,
+            z,
+            w,
+            "H+",
+            "degenerate",
         )
 
 
@@ -140,15 +187,27 @@ def _phases() -> Iterator[Entry]:
     for n in (20, 200):
         K = sp.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(n, n))
         T = sp.diags_array([-4.0, 5.0], offsets=[-1, 0], shape=(n, n))
-        M = sp.bmat([[K, 0.25 * sp.eye_array(n)], [-sp.eye_array(n, k=1) + sp.eye_array(n), T]]).tocsr()
+        M = sp.bmat(
+            [[K, 0.25 * sp.eye_array(n)], [-sp.eye_array(n, k=1) + sp.eye_array(n), T]]
+        ).tocsr()
         k = np.arange(n)
         saturation = np.clip(1.0 - (k - n // 3) / 4.0, 0.0, 1.0)
         z = np.concatenate([(n - k) % 7, saturation])
-        w = np.concatenate([np.zeros(n), np.where(saturation == 0, k % 3, np.where(saturation == 1, -(k % 2), 0))])
+        w = np.concatenate(
+            [np.zeros(n), np.where(saturation == 0, k % 3, np.where(saturation == 1, -(k % 2), 0))]
+        )
         lower = np.concatenate([np.full(n, -np.inf), np.zeros(n)])
         upper = np.concatenate([np.full(n, np.inf), np.ones(n)])
         yield planted(
-            f"two_phases_{2 * n}", f"after {LAUSER}; planted", M, z, w, "mixed", "box", lower=lower, upper=upper
+            f"two_phases_{2 * n}",
+            f"after {LAUSER}; planted",
+            M,
+            z,
+            w,
+            "mixed",
+            "box",
+            lower=lower,
+            upper=upper,
         )
 
 
@@ -163,4 +222,6 @@ def _bearing() -> Iterator[Entry]:
         film = np.arange(n) < 0.55 * n
         z = film * np.round(64.0 * np.sin(np.pi * (np.arange(n) + 1) / (0.6 * n))) / 64.0
         z = np.maximum(z, 0.0)
-        yield planted(f"journal_bearing_{n}", f"{CRYER}; planted", M, z, (z == 0) / 128.0, "M", "symmetric")
+        yield planted(
+            f"journal_bearing_{n}", f"{CRYER}; planted", M, z, (z == 0) / 128.0, "M", "symmetric"
+        )

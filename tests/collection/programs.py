@@ -10,7 +10,9 @@ import numpy as np
 from .entry import COTTLE_PANG_STONE, OWN, Entry, infeasible, planted, solvable
 
 BEALE = "Beale, Cycling in the dual simplex algorithm, Naval Research Logistics Quarterly 2 (1955)"
-KLEE_MINTY = "Klee, Minty, How good is the simplex algorithm?, Inequalities III, Academic Press 1972"
+KLEE_MINTY = (
+    "Klee, Minty, How good is the simplex algorithm?, Inequalities III, Academic Press 1972"
+)
 DANTZIG = "Dantzig, Linear Programming and Extensions, Princeton 1963"
 KUHN = "Kuhn, The Hungarian method for the assignment problem, Naval Research Logistics Quarterly 2 (1955)"
 MONOTONE = "M positive semidefinite and linearly feasible: Cottle 1968"
@@ -28,7 +30,9 @@ def conditions(P: Any, c: Any, A: Any, b: Any) -> tuple[Any, Any]:
     A = np.asarray(A, dtype=float)
     m, n = A.shape
     P = np.zeros((n, n)) if P is None else np.asarray(P, dtype=float)
-    return np.block([[P, -A.T], [A, np.zeros((m, m))]]), np.concatenate([c, -np.asarray(b, dtype=float)])
+    return np.block([[P, -A.T], [A, np.zeros((m, m))]]), np.concatenate(
+        [c, -np.asarray(b, dtype=float)]
+    )
 
 
 def _linear() -> Iterator[Entry]:
@@ -49,11 +53,20 @@ def _linear() -> Iterator[Entry]:
         "degenerate",
     )
     for n in (3, 5, 10):
-        A = -np.array([[2.0 * 10 ** (i - j) if j < i else float(i == j) for j in range(n)] for i in range(n)])
+        A = -np.array(
+            [[2.0 * 10 ** (i - j) if j < i else float(i == j) for j in range(n)] for i in range(n)]
+        )
         c = [-(10.0 ** (n - 1 - j)) for j in range(n)]
         b = [-(100.0**i) for i in range(n)]
         answer = [0] * (n - 1) + [100 ** (n - 1)] + [0] * (n - 1) + [1]
-        yield solvable(f"klee_minty_{n}", KLEE_MINTY, *conditions(None, c, A, b), "PSD", "exponential", solution=answer)
+        yield solvable(
+            f"klee_minty_{n}",
+            KLEE_MINTY,
+            *conditions(None, c, A, b),
+            "PSD",
+            "exponential",
+            solution=answer,
+        )
     supply, demand = [10, 20], [5, 15, 10]
     A = np.vstack([np.kron(np.eye(2), -np.ones(3)), np.kron(np.ones(2), np.eye(3))])
     yield solvable(
@@ -110,7 +123,9 @@ def _planted_programs() -> Iterator[Entry]:
 
 def _quadratic() -> Iterator[Entry]:
     P, A = [[4, 1], [1, 2]], [[1, 1], [-1, 0], [0, -1]]
-    yield solvable("quadratic_program_small", OWN, *conditions(P, [1, 1], A, [1, -0.75, -0.75]), "PSD")
+    yield solvable(
+        "quadratic_program_small", OWN, *conditions(P, [1, 1], A, [1, -0.75, -0.75]), "PSD"
+    )
     yield solvable(
         "quadratic_program_flat_direction",
         OWN,
@@ -127,7 +142,9 @@ def _quadratic() -> Iterator[Entry]:
         "singular",
     )
     P = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
-    yield solvable("portfolio_3", OWN, *conditions(P, [0, 0, 0], [[3, 5, 8], [-1, -1, -1]], [6, -1.5]), "PSD")
+    yield solvable(
+        "portfolio_3", OWN, *conditions(P, [0, 0, 0], [[3, 5, 8], [-1, -1, -1]], [6, -1.5]), "PSD"
+    )
     yield solvable(
         "nonconvex_stationary_point",
         OWN,
@@ -138,18 +155,38 @@ def _quadratic() -> Iterator[Entry]:
 
 def _without_optimum() -> Iterator[Entry]:
     yield infeasible(
-        "linear_program_infeasible", OWN, *conditions(None, [1, 1], [[1, 1], [-1, -1]], [3, -2]), "program"
+        "linear_program_infeasible",
+        OWN,
+        *conditions(None, [1, 1], [[1, 1], [-1, -1]], [3, -2]),
+        "program",
     )
-    yield infeasible("linear_program_unbounded", OWN, *conditions(None, [-1, 0], [[1, -1]], [0]), "program")
-    yield infeasible("linear_program_neither", OWN, *conditions(None, [-1, -1], [[1, -1], [-1, 1]], [1, 1]), "program")
-    yield infeasible("quadratic_program_infeasible", OWN, *conditions(np.eye(2), [0, 0], [[-1, -1]], [1]), "program")
     yield infeasible(
-        "quadratic_program_unbounded", OWN, *conditions([[1, 0], [0, 0]], [0, -1], [[1, 1]], [1]), "program"
+        "linear_program_unbounded", OWN, *conditions(None, [-1, 0], [[1, -1]], [0]), "program"
+    )
+    yield infeasible(
+        "linear_program_neither",
+        OWN,
+        *conditions(None, [-1, -1], [[1, -1], [-1, 1]], [1, 1]),
+        "program",
+    )
+    yield infeasible(
+        "quadratic_program_infeasible",
+        OWN,
+        *conditions(np.eye(2), [0, 0], [[-1, -1]], [1]),
+        "program",
+    )
+    yield infeasible(
+        "quadratic_program_unbounded",
+        OWN,
+        *conditions([[1, 0], [0, 0]], [0, -1], [[1, 1]], [1]),
+        "program",
     )
     A = -np.kron(np.ones(3), np.eye(2))
     yield infeasible(
         "transport_too_much_demand",
         OWN,
-        *conditions(None, np.ones(6), np.vstack([A, np.kron(np.eye(3), np.ones(2))]), [-2, -2, 2, 2, 1]),
+        *conditions(
+            None, np.ones(6), np.vstack([A, np.kron(np.eye(3), np.ones(2))]), [-2, -2, 2, 2, 1]
+        ),
         "program",
     )

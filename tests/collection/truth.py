@@ -54,7 +54,9 @@ def is_farkas(problem: Any, y: Sequence[Fraction]) -> bool:
         ):
             return False
     csr = problem.csr
-    total = sum((Fraction(q) * weight for q, weight in zip(problem.q.tolist(), y, strict=True)), Fraction(0))
+    total = sum(
+        (Fraction(q) * weight for q, weight in zip(problem.q.tolist(), y, strict=True)), Fraction(0)
+    )
     columns = [Fraction(0)] * len(y)
     for i, weight in enumerate(y):
         if weight:
@@ -86,7 +88,10 @@ class _Simplex:
 
     def settle(self) -> bool:
         """Move every variable within its bounds; return whether that is possible."""
-        if any(a is not None and b is not None and a > b for a, b in zip(self.low, self.high, strict=True)):
+        if any(
+            a is not None and b is not None and a > b
+            for a, b in zip(self.low, self.high, strict=True)
+        ):
             return False
         for column, j in enumerate(self.nonbasic):
             self._shift(column, self._excess(j))
@@ -118,7 +123,9 @@ class _Simplex:
             j = self.nonbasic[column]
             rises = (coefficient > 0) == (direction > 0)
             limit = self.high[j] if rises else self.low[j]
-            if (limit is None or self.value[j] != limit) and (best is None or j < self.nonbasic[best]):
+            if (limit is None or self.value[j] != limit) and (
+                best is None or j < self.nonbasic[best]
+            ):
                 best = column
         return best
 
@@ -140,14 +147,18 @@ class _Simplex:
             factor = entries[column]
             if other != r and factor:
                 self.rows[other] = [
-                    (factor * y if c == column else x + factor * y) if y else (x if c != column else y)
+                    (factor * y if c == column else x + factor * y)
+                    if y
+                    else (x if c != column else y)
                     for c, (x, y) in enumerate(zip(entries, row, strict=True))
                 ]
         self.basic[r], self.nonbasic[column] = self.nonbasic[column], self.basic[r]
 
 
 class Search:
-    def __init__(self, M: list[list[float]], q: list[float], lower: list[float], upper: list[float]) -> None:
+    def __init__(
+        self, M: list[list[float]], q: list[float], lower: list[float], upper: list[float]
+    ) -> None:
         self.n = len(q)
         self.simplex = _Simplex(M)
         self.zero = [-Fraction(x) for x in q]  # the value of (M z)_i where w_i = 0
@@ -208,7 +219,9 @@ class ExactData:
         csr: sp.csr_array = problem.csr
         entries, self.scale = _integers(csr.data.tolist())
         starts, columns = csr.indptr.tolist(), csr.indices.tolist()
-        self.rows = [list(zip(columns[a:b], entries[a:b], strict=True)) for a, b in pairwise(starts)]
+        self.rows = [
+            list(zip(columns[a:b], entries[a:b], strict=True)) for a, b in pairwise(starts)
+        ]
         self.q = [Fraction(x) for x in problem.q.tolist()]
         self.lower = [fraction(x) for x in problem.lower.tolist()]
         self.upper = [fraction(x) for x in problem.upper.tolist()]
@@ -216,7 +229,9 @@ class ExactData:
         self.components = component_of_rows(csr)
         scaling = RowScaling.of(problem)
         self.weights: list[Fraction] = [Fraction(1)] * len(self.rows)
-        if scaling is not None:  # that M̂ is the same for every D₁MD₂ is tested elsewhere; here they are used exactly
+        if (
+            scaling is not None
+        ):  # that M̂ is the same for every D₁MD₂ is tested elsewhere; here they are used exactly
             self.divisor = [Fraction(float(x)) for x in scaling.scale]
             self.weights = [Fraction(2) ** -k for k in scaling.column.tolist()]
 
@@ -264,7 +279,10 @@ class ExactData:
         values, scale = _integers(z)
         sums = [sum(abs(x * values[j]) for j, x in row) for row in self.rows]
         return [
-            (len(row) + 2) * (MACHINE_EPSILON * (Fraction(s, self.scale * scale) + abs(q)) + LEAST) / d + LEAST
+            (len(row) + 2)
+            * (MACHINE_EPSILON * (Fraction(s, self.scale * scale) + abs(q)) + LEAST)
+            / d
+            + LEAST
             for row, s, q, d in zip(self.rows, sums, self.q, self.divisor, strict=True)
         ]
 

@@ -8,7 +8,9 @@ import numpy as np
 
 from .entry import OWN, Entry, infeasible, solvable, without_solution
 
-CHUNG = "Chung, NP-completeness of the linear complementarity problem, J. Optim. Theory Appl. 60 (1989)"
+CHUNG = (
+    "Chung, NP-completeness of the linear complementarity problem, J. Optim. Theory Appl. 60 (1989)"
+)
 
 
 def entries() -> Iterator[Entry]:
@@ -23,13 +25,40 @@ def _infeasible() -> Iterator[Entry]:
     yield infeasible("nonpositive_row", OWN, [[-1, -2], [3, 1]], [-1, 5])
     yield infeasible("two_rows_contradict", OWN, [[1, -1], [-1, 1]], [-1, -1], "singular")
     yield infeasible("skew", OWN, [[0, -1, 0], [1, 0, -1], [0, 1, 0]], [0, -1, -1])
-    yield infeasible("combination_of_all_rows", OWN, [[1, -3, 1], [-2, 1, 1], [1, 2, -3]], [-1, -1, -1])
-    yield infeasible("thirds", f"{OWN}: a Farkas vector of thirds", [[3, -1, 0], [-3, -2, 0], [0, 3, -1]], [-1, -1, 0])
+    yield infeasible(
+        "combination_of_all_rows", OWN, [[1, -3, 1], [-2, 1, 1], [1, 2, -3]], [-1, -1, -1]
+    )
+    yield infeasible(
+        "thirds",
+        f"{OWN}: a Farkas vector of thirds",
+        [[3, -1, 0], [-3, -2, 0], [0, 3, -1]],
+        [-1, -1, 0],
+    )
     yield infeasible("margin_of_a_millionth", OWN, [[1, -1], [-1, 1]], [1, -1.000001], "singular")
-    yield infeasible("box_out_of_reach", OWN, [[1, 0], [2, -1]], [0, -3], "box", upper=[1.0, np.inf])
-    yield infeasible("free_rows_contradict", OWN, [[1, 1], [1, 1]], [-1, -2], "mixed", "singular", lower=-np.inf)
-    yield infeasible("free_against_bounded", OWN, [[1, 2], [1, 2]], [1, -3], "mixed", "singular", lower=[-np.inf, 0.0])
-    yield infeasible("fixed_row_decides", OWN, [[1, -2], [1, 0]], [0, -3], "fixed", lower=[1, 0], upper=[1, np.inf])
+    yield infeasible(
+        "box_out_of_reach", OWN, [[1, 0], [2, -1]], [0, -3], "box", upper=[1.0, np.inf]
+    )
+    yield infeasible(
+        "free_rows_contradict", OWN, [[1, 1], [1, 1]], [-1, -2], "mixed", "singular", lower=-np.inf
+    )
+    yield infeasible(
+        "free_against_bounded",
+        OWN,
+        [[1, 2], [1, 2]],
+        [1, -3],
+        "mixed",
+        "singular",
+        lower=[-np.inf, 0.0],
+    )
+    yield infeasible(
+        "fixed_row_decides",
+        OWN,
+        [[1, -2], [1, 0]],
+        [0, -3],
+        "fixed",
+        lower=[1, 0],
+        upper=[1, np.inf],
+    )
     yield infeasible("upper_only", OWN, [[-1, -1], [0, 0]], [1, 2], lower=-np.inf, upper=[0.0, 3.0])
     for n in (20, 100):
         generator = np.random.default_rng(n)
@@ -42,16 +71,28 @@ def _infeasible() -> Iterator[Entry]:
         yield infeasible(f"cancelling_rows_{n}", OWN, M, q, "singular", farkas=y)
         order = generator.permutation(n)
         yield infeasible(
-            f"cancelling_rows_{n}_shuffled", OWN, M[np.ix_(order, order)], q[order], "singular", farkas=y[order]
+            f"cancelling_rows_{n}_shuffled",
+            OWN,
+            M[np.ix_(order, order)],
+            q[order],
+            "singular",
+            farkas=y[order],
         )
 
 
 def _feasible() -> Iterator[Entry]:
     yield without_solution("needs_a_forbidden_variable", OWN, [[-1, 1], [0, 0]], [-1, 1])
     yield without_solution("needs_both", OWN, [[0, 1], [0, 0]], [-1, 2])
-    yield without_solution("box_without_solution", OWN, [[0, 1], [0, 0]], [-1, 2], "box", upper=[np.inf, 4.0])
     yield without_solution(
-        "mixed_without_solution", OWN, [[0, 1, 0], [0, 0, 0], [0, 1, 1]], [-1, 2, 0], "mixed", lower=[0, 0, -np.inf]
+        "box_without_solution", OWN, [[0, 1], [0, 0]], [-1, 2], "box", upper=[np.inf, 4.0]
+    )
+    yield without_solution(
+        "mixed_without_solution",
+        OWN,
+        [[0, 1, 0], [0, 0, 0], [0, 1, 1]],
+        [-1, 2, 0],
+        "mixed",
+        lower=[0, 0, -np.inf],
     )
     for n in (2, 3, 4, 5, 6, 7, 8):
         yield without_solution(f"chain_without_solution_{n}", OWN, *_chain(n))
@@ -86,10 +127,22 @@ def _subset_sums() -> Iterator[Entry]:
     ):
         z = [x if x in chosen else 0 for x in weights] + [0, 0]
         yield solvable(
-            f"subset_sum_{len(weights)}_to_{target}", CHUNG, *subset_sum(weights, target), "indefinite", solution=z
+            f"subset_sum_{len(weights)}_to_{target}",
+            CHUNG,
+            *subset_sum(weights, target),
+            "indefinite",
+            solution=z,
         )
-    for weights, target in (([3, 5], 4), ([3, 5, 7], 11), ([4, 6, 10, 12], 15), ([6, 10, 14, 15, 22, 30], 49)):
+    for weights, target in (
+        ([3, 5], 4),
+        ([3, 5, 7], 11),
+        ([4, 6, 10, 12], 15),
+        ([6, 10, 14, 15, 22, 30], 49),
+    ):
         yield without_solution(
-            f"subset_sum_{len(weights)}_not_{target}", CHUNG, *subset_sum(weights, target), "indefinite"
+            f"subset_sum_{len(weights)}_not_{target}",
+            CHUNG,
+            *subset_sum(weights, target),
+            "indefinite",
         )
     yield infeasible("subset_sum_out_of_reach", CHUNG, *subset_sum([3, 5, 7], 16), "indefinite")

@@ -26,12 +26,22 @@ from lcp_plugin.engines import ENGINES, engine_class
 from lcp_plugin.evidence import paper_tables
 from lcp_plugin.problems.cones.methods import METHODS
 
-BOX = LCP([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]], [-5.0, 1.0, 2.0], upper=[2.0, np.inf, np.inf])
+BOX = LCP(
+    [[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]],
+    [-5.0, 1.0, 2.0],
+    upper=[2.0, np.inf, np.inf],
+)
 ZERO_DIAGONAL = LCP([[1.0, 0.0], [0.0, 0.0]], [-1.0, 1.0])
 PNG = b"\x89PNG\r\n\x1a\n"
 
 # Every scene at a size that takes no time, and some also where their picture degenerates.
-SMALL_SCENES = [*SMALL, "american_put:size=1", "murty:n=1", "obstacle_2d:size=1", "obstacle_3d:size=1"]
+SMALL_SCENES = [
+    *SMALL,
+    "american_put:size=1",
+    "murty:n=1",
+    "obstacle_2d:size=1",
+    "obstacle_3d:size=1",
+]
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +55,9 @@ def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedPro
     """The command as a person runs it."""
     return subprocess.run(
         [sys.executable, "-m", "lcp_plugin", *arguments],
-        capture_output=True, check=False, env={**os.environ, **environment},
+        capture_output=True,
+        check=False,
+        env={**os.environ, **environment},
     )
 
 
@@ -64,7 +76,9 @@ def test_scene_is_solved(scene: str) -> None:
     assert any(line.startswith("SOLVED: ") for line in lines)
 
 
-@pytest.mark.parametrize("path", ["p.npz", "./p.npz", "folder", "folder/", "folder/M.mtx", "run1_M.mtx", "run1_"])
+@pytest.mark.parametrize(
+    "path", ["p.npz", "./p.npz", "folder", "folder/", "folder/M.mtx", "run1_M.mtx", "run1_"]
+)
 def test_file_is_solved(path: str) -> None:
     """A problem saved in either form, or behind a prefix, is solved from the path that a user would type."""
     BOX.save("p.npz")
@@ -87,13 +101,20 @@ def test_every_algorithm_can_be_named(name: str) -> None:
 
 def test_settings_reach_the_run() -> None:
     """Tolerance, relaxation and options do on the command line what they do in solve."""
-    arguments = "-a npaor --relaxation 1.5 -o acceleration=0.5 -o scaling=diagonal -o sweep=symmetric"
+    arguments = (
+        "-a npaor --relaxation 1.5 -o acceleration=0.5 -o scaling=diagonal -o sweep=symmetric"
+    )
     done = lcp_plugin(
         "solve", "obstacle_2d:size=12", *arguments.split(), "--tolerance", "1e-4", "--json"
     )
     ours = solve(
-        gallery.build("obstacle_2d", size=12).problem, "npaor", relaxation=1.5, acceleration=0.5, scaling="diagonal",
-        sweep="symmetric", tolerance=1e-4,
+        gallery.build("obstacle_2d", size=12).problem,
+        "npaor",
+        relaxation=1.5,
+        acceleration=0.5,
+        scaling="diagonal",
+        sweep="symmetric",
+        tolerance=1e-4,
     )
     told = json.loads(done.stdout)
     assert told["iterations"] == ours.iterations > 0
@@ -111,7 +132,9 @@ def test_words_among_the_options() -> None:
 
 def test_scene_starts_where_its_source_starts() -> None:
     """A scene with a prescribed start is solved from there."""
-    done = lcp_plugin("solve", "paper_example_1:n=100", "-a", "npsor", "-o", "scaling=none", "--json")
+    done = lcp_plugin(
+        "solve", "paper_example_1:n=100", "-a", "npsor", "-o", "scaling=none", "--json"
+    )
     scene = gallery.build("paper_example_1", n=100)
     ours = solve(scene.problem, "npsor", scaling=None, z0=scene.start)
     assert json.loads(done.stdout)["iterations"] == ours.iterations
@@ -126,7 +149,13 @@ def test_json_is_all_there_is_on_stdout() -> None:
     assert done.exit_code == 0
     assert (told["status"], told["algorithm"], told["n"]) == ("SOLVED", "npsor", 100)
     assert (told["iterations"], told["work"]) == (ours.iterations, ours.work)
-    for name in ("relative_residual", "natural_residual", "euclidean_residual", "bound_violation", "complementarity"):
+    for name in (
+        "relative_residual",
+        "natural_residual",
+        "euclidean_residual",
+        "bound_violation",
+        "complementarity",
+    ):
         assert told[name] == getattr(ours.certificate, name)
     assert told["advice"] == Status.SOLVED.value
     assert "saved z.npz" in done.stderr
@@ -189,7 +218,8 @@ def test_march_ends_where_a_step_fails() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limit", "status"), [("--max-iterations=3", Status.MAX_ITERATIONS), ("--max-seconds=0", Status.MAX_SECONDS)]
+    ("limit", "status"),
+    [("--max-iterations=3", Status.MAX_ITERATIONS), ("--max-seconds=0", Status.MAX_SECONDS)],
 )
 def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> None:
     """A limit that comes first gives exit code 1; the status and its advice are printed, and --out still writes."""
@@ -223,7 +253,12 @@ def test_every_scene_has_a_picture(scene: str) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "problem",
-    [BOX, LCP(np.zeros((0, 0)), []), LCP([[2.0]], [-1.0], lower=-np.inf), LCP([[2.0]], [-1.0], lower=-1.0, upper=1.0)],
+    [
+        BOX,
+        LCP(np.zeros((0, 0)), []),
+        LCP([[2.0]], [-1.0], lower=-np.inf),
+        LCP([[2.0]], [-1.0], lower=-1.0, upper=1.0),
+    ],
     ids=["box", "empty", "free", "one unknown in a box"],
 )
 def test_a_file_has_a_picture(problem: LCP) -> None:
@@ -234,7 +269,9 @@ def test_a_file_has_a_picture(problem: LCP) -> None:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("name", "head"), [("out.pdf", b"%PDF"), ("out.svg", b"<?xml"), ("two words.png", PNG)])
+@pytest.mark.parametrize(
+    ("name", "head"), [("out.pdf", b"%PDF"), ("out.svg", b"<?xml"), ("two words.png", PNG)]
+)
 def test_picture_formats(name: str, head: bytes) -> None:
     """The ending of the file chooses the format."""
     assert lcp_plugin("solve", "murty:n=4", "--plot", name).exit_code == 0
@@ -245,7 +282,10 @@ def test_picture_formats(name: str, head: bytes) -> None:
 def test_an_unsolved_run_has_a_picture() -> None:
     """A run without success, and one with tolerance 0, are drawn too."""
     for arguments in (("--max-iterations", "0"), ("--tolerance", "0", "--max-iterations", "5")):
-        assert lcp_plugin("solve", "obstacle_2d:size=6", *arguments, "--plot", "out.png").exit_code == 1
+        assert (
+            lcp_plugin("solve", "obstacle_2d:size=6", *arguments, "--plot", "out.png").exit_code
+            == 1
+        )
         assert Path("out.png").read_bytes().startswith(PNG)
         Path("out.png").unlink()
 
@@ -266,7 +306,9 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("lcp_plugin.api.solve", lambda *_, **__: pytest.fail("it was solved"))
     done = lcp_plugin("solve", "murty:n=4", "--plot", "out.png")
     assert done.exit_code == 2
-    assert re.fullmatch(r"lcp-plugin: .*matplotlib.*pip install 'lcp_plugin\[report\]'\n", done.stderr)
+    assert re.fullmatch(
+        r"lcp-plugin: .*matplotlib.*pip install 'lcp_plugin\[report\]'\n", done.stderr
+    )
     assert list(Path().iterdir()) == []
 
 
@@ -315,7 +357,10 @@ BAD_INPUT = [
     ("solve obstacl", r"did you mean 'obstacle_2d'\?"),
     ("solve obstacle_2d,size=9", r"did you mean 'obstacle_2d'\?"),
     ("solve murty:m=4", r"scene 'murty' has no parameter 'm'.*n, orientation"),
-    ("solve obstacle_2d:sise=4", r"scene 'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?"),
+    (
+        "solve obstacle_2d:sise=4",
+        r"scene 'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?",
+    ),
     ("solve murty:n", r"'n' in 'murty:n' has no '='.*scene:parameter=value"),
     ("solve murty:n=3,n=4", r"'n=4' in .* repeats a parameter"),
     ("solve murty:n=four", r"n must be an integer, .*got 'four'"),
@@ -325,14 +370,23 @@ BAD_INPUT = [
     ("solve scaling_trap:n=3", r"scene 'scaling_trap' has no parameter 'n'.*takes none"),
     (SOLVE + "-a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
     (SOLVE + "-a NPSOR", r"unknown algorithm 'NPSOR'"),
-    (SOLVE + "-a piqp", r"piqp is an engine for convex programs.*solve\(problem\.to_qp\(\), 'piqp'\)"),
+    (
+        SOLVE + "-a piqp",
+        r"piqp is an engine for convex programs.*solve\(problem\.to_qp\(\), 'piqp'\)",
+    ),
     (SOLVE + "-a pqip", r"unknown algorithm 'pqip'; did you mean 'piqp'\?"),
     (SOLVE + "-a psor -o relaxation", r"--option wants name=value, got 'relaxation'"),
     (SOLVE + "-a psor -o =1.5", r"--option wants name=value, got '=1.5'"),
-    (SOLVE + "-a psor -o relaxtion=1.5", r"psor has no option 'relaxtion'; did you mean 'relaxation'\?"),
+    (
+        SOLVE + "-a psor -o relaxtion=1.5",
+        r"psor has no option 'relaxtion'; did you mean 'relaxation'\?",
+    ),
     (SOLVE + "-a psor --relaxation 2.5", r"psor: relaxation must be .*below 2, got 2.5"),
     (SOLVE + "-a psor --relaxation fast", r"psor: relaxation.*'fast'.*auto"),
-    (SOLVE + "-a npsor --relaxation auto", r"npsor: relaxation must be a positive finite number.*got 'auto'"),
+    (
+        SOLVE + "-a npsor --relaxation auto",
+        r"npsor: relaxation must be a positive finite number.*got 'auto'",
+    ),
     (SOLVE + "-a npsor -o scaling=diag", r"npsor: scaling='diag'.*did you mean 'diagonal'\?"),
     (SOLVE + "-a npsor -o sweep=none", r"npsor: sweep=None.*forward"),
     (SOLVE + "-a pgs --relaxation 1.5", r"pgs has no option 'relaxation'.*sweep"),
@@ -350,20 +404,33 @@ BAD_INPUT = [
     (SOLVE + "--max-seconds -3", r"max_seconds must be finite and not negative, got -3"),
     (SOLVE + "--plot out.txt", r"must end in \.png, \.pdf, \.svg, got 'out\.txt'"),
     (SOLVE + "--plot out", r"must end in \.png, \.pdf, \.svg, got 'out'"),
-    (SOLVE + "--plot missing/out.png", r"cannot write missing/out\.png: the folder missing does not exist"),
+    (
+        SOLVE + "--plot missing/out.png",
+        r"cannot write missing/out\.png: the folder missing does not exist",
+    ),
     (SOLVE + "--plot notes.txt/out.png", r"cannot write notes\.txt/out\.png"),
     (SOLVE + "--plot taken.png", r"cannot write taken\.png"),
     (SOLVE + "--out z.txt", r"--out writes a \.npz file, got 'z\.txt'"),
-    (SOLVE + "--out missing/z.npz", r"cannot write missing/z\.npz: the folder missing does not exist"),
+    (
+        SOLVE + "--out missing/z.npz",
+        r"cannot write missing/z\.npz: the folder missing does not exist",
+    ),
     (SOLVE + "--out taken.npz", r"cannot write taken\.npz"),
     (SOLVE + "--out z.npz --plot taken.png", r"cannot write taken\.png"),
     ("solve zero.npz -a psor", r"psor needs a positive diagonal, but M\[1, 1\] = 0\.0; try"),
-    ("solve box.npz -a mgs", r"mgs needs a finite lower and no upper bound.*row 0 has bounds \[0\.0, 2\.0\]"),
+    (
+        "solve box.npz -a mgs",
+        r"mgs needs a finite lower and no upper bound.*row 0 has bounds \[0\.0, 2\.0\]",
+    ),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "pattern"), BAD_INPUT, ids=[arguments for arguments, _ in BAD_INPUT])
-def test_bad_input_is_one_line_and_exit_code_two(arguments: str, pattern: str, folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "pattern"), BAD_INPUT, ids=[arguments for arguments, _ in BAD_INPUT]
+)
+def test_bad_input_is_one_line_and_exit_code_two(
+    arguments: str, pattern: str, folder: Path
+) -> None:
     """A mistake costs one readable line on stderr that names it, exit code 2, and leaves every file as it was."""
     write_inputs()
     before = {f: f.read_bytes() for f in folder.rglob("*") if f.is_file()}
@@ -419,7 +486,9 @@ def test_memory_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     assert re.fullmatch(r"lcp-plugin: .*memory.*71 PiB.*smaller.*\n", done.stderr)
 
 
-def test_failing_write_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+def test_failing_write_is_told_and_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
     """A disk that fills up while --out is written: one line with the reason, exit code 2, no file."""
 
     def full(*_: object, **__: object) -> None:
@@ -428,7 +497,9 @@ def test_failing_write_is_told_and_leaves_nothing(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(np, "savez_compressed", full)
     done = lcp_plugin("solve", "murty:n=4", "--out", "z.npz")
     assert done.exit_code == 2
-    assert re.fullmatch(r"lcp-plugin: cannot write z\.npz: No space left on device.*\n", done.stderr)
+    assert re.fullmatch(
+        r"lcp-plugin: cannot write z\.npz: No space left on device.*\n", done.stderr
+    )
     assert list(folder.iterdir()) == []
 
 
@@ -440,7 +511,12 @@ def test_list_shows_everything_there_is() -> None:
     done = lcp_plugin("list")
     assert done.exit_code == 0
     rows = re.findall(r"^ (\w+) {2,}\S", done.stdout.partition("Algorithms")[2], re.MULTILINE)
-    assert [row for row in rows if row != "name"] == [*REGISTRY, *METHODS, *ENGINES, *gallery.names()]
+    assert [row for row in rows if row != "name"] == [
+        *REGISTRY,
+        *METHODS,
+        *ENGINES,
+        *gallery.names(),
+    ]
     assert all(algorithm_class(name).reference in done.stdout for name in REGISTRY)
     assert all(kind.reference in done.stdout for kind in METHODS.values())
     assert all(engine_class(name).reference in done.stdout for name in ENGINES)
@@ -450,14 +526,16 @@ def test_list_shows_everything_there_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "option"), [("daqp", "iter_limit=50"), ("piqp", "max_iter=50"), ("clarabel", "max_iter=50")]
+    ("name", "option"),
+    [("daqp", "iter_limit=50"), ("piqp", "max_iter=50"), ("clarabel", "max_iter=50")],
 )
 def test_an_engine_solves_the_program_of_a_file(name: str, option: str) -> None:
     """`solve FILE -a ENGINE` finds the planted minimum, with its own options, and refuses those of others."""
     matrices = {"P": sp.csc_array([[2.0, 0.0], [0.0, 2.0]]), "A": sp.csc_array([[1.0, 1.0]])}
     parts = {
         f"{key}_{part}": getattr(one, part)
-        for key, one in matrices.items() for part in ("shape", "data", "indices", "indptr")
+        for key, one in matrices.items()
+        for part in ("shape", "data", "indices", "indptr")
     }
     np.savez("program.npz", q=[-2.0, -5.0], l=[-np.inf], u=[1.0], **parts)
     for more in ((), ("-o", option)):
@@ -547,7 +625,10 @@ def test_reader_that_has_gone(arguments: str) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
-        [sys.executable, "-m", "lcp_plugin", *arguments.split()], stdout=writer, stderr=subprocess.PIPE, check=False,
+        [sys.executable, "-m", "lcp_plugin", *arguments.split()],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        check=False,
         env=BUFFERED,
     )
     os.close(writer)
@@ -562,8 +643,11 @@ def test_full_device_is_told() -> None:
         pytest.skip("there is no device that is always full")
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "lcp_plugin", "solve", "murty:n=4"], stdout=full, stderr=subprocess.PIPE,
-            check=False, env=BUFFERED,
+            [sys.executable, "-m", "lcp_plugin", "solve", "murty:n=4"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+            env=BUFFERED,
         )
     assert done.returncode == 2
     assert re.fullmatch(rb"lcp-plugin: .*No space left on device\n", done.stderr)
@@ -578,9 +662,21 @@ def test_ctrl_c_prints_the_best_so_far() -> None:
     pty = pytest.importorskip("pty", reason="terminals are a thing of Unix")
     ours, theirs = pty.openpty()
     running = subprocess.Popen(
-        [sys.executable, "-m", "lcp_plugin", "solve", "obstacle_2d:size=300", "-a", "npgs", "--tolerance", "1e-14",
-         "--out", "z.npz"],
-        stdout=subprocess.PIPE, stderr=theirs,
+        [
+            sys.executable,
+            "-m",
+            "lcp_plugin",
+            "solve",
+            "obstacle_2d:size=300",
+            "-a",
+            "npgs",
+            "--tolerance",
+            "1e-14",
+            "--out",
+            "z.npz",
+        ],
+        stdout=subprocess.PIPE,
+        stderr=theirs,
     )
     os.close(theirs)
     try:

@@ -111,7 +111,10 @@ def test_the_report_takes_a_function(here: Path) -> None:
         ("solve mine.py:even:n=4,shft=1", "got an unexpected keyword argument 'shft'"),
         ("solve mine.py:even:n", "write file.py:function:key=value"),
         ("solve mine.py:OWN --size 3", "mine.py has no 'OWN'"),
-        ("solve mine.py:chain:n=9 -a mine.py:chain", "must be a class below lcp_plugin.algorithms.Algorithm"),
+        (
+            "solve mine.py:chain:n=9 -a mine.py:chain",
+            "must be a class below lcp_plugin.algorithms.Algorithm",
+        ),
         ("solve mine.py:chain:n=9 -a mine.py:Nameless", 'has no name; write name = "nameless"'),
         ("solve mine.py:chain:n=9 -a mine.py:Damped -o omga=1", "did you mean 'omega'"),
         ("solve mine.py:chain:n=9 -a mine.py:Raises -o omega=1", "has no options, got ['omega']"),
@@ -119,7 +122,9 @@ def test_the_report_takes_a_function(here: Path) -> None:
         ("check mine.py:chain:n=9 -a mine.py:Raises", "in iterates: IndexError"),
     ],
 )
-def test_a_mistake_of_one_s_own_is_told_with_its_line(here: Path, arguments: str, words: str) -> None:
+def test_a_mistake_of_one_s_own_is_told_with_its_line(
+    here: Path, arguments: str, words: str
+) -> None:
     """One line on stderr, exit code 2, and no traceback."""
     (here / "broken.py").write_text("import numpy\nx = numpy.nothing\n", encoding="utf-8")
     (here / "syntax.py").write_text("def f(:\n", encoding="utf-8")
@@ -135,12 +140,33 @@ def test_a_mistake_of_one_s_own_is_told_with_its_line(here: Path, arguments: str
 def test_families_methods_and_sizes_from_options(here: Path) -> None:
     """Problems and methods, own and ours, sizes and views: a CSV, a table that prints, and what was asked for."""
     done = run(
-        "study", "mine.py:chain", "half_active", "-a", "psor", "-a", "mine.py:Damped", "--size", "16", "--size", "64",
-        "--size", "256", "--repeats", "1", "--save", "iterations=t.tex", "--save", "results=r.md", "--out", "r.csv",
+        "study",
+        "mine.py:chain",
+        "half_active",
+        "-a",
+        "psor",
+        "-a",
+        "mine.py:Damped",
+        "--size",
+        "16",
+        "--size",
+        "64",
+        "--size",
+        "256",
+        "--repeats",
+        "1",
+        "--save",
+        "iterations=t.tex",
+        "--save",
+        "results=r.md",
+        "--out",
+        "r.csv",
     )
     assert done.exit_code == 0, done.output
     assert {(row["problem"], row["size"], row["method"]) for row in rows("r.csv")} == {
-        (problem, size, method) for problem in ("chain", "half_active") for size in ("16", "64", "256")
+        (problem, size, method)
+        for problem in ("chain", "half_active")
+        for size in ("16", "64", "256")
         for method in ("psor", "damped")
     }
     assert "chain: iterations" in done.output
@@ -189,7 +215,9 @@ def test_a_study_file_says_the_same_and_options_go_before_it(here: Path) -> None
         ('algorithm = "mine.py:Damped", ', "", "method 'fast' needs an algorithm"),
     ],
 )
-def test_a_typo_in_a_study_file_is_found_before_anything_runs(here: Path, old: str, new: str, words: str) -> None:
+def test_a_typo_in_a_study_file_is_found_before_anything_runs(
+    here: Path, old: str, new: str, words: str
+) -> None:
     """One line with a guess, exit code 2, and what was computed before is still there."""
     assert run("study", "mine.py:chain", "-a", "pgs", "--size", "9").exit_code == 0
     (here / "s.toml").write_text(FILE.replace(old, new), encoding="utf-8")
@@ -201,7 +229,9 @@ def test_a_typo_in_a_study_file_is_found_before_anything_runs(here: Path, old: s
 
 def test_code_that_raises_loses_nothing(here: Path) -> None:
     """A method that raises and a size that is refused stand below the table, in words; the rest is measured."""
-    done = run("study", "mine.py:even", "-a", "mine.py:Raises", "-a", "psor", "--size", "4", "--size", "5")
+    done = run(
+        "study", "mine.py:even", "-a", "mine.py:Raises", "-a", "psor", "--size", "4", "--size", "5"
+    )
     assert done.exit_code == 1
     assert "ERROR raises on even of size 4: mine.py, line " in done.output
     assert "REFUSED on even of size 5: mine.py, line " in done.output
@@ -214,10 +244,26 @@ def test_code_that_raises_loses_nothing(here: Path) -> None:
 @pytest.mark.full
 def test_ctrl_c_in_a_shell_and_on(here: Path) -> None:
     """A study of a process of its own, interrupted: exit code 1, rows kept; the same command ends it."""
-    command = [sys.executable, "-m", "lcp_plugin", "study", "mine.py:chain", "-a", "mine.py:Damped", "-a", "psor",
-               *(word for size in range(5000, 25000, 1000) for word in ("--size", str(size)))]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=here,
-                               env=os.environ | {"OMP_NUM_THREADS": "1"})
+    command = [
+        sys.executable,
+        "-m",
+        "lcp_plugin",
+        "study",
+        "mine.py:chain",
+        "-a",
+        "mine.py:Damped",
+        "-a",
+        "psor",
+        *(word for size in range(5000, 25000, 1000) for word in ("--size", str(size))),
+    ]
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=here,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
     while not (Path("study.csv").exists() and len(rows()) >= 2):
         time.sleep(0.02)
         assert process.poll() is None
@@ -227,5 +273,7 @@ def test_ctrl_c_in_a_shell_and_on(here: Path) -> None:
     kept = len(rows())
     assert 2 <= kept < 40
     assert "the same command goes on from here" in out
-    again = subprocess.run(command, capture_output=True, text=True, cwd=here, timeout=120, check=True)
+    again = subprocess.run(
+        command, capture_output=True, text=True, cwd=here, timeout=120, check=True
+    )
     assert f"study.csv: 40 rows, {kept} of them from a former run" in again.stdout

@@ -44,9 +44,14 @@ def test_infeasible_beyond_the_tolerance_only() -> None:
 
 
 @given(
-    st.integers(0, 10**6), st.integers(1, 12), st.floats(-9, 3), st.sampled_from(["auto", "psor", "newton", "lemke"]),
+    st.integers(0, 10**6),
+    st.integers(1, 12),
+    st.floats(-9, 3),
+    st.sampled_from(["auto", "psor", "newton", "lemke"]),
 )
-def test_solved_means_one_tolerance_or_the_other_in_every_part(seed: int, n: int, exponent: float, name: str) -> None:
+def test_solved_means_one_tolerance_or_the_other_in_every_part(
+    seed: int, n: int, exponent: float, name: str
+) -> None:
     """SOLVED ⇔ ‖r_P‖∞ ≤ max(tolerance · reference, absolute_tolerance) for each component, in units of their own."""
     random = np.random.default_rng(seed)
     cut = int(random.integers(0, n))
@@ -55,9 +60,16 @@ def test_solved_means_one_tolerance_or_the_other_in_every_part(seed: int, n: int
     np.fill_diagonal(M, np.abs(M).sum(axis=1) + np.abs(M).sum(axis=0) + 1.0)
     unit = np.where(np.arange(n) < cut, 10.0 ** random.uniform(-6, 6), 1.0)
     problem, absolute = LCP(M, random.standard_normal(n) * unit), 10.0**exponent
-    result = solve(problem, name, absolute_tolerance=absolute, tolerance=float(random.choice([1e-8, 1e-4, 0.0])))
+    result = solve(
+        problem,
+        name,
+        absolute_tolerance=absolute,
+        tolerance=float(random.choice([1e-8, 1e-4, 0.0])),
+    )
     largest, least = result.certificate.residuals_of_components
-    assert result.is_solved == bool((largest <= np.maximum(result.tolerance * least, absolute)).all())
+    assert result.is_solved == bool(
+        (largest <= np.maximum(result.tolerance * least, absolute)).all()
+    )
     assert result.is_solved
 
 
@@ -105,11 +117,18 @@ def test_it_goes_with_the_residual() -> None:
 def test_large_sparse_problems_stop_at_it() -> None:
     """A grid needs fewer sweeps for less."""
     n = 300
-    M = sp.diags_array([-np.ones(n - 1), np.full(n, 2.0 + 1e-3), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    M = sp.diags_array(
+        [-np.ones(n - 1), np.full(n, 2.0 + 1e-3), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
     problem = LCP(M, -np.ones(n))
     loose, sharp = solve(problem, "psor", absolute_tolerance=1e-2), solve(problem, "psor")
     assert loose.is_solved
-    assert loose.certificate.scaled_residual <= 1e-2 < 10.0 * loose.iterations < 10.0 * sharp.iterations
+    assert (
+        loose.certificate.scaled_residual
+        <= 1e-2
+        < 10.0 * loose.iterations
+        < 10.0 * sharp.iterations
+    )
 
 
 @pytest.mark.full
@@ -118,7 +137,9 @@ def test_what_doubles_exclude_beside_the_data_may_be_small_enough() -> None:
     M, q = AT_REST
     result = solve(LCP(M, q), absolute_tolerance=1e-15, prove_infeasibility=False)
     assert result.is_solved
-    assert solve_batch([M] * 3, [q] * 3, absolute_tolerance=1e-15, prove_infeasibility=False).all_solved
+    assert solve_batch(
+        [M] * 3, [q] * 3, absolute_tolerance=1e-15, prove_infeasibility=False
+    ).all_solved
     assert not solve_batch([M] * 3, [q] * 3, prove_infeasibility=False).all_solved
 
 
@@ -141,7 +162,9 @@ def test_the_advised_number_is_enough(seed: int) -> None:
     random = np.random.default_rng(seed)
     n = int(random.integers(1, 5))
     M = random.integers(-3, 4, (n, n)).astype(float)
-    q = np.where(random.random(n) < 0.5, 1e-17 * random.standard_normal(n), random.integers(-3, 4, n))
+    q = np.where(
+        random.random(n) < 0.5, 1e-17 * random.standard_normal(n), random.integers(-3, 4, n)
+    )
     plain = solve(LCP(M, q))
     if "absolute_tolerance=" in plain.advice:
         value = float(plain.advice.split("absolute_tolerance=")[1].split()[0])

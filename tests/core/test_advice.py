@@ -44,12 +44,16 @@ from lcp_plugin.problems.programs.conversion import lcp_from_qp
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 LEFT_OUT = (
-    "the exhaustive search", "a look for a proof that there is no solution", "newton, where the diagonal is negative,",
+    "the exhaustive search",
+    "a look for a proof that there is no solution",
+    "newton, where the diagonal is negative,",
     "lemke",
 )
 CONTACT = LCP(friction(10).M, friction(10).q)
 TRAPPED = LCP(TRAP, [-210.0, -110, 150])  # an H₊-matrix on which unscaled steps run into a cycle
-FAR = LCP([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0])  # a P-matrix, far from H₊
+FAR = LCP(
+    [[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0]
+)  # a P-matrix, far from H₊
 SADDLE = LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 2.0])
 UNSUITED = LCP(-4.0 * np.eye(3) + 1.0, [1.0, -1.0, 1.0], upper=5.0)
 
@@ -80,20 +84,38 @@ def indefinite() -> LCP:
 # Each with the problem, the call that failed, and what it is told to do.
 FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
     # refused before the first step
-    *((CONTACT, {"algorithm": name}, ["auto"]) for name in ("pgs", "psor", "pj", "mgs", "gfp", "multigrid")),
-    (gallery.obstacle_2d(size=5).problem.with_q(np.ones(25), lower=-1.0, upper=1.0), {"algorithm": "mgs"}, ["auto"]),
+    *(
+        (CONTACT, {"algorithm": name}, ["auto"])
+        for name in ("pgs", "psor", "pj", "mgs", "gfp", "multigrid")
+    ),
+    (
+        gallery.obstacle_2d(size=5).problem.with_q(np.ones(25), lower=-1.0, upper=1.0),
+        {"algorithm": "mgs"},
+        ["auto"],
+    ),
     (UNSUITED, {"algorithm": "npgs"}, ["auto"]),
     (UNSUITED, {"algorithm": "npgs", "scaling": None}, ["auto"]),
     (LCP([[-1.0, 0.0], [0.0, 4.0]], [1.0, -1.0]), {"algorithm": "npsplitting"}, ["auto"]),
-    (LCP([[-1.0, 0.0], [0.0, 4.0]], [1.0, -1.0]), {"algorithm": "npsplitting", "scaling": None}, ["auto"]),
+    (
+        LCP([[-1.0, 0.0], [0.0, 4.0]], [1.0, -1.0]),
+        {"algorithm": "npsplitting", "scaling": None},
+        ["auto"],
+    ),
     # without an end
     (CONTACT, {"algorithm": "npsor"}, ["auto"]),
     (CONTACT, {"algorithm": "npj"}, ["auto"]),
-    *((indefinite(), {"algorithm": name}, ["auto"]) for name in ("newton", "interior_point", "banded", "npsor")),
+    *(
+        (indefinite(), {"algorithm": name}, ["auto"])
+        for name in ("newton", "interior_point", "banded", "npsor")
+    ),
     (FAR, {"algorithm": "psor", "relaxation": 1.9}, ["auto"]),
     (FAR, {"algorithm": "npj"}, ["auto"]),
     (TRAPPED, {"algorithm": "npsor", "scaling": None}, ["auto", "scaling"]),
-    (TRAPPED, {"algorithm": "npsplitting", "scaling": None, "max_iterations": 1}, ["auto", "scaling"]),
+    (
+        TRAPPED,
+        {"algorithm": "npsplitting", "scaling": None, "max_iterations": 1},
+        ["auto", "scaling"],
+    ),
     # a limit
     (TRAPPED, {"algorithm": "npsor", "scaling": None, "max_iterations": 5}, ["auto", "scaling"]),
     (FAR, {"algorithm": "npsor", "max_iterations": 5}, ["auto"]),
@@ -101,14 +123,23 @@ FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
 
 
 @pytest.mark.parametrize(
-    ("problem", "failed", "named"), FOLLOWED, ids=[f"{k} {failed}" for k, (_, failed, _) in enumerate(FOLLOWED)]
+    ("problem", "failed", "named"),
+    FOLLOWED,
+    ids=[f"{k} {failed}" for k, (_, failed, _) in enumerate(FOLLOWED)],
 )
-def test_the_call_that_is_advised_solves_the_problem(problem: LCP, failed: dict[str, Any], named: list[str]) -> None:
+def test_the_call_that_is_advised_solves_the_problem(
+    problem: LCP, failed: dict[str, Any], named: list[str]
+) -> None:
     """What names an algorithm or a scaling is no call that ran, and each solves the problem that received it."""
     algorithm_class(failed.get("algorithm", "psor"))  # said to be missing where its module is
     advice = advice_of(lambda: solve(problem, **failed))
     calls = calls_in(advice)
-    assert sorted(value if name == "algorithm" else name for call in calls for name, value in call.items()) == named
+    assert (
+        sorted(
+            value if name == "algorithm" else name for call in calls for name, value in call.items()
+        )
+        == named
+    )
     for call in calls:
         assert any(failed.get(name) != value for name, value in call.items())
         tried = call if "algorithm" in call else {**failed, **call, "max_iterations": None}
@@ -129,14 +160,23 @@ def test_no_algorithm_is_advised_to_itself(name: str) -> None:
             assert f'algorithm="{name}"' not in told
             if not told.startswith(Status.SOLVED.value):
                 for call in calls_in(told):
-                    assert solve(problem, **call if "algorithm" in call else {"algorithm": name, **call}).seconds >= 0.0
+                    assert (
+                        solve(
+                            problem, **call if "algorithm" in call else {"algorithm": name, **call}
+                        ).seconds
+                        >= 0.0
+                    )
 
 
 def test_too_large_for_pivots() -> None:
     """Lemke refuses a component whose inverse is too large, and what it names solves it."""
     n = PIVOTED_UP_TO + 1
-    problem = LCP(sp.diags_array([np.full(n - 1, -1.0), np.full(n, 2.5), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]),
-                  np.where(np.arange(n) % 3, 1.0, -1.0))
+    problem = LCP(
+        sp.diags_array(
+            [np.full(n - 1, -1.0), np.full(n, 2.5), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
+        ),
+        np.where(np.arange(n) % 3, 1.0, -1.0),
+    )
     advice = advice_of(lambda: solve(problem, "lemke"))
     assert calls_in(advice) == [{"algorithm": "auto"}]
     assert solve(problem).is_solved
@@ -146,7 +186,9 @@ def test_no_narrow_band() -> None:
     """Banded refuses a matrix whose factor fills in too much, and what it names solves it."""
     rng, n = np.random.default_rng(0), 30_000
     M = sp.random_array((n, n), density=8.0 / n, rng=rng)
-    problem = LCP(sp.csr_array(sp.diags_array(abs(M).sum(axis=1) + 1.0) - M), rng.standard_normal(n))
+    problem = LCP(
+        sp.csr_array(sp.diags_array(abs(M).sum(axis=1) + 1.0) - M), rng.standard_normal(n)
+    )
     advice = advice_of(lambda: solve(problem, "banded"))
     assert calls_in(advice) == [{"algorithm": "auto"}]
     assert solve(problem).is_solved
@@ -173,10 +215,14 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert solve(problem, z0=z + 1e-6).is_solved
 
 
-@pytest.mark.parametrize(("n", "named"), [(60, ()), (61, LEFT_OUT[:1]), (5001, LEFT_OUT[:3]), (6001, LEFT_OUT)])
+@pytest.mark.parametrize(
+    ("n", "named"), [(60, ()), (61, LEFT_OUT[:1]), (5001, LEFT_OUT[:3]), (6001, LEFT_OUT)]
+)
 def test_what_auto_leaves_out_for_its_size_is_told(n: int, named: tuple[str, ...]) -> None:
     """Each with the size up to which it goes; nothing where all are tried."""
-    M = sp.diags_array([np.full(n - 1, -2.0), np.full(n, -1.0), np.full(n - 1, 3.0)], offsets=(-1, 0, 1)).tocsr()
+    M = sp.diags_array(
+        [np.full(n - 1, -2.0), np.full(n, -1.0), np.full(n - 1, 3.0)], offsets=(-1, 0, 1)
+    ).tocsr()
     order = FallbackOrder(LCP(M, np.ones(n), lower=-np.ones(n), upper=1.0))
     stage = Stage(create("newton", {}))
     following = order.first()
@@ -229,14 +275,16 @@ def test_an_answer_beyond_doubles_is_told_as_a_question_of_units(algorithm: str)
     assert "z0" not in advice
     assert calls_in(advice) == []
     by_M, by_q = re.findall(r"divide M by (\S+), q by (\S+), and z", advice)[0]
-    solved = solve(LCP(M * 1e-200 / float(by_M), q * 1e200 / float(by_q)), algorithm).require_solved()
+    solved = solve(
+        LCP(M * 1e-200 / float(by_M), q * 1e200 / float(by_q)), algorithm
+    ).require_solved()
     np.testing.assert_allclose(solved.z, [1.0, 0.0], atol=1e-6)
     assert "divide M" not in solve(LCP(M, q), algorithm, max_iterations=0).advice
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])
 def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
-    """"Go on from z0=result.z" is said where it helps, and raising the limit solves the problem."""
+    """The advice "Go on from z0=result.z" is said where it helps, and raising the limit solves the problem."""
     problem = gallery.obstacle_2d(size=25).problem
     first = solve(problem, algorithm, max_iterations=1)
     assert first.status is Status.MAX_ITERATIONS
@@ -262,32 +310,51 @@ def test_a_start_that_is_the_answer_is_said(size: int, algorithm: str) -> None:
     assert "where it begins" not in answer.explain()
 
 
-@pytest.mark.parametrize(("problem", "point"), [
-    (LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0]), "z = 0"),
-    (LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0], lower=[1.0, -np.inf]), "the point of the bounds nearest to 0"),
-])
+@pytest.mark.parametrize(
+    ("problem", "point"),
+    [
+        (LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0]), "z = 0"),
+        (
+            LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0], lower=[1.0, -np.inf]),
+            "the point of the bounds nearest to 0",
+        ),
+    ],
+)
 def test_the_residual_is_told_beside_a_point(problem: LCP, point: str) -> None:
     """The point that explain() names has the relative residual 1; where that point is the answer none is named."""
     result = solve(problem)
-    assert f"relative residual {result.residual:.3e}, tolerance 1e-08 (1 at {point})" in result.explain()
+    assert (
+        f"relative residual {result.residual:.3e}, tolerance 1e-08 (1 at {point})"
+        in result.explain()
+    )
     assert Certificate.of(problem, problem.nearest_to_zero).relative_residual == pytest.approx(1.0)
     assert "(1 at" not in solve(LCP([[1.0]], [1.0])).explain()
 
 
 STAGE_LINES = {
     "a program": (
-        lambda: solve(QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])),
+        lambda: solve(
+            QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])
+        ),
         "dense convex programs of up to some hundred rows",
     ),
     "a program, its residuals": (
-        lambda: solve(QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])),
+        lambda: solve(
+            QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])
+        ),
         "constraints are violated by",
     ),
     "a program by interior points": (
-        lambda: solve(QuadraticProgram(
-            sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(900, 900)), np.arange(900) % 7 - 3.0,
-            A=np.ones((1, 900)), b=[1.0], lower=-1.0, upper=1.0,
-        )),
+        lambda: solve(
+            QuadraticProgram(
+                sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(900, 900)),
+                np.arange(900) % 7 - 3.0,
+                A=np.ones((1, 900)),
+                b=[1.0],
+                lower=-1.0,
+                upper=1.0,
+            )
+        ),
         "convex programs, dense and sparse",
     ),
     "a nonlinear problem": (
@@ -295,9 +362,13 @@ STAGE_LINES = {
         "replaces F by its tangent at x",
     ),
     "its work": (
-        lambda: solve(NonlinearProblem(lambda x: np.exp(x) - 2.0), x0=[0.0]), "products of F′ with a vector",
+        lambda: solve(NonlinearProblem(lambda x: np.exp(x) - 2.0), x0=[0.0]),
+        "products of F′ with a vector",
     ),
-    "work": (lambda: solve(LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])), "products of M with a vector"),
+    "work": (
+        lambda: solve(LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])),
+        "products of M with a vector",
+    ),
 }
 
 
@@ -321,13 +392,19 @@ def test_what_does_not_go_on_does_not_say_so() -> None:
     """Pivots begin anew from a poor start: only the limit can be raised."""
     problem = gallery.obstacle_2d(size=40).problem
     advice = advice_of(lambda: solve(problem, "lemke", max_iterations=1))
-    assert advice == 'the iteration limit came first; next: try algorithm="auto", or raise max_iterations'
+    assert (
+        advice
+        == 'the iteration limit came first; next: try algorithm="auto", or raise max_iterations'
+    )
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("algorithm", "words"),
-    [("interior_point", "z0 was not used"), ("lemke", "z0 was not used but for its active set, which lemke tries")],
+    [
+        ("interior_point", "z0 was not used"),
+        ("lemke", "z0 was not used but for its active set, which lemke tries"),
+    ],
 )
 def test_a_start_that_changes_nothing_is_said(algorithm: str, words: str) -> None:
     """Where a given z0 changes nothing explain() says so; where it is used, or none was given, it does not."""
@@ -335,7 +412,9 @@ def test_a_start_that_changes_nothing_is_said(algorithm: str, words: str) -> Non
     z0 = np.random.default_rng(0).random(problem.n)
     begun, plain = solve(problem, algorithm, z0=z0), solve(problem, algorithm)
     assert begun.z.tobytes() == plain.z.tobytes()
-    assert plain.work <= begun.work <= 1.001 * plain.work  # what an active set costs that is not the answer's
+    assert (
+        plain.work <= begun.work <= 1.001 * plain.work
+    )  # what an active set costs that is not the answer's
     assert words in begun.explain()
     assert "z0 was not used" not in plain.explain()
     for other in ("newton", "psor", "auto", "multigrid", "banded"):
@@ -364,7 +443,7 @@ def test_interior_point_uses_a_start_where_m_is_dense_and_symmetric() -> None:
 
 
 def test_the_remedy_of_a_guarantee_is_followed() -> None:
-    """"What to do" in explain() is guaranteed, and solves the problem."""
+    """The line "What to do" in explain() is guaranteed, and solves the problem."""
     result = solve(TRAPPED, "npsor", scaling=None)
     assert 'what to do: scaling="auto"' in result.explain()
     assert solve(TRAPPED, "npsor", scaling="auto").is_solved
@@ -385,7 +464,9 @@ def test_the_other_algorithm_for_a_large_product_is_another_one() -> None:
 
 def test_what_a_program_is_told_runs() -> None:
     """The form of a program that is refused names one that is taken."""
-    singular = QuadraticProgram([[0.0, 0.0], [0.0, 1.0]], [1.0, 1.0], G=[[-1.0, -1.0]], h=[1.0], lower=0.0)
+    singular = QuadraticProgram(
+        [[0.0, 0.0], [0.0, 1.0]], [1.0, 1.0], G=[[-1.0, -1.0]], h=[1.0], lower=0.0
+    )
     with pytest.raises(LCPError) as caught:
         lcp_from_qp(singular, "direct")
     forms = re.findall(r'form="(\w+)"', str(caught.value).partition("; use ")[2])
@@ -398,18 +479,35 @@ def test_what_certify_names_runs() -> None:
     problem, curved = LCP([[2, 1], [1, 2]], [-5, 1]), NonlinearProblem(lambda x: x**3 - 1.0)
     made = LCP.from_qp(np.eye(2), [1.0, -1.0], lower=0.0)
     result = solve(problem)
-    names: dict[str, Any] = {"problem": problem, "z": result.z, "result": result, "error_bound": error_bound}
+    names: dict[str, Any] = {
+        "problem": problem,
+        "z": result.z,
+        "result": result,
+        "error_bound": error_bound,
+    }
     names |= {"Certificate": type(result.certificate)}
     for given, scope in (
-        (problem, names), (result, names),
+        (problem, names),
+        (result, names),
         (curved, {"problem": curved, "x": [1.0], "solve": solve}),
-        (made.origin.recover(solve(made)), {"program": made.origin.program, "certify": certify,
-                                            "solution": made.origin.recover(solve(made))}),
-        (bounded_least_squares([[1.0]], [1.0]), {"problem": BoundedLeastSquares([[1.0]], [1.0]), "solve": solve}),
+        (
+            made.origin.recover(solve(made)),
+            {
+                "program": made.origin.program,
+                "certify": certify,
+                "solution": made.origin.recover(solve(made)),
+            },
+        ),
+        (
+            bounded_least_squares([[1.0]], [1.0]),
+            {"problem": BoundedLeastSquares([[1.0]], [1.0]), "solve": solve},
+        ),
     ):
         with pytest.raises(LCPError) as caught:
             certify(given)
-        calls = re.findall(r"[A-Za-z_][\w.]*\((?:[^()]|\([^()]*\))*\)(?:\.\w+)?|result\.\w+", str(caught.value))
+        calls = re.findall(
+            r"[A-Za-z_][\w.]*\((?:[^()]|\([^()]*\))*\)(?:\.\w+)?|result\.\w+", str(caught.value)
+        )
         assert calls
         for call in calls:
             assert eval(call, dict(scope)) is not None
@@ -418,7 +516,10 @@ def test_what_certify_names_runs() -> None:
 def test_least_squares_that_stop_are_told_what_helps() -> None:
     """A limit names x0=result.x, which goes on."""
     rng = np.random.default_rng(0)
-    A, b = rng.standard_normal((400, 300)) @ np.diag(np.logspace(0, -4, 300)), rng.standard_normal(400)
+    A, b = (
+        rng.standard_normal((400, 300)) @ np.diag(np.logspace(0, -4, 300)),
+        rng.standard_normal(400),
+    )
     first = bounded_least_squares(A, b, max_iterations=0)
     assert first.status is Status.MAX_ITERATIONS
     assert "go on from x0=result.x" in first.advice
@@ -437,7 +538,9 @@ def test_batches_give_the_same_advice() -> None:
 def test_every_named_algorithm_exists() -> None:
     """Names in advice are names of the registry, or auto."""
     for problem, failed, _ in FOLLOWED:
-        for call in calls_in(advice_of(lambda problem=problem, failed=failed: solve(problem, **failed))):
+        for call in calls_in(
+            advice_of(lambda problem=problem, failed=failed: solve(problem, **failed))
+        ):
             name = call.get("algorithm", "auto")
             assert name == "auto" or create(name, {}).name == name
 

@@ -18,7 +18,11 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import RowScaling, reference_residual, references_of_components
+from lcp_plugin.core.certificates.criterion import (
+    RowScaling,
+    reference_residual,
+    references_of_components,
+)
 from lcp_plugin.core.certificates.row_residuals import scaled_residual
 from lcp_plugin.core.matrix.scaling import scaling_of
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
@@ -41,7 +45,9 @@ class Exact:
         M = self.problem.csr.toarray().tolist()
         self.rows = [[Fraction(value) for value in row] for row in M]
         self.q = [Fraction(value) for value in self.problem.q.tolist()]
-        self.bounds = list(zip(self.problem.lower.tolist(), self.problem.upper.tolist(), strict=True))
+        self.bounds = list(
+            zip(self.problem.lower.tolist(), self.problem.upper.tolist(), strict=True)
+        )
         self.w = [q + self.dot(row, self.z) for q, row in zip(self.q, self.rows, strict=True)]
         scaling = RowScaling.of(self.problem)
         self.d = [self.scale(row, row[i]) for i, row in enumerate(self.rows)]
@@ -84,16 +90,23 @@ class Exact:
     def magnitude(self) -> list[Fraction]:
         """|M||z| + |q|."""
         size = [abs(z) for z in self.z]
-        return [self.dot([abs(m) for m in row], size) + abs(q) for row, q in zip(self.rows, self.q, strict=True)]
+        return [
+            self.dot([abs(m) for m in row], size) + abs(q)
+            for row, q in zip(self.rows, self.q, strict=True)
+        ]
 
     @property
     def floor(self) -> list[Fraction]:
         terms = [sum(m != 0 for m in row) + 2 for row in self.rows]
-        return [k * EPSILON * size / d for k, size, d in zip(terms, self.magnitude, self.d, strict=True)]
+        return [
+            k * EPSILON * size / d for k, size, d in zip(terms, self.magnitude, self.d, strict=True)
+        ]
 
     @property
     def backward_error(self) -> Any:
-        sizes = [abs(z) + size / d for z, size, d in zip(self.z, self.magnitude, self.d, strict=True)]
+        sizes = [
+            abs(z) + size / d for z, size, d in zip(self.z, self.magnitude, self.d, strict=True)
+        ]
         rows = zip(self.scaled, sizes, strict=True)
         return max((abs(r) / size if size else math.inf) if r else Fraction(0) for r, size in rows)
 
@@ -106,7 +119,11 @@ class Exact:
     def weights(self) -> list[Fraction]:
         """What a row's residual is multiplied by in the scaling of the criterion."""
         scaling = RowScaling.of(self.problem)
-        return [Fraction(1)] * len(self.z) if scaling is None else [Fraction(2) ** -k for k in scaling.column.tolist()]
+        return (
+            [Fraction(1)] * len(self.z)
+            if scaling is None
+            else [Fraction(2) ** -k for k in scaling.column.tolist()]
+        )
 
     def in_criterion(self, residuals: list[Fraction]) -> list[Fraction]:
         return [weight * abs(r) for weight, r in zip(self.weights, residuals, strict=True)]
@@ -118,7 +135,9 @@ class Exact:
     @property
     def relative(self) -> Any:
         components = component_of_rows(self.problem.csr)
-        return relative_residual(self.in_criterion(self.scaled), self.in_criterion(self.at_zero), components)
+        return relative_residual(
+            self.in_criterion(self.scaled), self.in_criterion(self.at_zero), components
+        )
 
 
 def exactly(problem: LCP, z: object) -> Exact:
@@ -140,12 +159,17 @@ def rough_problems(draw: st.DrawFn, *, empty_rows: bool = True) -> tuple[LCP, np
         st.integers(0, 9) | st.just(math.inf),
         st.integers(-9, 9),
     )
-    q, z, below, above, centre = np.array(draw(st.lists(rows, min_size=n, max_size=n)), dtype=float).T
+    q, z, below, above, centre = np.array(
+        draw(st.lists(rows, min_size=n, max_size=n)), dtype=float
+    ).T
     matrix = np.array(M, dtype=float).reshape(n, n)
     if not empty_rows:
         matrix[~matrix.any(axis=1), 0] = 1.0
     problem = LCP(
-        matrix if draw(st.booleans()) else sp.csr_array(matrix), q / 4, lower=centre - below, upper=centre + above
+        matrix if draw(st.booleans()) else sp.csr_array(matrix),
+        q / 4,
+        lower=centre - below,
+        upper=centre + above,
     )
     return problem, z / 8
 
@@ -155,7 +179,9 @@ def floating_problems(draw: st.DrawFn) -> tuple[LCP, np.ndarray]:
     """H₊-matrices with wild rows, and q and z of any size, none of them dyadic."""
     M = draw(scaled_matrices(nearly_singular(), 60, 10)) / 3.0
     numbers = st.floats(-1e9, 1e9).map(lambda x: x if abs(x) > 1e-9 else 0.0)
-    q, z, first, second = np.array(draw(st.lists(numbers, min_size=4 * len(M), max_size=4 * len(M)))).reshape(4, -1)
+    q, z, first, second = np.array(
+        draw(st.lists(numbers, min_size=4 * len(M), max_size=4 * len(M)))
+    ).reshape(4, -1)
     is_bounded = draw(st.booleans())
     lower = np.minimum(first, second) if is_bounded else 0.0
     upper = np.maximum(first, second) if is_bounded else np.inf
@@ -193,20 +219,33 @@ def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> N
     certificate, exact = Certificate.of(problem, z), exactly(problem, z)
     assert problem.residual_scale.tolist() == exact.d
     residual = [abs(r) for r in exact.scaled]
-    slip = 4 * float(EPSILON * max(abs(x) + abs(w / d) for x, w, d in zip(exact.z, exact.w, exact.d, strict=True)))
+    slip = 4 * float(
+        EPSILON
+        * max(abs(x) + abs(w / d) for x, w, d in zip(exact.z, exact.w, exact.d, strict=True))
+    )
     references = references_of_rows(exact.at_zero, component_of_rows(problem.csr))
     worst = certificate.worst_index
     assert certificate.scaled_residual == pytest.approx(float(residual[worst]), rel=1e-15, abs=slip)
     if references[worst]:
         beside = (residual[worst] + Fraction(slip)) / references[worst]
-        assert all(r <= beside * of + Fraction(slip) for r, of in zip(residual, references, strict=True) if of)
-    assert certificate.backward_error == pytest.approx(float(exact.backward_error), rel=1e-14, abs=slip)
-    assert certificate.rounding_floor == pytest.approx([float(value) for value in exact.floor], rel=1e-15)
+        assert all(
+            r <= beside * of + Fraction(slip)
+            for r, of in zip(residual, references, strict=True)
+            if of
+        )
+    assert certificate.backward_error == pytest.approx(
+        float(exact.backward_error), rel=1e-14, abs=slip
+    )
+    assert certificate.rounding_floor == pytest.approx(
+        [float(value) for value in exact.floor], rel=1e-15
+    )
 
     assert reference_residual(problem) == pytest.approx(float(exact.reference), rel=1e-14)
     if exact.relative < math.inf:
         least = float(min((of for of in references if of), default=Fraction(1)))
-        assert certificate.relative_residual == pytest.approx(float(exact.relative), rel=1e-14, abs=slip / least)
+        assert certificate.relative_residual == pytest.approx(
+            float(exact.relative), rel=1e-14, abs=slip / least
+        )
     else:
         assert certificate.relative_residual == math.inf
 
@@ -235,8 +274,18 @@ def test_residual_vanishes_at_the_solution(drawn: tuple[LCP, tuple[Fraction, ...
     """At the exact solution every residual is zero, not just small, whatever the scales."""
     problem, z = drawn
     certificate = Certificate.of(problem, np.array(z, dtype=float))
-    assert certificate.scaled_residual == certificate.relative_residual == certificate.backward_error == 0.0
-    assert certificate.bound_violation == certificate.slack_violation == certificate.complementarity == 0.0
+    assert (
+        certificate.scaled_residual
+        == certificate.relative_residual
+        == certificate.backward_error
+        == 0.0
+    )
+    assert (
+        certificate.bound_violation
+        == certificate.slack_violation
+        == certificate.complementarity
+        == 0.0
+    )
 
 
 @given(solved_lcps(bounds=True), st.integers(0, 7), st.integers(1, 2**20), st.sampled_from([-1, 1]))
@@ -256,7 +305,9 @@ def test_residual_is_positive_elsewhere(
 
 
 @given(solved_lcps(bounds=True) | solved_lcps())
-def test_no_reference_residual_means_that_the_start_is_the_answer(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+def test_no_reference_residual_means_that_the_start_is_the_answer(
+    drawn: tuple[LCP, tuple[Fraction, ...]],
+) -> None:
     """‖r(z°)‖ = 0 exactly where z° is the solution; then relative residuals are 0 there and infinite elsewhere."""
     problem, z = drawn
     is_answer = problem.nearest_to_zero.tolist() == list(z)
@@ -285,11 +336,15 @@ def scaled_by(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
     st.lists(st.integers(-200, 200), min_size=8, max_size=8),
     st.integers(-200, 30),  # beyond, a bound is none
 )
-def test_relative_residual_has_no_unit(drawn: tuple[LCP, np.ndarray], rows: list[int], unit: int) -> None:
+def test_relative_residual_has_no_unit(
+    drawn: tuple[LCP, np.ndarray], rows: list[int], unit: int
+) -> None:
     """Rows scaled by powers of two and another unit of z change the relative residual and worst row by not one bit."""
     problem, z = drawn
     other = scaled_by(problem, np.array(rows[: problem.n]), np.full(problem.n, -unit))
-    assume((scaling_of(problem.matrix) is None) == (scaling_of(other.matrix) is None))  # neither near the gate
+    assume(
+        (scaling_of(problem.matrix) is None) == (scaling_of(other.matrix) is None)
+    )  # neither near the gate
     before, after = Certificate.of(problem, z), Certificate.of(other, np.ldexp(z, unit))
     assert after.relative_residual == before.relative_residual
     assert after.worst_index == before.worst_index
@@ -303,8 +358,12 @@ def test_backward_error_is_invariant_under_row_and_column_scaling(
 ) -> None:
     """Columns scaled by powers of two (so far that the diagonal stays the scale) leave the backward error as it is."""
     problem, z = drawn
-    rows = np.array(data.draw(st.lists(st.integers(-100, 100), min_size=problem.n, max_size=problem.n)))
-    columns = np.array(data.draw(st.lists(st.integers(-2, 2), min_size=problem.n, max_size=problem.n)))
+    rows = np.array(
+        data.draw(st.lists(st.integers(-100, 100), min_size=problem.n, max_size=problem.n))
+    )
+    columns = np.array(
+        data.draw(st.lists(st.integers(-2, 2), min_size=problem.n, max_size=problem.n))
+    )
     other = scaled_by(problem, rows, columns)
     before, after = Certificate.of(problem, z), Certificate.of(other, np.ldexp(z, -columns))
     assert after.backward_error == before.backward_error
@@ -328,7 +387,9 @@ def test_extreme_units_neither_overflow_nor_vanish(z_unit: float, w_unit: float)
 
 
 @given(rough_problems(), st.integers(0, 4), FAR)
-def test_nan_and_infinity_never_pass(drawn: tuple[LCP, np.ndarray], index: int, value: float) -> None:
+def test_nan_and_infinity_never_pass(
+    drawn: tuple[LCP, np.ndarray], index: int, value: float
+) -> None:
     """A z with NaN or ±∞ anywhere is measured without a warning and passes no test."""
     problem, z = drawn
     z[index % problem.n] = value
@@ -389,7 +450,9 @@ def test_rounding_floor_bounds_the_rounding_where_the_diagonal_is_zero() -> None
     problem, z = slack_small_beside_z(), np.array([1e16, 0.0])
     certificate, exact = Certificate.of(problem, z), exactly(problem, z)
     assert exact.scaled == [Fraction(0.3), 0]
-    assert abs(certificate.scaled_residual - Fraction(0.3)) <= Fraction(max(certificate.rounding_floor))
+    assert abs(certificate.scaled_residual - Fraction(0.3)) <= Fraction(
+        max(certificate.rounding_floor)
+    )
 
 
 def test_rounding_level_is_recognised() -> None:
@@ -426,7 +489,9 @@ def test_solved_is_never_a_lie(name: str) -> None:
     def check(drawn: tuple[tuple[LCP, tuple[Fraction, ...]], ...], tolerance: float) -> None:
         for problem, _ in drawn:
             try:
-                result = solve(problem, name, tolerance=tolerance, max_iterations=300, **options_for(name))
+                result = solve(
+                    problem, name, tolerance=tolerance, max_iterations=300, **options_for(name)
+                )
             except UnsuitableProblem:
                 statuses[None] += 1
                 continue
@@ -459,16 +524,22 @@ def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
     assert squares <= Fraction(certificate.euclidean_residual) ** 2
     if exact.relative < math.inf:
         assert exact.relative <= Fraction(certificate.relative_residual)
-        references = references_of_rows(exact.in_criterion(exact.at_zero), component_of_rows(problem.csr))
+        references = references_of_rows(
+            exact.in_criterion(exact.at_zero), component_of_rows(problem.csr)
+        )
         references = [of / weight for of, weight in zip(references, exact.weights, strict=True)]
         rows = zip(exact.z, exact.w, exact.d, references, strict=True)
         size = max(((abs(x) + abs(w / d)) / of for x, w, d, of in rows if of), default=Fraction(0))
-        assert certificate.relative_residual <= float(exact.relative) * (1 + 1e-14) + float(size) * 1e-14
+        assert (
+            certificate.relative_residual
+            <= float(exact.relative) * (1 + 1e-14) + float(size) * 1e-14
+        )
 
 
 NEAR_SINGULAR = LCP([[5, -5 + 2**-38], [-5 + 2**-39, 5]], [-1, -2])
 ONE_ULP = LCP(
-    [[1, 3, -1], [0, 1, 0], [0, 0, 1]], [0] * 3,
+    [[1, 3, -1], [0, 1, 0], [0, 0, 1]],
+    [0] * 3,
     lower=[0, 3.6028797018963976e16, 1.0808639105689194e17],
     upper=[np.inf, 3.6028797018963976e16, 1.0808639105689194e17],
 )
@@ -510,7 +581,9 @@ UNBOUNDED = LCP([[0, 1], [0, 0]], [-1, 0])  # solved by (0, 1), and by every (z,
 @pytest.mark.parametrize(
     ("rows", "unit"), [((1.0, 1.0), 1.0), ((1e-9, 1e6), 1.0), ((1.0, 1.0), 1e-9), ((1e7, 1.0), 1e5)]
 )
-def test_a_large_product_beside_a_small_residual_is_told(rows: tuple[float, float], unit: float) -> None:
+def test_a_large_product_beside_a_small_residual_is_told(
+    rows: tuple[float, float], unit: float
+) -> None:
     """Where z_i w_i = 1.5 and the residual is 1e-8, the certificate names the row, in any units."""
     M, q = np.diag(rows) @ UNBOUNDED.M, np.diag(rows) @ UNBOUNDED.q * unit
     problem = LCP(M, q)
@@ -519,7 +592,9 @@ def test_a_large_product_beside_a_small_residual_is_told(rows: tuple[float, floa
     assert "z[0] is" in certificate.large_product
     assert f"({certificate.large_product})" in str(certificate)
     mirrored = LCP(M, -q, lower=-np.inf, upper=0.0)
-    assert Certificate.of(mirrored, -certificate.z).large_product == certificate.large_product.replace("= ", "= -")
+    assert Certificate.of(
+        mirrored, -certificate.z
+    ).large_product == certificate.large_product.replace("= ", "= -")
     assert Certificate.of(problem, np.array([1.0, 1.0]) * unit).large_product == ""
 
 

@@ -38,14 +38,19 @@ def chain(n: int, *, dense: bool = False) -> LCP:
     if dense:
         k = np.arange(1.0, n + 1.0)
         return LCP(np.minimum.outer(k, k) * (n + 1.0 - np.maximum.outer(k, k)), -k)
-    M = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    M = sp.diags_array(
+        [-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
     return LCP(scattered(M), -np.ones(n))
 
 
 def cycle(n: int, diagonal: float) -> LCP:
     """Row i: diagonal z_i + 2 z_{i+1} − 1; nonsymmetric, and far from monotone."""
     M = sp.diags_array(
-        [[2.0], diagonal * np.ones(n), 2.0 * np.ones(n - 1)], offsets=[1 - n, 0, 1], format="csr", shape=(n, n)
+        [[2.0], diagonal * np.ones(n), 2.0 * np.ones(n - 1)],
+        offsets=[1 - n, 0, 1],
+        format="csr",
+        shape=(n, n),
     )
     return LCP(M, -np.ones(n))
 
@@ -86,20 +91,31 @@ def band(width: int, diagonal: float, coupling: float, n: int = 2000) -> LCP:
     return LCP(M, -np.ones(n))
 
 
-@pytest.mark.parametrize(("problem", "first"), [
-    (band(1, 2.0, -1.0), "banded"), (band(1, 2.0, 1.0), "banded"), (band(15, 1.0, 0.5), "banded"),
-    (band(40, 1.0, 0.5), "npsor"), (band(15, 99.0, 0.5), "psor"), (band(1, 2.0, 1.0, n=128), "small dense solver"),
-])
+@pytest.mark.parametrize(
+    ("problem", "first"),
+    [
+        (band(1, 2.0, -1.0), "banded"),
+        (band(1, 2.0, 1.0), "banded"),
+        (band(15, 1.0, 0.5), "banded"),
+        (band(40, 1.0, 0.5), "npsor"),
+        (band(15, 99.0, 0.5), "psor"),
+        (band(1, 2.0, 1.0, n=128), "small dense solver"),
+    ],
+)
 def test_what_comes_first(problem: LCP, first: str) -> None:
     """Narrow bands; psor where diagonal entries clearly outweigh rows; a small problem in one call; else npsor."""
     assert Auto().first(problem).algorithm.name == first
 
 
-@pytest.mark.parametrize(("scene", "expected"), [
-    ("obstacle_2d:size=100", ["npsor", "multigrid"]), ("obstacle_2d:size=40", ["npsor", "psor"]),
-    ("paper_example_1:n=10000,delta=0.003", ["npsor", "multigrid"]),
-    ("paper_example_1:n=10000,delta=0.03", ["npsor", "psor"]),
-])
+@pytest.mark.parametrize(
+    ("scene", "expected"),
+    [
+        ("obstacle_2d:size=100", ["npsor", "multigrid"]),
+        ("obstacle_2d:size=40", ["npsor", "psor"]),
+        ("paper_example_1:n=10000,delta=0.003", ["npsor", "multigrid"]),
+        ("paper_example_1:n=10000,delta=0.03", ["npsor", "psor"]),
+    ],
+)
 def test_large_free_regions_are_not_swept(scene: str, expected: list[str]) -> None:
     """The first sweeps are quick, yet no trial of psor comes where errors constant on what is free are slow."""
     assert names(solve(gallery.parse(scene).problem)) == expected
@@ -150,7 +166,9 @@ def test_sweeps_follow_multigrid_where_a_factor_is_too_large() -> None:
 
 def upwind(side: int, flow: float) -> LCP:
     """Diffusion and an upwind flow of that cell Péclet number, on a grid without any order."""
-    M = scattered(stencil_matrix((side, side), 4.0 + 2.0 * flow, (-1.0, -1.0), (-1.0 - flow, -1.0 - flow)))
+    M = scattered(
+        stencil_matrix((side, side), 4.0 + 2.0 * flow, (-1.0, -1.0), (-1.0 - flow, -1.0 - flow))
+    )
     return LCP(M, np.where(np.arange(side**2) % 3 == 0, 1.0, -1.0))
 
 
@@ -164,31 +182,52 @@ def asymmetric(n: int) -> LCP:
     return LCP(M, np.where(z > 0, 0.0, rng.random(n)) - M @ z)
 
 
-@pytest.mark.parametrize(("problem", "slow", "second"), [
-    (chain(1001), "npsor", "multigrid"), (chain(1000), "npsor", "newton"),
-    (chain(1001, dense=True), "npsor", "interior_point"), (cycle(1001, -1.0), "npsor", "lemke"),
-    (upwind(40, 0.0), "npsor", "multigrid"), (upwind(40, 20.0), "npsor", "psor"),
-    (LCP([[0.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), "npsor", "search"),
-    (chain(1001), "psor", "multigrid"), (asymmetric(400), "psor", "newton"),
-])
+@pytest.mark.parametrize(
+    ("problem", "slow", "second"),
+    [
+        (chain(1001), "npsor", "multigrid"),
+        (chain(1000), "npsor", "newton"),
+        (chain(1001, dense=True), "npsor", "interior_point"),
+        (cycle(1001, -1.0), "npsor", "lemke"),
+        (upwind(40, 0.0), "npsor", "multigrid"),
+        (upwind(40, 20.0), "npsor", "psor"),
+        (LCP([[0.0, 1.0], [0.0, 1.0]], [-1.0, -1.0]), "npsor", "search"),
+        (chain(1001), "psor", "multigrid"),
+        (asymmetric(400), "psor", "newton"),
+    ],
+)
 def test_what_follows_slow_sweeps(problem: LCP, slow: str, second: str) -> None:
     """Multigrid on large sparse M, psor along a flow, newton for Z-matrices; others where no diagonal allows sweeps."""
-    assert following(problem, after(create(slow, {}), {"npsor": 10, "psor": 40}[slow], 0.9999)) == second
+    assert (
+        following(problem, after(create(slow, {}), {"npsor": 10, "psor": 40}[slow], 0.9999))
+        == second
+    )
 
 
-@pytest.mark.parametrize(("problem", "failed", "second"), [
-    (band(1, 2.0, 1.0), "banded", "npsor"), (chain(1001), "pgs", "newton"), (chain(1001), "psor", "multigrid"),
-    (chain(20_001), "multigrid", "newton"),
-])
+@pytest.mark.parametrize(
+    ("problem", "failed", "second"),
+    [
+        (band(1, 2.0, 1.0), "banded", "npsor"),
+        (chain(1001), "pgs", "newton"),
+        (chain(1001), "psor", "multigrid"),
+        (chain(20_001), "multigrid", "newton"),
+    ],
+)
 def test_what_follows_a_method_that_fails(problem: LCP, failed: str, second: str) -> None:
     """Whatever fails hands over, however many rows there are."""
     assert following(problem, after(create(failed, {}), 9, 1.0), failed=True) == second
 
 
-@pytest.mark.parametrize(("share", "moves", "second"), [
-    (0.6, [], "newton"), (0.4, [], None), (0.4, [50, 60, 58], "newton"), (0.4, [60, 60, 12], None),
-    (0.4, [60, 60], None),
-])
+@pytest.mark.parametrize(
+    ("share", "moves", "second"),
+    [
+        (0.6, [], "newton"),
+        (0.4, [], None),
+        (0.4, [50, 60, 58], "newton"),
+        (0.4, [60, 60, 12], None),
+        (0.4, [60, 60], None),
+    ],
+)
 def test_slow_multigrid_hands_over(share: float, moves: list[int], second: str | None) -> None:
     """At half of what factors are predicted to cost; sooner where in each 20 steps as many unknowns come and go."""
     problem = LCP(stencil_matrix((150, 150), 4.0, (-1.0, -1.0), (-1.0, -1.0)), -np.ones(150**2))
@@ -222,7 +261,11 @@ def test_one_sweep_solves_a_triangular_problem() -> None:
 def test_no_scaling_changes_the_mean_coupling(seed: int) -> None:
     """Rows and columns by powers of two: the same to rounding; beside √(a c) of a tridiagonal M, ρ(J) is no larger."""
     rng = np.random.default_rng(seed)
-    M = np.diag(rng.uniform(3, 4, 30)) - np.diag(rng.uniform(0, 5, 29), 1) - np.diag(rng.uniform(0, 0.2, 29), -1)
+    M = (
+        np.diag(rng.uniform(3, 4, 30))
+        - np.diag(rng.uniform(0, 5, 29), 1)
+        - np.diag(rng.uniform(0, 0.2, 29), -1)
+    )
     R, C = np.exp2(rng.integers(-30, 31, (2, 30)))
     here = mean_coupling(Matrix(M))
     for unit in (2.0**-600, 1.0, 2.0**600):  # whose squares are no doubles
@@ -245,17 +288,31 @@ def order(problem: LCP) -> list[str]:
 MONOTONE = ["interior_point", "feasibility", "newton"]
 
 
-@pytest.mark.parametrize(("problem", "expected"), [
-    (LCP([[2.0, -1.0], [-1.0 - 1e-13, 2.0]], [-1.0, 1.0]), [*MONOTONE, "lemke", "search"]),
-    (LCP(sp.csr_array(np.kron(np.eye(4), [[1.0, 2.0], [-2.0, 1.0]])), -np.ones(8)), [*MONOTONE, "lemke", "search"]),
-    (LCP([[1.0, 2.0], [-2.0, 1.0]], [-1.0, 1.0]), ["lemke", *MONOTONE, "search"]),  # paths are quicker there
-    (LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0]), ["lemke", *MONOTONE, "lemke", "search"]),  # some pivots: a budget row
-    (cycle(24, 1.0), ["newton", "lemke", "interior_point", "feasibility", "search"]),
-    (cycle(501, 1.0), ["newton", "interior_point", "feasibility", "lemke"]),
-    (cycle(24, -1.0), ["lemke", *MONOTONE, "search"]),
-    (cycle(501, 0.0), ["lemke", *MONOTONE]), (cycle(2001, 0.0), ["interior_point", "newton", "feasibility", "lemke"]),
-    (cycle(6001, 1.0), ["newton", "interior_point", "psor"]), (cycle(6001, -1.0), ["interior_point"]),
-])
+@pytest.mark.parametrize(
+    ("problem", "expected"),
+    [
+        (LCP([[2.0, -1.0], [-1.0 - 1e-13, 2.0]], [-1.0, 1.0]), [*MONOTONE, "lemke", "search"]),
+        (
+            LCP(sp.csr_array(np.kron(np.eye(4), [[1.0, 2.0], [-2.0, 1.0]])), -np.ones(8)),
+            [*MONOTONE, "lemke", "search"],
+        ),
+        (
+            LCP([[1.0, 2.0], [-2.0, 1.0]], [-1.0, 1.0]),
+            ["lemke", *MONOTONE, "search"],
+        ),  # paths are quicker there
+        (
+            LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0]),
+            ["lemke", *MONOTONE, "lemke", "search"],
+        ),  # some pivots: a budget row
+        (cycle(24, 1.0), ["newton", "lemke", "interior_point", "feasibility", "search"]),
+        (cycle(501, 1.0), ["newton", "interior_point", "feasibility", "lemke"]),
+        (cycle(24, -1.0), ["lemke", *MONOTONE, "search"]),
+        (cycle(501, 0.0), ["lemke", *MONOTONE]),
+        (cycle(2001, 0.0), ["interior_point", "newton", "feasibility", "lemke"]),
+        (cycle(6001, 1.0), ["newton", "interior_point", "psor"]),
+        (cycle(6001, -1.0), ["interior_point"]),
+    ],
+)
 def test_the_order_of_direct_methods(problem: LCP, expected: list[str]) -> None:
     """By what M seems to be, whether its diagonal is positive, and what is too large to be tried."""
     assert order(problem) == expected
@@ -268,9 +325,22 @@ def test_a_method_without_an_end_in_sight_waits_for_the_others() -> None:
     found, failed = [], True
     while (choice := policy.next_step(problem, stages, TARGET, failed)) is not None:
         found.append(choice.algorithm.name)
-        failed = found.count(choice.algorithm.name) > 1 or choice.algorithm.name not in ("newton", "lemke")
-        stages.append(replace(after(choice.algorithm, 20, 1.0), work=4.0 * 25**3 / problem.nonzeros + 1.0))
-    assert found == ["newton", "lemke", "interior_point", "feasibility", "newton", "lemke", "search"]
+        failed = found.count(choice.algorithm.name) > 1 or choice.algorithm.name not in (
+            "newton",
+            "lemke",
+        )
+        stages.append(
+            replace(after(choice.algorithm, 20, 1.0), work=4.0 * 25**3 / problem.nonzeros + 1.0)
+        )
+    assert found == [
+        "newton",
+        "lemke",
+        "interior_point",
+        "feasibility",
+        "newton",
+        "lemke",
+        "search",
+    ]
 
 
 @pytest.mark.parametrize("contacts", [25, 40, 80])
@@ -300,7 +370,9 @@ def test_a_game_is_left_to_its_pivots() -> None:
 def test_a_budget_row_is_pivoted_before_it_is_factorised(is_dense: bool) -> None:
     """A portfolio holds few of its assets: a tenth of an interior point's work, however its full M is stored."""
     stated = Case("portfolio", {"assets": 200}).in_units("own")[0]
-    problem = stated if is_dense else LCP(stated.csr, stated.q, lower=stated.lower, upper=stated.upper)
+    problem = (
+        stated if is_dense else LCP(stated.csr, stated.q, lower=stated.lower, upper=stated.upper)
+    )
     assert problem.is_dense == is_dense
     auto, interior = solve(problem), solve(problem, "interior_point")
     assert auto.is_solved
@@ -322,7 +394,9 @@ def test_what_a_stage_did_without_a_label_is_counted() -> None:
     A, B = rng.random((2, 60, 60))
     game = LCP(np.block([[np.zeros((60, 60)), A], [B.T, np.zeros((60, 60))]]), -np.ones(120))
     result = solve(game)
-    assert sum(stage.work for stage in result.stages) == pytest.approx(result.work, abs=len(result.stages) + 1.0)
+    assert sum(stage.work for stage in result.stages) == pytest.approx(
+        result.work, abs=len(result.stages) + 1.0
+    )
 
 
 def test_after_a_proof_within_a_radius_nobody_has_a_second_turn() -> None:
@@ -368,7 +442,9 @@ def test_what_is_not_condensed() -> None:
     assert order(problem)[0] == "condensed"
     assert condensing_passes(plate(30, 90)[0]) < np.inf
     assert "condensed" not in order(plate(30, 91)[0])  # a tenth of the rows and one
-    wide = LCP(stencil_matrix((20, 300), 4.0, (-1.0, -1.0), (-1.0, -1.0)), np.zeros(6000), lower=-np.inf)
+    wide = LCP(
+        stencil_matrix((20, 300), 4.0, (-1.0, -1.0), (-1.0, -1.0)), np.zeros(6000), lower=-np.inf
+    )
     assert "condensed" not in order(wide)
     many = LCP(wide.M, wide.q, lower=np.where(np.arange(6000) % 15 == 0, 0.0, -np.inf))
     assert condensing_passes(many) < np.inf
@@ -382,9 +458,15 @@ def test_where_the_rows_without_bounds_are_singular_others_follow() -> None:
     """Beside a string that nothing holds, there is no factor to eliminate them by: auto goes on and solves."""
     problem, z = plate(30, 6)
     ones = np.ones(200)
-    string = scattered(sp.diags_array([-ones[1:], np.r_[1.0, 2.0 * ones[2:], 1.0], -ones[1:]], offsets=[-1, 0, 1]))
+    string = scattered(
+        sp.diags_array([-ones[1:], np.r_[1.0, 2.0 * ones[2:], 1.0], -ones[1:]], offsets=[-1, 0, 1])
+    )
     M = sp.block_diag([problem.M, string], format="csr")
-    both = LCP(M, np.r_[problem.q, -string @ np.arange(200.0)], lower=np.r_[problem.lower, np.full(200, -np.inf)])
+    both = LCP(
+        M,
+        np.r_[problem.q, -string @ np.arange(200.0)],
+        lower=np.r_[problem.lower, np.full(200, -np.inf)],
+    )
     result = solve(both)
     assert result.is_solved
     assert "condensed" in names(result)[:-1]
@@ -413,7 +495,9 @@ def test_a_grid_with_strong_flows_is_solved_by_newton() -> None:
     """K + S, S skew and between any two nodes: sweeps and cycles diverge, and as a program its factors fill."""
     rng, m = np.random.default_rng(0), 50
     n = m * m
-    flows = sp.coo_array((5.0 * rng.normal(size=2 * n), rng.integers(n, size=(2, 2 * n))), shape=(n, n)).tocsr()
+    flows = sp.coo_array(
+        (5.0 * rng.normal(size=2 * n), rng.integers(n, size=(2, 2 * n))), shape=(n, n)
+    ).tocsr()
     M = sp.csr_array(stencil_matrix((m, m), 4.0, [-1.0, -1.0], [-1.0, -1.0]) + flows - flows.T)
     z = np.where(rng.random(n) < 0.5, 0.0, rng.random(n))
     w = np.where(z == 0.0, rng.random(n), 0.0)
@@ -453,7 +537,9 @@ def test_the_story_names_every_stage_with_its_reason() -> None:
     assert result.is_solved
     assert names(result)[:2] == ["npsor", "psor"]
     assert result.algorithm == "auto: " + ", ".join(names(result))
-    assert 0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work  # the rest: measuring
+    assert (
+        0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work
+    )  # the rest: measuring
     for stage in result.stages:
         assert f"  {stage.name}, {stage.iterations} iterations" in result.explain()
         assert stage.because in result.explain()
@@ -461,7 +547,9 @@ def test_the_story_names_every_stage_with_its_reason() -> None:
 
 def test_a_stage_that_gains_nothing_is_told_in_words() -> None:
     """Where npsor has no rate to reckon with, the next stage says so, and names no infinite number."""
-    choice = Auto().next_step(cycle(24, 1.0), [after(create("npsor", {"scaling": "diagonal"}), 10, 1.0)], TARGET, False)
+    choice = Auto().next_step(
+        cycle(24, 1.0), [after(create("npsor", {"scaling": "diagonal"}), 10, 1.0)], TARGET, False
+    )
     assert choice is not None
     assert choice.because.startswith("npsor was not converging; ")
 
@@ -470,6 +558,10 @@ def test_a_large_program_begins_with_an_interior_point(monkeypatch: pytest.Monke
     """Where no factor of a large linear program is predicted to fit, it is factorised by the method that suits it."""
     monkeypatch.setattr("lcp_plugin.systems.factors.factor_fits", lambda matrix: False)
     m = 80
-    A = sp.vstack([sp.kron(sp.eye_array(m), np.ones((1, m))), sp.kron(np.ones((1, m)), sp.eye_array(m))])
-    problem = lcp_from_lp(np.arange(m * m) % 7 + 1.0, A=sp.csr_array(A), b=np.ones(2 * m), lower=0.0)
+    A = sp.vstack(
+        [sp.kron(sp.eye_array(m), np.ones((1, m))), sp.kron(np.ones((1, m)), sp.eye_array(m))]
+    )
+    problem = lcp_from_lp(
+        np.arange(m * m) % 7 + 1.0, A=sp.csr_array(A), b=np.ones(2 * m), lower=0.0
+    )
     assert next(iter(direct_methods(problem))).algorithm.name == "interior_point"

@@ -102,7 +102,11 @@ print(len(kernels) > 30, *[
 
 def in_a_new_process(code: str, folder: Path | None = None, **environment: str) -> str:
     run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=folder,
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=folder,
         env=os.environ | environment,
     )
     return run.stdout.strip()
@@ -141,7 +145,9 @@ def on_a_terminal(quiet: float, seconds: float, *, ctrl_c: bool = False) -> list
     """
     pty = pytest.importorskip("pty", reason="terminals are a thing of Unix")
     ours, theirs = pty.openpty()
-    running = subprocess.Popen([sys.executable, "-c", WAITING, str(quiet), str(seconds)], stderr=theirs)
+    running = subprocess.Popen(
+        [sys.executable, "-c", WAITING, str(quiet), str(seconds)], stderr=theirs
+    )
     os.close(theirs)
     shown = b""
     try:
@@ -168,7 +174,10 @@ def read_from(terminal: int) -> bytes:
 def test_a_terminal_says_that_kernels_are_compiled() -> None:
     """A line moves and counts the seconds, and is wiped before anything else is written; no thread is left."""
     *line, wiped, solved, threads = on_a_terminal(0.0, 1.5)
-    assert all(re.fullmatch(r"[-|/\\] compiling, once an installation: [012] s so far", text) for text in line)
+    assert all(
+        re.fullmatch(r"[-|/\\] compiling, once an installation: [012] s so far", text)
+        for text in line
+    )
     assert len(set(line)) > 4
     assert (wiped, solved, threads) == ("", "solved", "1")
 
@@ -185,7 +194,9 @@ def test_ctrl_c_while_compiling_leaves_the_terminal_tidy() -> None:
 
 def test_compilation_is_silent_where_nobody_looks() -> None:
     """A pipe gets no moving line."""
-    run = subprocess.run([sys.executable, "-c", WAITING, "0", "0.5"], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", WAITING, "0", "0.5"], capture_output=True, text=True, check=True
+    )
     assert run.stderr == "solved\n1\n"
 
 
@@ -234,8 +245,10 @@ def test_a_history_has_floats(algorithm: str) -> None:
     band = sp.diags_array([-np.ones(39), np.full(40, 3.0), -np.ones(39)], offsets=(-1, 0, 1))
     skew = np.triu(rng.normal(size=(30, 30)))
     problems = (
-        gallery.build("obstacle_2d", size=24, shifted=True).problem, LCP(band, rng.normal(size=40)),
-        LCP(skew - skew.T + 0.1 * np.eye(30), rng.normal(size=30)), gallery.build("bimatrix_game").problem,
+        gallery.build("obstacle_2d", size=24, shifted=True).problem,
+        LCP(band, rng.normal(size=40)),
+        LCP(skew - skew.T + 0.1 * np.eye(30), rng.normal(size=30)),
+        gallery.build("bimatrix_game").problem,
     )
     for given in problems:
         with suppress(UnsuitableMatrix, UnsuitableProblem):
@@ -289,8 +302,12 @@ def test_cache_is_the_user_s(tmp_path: Path) -> None:
     said = in_a_new_process(code, XDG_CACHE_HOME=str(tmp_path / "user"), NUMBA_CACHE_DIR="")
     unchanged, _, path = said.partition(" ")
     assert unchanged == "True"
-    assert Path(path).is_relative_to(tmp_path / "user" / "lcp_plugin" if sys.platform == "linux" else Path.home())
-    unchanged, _, path = in_a_new_process(code, NUMBA_CACHE_DIR=str(tmp_path / "named")).partition(" ")
+    assert Path(path).is_relative_to(
+        tmp_path / "user" / "lcp_plugin" if sys.platform == "linux" else Path.home()
+    )
+    unchanged, _, path = in_a_new_process(code, NUMBA_CACHE_DIR=str(tmp_path / "named")).partition(
+        " "
+    )
     assert unchanged == "True"
     assert Path(path).is_relative_to(tmp_path / "named")
 
@@ -311,10 +328,21 @@ def test_shell_completes_scenes_and_algorithms() -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("file", "old", "new"), [
-    ("core/kernels/enclosures.py", "return least, abs(most) * (1.0 + wider)", "return least, 0.0 * abs(most)"),
-    ("problems/cones/kernels.py", "least[k], most[k] = block_bounds(", "least[k], scale[k] = block_bounds("),
-])
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        (
+            "core/kernels/enclosures.py",
+            "return least, abs(most) * (1.0 + wider)",
+            "return least, 0.0 * abs(most)",
+        ),
+        (
+            "problems/cones/kernels.py",
+            "least[k], most[k] = block_bounds(",
+            "least[k], scale[k] = block_bounds(",
+        ),
+    ],
+)
 def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
     file: str, old: str, new: str, tmp_path: Path
 ) -> None:
@@ -331,7 +359,10 @@ def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
     at = str(tmp_path / "lcp_plugin" / "problems" / "cones" / "kernels.py")
     cache = str(tmp_path / "cache")
     for hits in "01":
-        assert in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="") == f"{at} 1 {hits}"
+        assert (
+            in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="")
+            == f"{at} 1 {hits}"
+        )
     changed = tmp_path / "lcp_plugin" / file
     text = changed.read_text()
     assert text.count(old) == 1
@@ -354,13 +385,20 @@ def test_garbage_is_collected_again_when_the_last_compilation_ends() -> None:
 
 
 def _decorators(function: ast.FunctionDef) -> set[str]:
-    return {name.id for each in function.decorator_list for name in ast.walk(each) if isinstance(name, ast.Name)}
+    return {
+        name.id
+        for each in function.decorator_list
+        for name in ast.walk(each)
+        if isinstance(name, ast.Name)
+    }
 
 
 def test_python_calls_kernels_alone() -> None:
     """No function of Python calls a helper of its own file, or one that it imports: there is no wrapper for that."""
     package = Path(lcp_plugin.__file__).parent
-    texts = {path.with_suffix(""): path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
+    texts = {
+        path.with_suffix(""): path.read_text(encoding="utf-8") for path in package.rglob("*.py")
+    }
     helpers: dict[Path, set[str]] = defaultdict(set)
     for path, text in texts.items():
         if re.search("^@(helper|inlined)", text, re.M):
@@ -378,13 +416,23 @@ def test_python_calls_kernels_alone() -> None:
                 module = path.parents[each.level - 1].joinpath(*(each.module or "").split("."))
                 known |= {name.name for name in each.names} & helpers.get(module, set())
         for function in ast.walk(tree):
-            if isinstance(function, ast.FunctionDef) and not _decorators(function) & {"kernel", "helper", "inlined"}:
+            if isinstance(function, ast.FunctionDef) and not _decorators(function) & {
+                "kernel",
+                "helper",
+                "inlined",
+            }:
                 calls = {
-                    call.func.id for call in ast.walk(function)
+                    call.func.id
+                    for call in ast.walk(function)
                     if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
                 }
-                assert not calls & known or _makes_kernels(function), f"{path}: {function.name} calls {calls & known}"
+                assert not calls & known or _makes_kernels(function), (
+                    f"{path}: {function.name} calls {calls & known}"
+                )
 
 
 def _makes_kernels(function: ast.FunctionDef) -> bool:
-    return any(isinstance(each, ast.FunctionDef) and _decorators(each) & {"kernel"} for each in ast.walk(function))
+    return any(
+        isinstance(each, ast.FunctionDef) and _decorators(each) & {"kernel"}
+        for each in ast.walk(function)
+    )

@@ -29,12 +29,16 @@ def is_lie(problem: LCP, z: np.ndarray) -> bool:
 def two_grids(*units: float, side: int = 20, seed: int = 0) -> tuple[LCP, np.ndarray]:
     """Five-point grids without coupling, an answer planted in each; q in these units."""
     rng, n = np.random.default_rng(seed), side * side
-    T = sp.diags_array([-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1])
+    T = sp.diags_array(
+        [-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1]
+    )
     M = sp.csr_array(sp.kron(T, sp.eye_array(side)) + sp.kron(sp.eye_array(side), T))
     z = rng.integers(1, 5, (len(units), n)) * (rng.random((len(units), n)) < 0.3)
     q = (z == 0) * 1.0 - (M @ z.T).T
     size = np.repeat(units, n)
-    return LCP(sp.block_diag([sp.csr_array(M)] * len(units), format="csr"), size * q.ravel()), size * z.ravel()
+    return LCP(
+        sp.block_diag([sp.csr_array(M)] * len(units), format="csr"), size * q.ravel()
+    ), size * z.ravel()
 
 
 # --- One component wrong, and small beside another -------------------------------------------------------------------
@@ -118,7 +122,9 @@ def test_a_narrow_box_is_no_rounding() -> None:
 def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer() -> None:
     """z₂ = 3 misses by the rounding of 0.3 alone; the first is solved all the same, and PRECISION_LIMIT said."""
     M = np.zeros((6, 6))
-    M[:5, :5] = np.tril(np.full((5, 5), -1.0), -1) + np.triu(np.full((5, 5), 2.0), 1) + 3.0 * np.eye(5)
+    M[:5, :5] = (
+        np.tril(np.full((5, 5), -1.0), -1) + np.triu(np.full((5, 5), 2.0), 1) + 3.0 * np.eye(5)
+    )
     M[5, 5] = 0.3
     problem = LCP(M, [-1.0, -2.0, -3.0, 1.0, -5.0, -0.9], lower=[0.0] * 5 + [3.0])
     for name in ("auto", "newton", "npsor", "interior_point", "lemke"):
@@ -167,7 +173,10 @@ def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
 
 def batch_of_components() -> tuple[Any, ...]:
     rng = np.random.default_rng(0)
-    M, q = np.zeros((40, 6, 6)), rng.normal(size=(40, 6)) * 10.0 ** rng.integers(-12, 13, (40, 2)).repeat(3, axis=1)
+    M, q = (
+        np.zeros((40, 6, 6)),
+        rng.normal(size=(40, 6)) * 10.0 ** rng.integers(-12, 13, (40, 2)).repeat(3, axis=1),
+    )
     for k in range(40):
         for block in (slice(3), slice(3, 6)):
             B = rng.normal(size=(3, 3))
@@ -208,7 +217,9 @@ def test_marches_take_each_step_in_units_of_its_own() -> None:
 def test_callbacks_see_the_callers_units() -> None:
     """The last point that is shown is the answer in the caller's units."""
     seen: list[np.ndarray] = []
-    result = solve(FAR_APART, "npsor", record=True, callback=lambda sample, z: seen.append(z.copy()))
+    result = solve(
+        FAR_APART, "npsor", record=True, callback=lambda sample, z: seen.append(z.copy())
+    )
     assert result.is_solved
     assert not is_lie(FAR_APART, seen[-1])
     assert result.history[-1].residual <= TOLERANCE

@@ -54,7 +54,9 @@ def scene(text: str) -> Solved:
 CLASSES = {
     "H₊, small": lambda: scene("random_h_plus:n=12,row_scale=0,column_scale=0"),
     "H₊, sparse, wild rows": lambda: scene("random_h_plus:n=300,row_scale=20,column_scale=10"),
-    "M-matrix, nonsymmetric": lambda: planted(gallery.paper_example_2(n=400, delta=1.0).problem.csr),
+    "M-matrix, nonsymmetric": lambda: planted(
+        gallery.paper_example_2(n=400, delta=1.0).problem.csr
+    ),
     "five-point + 4 I": lambda: scene("half_active:n=400"),
     "five-point": lambda: scene("half_active:n=400,delta=0"),
     "SPD, not H₊": lambda: planted(positive_definite(40, seed=0), unit=40.0),
@@ -97,8 +99,11 @@ MEANT = {
 }
 PROMISED = [
     pytest.param(name, kind, id=f"{name}-{kind}")
-    for name in REGISTRY if name not in MEASURED
-    for kind in dict.fromkeys(one for word, ones in MEANT.items() if word in REGISTRY[name].solves for one in ones)
+    for name in REGISTRY
+    if name not in MEASURED
+    for kind in dict.fromkeys(
+        one for word, ones in MEANT.items() if word in REGISTRY[name].solves for one in ones
+    )
 ]
 PAIRS = [
     pytest.param(name, kind, count, id=f"{name}-{kind}")
@@ -115,7 +120,9 @@ def error(z: np.ndarray, exact: np.ndarray) -> float:
 def test_every_algorithm_is_measured() -> None:
     """Whatever has no row in the table of this module says in `solves` what it is run on here."""
     assert set(MEASURED) <= {"auto", *REGISTRY}
-    assert {name for name in REGISTRY if name not in MEASURED} == {one.values[0] for one in PROMISED}
+    assert {name for name in REGISTRY if name not in MEASURED} == {
+        one.values[0] for one in PROMISED
+    }
 
 
 def test_the_classes_are_what_they_are_called() -> None:
@@ -160,7 +167,9 @@ def test_it_arrives_in_every_direction(name: str, sweep: str) -> None:
     result = solve(problem, name, sweep=sweep)
     assert result.status is Status.SOLVED
     assert error(result.z, exact) < 1e-7
-    assert result.iterations <= (1.5 * forward.iterations if sweep == "backward" else forward.iterations)
+    assert result.iterations <= (
+        1.5 * forward.iterations if sweep == "backward" else forward.iterations
+    )
 
 
 @pytest.mark.parametrize("name", MEASURED)
@@ -247,7 +256,9 @@ def test_the_scaling_trap_catches_the_unscaled_method_honestly() -> None:
         ("auto", {}, 8),
     ],
 )
-def test_the_scaling_trap_is_solved_otherwise(name: str, options: dict[str, Any], measured: int) -> None:
+def test_the_scaling_trap_is_solved_otherwise(
+    name: str, options: dict[str, Any], measured: int
+) -> None:
     """From z = 0 unscaled NPGS converges slowly; NPSOR(1.7) scaled by the diagonal takes 28, by itself 17 sweeps."""
     trap = gallery.scaling_trap()
     result = solve(trap.problem, name, **options)
@@ -291,7 +302,10 @@ def sweeps_needed(
 def test_automatic_relaxation_finds_a_good_omega(text: str) -> None:
     """On the plain Laplacian obstacle, n = 2500, PSOR needs at most twice the sweeps of the best fixed relaxation."""
     problem = gallery.parse(text).problem
-    fixed = [sweeps_needed(create("psor", {"relaxation": w}), problem, 1e-8) for w in np.linspace(1.6, 1.96, 10)]
+    fixed = [
+        sweeps_needed(create("psor", {"relaxation": w}), problem, 1e-8)
+        for w in np.linspace(1.6, 1.96, 10)
+    ]
     automatic = sweeps_needed(create("psor", {}), problem, 1e-8)
     assert automatic <= 2 * min(fixed)
     assert 5 * automatic <= sweeps_needed(create("pgs", {}), problem, 1e-8)
@@ -327,7 +341,9 @@ def test_automatic_relaxation_never_fails_where_gauss_seidel_converges(matrices:
 # --- The paper's tables ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("example", "expected"), [(1, [13, 15, 16, 16, 16, 16]), (2, [10, 11, 11, 11, 11, 11])])
+@pytest.mark.parametrize(
+    ("example", "expected"), [(1, [13, 15, 16, 16, 16, 16]), (2, [10, 11, 11, 11, 11, 11])]
+)
 def test_projected_gauss_seidel_beats_the_paper_s_methods_on_its_own_examples(
     example: int, expected: list[int]
 ) -> None:
@@ -337,7 +353,9 @@ def test_projected_gauss_seidel_beats_the_paper_s_methods_on_its_own_examples(
     for column, n in enumerate(table["n"]):
         found = gallery.build(f"paper_example_{example}", n=n, delta=paper_tables.DELTA)
         pgs = create("pgs", {})
-        needed = sweeps_needed(pgs, found.problem, 1e-5, start=found.start, measure="euclidean_residual", limit=50)
+        needed = sweeps_needed(
+            pgs, found.problem, 1e-5, start=found.start, measure="euclidean_residual", limit=50
+        )
         counts.append(needed)
         best.append(min(row["iterations"][column] for row in table[f"example_{example}"].values()))
     assert counts == expected

@@ -41,13 +41,19 @@ def answers(problem: LCP, names: list[str]) -> dict[str, np.ndarray]:
 
 @settings.get_profile("few")
 @given(solved_lcps(h_plus_matrices(st.integers(1, 5))))
-def test_all_algorithms_agree_with_each_other_and_with_enumeration(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+def test_all_algorithms_agree_with_each_other_and_with_enumeration(
+    drawn: tuple[LCP, tuple[Fraction, ...]],
+) -> None:
     """On an H₊-matrix all eighteen and auto find the one solution that exact enumeration finds, too."""
     problem, planted = drawn
     exact = exact_solution(problem)
     assert exact.z == planted
     found = answers(problem, ALL)
-    assert {*ALL} - {*found} <= {"interior_point", "newton", "multigrid"}  # which have no proof on H₊
+    assert {*ALL} - {*found} <= {
+        "interior_point",
+        "newton",
+        "multigrid",
+    }  # which have no proof on H₊
     truth = np.array([float(value) for value in exact.z])
     for name, z in found.items():
         assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
@@ -95,14 +101,22 @@ def test_the_campaign_finds_nothing_in_a_few_cases(name: str) -> None:
     """Every kind of the long campaign runs, and finds nothing."""
     kinds = trust.ROUND[name][1]
     for k, kind in enumerate(kinds[:6]):
-        found = [finding for finding in trust.run(name, kind, 7_000_000 + k) if finding.what in trust.VIOLATIONS]
+        found = [
+            finding
+            for finding in trust.run(name, kind, 7_000_000 + k)
+            if finding.what in trust.VIOLATIONS
+        ]
         assert not found, (kind, k)
 
 
 def test_every_kind_has_its_share_of_a_round() -> None:
     """A round of the schedule holds every kind, in the numbers that are written down."""
-    assert Counter(name for name, _ in trust.SCHEDULE) == {name: share for name, (_, _, share) in trust.ROUND.items()}
-    assert {*trust.SCHEDULE} == {(name, kind) for name, (_, kinds, _) in trust.ROUND.items() for kind in kinds}
+    assert Counter(name for name, _ in trust.SCHEDULE) == {
+        name: share for name, (_, _, share) in trust.ROUND.items()
+    }
+    assert {*trust.SCHEDULE} == {
+        (name, kind) for name, (_, kinds, _) in trust.ROUND.items() for kind in kinds
+    }
 
 
 def finds(what: str, name: str) -> bool:
@@ -148,7 +162,9 @@ def test_the_campaign_sees_a_wrong_verdict(monkeypatch: pytest.MonkeyPatch) -> N
     ],
     ids=["a bug", "random state", "print options", "the matrix"],
 )
-def test_the_campaign_sees_crashes_and_changes(damage, what: str, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+def test_the_campaign_sees_crashes_and_changes(
+    damage, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:  # type: ignore[no-untyped-def]
     """An exception that is no refusal, a change of global state and a matrix written to are found out."""
     healthy, around = NPSOR.iterates, (np.random.get_state(), np.get_printoptions())  # noqa: NPY002 - put back below
 
@@ -160,7 +176,9 @@ def test_the_campaign_sees_crashes_and_changes(damage, what: str, monkeypatch: p
         yield from healthy(self, problem, z0)
 
     monkeypatch.setattr(NPSOR, "iterates", faulty)
-    monkeypatch.setattr(trust_kinds, "ALGORITHMS", ("npgs", "npsor", "psor", "lemke"))  # the same draws for ever
+    monkeypatch.setattr(
+        trust_kinds, "ALGORITHMS", ("npgs", "npsor", "psor", "lemke")
+    )  # the same draws for ever
     try:
         assert finds(what, "small")
     finally:

@@ -94,7 +94,9 @@ def test_an_honest_iterate_is_solved_whatever_ends_the_run() -> None:
 @pytest.mark.parametrize("limit", [0, 1, 7])
 def test_iteration_limit_is_exact(name: str, limit: int) -> None:
     """max_iterations=k returns after exactly k iterations, 0 included; direct methods may be done before."""
-    result = solve(OBSTACLE.problem if name in BOUNDED else EXAMPLE.problem, name, max_iterations=limit)
+    result = solve(
+        OBSTACLE.problem if name in BOUNDED else EXAMPLE.problem, name, max_iterations=limit
+    )
     if name in DIRECT and result.is_solved:
         assert 0 < result.iterations <= limit
     else:
@@ -179,9 +181,16 @@ def test_warm_start_is_used_and_left_alone() -> None:
 def test_nothing_given_is_modified(name: str) -> None:
     """M, q and the bounds are bit for bit what they were."""
     problem = EXAMPLE.problem
-    before = [problem.csr.data.copy(), problem.csr.indices.copy(), problem.q.copy(), problem.lower.copy()]
+    before = [
+        problem.csr.data.copy(),
+        problem.csr.indices.copy(),
+        problem.q.copy(),
+        problem.lower.copy(),
+    ]
     solve(problem, name)
-    for old, new in zip(before, (problem.csr.data, problem.csr.indices, problem.q, problem.lower), strict=True):
+    for old, new in zip(
+        before, (problem.csr.data, problem.csr.indices, problem.q, problem.lower), strict=True
+    ):
         np.testing.assert_array_equal(old, new)
 
 
@@ -238,7 +247,12 @@ def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize(
     "place",
-    ["auto.policy_for", "auto.checked_start", "core.solving.judge.Judge.final", "core.solving.judge.Judge.verdict"],
+    [
+        "auto.policy_for",
+        "auto.checked_start",
+        "core.solving.judge.Judge.final",
+        "core.solving.judge.Judge.verdict",
+    ],
 )
 def test_no_work_is_off_the_clock(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever a call does, from its first look at what it was given to its verdict, is in ``seconds``."""
@@ -267,7 +281,9 @@ def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> No
     result = solve(TWO, Ticking(clock=clock), callback=slow_callback, max_iterations=4)
     assert [sample.seconds for sample in samples] == [3.0, 4.0, 5.0, 6.0, 7.0]
     assert result.seconds == 7.0
-    assert solve(TWO, Ticking(clock=clock), callback=slow_callback, max_seconds=60.0).iterations == 2
+    assert (
+        solve(TWO, Ticking(clock=clock), callback=slow_callback, max_seconds=60.0).iterations == 2
+    )
 
 
 @pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "auto"])
@@ -275,7 +291,9 @@ def test_recording_changes_nothing(name: str) -> None:
     """With and without record, with and without callback: the same z, iterations and work, bit for bit."""
     problem = EXAMPLE.problem if name == "mgs" else OBSTACLE.problem
     plain = solve(problem, name, max_iterations=300)
-    watched = solve(problem, name, max_iterations=300, record=True, callback=lambda sample, z: False)
+    watched = solve(
+        problem, name, max_iterations=300, record=True, callback=lambda sample, z: False
+    )
     np.testing.assert_array_equal(plain.z, watched.z)
     assert (plain.iterations, plain.work, plain.history) == (watched.iterations, watched.work, ())
 
@@ -288,7 +306,9 @@ def test_history_is_geometric_and_complete(name: str) -> None:
     assert [samples[0].iteration, samples[-1].iteration] == [0, result.iterations]
     iterations = [sample.iteration for sample in samples]
     assert iterations == sorted(set(iterations))
-    assert all(later <= max(earlier + 1, 1.05 * earlier + 1) for earlier, later in pairwise(iterations))
+    assert all(
+        later <= max(earlier + 1, 1.05 * earlier + 1) for earlier, later in pairwise(iterations)
+    )
     assert len(samples) < result.iterations or result.iterations <= 1 / 0.05
     assert all(sample.residual is not None and sample.residual >= 0.0 for sample in samples)
     assert samples[0].seconds == result.setup_seconds
@@ -302,8 +322,12 @@ def test_recorded_residuals_are_those_of_the_certificate() -> None:
     for name in ("npsor", "psor"):
         seen: list[tuple[float | None, float]] = []
         solve(
-            OBSTACLE.problem, name, max_iterations=30,
-            callback=lambda s, z: seen.append((s.residual, Certificate.of(OBSTACLE.problem, z).relative_residual)),  # noqa: B023
+            OBSTACLE.problem,
+            name,
+            max_iterations=30,
+            callback=lambda s, z: seen.append(  # noqa: B023
+                (s.residual, Certificate.of(OBSTACLE.problem, z).relative_residual)
+            ),
         )
         known = [(a, b) for a, b in seen if a is not None]
         assert len(known) >= 3
@@ -349,7 +373,10 @@ def test_ctrl_c_returns_the_best_iterate() -> None:
     result = solve(TWO, Scripted(points=points, interrupt_at=2))
     assert result.status is Status.INTERRUPTED
     np.testing.assert_array_equal(result.z, (2.4, 0.0))
-    assert solve(TWO, Scripted(points=points, interrupt_at=0), z0=[1.0, 7.0]).z.tolist() == [1.0, 7.0]
+    assert solve(TWO, Scripted(points=points, interrupt_at=0), z0=[1.0, 7.0]).z.tolist() == [
+        1.0,
+        7.0,
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -370,8 +397,11 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
 
 
 PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
-    "auto": ("core.solving.driver.Run.__init__", "core.solving.driver.CommonScaling.of",
-             "auto.Single.first"),
+    "auto": (
+        "core.solving.driver.Run.__init__",
+        "core.solving.driver.CommonScaling.of",
+        "auto.Single.first",
+    ),
     "npsor": ("auto.Auto.first",),
     "lemke": ("auto.Auto.first",),
 }
@@ -418,7 +448,9 @@ def test_ctrl_c_during_the_set_up_returns_the_projected_start(
 
 def test_a_stopped_run_ends_its_history_where_it_stopped() -> None:
     """The step at which a callback stops is in the history, with its residual."""
-    result = solve(OBSTACLE.problem, "psor", record=True, callback=lambda sample, z: sample.iteration == 57)
+    result = solve(
+        OBSTACLE.problem, "psor", record=True, callback=lambda sample, z: sample.iteration == 57
+    )
     assert result.history[-1].iteration == result.iterations == 57
     assert result.history[-1].residual is not None
 
@@ -444,7 +476,9 @@ def test_clean_up_puts_active_components_on_their_bound() -> None:
     result = solve(scene.problem, "npgs")
     assert result.status is Status.SOLVED
     np.testing.assert_array_equal(result.z == 0.0, np.asarray(scene.exact) == 0.0)
-    *_, raw = islice(create("npgs", {}).iterates(scene.problem, scene.problem.nearest_to_zero.copy()), 50)
+    *_, raw = islice(
+        create("npgs", {}).iterates(scene.problem, scene.problem.nearest_to_zero.copy()), 50
+    )
     assert np.count_nonzero(raw.z == 0.0) < np.count_nonzero(np.asarray(scene.exact) == 0.0)
 
 
@@ -453,7 +487,9 @@ def test_many_threads_give_the_serial_answer() -> None:
     serial = solve(OBSTACLE.problem, "psor").z
     problem = gallery.build("obstacle_2d", size=20).problem
     answers: list[np.ndarray] = []
-    threads = [threading.Thread(target=lambda: answers.append(solve(problem, "psor").z)) for _ in range(8)]
+    threads = [
+        threading.Thread(target=lambda: answers.append(solve(problem, "psor").z)) for _ in range(8)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -484,7 +520,9 @@ def test_require_solved_raises_with_the_advice() -> None:
     """require_solved returns the result itself, or raises NotConverged with status, residual and advice."""
     good = solve(TWO, "pgs")
     assert good.require_solved() is good
-    with pytest.raises(NotConverged, match=r"MAX_ITERATIONS after 2 iterations of npsor: .* raise max_iterations"):
+    with pytest.raises(
+        NotConverged, match=r"MAX_ITERATIONS after 2 iterations of npsor: .* raise max_iterations"
+    ):
         solve(OBSTACLE.problem, "npsor", max_iterations=2).require_solved()
 
 
@@ -514,7 +552,11 @@ def stiff_m_matrix(n: int = 60, contrast: float = 1e10) -> tuple[LCP, np.ndarray
     """A chain with an inclusion of large coefficient that only weak links tie to the rest, and its solution."""
     conductance = np.ones(n + 1)
     conductance[n // 3 + 1 : 2 * n // 3] = contrast
-    M = np.diag(conductance[:-1] + conductance[1:]) - np.diag(conductance[1:-1], 1) - np.diag(conductance[1:-1], -1)
+    M = (
+        np.diag(conductance[:-1] + conductance[1:])
+        - np.diag(conductance[1:-1], 1)
+        - np.diag(conductance[1:-1], -1)
+    )
     exact = np.interp(np.arange(n), [0, n // 3, 2 * n // 3 - 1, n - 1], [0.5, 3.0, 3.0, 1.0])
     return LCP(M, -M @ exact), exact
 
@@ -549,7 +591,9 @@ def test_the_bound_is_computed_when_it_is_looked_at(monkeypatch: pytest.MonkeyPa
     assert copy.error_bound.infinity == result.error_bound.infinity
 
 
-@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda result: pickle.loads(pickle.dumps(result))])
+@pytest.mark.parametrize(
+    "duplicate", [copy.copy, copy.deepcopy, lambda result: pickle.loads(pickle.dumps(result))]
+)
 def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result]) -> None:
     """Z and w of a copied or unpickled result cannot be written to, its certificate's neither."""
     result = duplicate(solve(EXAMPLE.problem))
@@ -567,18 +611,31 @@ def test_a_proof_that_is_loose_is_sharpened_when_looked_at() -> None:
     assert plain.proves(1e-3)
     assert plain.is_loose
     assert result.error_bound is not None
-    assert error - 1e-9 <= result.error_bound.infinity <= 1.1 * error < 0.1 * plain.infinity  # q is rounded
+    assert (
+        error - 1e-9 <= result.error_bound.infinity <= 1.1 * error < 0.1 * plain.infinity
+    )  # q is rounded
 
 
-def test_bounds_along_the_run_are_sharp_where_that_is_affordable(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bounds_along_the_run_are_sharp_where_that_is_affordable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Every sample's bound holds and is within twice the error; above some size only once a run has cost as much."""
     problem, exact = grid(30, 1e-4, level=9.0)
     samples: list[np.ndarray] = []
-    result = solve(problem, "pgs", error_bound=True, record=True, callback=lambda _, z: samples.append(z.copy()))
+    result = solve(
+        problem,
+        "pgs",
+        error_bound=True,
+        record=True,
+        callback=lambda _, z: samples.append(z.copy()),
+    )
     for sample in result.history:
         error = np.max(np.abs(samples[sample.iteration] - exact))
         assert error <= sample.error_bound <= 2.0 * error + 1e-9
-    assert error_bound(problem, samples[-1], sharp=False).infinity > 100.0 * result.history[-1].error_bound
+    assert (
+        error_bound(problem, samples[-1], sharp=False).infinity
+        > 100.0 * result.history[-1].error_bound
+    )
     monkeypatch.setattr("lcp_plugin.proofs.bounds.error_judge.SHARP_SAMPLES_UP_TO", 100)
     history = solve(problem, "pgs", error_bound=True, record=True).history
     assert history[0].error_bound > 2.0 * result.history[0].error_bound
@@ -607,12 +664,21 @@ def test_tolerance_on_error_is_kept(name: str) -> None:
 @pytest.mark.parametrize("form", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
     """SOLVED by a z of length 1 where the solution has 256, though the diagonal is even: `explain()` warns."""
-    matrix, q = np.array([[5.0, -5.0 + 2.0**-36], [-5.0 + 2.0**-36, 5.0]]), np.array([-3.0, 3.0 - 2.0**-27])
+    matrix, q = (
+        np.array([[5.0, -5.0 + 2.0**-36], [-5.0 + 2.0**-36, 5.0]]),
+        np.array([-3.0, 3.0 - 2.0**-27]),
+    )
     assert (np.linalg.solve(matrix, -q) > 255.0).all()
     far = solve(LCP(form(matrix), q), "psor")
     assert (far.status, float(far.z.max()) < 1.0) == (Status.SOLVED, True)
-    assert "near-singular: the system of the 2 unknowns between their bounds magnifies errors" in far.explain()
-    assert "near-singular" not in solve(LCP(form([[5.0, -4.0], [-4.0, 5.0]]), [-3.0, 2.0]), "psor").explain()
+    assert (
+        "near-singular: the system of the 2 unknowns between their bounds magnifies errors"
+        in far.explain()
+    )
+    assert (
+        "near-singular"
+        not in solve(LCP(form([[5.0, -4.0], [-4.0, 5.0]]), [-3.0, 2.0]), "psor").explain()
+    )
 
 
 def test_what_a_pile_leaves_open_is_said_calmly() -> None:
@@ -629,7 +695,9 @@ def test_rows_at_rest_that_make_the_system_singular_are_told() -> None:
     """All z with z₀ + z₁ = 1 answer; one of them at a bound without a force, where the other block is regular."""
     told = solve(LCP([[1.0, 1.0], [1.0, 1.0]], [-1.0, -1.0])).explain()
     assert "z may be one of several answers: 1 row at a bound without a force" in told
-    plain = solve(LCP([[2.0, 1.0], [1.0, 2.0]], [-2.0, -1.0])).explain()  # at rest, and the only answer
+    plain = solve(
+        LCP([[2.0, 1.0], [1.0, 2.0]], [-2.0, -1.0])
+    ).explain()  # at rest, and the only answer
     assert "several answers" not in plain
 
 
@@ -643,7 +711,9 @@ def test_stiff_data_tell_the_truth() -> None:
     assert error > 0.3 * exact.max()
     assert error <= fooled.error_bound.infinity <= 10.0 * error
     assert "stiff: the error may be" in fooled.explain()
-    strict = solve(problem, "pgs", tolerance=1e-7, tolerance_on="error", max_iterations=fooled.iterations - 100)
+    strict = solve(
+        problem, "pgs", tolerance=1e-7, tolerance_on="error", max_iterations=fooled.iterations - 100
+    )
     assert strict.status is Status.MAX_ITERATIONS
     assert "trust the bound" in strict.explain()
     assert "ask for tolerance_on" not in strict.explain()
@@ -663,7 +733,9 @@ def test_stiffer_data_are_said_to_be() -> None:
 
 def grid(side: int, shift: float, level: float = 0.0) -> tuple[LCP, np.ndarray]:
     """A five-point problem, with half of the rows active at level 0 and none at a high one, and its solution."""
-    line = sp.diags_array([-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1])
+    line = sp.diags_array(
+        [-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1]
+    )
     M = sp.csr_array(sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line))
     M = sp.csr_array(M + shift * sp.eye_array(side * side))
     exact = np.maximum(np.random.default_rng(0).standard_normal(side * side) + level, 0.0)
@@ -694,14 +766,18 @@ def test_sharp_bounds_are_not_wasted(bounds_asked: list[tuple[bool, ErrorBound]]
     assert len(bounds_asked) <= 6
 
 
-def test_the_bound_that_proved_it_is_the_result_s(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
+def test_the_bound_that_proved_it_is_the_result_s(
+    bounds_asked: list[tuple[bool, ErrorBound]],
+) -> None:
     """The bound of the run is not computed again at the end where z is the same."""
     result = solve(grid(20, 4.0)[0], "pgs", tolerance_on="error")
     assert result.error_bound is bounds_asked[-1][1]
     assert [bound.proves(1e-8) for _, bound in bounds_asked].count(True) == 1
 
 
-def test_where_the_cheap_bound_is_poor_a_sharp_one_ends_the_run(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
+def test_where_the_cheap_bound_is_poor_a_sharp_one_ends_the_run(
+    bounds_asked: list[tuple[bool, ErrorBound]],
+) -> None:
     """A slow run on a nearly singular matrix is not swept on to rounding: a sharp bound is tried, but seldom."""
     result = solve(grid(30, 1e-4, level=9.0)[0], "pgs", tolerance_on="error", tolerance=1e-6)
     assert result.status is Status.SOLVED
@@ -716,7 +792,12 @@ def test_an_estimate_proves_no_tolerance(monkeypatch: pytest.MonkeyPatch) -> Non
     assert error_bound(problem, np.zeros(400)).kind == "estimate"
     seen: list[int] = []
     with pytest.raises(UnsuitableMatrix, match="only an estimate"):
-        solve(problem, "pgs", tolerance_on="error", callback=lambda sample, z: seen.append(sample.iteration))
+        solve(
+            problem,
+            "pgs",
+            tolerance_on="error",
+            callback=lambda sample, z: seen.append(sample.iteration),
+        )
     assert seen == []
     history = solve(problem, "pgs", error_bound=True, record=True, max_iterations=2).history
     assert [sample.error_bound for sample in history] == [None] * len(history)
@@ -743,7 +824,9 @@ def test_what_nobody_asked_for_is_not_computed(monkeypatch: pytest.MonkeyPatch) 
     """No theorem is looked for before or after a run, whatever its end; ``guarantee`` looks when it is looked at."""
     asked: list[str] = []
     original = guarantees._full
-    monkeypatch.setattr(guarantees, "_full", lambda *arguments: asked.append("full") or original(*arguments))
+    monkeypatch.setattr(
+        guarantees, "_full", lambda *arguments: asked.append("full") or original(*arguments)
+    )
     result = solve(LCP(TRAP, [-210.0, -110, 150]), "npsor", scaling=None, max_iterations=5)
     assert result.status is Status.MAX_ITERATIONS
     assert result.advice
@@ -751,8 +834,13 @@ def test_what_nobody_asked_for_is_not_computed(monkeypatch: pytest.MonkeyPatch) 
     assert result.guarantee.verdict == "not covered"
     assert 'what to do: scaling="auto"' in result.explain()
     assert asked == ["full"]
-    assert solve(EXAMPLE.problem, "npsor").guarantee.rate == convergence_guarantee(EXAMPLE.problem, "npsor").rate
-    assert solve(EXAMPLE.problem).guarantee.theorem == convergence_guarantee(EXAMPLE.problem).theorem
+    assert (
+        solve(EXAMPLE.problem, "npsor").guarantee.rate
+        == convergence_guarantee(EXAMPLE.problem, "npsor").rate
+    )
+    assert (
+        solve(EXAMPLE.problem).guarantee.theorem == convergence_guarantee(EXAMPLE.problem).theorem
+    )
 
 
 def test_bounds_are_recorded_along_the_run() -> None:
@@ -760,10 +848,14 @@ def test_bounds_are_recorded_along_the_run() -> None:
     result = solve(EXAMPLE.problem, "npgs", record=True, error_bound=True)
     assert all(sample.error_bound is not None for sample in result.history)
     assert result.history[-1].error_bound < 1e-6 < result.history[0].error_bound
-    assert all(sample.error_bound is None for sample in solve(EXAMPLE.problem, "npgs", record=True).history)
+    assert all(
+        sample.error_bound is None for sample in solve(EXAMPLE.problem, "npgs", record=True).history
+    )
 
 
-def test_what_cannot_be_divided_knows_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_divided_knows_the_time_that_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A linear program inside a run gets the seconds that the caller left it, and no limit where there is none."""
     asked: list[float] = []
     original = scipy.optimize.linprog
@@ -795,7 +887,9 @@ def test_flows_that_split_freely_are_no_wrong_digits(count: int) -> None:
     costs, supply = np.repeat(np.random.default_rng(0).uniform(1.0, 2.0, nodes), 2), np.zeros(nodes)
     supply[0] = 3.0
     M = sp.block_array([[None, -A.T], [A, None]], format="csr")
-    problem = LCP(M, np.concatenate([costs, -supply]), lower=np.repeat([0.0, -np.inf], [arcs, nodes]))
+    problem = LCP(
+        M, np.concatenate([costs, -supply]), lower=np.repeat([0.0, -np.inf], [arcs, nodes])
+    )
     # a start that uses both arcs of each pair, whose rows are then singular
     start = np.concatenate([np.full(arcs, 1.5), np.cumsum(costs[::2][::-1])[::-1]])
     result = solve(problem, "newton", z0=start)
@@ -808,7 +902,9 @@ def test_flows_that_split_freely_are_no_wrong_digits(count: int) -> None:
 
 def test_a_nearly_singular_system_is_not_said_to_have_several_answers() -> None:
     """Its answer is unique, 10¹² times as far as its residual may tell: of more unknowns than a dense inverse takes."""
-    M = sp.block_diag([[[1.0, -1.0 + 2.0**-40], [-1.0 + 2.0**-40, 1.0]], sp.eye_array(600) * 2.0], format="csr")
+    M = sp.block_diag(
+        [[[1.0, -1.0 + 2.0**-40], [-1.0 + 2.0**-40, 1.0]], sp.eye_array(600) * 2.0], format="csr"
+    )
     result = solve(LCP(M, -np.ones(602)), "newton")
     assert result.is_solved
     assert "several answers" not in result.explain()

@@ -34,7 +34,9 @@ def random_problem(kind: str, *, bounds: bool, seed: int = 0) -> LCP:
     np.fill_diagonal(M, abs(M).sum(axis=1) * generator.uniform(1.05, 1.5, size=n) + 0.1)
     if kind == "scaled":
         M *= np.exp2(generator.integers(-3, 4, size=n))[:, None]
-    q = -(M @ np.maximum(generator.normal(size=n), 0.0)) + M.diagonal() * np.maximum(generator.normal(size=n), 0.0)
+    q = -(M @ np.maximum(generator.normal(size=n), 0.0)) + M.diagonal() * np.maximum(
+        generator.normal(size=n), 0.0
+    )
     matrix = M if kind == "dense" else sp.csr_array(M)
     if not bounds:
         return LCP(matrix, q)
@@ -48,10 +50,14 @@ def start_for(problem: LCP) -> np.ndarray:
     return np.clip(np.linspace(-1.0, 2.0, problem.n), problem.lower, problem.upper)
 
 
-def iterates(algorithm: Algorithm, problem: LCP, z0: np.ndarray | None = None, steps: int = STEPS) -> np.ndarray:
+def iterates(
+    algorithm: Algorithm, problem: LCP, z0: np.ndarray | None = None, steps: int = STEPS
+) -> np.ndarray:
     """The first iterates, start included, shape (steps + 1, n)."""
     start = start_for(problem) if z0 is None else z0
-    found = np.array([step.z.copy() for step in islice(algorithm.iterates(problem, start.copy()), steps + 1)])
+    found = np.array(
+        [step.z.copy() for step in islice(algorithm.iterates(problem, start.copy()), steps + 1)]
+    )
     assert np.isfinite(found).all()
     return found
 
@@ -69,12 +75,19 @@ SAME = {
     "NPAOR(α,α) ≡ NPSOR(α)": (NPAOR(relaxation=1.3, acceleration=1.3), NPSOR(relaxation=1.3)),
     "NPAOR(1,1) ≡ NPGS": (NPAOR(relaxation=1.0, acceleration=1.0), NPGS()),
     "NPAOR(1,0) ≡ NPJ": (NPAOR(relaxation=1.0, acceleration=0.0), NPJ()),
-    "NPSOR(1) ≡ NPGS, scaled": (NPSOR(relaxation=1.0, scaling="diagonal"), NPGS(scaling="diagonal")),
+    "NPSOR(1) ≡ NPGS, scaled": (
+        NPSOR(relaxation=1.0, scaling="diagonal"),
+        NPGS(scaling="diagonal"),
+    ),
     "NPAOR(α,α) ≡ NPSOR(α), unscaled": (
-        NPAOR(relaxation=1.3, acceleration=1.3, scaling=None), NPSOR(relaxation=1.3, scaling=None)
+        NPAOR(relaxation=1.3, acceleration=1.3, scaling=None),
+        NPSOR(relaxation=1.3, scaling=None),
     ),
     "NPSplitting(diagonal) ≡ NPJ, automatic": (NPSplitting(splitting="diagonal"), NPJ()),
-    "NPSplitting(diagonal) ≡ NPJ": (NPSplitting(splitting="diagonal", scaling=None), NPJ(scaling=None)),
+    "NPSplitting(diagonal) ≡ NPJ": (
+        NPSplitting(splitting="diagonal", scaling=None),
+        NPJ(scaling=None),
+    ),
     "NPSplitting(diagonal) ≡ NPJ, scaled": (
         NPSplitting(splitting="diagonal", scaling="diagonal", scaling_factor=0.5),
         NPJ(scaling="diagonal", scaling_factor=0.5),
@@ -135,7 +148,12 @@ def test_gfp_is_the_fixed_point_of_its_modulus_equation(kind: str) -> None:
     moved = path[:-1] - omega * (path[:-1] @ M.T + q)
     assert_same(path[1:], 0.5 * (abs(moved) + moved))
     z = path[-1]
-    assert_allclose(z + omega * (M @ z), abs(omega * (M @ z + q) - z) - omega * q, rtol=0.0, atol=1e-11 * abs(z).max())
+    assert_allclose(
+        z + omega * (M @ z),
+        abs(omega * (M @ z + q) - z) - omega * q,
+        rtol=0.0,
+        atol=1e-11 * abs(z).max(),
+    )
 
 
 # --- The paper's own formulation, and its misprints --------------------------------------------------------
@@ -162,7 +180,12 @@ def test_a_user_s_splitting_is_the_paper_s_method(kind: str) -> None:
     problem = random_problem(kind, bounds=False)
     tridiagonal = np.triu(np.tril(problem.csr.toarray(), 1), -1)
     literal = method_3_1(problem, tridiagonal, start_for(problem))
-    for splitting in (tridiagonal, sp.csr_array(tridiagonal), sp.coo_array(tridiagonal), "tridiagonal"):
+    for splitting in (
+        tridiagonal,
+        sp.csr_array(tridiagonal),
+        sp.coo_array(tridiagonal),
+        "tridiagonal",
+    ):
         assert_same(iterates(NPSplitting(splitting=splitting, scaling=None), problem), literal)
 
 
@@ -184,21 +207,28 @@ def from_above(kind: str) -> tuple[LCP, np.ndarray]:
     return LCP(sp.csr_array(M), given.q / given.diagonal), np.full(given.n, 10.0)
 
 
-AOR = pytest.mark.parametrize(("alpha", "beta"), [(1.0, 0.0), (1.0, 1.0), (1.7, 1.7), (1.7, 1.0), (0.6, 0.3)])
+AOR = pytest.mark.parametrize(
+    ("alpha", "beta"), [(1.0, 0.0), (1.0, 1.0), (1.7, 1.7), (1.7, 1.0), (0.6, 0.3)]
+)
 
 
 @EVERY_KIND
 @AOR
-def test_npaor_is_the_paper_s_method_with_the_aor_splitting(kind: str, alpha: float, beta: float) -> None:
+def test_npaor_is_the_paper_s_method_with_the_aor_splitting(
+    kind: str, alpha: float, beta: float
+) -> None:
     """Where the projection has nothing to do, NPAOR(α, β) is Method 3.1 with 𝓜 = (D − βL)/α."""
     problem, start = from_above(kind)
     M = problem.csr.toarray()
     splitting = (np.diag(M.diagonal()) + beta * np.tril(M, -1)) / alpha
     literal = method_3_1(problem, splitting, start, steps=12, project=False)
     assert literal.min() > 0.0
-    assert 0 < np.count_nonzero(literal[-1] < problem.slack(literal[-1])) < problem.n  # some active, some not
+    assert (
+        0 < np.count_nonzero(literal[-1] < problem.slack(literal[-1])) < problem.n
+    )  # some active, some not
     for ours in (
-        NPAOR(relaxation=alpha, acceleration=beta, scaling=None), NPSplitting(splitting=splitting, scaling=None)
+        NPAOR(relaxation=alpha, acceleration=beta, scaling=None),
+        NPSplitting(splitting=splitting, scaling=None),
     ):
         assert_same(iterates(ours, problem, start, steps=12), literal)
 
@@ -207,17 +237,24 @@ def test_npaor_is_the_paper_s_method_with_the_aor_splitting(kind: str, alpha: fl
 def test_npsplitting_of_the_lower_triangle_is_npgs(kind: str) -> None:
     """Where the projection has nothing to do, NPSplitting("lower") takes the steps of NPGS."""
     problem, start = from_above(kind)
-    left, right = iterates(NPSplitting(splitting="lower"), problem, start, 12), iterates(NPGS(), problem, start, 12)
+    left, right = (
+        iterates(NPSplitting(splitting="lower"), problem, start, 12),
+        iterates(NPGS(), problem, start, 12),
+    )
     assert left.min() > 0.0
     assert_same(left, right)
     free = problem.with_q(problem.q, lower=-np.inf)
-    assert_same(iterates(NPSplitting(splitting="lower"), free, start), iterates(NPGS(), free, start))
+    assert_same(
+        iterates(NPSplitting(splitting="lower"), free, start), iterates(NPGS(), free, start)
+    )
 
 
 @EVERY_KIND
 @EVERY_BOUND
 @AOR
-def test_npaor_projects_each_component_at_once(kind: str, bounds: bool, alpha: float, beta: float) -> None:
+def test_npaor_projects_each_component_at_once(
+    kind: str, bounds: bool, alpha: float, beta: float
+) -> None:
     """Row i is (d/α + d + 2)(y − z_i) = −2 r_i − (β/α) Σ_{j<i} m_ij (z⁺_j − z_j), z⁺_i = mid(lower_i, upper_i, y)."""
     problem = random_problem(kind, bounds=bounds)
     M, z = problem.csr.toarray(), start_for(problem)
@@ -231,10 +268,14 @@ def test_npaor_projects_each_component_at_once(kind: str, bounds: bool, alpha: f
             new[i] = np.clip(z[i] - drive / pivot[i], problem.lower[i], problem.upper[i])
         path.append(new)
         z = new
-    assert_same(iterates(NPAOR(relaxation=alpha, acceleration=beta, scaling=None), problem), np.array(path))
+    assert_same(
+        iterates(NPAOR(relaxation=alpha, acceleration=beta, scaling=None), problem), np.array(path)
+    )
 
 
-def as_printed(problem: LCP, alpha: float, beta: float, right: np.ndarray, z: np.ndarray) -> np.ndarray:
+def as_printed(
+    problem: LCP, alpha: float, beta: float, right: np.ndarray, z: np.ndarray
+) -> np.ndarray:
     """(D − βL + α(2I + D)) ζ⁺ = right ζ + α|(A − I) ζ + σ| − ασ, iterated until it stands still."""
     A, sigma = problem.csr.toarray(), problem.q
     identity, D, L = np.eye(problem.n), np.diag(A.diagonal()), -np.tril(A, -1)
@@ -255,10 +296,16 @@ def test_the_misprinted_npsor_converges_to_a_wrong_point() -> None:
     scene, alpha = gallery.paper_example_1(n=100), 1.7
     A = scene.problem.csr.toarray()
     identity, D, U = np.eye(100), np.diag(A.diagonal()), -np.triu(A, 1)
-    wrong = as_printed(scene.problem, alpha, alpha, (1.0 - alpha) * D + U + alpha * identity + D, scene.start)
+    wrong = as_printed(
+        scene.problem, alpha, alpha, (1.0 - alpha) * D + U + alpha * identity + D, scene.start
+    )
     assert euclidean_residual(scene.problem, wrong) == pytest.approx(21.77, abs=0.01)
     derived = as_printed(
-        scene.problem, alpha, alpha, (1.0 - alpha) * D + alpha * U + alpha * (identity + D), scene.start
+        scene.problem,
+        alpha,
+        alpha,
+        (1.0 - alpha) * D + alpha * U + alpha * (identity + D),
+        scene.start,
     )
     ours = iterates(NPSOR(relaxation=alpha, scaling=None), scene.problem, scene.start, steps=60)[-1]
     assert euclidean_residual(scene.problem, ours) < 1e-12
@@ -305,9 +352,12 @@ def bai(problem: LCP, algorithm: MAOR, z0: np.ndarray, backward: tuple[bool, ...
 @EVERY_KIND
 @pytest.mark.parametrize("omega", ["D", "D/2", "vector"])
 @pytest.mark.parametrize(
-    ("sweep", "backward"), [("forward", (False,)), ("backward", (True,)), ("symmetric", (False, True))]
+    ("sweep", "backward"),
+    [("forward", (False,)), ("backward", (True,)), ("symmetric", (False, True))],
 )
-def test_maor_is_bai_s_iteration(kind: str, omega: str, sweep: str, backward: tuple[bool, ...]) -> None:
+def test_maor_is_bai_s_iteration(
+    kind: str, omega: str, sweep: str, backward: tuple[bool, ...]
+) -> None:
     """MAOR is the modulus iteration in dense linear algebra, for any Ω, order of the rows and lower bound."""
     plain = random_problem(kind, bounds=False)
     lower = np.linspace(-1.0, 1.0, plain.n)
@@ -324,7 +374,9 @@ def test_maor_is_bai_s_iteration(kind: str, omega: str, sweep: str, backward: tu
 def shifted(problem: LCP, by: float) -> LCP:
     """The problem in the unknown z + by."""
     return problem.with_q(
-        problem.q - problem.csr @ np.full(problem.n, by), lower=problem.lower + by, upper=problem.upper + by
+        problem.q - problem.csr @ np.full(problem.n, by),
+        lower=problem.lower + by,
+        upper=problem.upper + by,
     )
 
 
@@ -356,16 +408,22 @@ def test_another_unit_of_z_changes_no_bit(name: str, exponent: int) -> None:
     problem = random_problem("sparse", bounds=name in BOUNDED)
     start = start_for(problem)
     other = problem.with_q(
-        np.ldexp(problem.q, exponent), lower=np.ldexp(problem.lower, exponent), upper=np.ldexp(problem.upper, exponent)
+        np.ldexp(problem.q, exponent),
+        lower=np.ldexp(problem.lower, exponent),
+        upper=np.ldexp(problem.upper, exponent),
     )
     path = iterates(create(name, {}), problem, start)
-    assert np.array_equal(iterates(create(name, {}), other, np.ldexp(start, exponent)), np.ldexp(path, exponent))
+    assert np.array_equal(
+        iterates(create(name, {}), other, np.ldexp(start, exponent)), np.ldexp(path, exponent)
+    )
 
 
 # --- Scaling -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("algorithm", [NPJ(), NPGS(), NPSOR(), NPAOR(), NPSplitting(splitting="lower"), NPSplitting()])
+@pytest.mark.parametrize(
+    "algorithm", [NPJ(), NPGS(), NPSOR(), NPAOR(), NPSplitting(splitting="lower"), NPSplitting()]
+)
 @EVERY_KIND
 @EVERY_BOUND
 @pytest.mark.parametrize("factor", [1.0, 2.0])
@@ -375,12 +433,16 @@ def test_diagonal_scaling_is_the_row_scaled_problem(
     """NP with scaling="diagonal" takes the steps of the unscaled NP on (SM, Sq), S = θD⁻¹."""
     problem = random_problem(kind, bounds=bounds)
     S = factor / problem.diagonal
-    rows_scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q, lower=problem.lower, upper=problem.upper)
+    rows_scaled = LCP(
+        sp.diags_array(S) @ problem.csr, S * problem.q, lower=problem.lower, upper=problem.upper
+    )
     scaled = replace(algorithm, scaling="diagonal", scaling_factor=factor)
     assert_same(iterates(scaled, problem), iterates(replace(algorithm, scaling=None), rows_scaled))
 
 
-@pytest.mark.parametrize("name", [n for n in REGISTRY if not n.startswith("np") and n not in NEEDS_MONOTONE])
+@pytest.mark.parametrize(
+    "name", [n for n in REGISTRY if not n.startswith("np") and n not in NEEDS_MONOTONE]
+)
 @EVERY_KIND
 def test_relatives_do_not_see_row_scaling(name: str, kind: str) -> None:
     """P*, M* with Ω a multiple of D, Newton, Lemke take the same steps on (M, q) and (SM, Sq), S powers of two.
@@ -401,7 +463,9 @@ def test_relatives_do_not_see_row_scaling(name: str, kind: str) -> None:
 def permuted(problem: LCP, order: np.ndarray) -> LCP:
     """The problem with its unknowns in another order."""
     M = problem.csr.toarray()[np.ix_(order, order)]
-    return LCP(sp.csr_array(M), problem.q[order], lower=problem.lower[order], upper=problem.upper[order])
+    return LCP(
+        sp.csr_array(M), problem.q[order], lower=problem.lower[order], upper=problem.upper[order]
+    )
 
 
 @pytest.mark.parametrize("name", SWEEPERS)
@@ -420,14 +484,22 @@ def test_backward_is_forward_on_the_reversed_problem(name: str, kind: str) -> No
 def test_symmetric_is_forward_then_backward(name: str, kind: str) -> None:
     """One symmetric iteration is a forward one followed by a backward one."""
     # The automatic scaling of a symmetric sweep is not that of a forward one.
-    options = {"relaxation": 1.1} if name == "psor" else {"scaling": "diagonal"} if name.startswith("np") else {}
+    options = (
+        {"relaxation": 1.1}
+        if name == "psor"
+        else {"scaling": "diagonal"}
+        if name.startswith("np")
+        else {}
+    )
     problem = random_problem(kind, bounds=True)
     z, composed = start_for(problem), [start_for(problem)]
     for _ in range(STEPS):
         for sweep in ("forward", "backward"):
             z = iterates(create(name, {"sweep": sweep, **options}), problem, z, steps=1)[1]
         composed.append(z)
-    assert_same(iterates(create(name, {"sweep": "symmetric", **options}), problem), np.array(composed))
+    assert_same(
+        iterates(create(name, {"sweep": "symmetric", **options}), problem), np.array(composed)
+    )
 
 
 @pytest.mark.parametrize("name", ["npj", "pj", "gfp", "mj"])
@@ -437,4 +509,7 @@ def test_simultaneous_methods_do_not_see_the_numbering(name: str, kind: str) -> 
     problem = random_problem(kind, bounds=name != "mj")
     order = np.random.default_rng(5).permutation(problem.n)
     path = iterates(create(name, {}), problem)
-    assert_same(path[:, order], iterates(create(name, {}), permuted(problem, order), start_for(problem)[order]))
+    assert_same(
+        path[:, order],
+        iterates(create(name, {}), permuted(problem, order), start_for(problem)[order]),
+    )

@@ -34,40 +34,104 @@ PROGRAM = QuadraticProgram(np.zeros((2, 2)), [1, 2], A=[[1, 1]], b=[1], lower=0)
 FIT = BoundedLeastSquares(RNG.standard_normal((30, 5)), np.arange(30.0), l1=20.0)
 PAIRS, COSTS = RNG.standard_normal((12, 12)), RNG.standard_normal(24)
 BEST = EquilibriumProgram(
-    QuadraticProgram(np.zeros((24, 24)), COSTS, A=np.hstack([PAIRS, -np.eye(12)]), b=PAIRS.sum(axis=1), lower=0,
-                     upper=10), np.arange(12), np.arange(12, 24),
+    QuadraticProgram(
+        np.zeros((24, 24)),
+        COSTS,
+        A=np.hstack([PAIRS, -np.eye(12)]),
+        b=PAIRS.sum(axis=1),
+        lower=0,
+        upper=10,
+    ),
+    np.arange(12),
+    np.arange(12, 24),
 )
-BLOCK = FrictionalContact((np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]), [1.0, 0.0, -1.0], 0.4)
+BLOCK = FrictionalContact(
+    (np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]), [1.0, 0.0, -1.0], 0.4
+)
 
 # Each with how it is found, its status, and how its second and its third line begin.
 RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
     "solved": (lambda: solve(OBSTACLE), Status.SOLVED, "relative residual", ""),
-    "limit": (lambda: solve(OBSTACLE, "psor", max_iterations=5), Status.MAX_ITERATIONS, "relative residual",
-              'next: try algorithm="auto", or raise max_iterations, or go on from z0=result.z'),
-    "infeasible": (lambda: solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, -1.0])), Status.INFEASIBLE,
-                   "no z within its bounds gives w the signs it needs: row", "next: check the data"),
-    "no solution": (lambda: solve(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, -1.0])), Status.NO_SOLUTION,
-                    "no solution: each of the 2 cases", "next: check the data"),
-    "unbounded": (lambda: solve(QuadraticProgram(np.diag([1.0, 0.0]), [0.0, -1.0], lower=0.0)), Status.UNBOUNDED,
-                  "unbounded: the objective falls", "next: bound the unknowns"),
-    "degenerate": (lambda: solve(LCP([[2.0, 1.0], [1.0, 2.0]], [-2.0, -1.0])), Status.SOLVED, "relative residual", ""),
-    "ill-conditioned": (lambda: solve(LCP(HILBERT, -HILBERT.sum(axis=1))), Status.SOLVED, "relative residual", ""),
-    "precision": (lambda: solve(LCP([[1e-3, 1.0], [-1.0, 1e-3]], [-1.0, 1.0]), tolerance=1e-17),
-                  Status.PRECISION_LIMIT, "relative residual", "next: accept z, or rescale the data"),
-    "stalled": (lambda: solve(LCP(friction(10).M, friction(10).q), "npsor"), Status.STALLED, "relative residual",
-                'next: try algorithm="auto"'),
-    "batch item": (lambda: solve_batch([LCP([[2.0]], [-1.0]), LCP([[0.0]], [-1.0])])[1], Status.INFEASIBLE,
-                   "no z within its bounds", "next: check the data"),
-    "equilibrium program": (lambda: solve(BEST, prove=True, max_nodes=1), Status.MAX_ITERATIONS, "objective -",
-                            "next: raise max_nodes"),
+    "limit": (
+        lambda: solve(OBSTACLE, "psor", max_iterations=5),
+        Status.MAX_ITERATIONS,
+        "relative residual",
+        'next: try algorithm="auto", or raise max_iterations, or go on from z0=result.z',
+    ),
+    "infeasible": (
+        lambda: solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, -1.0])),
+        Status.INFEASIBLE,
+        "no z within its bounds gives w the signs it needs: row",
+        "next: check the data",
+    ),
+    "no solution": (
+        lambda: solve(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, -1.0])),
+        Status.NO_SOLUTION,
+        "no solution: each of the 2 cases",
+        "next: check the data",
+    ),
+    "unbounded": (
+        lambda: solve(QuadraticProgram(np.diag([1.0, 0.0]), [0.0, -1.0], lower=0.0)),
+        Status.UNBOUNDED,
+        "unbounded: the objective falls",
+        "next: bound the unknowns",
+    ),
+    "degenerate": (
+        lambda: solve(LCP([[2.0, 1.0], [1.0, 2.0]], [-2.0, -1.0])),
+        Status.SOLVED,
+        "relative residual",
+        "",
+    ),
+    "ill-conditioned": (
+        lambda: solve(LCP(HILBERT, -HILBERT.sum(axis=1))),
+        Status.SOLVED,
+        "relative residual",
+        "",
+    ),
+    "precision": (
+        lambda: solve(LCP([[1e-3, 1.0], [-1.0, 1e-3]], [-1.0, 1.0]), tolerance=1e-17),
+        Status.PRECISION_LIMIT,
+        "relative residual",
+        "next: accept z, or rescale the data",
+    ),
+    "stalled": (
+        lambda: solve(LCP(friction(10).M, friction(10).q), "npsor"),
+        Status.STALLED,
+        "relative residual",
+        'next: try algorithm="auto"',
+    ),
+    "batch item": (
+        lambda: solve_batch([LCP([[2.0]], [-1.0]), LCP([[0.0]], [-1.0])])[1],
+        Status.INFEASIBLE,
+        "no z within its bounds",
+        "next: check the data",
+    ),
+    "equilibrium program": (
+        lambda: solve(BEST, prove=True, max_nodes=1),
+        Status.MAX_ITERATIONS,
+        "objective -",
+        "next: raise max_nodes",
+    ),
     "contact": (lambda: solve(BLOCK), Status.SOLVED, "relative residual", ""),
-    "program": (lambda: solve(QuadraticProgram(np.eye(2), [-1.0, -2.0]), max_iterations=0), Status.MAX_ITERATIONS,
-                "objective 0; constraints are violated by", "next: raise max_iterations"),
-    "contradiction": (lambda: solve(QuadraticProgram(np.eye(2), [0.0, 0.0], G=[[1.0, 1.0]], h=[-1.0], lower=0.0)),
-                      Status.INFEASIBLE, "infeasible: 3 of its constraints contradict", "next: check the data"),
+    "program": (
+        lambda: solve(QuadraticProgram(np.eye(2), [-1.0, -2.0]), max_iterations=0),
+        Status.MAX_ITERATIONS,
+        "objective 0; constraints are violated by",
+        "next: raise max_iterations",
+    ),
+    "contradiction": (
+        lambda: solve(QuadraticProgram(np.eye(2), [0.0, 0.0], G=[[1.0, 1.0]], h=[-1.0], lower=0.0)),
+        Status.INFEASIBLE,
+        "infeasible: 3 of its constraints contradict",
+        "next: check the data",
+    ),
     "least squares": (lambda: solve(FIT), Status.SOLVED, "optimality", ""),
-    "nonlinear": (lambda: solve(NonlinearProblem(lambda x: x * x + 1.0, lower=-np.inf), x0=[1.0]), Status.STALLED,
-                  "relative residual", "next: try another start x0"),
+    "nonlinear": (
+        lambda: solve(NonlinearProblem(lambda x: x * x + 1.0, lower=-np.inf), x0=[1.0]),
+        Status.STALLED,
+        "relative residual",
+        "next: try another start x0",
+    ),
 }
 
 
@@ -92,7 +156,9 @@ def test_its_sentences_are_short_and_none_is_said_twice(name: str) -> None:
     assert len({*clauses}) == len(clauses)
 
 
-def test_a_terminal_of_80_columns_shows_all_of_it(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_of_80_columns_shows_all_of_it(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The command prints the words of explain() in lines that fit; without a terminal it leaves them whole."""
     OBSTACLE.save(tmp_path / "obstacle.npz")
     call = ["solve", str(tmp_path / "obstacle.npz"), "--algorithm", "psor", "--max-iterations", "5"]

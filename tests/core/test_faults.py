@@ -42,7 +42,9 @@ def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[s
 
 def fresh_bits(name: str, problem: LCP = TOTAL) -> tuple[bytes, ...]:
     """The answer to the problem stated anew."""
-    return bits(solve(LCP(problem.csr.copy(), problem.q, lower=problem.lower, upper=problem.upper), name).z)
+    return bits(
+        solve(LCP(problem.csr.copy(), problem.q, lower=problem.lower, upper=problem.upper), name).z
+    )
 
 
 # --- Callbacks and clocks -------------------------------------------------------------------------------------------
@@ -271,7 +273,9 @@ def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("fault", [np.nan, np.inf, -1e300])
-def test_a_method_of_the_chain_that_breaks_is_replaced(fault: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_method_of_the_chain_that_breaks_is_replaced(
+    fault: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where the first method of auto yields NaN, ∞ or nonsense from some step on, another one solves the problem."""
     healthy = NPSOR.iterates
 
@@ -292,7 +296,9 @@ def test_a_method_of_the_chain_that_breaks_is_replaced(fault: float, monkeypatch
     np.testing.assert_allclose(result.z, solve(problem, "lemke").z, atol=1e-6)
 
 
-def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What is no refusal of a matrix is a fault: auto does not hide it behind another method."""
 
     def broken(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
@@ -345,11 +351,17 @@ MEMORY = """
 
 
 @pytest.mark.full
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="address space limits are a thing of Linux")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="address space limits are a thing of Linux"
+)
 def test_where_memory_ends_it_is_said() -> None:
     """Under a memory limit a run ends with MemoryError or a refusal or an honest result, and later runs are whole."""
-    done = in_a_process(MEMORY, MALLOC_MMAP_THRESHOLD_="65536")  # what is freed does not stay with the process
-    assert "finished" in done.stdout.splitlines(), done.stdout + done.stderr  # what SuperLU prints may come later
+    done = in_a_process(
+        MEMORY, MALLOC_MMAP_THRESHOLD_="65536"
+    )  # what is freed does not stay with the process
+    assert "finished" in done.stdout.splitlines(), (
+        done.stdout + done.stderr
+    )  # what SuperLU prints may come later
     assert "MemoryError" in done.stdout
 
 
@@ -368,18 +380,27 @@ def read_only_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the package beside which nothing can be cached, whoever asks: its cache folders are files."""
     folder = tmp_path_factory.mktemp("copy")
     copytree(PACKAGE, folder / "lcp_plugin", ignore=ignore_patterns("__pycache__"))
-    for package in [folder / "lcp_plugin", *(path for path in (folder / "lcp_plugin").rglob("*") if path.is_dir())]:
+    for package in [
+        folder / "lcp_plugin",
+        *(path for path in (folder / "lcp_plugin").rglob("*") if path.is_dir()),
+    ]:
         (package / "__pycache__").write_text("")
     return folder
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("cache", ["unwritable", "full disk"])
-def test_compiled_code_needs_no_place_on_disk(cache: str, read_only_package: Path, tmp_path: Path) -> None:
+def test_compiled_code_needs_no_place_on_disk(
+    cache: str, read_only_package: Path, tmp_path: Path
+) -> None:
     """Where no folder takes compiled code, or the disk is full when it is written, the kernels work all the same."""
     blocked = tmp_path / "file"
     blocked.write_text("")
-    environment = {"PYTHONPATH": str(read_only_package), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(blocked)}
+    environment = {
+        "PYTHONPATH": str(read_only_package),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "HOME": str(blocked),
+    }
     environment |= {"XDG_CACHE_HOME": str(blocked / "cache")}
     if cache == "full disk":
         environment["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
@@ -448,7 +469,9 @@ def test_threads_with_their_own_problems_do_not_disturb_each_other() -> None:
     tasks = [(name, 10 + 3 * k) for k, name in enumerate(BOUNDED)]
 
     def run(task: tuple[str, int]) -> tuple[bytes, ...]:
-        return bits(solve(gallery.build("random_h_plus", n=task[1]).problem, task[0], max_iterations=200).z)
+        return bits(
+            solve(gallery.build("random_h_plus", n=task[1]).problem, task[0], max_iterations=200).z
+        )
 
     alone = [run(task) for task in tasks]
     with ThreadPoolExecutor(8) as pool:

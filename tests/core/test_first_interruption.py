@@ -35,7 +35,10 @@ print(result.status.name)
 def test_an_interruption_of_a_first_solve_is_a_result(kind: str, share: float) -> None:
     """SIGINT after parts of a second, in a process of its own; SOLVED where that came too late."""
     process = subprocess.Popen(
-        [sys.executable, "-c", CODE.format(SOLVES[kind])], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", CODE.format(SOLVES[kind])],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert process.stdout is not None
     process.stdout.readline()

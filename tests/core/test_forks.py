@@ -18,7 +18,9 @@ from lcp_plugin.core.deadline import Lock
 from lcp_plugin.core.kernels import compilation
 from lcp_plugin.core.matrix.matrix import Matrix, fact
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="a fork beside threads is tried where it is common")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="a fork beside threads is tried where it is common"
+)
 
 PATIENCE = 120.0  # seconds until a child counts as hanging
 

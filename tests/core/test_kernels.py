@@ -98,7 +98,9 @@ def compressed(dense: np.ndarray, width: type) -> Compressed:
     for array in arrays:
         array.flags.writeable = False  # as an LCP keeps them
     given = SimpleNamespace(shape=dense.shape, indptr=arrays[0], indices=arrays[1])
-    return Compressed(dense, arrays, {way: kernels.row_splits(given, backward=way) for way in (False, True)})
+    return Compressed(
+        dense, arrays, {way: kernels.row_splits(given, backward=way) for way in (False, True)}
+    )
 
 
 def shapes() -> dict[str, np.ndarray]:
@@ -172,7 +174,9 @@ def test_splits_cut_each_row_at_its_diagonal(shape: str, width: type) -> None:
 @EVERY_WIDTH
 @DIRECTIONS
 @pytest.mark.parametrize("projected", [True, False])
-def test_splitting_sweep_is_its_formula(shape: str, width: type, backward: bool, projected: bool) -> None:
+def test_splitting_sweep_is_its_formula(
+    shape: str, width: type, backward: bool, projected: bool
+) -> None:
     """New iterate and the norm are those of the literal loop; the incoming iterate is left alone."""
     matrix = compressed(SHAPES[shape], width)
     n = len(matrix.dense)
@@ -212,11 +216,15 @@ def test_modulus_sweep_is_its_formula(shape: str, width: type, backward: bool) -
     n = len(matrix.dense)
     values = vectors(n)
     lower = np.where(np.isfinite(values["lower"]), values["lower"], 0.5)
-    rows = kernels.packed(values["q"], lower, values["inverse_scale"], values["omega"], values["inverse_pivot"])
+    rows = kernels.packed(
+        values["q"], lower, values["inverse_scale"], values["omega"], values["inverse_pivot"]
+    )
     x = values["z"]
     before, new, z = x.copy(), np.full(n, np.nan), np.full(n, np.nan)
     largest = kernel(*matrix.of(backward), rows, 1.2, 0.6, backward, x, new, z)
-    expected, expected_z, expected_largest = modulus_sweep(matrix.dense, rows, 1.2, 0.6, backward, x)
+    expected, expected_z, expected_largest = modulus_sweep(
+        matrix.dense, rows, 1.2, 0.6, backward, x
+    )
     close(new, expected)
     close(z, expected_z)
     close(largest, expected_largest)
@@ -253,7 +261,9 @@ def test_packing_puts_vectors_side_by_side(count: int, n: int) -> None:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-@pytest.mark.parametrize("text", ["random_h_plus:n=60,row_scale=10,column_scale=3", "obstacle_2d:size=8,shifted=true"])
+@pytest.mark.parametrize(
+    "text", ["random_h_plus:n=60,row_scale=10,column_scale=3", "obstacle_2d:size=8,shifted=true"]
+)
 def test_residuals_of_steps_are_the_certificate_s(name: str, text: str) -> None:
     """Where a step brings residuals along, they are those of the certificate of its z, at every step."""
     problem = CommonScaling.of(gallery.parse(text).problem).problem  # what a run works on
@@ -271,7 +281,12 @@ def test_residuals_of_steps_are_the_certificate_s(name: str, text: str) -> None:
 def test_the_caller_s_arrays_are_never_written(name: str, kind: type) -> None:
     """Matrix, q, bounds and start survive twenty steps and the clean-up bit for bit, and stay writable."""
     scene = gallery.random_h_plus(n=30, row_scale=3, column_scale=3)
-    M, q, lower, upper = kind(scene.problem.csr.toarray()), scene.problem.q.copy(), np.zeros(30), np.full(30, np.inf)
+    M, q, lower, upper = (
+        kind(scene.problem.csr.toarray()),
+        scene.problem.q.copy(),
+        np.zeros(30),
+        np.full(30, np.inf),
+    )
     data = [M.data, M.indices, M.indptr] if sp.issparse(M) else [M]
     given = [*data, q, lower, upper]
     before = [array.copy() for array in given]
@@ -300,9 +315,15 @@ def test_nan_survives_every_norm(backward: bool, place: int) -> None:
     ones, zeros, none = np.ones(5), np.zeros(5), np.full(5, np.inf)
     for projected in (True, False):
         rows = kernels.packed(ones, zeros, none, ones, ones, ones)
-        assert np.isnan(kernels.splitting_sweep(*matrix.of(backward), rows, 0.5, projected, backward, z, np.empty(5)))
+        assert np.isnan(
+            kernels.splitting_sweep(
+                *matrix.of(backward), rows, 0.5, projected, backward, z, np.empty(5)
+            )
+        )
     rows = kernels.packed(ones, zeros, none, ones)
-    assert np.isnan(kernels.relaxation_sweep(*matrix.of(backward), rows, 1.0, backward, z.copy())).all()
+    assert np.isnan(
+        kernels.relaxation_sweep(*matrix.of(backward), rows, 1.0, backward, z.copy())
+    ).all()
 
 
 @DIRECTIONS
@@ -315,22 +336,39 @@ def test_nan_that_no_other_row_reads_survives(backward: bool, dense: np.ndarray)
         z = np.linspace(1.0, 2.0, 5)
         z[place] = np.nan
         rows = kernels.packed(ones, zeros, none, ones, ones, ones)
-        assert np.isnan(kernels.splitting_sweep(*matrix.of(backward), rows, 0.5, True, backward, z, np.empty(5)))
+        assert np.isnan(
+            kernels.splitting_sweep(*matrix.of(backward), rows, 0.5, True, backward, z, np.empty(5))
+        )
         rows = kernels.packed(ones, zeros, none, ones)
-        assert np.isnan(kernels.relaxation_sweep(*matrix.of(backward), rows, 1.0, backward, z)).all()
+        assert np.isnan(
+            kernels.relaxation_sweep(*matrix.of(backward), rows, 1.0, backward, z)
+        ).all()
 
 
 @DIRECTIONS
 @pytest.mark.parametrize("place", range(5))
-@pytest.mark.parametrize("dense", [np.eye(5), np.zeros((5, 5)), 1.0 + np.eye(5)], ids=["diagonal", "zero", "full"])
-def test_nan_survives_the_norms_of_the_modulus_sweep(backward: bool, place: int, dense: np.ndarray) -> None:
+@pytest.mark.parametrize(
+    "dense", [np.eye(5), np.zeros((5, 5)), 1.0 + np.eye(5)], ids=["diagonal", "zero", "full"]
+)
+def test_nan_survives_the_norms_of_the_modulus_sweep(
+    backward: bool, place: int, dense: np.ndarray
+) -> None:
     """A NaN in any component of the incoming vector makes the norm NaN, whoever reads it."""
     from lcp_plugin.methods.modulus.kernels.modulus_sweep import modulus_sweep as kernel
 
     ones, x = np.ones(5), np.linspace(1.0, 2.0, 5)
     x[place] = np.nan
     rows = kernels.packed(ones, np.zeros(5), ones, ones, ones)
-    operands = *compressed(dense, np.int32).of(backward), rows, 1.0, 1.0, backward, x, np.empty(5), np.empty(5)
+    operands = (
+        *compressed(dense, np.int32).of(backward),
+        rows,
+        1.0,
+        1.0,
+        backward,
+        x,
+        np.empty(5),
+        np.empty(5),
+    )
     assert np.isnan(kernel(*operands))
 
 
@@ -347,7 +385,9 @@ def run_of(name: str, problem: LCP, steps: int) -> np.ndarray:
 @pytest.mark.parametrize("name", ["npsor", "psor", "maor", "gfp"])
 def test_repeated_runs_agree_bit_for_bit(name: str) -> None:
     """Two runs on the same data, and one on data built anew, give the same bits."""
-    problem, again = (gallery.random_h_plus(n=300, row_scale=2, column_scale=2).problem for _ in range(2))
+    problem, again = (
+        gallery.random_h_plus(n=300, row_scale=2, column_scale=2).problem for _ in range(2)
+    )
     first = run_of(name, problem, 30)
     assert np.array_equal(first, run_of(name, problem, 30))
     assert np.array_equal(first, run_of(name, again, 30))
@@ -375,7 +415,9 @@ def test_threads_share_the_arrays_of_a_sweep() -> None:
 
     def sweep(_: int) -> tuple[np.ndarray, float]:
         new = np.empty(n)
-        return new, kernels.splitting_sweep(M.indptr, split, M.indices, M.data, rows, 1.0, True, False, z, new)
+        return new, kernels.splitting_sweep(
+            M.indptr, split, M.indices, M.data, rows, 1.0, True, False, z, new
+        )
 
     expected, expected_largest = sweep(0)
     with ThreadPoolExecutor(8) as pool:

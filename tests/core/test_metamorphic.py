@@ -21,14 +21,19 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def proved_on(*words: str) -> list[str]:
     """The algorithms whose proofs name one of these classes, and auto."""
-    return ["auto", *(name for name, kind in KINDS.items() if any(word in kind.solves for word in words))]
+    return [
+        "auto",
+        *(name for name, kind in KINDS.items() if any(word in kind.solves for word in words)),
+    ]
 
 
 @st.composite
 def definite_matrices(draw: st.DrawFn) -> np.ndarray:
     """I + B Bᵀ of small condition, as a rule no H₊-matrices: no method needs long."""
     n = draw(st.integers(1, 4))
-    B = np.array(draw(st.lists(st.integers(-1, 1), min_size=n * n, max_size=n * n)), dtype=float).reshape(n, n)
+    B = np.array(
+        draw(st.lists(st.integers(-1, 1), min_size=n * n, max_size=n * n)), dtype=float
+    ).reshape(n, n)
     return np.eye(n) + B @ B.T
 
 
@@ -42,7 +47,10 @@ SMALL = st.integers(1, 5)
 CLASSES: dict[str, tuple[Any, list[str]]] = {
     "H₊, bounds": (solved_lcps(h_plus_matrices(SMALL), bounds=True), [*proved_on("H₊"), "lemke"]),
     "H₊": (solved_lcps(h_plus_matrices(SMALL)), [*proved_on("H₊"), "lemke"]),
-    "M": (solved_lcps(h_plus_matrices(SMALL).map(comparison)), [*proved_on("H₊", "M-matrices, bounds"), "lemke"]),
+    "M": (
+        solved_lcps(h_plus_matrices(SMALL).map(comparison)),
+        [*proved_on("H₊", "M-matrices, bounds"), "lemke"],
+    ),
     "SPD, bounds": (solved_lcps(definite_matrices(), bounds=True), proved_on("SPD", "PSD")),
 }
 LOSES = {  # what a relation takes from a class, beyond which the proofs do not reach
@@ -104,7 +112,9 @@ def test_unproved_methods_are_right_wherever_they_say_solved(name: str) -> None:
     agrees()
 
 
-@pytest.mark.parametrize("relation", [name for name in EXACT if name not in ("split", "twice", "with a free row")])
+@pytest.mark.parametrize(
+    "relation", [name for name in EXACT if name not in ("split", "twice", "with a free row")]
+)
 def test_no_verdict_on_a_matrix_contradicts_that_on_a_changed_one(relation: str) -> None:
     """H, H₊ and P survive permutation, positive scaling and a regular neighbour: never True here and False there."""
 

@@ -13,11 +13,26 @@ from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.settings import Settings
 
 STACKED = [[1e-8, -1e-8, 0.0], [-1e-8, 1.0 + 1e-8, -1.0], [0.0, -1.0, 1.0 + 1e-8]]
-FAR_ROWS = [[0.1, 0.0, 0.0, 1.0], [0.0, 0.1, 0.0, 1e8], [0.0, 0.0, 0.1, 1e16], [-1.0, -1.0, -1.0, 0.0]]
+FAR_ROWS = [
+    [0.1, 0.0, 0.0, 1.0],
+    [0.0, 0.1, 0.0, 1e8],
+    [0.0, 0.0, 0.1, 1e16],
+    [-1.0, -1.0, -1.0, 0.0],
+]
 HIDDEN = {
     "a tiny diagonal entry": ([[1.0, -2.0], [3.0, 1e-9]], [-3.0, -1.0], [3.0, 0.0], [1.672, 0.0]),
-    "heavy on light": (STACKED, [-0.04905, 0.0, 0.0], [9.81e6, 4.905e6, 4.905e6], [4.905e6, 0.0, 0.0]),
-    "rows that do not act": (FAR_ROWS, [-50.0, -50.0, -50.0, 1.0], [1.0, 0.0, 0.0, 49.9], [2.0, 0.0, 0.0, 49.8]),
+    "heavy on light": (
+        STACKED,
+        [-0.04905, 0.0, 0.0],
+        [9.81e6, 4.905e6, 4.905e6],
+        [4.905e6, 0.0, 0.0],
+    ),
+    "rows that do not act": (
+        FAR_ROWS,
+        [-50.0, -50.0, -50.0, 1.0],
+        [1.0, 0.0, 0.0, 49.9],
+        [2.0, 0.0, 0.0, 49.8],
+    ),
 }
 
 
@@ -56,7 +71,16 @@ def test_a_long_run_ends_with_the_system_of_its_case(light: int) -> None:
     J = np.eye(len(mass)) - np.eye(len(mass), k=-1)
     problem = LCP(J @ np.diag(1.0 / mass) @ J.T, np.where(np.arange(len(mass)) == 0, -0.04905, 0.0))
     right = 0.04905 * np.cumsum(mass[::-1])[::-1]
-    for algorithm in ("auto", "psor", "pgs", "npsor", "newton", "multigrid", "interior_point", "lemke"):
+    for algorithm in (
+        "auto",
+        "psor",
+        "pgs",
+        "npsor",
+        "newton",
+        "multigrid",
+        "interior_point",
+        "lemke",
+    ):
         result = solve(problem, algorithm)
         assert result.is_solved or algorithm in ("pgs", "npsor")
         if result.is_solved:
@@ -70,7 +94,9 @@ def test_no_row_below_its_sign_is_solved() -> None:
     problem = LCP([[1e-9, 1.0], [-1.0, 0.0]], [-1.0, -1.0])
     assert not Certificate.of(problem, [0.0, 1.1e16]).meets(Settings())
     assert solve(problem).status is Status.INFEASIBLE
-    far = LCP([[1.0, 0.0, 2.0], [0.0, 1.0, 2.0], [-2.0, -2.0, 0.0]], [0.0, -1e15, -1.0])  # w_3 ≤ −1 beside w_2 of 1e15
+    far = LCP(
+        [[1.0, 0.0, 2.0], [0.0, 1.0, 2.0], [-2.0, -2.0, 0.0]], [0.0, -1e15, -1.0]
+    )  # w_3 ≤ −1 beside w_2 of 1e15
     assert not Certificate.of(far, [0.0, 0.0, 0.5e15]).meets(Settings())
     assert solve(far).status is not Status.SOLVED
 
@@ -93,8 +119,14 @@ def test_what_fell_under_attack_is_refused() -> None:
         ([[1e-9, -1.0], [1.0, 1e-9]], [-1e-9, 0.0], [6.0, 5e-9]),
         ([[2e-6, 1.0], [-1.0, 1e-11]], [-1.0, -2e-11], [2e-12, 1.0]),
         (
-            [[1e-6, 0.0, 0.0, 0.0], [1.0, 1e-6, 0.0, 0.0], [-3.0, -2.0, 1.0, 0.0], [-2.0, 1.0, 3.0, 1e-6]],
-            [-1e-6, -1.0, 1.0, 2999996.0], [1.0, 0.0, 2.0, 0.9993],
+            [
+                [1e-6, 0.0, 0.0, 0.0],
+                [1.0, 1e-6, 0.0, 0.0],
+                [-3.0, -2.0, 1.0, 0.0],
+                [-2.0, 1.0, 3.0, 1e-6],
+            ],
+            [-1e-6, -1.0, 1.0, 2999996.0],
+            [1.0, 0.0, 2.0, 0.9993],
         ),
     ):
         assert not Certificate.of(LCP(M, q), false).meets(Settings())
@@ -103,7 +135,12 @@ def test_what_fell_under_attack_is_refused() -> None:
 @pytest.mark.full
 def test_no_row_is_explained_by_a_number_that_does_not_act() -> None:
     """w_3 = .5 where z_3 = 1: neither SOLVED nor rounding, though m_34 = −1e19 would hide it."""
-    M = [[0.0, -3.0, 2.0, -1.0], [3.0, -3.0, 3.0, 1.0], [1.0, -2.0, 2.0, -1e19], [1.0, -3.0, 1.0, -2.0]]
+    M = [
+        [0.0, -3.0, 2.0, -1.0],
+        [3.0, -3.0, 3.0, 1.0],
+        [1.0, -2.0, 2.0, -1e19],
+        [1.0, -3.0, 1.0, -2.0],
+    ]
     problem = LCP(M, [-2.0, 0.0, -1.5, 0.0])
     for result in (solve(problem), *solve_batch([problem, problem])):
         assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)
@@ -114,7 +151,9 @@ def test_an_answer_where_a_limit_comes_first_ends_with_its_case() -> None:
     """Heavy stands on light by psor: what becomes SOLVED at the last step allowed carries the weight, too."""
     mass = np.array([1e8, 1.0, 1.0, 1.0, 1.0, 1.0, 1e8])
     relative = np.eye(7) - np.eye(7, k=-1)
-    problem = LCP(relative @ np.diag(1.0 / mass) @ relative.T, np.where(np.arange(7) == 0, -0.04905, 0.0))
+    problem = LCP(
+        relative @ np.diag(1.0 / mass) @ relative.T, np.where(np.arange(7) == 0, -0.04905, 0.0)
+    )
     weights = 0.04905 * np.cumsum(mass[::-1])[::-1]
     for steps in (20_000, 70_000):
         result = solve(problem, "psor", max_iterations=steps)
@@ -124,10 +163,22 @@ def test_an_answer_where_a_limit_comes_first_ends_with_its_case() -> None:
 def test_a_row_with_a_q_is_asked_for_in_its_own_unit() -> None:
     """w_2 = −1 and w_3 = −1 off a bound beside z = 1e15 and 1e19 in the same component: neither has a solution."""
     for M, q, lower, false in (
-        ([[1e6, 0.0, 0.0], [-2.0, -1.0, 0.0], [-1.0, 2.0, 1.0]], [-1e6, 1.0, -1e15], 0.0, [1.0, 0.0, 1e15]),
         (
-            [[1.0, 0.0, 1.0, -1.0], [0.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]],
-            [-1e19, 2.0, -2.0, 0.0], [-1e10, -1.0, 0.0, 0.0], [0.0, -1.0, 1e19, 0.0],
+            [[1e6, 0.0, 0.0], [-2.0, -1.0, 0.0], [-1.0, 2.0, 1.0]],
+            [-1e6, 1.0, -1e15],
+            0.0,
+            [1.0, 0.0, 1e15],
+        ),
+        (
+            [
+                [1.0, 0.0, 1.0, -1.0],
+                [0.0, 1.0, 1.0, -1.0],
+                [-1.0, -1.0, 0.0, 0.0],
+                [1.0, 1.0, 0.0, 0.0],
+            ],
+            [-1e19, 2.0, -2.0, 0.0],
+            [-1e10, -1.0, 0.0, 0.0],
+            [0.0, -1.0, 1e19, 0.0],
         ),
     ):
         problem = LCP(M, q, lower=lower)
@@ -154,7 +205,13 @@ def test_a_diagonal_entry_of_1e12_may_leave_no_solution() -> None:
     for M, q in (
         ([[1e-12, 0, -1, -1], [0, 1e-11, 0, 2], [3, 2, 1e-10, 3], [0, 0, -1, -3]], [0, 2, -1, 0]),
         (
-            [[1e-12, -2, 2, 2, 3], [2, 0, -1, 2, -1], [1, -3, 2, 1, 2], [0, -3, -3, -2, 3], [0, 1, 1, -3, -3]],
+            [
+                [1e-12, -2, 2, 2, 3],
+                [2, 0, -1, 2, -1],
+                [1, -3, 2, 1, 2],
+                [0, -3, -3, -2, 3],
+                [0, 1, 1, -3, -3],
+            ],
             [0, -3, 0, 0, 3],
         ),
     ):

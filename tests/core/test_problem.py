@@ -34,9 +34,13 @@ from lcp_plugin.core import checks
 from lcp_plugin.core.matrix.matrix import Matrix, fact
 from lcp_plugin.problems.programs.conversion import QuadraticProgram
 
-A = np.array([[4.0, -1.0, 0.0, 0.0], [0.0, 5.0, -2.0, 0.0], [0.0, 0.0, 6.0, 0.0], [-3.0, 0.0, 0.0, 0.5]])
+A = np.array(
+    [[4.0, -1.0, 0.0, 0.0], [0.0, 5.0, -2.0, 0.0], [0.0, 0.0, 6.0, 0.0], [-3.0, 0.0, 0.0, 0.5]]
+)
 Q = np.array([-1.0, 2.0, -3.0, 4.0])
-TRIDIAGONAL = sp.csr_array(sp.diags_array([-np.ones(9), np.full(10, 4.0), -np.ones(9)], offsets=[-1, 0, 1]))
+TRIDIAGONAL = sp.csr_array(
+    sp.diags_array([-np.ones(9), np.full(10, 4.0), -np.ones(9)], offsets=[-1, 0, 1])
+)
 FORMATS = [f"{name}_array" for name in ("csr", "csc", "coo", "bsr", "dia", "lil", "dok")]
 FORMATS += [name.replace("array", "matrix") for name in FORMATS]
 
@@ -86,9 +90,24 @@ def test_every_sparse_format_means_the_same(form: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "dtype", ["float64", "float32", "float16", "longdouble", "int8", "int32", "int64", "uint8", "bool", ">f8", ">i4"]
+    "dtype",
+    [
+        "float64",
+        "float32",
+        "float16",
+        "longdouble",
+        "int8",
+        "int32",
+        "int64",
+        "uint8",
+        "bool",
+        ">f8",
+        ">i4",
+    ],
 )
-@pytest.mark.parametrize("layout", ["C", "F", "strided", "read-only", "sparse", "list", "np.matrix"])
+@pytest.mark.parametrize(
+    "layout", ["C", "F", "strided", "read-only", "sparse", "list", "np.matrix"]
+)
 def test_every_kind_of_number_becomes_a_double(dtype: str, layout: str) -> None:
     """Integers, booleans, halves, singles and foreign byte orders, in any memory layout, are stored as doubles."""
     numbers = np.abs(A).astype(dtype)
@@ -97,7 +116,9 @@ def test_every_kind_of_number_becomes_a_double(dtype: str, layout: str) -> None:
         "C": lambda: np.ascontiguousarray(numbers),
         "F": lambda: np.asfortranarray(numbers),
         "strided": lambda: np.repeat(np.repeat(numbers, 2, axis=0), 2, axis=1)[::2, ::2],
-        "read-only": lambda: np.frombuffer(numbers.tobytes(), dtype=numbers.dtype).reshape(numbers.shape),
+        "read-only": lambda: np.frombuffer(numbers.tobytes(), dtype=numbers.dtype).reshape(
+            numbers.shape
+        ),
         "sparse": lambda: with_data(sp.csr_array(expected), numbers[numbers != 0]),
         "list": lambda: numbers.tolist(),
         "np.matrix": lambda: older_matrix(numbers),
@@ -143,10 +164,16 @@ def test_a_thing_that_knows_its_array_is_an_array() -> None:
 
 @given(
     n=st.integers(1, 6),
-    triplets=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(-4, 4)), max_size=40),
-    form=st.sampled_from(["coo", "csr", "csc", "csr stale", "csc stale", "coo stale", "bsr", "lil"]),
+    triplets=st.lists(
+        st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(-4, 4)), max_size=40
+    ),
+    form=st.sampled_from(
+        ["coo", "csr", "csc", "csr stale", "csc stale", "coo stale", "bsr", "lil"]
+    ),
 )
-def test_duplicates_are_summed_and_zeros_dropped(n: int, triplets: list[tuple[int, int, int]], form: str) -> None:
+def test_duplicates_are_summed_and_zeros_dropped(
+    n: int, triplets: list[tuple[int, int, int]], form: str
+) -> None:
     """Triplets in any order, repeated, cancelling or zero give the matrix of their sums, whatever the flags claim."""
     expected = np.zeros((n, n))
     rows, columns, values = [], [], []
@@ -168,7 +195,9 @@ def test_duplicates_are_summed_and_zeros_dropped(n: int, triplets: list[tuple[in
     assert_canonical(p, expected)
 
 
-def uncompressed(form: str, n: int, rows: list[int], columns: list[int], values: list[float]) -> Any:
+def uncompressed(
+    form: str, n: int, rows: list[int], columns: list[int], values: list[float]
+) -> Any:
     """A sparse array that keeps the triplets as they come: duplicates, unsorted, zeros."""
     triplets = sp.coo_array((values, (rows, columns)), shape=(n, n))
     if form not in ("csr", "csc"):
@@ -184,7 +213,9 @@ def uncompressed(form: str, n: int, rows: list[int], columns: list[int], values:
 
 def test_stale_flags_do_not_fool_it() -> None:
     """A matrix that calls itself canonical and is not, and one overwritten after it was checked, are put in order."""
-    M = sp.csr_array((np.array([1.0, 2.0, 3.0, 0.0]), np.array([1, 0, 0, 1]), np.array([0, 3, 4])), shape=(2, 2))
+    M = sp.csr_array(
+        (np.array([1.0, 2.0, 3.0, 0.0]), np.array([1, 0, 0, 1]), np.array([0, 3, 4])), shape=(2, 2)
+    )
     M.has_sorted_indices = True
     M.has_canonical_format = True
     assert_canonical(LCP(M, [1.0, 2.0]), np.array([[5.0, 1.0], [0.0, 0.0]]))
@@ -197,7 +228,9 @@ def test_stale_flags_do_not_fool_it() -> None:
 
 def test_read_only_input_is_put_in_order_on_a_copy() -> None:
     """Unsorted duplicates in arrays that nobody may write to are no obstacle."""
-    M = sp.csr_array((np.array([1.0, 2.0, 3.0]), np.array([1, 0, 0]), np.array([0, 3, 3])), shape=(2, 2))
+    M = sp.csr_array(
+        (np.array([1.0, 2.0, 3.0]), np.array([1, 0, 0]), np.array([0, 3, 3])), shape=(2, 2)
+    )
     for array in (M.data, M.indices, M.indptr):
         array.flags.writeable = False
     assert_canonical(LCP(M, np.zeros(2)), np.array([[5.0, 1.0], [0.0, 0.0]]))
@@ -214,7 +247,10 @@ def test_canonical_csr_is_not_copied() -> None:
     p = LCP(M, np.ones(10))
     solve(p, "npsor")
     for own, given_array, then in zip(
-        (p.csr.data, p.csr.indices, p.csr.indptr), (M.data, M.indices, M.indptr), before, strict=True
+        (p.csr.data, p.csr.indices, p.csr.indptr),
+        (M.data, M.indices, M.indptr),
+        before,
+        strict=True,
     ):
         assert np.shares_memory(own, given_array)
         assert given_array.flags.writeable
@@ -242,11 +278,19 @@ def test_dense_matrices_are_copies_of_their_own() -> None:
 def test_duplicates_are_summed_as_doubles(form: str, kind: type) -> None:
     """Entries given twice add up in double precision, however narrow the type they come in: 100 + 100 is 200."""
     value, once = (1, 1.0) if kind is bool else (100, 100.0)
-    M = sp.coo_array((np.array([value, value, value], dtype=kind), ([0, 0, 1], [0, 0, 1])), shape=(2, 2))
+    M = sp.coo_array(
+        (np.array([value, value, value], dtype=kind), ([0, 0, 1], [0, 0, 1])), shape=(2, 2)
+    )
     if form != "coo":  # scipy would add them up on the way
-        data, indices, pointer = np.array([value] * 3, dtype=kind), np.array([0, 0, 1]), np.array([0, 2, 3])
+        data, indices, pointer = (
+            np.array([value] * 3, dtype=kind),
+            np.array([0, 0, 1]),
+            np.array([0, 2, 3]),
+        )
         kinds = {"csr": sp.csr_array, "csc": sp.csc_array, "bsr": sp.bsr_array}
-        M = kinds[form]((data.reshape(3, 1, 1) if form == "bsr" else data, indices, pointer), shape=(2, 2))
+        M = kinds[form](
+            (data.reshape(3, 1, 1) if form == "bsr" else data, indices, pointer), shape=(2, 2)
+        )
     assert LCP(M, [0.0, 0.0]).csr.toarray().tolist() == [[2 * once, 0.0], [0.0, once]]
     assert QuadraticProgram(M, [0.0, 0.0]).P.toarray().tolist() == [[2 * once, 0.0], [0.0, once]]
 
@@ -261,7 +305,9 @@ def test_vectors_are_copies_of_their_own() -> None:
     np.testing.assert_array_equal(p.upper, np.full(4, 9.0))
 
 
-@pytest.mark.parametrize("M", [A, sp.csr_array(A), TRIDIAGONAL], ids=["dense", "small CSR", "tridiagonal"])
+@pytest.mark.parametrize(
+    "M", [A, sp.csr_array(A), TRIDIAGONAL], ids=["dense", "small CSR", "tridiagonal"]
+)
 def test_every_array_is_read_only(M: Any) -> None:
     """No array that a problem hands out can be written to."""
     p = LCP(M, np.ones(M.shape[0]), lower=-1.0, upper=5.0)
@@ -315,7 +361,11 @@ def test_dense_and_sparse_give_the_same_answer(name: str) -> None:
     dense = solve(LCP(A, Q), name)
     sparse = solve(LCP(sp.csr_array(A), Q), name)
     assert dense.z.tobytes() == sparse.z.tobytes()
-    assert (dense.status, dense.iterations, dense.work) == (sparse.status, sparse.iterations, sparse.work)
+    assert (dense.status, dense.iterations, dense.work) == (
+        sparse.status,
+        sparse.iterations,
+        sparse.work,
+    )
 
 
 # --- the smallest problems -------------------------------------------------------------------------------------
@@ -327,14 +377,23 @@ def test_empty_problem(M: Any) -> None:
     p = LCP(M, [])
     assert (p.n, p.nonzeros, p.is_plain) == (0, 0, True)
     assert_canonical(p, np.zeros((0, 0)))
-    for vector in (p.q, p.lower, p.upper, p.diagonal, p.residual_scale, p.nearest_to_zero, p.slack([])):
+    for vector in (
+        p.q,
+        p.lower,
+        p.upper,
+        p.diagonal,
+        p.residual_scale,
+        p.nearest_to_zero,
+        p.slack([]),
+    ):
         assert (vector.shape, vector.dtype) == ((0,), np.float64)
     assert repr(p) == str(p) == "LCP(n=0, nonzeros=0, bounds 0 ≤ z)"
     assert Certificate.of(p, []).worst_index == -1
 
 
 @pytest.mark.parametrize(
-    ("entry", "scale", "kept"), [(2.0, 2.0, np.ndarray), (0.0, 1.0, sp.csr_array), (-3.0, 3.0, np.ndarray)]
+    ("entry", "scale", "kept"),
+    [(2.0, 2.0, np.ndarray), (0.0, 1.0, sp.csr_array), (-3.0, 3.0, np.ndarray)],
 )
 def test_one_unknown(entry: float, scale: float, kept: type) -> None:
     """One unknown with a positive, zero or negative entry has the residual scale of the rule."""
@@ -358,7 +417,9 @@ def scale_by_hand(M: np.ndarray) -> list[float]:
         entries = [Fraction(float(entry)) for entry in M[i]]
         largest = max(abs(entry) for entry in entries)
         threshold = Fraction(1, 2**20) * largest
-        assume(not largest or abs(entries[i] / threshold - 1) > Fraction(1, 10**12))  # there rounding decides
+        assume(
+            not largest or abs(entries[i] / threshold - 1) > Fraction(1, 10**12)
+        )  # there rounding decides
         d = entries[i] if entries[i] >= threshold else largest
         scale.append(float(d) if largest else 1.0)
     return scale
@@ -369,7 +430,9 @@ def scale_by_hand(M: np.ndarray) -> list[float]:
 def test_residual_scale_is_the_rule(data: st.DataObject, n: int, is_sparse: bool) -> None:
     """The scale d_i of every row is that of the rule computed in rationals, whatever the unit of the row."""
     rows = st.tuples(UNITS, st.lists(FACTORS, min_size=n, max_size=n))
-    M = np.array([[unit * factor for factor in row] for unit, row in (data.draw(rows) for _ in range(n))])
+    M = np.array(
+        [[unit * factor for factor in row] for unit, row in (data.draw(rows) for _ in range(n))]
+    )
     expected = scale_by_hand(M)
     p = LCP(sp.csr_array(M) if is_sparse else M, np.zeros(n))
     assert p.residual_scale.tolist() == expected
@@ -382,7 +445,9 @@ BOUND = st.sampled_from([-math.inf, math.inf, 0.0, -0.0, 1.0, -1.0, 2.5, -1e300,
 @given(rows=st.lists(st.tuples(BOUND, BOUND), min_size=1, max_size=6))
 def test_nearest_to_zero_is_nearest_to_zero(rows: list[tuple[float, float]]) -> None:
     """z° is 0 where the bounds allow it, else the bound next to 0."""
-    rows = [(low, high) for low, high in rows if low <= high and low < math.inf and high > -math.inf]
+    rows = [
+        (low, high) for low, high in rows if low <= high and low < math.inf and high > -math.inf
+    ]
     assume(rows)
     lower, upper = map(np.array, zip(*rows, strict=True))
     n = len(rows)
@@ -521,7 +586,9 @@ def test_a_fact_may_ask_for_another() -> None:
 )
 @pytest.mark.parametrize("M", [A, sp.csr_array(A)], ids=["dense", "sparse"])
 @pytest.mark.parametrize("is_warm", [True, False], ids=["used", "fresh"])
-def test_duplicates_are_equal_and_read_only(duplicate: Callable[[LCP], LCP], M: Any, is_warm: bool) -> None:
+def test_duplicates_are_equal_and_read_only(
+    duplicate: Callable[[LCP], LCP], M: Any, is_warm: bool
+) -> None:
     """A copied or unpickled problem has the same bits, is as read-only, and computes what it needs anew."""
     p = LCP(M, Q, lower=[-np.inf, 0.0, 1.0, -1.0], upper=[np.inf, 5e-324, np.inf, 0.0])
     if is_warm:
@@ -554,7 +621,11 @@ def test_a_pickle_is_no_larger_than_the_data() -> None:
         (-1.0, 1.0, "bounds 4 boxed"),
         (-np.inf, np.inf, "bounds 4 free"),
         (1.0, np.inf, "bounds 4 one-sided"),
-        ([-np.inf, 0.0, -np.inf, 0.0], [np.inf, np.inf, 0.0, 1.0], "bounds 2 one-sided, 1 boxed, 1 free"),
+        (
+            [-np.inf, 0.0, -np.inf, 0.0],
+            [np.inf, np.inf, 0.0, 1.0],
+            "bounds 2 one-sided, 1 boxed, 1 free",
+        ),
     ],
 )
 def test_str_counts_what_there_is(lower: Any, upper: Any, words: str) -> None:
@@ -571,12 +642,20 @@ def same(one: Any, other: Any) -> bool:
     return first.shape == second.shape and first.tobytes() == second.tobytes()
 
 
-@given(problem=scaled_lcps(strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices().map(sp.csr_array)) |
-                             strategies.lcps(bounds=True), 300, 300))
+@given(
+    problem=scaled_lcps(
+        strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices().map(sp.csr_array))
+        | strategies.lcps(bounds=True),
+        300,
+        300,
+    )
+)
 def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
     """What repr(problem) says can be pasted, and is the same problem bit for bit, kept in the same way."""
     again = eval(repr(problem), {"LCP": LCP, "csr_array": sp.csr_array, "inf": np.inf})
-    assert all(same(getattr(problem, name), getattr(again, name)) for name in ("M", "q", "lower", "upper"))
+    assert all(
+        same(getattr(problem, name), getattr(again, name)) for name in ("M", "q", "lower", "upper")
+    )
 
 
 @settings(max_examples=40)
@@ -584,13 +663,18 @@ def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
 def test_the_repr_of_a_small_program_is_that_program(drawn: Any) -> None:
     """What repr(program) says can be pasted, and is the same program bit for bit."""
     program = drawn[0]
-    again = eval(repr(program), {"QuadraticProgram": QuadraticProgram, "csr_array": sp.csr_array, "inf": np.inf})
+    again = eval(
+        repr(program),
+        {"QuadraticProgram": QuadraticProgram, "csr_array": sp.csr_array, "inf": np.inf},
+    )
     names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
     names = [name for name in names if getattr(program, name).shape[0]]
     assert all(same(getattr(program, name), getattr(again, name)) for name in names)
 
 
-@pytest.mark.parametrize("bound", [-0.0, [0.0, -0.0, 0.0, -0.0], [-np.inf, 0.1 + 0.2, -1e-320, 0.0]])
+@pytest.mark.parametrize(
+    "bound", [-0.0, [0.0, -0.0, 0.0, -0.0], [-np.inf, 0.1 + 0.2, -1e-320, 0.0]]
+)
 def test_the_repr_keeps_each_bit_of_a_bound(bound: Any) -> None:
     """Zeros keep their signs, infinite and subnormal bounds their values."""
     problem = LCP(A, Q, lower=bound)
@@ -620,25 +704,82 @@ def test_a_problem_shows_what_its_users_want() -> None:
     program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[2.0])
     shown = [{name for name in dir(one) if not name.startswith("_")} for one in (problem, program)]
     assert shown[0] == {
-        "M", "q", "lower", "upper", "n", "nonzeros", "diagonal", "is_dense", "is_distributed", "is_plain",
-        "nearest_to_zero", "residual_scale", "slack", "with_q", "save", "load", "from_qp", "from_game", "from_contacts",
-        "from_cvxpy", "from_problem", "from_rows", "to_qp", "to_cvxpy", "origin", "own_rows", "own_part", "gathered",
-        "csr", "matrix", "criterion", "problem_kind",
+        "M",
+        "q",
+        "lower",
+        "upper",
+        "n",
+        "nonzeros",
+        "diagonal",
+        "is_dense",
+        "is_distributed",
+        "is_plain",
+        "nearest_to_zero",
+        "residual_scale",
+        "slack",
+        "with_q",
+        "save",
+        "load",
+        "from_qp",
+        "from_game",
+        "from_contacts",
+        "from_cvxpy",
+        "from_problem",
+        "from_rows",
+        "to_qp",
+        "to_cvxpy",
+        "origin",
+        "own_rows",
+        "own_part",
+        "gathered",
+        "csr",
+        "matrix",
+        "criterion",
+        "problem_kind",
     }
     assert shown[1] == {
-        "P", "c", "G", "h", "A", "b", "lower", "upper", "n", "asymmetry", "ranges", "is_convex", "objective",
-        "with_vectors", "from_ranges", "constraints", "matrices", "with_matrices", "facts", "problem_kind",
+        "P",
+        "c",
+        "G",
+        "h",
+        "A",
+        "b",
+        "lower",
+        "upper",
+        "n",
+        "asymmetry",
+        "ranges",
+        "is_convex",
+        "objective",
+        "with_vectors",
+        "from_ranges",
+        "constraints",
+        "matrices",
+        "with_matrices",
+        "facts",
+        "problem_kind",
     }
 
 
-@pytest.mark.parametrize(("wrong", "words"), [
-    (lambda: LCP(np.eye(2), [[1.0], [2.0]]), r"got shape \(2, 1\); write np.ravel\(q\)"),
-    (lambda: LCP(np.eye(2), np.ones(2), lower=np.zeros((1, 2))), r"got shape \(1, 2\); write np.ravel\(lower\)"),
-    (lambda: solve(LCP(np.eye(2), np.ones(2)), np.zeros(2)), "a start is z0=…"),
-    (lambda: solve(BoundedLeastSquares(np.eye(2), np.ones(2)), np.zeros(2)), "a start is z0=…"),
-    (lambda: solve(ConeProblem(np.eye(2), np.ones(2), [("second_order", 2)]), [0.0, 0.0]), "a start is z0=…"),
-])
-def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(wrong: Any, words: str) -> None:
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda: LCP(np.eye(2), [[1.0], [2.0]]), r"got shape \(2, 1\); write np.ravel\(q\)"),
+        (
+            lambda: LCP(np.eye(2), np.ones(2), lower=np.zeros((1, 2))),
+            r"got shape \(1, 2\); write np.ravel\(lower\)",
+        ),
+        (lambda: solve(LCP(np.eye(2), np.ones(2)), np.zeros(2)), "a start is z0=…"),
+        (lambda: solve(BoundedLeastSquares(np.eye(2), np.ones(2)), np.zeros(2)), "a start is z0=…"),
+        (
+            lambda: solve(ConeProblem(np.eye(2), np.ones(2), [("second_order", 2)]), [0.0, 0.0]),
+            "a start is z0=…",
+        ),
+    ],
+)
+def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(
+    wrong: Any, words: str
+) -> None:
     """What newcomers write first, of every kind of problem."""
     with pytest.raises(LCPError, match=words):
         wrong()

@@ -54,7 +54,9 @@ BUILTIN_BASE = {
 NAN, INF = float("nan"), float("inf")
 KINDS = {name: algorithm_class(name) for name in REGISTRY}
 OPTIONS = {name: [field.name for field in fields(kind)] for name, kind in KINDS.items()}
-NEEDS_POSITIVE_DIAGONAL = [name for name, kind in KINDS.items() if kind.needs.startswith("positive diagonal")]
+NEEDS_POSITIVE_DIAGONAL = [
+    name for name, kind in KINDS.items() if kind.needs.startswith("positive diagonal")
+]
 NEEDS_NO_DIAGONAL = [name for name in REGISTRY if name not in NEEDS_POSITIVE_DIAGONAL]
 
 
@@ -71,7 +73,13 @@ class Given:
     def arrays(self) -> Iterator[np.ndarray]:
         yield from (self.M, self.q, self.csr.data, self.csr.indices, self.csr.indptr)
         for problem in (self.problem, self.plain):
-            yield from (problem.q, problem.lower, problem.upper, problem.diagonal, problem.residual_scale)
+            yield from (
+                problem.q,
+                problem.lower,
+                problem.upper,
+                problem.diagonal,
+                problem.residual_scale,
+            )
             yield from (problem.csr.data, problem.csr.indices, problem.csr.indptr)
 
     def state(self) -> list[Any]:
@@ -83,7 +91,9 @@ class Given:
 
 def assert_readable(message: str) -> None:
     """One sentence for people: no traceback, no machine's view of an object, of a length that gets read."""
-    assert not re.search(r"Traceback|File \"|<class |<function |<bound | at 0x|gufunc|\w+Error\(", message), message
+    assert not re.search(
+        r"Traceback|File \"|<class |<function |<bound | at 0x|gufunc|\w+Error\(", message
+    ), message
     assert "\n" not in message
     assert 20 <= len(message) <= 400
 
@@ -116,10 +126,16 @@ def with_entry(i: int, j: int, value: Any, dtype: Any = float) -> np.ndarray:
     return M
 
 
-def damaged_csr(data: Any = (1.0, 1.0, 1.0), indices: Any = (0, 1, 2), indptr: Any = (0, 1, 2, 3)) -> sp.csr_array:
+def damaged_csr(
+    data: Any = (1.0, 1.0, 1.0), indices: Any = (0, 1, 2), indptr: Any = (0, 1, 2, 3)
+) -> sp.csr_array:
     """A 3 × 3 CSR array whose own arrays were overwritten behind scipy's back."""
     M = sp.csr_array((3, 3))
-    M.data, M.indices, M.indptr = np.array(data), np.array(indices, np.int32), np.array(indptr, np.int32)
+    M.data, M.indices, M.indptr = (
+        np.array(data),
+        np.array(indices, np.int32),
+        np.array(indptr, np.int32),
+    )
     return M
 
 
@@ -137,13 +153,29 @@ MATRICES = [
     matrix("∞", with_entry(2, 0, INF), r"M must be finite.*M\[2, 0\] = inf.*repair"),
     matrix("CSR NaN", sp.csr_array(with_entry(1, 2, NAN)), r"M must be finite.*M\[1, 2\] = nan"),
     matrix("CSC −∞", sp.csc_array(with_entry(2, 0, -INF)), r"M must be finite.*M\[2, 0\] = -inf"),
-    matrix("COO NaN on the diagonal", sp.coo_array(with_entry(1, 1, NAN)), r"M must be finite.*M\[1, 1\] = nan"),
-    matrix("duplicates that overflow", damaged_csr([1e308, 1e308, 1.0], [0, 0, 2], [0, 2, 2, 3]), r"M\[0, 0\] = inf"),
-    matrix("duplicates ∞ − ∞", damaged_csr([INF, -INF, 1.0], [0, 0, 2], [0, 2, 2, 3]), r"M\[0, 0\] = nan"),
+    matrix(
+        "COO NaN on the diagonal",
+        sp.coo_array(with_entry(1, 1, NAN)),
+        r"M must be finite.*M\[1, 1\] = nan",
+    ),
+    matrix(
+        "duplicates that overflow",
+        damaged_csr([1e308, 1e308, 1.0], [0, 0, 2], [0, 2, 2, 3]),
+        r"M\[0, 0\] = inf",
+    ),
+    matrix(
+        "duplicates ∞ − ∞",
+        damaged_csr([INF, -INF, 1.0], [0, 0, 2], [0, 2, 2, 3]),
+        r"M\[0, 0\] = nan",
+    ),
     matrix("wider than a double", HUGE, r"M must be finite.*M\[0, 0\] = "),
     matrix("sparse, wider than a double", sp.csr_array(HUGE), r"M must be finite.*M\[0, 0\] = "),
     matrix("complex", with_entry(0, 1, 1j, complex), r"M must hold real numbers.*complex.*convert"),
-    matrix("complex without imaginary part", np.eye(3, dtype=complex), r"M must hold real numbers.*complex"),
+    matrix(
+        "complex without imaginary part",
+        np.eye(3, dtype=complex),
+        r"M must hold real numbers.*complex",
+    ),
     matrix("sparse complex", sp.eye_array(3, dtype=complex), r"M must hold real numbers.*complex"),
     matrix("objects", np.eye(3).astype(object), r"M must hold real numbers.*object"),
     matrix("an integer beyond 64 bits", [[10**30]], r"M must hold real numbers.*object"),
@@ -160,9 +192,19 @@ MATRICES = [
     matrix("masked", np.ma.array(np.eye(3), mask=np.eye(3)), r"M .*masked array.*fill"),
     matrix("masked, nothing hidden", np.ma.array(np.eye(3)), r"M .*masked array.*fill"),
     row("M is an LCP", InvalidProblem, r"M must hold real numbers", lambda g: LCP(g.problem, g.q)),
-    matrix("CSR column beyond n", damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*build it again"),
-    matrix("CSR column negative", damaged_csr(indices=[0, -1, 2]), r"damaged sparse.*>= 0.*build it again"),
-    matrix("CSR indptr not monotone", damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
+    matrix(
+        "CSR column beyond n",
+        damaged_csr(indices=[0, 5, 2]),
+        r"damaged sparse.*< 3.*build it again",
+    ),
+    matrix(
+        "CSR column negative",
+        damaged_csr(indices=[0, -1, 2]),
+        r"damaged sparse.*>= 0.*build it again",
+    ),
+    matrix(
+        "CSR indptr not monotone", damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"
+    ),
     matrix("CSR indptr negative", damaged_csr(indptr=[0, -1, -2, -3]), r"damaged sparse"),
     matrix("CSR indptr too short", damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
     matrix("CSR indptr begins with 1", damaged_csr(indptr=[1, 1, 2, 3]), r"damaged sparse.*0"),
@@ -201,17 +243,48 @@ OFFSETS = [
     offset("a generator", (k for k in range(3)), r"q must .*got (object|complex)"),
     offset("ragged", [[1.0], [2.0, 3.0]], r"q .*rectangular array.*check its rows"),
     offset("masked", np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0]), r"q .*masked array.*fill"),
-    offset("sparse", sp.csr_array([[1.0, 2.0, 3.0]]), r"q must be .*vector of length 3.*sparse.*toarray\(\)\.ravel"),
-    row("with_q too short", InvalidProblem, VECTOR + r"\(2,\)", lambda g: g.problem.with_q([1.0, 2.0])),
+    offset(
+        "sparse",
+        sp.csr_array([[1.0, 2.0, 3.0]]),
+        r"q must be .*vector of length 3.*sparse.*toarray\(\)\.ravel",
+    ),
+    row(
+        "with_q too short",
+        InvalidProblem,
+        VECTOR + r"\(2,\)",
+        lambda g: g.problem.with_q([1.0, 2.0]),
+    ),
     row("with_q NaN", InvalidProblem, r"q\[0\] = nan", lambda g: g.problem.with_q([NAN, 2.0, 3.0])),
-    row("with_q complex", InvalidProblem, r"q must .*got (object|complex)", lambda g: g.problem.with_q([1j, 2.0, 3.0])),
-    row("with_q lower", InvalidProblem, r"lower must be .*3.*\(2,\)", lambda g: g.problem.with_q(g.q, lower=[0, 0])),
-    row("with_q crosses the bound kept", InvalidProblem, r"lower\[1\] = 6.0 and upper\[1\] = 5.0",
-        lambda g: g.problem.with_q(g.q, lower=6.0)),
-    row("slack too short", InvalidProblem, r"z must be a.* vector of length 3.*\(2,\)",
-        lambda g: g.problem.slack([1.0, 2.0])),
-    row("slack of a matrix", InvalidProblem, r"z must be a.* vector of length 3.*\(3, 3\)",
-        lambda g: g.problem.slack(np.eye(3))),
+    row(
+        "with_q complex",
+        InvalidProblem,
+        r"q must .*got (object|complex)",
+        lambda g: g.problem.with_q([1j, 2.0, 3.0]),
+    ),
+    row(
+        "with_q lower",
+        InvalidProblem,
+        r"lower must be .*3.*\(2,\)",
+        lambda g: g.problem.with_q(g.q, lower=[0, 0]),
+    ),
+    row(
+        "with_q crosses the bound kept",
+        InvalidProblem,
+        r"lower\[1\] = 6.0 and upper\[1\] = 5.0",
+        lambda g: g.problem.with_q(g.q, lower=6.0),
+    ),
+    row(
+        "slack too short",
+        InvalidProblem,
+        r"z must be a.* vector of length 3.*\(2,\)",
+        lambda g: g.problem.slack([1.0, 2.0]),
+    ),
+    row(
+        "slack of a matrix",
+        InvalidProblem,
+        r"z must be a.* vector of length 3.*\(3, 3\)",
+        lambda g: g.problem.slack(np.eye(3)),
+    ),
 ]
 
 
@@ -220,13 +293,32 @@ def bounds(name: str, pattern: str, **given: Any) -> Any:
 
 
 BOUNDS = [
-    bounds("lower too short", r"lower must be a number or a vector of length 3.*\(2,\)", lower=[0.0, 0.0]),
-    bounds("upper of length 1", r"upper must be a number or a vector of length 3.*\(1,\)", upper=[1.0]),
-    bounds("upper a column", r"upper must be a number or a vector of length 3.*\(3, 1\)", upper=np.ones((3, 1))),
+    bounds(
+        "lower too short",
+        r"lower must be a number or a vector of length 3.*\(2,\)",
+        lower=[0.0, 0.0],
+    ),
+    bounds(
+        "upper of length 1", r"upper must be a number or a vector of length 3.*\(1,\)", upper=[1.0]
+    ),
+    bounds(
+        "upper a column",
+        r"upper must be a number or a vector of length 3.*\(3, 1\)",
+        upper=np.ones((3, 1)),
+    ),
     bounds("lower NaN", r"lower must not hold NaN.*lower\[0\] = nan.*-inf", lower=NAN),
     bounds("upper NaN", r"upper must not hold NaN.*upper\[1\] = nan.*inf", upper=[1.0, NAN, 1.0]),
-    bounds("crossing", r"lower ≤ upper.*lower\[1\] = 2.0 and upper\[1\] = 1.0", lower=[0.0, 2.0, 0.0], upper=1.0),
-    bounds("upper below the default lower", r"lower ≤ upper.*lower\[0\] = 0.0 and upper\[0\] = -1.0", upper=-1.0),
+    bounds(
+        "crossing",
+        r"lower ≤ upper.*lower\[1\] = 2.0 and upper\[1\] = 1.0",
+        lower=[0.0, 2.0, 0.0],
+        upper=1.0,
+    ),
+    bounds(
+        "upper below the default lower",
+        r"lower ≤ upper.*lower\[0\] = 0.0 and upper\[0\] = -1.0",
+        upper=-1.0,
+    ),
     bounds("lower = ∞", r"lower ≤ upper.*lower\[2\] = inf", lower=[0.0, 0.0, INF]),
     bounds("upper = −∞", r"lower ≤ upper.*upper\[0\] = -inf", lower=-INF, upper=-INF),
     bounds("lower None", r"lower must .*got None", lower=None),
@@ -234,8 +326,16 @@ BOUNDS = [
     bounds("upper with a None", r"upper must .*got object", upper=[1.0, None, 1.0]),
     bounds("lower a text", r"lower must .*got text.*convert", lower="0"),
     bounds("lower complex", r"lower must .*got complex.*convert", lower=0j),
-    bounds("lower sparse", r"lower must .*got (a sparse array|object)", lower=sp.csr_array([[0.0, 0.0, 1.0]])),
-    bounds("lower masked", r"lower .*masked array.*fill", lower=np.ma.array([0.0, 0.0, 0.0], mask=[1, 0, 0])),
+    bounds(
+        "lower sparse",
+        r"lower must .*got (a sparse array|object)",
+        lower=sp.csr_array([[0.0, 0.0, 1.0]]),
+    ),
+    bounds(
+        "lower masked",
+        r"lower .*masked array.*fill",
+        lower=np.ma.array([0.0, 0.0, 0.0], mask=[1, 0, 0]),
+    ),
 ]
 
 
@@ -247,80 +347,239 @@ LENGTH_3 = r"z0 must be a finite vector of length 3"
 WHOLE = r"max_iterations must be a whole number ≥ 0, got "
 
 RUNS = [
-    run("algorithm misspelt", UnknownAlgorithm, r"unknown algorithm 'psr'; did you mean 'psor'\?", "psr"),
-    run("algorithm nothing like it", UnknownAlgorithm, r"unknown algorithm 'gurobi'.*known", "gurobi"),
-    run("algorithm an engine", UnknownAlgorithm, r"piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'", "piqp"),
-    run("algorithm an engine object", UnknownAlgorithm, r"piqp is an engine for convex", engine_class("piqp")()),
+    run(
+        "algorithm misspelt",
+        UnknownAlgorithm,
+        r"unknown algorithm 'psr'; did you mean 'psor'\?",
+        "psr",
+    ),
+    run(
+        "algorithm nothing like it",
+        UnknownAlgorithm,
+        r"unknown algorithm 'gurobi'.*known",
+        "gurobi",
+    ),
+    run(
+        "algorithm an engine",
+        UnknownAlgorithm,
+        r"piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'",
+        "piqp",
+    ),
+    run(
+        "algorithm an engine object",
+        UnknownAlgorithm,
+        r"piqp is an engine for convex",
+        engine_class("piqp")(),
+    ),
     run("algorithm nearly an engine", UnknownAlgorithm, r"did you mean 'clarabel'\?", "clarable"),
     run("algorithm empty", UnknownAlgorithm, r"unknown algorithm ''.*known", ""),
     run("algorithm in capitals", UnknownAlgorithm, r"unknown algorithm 'PSOR'.*psor", "PSOR"),
-    run("algorithm None", UnknownAlgorithm, r"algorithm must be a name or an object.*got None", None),
+    run(
+        "algorithm None", UnknownAlgorithm, r"algorithm must be a name or an object.*got None", None
+    ),
     run("algorithm a number", UnknownAlgorithm, r"algorithm must be a name or an object.*got 3", 3),
-    run("algorithm a list", UnknownAlgorithm, r"algorithm must be a name or an object.*got \['psor'\]", ["psor"]),
-    run("algorithm a class", UnknownAlgorithm, r"algorithm must be a name or an object.*PSOR\(", PSOR),
-    run("option misspelt", InvalidOption, r"psor has no option 'relaxtion'; did you mean 'relaxation'\?.*sweep",
-        "psor", relaxtion=1.0),
-    run("option of another algorithm", InvalidOption, r"npgs has no option 'relaxation'.*scaling",
-        "npgs", relaxation=1.5),
-    run("option nothing like it", InvalidOption, r"pj has no option 'presolve'; known: sweep", "pj", presolve=True),
+    run(
+        "algorithm a list",
+        UnknownAlgorithm,
+        r"algorithm must be a name or an object.*got \['psor'\]",
+        ["psor"],
+    ),
+    run(
+        "algorithm a class",
+        UnknownAlgorithm,
+        r"algorithm must be a name or an object.*PSOR\(",
+        PSOR,
+    ),
+    run(
+        "option misspelt",
+        InvalidOption,
+        r"psor has no option 'relaxtion'; did you mean 'relaxation'\?.*sweep",
+        "psor",
+        relaxtion=1.0,
+    ),
+    run(
+        "option of another algorithm",
+        InvalidOption,
+        r"npgs has no option 'relaxation'.*scaling",
+        "npgs",
+        relaxation=1.5,
+    ),
+    run(
+        "option nothing like it",
+        InvalidOption,
+        r"pj has no option 'presolve'; known: sweep",
+        "pj",
+        presolve=True,
+    ),
     run("verbose a number", InvalidOption, r"verbose must be True or False, got 1", verbose=1),
-    run("setting misspelt", InvalidOption, r"'max_iter'; did you mean 'max_iterations'\?.*known: sweep",
-        "pj", max_iter=5),
-    run("setting misspelt, no options", InvalidOption,
-        r"did you mean 'max_seconds'\? \(solve itself takes absolute_tolerance, ", "newton", max_second=5),
-    run("setting misspelt with auto", InvalidOption, r"auto.*\['max_iter'\].*did you mean 'max_iterations'\?",
-        max_iter=5),
-    run("setting misspelt, an object", InvalidOption, r"NPSOR\(.*did you mean 'tolerance'\?",
-        NPSOR(), tolerence=1e-5),
-    run("None as a word", InvalidOption, r"scaling='None' is not offered; did you mean None\? \(known: None, auto",
-        "npsor", scaling="None"),
-    run("pgs with a relaxation", InvalidOption, r"pgs has no option 'relaxation'.*sweep", "pgs", relaxation=1.5),
-    run("option beside an object", InvalidOption, r"'relaxation'.*beside an algorithm object.*NPSOR\(",
-        NPSOR(), relaxation=1.5),
-    row("option of march abbreviated", InvalidOption,
+    run(
+        "setting misspelt",
+        InvalidOption,
+        r"'max_iter'; did you mean 'max_iterations'\?.*known: sweep",
+        "pj",
+        max_iter=5,
+    ),
+    run(
+        "setting misspelt, no options",
+        InvalidOption,
+        r"did you mean 'max_seconds'\? \(solve itself takes absolute_tolerance, ",
+        "newton",
+        max_second=5,
+    ),
+    run(
+        "setting misspelt with auto",
+        InvalidOption,
+        r"auto.*\['max_iter'\].*did you mean 'max_iterations'\?",
+        max_iter=5,
+    ),
+    run(
+        "setting misspelt, an object",
+        InvalidOption,
+        r"NPSOR\(.*did you mean 'tolerance'\?",
+        NPSOR(),
+        tolerence=1e-5,
+    ),
+    run(
+        "None as a word",
+        InvalidOption,
+        r"scaling='None' is not offered; did you mean None\? \(known: None, auto",
+        "npsor",
+        scaling="None",
+    ),
+    run(
+        "pgs with a relaxation",
+        InvalidOption,
+        r"pgs has no option 'relaxation'.*sweep",
+        "pgs",
+        relaxation=1.5,
+    ),
+    run(
+        "option beside an object",
+        InvalidOption,
+        r"'relaxation'.*beside an algorithm object.*NPSOR\(",
+        NPSOR(),
+        relaxation=1.5,
+    ),
+    row(
+        "option of march abbreviated",
+        InvalidOption,
         r"march has no option 'tol'; did you mean 'tolerance'\? \(known: absolute_tolerance, ",
-        lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5)),
-    run("option with auto", InvalidOption, r"auto.*\['relaxation'\].*name an algorithm", relaxation=1.5),
-    run("tolerance negative", InvalidOption, r"tolerance must be finite and not negative, got -1e-08", tolerance=-1e-8),
-    run("tolerance NaN", InvalidOption, r"tolerance must be finite and not negative, got nan", tolerance=NAN),
-    run("tolerance ∞", InvalidOption, r"tolerance must be finite and not negative, got inf", tolerance=INF),
-    run("tolerance a text", InvalidOption, r"tolerance must be .*number, got '1e-8'", tolerance="1e-8"),
+        lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5),
+    ),
+    run(
+        "option with auto",
+        InvalidOption,
+        r"auto.*\['relaxation'\].*name an algorithm",
+        relaxation=1.5,
+    ),
+    run(
+        "tolerance negative",
+        InvalidOption,
+        r"tolerance must be finite and not negative, got -1e-08",
+        tolerance=-1e-8,
+    ),
+    run(
+        "tolerance NaN",
+        InvalidOption,
+        r"tolerance must be finite and not negative, got nan",
+        tolerance=NAN,
+    ),
+    run(
+        "tolerance ∞",
+        InvalidOption,
+        r"tolerance must be finite and not negative, got inf",
+        tolerance=INF,
+    ),
+    run(
+        "tolerance a text",
+        InvalidOption,
+        r"tolerance must be .*number, got '1e-8'",
+        tolerance="1e-8",
+    ),
     run("tolerance None", InvalidOption, r"tolerance must be .*number, got None", tolerance=None),
     run("tolerance True", InvalidOption, r"tolerance must be .*number, got True", tolerance=True),
     run("tolerance complex", InvalidOption, r"tolerance must be .*number, got 1j", tolerance=1j),
-    run("tolerance a vector", InvalidOption, r"tolerance must be .*number, got array", tolerance=np.full(3, 1e-8)),
-    run("tolerance beyond every double", InvalidOption, r"tolerance must be .*finite", tolerance=10**309),
+    run(
+        "tolerance a vector",
+        InvalidOption,
+        r"tolerance must be .*number, got array",
+        tolerance=np.full(3, 1e-8),
+    ),
+    run(
+        "tolerance beyond every double",
+        InvalidOption,
+        r"tolerance must be .*finite",
+        tolerance=10**309,
+    ),
     run("max_iterations negative", InvalidOption, WHOLE + "-1", max_iterations=-1),
     run("max_iterations a float", InvalidOption, WHOLE + "5.0", max_iterations=5.0),
     run("max_iterations True", InvalidOption, WHOLE + "True", max_iterations=True),
     run("max_iterations a text", InvalidOption, WHOLE + "'5'", max_iterations="5"),
-    run("max_seconds negative", InvalidOption, r"max_seconds must be finite and not negative, got -1", max_seconds=-1),
-    run("max_seconds NaN", InvalidOption, r"max_seconds must be finite and not negative, got nan", max_seconds=NAN),
-    run("max_seconds a text", InvalidOption, r"max_seconds must be .*number, got '1'", max_seconds="1"),
-    run("max_seconds True", InvalidOption, r"max_seconds must be .*number, got True", max_seconds=True),
+    run(
+        "max_seconds negative",
+        InvalidOption,
+        r"max_seconds must be finite and not negative, got -1",
+        max_seconds=-1,
+    ),
+    run(
+        "max_seconds NaN",
+        InvalidOption,
+        r"max_seconds must be finite and not negative, got nan",
+        max_seconds=NAN,
+    ),
+    run(
+        "max_seconds a text",
+        InvalidOption,
+        r"max_seconds must be .*number, got '1'",
+        max_seconds="1",
+    ),
+    run(
+        "max_seconds True",
+        InvalidOption,
+        r"max_seconds must be .*number, got True",
+        max_seconds=True,
+    ),
     run("callback no function", InvalidOption, r"callback must be .*got 3", callback=3),
     run("z0 too short", InvalidOption, LENGTH_3 + r".*\(2,\)", z0=[1.0, 2.0]),
     run("z0 a number", InvalidOption, LENGTH_3 + r".*\(\)", z0=0.0),
     run("z0 a column", InvalidOption, LENGTH_3 + r".*\(3, 1\)", z0=np.zeros((3, 1))),
-    run("z0 NaN", InvalidOption, r"z0 must be finite, but z0\[1\] = nan; repair", z0=[1.0, NAN, 1.0]),
+    run(
+        "z0 NaN", InvalidOption, r"z0 must be finite, but z0\[1\] = nan; repair", z0=[1.0, NAN, 1.0]
+    ),
     run("z0 ∞", InvalidOption, r"z0 must be finite, but z0\[1\] = inf; repair", z0=[1.0, INF, 1.0]),
     run("z0 a text", InvalidOption, LENGTH_3, z0="warm"),
     run("z0 texts", InvalidOption, r"z0 must ", z0=["1", "2", "3"]),
     run("z0 complex list", InvalidOption, r"z0 must ", z0=[1j, 0.0, 0.0]),
     run("z0 complex array", InvalidOption, r"z0 must ", z0=np.array([1j, 0.0, 0.0])),
-    run("z0 masked", InvalidOption, r"z0 .*masked", z0=np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0])),
+    run(
+        "z0 masked", InvalidOption, r"z0 .*masked", z0=np.ma.array([1.0, 2.0, 3.0], mask=[1, 0, 0])
+    ),
     run("z0 sparse", InvalidOption, LENGTH_3, z0=sp.csr_array([[1.0, 2.0, 3.0]])),
     run("z0 ragged", InvalidOption, LENGTH_3, z0=[[1.0], [2.0, 3.0]]),
-    row("solve of M and q", InvalidOption, r"got ndarray; write solve\(LCP\(M, q\)\), or solve\(QuadraticProgram",
-        lambda g: solve(g.M, g.q)),
+    row(
+        "solve of M and q",
+        InvalidOption,
+        r"got ndarray; write solve\(LCP\(M, q\)\), or solve\(QuadraticProgram",
+        lambda g: solve(g.M, g.q),
+    ),
     row("solve of M", InvalidOption, r"solve needs an LCP.* got csr_array", lambda g: solve(g.csr)),
-    row("solve of nothing", InvalidOption, r"solve needs an LCP.* got NoneType", lambda g: solve(None)),
+    row(
+        "solve of nothing",
+        InvalidOption,
+        r"solve needs an LCP.* got NoneType",
+        lambda g: solve(None),
+    ),
 ]
 
 LENGTH_OF_Z = r"z must be a.* vector of length 3"
 
 POINTS = [
-    row(f"Certificate {name}", InvalidProblem, LENGTH_OF_Z + pattern, lambda g, z=z: Certificate.of(g.problem, z))
+    row(
+        f"Certificate {name}",
+        InvalidProblem,
+        LENGTH_OF_Z + pattern,
+        lambda g, z=z: Certificate.of(g.problem, z),
+    )
     for name, z, pattern in [
         ("too short", [1.0, 2.0], r".*\(2,\)"),
         ("too long", np.ones(4), r".*\(4,\)"),
@@ -337,7 +596,9 @@ POINTS = [
 ]
 
 
-@pytest.mark.parametrize(("error", "pattern", "call"), [*MATRICES, *OFFSETS, *BOUNDS, *RUNS, *POINTS])
+@pytest.mark.parametrize(
+    ("error", "pattern", "call"), [*MATRICES, *OFFSETS, *BOUNDS, *RUNS, *POINTS]
+)
 def test_refused(error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> None:
     """A wrong argument is refused in a sentence that names it, and everything is as it was before the call."""
     assert_refused(error, pattern, call)
@@ -376,7 +637,9 @@ OPTION_ROWS = [
 
 def test_every_option_has_bad_values() -> None:
     """No option of an algorithm in the manual's table is missing from the table of values to refuse."""
-    text = (Path(__file__).parents[2] / "examples" / "manual" / "algorithms.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "examples" / "manual" / "algorithms.md").read_text(
+        encoding="utf-8"
+    )
     shown = [options for name, options in OPTIONS.items() if f"| `{name}` |" in text]
     assert set(BAD_VALUES) == {option for options in shown for option in options}
 
@@ -392,18 +655,45 @@ def test_option_out_of_range(name: str, option: str, value: Any) -> None:
 @pytest.mark.parametrize(
     "omega",
     [
-        1j, [1.0, 2.0], [1.0, -1.0, 1.0], [1.0, 0.0, 1.0], [1.0, NAN, 1.0], [1.0, INF, 1.0], [],
-        np.ones((3, 1)), ["1", "1", "1"], [1j, 1.0, 1.0], np.ones(3, dtype=complex), [[1.0], [2.0, 3.0]],
-        sp.eye_array(3), np.ma.array([1.0, 1.0, 1.0], mask=[1, 0, 0]),
+        1j,
+        [1.0, 2.0],
+        [1.0, -1.0, 1.0],
+        [1.0, 0.0, 1.0],
+        [1.0, NAN, 1.0],
+        [1.0, INF, 1.0],
+        [],
+        np.ones((3, 1)),
+        ["1", "1", "1"],
+        [1j, 1.0, 1.0],
+        np.ones(3, dtype=complex),
+        [[1.0], [2.0, 3.0]],
+        sp.eye_array(3),
+        np.ma.array([1.0, 1.0, 1.0], mask=[1, 0, 0]),
     ],
-    ids=["complex", "short", "negative", "zero", "NaN", "∞", "empty", "column", "texts", "complex list",
-         "complex array", "ragged", "sparse", "masked"],
+    ids=[
+        "complex",
+        "short",
+        "negative",
+        "zero",
+        "NaN",
+        "∞",
+        "empty",
+        "column",
+        "texts",
+        "complex list",
+        "complex array",
+        "ragged",
+        "sparse",
+        "masked",
+    ],
 )
 def test_omega_must_be_positive_and_fit(omega: Any) -> None:
     """A vector Ω of the wrong shape, sign or kind is refused by every modulus method."""
     for name in MODULUS:
         pattern = rf"^{name}: omega must be"
-        assert_refused(InvalidOption, pattern, lambda g, name=name: solve(g.plain, name, omega=omega))
+        assert_refused(
+            InvalidOption, pattern, lambda g, name=name: solve(g.plain, name, omega=omega)
+        )
 
 
 @pytest.mark.parametrize(
@@ -420,12 +710,25 @@ def test_omega_must_be_positive_and_fit(omega: Any) -> None:
         (np.eye(3, dtype=object), "object"),
         ([[1.0, 2.0], [3.0]], "rectangular"),
     ],
-    ids=["None", "number", "vector", "3 × 2", "2 × 2", "sparse 5 × 5", "complex", "NaN", "objects", "ragged"],
+    ids=[
+        "None",
+        "number",
+        "vector",
+        "3 × 2",
+        "2 × 2",
+        "sparse 5 × 5",
+        "complex",
+        "NaN",
+        "objects",
+        "ragged",
+    ],
 )
 def test_splitting_must_be_a_matrix_like_M(splitting: Any, pattern: str) -> None:
     """A splitting that is no real, finite matrix of the shape of M is refused, and q is not made responsible."""
     pattern = rf"^npsplitting: (?!.*\bq must).*\bsplitting\b.*{pattern}"
-    assert_refused(InvalidOption, pattern, lambda g: solve(g.plain, "npsplitting", splitting=splitting))
+    assert_refused(
+        InvalidOption, pattern, lambda g: solve(g.plain, "npsplitting", splitting=splitting)
+    )
 
 
 @pytest.mark.parametrize("option", ["relaxation", "acceleration", "scaling_factor", "omega"])
@@ -437,21 +740,30 @@ def test_integer_beyond_every_double_is_refused(option: str) -> None:
     assert names
     for name in names:
         pattern = rf"^{name}\b.*{option}"
-        assert_refused(InvalidOption, pattern, lambda g, name=name: solve(g.plain, name, **{option: 10**309}))
+        assert_refused(
+            InvalidOption, pattern, lambda g, name=name: solve(g.plain, name, **{option: 10**309})
+        )
 
 
 def test_numpy_numbers_are_numbers() -> None:
     """NumPy's own integers and floats, zero limits and a zero tolerance are used, not refused."""
     given = Given()
     result = solve(
-        given.problem, "psor", relaxation=np.float32(1.5), tolerance=np.float64(1e-6), max_iterations=np.int64(500),
-        max_seconds=np.float32(60.0), z0=np.array([1, 2, 3], dtype=np.int8),
+        given.problem,
+        "psor",
+        relaxation=np.float32(1.5),
+        tolerance=np.float64(1e-6),
+        max_iterations=np.int64(500),
+        max_seconds=np.float32(60.0),
+        z0=np.array([1, 2, 3], dtype=np.int8),
     )
     assert result.is_solved
     assert solve(given.problem, "npsor", relaxation=np.int32(1)).is_solved
     assert solve(given.plain, "mgs", omega=np.float64(0.5)).is_solved
     assert solve(given.problem, "pgs", max_iterations=0, max_seconds=0, tolerance=0).iterations == 0
-    assert solve(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), max_iterations=10**30).is_solved  # in a compiled loop
+    assert solve(
+        LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), max_iterations=10**30
+    ).is_solved  # in a compiled loop
 
 
 # --- what an algorithm cannot run on -------------------------------------------------------------------------
@@ -501,7 +813,9 @@ def test_other_methods_try(name: str, value: float | None) -> None:
 def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]) -> None:
     """Where d/α + d + 2 ≤ 0 on a row, NP* is refused with the row, the diagonal and the pivot."""
     pattern = rf"^{name} needs d/α \+ d \+ 2 > 0.*M\[2, 2\] = {re.escape(str(value))} gives (-|0)"
-    assert_refused(UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name, **options))
+    assert_refused(
+        UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name, **options)
+    )
 
 
 def test_pivot_just_above_zero_is_tried() -> None:
@@ -515,7 +829,9 @@ def test_advice_is_not_what_was_already_done() -> None:
     problem = LCP([[4.0, 0.0], [0.0, -5.0]], [1.0, -1.0])
     for name in ("npgs", "npsplitting"):
         for scaling in ("auto", "diagonal", *([None] if name == "npgs" else [])):
-            with pytest.raises(UnsuitableMatrix, match=r'(M\[1, 1\]|singular).* algorithm="auto"$') as caught:
+            with pytest.raises(
+                UnsuitableMatrix, match=r'(M\[1, 1\]|singular).* algorithm="auto"$'
+            ) as caught:
                 solve(problem, name, scaling=scaling)
             assert "scaling=" not in str(caught.value)
 
@@ -523,8 +839,12 @@ def test_advice_is_not_what_was_already_done() -> None:
 @pytest.mark.parametrize(
     "options", [{}, {"scaling": None}, {"scaling": "diagonal"}], ids=["auto", "unscaled", "scaled"]
 )
-@pytest.mark.parametrize("name", [name for name, options in OPTIONS.items() if "scaling" in options])
-def test_diagonal_near_the_largest_double_is_no_obstacle(name: str, options: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "name", [name for name, options in OPTIONS.items() if "scaling" in options]
+)
+def test_diagonal_near_the_largest_double_is_no_obstacle(
+    name: str, options: dict[str, Any]
+) -> None:
     """A diagonal of 1e308 or 1e-307 overflows nowhere: no warning, no refusal, the answer found."""
     result = solve(LCP([[1e308, 0.0], [0.0, 4.0]], [1e307, -1.0]), name, **options)
     assert result.is_solved
@@ -537,13 +857,17 @@ def test_diagonal_near_the_largest_double_is_no_obstacle(name: str, options: dic
         ([[-1.0, 0.0], [0.0, 4.0]], {"splitting": "diagonal"}),
         ([[-1.0, 0.0], [0.0, 4.0]], {}),
         ([[4.0, 1.0], [0.0, 4.0]], {"splitting": [[-6.0, 1.0], [0.0, 1.0]], "scaling": None}),
-        ([[4.0, 1.0], [0.0, 4.0]], {"splitting": sp.csr_array([[-5.0, 1.0], [1.0, -5.0]]), "scaling": None}),
+        (
+            [[4.0, 1.0], [0.0, 4.0]],
+            {"splitting": sp.csr_array([[-5.0, 1.0], [1.0, -5.0]]), "scaling": None},
+        ),
     ],
 )
 def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
     """Where the matrix to factorise is singular, npsplitting says so and what to choose instead."""
     assert_refused(
-        UnsuitableMatrix, r"^npsplitting: .*is singular.*choose another splitting",
+        UnsuitableMatrix,
+        r"^npsplitting: .*is singular.*choose another splitting",
         lambda g: solve(LCP(M, [1.0, -1.0]), "npsplitting", **options),
     )
 
@@ -559,10 +883,13 @@ def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
     ],
     ids=["box", "free", "upper only", "wide box"],
 )
-def test_modulus_methods_need_lower_bounds_only(name: str, lower: Any, upper: Any, interval: str) -> None:
+def test_modulus_methods_need_lower_bounds_only(
+    name: str, lower: Any, upper: Any, interval: str
+) -> None:
     """A free row, or one with an upper bound, is refused by the modulus methods with row, bounds and alternative."""
     assert_refused(
-        UnsuitableProblem, rf"^{name} needs a finite lower and no upper bound.*{interval}.*; try algorithm=\"auto\"$",
+        UnsuitableProblem,
+        rf"^{name} needs a finite lower and no upper bound.*{interval}.*; try algorithm=\"auto\"$",
         lambda g: solve(LCP(g.M, g.q, lower=lower, upper=upper), name),
     )
 
@@ -628,7 +955,9 @@ def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
     In a process of its own, because scipy's conversions read and write beyond the arrays of such a matrix.
     """
     script = DAMAGE_SCRIPT.format(damage=damage)
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, encoding="utf-8", check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, encoding="utf-8", check=False
+    )
     assert done.returncode == 0, f"the process died with {done.returncode}: {done.stderr[-500:]}"
     assert re.match(r"InvalidProblem M is a damaged sparse array", done.stdout), done.stdout
 
@@ -653,7 +982,9 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "cross_validate algorithm": lambda p, wrong: cross_validate(p, algorithm=wrong),
     "stability_atlas algorithms": lambda p, wrong: stability_atlas(wrong, ["sizes"]),
     "stability_atlas stresses": lambda p, wrong: stability_atlas(["psor"], wrong),
-    "stability_atlas progress": lambda p, wrong: stability_atlas(["psor"], ["sizes"], progress=wrong),
+    "stability_atlas progress": lambda p, wrong: stability_atlas(
+        ["psor"], ["sizes"], progress=wrong
+    ),
     "gallery parse": lambda p, wrong: gallery.parse(wrong),
     "gallery build": lambda p, wrong: gallery.build(wrong),
     "report against": lambda p, wrong: REPORT.plot(against=wrong),

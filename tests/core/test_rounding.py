@@ -12,13 +12,21 @@ from hypothesis import strategies as st
 
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.core.kernels.floats import TINY, UNIT
-from lcp_plugin.core.rounding import compensated_pair, compensated_product, gamma, lower_end, upper_end
+from lcp_plugin.core.rounding import (
+    compensated_pair,
+    compensated_product,
+    gamma,
+    lower_end,
+    upper_end,
+)
 
 SUBNORMAL = 2.0**-1060
 NUMBERS = st.one_of(
     st.integers(-9, 9).map(float),
     st.floats(-1.0, 1.0, allow_subnormal=True),
-    st.sampled_from([1e150, -1e150, 1e-150, -1e-150, SUBNORMAL, -SUBNORMAL, TINY, 1.0 + 2 * UNIT, 1e16, 3e-300]),
+    st.sampled_from(
+        [1e150, -1e150, 1e-150, -1e-150, SUBNORMAL, -SUBNORMAL, TINY, 1.0 + 2 * UNIT, 1e16, 3e-300]
+    ),
     st.floats(-1e200, 1e200),
 )
 
@@ -39,8 +47,10 @@ def products(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def exact(A: np.ndarray, x: np.ndarray, q: np.ndarray) -> list[Fraction]:
     """A x + q in rational arithmetic."""
-    return [sum((Fraction(a) * Fraction(b) for a, b in zip(row, x, strict=True)), Fraction(c))
-            for row, c in zip(A.tolist(), q, strict=True)]
+    return [
+        sum((Fraction(a) * Fraction(b) for a, b in zip(row, x, strict=True)), Fraction(c))
+        for row, c in zip(A.tolist(), q, strict=True)
+    ]
 
 
 @settings.get_profile("many")
@@ -123,10 +133,14 @@ def test_overflow_is_an_infinite_radius() -> None:
 def test_index_widths_and_empty_rows() -> None:
     """Both index widths and empty rows are taken, and read-only data too."""
     M = sp.csr_array(np.array([[0.0, 0.0], [2.0, -1.0]]))
-    wide = sp.csr_array((M.data, M.indices.astype(np.int64), M.indptr.astype(np.int64)), shape=M.shape)
+    wide = sp.csr_array(
+        (M.data, M.indices.astype(np.int64), M.indptr.astype(np.int64)), shape=M.shape
+    )
     M.data.flags.writeable = False
     for matrix in (M, wide):
-        np.testing.assert_array_equal(compensated_product(matrix, np.array([1.0, 3.0]))[0], [0.0, -1.0])
+        np.testing.assert_array_equal(
+            compensated_product(matrix, np.array([1.0, 3.0]))[0], [0.0, -1.0]
+        )
 
 
 def test_shapes_are_told() -> None:

@@ -18,11 +18,15 @@ def cournot(sign: float, nodes: int = 8, firms: int = 4) -> LCP:
     rng = np.random.default_rng(0)
     sales, slope = nodes * firms, rng.uniform(0.5, 2.0, nodes)
     of_node = sp.csr_array(np.tile(np.eye(nodes), firms))
-    M = sp.block_array([
-        [sp.diags_array(np.tile(1.0 / slope, firms)), -of_node.T],
-        [sign * of_node, sign * sp.diags_array(slope)],
-    ])
-    q = np.concatenate([rng.uniform(1.0, 3.0, sales), -sign * rng.uniform(10.0, 20.0, nodes) * slope])
+    M = sp.block_array(
+        [
+            [sp.diags_array(np.tile(1.0 / slope, firms)), -of_node.T],
+            [sign * of_node, sign * sp.diags_array(slope)],
+        ]
+    )
+    q = np.concatenate(
+        [rng.uniform(1.0, 3.0, sales), -sign * rng.uniform(10.0, 20.0, nodes) * slope]
+    )
     return LCP(sp.csr_array(M), q, lower=np.append(np.zeros(sales), np.full(nodes, -np.inf)))
 
 
@@ -64,11 +68,14 @@ def test_signs_are_found_through_rows_without_a_diagonal():
     np.testing.assert_array_equal(signs, [1.0, -1.0, -1.0])
 
 
-@pytest.mark.parametrize("M", [
-    [[2.0, 1.0], [-1.0, 0.0]],  # monotone as it is
-    [[2.0, 1.0], [1.0, 2.0]],  # a positive diagonal
-    [[-1.0, 1.0], [1.0, 0.0]],  # not monotone with either sign
-])
+@pytest.mark.parametrize(
+    "M",
+    [
+        [[2.0, 1.0], [-1.0, 0.0]],  # monotone as it is
+        [[2.0, 1.0], [1.0, 2.0]],  # a positive diagonal
+        [[-1.0, 1.0], [1.0, 0.0]],  # not monotone with either sign
+    ],
+)
 def test_rows_stay_where_nothing_is_won(M):
     """No row changes its sign where M may be monotone already, or is not with any sign."""
     assert monotone_signs(Matrix(M), np.array([False, True]).tobytes()) is None
@@ -86,6 +93,8 @@ def test_infeasible_equations_of_the_wrong_sign_are_proved_so():
 def test_a_run_without_end_names_the_rows_that_are_not_monotone():
     """STALLED says that M is not monotone, and where."""
     assert why_not_monotone(Matrix([[0.0, 1.0], [1.0, 0.0]])).startswith("M is not monotone")
-    result = solve(LCP([[0.0, -1.0], [-1.0, 0.0]], [-1.0, -1.0]), "newton", prove_infeasibility=False)
+    result = solve(
+        LCP([[0.0, -1.0], [-1.0, 0.0]], [-1.0, -1.0]), "newton", prove_infeasibility=False
+    )
     assert not result.is_solved
     assert "M is not monotone" in result.advice

@@ -19,7 +19,9 @@ def printed_by(run: Result, printed: str) -> tuple[str, list[str], list[int], st
     """The header, the lines of stages, the iterations that have a line, and the end of what a run printed."""
     header, columns, *lines, end = printed.splitlines()
     assert columns.split() == ["iteration", "work", "relative", "residual", "seconds"]
-    stages = [line for line in lines if not LINE.fullmatch(line) and not line.startswith("(compiling")]
+    stages = [
+        line for line in lines if not LINE.fullmatch(line) and not line.startswith("(compiling")
+    ]
     return header, stages, [int(found[1]) for line in lines if (found := LINE.fullmatch(line))], end
 
 
@@ -32,12 +34,16 @@ def test_a_run_is_printed_from_header_to_end(capsys: pytest.CaptureFixture[str])
     """A header with what is seen of M, each stage with its reason, few lines of iterations, and the end."""
     result = solve(scene(), verbose=True)
     header, stages, iterations, end = printed_by(result, capsys.readouterr().out)
-    assert header.startswith("LCP(n=400, nonzeros=1920, bounds 400 one-sided); M sparse, symmetric, a Z-matrix, ")
+    assert header.startswith(
+        "LCP(n=400, nonzeros=1920, bounds 400 one-sided); M sparse, symmetric, a Z-matrix, "
+    )
     assert stages == [f"{stage.name}: {stage.because}" for stage in result.stages]
     assert len(stages) == 2
     assert iterations == sorted(iterations)
     assert 5 < len(iterations) < result.iterations / 3
-    assert end.startswith(f"SOLVED: relative residual {result.residual:.2e} after {result.iterations} iterations")
+    assert end.startswith(
+        f"SOLVED: relative residual {result.residual:.2e} after {result.iterations} iterations"
+    )
 
 
 @pytest.mark.parametrize("name", ["auto", "pgs", "newton"])
@@ -47,8 +53,14 @@ def test_printing_changes_nothing(name: str, capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().out == ""
     told = solve(scene(), name, record=True, verbose=True)
     assert np.array_equal(told.z, silent.z)
-    assert (told.iterations, told.work, told.status) == (silent.iterations, silent.work, silent.status)
-    assert [sample.residual for sample in told.history] == [sample.residual for sample in silent.history]
+    assert (told.iterations, told.work, told.status) == (
+        silent.iterations,
+        silent.work,
+        silent.status,
+    )
+    assert [sample.residual for sample in told.history] == [
+        sample.residual for sample in silent.history
+    ]
 
 
 def test_small_problems_are_printed_too(capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,5 +105,8 @@ def test_a_terminal_without_unicode_ends_no_run(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(sys, "stdout", stream)
     assert solve(LCP([[1.0]], [-1.0]), verbose=True).is_solved
     stream.seek(0)
-    assert stream.readline() == "LCP(n=1, nonzeros=1, bounds 0 ? z); M dense, symmetric, diagonal, a Z-matrix, " \
+    assert (
+        stream.readline()
+        == "LCP(n=1, nonzeros=1, bounds 0 ? z); M dense, symmetric, diagonal, a Z-matrix, "
         "with positive diagonal\n"
+    )

@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from badly_scaled import ANSWER, BOUNDS, M, Q
-from campaigns.scaling import KINDS, answered, definite, friction, game, grid, jumps, measured, random_scaling, saddle
+from campaigns.scaling import (
+    KINDS,
+    answered,
+    definite,
+    friction,
+    game,
+    grid,
+    jumps,
+    measured,
+    random_scaling,
+    saddle,
+)
 
 from lcp_plugin import LCP, Certificate, Status, march, solve, solve_batch
 from lcp_plugin.algorithms import create
@@ -62,7 +73,9 @@ def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
     for seed in range(30):
         M, q, z = answered(kind, seed)
         rows, of_z = random_scaling(seed, z.size)
-        right = z * (1.0 + 0.01 * tolerance * np.random.default_rng(seed).uniform(-1.0, 1.0, z.size))
+        right = z * (
+            1.0 + 0.01 * tolerance * np.random.default_rng(seed).uniform(-1.0, 1.0, z.size)
+        )
         assert Certificate.of(measured(M, q, rows, of_z), right * of_z).term_residual <= tolerance
 
 
@@ -82,7 +95,9 @@ FLOWS = {"growth": (-6.0, 2.0, 4.0), "upwind": (-11.0, 12.0, -1.0), "steep": (-5
 def flow(kind: str, n: int) -> np.ndarray:
     """A well conditioned matrix along which something flows: balancing |m_ij| against |m_ji| drifts by e^(Péclet)."""
     left, middle, right = FLOWS[kind]
-    return middle * np.eye(n) + np.diag(np.full(n - 1, left), -1) + np.diag(np.full(n - 1, right), 1)
+    return (
+        middle * np.eye(n) + np.diag(np.full(n - 1, left), -1) + np.diag(np.full(n - 1, right), 1)
+    )
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "npsor", "newton", "interior_point", "lemke"])
@@ -123,7 +138,9 @@ def test_what_the_guard_refuses_is_said_with_its_row() -> None:
     i = int(np.argmax(certificate.term_residuals))
     assert certificate.term_residuals[i] > 1e-4
     assert f"w[{i}] = " in certificate.wrong_row
-    words = advice_beside_a_wrong_row(advice_of_run(problem, create("psor", {}), (), 1e-8, {}), certificate.wrong_row)
+    words = advice_beside_a_wrong_row(
+        advice_of_run(problem, create("psor", {}), (), 1e-8, {}), certificate.wrong_row
+    )
     for status in (Status.STALLED, Status.MAX_ITERATIONS, Status.MAX_SECONDS):
         begin = "the residual is small enough, but a row is wrong beside its own terms q_i and m_ij z_j: w["
         assert words[status].startswith(begin)
@@ -139,9 +156,14 @@ def test_a_large_grid_in_mixed_units_goes_to_multigrid() -> None:
     T = sp.diags_array([-np.ones(m - 1), 2.0 * np.ones(m), -np.ones(m - 1)], offsets=[-1, 0, 1])
     A = sp.csr_array(sp.kron(sp.eye_array(m), T) + sp.kron(T, sp.eye_array(m)))
     rng = np.random.default_rng(0)
-    q, (rows, of_z) = rng.uniform(-1.0, 0.8, m * m) * 1e-3, np.exp2(rng.integers(-20, 21, (2, m * m)))
+    q, (rows, of_z) = (
+        rng.uniform(-1.0, 0.8, m * m) * 1e-3,
+        np.exp2(rng.integers(-20, 21, (2, m * m))),
+    )
     own = solve(LCP(A, q))
-    scaled = solve(LCP(sp.csr_array(sp.diags_array(rows) @ A @ sp.diags_array(1.0 / of_z)), rows * q))
+    scaled = solve(
+        LCP(sp.csr_array(sp.diags_array(rows) @ A @ sp.diags_array(1.0 / of_z)), rows * q)
+    )
     one = np.ones(m * m)
     one[m * m // 2] = 2.0**12
     beside = solve(LCP(sp.csr_array(A @ sp.diags_array(one)), q))
@@ -161,7 +183,13 @@ def test_without_row_scaling_the_iterates_are_those_on_the_callers_matrix(name: 
     problem = measured(M, q, rows, of_z)
     assert scaling_of(problem.matrix) is not None
     seen: list[np.ndarray] = []
-    solve(problem, name, scaling=None, max_iterations=5, callback=lambda sample, at: seen.append(at.copy()))
+    solve(
+        problem,
+        name,
+        scaling=None,
+        max_iterations=5,
+        callback=lambda sample, at: seen.append(at.copy()),
+    )
     steps = create(name, {"scaling": None}).iterates(problem, np.zeros(z.size))
     for at in seen:
         assert np.array_equal(at, next(steps).z)
@@ -206,8 +234,11 @@ WRONG = np.array([1511.71259, 0.0, 0.0, 1e-4, 423442.392])
 def test_nothing_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
     """solve, watched or not, and solve_batch: a row missed its sign by 0.8 where its terms are 5."""
     problem = LCP(M, Q, **BOUNDS)
-    results = [solve(problem, algorithm), solve(problem, algorithm, callback=lambda sample, z: False),
-               solve_batch(M[None], Q[None], algorithm=algorithm, **BOUNDS)[0]]
+    results = [
+        solve(problem, algorithm),
+        solve(problem, algorithm, callback=lambda sample, z: False),
+        solve_batch(M[None], Q[None], algorithm=algorithm, **BOUNDS)[0],
+    ]
     for result in results:
         assert result.is_solved
         assert result.z == pytest.approx(ANSWER, rel=1e-6)
@@ -255,7 +286,9 @@ def test_the_units_are_found(seed: int) -> None:
     assert scaling_of(problem.matrix) is None
 
 
-def test_a_far_field_in_one_unit_stays_in_the_compiled_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_far_field_in_one_unit_stays_in_the_compiled_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Of a batch no problem is solved by itself."""
     n = 14
     near = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
@@ -281,12 +314,16 @@ def test_what_is_small_by_the_callers_word_is_right() -> None:
 def test_a_march_judges_each_step_in_these_units() -> None:
     """Tridiagonal, its units 1e±6 in turn: every step is what the march in one unit gives."""
     n = 40
-    M = sp.diags_array([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    M = sp.diags_array(
+        [-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
     units = np.where(np.arange(n) % 2 == 0, FAR, 1.0 / FAR)
     forcing = np.random.default_rng(0).standard_normal((4, n))
     D, inverse = sp.diags_array(units), sp.diags_array(1.0 / units)
     plain = march(LCP(M, np.zeros(n)), forcing)
-    scaled = march(LCP(sp.csr_array(M @ inverse), np.zeros(n)), forcing, propagator=-sp.csr_array(inverse))
+    scaled = march(
+        LCP(sp.csr_array(M @ inverse), np.zeros(n)), forcing, propagator=-sp.csr_array(inverse)
+    )
     assert plain.all_solved
     assert scaled.all_solved
     for one, other in zip(plain.z, scaled.z, strict=True):
@@ -305,7 +342,9 @@ def test_entries_near_the_end_of_the_range_have_units_too() -> None:
 def test_a_penalty_row_beside_a_wind_is_no_unit(algorithm: str) -> None:
     """Upwind differences with one value held by 1e8: the wind grades no units, and nothing else is asked."""
     n = 200
-    M = sp.diags_array([np.full(n - 1, -61.0), np.full(n, 62.01), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]).tolil()
+    M = sp.diags_array(
+        [np.full(n - 1, -61.0), np.full(n, 62.01), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
+    ).tolil()
     M[0, 0], M[0, 1] = 1e8, 0.0
     q = np.where(np.arange(n) < n - 2, 0.0, -1.0)
     result = solve(LCP(sp.csr_array(M), q), algorithm)
@@ -322,16 +361,23 @@ def test_the_residual_in_the_unit_of_z_is_what_an_absolute_tolerance_speaks_of()
     at = (z + 1e-3) * of_z
     size = Certificate.of(problem, at).scaled_residual
     for absolute, is_solved in ((1.001 * size, True), (0.999 * size, False)):
-        result = solve(problem, "psor", z0=at, absolute_tolerance=absolute, tolerance=0.0, max_iterations=0)
+        result = solve(
+            problem, "psor", z0=at, absolute_tolerance=absolute, tolerance=0.0, max_iterations=0
+        )
         assert result.is_solved is is_solved
 
 
 def test_a_far_field_in_one_unit_is_asked_for_nothing_else() -> None:
     """Far from the load z is 1e-20 and any error there is of its size: it counts beside the load, as ever."""
     n = 60
-    M = sp.diags_array([-np.ones(n - 1), np.full(n, 10.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    M = sp.diags_array(
+        [-np.ones(n - 1), np.full(n, 10.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
     problem = LCP(M, -np.eye(n)[0])
     result = solve(problem, "psor")
     assert result.is_solved
     assert scaling_of(problem.matrix) is None
-    assert Certificate.of(problem, np.where(np.arange(n) < 12, result.z, 0.0)).relative_residual <= 1e-8
+    assert (
+        Certificate.of(problem, np.where(np.arange(n) < 12, result.z, 0.0)).relative_residual
+        <= 1e-8
+    )

@@ -94,7 +94,11 @@ class Life(RuleBasedStateMachine):
         )
         self.problem = loaded.with_q(loaded.q)
 
-    @rule(duplicate=st.sampled_from([copy.copy, copy.deepcopy, lambda p: pickle.loads(pickle.dumps(p))]))
+    @rule(
+        duplicate=st.sampled_from(
+            [copy.copy, copy.deepcopy, lambda p: pickle.loads(pickle.dumps(p))]
+        )
+    )
     def duplicate(self, duplicate: object) -> None:
         before = data_of(self.problem)
         self.problem = duplicate(self.problem)  # type: ignore[operator]
@@ -118,7 +122,9 @@ class Life(RuleBasedStateMachine):
         assert report.is_h_plus is True
         assert bits(report.v, report.margin) == bits(other.v, other.margin)
         mine, fresh = (convergence_guarantee(p, "npsor") for p in (self.problem, self.fresh()))
-        assert (mine.verdict, mine.rate) == (fresh.verdict, fresh.rate) == ("guaranteed", fresh.rate)
+        assert (
+            (mine.verdict, mine.rate) == (fresh.verdict, fresh.rate) == ("guaranteed", fresh.rate)
+        )
 
     @rule(seed=SEEDS, sharp=st.booleans())
     def bound(self, seed: int, sharp: bool) -> None:
@@ -126,7 +132,9 @@ class Life(RuleBasedStateMachine):
         z = self.truth + np.random.default_rng(seed).normal(size=self.truth.size)
         bound, other = (error_bound(p, z, sharp=sharp) for p in (self.problem, self.fresh()))
         assert (abs(z - self.truth) <= bound.componentwise * (1.0 + 1e-15)).all()
-        assert bits(bound.componentwise, bound.infinity) == bits(other.componentwise, other.infinity)
+        assert bits(bound.componentwise, bound.infinity) == bits(
+            other.componentwise, other.infinity
+        )
 
     @rule(step=st.integers(0, 3))
     def disturb(self, step: int) -> None:

@@ -35,7 +35,9 @@ def test_an_assembled_matrix_is_solved_as_its_symmetric_part(algorithm):
     K = laplacian(60, noise=4e-16)
     q = np.full(K.shape[0], -0.01)
     q[: q.size // 2] = 0.01
-    one, other = (solve(LCP(M, q, upper=30.0), algorithm) for M in (K, sp.csr_array((K + K.T) * 0.5)))
+    one, other = (
+        solve(LCP(M, q, upper=30.0), algorithm) for M in (K, sp.csr_array((K + K.T) * 0.5))
+    )
     assert one.status is other.status is Status.SOLVED
     assert (one.algorithm, one.iterations) == (other.algorithm, other.iterations)
     assert one.work == pytest.approx(other.work, rel=0.1)

@@ -110,7 +110,8 @@ def test_two_threads_at_once_share_each_with_its_helpers() -> None:
     def one(k: int) -> bool:
         with threads_for(1 + k % 4):
             return all(
-                threads_now() == 1 + k % 4 and sum(share(lambda a, b: k * (b - a), 100 + j, 1)) == k * (100 + j)
+                threads_now() == 1 + k % 4
+                and sum(share(lambda a, b: k * (b - a), 100 + j, 1)) == k * (100 + j)
                 for j in range(300)
             )
 
@@ -131,7 +132,9 @@ def test_chunks_stop_at_an_error() -> None:
     assert len(begun) <= 2
 
 
-@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no way to send Ctrl-C to one thread")
+@pytest.mark.skipif(
+    not hasattr(signal, "pthread_kill"), reason="no way to send Ctrl-C to one thread"
+)
 def test_ctrl_c_waits_for_the_pieces_at_work() -> None:
     """Ctrl-C, in the caller's piece or while it waits for another one, comes out when no piece writes any more."""
     main = threading.main_thread()
@@ -145,7 +148,9 @@ def test_ctrl_c_waits_for_the_pieces_at_work() -> None:
         else:
             if not interrupts_own_piece:
                 own_piece_ends.wait(60.0)
-                time.sleep(0.1)  # by now the caller waits, most likely; if not, the outcome is the same
+                time.sleep(
+                    0.1
+                )  # by now the caller waits, most likely; if not, the outcome is the same
                 signal.pthread_kill(main.ident, signal.SIGINT)
             time.sleep(0.2)
         ended.append(first)
@@ -216,7 +221,9 @@ def test_jobs_that_nobody_takes_up_hold_no_memory(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("asks_for", ["nothing", "work"])
-def test_helpers_that_find_no_memory_are_done_without(asks_for: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_helpers_that_find_no_memory_are_done_without(
+    asks_for: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Threads that die before their first line, or as they take up work: the caller waits for none of them."""
 
     def begin(work: Callable[..., None], given: tuple[Any]) -> None:
@@ -274,7 +281,9 @@ def in_a_nonlinear_solve(algorithm: Any, **options: Any) -> Any:
     return solve_nonlinear(problem, [3.0, 3.0], algorithm, **options)
 
 
-@pytest.mark.parametrize("run", [in_solve, in_solve_many, in_a_nonlinear_solve], ids=lambda run: run.__name__)
+@pytest.mark.parametrize(
+    "run", [in_solve, in_solve_many, in_a_nonlinear_solve], ids=lambda run: run.__name__
+)
 def test_threads_of_a_solve_are_what_was_asked_for(run: Callable[..., Any]) -> None:
     """So many, all that may be used by default, and one again afterwards."""
     assert counted(run, threads=3) == 3
@@ -300,10 +309,14 @@ def test_wrong_numbers_of_threads_are_refused(wrong: Any) -> None:
     """By all who take them, with what was given and what is needed."""
     problem = NonlinearProblem(lambda x: x)
     for attempt in (
-        lambda: solve(TWO, threads=wrong), lambda: prepare(TWO, threads=wrong),
-        lambda: solve_many(TWO, [TWO.q], threads=wrong), lambda: solve_nonlinear(problem, [1.0], threads=wrong),
+        lambda: solve(TWO, threads=wrong),
+        lambda: prepare(TWO, threads=wrong),
+        lambda: solve_many(TWO, [TWO.q], threads=wrong),
+        lambda: solve_nonlinear(problem, [1.0], threads=wrong),
     ):
-        with pytest.raises(InvalidOption, match=r"threads must be a whole number ≥ 1, or None .* got"):
+        with pytest.raises(
+            InvalidOption, match=r"threads must be a whole number ≥ 1, or None .* got"
+        ):
             attempt()
 
 
@@ -313,25 +326,45 @@ def test_ranks_may_differ_in_threads() -> None:
     assert Settings(threads=1) == Settings(threads=2)
 
 
-SCENES = [("obstacle_2d", {"size": 400}, "multigrid"), ("convection_diffusion", {"size": 400}, "multigrid"),
-          ("random_h_plus", {"n": 40_000}, "auto")]
+SCENES = [
+    ("obstacle_2d", {"size": 400}, "multigrid"),
+    ("convection_diffusion", {"size": 400}, "multigrid"),
+    ("random_h_plus", {"n": 40_000}, "auto"),
+]
 
 
 @pytest.mark.full
 @pytest.mark.parametrize(("name", "size", "algorithm"), SCENES)
-def test_the_number_of_threads_changes_no_bit(name: str, size: dict[str, int], algorithm: str) -> None:
+def test_the_number_of_threads_changes_no_bit(
+    name: str, size: dict[str, int], algorithm: str
+) -> None:
     """“The number of threads changes no bit”: z, w, every residual and count, with 1 to 4 threads of one solve."""
     told = []
     for threads in (1, 2, 3, 4):
         result = solve(gallery.build(name, **size).problem, algorithm, threads=threads)
         certificate = result.certificate
-        numbers = certificate.relative_residual, certificate.scaled_residual, certificate.euclidean_residual
-        told.append((result.z.tobytes(), result.w.tobytes(), numbers, result.status, result.iterations, result.work))
+        numbers = (
+            certificate.relative_residual,
+            certificate.scaled_residual,
+            certificate.euclidean_residual,
+        )
+        told.append(
+            (
+                result.z.tobytes(),
+                result.w.tobytes(),
+                numbers,
+                result.status,
+                result.iterations,
+                result.work,
+            )
+        )
     assert told.count(told[0]) == 4
 
 
 @pytest.mark.parametrize("name", ["dense", "sparse"])
-def test_enclosed_residuals_are_the_same_in_pieces(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_enclosed_residuals_are_the_same_in_pieces(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Rows of a dense and of a sparse M, cut anywhere, have the bounds that they have together."""
     rng = np.random.default_rng(0)
     M: Any = rng.normal(size=(61, 61))

@@ -37,7 +37,10 @@ def main(arguments: list[str]) -> None:
 
 def table(size: int = 1000, small: int = 500, large: int = LARGE) -> Iterator[str]:
     """Yield the lines of the benchmark."""
-    serial, one, two = (_run(ranks, task, size) for ranks, task in ((1, "serial"), (1, "multigrid"), (2, "multigrid")))
+    serial, one, two = (
+        _run(ranks, task, size)
+        for ranks, task in ((1, "serial"), (1, "multigrid"), (2, "multigrid"))
+    )
     yield f"2-D obstacle, n = {size**2}: one process {serial['seconds']:.2f} s, {serial['iterations']} cycles"
     for name, found in (("1 rank", one), ("2 ranks", two)):
         yield (
@@ -83,7 +86,11 @@ def _anatomy(size: int) -> dict[str, Any]:
     truncation.correct(0)  # compiles
     fetch, _ = _least(fetches, RUNS)
     cycle, _ = _least(lambda: truncation.correct(0), RUNS)
-    return {"fetch": fetch / FETCHES, "cycle": cycle, "foreign": [grid.communicator.foreign for grid in grids]}
+    return {
+        "fetch": fetch / FETCHES,
+        "cycle": cycle,
+        "foreign": [grid.communicator.foreign for grid in grids],
+    }
 
 
 def _run(ranks: int, task: str, size: int) -> dict[str, Any]:
@@ -153,16 +160,22 @@ def _snesvi(size: int) -> dict[str, Any]:
     from lcp_plugin.ranks.petsc.halo import numbered_over_all
 
     problem = build("obstacle_2d", MPI.COMM_WORLD, {"size": size}).problem
-    layout, rows = problem.matrix.communicator, numbered_over_all(problem.matrix.csr_rows, problem.matrix.communicator)
+    layout, rows = (
+        problem.matrix.communicator,
+        numbered_over_all(problem.matrix.csr_rows, problem.matrix.communicator),
+    )
     matrix = PETSc.Mat().create(comm=layout.comm)
     matrix.setSizes(((layout.own, layout.n), (layout.own, layout.n)))
     matrix.setType("aij")
     matrix.setPreallocationNNZ((5, 2))
-    matrix.setValuesIJV(rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data)
+    matrix.setValuesIJV(
+        rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data
+    )
     matrix.assemble()
-    q, lower, upper = (_petsc_vector(layout.comm, part) for part in (
-        problem.q, problem.lower, np.full(layout.own, PETSc.INFINITY)
-    ))
+    q, lower, upper = (
+        _petsc_vector(layout.comm, part)
+        for part in (problem.q, problem.lower, np.full(layout.own, PETSc.INFINITY))
+    )
 
     def newton() -> Any:
         z = q.duplicate()
@@ -183,7 +196,11 @@ def _snesvi(size: int) -> dict[str, Any]:
 
     seconds, (steps, reason, z) = _least(newton, 1)
     reached = measured_residual(problem, z.getArray().copy()) / reference_residual(problem)
-    return {"seconds": seconds, "iterations": steps, "status": f"reason {reason}, relative residual {reached:.1e}"}
+    return {
+        "seconds": seconds,
+        "iterations": steps,
+        "status": f"reason {reason}, relative residual {reached:.1e}",
+    }
 
 
 def _petsc_vector(comm: Any, values: Any) -> Any:
@@ -193,7 +210,10 @@ def _petsc_vector(comm: Any, values: Any) -> Any:
 
 
 TASKS: dict[str, Callable[[int], dict[str, Any]]] = {
-    "anatomy": _anatomy, "multigrid": _multigrid, "once": lambda size: _multigrid(size, 1), "serial": _serial,
+    "anatomy": _anatomy,
+    "multigrid": _multigrid,
+    "once": lambda size: _multigrid(size, 1),
+    "serial": _serial,
     "snesvi": _snesvi,
 }
 

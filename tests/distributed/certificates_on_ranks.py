@@ -17,17 +17,28 @@ from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.proofs.verdicts import comparison_certificate
 
 NUMBERS = (
-    "scaled_residual", "relative_residual", "natural_residual", "euclidean_residual", "bound_violation",
-    "slack_violation", "complementarity", "backward_error", "scale_spread",
+    "scaled_residual",
+    "relative_residual",
+    "natural_residual",
+    "euclidean_residual",
+    "bound_violation",
+    "slack_violation",
+    "complementarity",
+    "backward_error",
+    "scale_spread",
 )
 
 
 def problem(rng: np.random.Generator, n: int) -> LCP:
     """A problem with boxes, one-sided and free rows, a nonsymmetric M, some diagonals negligible."""
-    M = sp.random_array((n, n), density=min(1.0, 4.0 / max(n, 1)), rng=rng, format="csr", data_sampler=rng.normal)
+    M = sp.random_array(
+        (n, n), density=min(1.0, 4.0 / max(n, 1)), rng=rng, format="csr", data_sampler=rng.normal
+    )
     M = sp.csr_array(M + sp.diags_array(np.where(rng.random(n) < 0.9, 3.0, 0.0)))
     lower = np.where(rng.random(n) < 0.3, -np.inf, rng.normal(size=n))
-    upper = np.where(rng.random(n) < 0.4, np.inf, np.where(np.isfinite(lower), lower + rng.random(n), 1.0))
+    upper = np.where(
+        rng.random(n) < 0.4, np.inf, np.where(np.isfinite(lower), lower + rng.random(n), 1.0)
+    )
     return LCP(M, rng.normal(size=n), lower=lower, upper=upper)
 
 
@@ -38,7 +49,9 @@ def own_part(parts: LCP, vector: Any) -> Any:
 
 def require_same_on_all(comm: Any, judged: Any) -> None:
     """Every number of a certificate, not its own rows, is the same on every rank, bit for bit."""
-    numbers = [repr(getattr(judged, name)) for name in MEASURED if name not in ("w", "term_residuals")]
+    numbers = [
+        repr(getattr(judged, name)) for name in MEASURED if name not in ("w", "term_residuals")
+    ]
     assert len(set(comm.allgather(tuple(numbers)))) == 1
 
 
@@ -47,20 +60,38 @@ def require_equal(comm: Any, whole: LCP, z: Any) -> None:
     parts = LCP.from_problem(whole, comm)
     judged, truth = Certificate.of(parts, own_part(parts, z)), Certificate.of(whole, z)
     require_same_on_all(comm, judged)
-    size = float(np.nan_to_num(np.abs(whole.csr) @ np.abs(z) + np.abs(whole.q), posinf=0.0).max(initial=1.0))
+    size = float(
+        np.nan_to_num(np.abs(whole.csr) @ np.abs(z) + np.abs(whole.q), posinf=0.0).max(initial=1.0)
+    )
     for name in NUMBERS:
         own, other = getattr(judged, name), getattr(truth, name)
-        slack = {"relative_residual": 1.0 / (reference_residual(whole) or 1.0), "complementarity": size}.get(name, 1.0)
-        assert np.isclose(own, other, rtol=1e-13, atol=1e-14 * size * slack, equal_nan=True), (name, own, other, z)
-    assert np.allclose(judged.w, own_part(parts, truth.w), rtol=1e-13, atol=1e-14 * size, equal_nan=True)
+        slack = {
+            "relative_residual": 1.0 / (reference_residual(whole) or 1.0),
+            "complementarity": size,
+        }.get(name, 1.0)
+        assert np.isclose(own, other, rtol=1e-13, atol=1e-14 * size * slack, equal_nan=True), (
+            name,
+            own,
+            other,
+            z,
+        )
+    assert np.allclose(
+        judged.w, own_part(parts, truth.w), rtol=1e-13, atol=1e-14 * size, equal_nan=True
+    )
     assert np.array_equal(judged.z, own_part(parts, z), equal_nan=True)
     assert judged.is_at_rounding_level == truth.is_at_rounding_level
-    if not truth.scaled_residual <= 1e-9 * size or not whole.n:  # else rounding says which row is the worst
+    if (
+        not truth.scaled_residual <= 1e-9 * size or not whole.n
+    ):  # else rounding says which row is the worst
         assert judged.worst_index == truth.worst_index
     if np.isfinite(z).all() and truth.scaled_residual > 1e-9 * size:
-        own, other = ([line.split("  (") for line in str(each).splitlines()] for each in (judged, truth))
+        own, other = (
+            [line.split("  (") for line in str(each).splitlines()] for each in (judged, truth)
+        )
         assert [line[0] for line in own] == [line[0] for line in other]
-        assert [len(line) for line in own] == [len(line) for line in other]  # on ranks a remark names no row
+        assert [len(line) for line in own] == [
+            len(line) for line in other
+        ]  # on ranks a remark names no row
 
 
 @check(1, 2, 3, 4)
@@ -71,7 +102,12 @@ def certificates_are_those_of_the_whole_problem(comm: Any) -> None:
         rng = np.random.default_rng(seed)
         n = int(rng.integers(0, 25)) if seed else 0
         whole = problem(rng, n)
-        points = [rng.normal(size=n), 1e8 * rng.normal(size=n), np.zeros(n), np.array(whole.nearest_to_zero)]
+        points = [
+            rng.normal(size=n),
+            1e8 * rng.normal(size=n),
+            np.zeros(n),
+            np.array(whole.nearest_to_zero),
+        ]
         for wrong in (np.nan, np.inf, -np.inf, 1e308):
             z = rng.normal(size=n)
             z[rng.integers(0, n, min(n, 1))] = wrong
@@ -108,7 +144,9 @@ def answered(rng: np.random.Generator, n: int) -> tuple[LCP, Any]:
     """A problem with a known exact solution: all numbers are whole, so q = w* − M z* is exact."""
     M, z = h_plus_matrix(rng, n), rng.integers(-8, 9, n).astype(float)
     state = rng.integers(0, 4, n)  # at lower, at upper, between, free
-    w = np.where(state == 0, rng.integers(0, 5, n), np.where(state == 1, -rng.integers(0, 5, n), 0)).astype(float)
+    w = np.where(
+        state == 0, rng.integers(0, 5, n), np.where(state == 1, -rng.integers(0, 5, n), 0)
+    ).astype(float)
     lower = np.where(state == 0, z, np.where(state == 3, -np.inf, z - rng.integers(1, 9, n)))
     upper = np.where(state == 1, z, np.where(state == 3, np.inf, z + rng.integers(1, 9, n)))
     return LCP(sp.csr_array(M), w - M @ z, lower=lower, upper=upper), z
@@ -127,9 +165,14 @@ def error_bounds_are_rigorous(comm: Any) -> None:
         bound = error_bound(parts, own_part(parts, z))
         for near, far, most in zip(own_part(parts, z), own_exact, bound.componentwise, strict=True):
             assert abs(Fraction(near) - Fraction(far)) <= Fraction(most)
-        error = max((abs(Fraction(a) - Fraction(b)) for a, b in zip(z, exact, strict=True)), default=Fraction(0))
+        error = max(
+            (abs(Fraction(a) - Fraction(b)) for a, b in zip(z, exact, strict=True)),
+            default=Fraction(0),
+        )
         assert error <= Fraction(bound.infinity)
-        assert bound.relative == np.inf or error <= Fraction(bound.relative) * Fraction(float(np.abs(z).max()))
+        assert bound.relative == np.inf or error <= Fraction(bound.relative) * Fraction(
+            float(np.abs(z).max())
+        )
         assert bound.infinity <= 1e6 * max(float(error), 1e-12)
         is_active = (own_exact == parts.lower) | (own_exact == parts.upper)
         assert is_active[bound.proven_active].all()
@@ -158,7 +201,11 @@ def the_bound_of_a_point_that_is_not_finite_is_infinite(comm: Any) -> None:
 def the_exact_solution_has_the_bound_zero(comm: Any) -> None:
     """Where nothing is rounded the bound of z* is 0, and so is the relative one, even where z* = 0."""
     whole, exact = answered(np.random.default_rng(6), 9)
-    for given, z in ((whole, exact), (LCP(whole.csr, np.ones(9)), np.zeros(9)), (LCP(sp.csr_array((0, 0)), []), [])):
+    for given, z in (
+        (whole, exact),
+        (LCP(whole.csr, np.ones(9)), np.zeros(9)),
+        (LCP(sp.csr_array((0, 0)), []), []),
+    ):
         parts = LCP.from_problem(given, comm)
         bound = error_bound(parts, np.asarray(own_part(parts, z)))
         assert (bound.infinity, bound.relative) == (0.0, 0.0)

@@ -47,10 +47,14 @@ def run_checks() -> None:
                     function(parts[size])
                 except Exception:
                     failure = traceback.format_exc()
-            if not _met(world.Ibarrier(), PATIENCE if failure else None):  # the others wait for this rank in the check
+            if not _met(
+                world.Ibarrier(), PATIENCE if failure else None
+            ):  # the others wait for this rank in the check
                 _say(f"{name}-{size}", [f"rank {world.rank}: {failure}"], begun)
                 world.Abort(1)
-            failures = [f"rank {rank}: {one}" for rank, one in enumerate(world.allgather(failure)) if one]
+            failures = [
+                f"rank {rank}: {one}" for rank, one in enumerate(world.allgather(failure)) if one
+            ]
             if world.rank == 0:
                 _say(f"{name}-{size}", failures, begun)
 
@@ -76,8 +80,10 @@ def identities(script: str) -> list[str]:
     tree = ast.parse((HERE / script).read_text(encoding="utf-8"))
     return [
         f"{node.name}-{size.value}"
-        for node in tree.body if isinstance(node, ast.FunctionDef)
-        for mark in node.decorator_list if isinstance(mark, ast.Call) and getattr(mark.func, "id", "") == "check"
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef)
+        for mark in node.decorator_list
+        if isinstance(mark, ast.Call) and getattr(mark.func, "id", "") == "check"
         for size in mark.args
     ]
 
@@ -97,5 +103,7 @@ def _outcome(script: str, seconds: float) -> tuple[dict[str, list[str]], str]:
 def require_passed(script: str, identity: str, seconds: float = 120.0) -> None:
     """Fail unless that check of the script passed on all ranks."""
     outcome, err = _outcome(script, seconds)
-    assert identity in outcome, f"{identity} did not end; the last that did: {list(outcome)[-1:]}\n{err[-3000:]}"
+    assert identity in outcome, (
+        f"{identity} did not end; the last that did: {list(outcome)[-1:]}\n{err[-3000:]}"
+    )
     assert not outcome[identity], "\n".join(outcome[identity])

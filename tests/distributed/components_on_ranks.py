@@ -50,11 +50,15 @@ def components_are_those_of_the_whole(comm: Any) -> None:
             assert (alone is None) == (shared is None)
             total = 1 if alone is None else alone.total
             rng = np.random.default_rng([seed, 1])
-            near = np.maximum(z * (1.0 + 10.0 ** rng.uniform(-12, 0, z.size) * rng.normal(size=z.size)), 0.0)
+            near = np.maximum(
+                z * (1.0 + 10.0 ** rng.uniform(-12, 0, z.size) * rng.normal(size=z.size)), 0.0
+            )
             judged = Certificate.of(problem, near[problem.own_rows])
             truth = Certificate.of(one, near)
             assert judged.components == truth.components == total
-            assert np.isclose(judged.relative_residual, truth.relative_residual, rtol=1e-6, atol=1e-13)
+            assert np.isclose(
+                judged.relative_residual, truth.relative_residual, rtol=1e-6, atol=1e-13
+            )
             if alone is None or shared is None:
                 continue
             assert shared.total == total
@@ -76,7 +80,11 @@ def every_component_is_solved_in_its_own_unit(comm: Any) -> None:
         for algorithm in ("auto", "psor", "npsor", "multigrid"):
             for start in starts:
                 result = solve(problem, algorithm, z0=start)
-                assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, algorithm, str(result))
+                assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (
+                    seed,
+                    algorithm,
+                    str(result),
+                )
                 found = np.concatenate(comm.allgather(np.asarray(result.z)))
                 for k in range(component.max() + 1):
                     mine = component == k

@@ -16,7 +16,9 @@ collect_ignore_glob = [] if all(map(find_spec, ("mpi4py", "petsc4py"))) else ["*
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip every test of this folder where something is missing."""
     if lack := missing():
-        skip = pytest.mark.skip(reason=f"several ranks need {lack}; see the extra petsc of pyproject.toml")
+        skip = pytest.mark.skip(
+            reason=f"several ranks need {lack}; see the extra petsc of pyproject.toml"
+        )
         for item in items:
             if HERE in item.path.parents:
                 item.add_marker(skip)

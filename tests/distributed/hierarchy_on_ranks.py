@@ -20,7 +20,9 @@ COMM = MPI.COMM_WORLD
 
 def one_way(n: int) -> LCP:
     """A chain whose rows meet only the neighbour before: the pattern is not symmetric."""
-    M = sp.diags_array([np.full(n - 1, -0.9), np.full(n, 2.0), np.full(n - 3, -0.3)], offsets=[-1, 0, 3])
+    M = sp.diags_array(
+        [np.full(n - 1, -0.9), np.full(n, 2.0), np.full(n - 3, -0.3)], offsets=[-1, 0, 3]
+    )
     return LCP(M.tocsr(), -np.ones(n))
 
 
@@ -37,7 +39,9 @@ def whole(arrays: tuple[np.ndarray, ...], rows: int, columns: np.ndarray, width:
     """The matrix of all ranks' own rows, dense."""
     indptr, indices, data = arrays
     end = int(indptr[rows])
-    own = sp.csr_array((data[:end], columns[indices[:end]], indptr[: rows + 1]), shape=(rows, width))
+    own = sp.csr_array(
+        (data[:end], columns[indices[:end]], indptr[: rows + 1]), shape=(rows, width)
+    )
     return np.concatenate(COMM.allgather(own.toarray()))
 
 
@@ -76,7 +80,9 @@ def far(one: np.ndarray, other: np.ndarray) -> float:
 def transfers_fit(hierarchy: Hierarchy, is_symmetric: bool) -> float:
     """R is Pᵀ, or Pᵀ D⁻¹ where M is not symmetric."""
     errors = [0.0]
-    for P, R, M in zip(prolongations(hierarchy), restrictions(hierarchy), matrices(hierarchy), strict=False):
+    for P, R, M in zip(
+        prolongations(hierarchy), restrictions(hierarchy), matrices(hierarchy), strict=False
+    ):
         errors.append(far(R, P.T if is_symmetric else P.T / M.diagonal()))
     return max(errors)
 
@@ -109,8 +115,12 @@ def truncation_fits(hierarchy: Hierarchy) -> float:
             free = matrix.diagonal() > 1e-300
             grid = level.grid
             arrays = Operator(grid.matrix.indptr, grid.matrix.indices, level.values).arrays
-            worst = max(worst, far(whole(arrays, grid.n, numbers(grid), grid.communicator.n), matrix))
-            worst = max(worst, float(not np.array_equal(everybody_s(level.is_free[: grid.n]), free)))
+            worst = max(
+                worst, far(whole(arrays, grid.n, numbers(grid), grid.communicator.n), matrix)
+            )
+            worst = max(
+                worst, float(not np.array_equal(everybody_s(level.is_free[: grid.n]), free))
+            )
     return worst
 
 
@@ -151,8 +161,10 @@ def main() -> None:
         is_symmetric = name not in ("wind", "one way")
         hierarchy = build_hierarchy(matrix.csr_rows, 8, scales_rows=not is_symmetric, shared=matrix)
         found[name] = {
-            "grids": float(len(hierarchy.grids)), "transfers": transfers_fit(hierarchy, is_symmetric),
-            "products": products_fit(hierarchy), "truncation": truncation_fits(hierarchy),
+            "grids": float(len(hierarchy.grids)),
+            "transfers": transfers_fit(hierarchy, is_symmetric),
+            "products": products_fit(hierarchy),
+            "truncation": truncation_fits(hierarchy),
             "cycle": cycle_is_symmetric(hierarchy) if is_symmetric else 0.0,
         }
     if COMM.rank == 0:

@@ -27,7 +27,9 @@ def _launcher() -> tuple[str, ...]:
     mpiexec = shutil.which("mpiexec")
     if mpiexec is None:
         raise FileNotFoundError("mpiexec is not on the PATH")
-    version = subprocess.run([mpiexec, "--version"], capture_output=True, text=True, timeout=30, check=False).stdout
+    version = subprocess.run(
+        [mpiexec, "--version"], capture_output=True, text=True, timeout=30, check=False
+    ).stdout
     is_open_mpi = "Open MPI" in version or "OpenRTE" in version or "prte" in version
     return (mpiexec, *(["--oversubscribe"] if is_open_mpi else []))
 
@@ -39,8 +41,13 @@ def start(ranks: int, *arguments: str, python: str = sys.executable) -> subproce
     for threads in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         environment.setdefault(threads, "1")
     return subprocess.Popen(
-        [*_launcher(), "-n", str(ranks), python, *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True,
+        [*_launcher(), "-n", str(ranks), python, *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        start_new_session=True,
     )
 
 

@@ -24,7 +24,9 @@ N = 7
 def problem(n: int = N, seed: int = 0) -> LCP:
     """A problem with coupling over all rows, boxes, free rows and one-sided ones."""
     rng = np.random.default_rng(seed)
-    M = sp.random_array((n, n), density=0.4, rng=rng, format="csr") + 5.0 * sp.eye_array(n, format="csr")
+    M = sp.random_array((n, n), density=0.4, rng=rng, format="csr") + 5.0 * sp.eye_array(
+        n, format="csr"
+    )
     lower = np.where(rng.random(n) < 0.3, -np.inf, rng.normal(size=n) - 1.0)
     upper = np.where(rng.random(n) < 0.4, np.inf, np.where(np.isfinite(lower), lower + 1.5, 1.0))
     return LCP(sp.csr_array(M), rng.normal(size=n), lower=lower, upper=upper)
@@ -39,7 +41,9 @@ def raised_by(attempt: Callable[[], object]) -> BaseException:
     raise AssertionError("nothing was raised")
 
 
-def require_refused(comm: Any, attempt: Callable[[], object], kind: type[Exception], *words: str) -> None:
+def require_refused(
+    comm: Any, attempt: Callable[[], object], kind: type[Exception], *words: str
+) -> None:
     """Every rank raises that kind of error, with one message that has the words."""
     error = raised_by(attempt)
     assert type(error) is kind, repr(error)
@@ -51,7 +55,12 @@ def part(comm: Any, whole: LCP, **changes: Any) -> dict[str, Any]:
     """The arguments of from_rows for an equal share, some of them changed."""
     first, last = whole.n * comm.rank // comm.size, whole.n * (comm.rank + 1) // comm.size
     own = slice(first, last)
-    given = {"rows": whole.csr[first:last], "q": whole.q[own], "lower": whole.lower[own], "upper": whole.upper[own]}
+    given = {
+        "rows": whole.csr[first:last],
+        "q": whole.q[own],
+        "lower": whole.lower[own],
+        "upper": whole.upper[own],
+    }
     return given | {"first_row": first} | changes
 
 
@@ -72,10 +81,17 @@ def equal_shares_and_any_other_shares_hold_the_problem(comm: Any) -> None:
     """from_problem and from_rows keep every row, scale and bound; shares may have any length."""
     whole = problem()
     require_equal(LCP.from_problem(whole, comm), whole)
-    cuts = sorted([0, *([3] * (comm.size - 1)), N])  # ranks between the first and the last have no row
+    cuts = sorted(
+        [0, *([3] * (comm.size - 1)), N]
+    )  # ranks between the first and the last have no row
     own = slice(cuts[comm.rank], cuts[comm.rank + 1])
     parts = LCP.from_rows(
-        comm, whole.csr[own].tocoo(), whole.q[own], whole.lower[own], whole.upper[own], first_row=own.start
+        comm,
+        whole.csr[own].tocoo(),
+        whole.q[own],
+        whole.lower[own],
+        whole.upper[own],
+        first_row=own.start,
     )
     require_equal(parts, whole)
     z = parts.gathered(whole.q[own])
@@ -89,9 +105,13 @@ def equal_shares_and_any_other_shares_hold_the_problem(comm: Any) -> None:
 def what_is_given_is_only_read(comm: Any) -> None:
     """The caller's rows, canonical as they are, keep their order and values."""
     given = part(comm, problem())
-    before = [array.copy() for array in (given["rows"].indptr, given["rows"].indices, given["rows"].data)]
+    before = [
+        array.copy() for array in (given["rows"].indptr, given["rows"].indices, given["rows"].data)
+    ]
     require_equal(LCP.from_rows(comm, **given), problem())
-    for array, old in zip((given["rows"].indptr, given["rows"].indices, given["rows"].data), before, strict=True):
+    for array, old in zip(
+        (given["rows"].indptr, given["rows"].indices, given["rows"].data), before, strict=True
+    ):
         assert np.array_equal(array, old)
 
 
@@ -113,12 +133,21 @@ def missing_and_doubled_rows_are_refused(comm: Any) -> None:
     whole = problem()
     last = comm.rank == comm.size - 1
     given = part(comm, whole)
-    for own, word in ((slice(None, -1), "1 are missing"), ([0, *range(given["q"].size)], "1 are too many")):
-        changed = {name: given[name][own] for name in ("rows", "q", "lower", "upper")} if last else given
-        require_refused(comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, word)
+    for own, word in (
+        (slice(None, -1), "1 are missing"),
+        ([0, *range(given["q"].size)], "1 are too many"),
+    ):
+        changed = (
+            {name: given[name][own] for name in ("rows", "q", "lower", "upper")} if last else given
+        )
+        require_refused(
+            comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, word
+        )
     for shift in (1, -1):
         off = given | {"first_row": given["first_row"] + shift * last}
-        require_refused(comm, lambda off=off: LCP.from_rows(comm, **off), InvalidProblem, "first_row is")
+        require_refused(
+            comm, lambda off=off: LCP.from_rows(comm, **off), InvalidProblem, "first_row is"
+        )
 
 
 def damaged(rows: Any, kind: str) -> Any:
@@ -148,21 +177,33 @@ def damage_on_one_rank_is_refused_on_all(comm: Any) -> None:
     given = part(comm, whole)
     name = f"rank {worst}"
     for kind, words in (
-        ("out of range", (name, "damaged")), ("negative", (name, "damaged")), ("descending", (name, "damaged")),
-        ("NaN", (name, "nan")), ("complex", (name, "complex")), ("dense", (name, "ndarray")),
+        ("out of range", (name, "damaged")),
+        ("negative", (name, "damaged")),
+        ("descending", (name, "damaged")),
+        ("NaN", (name, "nan")),
+        ("complex", (name, "complex")),
+        ("dense", (name, "ndarray")),
         ("width", ("columns differs", str(N + 1))),
     ):
         changed = given | ({"rows": damaged(given["rows"], kind)} if is_here else {})
-        require_refused(comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, *words)
+        require_refused(
+            comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, *words
+        )
     q = given["q"]
     for changes, words in (
-        ({"q": q[:-1]}, (name, "q must be")), ({"q": np.full(q.size, np.inf)}, (name, "inf")), ({"q": "7"}, (name,)),
-        ({"q": None}, (name, "None")), ({"lower": np.full(q.size, np.nan)}, (name, "NaN")),
+        ({"q": q[:-1]}, (name, "q must be")),
+        ({"q": np.full(q.size, np.inf)}, (name, "inf")),
+        ({"q": "7"}, (name,)),
+        ({"q": None}, (name, "None")),
+        ({"lower": np.full(q.size, np.nan)}, (name, "NaN")),
         ({"upper": np.full(q.size, -9.0), "lower": np.full(q.size, -8.0)}, (name, "lower ≤ upper")),
-        ({"lower": [[1.0], [2.0, 3.0]]}, (name,)), ({"lower": -10.0}, ("lower differs", "an array")),
+        ({"lower": [[1.0], [2.0, 3.0]]}, (name,)),
+        ({"lower": -10.0}, ("lower differs", "an array")),
     ):
         changed = given | (changes if is_here else {})
-        require_refused(comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, *words)
+        require_refused(
+            comm, lambda changed=changed: LCP.from_rows(comm, **changed), InvalidProblem, *words
+        )
 
 
 @check(2, 3)
@@ -173,7 +214,9 @@ def numbers_for_all_rows_must_agree(comm: Any) -> None:
     given |= {"lower": [0, 0.0, np.array(0)][comm.rank % 3], "upper": np.inf}
     assert not LCP.from_rows(comm, **given).lower.any()
     given["upper"] = 1.0 + (comm.rank == 1)
-    require_refused(comm, lambda: LCP.from_rows(comm, **given), InvalidProblem, "upper differs", "rank 1")
+    require_refused(
+        comm, lambda: LCP.from_rows(comm, **given), InvalidProblem, "upper differs", "rank 1"
+    )
 
 
 @check(2, 3)
@@ -183,7 +226,9 @@ def different_whole_problems_are_refused(comm: Any) -> None:
     q = whole.q.copy()
     q[0] = np.nextafter(q[0], 9.0) if comm.rank == 1 else q[0]
     other = whole.with_q(q)
-    require_refused(comm, lambda: LCP.from_problem(other, comm), InvalidProblem, "the problem", "rank 1")
+    require_refused(
+        comm, lambda: LCP.from_problem(other, comm), InvalidProblem, "the problem", "rank 1"
+    )
     given = whole if comm.rank else "M"
     require_refused(comm, lambda: LCP.from_problem(given, comm), InvalidProblem, "rank 0", "str")
 
@@ -196,15 +241,22 @@ def a_failure_on_one_rank_is_known_on_all(comm: Any) -> None:
         if comm.rank == comm.size - 1:
             raise error
 
-    require_refused(comm, lambda: Ranks(comm).together(lambda: fail(InvalidOption("no"))), InvalidOption, "no")
-    require_refused(comm, lambda: Ranks(comm).together(lambda: fail(OSError("disk"))), UnreadableFile, "disk")
+    require_refused(
+        comm, lambda: Ranks(comm).together(lambda: fail(InvalidOption("no"))), InvalidOption, "no"
+    )
+    require_refused(
+        comm, lambda: Ranks(comm).together(lambda: fail(OSError("disk"))), UnreadableFile, "disk"
+    )
     error = raised_by(lambda: Ranks(comm).together(lambda: fail(ZeroDivisionError("own"))))
     if comm.rank == comm.size - 1:
         assert repr(error) == "ZeroDivisionError('own')"
     else:
         assert repr(error) == f"LCPError('rank {comm.size - 1}: ZeroDivisionError: own')"
     assert Ranks(comm).from_first(lambda: comm.rank) == 0
-    assert Ranks(comm).all_largest(1.0 * comm.rank, np.nan if comm.rank == 0 else 0.0)[0] == comm.size - 1
+    assert (
+        Ranks(comm).all_largest(1.0 * comm.rank, np.nan if comm.rank == 0 else 0.0)[0]
+        == comm.size - 1
+    )
     assert np.isnan(Ranks(comm).all_largest(np.nan if comm.rank == 0 else 0.0)[0])
     assert Ranks(comm).total(0.1) == sum([0.1] * comm.size)
     assert Ranks(comm).table(comm.rank, 1.0).tolist() == [[rank, 1.0] for rank in range(comm.size)]
@@ -286,7 +338,8 @@ def damages(chunk: Path, other: Path) -> dict[str, Callable[[], object]]:
         "begins with row": lambda: rewritten(chunk, first_row=content["first_row"] + 1),
         "nan": lambda: rewritten(chunk, q=content["q"] * np.nan),
         "holds 7 rows": lambda: [
-            rewritten(one, shape=np.array([len(np.load(one)["q"]), N + 1])) for one in chunk.parent.iterdir()
+            rewritten(one, shape=np.array([len(np.load(one)["q"]), N + 1]))
+            for one in chunk.parent.iterdir()
         ],
         "holds no chunk": lambda: [one.unlink() for one in chunk.parent.iterdir()],
         "no such file": lambda: shutil.rmtree(chunk.parent),
@@ -299,7 +352,11 @@ def damaged_folders_are_refused_on_all_ranks(comm: Any) -> None:
     folder = shared_folder(comm)
     parts = LCP.from_problem(problem(), comm)
     parts.save(folder / "other")
-    names = comm.bcast(list(damages(*[folder / "other" / "rows-00001-of-00003.npz"] * 2)) if comm.rank == 0 else None)
+    names = comm.bcast(
+        list(damages(*[folder / "other" / "rows-00001-of-00003.npz"] * 2))
+        if comm.rank == 0
+        else None
+    )
     for name in names:
         parts.save(folder / "problem")
         if comm.rank == 0:

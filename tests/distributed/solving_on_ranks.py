@@ -39,7 +39,10 @@ from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 ALGORITHMS = ("auto", "multigrid", "npsor", "npaor", "npgs", "npj", "pgs", "psor")
 SIZES = {
-    "obstacle_2d": 12, "obstacle_3d": 5, "convection_diffusion": 12, "elastic_plastic_torsion": 12,
+    "obstacle_2d": 12,
+    "obstacle_3d": 5,
+    "convection_diffusion": 12,
+    "elastic_plastic_torsion": 12,
 }
 
 
@@ -63,8 +66,22 @@ def scene(name: str) -> tuple[LCP, Any]:
 
 def require_same_on_all(comm: Any, result: Any) -> None:
     """Everything but the own parts is the same on every rank."""
-    told = (result.status, result.algorithm, result.iterations, result.work, repr(result.residual), result.seconds)
-    told = (*told, result.stages, result.history, result.no_error_bound, result.explain(), result.to_json())
+    told = (
+        result.status,
+        result.algorithm,
+        result.iterations,
+        result.work,
+        repr(result.residual),
+        result.seconds,
+    )
+    told = (
+        *told,
+        result.stages,
+        result.history,
+        result.no_error_bound,
+        result.explain(),
+        result.to_json(),
+    )
     assert len(set(comm.allgather(repr(told)))) == 1
 
 
@@ -77,7 +94,9 @@ def compare(comm: Any, name: str) -> None:
         for _ in range(2):
             result = solve(problem, algorithm, tolerance=1e-12)
             require_same_on_all(comm, result)
-            marks.append((sha256(result.z.tobytes()).hexdigest(), result.iterations, repr(result.residual)))
+            marks.append(
+                (sha256(result.z.tobytes()).hexdigest(), result.iterations, repr(result.residual))
+            )
         assert marks[0] == marks[1], algorithm
         assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (algorithm, str(result))
         own = truth[problem.own_rows]
@@ -158,8 +177,12 @@ def an_error_can_be_asked_for(comm: Any) -> None:
             assert result.error_bound.relative <= 1e-5
             assert (np.abs(result.z - own) <= result.error_bound.componentwise + 1e-10).all()
             sampled = result.history[-1].error_bound
-            assert sampled <= 1e-5 * comm.allreduce(np.abs(result.z).max(initial=0.0), MPI.MAX) * 1.01
-            assert sampled == result.error_bound.infinity or algorithm == "npsor"  # which cleans up behind its last z
+            assert (
+                sampled <= 1e-5 * comm.allreduce(np.abs(result.z).max(initial=0.0), MPI.MAX) * 1.01
+            )
+            assert (
+                sampled == result.error_bound.infinity or algorithm == "npsor"
+            )  # which cleans up behind its last z
     bounded = solve(problem, error_bound=True)
     assert bounded.error_bound.infinity > 0.0
     M = sp.csr_array(np.ones((5, 5)) + np.eye(5))
@@ -214,7 +237,11 @@ def what_a_callback_raises_is_passed_on(comm: Any) -> None:
 
     with pytest.raises((ZeroDivisionError, LCPError)) as caught:
         solve(problem, "npsor", callback=fail)
-    expected = "ZeroDivisionError('mine')" if comm.rank == 1 else "LCPError('rank 1: ZeroDivisionError: mine')"
+    expected = (
+        "ZeroDivisionError('mine')"
+        if comm.rank == 1
+        else "LCPError('rank 1: ZeroDivisionError: mine')"
+    )
     assert repr(caught.value) == expected
     assert solve(problem).is_solved
 
@@ -247,7 +274,12 @@ def wrong_options_are_refused_on_all_ranks(comm: Any) -> None:
             with pytest.raises(kind, match=words) as caught:
                 solve(problem, algorithm if is_here else "npsor", **(options if is_here else {}))
             assert str(caught.value).startswith("rank 1: ")
-    for differing in ({"tolerance": 1e-3}, {"max_iterations": 5}, {"record": True}, {"relaxation": 0.9}):
+    for differing in (
+        {"tolerance": 1e-3},
+        {"max_iterations": 5},
+        {"record": True},
+        {"relaxation": 0.9},
+    ):
         if comm.size > 1:
             with pytest.raises(InvalidOption, match="asked of solve differs"):
                 solve(problem, "npsor", **(differing if comm.rank == 1 else {}))
@@ -261,7 +293,9 @@ def problems_that_need_no_iteration_are_solved(comm: Any) -> None:
     empty = LCP.from_problem(LCP(sp.csr_array((0, 0)), []), comm)
     for algorithm in ALGORITHMS:
         result = solve(problem, algorithm, z0=np.ones(problem.q.size))
-        assert (result.status, result.iterations, result.residual) == (Status.SOLVED, 0, 0.0), algorithm
+        assert (result.status, result.iterations, result.residual) == (Status.SOLVED, 0, 0.0), (
+            algorithm
+        )
         assert not result.z.any()
         require_same_on_all(comm, result)
         assert solve(empty, algorithm).is_solved
@@ -293,14 +327,24 @@ def any_order_and_an_automatic_relaxation_work(comm: Any) -> None:
         problem = LCP.from_problem(whole, comm)
         own = truth[problem.own_rows]
         for algorithm, options in (
-            ("psor", {"sweep": "backward"}), ("psor", {"sweep": "symmetric", "relaxation": 1.0}), ("psor", {}),
-            ("npsor", {"sweep": "backward"}), ("npgs", {"sweep": "symmetric"}),
+            ("psor", {"sweep": "backward"}),
+            ("psor", {"sweep": "symmetric", "relaxation": 1.0}),
+            ("psor", {}),
+            ("npsor", {"sweep": "backward"}),
+            ("npgs", {"sweep": "symmetric"}),
             ("npsor", {"scaling": "diagonal", "scaling_factor": 0.5}),
         ):
             result = solve(problem, algorithm, tolerance=1e-12, **options)
             require_same_on_all(comm, result)
-            assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (algorithm, options, str(result))
-            assert np.abs(result.z - own).max(initial=0.0) <= 1e-9 * np.abs(truth).max(), (algorithm, options)
+            assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (
+                algorithm,
+                options,
+                str(result),
+            )
+            assert np.abs(result.z - own).max(initial=0.0) <= 1e-9 * np.abs(truth).max(), (
+                algorithm,
+                options,
+            )
 
 
 @check(1, 2)
@@ -308,7 +352,12 @@ def what_needs_all_rows_says_so(comm: Any) -> None:
     """Analyses and conversions refuse a problem whose rows lie on ranks, in words, instead of judging a part."""
     problem = LCP.from_problem(mixed(12), comm)
     for call in (
-        analyze, all_solutions, convergence_guarantee, lambda p: p.to_qp(), lambda p: p.M, lambda p: p.csr,
+        analyze,
+        all_solutions,
+        convergence_guarantee,
+        lambda p: p.to_qp(),
+        lambda p: p.M,
+        lambda p: p.csr,
         lambda p: LCP.from_problem(p, comm),
     ):
         with pytest.raises(UnsuitableProblem, match="spread over") as caught:
@@ -340,7 +389,12 @@ def in_place_sweeps_converge_on_positive_definite_matrices_that_are_not_h(comm: 
         factor = rng.normal(size=(n, n))
         M = np.ones((n, n)) + 0.1 * np.eye(n) if seed == 0 else factor @ factor.T + 0.3 * np.eye(n)
         lower = np.where(rng.random(n) < 0.3, -np.inf, -1.0)
-        problem = LCP(sp.csr_array(M), 3.0 * rng.normal(size=n), lower=lower, upper=np.where(rng.random(n) < 0.5, 2, 9))
+        problem = LCP(
+            sp.csr_array(M),
+            3.0 * rng.normal(size=n),
+            lower=lower,
+            upper=np.where(rng.random(n) < 0.5, 2, 9),
+        )
         for algorithm, options in (("pgs", {}), ("psor", {"relaxation": 1.6})):
             result = solve(LCP.from_problem(problem, comm), algorithm, **options)
             assert result.is_solved, (seed, algorithm, str(result))
@@ -350,10 +404,15 @@ def in_place_sweeps_converge_on_positive_definite_matrices_that_are_not_h(comm: 
 def ranks_that_meet_nobody_join_the_multigrid(comm: Any) -> None:
     """A rank without rows, and one whose rows meet only its own, do not end a run of multigrid on the others."""
     n = 300
-    chain = sp.diags_array([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    chain = sp.diags_array(
+        [-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
     apart = sp.block_diag([chain[: n // 2, : n // 2], chain[n // 2 :, n // 2 :]], format="csr")
     halves = np.array([0, n // 2, n])
-    for M, ends in ((chain, [0, *[n] * comm.size]), (apart, np.interp(np.arange(comm.size + 1), [0, 1, 2], halves))):
+    for M, ends in (
+        (chain, [0, *[n] * comm.size]),
+        (apart, np.interp(np.arange(comm.size + 1), [0, 1, 2], halves)),
+    ):
         first, last = (int(end) for end in ends[comm.rank : comm.rank + 2])
         problem = LCP.from_rows(comm, sp.csr_array(M[first:last]), np.full(last - first, -1.0))
         assert solve(problem, "multigrid", coarsest=8).is_solved
@@ -364,8 +423,12 @@ def the_unit_of_a_row_changes_nothing(comm: Any) -> None:
     """Rows of M and q times 10^±4 leave z and, within a few, the number of cycles."""
     whole = gallery.build("obstacle_2d", size=30).problem
     factors = 10.0 ** np.random.default_rng(0).uniform(-4.0, 4.0, whole.n)
-    scaled = LCP(sp.csr_array(sp.diags_array(factors) @ whole.csr), factors * whole.q, lower=whole.lower)
-    one, other = (solve(LCP.from_problem(p, comm), "multigrid", tolerance=1e-12) for p in (whole, scaled))
+    scaled = LCP(
+        sp.csr_array(sp.diags_array(factors) @ whole.csr), factors * whole.q, lower=whole.lower
+    )
+    one, other = (
+        solve(LCP.from_problem(p, comm), "multigrid", tolerance=1e-12) for p in (whole, scaled)
+    )
     assert one.is_solved
     assert other.is_solved
     assert other.iterations <= one.iterations + 5
@@ -403,7 +466,10 @@ def derivatives_are_those_of_one_process(comm: Any) -> None:
         rows = truth.M[own]
         assert gradient.M.shape == rows.shape
         assert np.array_equal(gradient.M.indices, rows.indices)
-        assert np.abs(gradient.M.data - rows.data).max(initial=0.0) <= 1e-9 * np.abs(truth.M.data).max()
+        assert (
+            np.abs(gradient.M.data - rows.data).max(initial=0.0)
+            <= 1e-9 * np.abs(truth.M.data).max()
+        )
 
 
 @check(2, 3)
@@ -417,20 +483,29 @@ def derivatives_that_need_all_rows_are_refused_everywhere(comm: Any) -> None:
         found.jvp(dM=np.eye(whole.n) if is_last else None)
     with pytest.raises(UnsuitableProblem, match=words):
         found.dw(np.zeros(own), dM=np.eye(whole.n))
-    drift = derivative(solve(LCP.from_problem(scene("convection_diffusion")[0], comm), tolerance=1e-10))
+    drift = derivative(
+        solve(LCP.from_problem(scene("convection_diffusion")[0], comm), tolerance=1e-10)
+    )
     z = drift.z
     assert np.isfinite(drift.jvp(dq=np.ones(z.size))).all()
     with pytest.raises(UnsuitableProblem, match=words):
         drift.vjp(np.ones(z.size))
     q = np.full(whole.n, -1.0)
     q[-1] = 1.0  # the neighbour's z is 1
-    M = sp.csr_array(sp.diags_array([np.r_[np.zeros(whole.n - 2), -1.0], np.ones(whole.n)], offsets=[-1, 0]))
+    M = sp.csr_array(
+        sp.diags_array([np.r_[np.zeros(whole.n - 2), -1.0], np.ones(whole.n)], offsets=[-1, 0])
+    )
     kink = derivative(solve(LCP.from_problem(LCP(M, q), comm)))
     assert kink.is_unique is False
     assert kink.degenerate.size == is_last
     with pytest.raises(UnsuitableProblem, match=words):
         kink.jvp(dq=np.ones(kink.z.size))
-    for wrong in (found.vjp, found.dw, lambda part: found.jvp(dq=part), lambda part: found.jvp(dlower=part)):
+    for wrong in (
+        found.vjp,
+        found.dw,
+        lambda part: found.jvp(dq=part),
+        lambda part: found.jvp(dlower=part),
+    ):
         with pytest.raises(LCPError, match="must be finite"):
             wrong(np.full(own, np.nan if is_last else 1.0))
 
@@ -442,8 +517,12 @@ def a_part_of_wrong_length_is_refused_everywhere(comm: Any) -> None:
     own = problem.q.size
     for wrong in (own - 1, own + 1):
         z = np.zeros(wrong if comm.rank == 1 else own)
-        for call in (problem.slack, problem.gathered, lambda z: Certificate.of(problem, z),
-                     lambda z: error_bound(problem, z)):
+        for call in (
+            problem.slack,
+            problem.gathered,
+            lambda z: Certificate.of(problem, z),
+            lambda z: error_bound(problem, z),
+        ):
             with pytest.raises(LCPError, match=r"rank 1: .* must be a vector of length"):
                 call(z)
 

@@ -59,7 +59,9 @@ def test_rows_of_scenes_are_the_gallery_s(ranks: int) -> None:
 def test_the_saved_answer_solves_the_gallery_s_problem(tmp_path: Path, ranks: int) -> None:
     """z.npy and w.npy hold the whole answer in order, one process judges it solved, and the story is told once."""
     folder = tmp_path / "answer"
-    end = command(ranks, "solve", "obstacle-2d", "--size", "60", *PETSC, "--out", str(folder), "--error-bound")
+    end = command(
+        ranks, "solve", "obstacle-2d", "--size", "60", *PETSC, "--out", str(folder), "--error-bound"
+    )
     assert end.returncode == 0, end.stderr
     assert end.stdout.count("SOLVED") == 1
     assert f"ranks={ranks}" in end.stdout
@@ -128,12 +130,25 @@ def test_files_of_one_process_are_cut(tmp_path: Path) -> None:
     """A .npz file and a Matrix Market folder are read whole, cut and solved; the start of a scene is used."""
     rng = np.random.default_rng(3)
     n = 40
-    M = sp.csr_array(sp.diags_array([np.full(n - 1, -1.0), np.full(n, 3.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]))
+    M = sp.csr_array(
+        sp.diags_array(
+            [np.full(n - 1, -1.0), np.full(n, 3.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
+        )
+    )
     z = np.maximum(rng.normal(size=n), 0.0)
     problem = LCP(M, np.where(z > 0.0, 0.0, 1.0) - M @ z)
     for name in ("problem.npz", "folder"):
         problem.save(tmp_path / name)
-        end = command(3, "solve", str(tmp_path / name), *PETSC, "-a", "npgs", "--out", str(tmp_path / "answer"))
+        end = command(
+            3,
+            "solve",
+            str(tmp_path / name),
+            *PETSC,
+            "-a",
+            "npgs",
+            "--out",
+            str(tmp_path / "answer"),
+        )
         assert end.returncode == 0, end.stderr
         np.testing.assert_allclose(np.load(tmp_path / "answer" / "z.npy"), z, rtol=0.0, atol=1e-7)
     end = command(2, "solve", "paper-example-1", *PETSC)
@@ -166,9 +181,19 @@ def test_out_replaces_an_older_answer_and_nothing_else(tmp_path: Path) -> None:
     """A second answer replaces the first; other files of the folder stay; a file in its place is refused."""
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     for size in ("5", "6"):
-        assert command(2, "solve", "obstacle-2d", "--size", size, *PETSC, "--out", str(tmp_path)).returncode == 0
+        assert (
+            command(
+                2, "solve", "obstacle-2d", "--size", size, *PETSC, "--out", str(tmp_path)
+            ).returncode
+            == 0
+        )
     assert np.load(tmp_path / "z.npy").shape == (36,)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "status.json", "w.npy", "z.npy"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "notes.txt",
+        "status.json",
+        "w.npy",
+        "z.npy",
+    ]
     end = command(2, "solve", "obstacle-2d", *PETSC, "--out", str(tmp_path / "notes.txt"))
     assert end.returncode == 2
     assert "it is a file" in end.stderr

@@ -48,11 +48,23 @@ cli.run()
     ("body", "message"),
     [
         ("rank == 1 and {}['key']; MPI.COMM_WORLD.Barrier()", "rank 1 of 3: KeyError: 'key'"),
-        ("if rank == 2: raise MemoryError('3 GB')\n    MPI.COMM_WORLD.Barrier()", "rank 2 of 3: not enough memory"),
-        ("if rank == 0: raise InvalidOption('mine alone')\n    MPI.COMM_WORLD.Barrier()", "rank 0 of 3: mine alone"),
+        (
+            "if rank == 2: raise MemoryError('3 GB')\n    MPI.COMM_WORLD.Barrier()",
+            "rank 2 of 3: not enough memory",
+        ),
+        (
+            "if rank == 0: raise InvalidOption('mine alone')\n    MPI.COMM_WORLD.Barrier()",
+            "rank 0 of 3: mine alone",
+        ),
         ("if rank == 1: raise InvalidOption('at the end')", "rank 1 of 3: at the end"),
-        ("if rank == 1: raise KeyboardInterrupt\n    MPI.COMM_WORLD.Barrier()", "rank 1 of 3: interrupted"),
-        ("if rank == 1: sys.exit(7)\n    MPI.COMM_WORLD.Barrier()", "rank 1 of 3: left alone, by sys.exit(7)"),
+        (
+            "if rank == 1: raise KeyboardInterrupt\n    MPI.COMM_WORLD.Barrier()",
+            "rank 1 of 3: interrupted",
+        ),
+        (
+            "if rank == 1: sys.exit(7)\n    MPI.COMM_WORLD.Barrier()",
+            "rank 1 of 3: left alone, by sys.exit(7)",
+        ),
     ],
     ids=["bug", "memory", "refusal", "refusal at the end", "interrupt", "exit"],
 )
@@ -160,5 +172,3 @@ cli.run()
     assert end.returncode == 2, end.stderr
     assert end.stderr.count("lcp-plugin: rank 1: cannot write") == 1
     assert list(tmp_path.iterdir()) == []
-
-

@@ -10,7 +10,12 @@ from launch import run, run_code
 
 import lcp_plugin.ranks
 
-PAGE = Path(__file__).parents[2].joinpath("examples", "manual", "many_machines.md").read_text(encoding="utf-8")
+PAGE = (
+    Path(__file__)
+    .parents[2]
+    .joinpath("examples", "manual", "many_machines.md")
+    .read_text(encoding="utf-8")
+)
 SECTION = PAGE.split("## Several machines")[1].split("\n## ")[0]
 
 
@@ -18,8 +23,12 @@ def test_the_script_of_the_page_runs() -> None:
     """The script solves its problem on two ranks, with a rigorous bound, and rank 0 alone speaks."""
     assert 'help("lcp_plugin.ranks")' in SECTION
     blocks = (lcp_plugin.ranks.__doc__ or "").split("::\n\n")[1:]
-    code, = (block for block in blocks if "from_rows" in block)
-    lines = [line for line in code.split("\n\n**")[0].splitlines() if line == "" or line.startswith("    ")]
+    (code,) = (block for block in blocks if "from_rows" in block)
+    lines = [
+        line
+        for line in code.split("\n\n**")[0].splitlines()
+        if line == "" or line.startswith("    ")
+    ]
     done = run_code(2, textwrap.dedent("\n".join(lines)))
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("SOLVED") == 1
@@ -28,7 +37,7 @@ def test_the_script_of_the_page_runs() -> None:
 
 def test_the_command_of_the_section_runs(tmp_path: Path) -> None:
     """The command under mpiexec solves its scene and writes z, w and the status."""
-    line, = (line for line in SECTION.splitlines() if line.startswith("mpiexec"))
+    (line,) = (line for line in SECTION.splitlines() if line.startswith("mpiexec"))
     words = shlex.split(line)
     ranks, arguments = int(words[2]), words[4:]
     assert words[:4] == ["mpiexec", "-n", str(ranks), "lcp-plugin"]
@@ -36,4 +45,8 @@ def test_the_command_of_the_section_runs(tmp_path: Path) -> None:
     done = run(ranks, "-m", "lcp_plugin", *arguments)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("SOLVED") == 1
-    assert sorted(path.name for path in (tmp_path / "answer").iterdir()) == ["status.json", "w.npy", "z.npy"]
+    assert sorted(path.name for path in (tmp_path / "answer").iterdir()) == [
+        "status.json",
+        "w.npy",
+        "z.npy",
+    ]

@@ -11,7 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
-from lcp_plugin.engines import ENGINES, Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
+from lcp_plugin.engines import (
+    ENGINES,
+    Engine,
+    Hint,
+    Limits,
+    Multipliers,
+    Point,
+    Statement,
+    engine_class,
+)
 from lcp_plugin.engines.polish import polished
 from lcp_plugin.engines.statement import Prepared, far_limits
 from lcp_plugin.problems.programs.engine_calls import run_engine
@@ -27,9 +36,19 @@ def planted(seed: int, n: int = 12, m: int = 9, p: int = 3) -> tuple[QuadraticPr
     P, x = L @ L.T / n + 0.1 * np.eye(n), rng.normal(size=n)
     lower = np.where(rng.random(n) < 0.3, x, x - 1.0)
     acts = rng.random(m) < 0.5
-    y, e, at = acts * (0.1 + rng.random(m)), rng.normal(size=p), (lower == x) * (0.1 + rng.random(n))
+    y, e, at = (
+        acts * (0.1 + rng.random(m)),
+        rng.normal(size=p),
+        (lower == x) * (0.1 + rng.random(n)),
+    )
     program = QuadraticProgram(
-        P, at - P @ x - G.T @ y - A.T @ e, G, G @ x + ~acts * (0.5 + rng.random(m)), A, A @ x, lower=lower
+        P,
+        at - P @ x - G.T @ y - A.T @ e,
+        G,
+        G @ x + ~acts * (0.5 + rng.random(m)),
+        A,
+        A @ x,
+        lower=lower,
     )
     return program, x, program.objective(x)
 
@@ -61,7 +80,9 @@ def test_each_engine_takes_dense_and_sparse_linear_programs(name: str) -> None:
 @pytest.mark.parametrize("name", QUADRATIC)
 def test_a_program_without_rows_or_free_unknowns_is_answered(name: str) -> None:
     """Bounds alone, and bounds that leave one point."""
-    assert solve(QuadraticProgram(np.eye(2), [-3, 1], lower=0, upper=2), name).x.tolist() == pytest.approx([2, 0])
+    assert solve(
+        QuadraticProgram(np.eye(2), [-3, 1], lower=0, upper=2), name
+    ).x.tolist() == pytest.approx([2, 0])
     fixed = QuadraticProgram(np.eye(2), [-3, 1], [[1, 1]], [9], lower=[1, 2], upper=[1, 2])
     assert solve(fixed, name).x.tolist() == [1, 2]
 
@@ -69,7 +90,9 @@ def test_a_program_without_rows_or_free_unknowns_is_answered(name: str) -> None:
 @pytest.mark.parametrize("name", ENGINES)
 def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name: str) -> None:
     """Rows that contradict, and an objective without end: the proofs verify exactly."""
-    contradicting = solve(QuadraticProgram(None, [1, 1], [[1, 1], [-1, -1]], [1, -3], lower=-9, upper=9), name)
+    contradicting = solve(
+        QuadraticProgram(None, [1, 1], [[1, 1], [-1, -1]], [1, -3], lower=-9, upper=9), name
+    )
     assert contradicting.status is Status.INFEASIBLE
     assert contradicting.proof.verify()
     endless = solve(QuadraticProgram(None, [-1, 0], [[0, 1]], [1], lower=0), name)
@@ -79,10 +102,14 @@ def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name: str) -> None:
 
 def test_what_an_engine_does_not_take_is_refused_and_nothing_left_needs_none() -> None:
     """HiGHS is no solver of quadratic programs; where all unknowns are fixed nobody is asked."""
-    with pytest.raises(UnsuitableProblem, match='highs solves linear programs, but P has nonzeros; take "piqp"'):
+    with pytest.raises(
+        UnsuitableProblem, match='highs solves linear programs, but P has nonzeros; take "piqp"'
+    ):
         solve(QuadraticProgram(np.eye(1), [1.0]), "highs")
     for name in ENGINES:
-        assert solve(QuadraticProgram(None, [1.0], G=[[1.0]], h=[2.0], lower=0, upper=0), name).x.tolist() == [0.0]
+        assert solve(
+            QuadraticProgram(None, [1.0], G=[[1.0]], h=[2.0], lower=0, upper=0), name
+        ).x.tolist() == [0.0]
 
 
 @pytest.mark.parametrize("name", ENGINES)
@@ -97,8 +124,13 @@ def test_an_answer_of_zeros_is_found(name: str) -> None:
 def test_a_large_coefficient_excuses_no_other_term_of_its_row() -> None:
     """1e15 times 4e-15 is a term like the others: a row of terms 3, 4 and 11 is met to 1e-7 of these."""
     program = QuadraticProgram(
-        [[18, -1, 7, -13], [-1, 15, 8, -7], [7, 8, 13, -3], [-13, -7, -3, 26]], [2, -3, -1, -3],
-        G=[[-1, 2, -2, -2]], h=[-2], A=[[0, 2, 3, -2], [2, 3, 2, 1e15]], b=[8, 11], lower=[-1, 1, -1, -INF],
+        [[18, -1, 7, -13], [-1, 15, 8, -7], [7, 8, 13, -3], [-13, -7, -3, 26]],
+        [2, -3, -1, -3],
+        G=[[-1, 2, -2, -2]],
+        h=[-2],
+        A=[[0, 2, 3, -2], [2, 3, 2, 1e15]],
+        b=[8, 11],
+        lower=[-1, 1, -1, -INF],
         upper=[4, 1, 4, 2],
     )
     for name in ("auto", *QUADRATIC):
@@ -110,12 +142,16 @@ def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
     """An option goes through by its name; a wrong one is refused with the right ones, one of an instance too."""
     program, x, _ = planted(0)
     assert np.abs(solve(program, "piqp", max_iter=60, eps_abs=1e-8).x - x).max() <= 1e-7
-    with pytest.raises(InvalidOption, match="piqp has no option 'max_itr'; did you mean 'max_iter'"):
+    with pytest.raises(
+        InvalidOption, match="piqp has no option 'max_itr'; did you mean 'max_iter'"
+    ):
         solve(program, "piqp", max_itr=3)
     piqp = engine_class("piqp")
     assert np.abs(solve(program, piqp(max_iter=50)).x - x).max() <= 1e-7
     assert repr(piqp(max_iter=50)) == "PIQP(max_iter=50)"
-    with pytest.raises(InvalidOption, match="piqp has no option 'max_itr'; did you mean 'max_iter'"):
+    with pytest.raises(
+        InvalidOption, match="piqp has no option 'max_itr'; did you mean 'max_iter'"
+    ):
         piqp(max_itr=3)
     with pytest.raises(InvalidOption, match="PIQP"):
         solve(program, piqp(), max_iter=3)
@@ -123,7 +159,9 @@ def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
 
 def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
     """Of rows that contradict, daqp hands back memory that it has not written to: none of that is a point."""
-    program = QuadraticProgram(2.0 * np.eye(2), [0, 0], A=[[1, -1], [1, -1]], b=[1e3, 1e3 * (1 + 2e-6)])
+    program = QuadraticProgram(
+        2.0 * np.eye(2), [0, 0], A=[[1, -1], [1, -1]], b=[1e3, 1e3 * (1 + 2e-6)]
+    )
     runs = [run_engine(program, engine_class("daqp")(), 1e-6).solution for _ in range(5)]
     assert len({run.x.tobytes() for run in runs}) == 1
     assert np.abs(runs[0].x).max() <= 1e4
@@ -136,11 +174,20 @@ def test_what_is_asked_of_solve_is_asked_of_an_engine() -> None:
     assert short.status in (Status.MAX_ITERATIONS, Status.SOLVED)  # a polish may mend one step
     assert short.iterations <= 4  # it is asked again in other units
     seen = []
-    watched = solve(program, "piqp", record=True, callback=lambda sample, z: seen.append((sample.iteration, z.size)))
+    watched = solve(
+        program,
+        "piqp",
+        record=True,
+        callback=lambda sample, z: seen.append((sample.iteration, z.size)),
+    )
     assert len(watched.history) == 2
     assert seen == [(watched.iterations, x.size)]
     assert np.abs(solve(program, "piqp", z0=watched.z).x - x).max() <= 1e-7
-    for name, wrong in (("piqp", {"max_iter": 1.5}), ("daqp", {"iter_limit": "x"}), ("clarabel", {"tol_feas": "a"})):
+    for name, wrong in (
+        ("piqp", {"max_iter": 1.5}),
+        ("daqp", {"iter_limit": "x"}),
+        ("clarabel", {"tol_feas": "a"}),
+    ):
         with pytest.raises(InvalidOption, match=f"{name} does not take"):
             solve(program, name, **wrong)
     with pytest.raises(InvalidOption, match="callback"):
@@ -177,7 +224,13 @@ def test_limits_far_beyond_all_others_fool_no_engine_for_good(name: str, far: fl
     rng = np.random.default_rng(1)
     G = np.vstack([program.G, rng.normal(size=(2, x.size))])
     stretched = QuadraticProgram(
-        program.P, program.c, G, np.append(program.h, [far, 3.0 * far]), program.A, program.b, lower=program.lower,
+        program.P,
+        program.c,
+        G,
+        np.append(program.h, [far, 3.0 * far]),
+        program.A,
+        program.b,
+        lower=program.lower,
         upper=far,
     )
     found = solve(stretched, name)
@@ -193,13 +246,24 @@ def test_what_prepares_a_statement_leads_back(seed: int) -> None:
     G = rng.normal(size=(m, n)) * 2.0 ** rng.integers(-30, 30, (m, 1))
     h = rng.normal(size=m) * 10.0 ** rng.integers(0, 9, m)
     given_ = Statement(
-        np.eye(n), np.zeros(n), G, h, np.zeros((0, n)), np.zeros(0), np.full(n, -1e12), rng.normal(size=n) + 9.0
+        np.eye(n),
+        np.zeros(n),
+        G,
+        h,
+        np.zeros((0, n)),
+        np.zeros(0),
+        np.full(n, -1e12),
+        rng.normal(size=n) + 9.0,
     )
     prepared = Prepared.of(given_, far_limits(given_))
     inside = prepared.statement
     y = rng.random(inside.h.size)
-    point = prepared.outward(Point(np.zeros(n), Multipliers(y, np.zeros(0), np.zeros(n), np.zeros(n)), 0, Hint.OPTIMAL))
-    assert np.array_equal(inside.G.T @ y, given_.G[prepared.rows].T @ point.multipliers.inequality[prepared.rows])
+    point = prepared.outward(
+        Point(np.zeros(n), Multipliers(y, np.zeros(0), np.zeros(n), np.zeros(n)), 0, Hint.OPTIMAL)
+    )
+    assert np.array_equal(
+        inside.G.T @ y, given_.G[prepared.rows].T @ point.multipliers.inequality[prepared.rows]
+    )
     if inside.h.size:
         largest = np.abs(inside.G).max(axis=1)
         assert ((largest >= 0.5) & (largest <= 2.0)).all()
@@ -210,7 +274,14 @@ def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
     """An x that is wrong by 1e-4 with the right multipliers: the planted x to rounding."""
     program, x, _ = planted(2)
     statement = Statement(
-        kind(program.P), program.c, kind(program.G), program.h, kind(program.A), program.b, program.lower, program.upper
+        kind(program.P),
+        program.c,
+        kind(program.G),
+        program.h,
+        kind(program.A),
+        program.b,
+        program.lower,
+        program.upper,
     )
     rough = run_engine(program, engine_class("daqp")(), 1e-9).solution
     multipliers = Multipliers(rough.inequality, rough.equality, rough.lower, rough.upper)
@@ -229,9 +300,13 @@ def test_a_record_changes_no_bit() -> None:
 
 
 @pytest.mark.parametrize("form", [np.asarray, sp.csr_array])
-def test_piqp_prints_nothing_of_limits_far_away(form: Any, capfd: pytest.CaptureFixture[str]) -> None:
+def test_piqp_prints_nothing_of_limits_far_away(
+    form: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     """A row whose limit is 1e45 of its coefficients is left out before PIQP says so on the terminal."""
-    program = QuadraticProgram(form(np.eye(2)), [-1.0, -2.0], G=form(np.array([[1e-30, 0.0], [1.0, 1.0]])), h=[1e15, 1])
+    program = QuadraticProgram(
+        form(np.eye(2)), [-1.0, -2.0], G=form(np.array([[1e-30, 0.0], [1.0, 1.0]])), h=[1e15, 1]
+    )
     result = solve(program, "piqp")
     assert result.is_solved
     assert result.solution.inequality == pytest.approx([0.0, 1.0])

@@ -35,7 +35,11 @@ def test_names_are_unique_and_sources_are_given() -> None:
 @pytest.mark.full
 def test_declared_solutions_are_exact() -> None:
     """Each declared solution is complementary in rational arithmetic, without any tolerance."""
-    wrong = [e.name for e in ENTRIES if e.solution is not None and not ExactData(e.problem).is_solution(e.solution)]
+    wrong = [
+        e.name
+        for e in ENTRIES
+        if e.solution is not None and not ExactData(e.problem).is_solution(e.solution)
+    ]
     assert not wrong
 
 
@@ -87,7 +91,12 @@ def test_plain_newton_cycles_where_the_source_says_so() -> None:
     assert len(cyclic) >= 8
     for entry in cyclic:
         n = entry.problem.n
-        starts = [np.arange(n) == 0, np.arange(n) % 3 == 0, np.arange(n) >= n - 2, *np.eye(n, dtype=bool)]
+        starts = [
+            np.arange(n) == 0,
+            np.arange(n) % 3 == 0,
+            np.arange(n) >= n - 2,
+            *np.eye(n, dtype=bool),
+        ]
         assert any(plain_newton_cycles(entry.problem, free) for free in starts), entry.name
 
 

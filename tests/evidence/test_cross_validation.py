@@ -10,7 +10,16 @@ import pytest
 import scipy.sparse as sp
 from fresh_process import printed_by
 
-from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, Status, gallery, solve
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    InvalidOption,
+    InvalidProblem,
+    Result,
+    Status,
+    gallery,
+    solve,
+)
 from lcp_plugin.evidence import cross_check, qp_reference
 from lcp_plugin.evidence.cross_check import CrossCheck, cross_validate, story
 from lcp_plugin.evidence.qp_reference import GAP, PLAIN, SOLVERS, Formulation, accuracy
@@ -25,7 +34,9 @@ def spd_matrix(generator: np.random.Generator, n: int) -> np.ndarray:
     return B @ B.T / n + generator.uniform(0.05, 1.0) * np.eye(n)
 
 
-def random_bounds(generator: np.random.Generator, n: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
+def random_bounds(
+    generator: np.random.Generator, n: int, kind: str
+) -> tuple[np.ndarray, np.ndarray]:
     lower, upper = np.zeros(n), np.full(n, np.inf)
     if kind in ("free rows", "everything"):
         lower[generator.random(n) < 0.3] = -np.inf
@@ -111,8 +122,15 @@ def test_a_solution_that_is_not_unique_is_named() -> None:
 
 @pytest.mark.parametrize(
     ("target", "kind"),
-    [("obstacle_2d:size=20", PLAIN), ("optimal_stopping:size=10", GAP), ("murty:n=8", GAP), ("murty:n=1", PLAIN),
-     ("paper_example_1:n=100", PLAIN), ("paper_example_2:n=100", GAP), ("scaling_trap", GAP)],
+    [
+        ("obstacle_2d:size=20", PLAIN),
+        ("optimal_stopping:size=10", GAP),
+        ("murty:n=8", GAP),
+        ("murty:n=1", PLAIN),
+        ("paper_example_1:n=100", PLAIN),
+        ("paper_example_2:n=100", GAP),
+        ("scaling_trap", GAP),
+    ],
 )
 def test_scenes_agree(target: str, kind: str) -> None:
     """Scenes with a convex program agree with it: the plain one where M is symmetric, else the gap program."""
@@ -130,7 +148,9 @@ def test_monotone_problems_agree_with_the_gap_program(seed: int) -> None:
     skew = generator.normal(size=(n, n))
     lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
     M = spd_matrix(generator, n) + np.eye(n) + 0.3 * (skew - skew.T)
-    check = cross_validate(LCP(M, generator.normal(size=n), lower=lower, upper=upper), tolerance=1e-12)
+    check = cross_validate(
+        LCP(M, generator.normal(size=n), lower=lower, upper=upper), tolerance=1e-12
+    )
     assert check.agrees, check
     assert check.formulation.startswith("gap quadratic program")
     assert check.difference_z < 1e-7
@@ -163,7 +183,9 @@ def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
     scale = sp.diags_array(10.0 ** np.random.default_rng(0).uniform(-3.0, 3.0, size=n))
     M = (scale @ second @ second @ scale).tocsr()
     z = np.maximum(np.sin(np.linspace(0.0, 12.0, n)), 0.0)
-    check = cross_validate(LCP(M, np.where(z == 0.0, 1.0, 0.0) - M @ z), algorithm="psor", max_seconds=10.0)
+    check = cross_validate(
+        LCP(M, np.where(z == 0.0, 1.0, 0.0) - M @ z), algorithm="psor", max_seconds=10.0
+    )
     assert check.agrees, check
     assert check.difference_z > 1e-3
     assert "conditioning" in check.reason
@@ -183,8 +205,10 @@ def test_units_do_not_matter(exponent: int) -> None:
     problem = random_spd_problem(3)
     for row, column in ((exponent, 0), (0, exponent)):
         scaled = LCP(
-            problem.M * 2.0 ** (row - column), problem.q * 2.0**row,
-            lower=problem.lower * 2.0**column, upper=problem.upper * 2.0**column,
+            problem.M * 2.0 ** (row - column),
+            problem.q * 2.0**row,
+            lower=problem.lower * 2.0**column,
+            upper=problem.upper * 2.0**column,
         )
         assert cross_validate(scaled).agrees
 
@@ -233,7 +257,9 @@ def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """If our measure of a residual were blind, the distance to the reference would still betray a wrong answer."""
     problem = gallery.parse("obstacle_2d:size=8").problem
     wrong = altered(solve(problem, tolerance=1e-9), 20, 1e-3)
-    monkeypatch.setattr(cross_check, "scaled_residual", lambda problem, z, w, scale: np.zeros_like(z))
+    monkeypatch.setattr(
+        cross_check, "scaled_residual", lambda problem, z, w, scale: np.zeros_like(z)
+    )
     monkeypatch.setattr(cross_check, "accuracy", lambda certificate: 1e-12)
     monkeypatch.setattr(cross_check, "_keeps_claim", lambda result, certificate: True)
     check = cross_validate(problem, wrong)
@@ -287,7 +313,11 @@ def refuse(*_: object) -> None:
 
 @pytest.mark.parametrize(
     ("target", "formulation"),
-    [("optimal_stopping:size=5", "gap"), ("murty:n=5", "gap"), ("random_h_plus:n=20", "no convex program")],
+    [
+        ("optimal_stopping:size=5", "gap"),
+        ("murty:n=5", "gap"),
+        ("random_h_plus:n=20", "no convex program"),
+    ],
 )
 def test_nonsymmetric_never_reaches_a_plain_program(
     target: str, formulation: str, monkeypatch: pytest.MonkeyPatch
@@ -306,7 +336,10 @@ def test_nonsymmetric_never_reaches_a_plain_program(
         ([[1.0, 2.0], [2.0, 1.0]], "M is symmetric indefinite: a pivot is negative at shift"),
         ([[1.0, 0.0], [0.0, -1.0]], "M is symmetric indefinite: M[1, 1] = -1"),
         ([[0.0, 1.0], [1.0, 1.0]], "M is symmetric indefinite"),
-        ([[1.0, 5.0], [0.0, 1.0]], "M is not symmetric (M[0, 1] and M[1, 0] differ); its symmetric part is indefinite"),
+        (
+            [[1.0, 5.0], [0.0, 1.0]],
+            "M is not symmetric (M[0, 1] and M[1, 0] differ); its symmetric part is indefinite",
+        ),
     ],
 )
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array], ids=["dense", "sparse"])
@@ -415,7 +448,15 @@ def test_story_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
     assert (out, err) == ("", "")
     lines = story(check).splitlines()
     assert lines[0].startswith("agree: ")
-    for word in ("formulation", "ours", check.reference, "|Δz|", "objective gap", "disagreement", "tried"):
+    for word in (
+        "formulation",
+        "ours",
+        check.reference,
+        "|Δz|",
+        "objective gap",
+        "disagreement",
+        "tried",
+    ):
         assert any(line.startswith(word) for line in lines), word
     assert str(check) == story(check)
 

@@ -67,7 +67,11 @@ def scene(n: int = 100) -> Any:
 def without_seconds(report: Report) -> list[Any]:
     """Everything that must be the same in every run."""
     curves = [
-        (curve.label, curve.status, [(p.iteration, p.work, p.error, p.residual) for p in curve.points])
+        (
+            curve.label,
+            curve.status,
+            [(p.iteration, p.work, p.error, p.residual) for p in curve.points],
+        )
         for curve in report.curves
     ]
     return [curves, report.error_kind, report.active_share, report.left_out]
@@ -100,7 +104,9 @@ def test_slow_error_measurement_does_not_show(monkeypatch: pytest.MonkeyPatch) -
 
 def test_what_is_computed_about_the_matrix_is_paid_in_every_run() -> None:
     """Nothing that one run keeps with the problem makes the set-up of the next one look cheaper."""
-    curve = error_against_time(scene(), {"once": Richardson(nap_about_matrix=NAP)}, repeats=3).curves[0]
+    curve = error_against_time(
+        scene(), {"once": Richardson(nap_about_matrix=NAP)}, repeats=3
+    ).curves[0]
     assert curve.points[0].seconds_low >= NAP
 
 
@@ -127,7 +133,9 @@ def test_reruns_agree_in_everything_but_seconds() -> None:
     """Iterations, work, errors, residuals and statuses of all default algorithms are the same in two calls."""
     first, second = (error_against_time(scene(), repeats=repeats) for repeats in (1, 2))
     assert without_seconds(first) == without_seconds(second)
-    assert [len(curve.points) for curve in first.curves] == [len(curve.points) for curve in second.curves]
+    assert [len(curve.points) for curve in first.curves] == [
+        len(curve.points) for curve in second.curves
+    ]
 
 
 def test_curve_is_the_run_that_solve_makes() -> None:
@@ -151,7 +159,9 @@ def test_points_are_geometric() -> None:
 
 def test_limit_of_work_ends_a_run_and_is_named() -> None:
     """A run that reaches max_work says MAX_WORK, not INTERRUPTED."""
-    curve = error_against_time(gallery.build("obstacle_2d", size=30), ["gfp"], repeats=2, max_work=50).curves[0]
+    curve = error_against_time(
+        gallery.build("obstacle_2d", size=30), ["gfp"], repeats=2, max_work=50
+    ).curves[0]
     assert curve.status == "MAX_WORK"
     assert 50 <= curve.work <= 52
 
@@ -168,7 +178,9 @@ def test_axis_is_the_true_error_then_a_bound_then_the_residual() -> None:
         found[sample.iteration] = float(np.max(np.abs(z - exact)))
 
     solve(bumps.problem, "npsor", callback=record)
-    assert all(point.error >= found[point.iteration] - 1e-12 for point in report.curves[0].points[:-1])
+    assert all(
+        point.error >= found[point.iteration] - 1e-12 for point in report.curves[0].points[:-1]
+    )
     plain = error_bound(bumps.problem, _iterate(bumps, 5), sharp=False).infinity
     assert report.curves[0].points[5].error < min(0.2 * plain, (1.0 + 1e-9) * found[5])
     assert error_against_time(scene(), ["pgs"], repeats=1).error_kind == "true error"
@@ -220,15 +232,23 @@ def test_where_a_bound_says_nothing_the_residual_is_drawn(monkeypatch: pytest.Mo
 def _iterate(problem: Any, count: int) -> Any:
     found = []
     solve(
-        problem.problem, "npsor", callback=lambda sample, z: bool(found.append(z.copy()) or sample.iteration == count)
+        problem.problem,
+        "npsor",
+        callback=lambda sample, z: bool(found.append(z.copy()) or sample.iteration == count),
     )
     return found[count]
 
 
 def test_plain_problem_is_examined() -> None:
     """Of an LCP without a scene it is found out whether M allows a bound; where it does not the residual is shown."""
-    assert error_against_time(LCP([[4, -1], [-1, 4]], [-3, 5]), ["pgs"], repeats=1).error_kind == "rigorous bound"
-    assert error_against_time(LCP([[1, 4], [4, 1]], [-3, 5]), ["npsor"], repeats=1).error_kind == "residual"
+    assert (
+        error_against_time(LCP([[4, -1], [-1, 4]], [-3, 5]), ["pgs"], repeats=1).error_kind
+        == "rigorous bound"
+    )
+    assert (
+        error_against_time(LCP([[1, 4], [4, 1]], [-3, 5]), ["npsor"], repeats=1).error_kind
+        == "residual"
+    )
 
 
 # --- What is left out -----------------------------------------------------------------------------------------
@@ -236,7 +256,9 @@ def test_plain_problem_is_examined() -> None:
 
 def test_algorithms_that_refuse_are_left_out_with_their_reason() -> None:
     """Who cannot run on a problem has no curve but a line that says why."""
-    report = error_against_time(gallery.build("relay_control", n=4), ["mgs", "npsor"], repeats=1, max_work=50)
+    report = error_against_time(
+        gallery.build("relay_control", n=4), ["mgs", "npsor"], repeats=1, max_work=50
+    )
     assert [curve.label for curve in report.curves] == ["npsor"]
     assert "upper" in dict(report.left_out)["mgs"]
 
@@ -269,8 +291,12 @@ def test_references_that_are_left_out_are_not_asked(monkeypatch: pytest.MonkeyPa
     """Where M is not symmetric no formulation is even looked for; one without a limit is kept to small n."""
     from lcp_plugin.evidence import qp_reference
 
-    monkeypatch.setattr(qp_reference.Formulation, "of", lambda problem: pytest.fail("computed for nothing"))
-    report = error_against_time(gallery.build("optimal_stopping", size=4), ["pgs"], ("osqp",), repeats=1)
+    monkeypatch.setattr(
+        qp_reference.Formulation, "of", lambda problem: pytest.fail("computed for nothing")
+    )
+    report = error_against_time(
+        gallery.build("optimal_stopping", size=4), ["pgs"], ("osqp",), repeats=1
+    )
     assert "not symmetric" in dict(report.left_out)["quadratic programs"]
     monkeypatch.undo()
     report = error_against_time(scene(225), ["pgs"], ("daqp", "clarabel"), repeats=1)
@@ -315,7 +341,6 @@ def test_options_may_stand_beside_a_name(algorithms: Any, labels: list[str]) -> 
     assert [curve.label for curve in report.curves] == labels
 
 
-
 def test_csv_and_json_hold_every_digit(tmp_path: Path) -> None:
     """The CSV has one line a point with all digits, and so has JSON."""
     report = error_against_time(scene(), ["pgs", "gfp"], ("clarabel",), repeats=1)
@@ -356,7 +381,9 @@ def names_in(figure: Any) -> set[str]:
 @pytest.mark.full
 def test_names_stand_where_they_hide_nothing() -> None:
     """Two curves, or twelve, have their names below the axes, and the axes keep most of the figure."""
-    few = error_against_time(gallery.build("obstacle_2d", size=12), ["npgs", "psor"], repeats=1).plot()
+    few = error_against_time(
+        gallery.build("obstacle_2d", size=12), ["npgs", "psor"], repeats=1
+    ).plot()
     assert names_in(few) == {"npgs", "psor"}
     many = error_against_time(scene(), repeats=1).plot()
     assert len(names_in(many)) == 12
@@ -368,7 +395,10 @@ def test_names_stand_where_they_hide_nothing() -> None:
 def test_no_two_curves_look_alike_in_grey() -> None:
     """In the report's comparison dashes and marker together belong to one curve: it can be read in grey."""
     entrants = contestants(None)
-    looks = [(look["marker"], str(look["linestyle"])) for look in styles([one.family for one in entrants])]
+    looks = [
+        (look["marker"], str(look["linestyle"]))
+        for look in styles([one.family for one in entrants])
+    ]
     assert len(set(looks)) == len(entrants)
 
 
@@ -388,7 +418,8 @@ def test_axis_of_a_plot_can_be_read(spread_of_seconds: float) -> None:
     axes = figure.axes[0]
     low, high = axes.get_xlim()
     numbers = [
-        tick.label1.get_text() for minor in (False, True)
+        tick.label1.get_text()
+        for minor in (False, True)
         for tick in (axes.xaxis.get_minor_ticks() if minor else axes.xaxis.get_major_ticks())
         if low <= tick.get_loc() <= high and tick.label1.get_text()
     ]
@@ -396,7 +427,9 @@ def test_axis_of_a_plot_can_be_read(spread_of_seconds: float) -> None:
     frame = figure.bbox
     assert all(
         frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1
-        for box in (text.get_window_extent() for text in axes.texts if text.get_text() != "tolerance")
+        for box in (
+            text.get_window_extent() for text in axes.texts if text.get_text() != "tolerance"
+        )
     )
 
 
@@ -405,7 +438,10 @@ def test_axis_of_a_plot_can_be_read(spread_of_seconds: float) -> None:
     [
         ({"repeats": 0}, "repeats must be a whole number ≥ 1, got 0"),
         ({"repeats": True}, "repeats must be"),
-        ({"references": "osqp"}, r"references must be a list of names, got the word 'osqp'; write \['osqp'\]"),
+        (
+            {"references": "osqp"},
+            r"references must be a list of names, got the word 'osqp'; write \['osqp'\]",
+        ),
         ({"references": ("osqpp",)}, "unknown reference 'osqpp'; did you mean 'osqp'"),
         ({"references": 5}, "references must be a list of names, got 5"),
         ({"max_work": "10"}, "max_work must be a number > 0, got '10'"),
@@ -437,8 +473,18 @@ def test_bad_targets_and_names_are_refused() -> None:
 def test_comparison_holds_the_promise() -> None:
     """The paper's methods stand with its settings and with ours, beside modulus, fixed point and relaxation."""
     labels = {one.label for one in contestants(None)}
-    assert labels >= {"NPGS", "NPSOR", "NPAOR", "NPGS paper", "NPSOR paper", "MGS paper", "MSOR paper", "GFP", "PGS",
-                      "PSOR"}
+    assert labels >= {
+        "NPGS",
+        "NPSOR",
+        "NPAOR",
+        "NPGS paper",
+        "NPSOR paper",
+        "MGS paper",
+        "MSOR paper",
+        "GFP",
+        "PGS",
+        "PSOR",
+    }
     report = error_against_time(gallery.build("relay_control", n=4), max_work=50)
     assert {"MGS paper", "MSOR paper"} <= {what for what, _ in report.left_out}
 
@@ -461,7 +507,12 @@ def solve_options(**options: Any) -> Algorithm:
 def report_of(title: str, **works: float) -> Report:
     """A report made by hand: the work of each algorithm; negative where it was not solved."""
     curves = tuple(
-        Curve(label, "other", "SOLVED" if work > 0 else "STALLED", (Point(1, abs(work), 1.0, 1.0, 1.0, 0.1, 0.1),))
+        Curve(
+            label,
+            "other",
+            "SOLVED" if work > 0 else "STALLED",
+            (Point(1, abs(work), 1.0, 1.0, 1.0, 0.1, 0.1),),
+        )
         for label, work in works.items()
     )
     return Report(title, "", 1, 1, "residual", 1e-8, 1, 0.5, curves)

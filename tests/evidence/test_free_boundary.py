@@ -39,7 +39,9 @@ def membrane(size: int) -> tuple[LCP, np.ndarray, float]:
     edge = -(radius**2) / np.sqrt(1 - radius**2) * np.log(np.maximum(r, radius) / 2)
     edge[1:-1, 1:-1] = 0.0
     q = -(edge[:-2, 1:-1] + edge[2:, 1:-1] + edge[1:-1, :-2] + edge[1:-1, 2:]).ravel()
-    M = sp.kron(second_difference(size), sp.eye_array(size)) + sp.kron(sp.eye_array(size), second_difference(size))
+    M = sp.kron(second_difference(size), sp.eye_array(size)) + sp.kron(
+        sp.eye_array(size), second_difference(size)
+    )
     return LCP(M, q, lower=ball[1:-1, 1:-1].ravel()), nodes[1:-1], radius
 
 
@@ -100,7 +102,8 @@ def test_a_wrong_number_of_nodes_is_refused() -> None:
     """Each message says how many are needed."""
     result = solve(LCP(second_difference(6), -np.ones(6)))
     for wrong, words in (
-        ({"coordinates": [1.0, 2.0]}, "6 numbers, finite"), ({"shape": (2, 2)}, "6 unknowns"),
+        ({"coordinates": [1.0, 2.0]}, "6 numbers, finite"),
+        ({"shape": (2, 2)}, "6 unknowns"),
         ({"mesh": (np.zeros((2, 6)), np.zeros((1, 3), dtype=int))}, r"\(6, 2\)"),
     ):
         with pytest.raises(InvalidOption, match=words):

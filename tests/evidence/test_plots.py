@@ -96,15 +96,21 @@ def test_a_grid_shows_a_map() -> None:
     result = solve(gallery.obstacle_2d(size=12).problem)
     axes = result.plot(shape=(12, 12))
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("column", "row")
-    np.testing.assert_array_equal(axes.collections[0].get_array().reshape(12, 12), result.z.reshape(12, 12))
     np.testing.assert_array_equal(
-        result.plot(shape=(3, 4, 12)).collections[0].get_array().reshape(4, 12), result.z.reshape(3, 4, 12)[1]
+        axes.collections[0].get_array().reshape(12, 12), result.z.reshape(12, 12)
+    )
+    np.testing.assert_array_equal(
+        result.plot(shape=(3, 4, 12)).collections[0].get_array().reshape(4, 12),
+        result.z.reshape(3, 4, 12)[1],
     )
     assert result.plot(shape=(144,)).get_xlabel() == "index"
     assert result.plot(shape=(1, 144)).get_xlabel() == "index"
     for shape, words in (
         ((12, 13), r"shape \(12, 13\) is that of 156 unknowns, and the problem has 144"),
-        ((0, 12), "whole numbers > 0"), ((1.5, 96), "whole numbers > 0"), (144, "whole numbers"), ((), "whole numbers"),
+        ((0, 12), "whole numbers > 0"),
+        ((1.5, 96), "whole numbers > 0"),
+        (144, "whole numbers"),
+        ((), "whole numbers"),
         ("12x12", "whole numbers"),
     ):
         with pytest.raises(InvalidOption, match=words):
@@ -116,7 +122,9 @@ def test_a_march_over_a_grid_shows_slices() -> None:
     done = heat(9, 30)
     axes = done.plot(shape=(5, 6))
     assert len([one for one in axes.figure.axes if one.get_xlabel() == "column"]) == 4
-    np.testing.assert_array_equal(axes.collections[0].get_array().reshape(5, 6), done.z[-1].reshape(5, 6))
+    np.testing.assert_array_equal(
+        axes.collections[0].get_array().reshape(5, 6), done.z[-1].reshape(5, 6)
+    )
 
 
 def test_long_vectors_are_no_solid_block() -> None:
@@ -131,7 +139,11 @@ def test_long_vectors_are_no_solid_block() -> None:
 
 def quads(size: int) -> tuple[np.ndarray, np.ndarray]:
     """The nodes of a square grid and its cells, in the order of obstacle_2d's unknowns."""
-    points = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2).astype(float)
+    points = (
+        np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1)
+        .reshape(-1, 2)
+        .astype(float)
+    )
     corner = (np.arange(size - 1)[:, None] * size + np.arange(size - 1)).ravel()
     return points, np.stack([corner, corner + 1, corner + size + 1, corner + size], axis=1)
 
@@ -143,19 +155,30 @@ def test_a_mesh_shows_the_values_of_its_points() -> None:
     for given in (cells, np.concatenate([cells[:, :3], cells[:, [0, 2, 3]]])):
         axes = result.plot(mesh=(points, given))
         assert axes.collections[0].get_array().tolist() == result.z.tolist()
-        assert len(axes.lines[0].get_xdata()) == np.count_nonzero(result.z == result.certificate.problem.lower)
+        assert len(axes.lines[0].get_xdata()) == np.count_nonzero(
+            result.z == result.certificate.problem.lower
+        )
     axes = result.plot(mesh=quads(6), component=1)
     assert axes.collections[0].get_array().tolist() == result.z.reshape(36, 4)[:, 1].tolist()
     axes = result.plot(mesh=quads(6))
-    np.testing.assert_allclose(axes.collections[0].get_array(), np.linalg.norm(result.z.reshape(36, 4), axis=1))
+    np.testing.assert_allclose(
+        axes.collections[0].get_array(), np.linalg.norm(result.z.reshape(36, 4), axis=1)
+    )
 
 
-@pytest.mark.parametrize(("given", "words"), [
-    ({"mesh": quads(5)}, "a divisor of the 144 unknowns"), ({"mesh": 3}, "got int"),
-    ({"mesh": (quads(12)[0].T, quads(12)[1])}, "transpose what is stored by columns"),
-    ({"mesh": (quads(12)[0], quads(12)[1] + 1)}, "numbers of points, from 0 to 143, got 144"),
-    ({"mesh": quads(6), "component": 4}, "component must be 'norm' or a whole number from 0 to 3, got 4"),
-])
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"mesh": quads(5)}, "a divisor of the 144 unknowns"),
+        ({"mesh": 3}, "got int"),
+        ({"mesh": (quads(12)[0].T, quads(12)[1])}, "transpose what is stored by columns"),
+        ({"mesh": (quads(12)[0], quads(12)[1] + 1)}, "numbers of points, from 0 to 143, got 144"),
+        (
+            {"mesh": quads(6), "component": 4},
+            "component must be 'norm' or a whole number from 0 to 3, got 4",
+        ),
+    ],
+)
 def test_what_a_mesh_must_be(given: dict[str, Any], words: str) -> None:
     """Points, and cells of their numbers; anything else is refused in words."""
     with pytest.raises(InvalidOption, match=words):
@@ -187,7 +210,11 @@ def test_impulses_are_drawn_in_their_cones() -> None:
     """Open, sticking and sliding contacts are told apart; one that slides lies on the circle."""
     b = [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
     axes = solve(FrictionalContact(np.eye(12), b, [0.5, 0.5, 0.5, 0.0])).plot()
-    assert [one.get_text() for one in axes.get_legend().get_texts()] == ["2 stick", "1 slide", "1 open"]
+    assert [one.get_text() for one in axes.get_legend().get_texts()] == [
+        "2 stick",
+        "1 slide",
+        "1 open",
+    ]
     sliding = axes.collections[1].get_offsets()
     np.testing.assert_allclose(sliding, [[-0.6, -0.8]], atol=1e-7)
 
@@ -199,4 +226,8 @@ def test_contacts_in_the_plane_are_drawn_by_their_number() -> None:
     stick, slide, _ = axes.collections
     np.testing.assert_allclose(stick.get_offsets(), [[-0.5, 0.0]], atol=1e-7)
     np.testing.assert_allclose(slide.get_offsets(), [[-1.0, 1.0]], atol=1e-7)
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["1 stick", "1 slide", "0 open"]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
+        "1 stick",
+        "1 slide",
+        "0 open",
+    ]

@@ -32,12 +32,15 @@ def test_rows_are_drawn_over_their_coordinates() -> None:
     plt.close(figure)
 
 
-@pytest.mark.parametrize(("given", "message"), [
-    ({"rows": [4]}, "rows must be whole numbers from 0 to 3, or 4 truth values, got"),
-    ({"over": np.zeros((4, 3))}, r"shape \(n,\) or \(n, 2\), got shape \(4, 3\)"),
-    ({"over": "x"}, "over must hold real coordinates"),
-    ({"rows": [0], "shape": (2, 2)}, "give it without rows and over"),
-])
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"rows": [4]}, "rows must be whole numbers from 0 to 3, or 4 truth values, got"),
+        ({"over": np.zeros((4, 3))}, r"shape \(n,\) or \(n, 2\), got shape \(4, 3\)"),
+        ({"over": "x"}, "over must hold real coordinates"),
+        ({"rows": [0], "shape": (2, 2)}, "give it without rows and over"),
+    ],
+)
 def test_what_rows_and_coordinates_must_be(given: dict[str, Any], message: str) -> None:
     """Numbers of rows, and a place for each: what is else is refused in words."""
     with pytest.raises(InvalidOption, match=message):

@@ -19,18 +19,28 @@ def test_hansens_economy_has_prices_that_clear_all_markets() -> None:
     others.value, levels.value, incomes.value = np.ones(13), np.ones(26), np.ones(4)
     prices = cp.hstack([1.0, others])
     desired = np.flatnonzero(share.max(axis=1))
-    spread = sp.csr_array((np.ones(desired.size), (desired, np.arange(desired.size))), shape=(14, desired.size))
+    spread = sp.csr_array(
+        (np.ones(desired.size), (desired, np.arange(desired.size))), shape=(14, desired.size)
+    )
     bought = spread @ ((share[desired] @ incomes) / prices[desired])
     left = A @ levels + owned.sum(axis=1) - bought
     floor = np.where(share.max(axis=1) > 0, 1e-5, 0.0)[1:]
-    problem = cp.Problem(cp.Minimize(0), [
-        complements(others >= floor, left[1:] >= 0), complements(levels >= 0, -A.T @ prices >= 0),
-        incomes == owned.T @ prices,
-    ])
+    problem = cp.Problem(
+        cp.Minimize(0),
+        [
+            complements(others >= floor, left[1:] >= 0),
+            complements(levels >= 0, -A.T @ prices >= 0),
+            incomes == owned.T @ prices,
+        ],
+    )
     problem.solve(method="LCP", tolerance=1e-12)
     assert problem.status == "optimal"
     p, y, i = np.append(1.0, others.value), levels.value, incomes.value
-    surplus = A @ y + owned.sum(axis=1) - np.divide(share @ i, p, out=np.zeros(14), where=share.max(axis=1) > 0)
+    surplus = (
+        A @ y
+        + owned.sum(axis=1)
+        - np.divide(share @ i, p, out=np.zeros(14), where=share.max(axis=1) > 0)
+    )
     assert abs(surplus[0]) < 1e-6  # by Walras' law: nobody stated it
     assert surplus.min() > -1e-6
     assert (A.T @ p).max() < 1e-8
@@ -43,17 +53,28 @@ def test_the_elastic_transport_problem_returns_to_fixed_demands_at_its_own_price
     capacity, demand = np.array([350.0, 600.0]), np.array([325.0, 300.0, 275.0])
     cost = 0.09 * np.array([[2.5, 1.7, 1.8], [2.5, 1.8, 1.4]])
     flow, at_plant, at_market = cp.Variable((2, 3)), cp.Variable(2), cp.Variable(3)
-    profit = cp.reshape(at_plant, (2, 1), order="C") + cost - cp.reshape(at_market, (1, 3), order="C")
-    plants = [complements(flow >= 0, profit >= 0), complements(at_plant >= 0, capacity - cp.sum(flow, axis=1) >= 0)]
-    cp.Problem(cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - demand >= 0)]).solve(
-        method="LCP"
+    profit = (
+        cp.reshape(at_plant, (2, 1), order="C") + cost - cp.reshape(at_market, (1, 3), order="C")
     )
-    np.testing.assert_allclose(at_market.value, [0.225, 0.153, 0.126], atol=1e-9)  # Dantzig's dual prices
+    plants = [
+        complements(flow >= 0, profit >= 0),
+        complements(at_plant >= 0, capacity - cp.sum(flow, axis=1) >= 0),
+    ]
+    cp.Problem(
+        cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - demand >= 0)]
+    ).solve(method="LCP")
+    np.testing.assert_allclose(
+        at_market.value, [0.225, 0.153, 0.126], atol=1e-9
+    )  # Dantzig's dual prices
     assert np.sum(cost * flow.value) == pytest.approx(153.675)  # and his optimum
     usual, elasticity = at_market.value, (1.5, 1.2, 2.0)
-    wanted = cp.hstack([demand[j] * (usual[j] / at_market[j]) ** e for j, e in enumerate(elasticity)])
+    wanted = cp.hstack(
+        [demand[j] * (usual[j] / at_market[j]) ** e for j, e in enumerate(elasticity)]
+    )
     at_market.value = np.ones(3)
-    problem = cp.Problem(cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - wanted >= 0)])
+    problem = cp.Problem(
+        cp.Minimize(0), [*plants, complements(at_market >= 0, cp.sum(flow, axis=0) - wanted >= 0)]
+    )
     problem.solve(method="LCP", tolerance=1e-12)
     assert problem.status == "optimal"
     np.testing.assert_allclose(at_market.value, usual, rtol=1e-8)
@@ -65,7 +86,10 @@ def test_a_bearing_whose_oil_thickens_under_pressure() -> None:
     n, alpha, eccentricity = 400, 0.5, 0.6
     x = np.linspace(0, 2 * np.pi, n + 2)
     film = (1 + eccentricity * np.cos(x[:-1] + np.pi / (n + 1))) ** 3  # h³ between the nodes
-    A = sp.diags_array([-film[1:-1], film[:-1] + film[1:], -film[1:-1]], offsets=[-1, 0, 1]) / x[1] ** 2
+    A = (
+        sp.diags_array([-film[1:-1], film[:-1] + film[1:], -film[1:-1]], offsets=[-1, 0, 1])
+        / x[1] ** 2
+    )
     load = -eccentricity * np.sin(x[1:-1])
     linear = solve(LCP(A, load), tolerance=1e-12)
     assert linear.status is Status.SOLVED

@@ -31,8 +31,15 @@ from lcp_plugin.evidence.report.page import (
     write_report,
 )
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-TINY = ["half_active:n=64", "paper_example_1:n=64", "obstacle_bumps:size=9", "market_equilibrium:goods=4,activities=4"]
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+TINY = [
+    "half_active:n=64",
+    "paper_example_1:n=64",
+    "obstacle_bumps:size=9",
+    "market_equilibrium:goods=4,activities=4",
+]
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +67,9 @@ def folder(collected: Collected, tmp_path_factory: pytest.TempPathFactory) -> Pa
 def test_page_needs_no_other_file(folder: Path) -> None:
     """No address, script or style sheet is fetched; every picture stands in the page, and no two share an id."""
     page = (folder / "index.html").read_text(encoding="utf-8")
-    fetched = re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page)
+    fetched = re.findall(
+        r'(?:src|href)="(?!#|data:)([^"]*)"|url\((?!#|data:)([^)]*)\)|@import|<script', page
+    )
     assert fetched == []
     assert page.count("<svg") == 2 * len(TINY)
     ids = re.findall(r'\bid="([^"]*)"', page)
@@ -149,7 +158,9 @@ def server(folder: Path) -> Iterator[tuple[str, list[str]]]:
             asked.append(self.path)
 
     (folder / "harness.html").write_text(HARNESS, encoding="utf-8")
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Handler, directory=str(folder))) as one:
+    with http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), functools.partial(Handler, directory=str(folder))
+    ) as one:
         threading.Thread(target=one.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{one.server_port}", asked
         one.shutdown()
@@ -161,12 +172,26 @@ def test_page_in_a_browser(server: tuple[str, list[str]], tmp_path: Path) -> Non
     """In Chromium, 1280 and 390 pixels wide: a silent console, nothing fetched, plots there, nothing cut off."""
     address, asked = server
     run = subprocess.run(
-        [str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
-         "--disable-background-networking", f"--user-data-dir={tmp_path}",
-         "--window-size=1400,1000", "--enable-logging=stderr", "--v=0",
-         "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", "--virtual-time-budget=20000", "--dump-dom",
-         f"{address}/harness.html"],
-        capture_output=True, text=True, timeout=120, check=True,
+        [
+            str(BROWSER),
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-background-networking",
+            f"--user-data-dir={tmp_path}",
+            "--window-size=1400,1000",
+            "--enable-logging=stderr",
+            "--v=0",
+            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+            "--virtual-time-budget=20000",
+            "--dump-dom",
+            f"{address}/harness.html",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
     )
     answer = re.search(r'<pre id="answer">(.*?)</pre>', run.stdout, re.S)
     assert answer is not None, run.stdout[-500:]
@@ -234,7 +259,9 @@ def test_interruption_keeps_what_is_finished(swallowed: bool) -> None:
 @pytest.mark.full
 def test_command_from_start_to_end(tmp_path: Path) -> None:
     """The command writes the page and exits with 0; a bad name or folder is exit code 2."""
-    run = CliRunner().invoke(app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"])
+    run = CliRunner().invoke(
+        app, ["report", "half_active:n=16", "--out", str(tmp_path / "new" / "r"), "--quick"]
+    )
     assert run.exit_code == 0, run.output
     assert (tmp_path / "new" / "r" / "index.html").exists()
     (tmp_path / "file").write_text("", encoding="utf-8")
@@ -267,14 +294,20 @@ def test_command_takes_files_as_solve_does(tmp_path: Path) -> None:
 
 def test_interruption_between_two_parts_is_remembered() -> None:
     """Ctrl-C while nothing is computed, a second one too."""
+
     def stop(done: int, total: int, label: str) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
 
-    assert collect([part("a", lambda say: {}), part("b", lambda say: {})], None, stop).missing == ["scene a", "scene b"]
+    assert collect([part("a", lambda say: {}), part("b", lambda say: {})], None, stop).missing == [
+        "scene a",
+        "scene b",
+    ]
 
 
-def test_interrupted_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_command_says_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """After Ctrl-C the page holds what is there and says what is missing; the exit code is 1."""
     from lcp_plugin.evidence.report import page as module
 

@@ -109,14 +109,13 @@ def test_a_power_of_two_as_unit_changes_no_count(name: str, exponent: int) -> No
     scene = gallery.obstacle_2d(size=10, shifted=True)
     plain = solve(scene.problem, name)
     problem = scene.problem
-    scaled = LCP(problem.csr, np.ldexp(problem.q, exponent), lower=problem.lower, upper=problem.upper)
+    scaled = LCP(
+        problem.csr, np.ldexp(problem.q, exponent), lower=problem.lower, upper=problem.upper
+    )
     result = solve(scaled, name)
     assert (result.status, result.iterations) == (plain.status, plain.iterations)
     assert result.work == pytest.approx(plain.work, rel=1e-14)  # stages add up in their order
     assert np.array_equal(result.z, np.ldexp(plain.z, exponent))
-
-
-
 
 
 # --- The edge of the number range --------------------------------------------------------------------------
@@ -154,14 +153,23 @@ EXTREME = {"scaling": "diagonal", "scaling_factor": 2.0}
 VARIANTS = [pytest.param(name, {}, id=name) for name in ALL] + [
     pytest.param(name, EXTREME, id=f"{name}-scaled") for name in ALL if name.startswith("np")
 ]
-REFUSED = ("subnormal M", "subnormal M and q", "huge M", "huge M and q", "tiny diagonal", "diverging")
+REFUSED = (
+    "subnormal M",
+    "subnormal M and q",
+    "huge M",
+    "huge M and q",
+    "tiny diagonal",
+    "diverging",
+)
 REFUSED += ("negative diagonal", "zero matrix", "huge box")
 
 
 @pytest.mark.sampled
 @pytest.mark.parametrize(("name", "options"), VARIANTS)
 @pytest.mark.parametrize("case", EDGES)
-def test_the_edge_of_the_number_range_is_never_silent(name: str, options: dict[str, Any], case: str) -> None:
+def test_the_edge_of_the_number_range_is_never_silent(
+    name: str, options: dict[str, Any], case: str
+) -> None:
     """Overflow and underflow end in a refusal, an honest status or the right z; no warning, no NaN in z."""
     problem, z0 = EDGES[case]
     try:
@@ -192,7 +200,9 @@ def test_divergence_is_told(name: str) -> None:
 
 
 @EVERY_ALGORITHM
-@pytest.mark.parametrize("q", [[0.0, 0.0], [0.0, 3.0], [-0.0, 0.0]], ids=["zero", "some zeros", "negative zero"])
+@pytest.mark.parametrize(
+    "q", [[0.0, 0.0], [0.0, 3.0], [-0.0, 0.0]], ids=["zero", "some zeros", "negative zero"]
+)
 def test_q_without_negative_entries_needs_no_iteration(name: str, q: list[float]) -> None:
     """For q ≥ 0 the answer is z = 0 at once."""
     result = solve(LCP(TINY, q), name)
@@ -344,9 +354,13 @@ def test_a_limit_throws_no_work_away(name: str, limit: int) -> None:
     """After max_iterations=k the z returned is no worse than iterate k, or the last there was, also in place."""
     scene = gallery.paper_example_1(n=100)
     result = solve(scene.problem, name, z0=scene.start, tolerance=1e-14, max_iterations=limit)
-    *_, last = islice(create(name, {}).iterates(scene.problem, scene.start.copy()), result.iterations + 1)
+    *_, last = islice(
+        create(name, {}).iterates(scene.problem, scene.start.copy()), result.iterations + 1
+    )
     assert result.iterations == limit if name in SPLITTINGS else result.iterations <= limit
-    assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (1.0 + 1e-12)
+    assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (
+        1.0 + 1e-12
+    )
 
 
 @pytest.mark.parametrize("name", ["pgs", "npgs"])
@@ -354,11 +368,17 @@ def test_an_interruption_throws_no_work_away(name: str) -> None:
     """A callback that stops at step 7 gets an answer no worse than iterate 7."""
     scene = gallery.paper_example_1(n=100)
     result = solve(
-        scene.problem, name, z0=scene.start, tolerance=1e-14, callback=lambda sample, z: sample.iteration == 7
+        scene.problem,
+        name,
+        z0=scene.start,
+        tolerance=1e-14,
+        callback=lambda sample, z: sample.iteration == 7,
     )
     *_, last = islice(create(name, {}).iterates(scene.problem, scene.start.copy()), 8)
     assert result.status is Status.INTERRUPTED
-    assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (1.0 + 1e-12)
+    assert result.residual <= Certificate.of(scene.problem, last.z).relative_residual * (
+        1.0 + 1e-12
+    )
 
 
 # --- Algorithms that misbehave -----------------------------------------------------------------------------
@@ -390,10 +410,14 @@ def steps(*points: list[float], **claims: Any) -> tuple[Step, ...]:
 
 
 @pytest.mark.parametrize("bad", [NAN, math.inf, -math.inf])
-@pytest.mark.parametrize("claims", [{}, {"residual": NAN}, {"increment": NAN}, {"increment": math.inf}])
+@pytest.mark.parametrize(
+    "claims", [{}, {"residual": NAN}, {"increment": NAN}, {"increment": math.inf}]
+)
 def test_a_nan_on_the_way_is_divergence(bad: float, claims: dict[str, float]) -> None:
     """An iterate with NaN or ∞ ends the run as DIVERGED, and the best earlier iterate is returned."""
-    script = steps([0.0, 0.0], [2.0, 0.0], [1.0, 1.0]) + steps([bad, 0.0], **claims) + steps([2.5, 0.0])
+    script = (
+        steps([0.0, 0.0], [2.0, 0.0], [1.0, 1.0]) + steps([bad, 0.0], **claims) + steps([2.5, 0.0])
+    )
     result = solve(PROBLEM, Scripted(steps=script))
     assert result.status is Status.DIVERGED
     assert result.z.tolist() == [2.0, 0.0]
@@ -425,7 +449,9 @@ def test_a_lie_does_not_hide_the_solution_that_follows() -> None:
 
 def test_a_liar_by_increments_is_never_solved() -> None:
     """An algorithm that claims to stand still at a wrong z is measured, and is not SOLVED."""
-    result = solve(PROBLEM, Scripted(steps=steps(*[[1.0, 1.0]] * 500, increment=0.0)), max_iterations=400)
+    result = solve(
+        PROBLEM, Scripted(steps=steps(*[[1.0, 1.0]] * 500, increment=0.0)), max_iterations=400
+    )
     assert result.status in (Status.STALLED, Status.MAX_ITERATIONS)
     assert result.residual > 0.1
 
@@ -519,7 +545,13 @@ def test_a_front_is_no_standstill(name: str) -> None:
 def test_a_slack_that_overflows_is_no_solution(name: str) -> None:
     """Where partial sums of w overflow to +∞ although w is negative, the status is not SOLVED."""
     M = np.eye(5)
-    M[0] = [1e308, 1e308, 1e308, -1.5e308, -1.5e308]  # true slack of row 0 at z = (0, 1, 1, 1, 1): -1e308
+    M[0] = [
+        1e308,
+        1e308,
+        1e308,
+        -1.5e308,
+        -1.5e308,
+    ]  # true slack of row 0 at z = (0, 1, 1, 1, 1): -1e308
     try:
         result = solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, max_iterations=300)
     except (UnsuitableMatrix, UnsuitableProblem):

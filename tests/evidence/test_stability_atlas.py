@@ -26,9 +26,21 @@ from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.core.solving.result import BoundOrReason
 from lcp_plugin.evidence import stability as atlas
-from lcp_plugin.evidence.exact_answers import condition_of_answer, exact_answer, lie_in, relative_error
+from lcp_plugin.evidence.exact_answers import (
+    condition_of_answer,
+    exact_answer,
+    lie_in,
+    relative_error,
+)
 from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
-from lcp_plugin.evidence.stresses import FAMILIES, StressCase, grid, half_active, mostly_free, rescaled
+from lcp_plugin.evidence.stresses import (
+    FAMILIES,
+    StressCase,
+    grid,
+    half_active,
+    mostly_free,
+    rescaled,
+)
 from lcp_plugin.methods.interior_point import monotone_rows
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.proofs.exact.rational import is_exact_solution
@@ -51,10 +63,14 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any
     assert exact_answer(problem, [float(value) for value in z]) == exact_solution(problem).z
 
 
-@pytest.mark.parametrize(("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES])
+@pytest.mark.parametrize(
+    ("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES]
+)
 def test_every_case_has_a_verified_answer_or_none(family: str, case: StressCase) -> None:
     """The answers of all cases solve their problems without rounding; known condition numbers are at least 1."""
-    assert (case.exact is None) == (case.stress in ("singular M, no solution", "the answer overflows"))
+    assert (case.exact is None) == (
+        case.stress in ("singular M, no solution", "the answer overflows")
+    )
     assert case.exact is None or is_exact_solution(case.problem, case.exact)
     assert case.condition >= 1.0 or (math.isnan(case.condition) and case.problem.n > 400)
     if case.has_line:
@@ -70,8 +86,13 @@ def test_a_wrong_guess_far_from_any_answer_is_refused() -> None:
 def test_errors_are_exact() -> None:
     """An error of one ulp is seen as such, a line of solutions has its nearest point, ∞ stands for x/0."""
     third = (Fraction(1, 3), Fraction(0))
-    assert relative_error(np.array([1.0 / 3.0, 0.0]), third, np.ones(2)) == pytest.approx(2.0**-54, rel=1e-12)
-    assert relative_error(np.array([3.0, 5.0]), (Fraction(0), Fraction(1)), np.ones(2), has_line=True) == 0.5
+    assert relative_error(np.array([1.0 / 3.0, 0.0]), third, np.ones(2)) == pytest.approx(
+        2.0**-54, rel=1e-12
+    )
+    assert (
+        relative_error(np.array([3.0, 5.0]), (Fraction(0), Fraction(1)), np.ones(2), has_line=True)
+        == 0.5
+    )
     assert relative_error(np.ones(1), (Fraction(0),), np.ones(1)) == math.inf
     assert relative_error(np.zeros(1), (Fraction(0),), np.ones(1)) == 0.0
     assert relative_error(np.array([1e300]), (Fraction(1, 10**300),), np.ones(1)) == math.inf
@@ -84,7 +105,11 @@ def test_errors_are_exact() -> None:
 def test_condition_bounds_what_an_ulp_can_do(seed: int) -> None:
     """No change of all entries by 1 ulp moves the exact answer by more than condition × 2⁻⁵², and some come near."""
     i = np.arange(4)
-    cases = [mostly_free("", grid(3)), mostly_free("", 1.0 / (i[:, None] + i + 1.0)), half_active("", grid(3, 4.5))]
+    cases = [
+        mostly_free("", grid(3)),
+        mostly_free("", 1.0 / (i[:, None] + i + 1.0)),
+        half_active("", grid(3, 4.5)),
+    ]
     case = cases[seed % 3]
     problem, exact, condition = case.problem, case.exact, case.condition
     generator = np.random.default_rng(seed)
@@ -163,7 +188,9 @@ def test_a_lie_needs_no_known_answer() -> None:
 def test_an_error_beyond_the_tolerance_is_found_out(error: float) -> None:
     """An answer is off by a multiple of its tolerance, or not."""
     result = solve(half_active("", grid(6, 5.0)).problem, "psor", tolerance=1e-12)
-    result = replace(result, tolerance=1e-8, z=np.where(result.z > 0.0, result.z * (1.0 + error), 0.0))
+    result = replace(
+        result, tolerance=1e-8, z=np.where(result.z > 0.0, result.z * (1.0 + error), 0.0)
+    )
     assert bool(lie_in(result, None)) == (error > 2e-8)
 
 
@@ -195,7 +222,10 @@ def test_summary_lists_every_cell_that_is_not_solved(some: Atlas) -> None:
     assert lines[1] == "0 lies"
     assert len(lines) == 3 + len(some.unsolved) + len(some.misleading) + len(some.skipped)
     for cell in some.unsolved:
-        assert any(line.startswith(cell.status) and cell.algorithm in line and cell.stress in line for line in lines)
+        assert any(
+            line.startswith(cell.status) and cell.algorithm in line and cell.stress in line
+            for line in lines
+        )
     assert any(cell.status == "PRECISION_LIMIT" for cell in some.unsolved)
     assert any(cell.status == "STALLED" for cell in some.unsolved)
 
@@ -224,7 +254,9 @@ def test_solved_cells_are_as_accurate_as_their_condition_allows(some: Atlas) -> 
 @pytest.mark.full
 def test_atlas_becomes_json_and_survives_pickle(some: Atlas, tmp_path: Path) -> None:
     """Pickle gives back every cell; JSON holds every cell, and CSV has a row for each."""
-    assert len(json.loads(json.dumps(some.to_content(), allow_nan=False))["cells"]) == len(some.cells)
+    assert len(json.loads(json.dumps(some.to_content(), allow_nan=False))["cells"]) == len(
+        some.cells
+    )
     assert repr(pickle.loads(pickle.dumps(some))) == repr(some)
     some.save(tmp_path / "atlas.csv")
     with (tmp_path / "atlas.csv").open(newline="") as file:
@@ -237,7 +269,9 @@ def test_atlas_becomes_json_and_survives_pickle(some: Atlas, tmp_path: Path) -> 
 def test_a_second_run_gives_the_same_atlas() -> None:
     """Nothing depends on a clock: the same call gives the same cells; progress counts them."""
     calls: list[tuple[int, int, str]] = []
-    first = stability_atlas(["auto", "npgs"], ["far starts"], quick=True, progress=lambda *call: calls.append(call))
+    first = stability_atlas(
+        ["auto", "npgs"], ["far starts"], quick=True, progress=lambda *call: calls.append(call)
+    )
     assert repr(stability_atlas(["auto", "npgs"], ["far starts"], quick=True)) == repr(first)
     assert [call[:2] for call in calls] == [(k, 6) for k in range(1, 7)]
     assert calls[1][2] == "z0 = 1e10: npgs"
@@ -253,12 +287,18 @@ def test_an_empty_atlas_is_nothing_to_be_proud_of() -> None:
     ("arguments", "error", "message"),
     [
         ((["psr"],), UnknownAlgorithm, "unknown algorithm 'psr'; did you mean 'psor'"),
-        ((None, ["stifness"]), InvalidOption, "unknown stress 'stifness'; did you mean 'stiffness'"),
+        (
+            (None, ["stifness"]),
+            InvalidOption,
+            "unknown stress 'stifness'; did you mean 'stiffness'",
+        ),
         ((None, "stiffness"), InvalidOption, "stresses must be a list of names"),
         ((5,), InvalidOption, "algorithms must be names or Algorithm objects, got 5"),
     ],
 )
-def test_wrong_names_are_refused(arguments: tuple[Any, ...], error: type[Exception], message: str) -> None:
+def test_wrong_names_are_refused(
+    arguments: tuple[Any, ...], error: type[Exception], message: str
+) -> None:
     """An algorithm or stress that does not exist is refused before anything runs."""
     with pytest.raises(error, match=message):
         stability_atlas(*arguments)
@@ -347,7 +387,10 @@ def test_powers_of_two_change_no_bit(name: str) -> None:
                     continue
                 result = solve(scaled, name)
                 assert np.array_equal(result.z, np.ldexp(plain.z, exponent)), (what, power)
-                assert (result.status, result.iterations) == (plain.status, plain.iterations), (what, power)
+                assert (result.status, result.iterations) == (plain.status, plain.iterations), (
+                    what,
+                    power,
+                )
 
 
 @pytest.mark.parametrize("size", [4, 12])
@@ -398,7 +441,10 @@ def test_lemke_solves_rows_of_any_size(power: int) -> None:
 def test_interior_steps_work_in_any_unit_of_q(power: int) -> None:
     """On a nonsymmetric matrix with q of 2^±900 no product of z and w leaves the number range."""
     problem = BASES[2]
-    plain, result = solve(problem, "interior_point"), solve(in_powers_of_two(problem, power, -power), "interior_point")
+    plain, result = (
+        solve(problem, "interior_point"),
+        solve(in_powers_of_two(problem, power, -power), "interior_point"),
+    )
     assert result.status is plain.status is Status.SOLVED
     assert np.allclose(np.ldexp(result.z, -power), plain.z, rtol=1e-7, atol=1e-9)
 
@@ -411,21 +457,33 @@ def test_rows_are_made_monotone_where_they_can_be() -> None:
         assert monotone_rows(M) is None
         exponents = generator.integers(-300, 301, size=M.shape[0])
         r = monotone_rows(in_powers_of_two(LCP(M, np.zeros(M.shape[0])), exponents, 0).csr)
-        assert np.ptp(r + exponents) == 0.0  # on a connected grid they are known but for a common one
+        assert (
+            np.ptp(r + exponents) == 0.0
+        )  # on a connected grid they are known but for a common one
     for column in (-7, 7):
         windy = in_powers_of_two(BASES[2], np.resize([column, 0], 16), 0).csr
-        assert monotone_rows(sp.csr_array(sp.diags_array(np.ldexp(1.0, monotone_rows(windy))) @ windy)) is None
+        assert (
+            monotone_rows(sp.csr_array(sp.diags_array(np.ldexp(1.0, monotone_rows(windy))) @ windy))
+            is None
+        )
     assert monotone_rows(np.array([[1.0, 5.0], [5.0, 1.0]])) is None
     assert monotone_rows(np.array([[0.0, 5.0], [-5.0, 1.0]])) is None
     assert monotone_rows(np.zeros((0, 0))) is None
 
 
-@pytest.mark.parametrize("text", ["coefficient_jumps:size=9,contrast=1e4", "obstacle_2d:size=9", "murty:n=1"])
+@pytest.mark.parametrize(
+    "text", ["coefficient_jumps:size=9,contrast=1e4", "obstacle_2d:size=9", "murty:n=1"]
+)
 def test_interior_steps_see_through_the_units_of_rows(text: str) -> None:
     """Rows multiplied by 10^±50 leave a monotone problem solvable, dense or sparse, with the same answer."""
     problem = gallery.parse(text).problem
     rows = 10.0 ** np.resize([50.0, -50.0, 0.0, 25.0], problem.n)
-    scaled = LCP(sp.diags_array(rows) @ problem.csr, rows * problem.q, lower=problem.lower, upper=problem.upper)
+    scaled = LCP(
+        sp.diags_array(rows) @ problem.csr,
+        rows * problem.q,
+        lower=problem.lower,
+        upper=problem.upper,
+    )
     result = solve(scaled, "interior_point")
     assert result.status is Status.SOLVED
     assert np.allclose(result.z, solve(problem, "newton").z, rtol=1e-6, atol=1e-7)
@@ -459,4 +517,10 @@ def test_no_overflow_is_silent_at_the_edge(name: str) -> None:
         warnings.simplefilter("error", RuntimeWarning)
         assert lie_in(solve(box, name, z0=[1e308, -1e308], max_iterations=300), None) == ""
         if name != "multigrid":
-            assert lie_in(solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, max_iterations=300), None) == ""
+            assert (
+                lie_in(
+                    solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, max_iterations=300),
+                    None,
+                )
+                == ""
+            )

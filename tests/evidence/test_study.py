@@ -19,7 +19,15 @@ import scipy.sparse as sp
 from legends import hides_nothing
 
 import lcp_plugin.evidence.study as module
-from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, UnreadableFile, gallery, solve
+from lcp_plugin import (
+    LCP,
+    InvalidOption,
+    QuadraticProgram,
+    UnknownAlgorithm,
+    UnreadableFile,
+    gallery,
+    solve,
+)
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.evidence import collecting, paper_tables
 from lcp_plugin.evidence.contestants import contestants
@@ -57,18 +65,36 @@ class Damped(Algorithm):
             yield Step(z)
             if self.fails:
                 z = z[problem.n + 1]
-            z = np.clip(z - self.omega * problem.slack(z) / problem.diagonal, problem.lower, problem.upper)
+            z = np.clip(
+                z - self.omega * problem.slack(z) / problem.diagonal, problem.lower, problem.upper
+            )
 
 
 def made(*rows: tuple[str, int, str, float]) -> Study:
     """A study by hand: problem, n, method, work; negative where it was not solved."""
-    return Study(tuple(
-        Row(problem, n, n, 5 * n, "residual", 1e-8, 1, Curve(
-            method, "other", "SOLVED" if work > 0 else "STALLED",
-            (Point(0, 0.0, 0.0), Point(round(abs(work)), abs(work), abs(work), 1.0, 1.0, 1e-9, 1e-9)),
-        ))
-        for problem, n, method, work in rows
-    ))
+    return Study(
+        tuple(
+            Row(
+                problem,
+                n,
+                n,
+                5 * n,
+                "residual",
+                1e-8,
+                1,
+                Curve(
+                    method,
+                    "other",
+                    "SOLVED" if work > 0 else "STALLED",
+                    (
+                        Point(0, 0.0, 0.0),
+                        Point(round(abs(work)), abs(work), abs(work), 1.0, 1.0, 1e-9, 1e-9),
+                    ),
+                ),
+            )
+            for problem, n, method, work in rows
+        )
+    )
 
 
 # --- The table of raw results ---------------------------------------------------------------------------------
@@ -78,13 +104,21 @@ def test_a_row_is_the_run_that_solve_makes() -> None:
     """Iterations, work, residual and true error of a row are those of solve; families, scenes and problems mix."""
     known = gallery.build("half_active", n=64)
     found = study({"half": known, "own": LCP(*chain(9))}, ["psor", Damped(omega=0.5)], repeats=2)
-    for row, problem in zip(found.rows, [known.problem, known.problem, LCP(*chain(9)), LCP(*chain(9))], strict=True):
+    for row, problem in zip(
+        found.rows, [known.problem, known.problem, LCP(*chain(9)), LCP(*chain(9))], strict=True
+    ):
         algorithm = "psor" if row.curve.label == "psor" else Damped(omega=0.5)
         result = solve(problem, algorithm, z0=known.start if problem is known.problem else None)
-        assert (row.curve.iterations, row.curve.work, row.curve.status) == (result.iterations, result.work, "SOLVED")
+        assert (row.curve.iterations, row.curve.work, row.curve.status) == (
+            result.iterations,
+            result.work,
+            "SOLVED",
+        )
         assert row.curve.last.residual == result.certificate.relative_residual
         assert row.curve.last.seconds_low <= row.curve.seconds <= row.curve.last.seconds_high
-    assert found.rows[0].value("error") == np.abs(solve(known.problem, "psor").z - known.exact).max()
+    assert (
+        found.rows[0].value("error") == np.abs(solve(known.problem, "psor").z - known.exact).max()
+    )
     assert found.rows[2].value("error") is None  # nobody asked for a bound
     assert [row.curve.label for row in found.rows[:2]] == ["psor", "damped omega=0.5"]
 
@@ -93,8 +127,12 @@ def test_sizes_go_to_families_and_to_scenes_by_their_own_name() -> None:
     """A function gets the size, a scene its n or its size; n of each row is that of the problem."""
     found = study([chain, "half_active", "obstacle_2d"], ["psor"], [4, 9], repeats=1)
     assert [(row.problem, row.size, row.n) for row in found.rows] == [
-        ("chain", 4, 4), ("chain", 9, 9), ("half_active", 4, 4), ("half_active", 9, 9),
-        ("obstacle_2d", 4, 16), ("obstacle_2d", 9, 81),
+        ("chain", 4, 4),
+        ("chain", 9, 9),
+        ("half_active", 4, 4),
+        ("half_active", 9, 9),
+        ("obstacle_2d", 4, 16),
+        ("obstacle_2d", 9, 81),
     ]
 
 
@@ -107,13 +145,17 @@ def test_problems_of_one_name_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize("asked", [False, True])
-def test_a_bound_is_measured_where_it_is_asked_for(asked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bound_is_measured_where_it_is_asked_for(
+    asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Without error_bound nobody computes one; with it the error of an unknown answer is a proved bound."""
     import lcp_plugin.proofs.bounds.error_bounds as bounds
 
     calls: list[Any] = []
     compute = bounds.error_bound
-    monkeypatch.setattr(bounds, "error_bound", lambda *given, **how: calls.append(0) or compute(*given, **how))
+    monkeypatch.setattr(
+        bounds, "error_bound", lambda *given, **how: calls.append(0) or compute(*given, **how)
+    )
     found = study(chain, ["psor"], [30], repeats=1, error_bound=asked)
     assert bool(calls) is asked
     assert found.rows[0].error_kind == ("rigorous bound" if asked else "residual")
@@ -122,11 +164,15 @@ def test_a_bound_is_measured_where_it_is_asked_for(asked: bool, monkeypatch: pyt
 
 def test_the_file_is_one_plain_table_with_machine_and_versions(tmp_path: Path) -> None:
     """The CSV has a line a row with every digit, read back to the same rows; each says where it was measured."""
-    found = study(chain, ["psor", "newton"], [30, 60], repeats=1, out=tmp_path / "r.csv", curves=True)
+    found = study(
+        chain, ["psor", "newton"], [30, 60], repeats=1, out=tmp_path / "r.csv", curves=True
+    )
     with (tmp_path / "r.csv").open(encoding="utf-8", newline="") as file:
         lines = list(csv.DictReader(file))
     assert tuple(lines[0]) == COLUMNS
-    assert [repr(Row.from_content(line)) for line in lines] == [*map(repr, found.rows)]  # no NaN is equal to itself
+    assert [repr(Row.from_content(line)) for line in lines] == [
+        *map(repr, found.rows)
+    ]  # no NaN is equal to itself
     for word in ("processor", "cores", "threads", "Python", "numpy", "lcp_plugin"):
         assert word in lines[0]["machine"]
     assert len(found.rows[0].curve.points) > 5
@@ -135,7 +181,9 @@ def test_the_file_is_one_plain_table_with_machine_and_versions(tmp_path: Path) -
 # --- Interrupted, resumed, and what changes -------------------------------------------------------------------
 
 
-def test_an_interrupted_study_keeps_its_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_study_keeps_its_rows_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """After Ctrl-C the file holds what is there; the same call measures the rest only, and then nothing."""
     out, measured = tmp_path / "r.csv", module._Plan.measured
 
@@ -147,7 +195,11 @@ def test_an_interrupted_study_keeps_its_rows_and_goes_on(tmp_path: Path, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr(module._Plan, "measured", stops)
         first = study(chain, ["npsor", "psor"], [30, 60], repeats=1, out=out)
-    assert [(row.size, row.curve.label) for row in first.rows] == [(30, "npsor"), (30, "psor"), (60, "npsor")]
+    assert [(row.size, row.curve.label) for row in first.rows] == [
+        (30, "npsor"),
+        (30, "psor"),
+        (60, "npsor"),
+    ]
     assert first.missing == ("chain size 60, psor",)
     second = study(chain, ["npsor", "psor"], [30, 60], repeats=1, out=out)
     assert (second.found, second.missing, second.rows[:3]) == (3, (), first.rows)
@@ -160,13 +212,17 @@ def test_what_has_changed_is_measured_again_and_nothing_else(tmp_path: Path) -> 
     study({"p": LCP(*chain(9))}, ["psor", "pgs"], repeats=1, out=out)
     assert study({"p": LCP(*chain(9))}, ["psor"], repeats=1, out=out).found == 1
     assert study({"p": LCP(*chain(8))}, ["psor"], repeats=1, out=out).found == 0
-    assert study({"p": LCP(*chain(8))}, [("psor", {"relaxation": 1.1})], repeats=1, out=out).found == 0
+    assert (
+        study({"p": LCP(*chain(8))}, [("psor", {"relaxation": 1.1})], repeats=1, out=out).found == 0
+    )
     assert study({"p": LCP(*chain(8))}, ["psor"], repeats=2, out=out).found == 0
     assert study({"p": LCP(*chain(8))}, ["psor"], repeats=2, tolerance=1e-6, out=out).found == 0
     assert study({"p": LCP(*chain(9))}, ["pgs"], repeats=1, out=out).found == 1
 
 
-def test_rows_of_another_machine_are_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_another_machine_are_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Seconds belong to a processor and its versions."""
     study(chain, ["psor"], [9], repeats=1, out=tmp_path / "r.csv")
     monkeypatch.setattr(collecting, "machine", lambda: {"processor": "another"})
@@ -188,7 +244,10 @@ def test_a_size_or_a_matrix_that_is_refused_is_a_row_with_the_reason() -> None:
     """A family may refuse a size, a scene's parameter its range, an algorithm a matrix: REFUSED, and why."""
     found = study([even, "half_active"], ["psor"], [4, 5], repeats=1)
     assert [(row.n, row.curve.status) for row in found.rows] == [
-        (4, "SOLVED"), (0, "REFUSED"), (4, "SOLVED"), (0, "REFUSED")
+        (4, "SOLVED"),
+        (0, "REFUSED"),
+        (4, "SOLVED"),
+        (0, "REFUSED"),
     ]
     assert "ValueError: n must be even, got 5" in found.rows[1].curve.note
     assert "a perfect square" in found.rows[3].curve.note
@@ -203,7 +262,12 @@ def test_a_size_or_a_matrix_that_is_refused_is_a_row_with_the_reason() -> None:
         ((5, ["psor"]), {}, InvalidOption, "problems must be a list"),
         (([], ["psor"]), {}, InvalidOption, "problems must be a list"),
         ((["half_activ"], ["psor"]), {}, InvalidOption, "did you mean 'half_active'"),
-        ((QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]), {}, InvalidOption, r"LCP.from_qp\(program\.P"),
+        (
+            (QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]),
+            {},
+            InvalidOption,
+            r"LCP.from_qp\(program\.P",
+        ),
         ((chain, ["psr"], [4]), {}, UnknownAlgorithm, "did you mean 'psor'"),
         ((chain, ["psor"], [0]), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),
         ((chain, ["psor"], "4"), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),
@@ -257,18 +321,25 @@ def test_profile_is_that_of_dolan_and_more() -> None:
     """The share of problems that a method solves within a multiple of the best, by its definition."""
     found = made(("p", 4, "a", 10.0), ("p", 4, "b", 20.0), ("q", 4, "a", -5.0), ("q", 4, "b", 30.0))
     (table,) = found.table("profile")
-    assert [list(row) for row in table.rows] == [["a", 0.5, 0.5, 0.5, 0.5], ["b", 0.5, 1.0, 1.0, 1.0]]
+    assert [list(row) for row in table.rows] == [
+        ["a", 0.5, 0.5, 0.5, 0.5],
+        ["b", 0.5, 1.0, 1.0, 1.0],
+    ]
 
 
 TABLE = Table(
-    "a_b, δ = 4", ("method", "the n", "Res"), [("p&q", 100, 1.5e-6), ("p&q", 20_000, 2.5e-7), ("r", None, -3.0)]
+    "a_b, δ = 4",
+    ("method", "the n", "Res"),
+    [("p&q", 100, 1.5e-6), ("p&q", 20_000, 2.5e-7), ("r", None, -3.0)],
 )
 
 
 def test_numbers_are_shown_with_three_digits_and_kept_with_all(tmp_path: Path) -> None:
     """Markdown shows a column alike, with a dash for nothing; CSV keeps every digit."""
     assert TABLE.to_markdown().splitlines()[2:] == [
-        "| p&q | 100 | 1.5e-6 |", "| p&q | 20000 | 2.5e-7 |", "| r | – | -3.0e0 |"
+        "| p&q | 100 | 1.5e-6 |",
+        "| p&q | 20000 | 2.5e-7 |",
+        "| r | – | -3.0e0 |",
     ]
     assert TABLE.to_csv().splitlines()[1] == "p&q,100,1.5e-06"
     with pytest.raises(InvalidOption, match=r"a table must end in .tex, .md, .csv, got 't.txt'"):
@@ -297,11 +368,15 @@ def compiled(path: Path) -> str:
 
 
 @pytest.mark.full
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no pdflatex: apt-get install texlive-science")
+@pytest.mark.skipif(
+    shutil.which("pdflatex") is None, reason="no pdflatex: apt-get install texlive-science"
+)
 def test_the_paper_s_tables_compile_without_a_warning(tmp_path: Path) -> None:
     """Both tables, and those of a study, are set by pdflatex; its log warns of nothing and no box is too wide."""
     cells = list(paper_tables.cells())
-    save_tables([paper_tables.paper_table(cells, example) for example in (1, 2)], tmp_path / "paper.tex")
+    save_tables(
+        [paper_tables.paper_table(cells, example) for example in (1, 2)], tmp_path / "paper.tex"
+    )
     powers = [(p, n, "a_b", 3.0 * n**0.5) for p in "pq" for n in (100, 400, 900, 1600)]
     made(*powers, ("p", 100, "c", -1.0)).save("work", tmp_path / "study.tex")
     for name in ("paper", "study"):
@@ -316,13 +391,23 @@ def test_the_paper_s_tables_compile_without_a_warning(tmp_path: Path) -> None:
 def test_pictures_are_as_wide_as_a_column_or_a_page() -> None:
     """One problem makes 3.5 inches, several 7.1; names with their exponents stand below each panel."""
     pytest.importorskip("matplotlib")
-    powers = [(p, n, m, k * n**0.5) for p in "pq" for n in (100, 400, 1600) for m, k in (("a", 1.0), ("b", 9.0))]
-    one, two = (made(*[row for row in powers if row[0] in which]).plot("work") for which in ("p", "pq"))
+    powers = [
+        (p, n, m, k * n**0.5)
+        for p in "pq"
+        for n in (100, 400, 1600)
+        for m, k in (("a", 1.0), ("b", 9.0))
+    ]
+    one, two = (
+        made(*[row for row in powers if row[0] in which]).plot("work") for which in ("p", "pq")
+    )
     assert (one.get_size_inches()[0], two.get_size_inches()[0]) == (3.5, 7.1)
     for figure in (one, two):
         assert hides_nothing(figure)
         for part in figure.subfigs:
-            assert [text.get_text() for text in part.legends[0].get_texts()] == ["a  $n^{0.50}$", "b  $n^{0.50}$"]
+            assert [text.get_text() for text in part.legends[0].get_texts()] == [
+                "a  $n^{0.50}$",
+                "b  $n^{0.50}$",
+            ]
     assert [axes.get_title("left") for axes in two.axes] == ["p", "q"]
     assert two.axes[0].get_ylabel() == "work [passes over M]"
     assert two.axes[1].get_xlabel() == "unknowns n"
@@ -333,7 +418,9 @@ def test_pictures_are_as_wide_as_a_column_or_a_page() -> None:
 def test_every_view_is_a_picture(view: str, tmp_path: Path) -> None:
     """Each view that is one is drawn and saved as PDF, SVG and PNG."""
     pytest.importorskip("matplotlib")
-    found = study([chain, "half_active"], ["npsor", "psor", Damped()], [16, 64, 256], repeats=1, curves=True)
+    found = study(
+        [chain, "half_active"], ["npsor", "psor", Damped()], [16, 64, 256], repeats=1, curves=True
+    )
     for ending in ("pdf", "svg", "png"):
         found.save(view, tmp_path / f"v.{ending}")
         assert (tmp_path / f"v.{ending}").stat().st_size > 2000
@@ -355,7 +442,9 @@ def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
 def test_a_file_of_measurements_says_what_it_can_be(tmp_path: Path) -> None:
     """One verb saves: the ending says what; another ending, and what is for a picture alone, are refused in words."""
     report = made(("p", 4, "a", 7.0)).reports()[0]
-    with pytest.raises(InvalidOption, match=r"must end in .png, .pdf, .svg, .csv, .json, got 'r.txt'"):
+    with pytest.raises(
+        InvalidOption, match=r"must end in .png, .pdf, .svg, .csv, .json, got 'r.txt'"
+    ):
         report.save(tmp_path / "r.txt")
     with pytest.raises(InvalidOption, match=r"against is for a picture .*got 'r.csv'"):
         report.save(tmp_path / "r.csv", against="work")
@@ -365,7 +454,9 @@ def test_a_class_in_place_of_an_object_is_told() -> None:
     """study([Mine]) says to write Mine(); a table prints as one."""
     with pytest.raises(InvalidOption, match=r"got the class Damped; write Damped\(\)"):
         study("half_active", [Damped], [16])
-    assert str(made(("p", 4, "a", 7.0)).table()[0]).startswith("p: iterations\n\n| method | n = 4 |")
+    assert str(made(("p", 4, "a", 7.0)).table()[0]).startswith(
+        "p: iterations\n\n| method | n = 4 |"
+    )
 
 
 def test_a_missing_exponent_is_told() -> None:
@@ -379,10 +470,17 @@ def test_a_missing_exponent_is_told() -> None:
 
 def test_why_there_is_no_answer_is_printed() -> None:
     """A method that refuses, and a family called without sizes, say why in print(study), without a NaN."""
+
     def family(n: int) -> LCP:
         return LCP(*chain(n))
 
-    told = str(study({"own": LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0]), "family": family}, ["psor"], repeats=1))
+    told = str(
+        study(
+            {"own": LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0]), "family": family},
+            ["psor"],
+            repeats=1,
+        )
+    )
     assert "nan" not in told
     assert "psor needs a positive diagonal, but M[0, 0] = 0.0" in told
     assert "family needs a size (sizes=[100], --size 100)" in told
@@ -407,9 +505,14 @@ def test_a_view_that_does_not_exist_is_refused() -> None:
 
 def test_a_map_tells_wrong_from_hidden_from_honest() -> None:
     """A lie, or an error that condition × residual does not explain, is wrong; explained it is hidden; else honest."""
-    def cell(status: str, error: float, condition: float, *, told: bool = True, family: str = "ranges") -> Cell:
+
+    def cell(
+        status: str, error: float, condition: float, *, told: bool = True, family: str = "ranges"
+    ) -> Cell:
         lost = max(0.0, math.log10(error / (condition * 1e-9))) if error else 0.0
-        return Cell("psor", "contrast 1e8", family, condition, status, error, 1e-9, None, lost, told)
+        return Cell(
+            "psor", "contrast 1e8", family, condition, status, error, 1e-9, None, lost, told
+        )
 
     assert cell("SOLVED", 1e-7, 10.0).outcome == "right"
     assert cell("SOLVED", 0.1, 1e9).outcome == HIDDEN
@@ -425,26 +528,39 @@ def test_a_map_tells_wrong_from_hidden_from_honest() -> None:
 def test_nothing_is_wrong_but_solved_and_a_proved_error_hides_nothing(tmp_path: Path) -> None:
     """Over all ranges no method is wrong; SOLVED by a proved error is right everywhere it is said."""
     pytest.importorskip("matplotlib")
-    atlas = stability_atlas(["auto", "npsor", "psor", "newton"], ["ranges", "proved ranges"], quick=True)
-    outcomes = {family: {cell.outcome for cell in atlas.cells if cell.family == family}
-                for family in ("ranges", "proved ranges")}
+    atlas = stability_atlas(
+        ["auto", "npsor", "psor", "newton"], ["ranges", "proved ranges"], quick=True
+    )
+    outcomes = {
+        family: {cell.outcome for cell in atlas.cells if cell.family == family}
+        for family in ("ranges", "proved ranges")
+    }
     assert WRONG not in outcomes["ranges"]
     assert outcomes["proved ranges"] == {"right", "says that it failed"}
     assert not atlas.lies
     for family in outcomes:
         figure = atlas.plot(family=family)
         atlas.save(tmp_path / "map.png", family=family)
-        assert [axes.get_title("left") for axes in figure.axes] == ["auto", "npsor", "psor", "newton"]
+        assert [axes.get_title("left") for axes in figure.axes] == [
+            "auto",
+            "npsor",
+            "psor",
+            "newton",
+        ]
         assert len(figure.legends[0].get_texts()) == len(OUTCOMES)
 
 
 def test_a_method_of_one_s_own_has_its_map() -> None:
     """The atlas takes objects beside names, and tells from each other one that raises and one that gives up."""
     atlas = stability_atlas([Damped(), Damped(fails=True), "psor"], ["far starts"], quick=True)
-    found = {name: {cell.outcome for cell in atlas.cells if cell.algorithm == name}
-             for name in ("damped", "damped fails=True", "psor")}
+    found = {
+        name: {cell.outcome for cell in atlas.cells if cell.algorithm == name}
+        for name in ("damped", "damped fails=True", "psor")
+    }
     assert found == {
-        "damped": {"right", "says that it failed"}, "damped fails=True": {"raised an error"}, "psor": {"right"}
+        "damped": {"right", "says that it failed"},
+        "damped fails=True": {"raised an error"},
+        "psor": {"right"},
     }
 
 

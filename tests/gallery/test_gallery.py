@@ -19,7 +19,12 @@ from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem
-from lcp_plugin.gallery.obstacle import CONE_BEGINS, CONTACT_RADIUS, sphere_obstacle, sphere_solution
+from lcp_plugin.gallery.obstacle import (
+    CONE_BEGINS,
+    CONTACT_RADIUS,
+    sphere_obstacle,
+    sphere_solution,
+)
 from lcp_plugin.gallery.stencil import dirichlet_terms, nodes, stencil_matrix
 
 # Every scene, and one line per variant, small enough for dense linear algebra and rational arithmetic.
@@ -78,8 +83,21 @@ SMALL = [
     "rotated_anisotropy:size=6,ratio=0.01",
 ]
 
-PLANTED = [text for text in SMALL if gallery.parse(text).exact is not None and not text.startswith("bimatrix")]
-OF_GRIDS = ("american", "coefficient", "convection", "half", "journal", "obstacle", "optimal", "paper")
+PLANTED = [
+    text
+    for text in SMALL
+    if gallery.parse(text).exact is not None and not text.startswith("bimatrix")
+]
+OF_GRIDS = (
+    "american",
+    "coefficient",
+    "convection",
+    "half",
+    "journal",
+    "obstacle",
+    "optimal",
+    "paper",
+)
 M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
 
 
@@ -190,7 +208,11 @@ def test_three_ways_to_build_agree() -> None:
 @pytest.mark.parametrize(
     ("name", "parameters", "message"),
     [
-        ("obstacle2d", {}, r"unknown scene 'obstacle2d'; did you mean 'obstacle_2d'\? \(\d+ are known"),
+        (
+            "obstacle2d",
+            {},
+            r"unknown scene 'obstacle2d'; did you mean 'obstacle_2d'\? \(\d+ are known",
+        ),
         (
             "obstacle_2d",
             {"siez": 9},
@@ -213,9 +235,21 @@ def test_three_ways_to_build_agree() -> None:
             "active_share must be a finite number, between 0 and 1, got 1.5",
         ),
         ("random_h_plus", {"n": 1}, "n must be an integer, ≥ 2, got 1"),
-        ("random_h_plus", {"row_scale": 101}, "row_scale must be an integer, between 0 and 100, got 101"),
-        ("murty", {"orientation": "left"}, "orientation must be a word, 'upper' or 'lower', got 'left'"),
-        ("bimatrix_game", {"game": "poker"}, "game must be a word, 'battle_of_the_sexes' or .*, got 'poker'"),
+        (
+            "random_h_plus",
+            {"row_scale": 101},
+            "row_scale must be an integer, between 0 and 100, got 101",
+        ),
+        (
+            "murty",
+            {"orientation": "left"},
+            "orientation must be a word, 'upper' or 'lower', got 'left'",
+        ),
+        (
+            "bimatrix_game",
+            {"game": "poker"},
+            "game must be a word, 'battle_of_the_sexes' or .*, got 'poker'",
+        ),
         ("rigid_stack", {"points": 1}, "points must be an integer, ≥ 2, got 1"),
         ("american_put", {"volatility": 0.0}, "volatility must be a finite number, > 0, got 0.0"),
         (
@@ -225,7 +259,9 @@ def test_three_ways_to_build_agree() -> None:
         ),
     ],
 )
-def test_bad_parameters_are_refused_by_name_and_value(name: str, parameters: dict, message: str) -> None:
+def test_bad_parameters_are_refused_by_name_and_value(
+    name: str, parameters: dict, message: str
+) -> None:
     """A wrong scene, parameter, type or range is an InvalidOption that says what is right."""
     with pytest.raises(InvalidOption, match=message):
         gallery.build(name, **parameters)
@@ -235,7 +271,10 @@ def test_bad_parameters_are_refused_by_name_and_value(name: str, parameters: dic
     ("text", "message"),
     [
         ("nothing_like_it:size=3", r"unknown scene 'nothing_like_it'; \d+ are known"),
-        ("obstacle_2d:size", "'size' in 'obstacle_2d:size' has no '='; write scene:parameter=value"),
+        (
+            "obstacle_2d:size",
+            "'size' in 'obstacle_2d:size' has no '='; write scene:parameter=value",
+        ),
         ("obstacle_2d:size=3,size=4", "'size=4' in .* repeats a parameter"),
         ("obstacle_2d:size=3.5", "size must be an integer, ≥ 1, got '3.5'"),
         ("obstacle_2d:shifted=perhaps", "shifted must be True or False, got 'perhaps'"),
@@ -367,7 +406,9 @@ def test_stencil_and_boundary_terms_together_are_the_operator() -> None:
     inner = u[1:-1, 1:-1]
     expected = centre * inner + below[0] * u[:-2, 1:-1] + above[0] * u[2:, 1:-1]
     expected += below[1] * u[1:-1, :-2] + above[1] * u[1:-1, 2:]
-    result = stencil_matrix((3, 4), centre, below, above) @ inner.ravel() + dirichlet_terms(u, below, above)
+    result = stencil_matrix((3, 4), centre, below, above) @ inner.ravel() + dirichlet_terms(
+        u, below, above
+    )
     assert np.allclose(result, expected.ravel(), rtol=0.0, atol=1e-14)
 
 
@@ -379,7 +420,9 @@ def test_paper_matrices_are_the_printed_ones_corrected() -> None:
         line = sp.diags_array([sub, 4.0, sup], offsets=[-1, 0, 1], shape=(5, 5))
         neighbours = sp.diags_array([sub, sup], offsets=[-1, 1], shape=(5, 5))
         expected = (
-            sp.kron(sp.eye_array(5), line) + sp.kron(neighbours, sp.eye_array(5)) + 3.0 * sp.eye_array(25)
+            sp.kron(sp.eye_array(5), line)
+            + sp.kron(neighbours, sp.eye_array(5))
+            + 3.0 * sp.eye_array(25)
         )
         assert np.array_equal(scene.problem.csr.toarray(), expected.toarray())
         assert scene.exact[:3].tolist() == [1.0, 2.0, 1.0]
@@ -390,7 +433,12 @@ def test_paper_matrices_are_the_printed_ones_corrected() -> None:
 @pytest.mark.full
 @pytest.mark.parametrize(
     "text",
-    ["paper_example_1:n=250000", "half_active:n=250000", "obstacle_2d:size=500", "obstacle_3d:size=63"],
+    [
+        "paper_example_1:n=250000",
+        "half_active:n=250000",
+        "obstacle_2d:size=500",
+        "obstacle_3d:size=63",
+    ],
 )
 def test_a_quarter_of_a_million_unknowns_are_cheap(text: str) -> None:
     """Assembly takes less than two seconds and less than three times the memory of the matrix."""
@@ -449,7 +497,9 @@ def test_sphere_solution_meets_the_obstacle_smoothly(dimension: int) -> None:
     """At r* value and slope agree, the equation for r* holds, u > ψ beyond, and ψ is concave."""
     contact = CONTACT_RADIUS[dimension]
     equation = (
-        contact**2 * (1.0 - np.log(contact / 2.0)) if dimension == 2 else 2 * contact**2 - contact**3 / 2
+        contact**2 * (1.0 - np.log(contact / 2.0))
+        if dimension == 2
+        else 2 * contact**2 - contact**3 / 2
     )
     assert equation == pytest.approx(1.0, abs=4e-16)
 
@@ -466,7 +516,9 @@ def test_sphere_solution_meets_the_obstacle_smoothly(dimension: int) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("name", "sizes"), [("obstacle_2d", (15, 30, 60)), ("obstacle_3d", (8, 18))])
+@pytest.mark.parametrize(
+    ("name", "sizes"), [("obstacle_2d", (15, 30, 60)), ("obstacle_3d", (8, 18))]
+)
 def test_obstacle_converges_to_the_analytic_solution(name: str, sizes: tuple[int, ...]) -> None:
     """Refining the grid shrinks the error fast, and the free boundary is met within one mesh width."""
     dimension = int(name[-2])
@@ -517,7 +569,9 @@ def test_stopping_operator_is_exact_on_linear_functions() -> None:
     )
     x, y = np.ix_(*scene.coordinates)
     u = 2.0 * x - 3.0 * y
-    expected = 2.0 * (wind_x - swirl * (y - 0.5)) - 3.0 * (wind_y + swirl * (x - 0.5)) + discount * u
+    expected = (
+        2.0 * (wind_x - swirl * (y - 0.5)) - 3.0 * (wind_y + swirl * (x - 0.5)) + discount * u
+    )
     computed = scene.picture(scene.problem.csr @ u.ravel()) * (size + 1) ** 2
     assert np.allclose(computed[1:-1, 1:-1], expected[1:-1, 1:-1], rtol=0.0, atol=1e-12)
 
@@ -543,7 +597,9 @@ def test_american_put_march_agrees_with_the_binomial_tree() -> None:
     data = {key: scene.parameters[key] for key in ("strike", "rate", "volatility", "maturity")}
     spots = data["strike"] * np.array([0.8, 0.9, 1.0, 1.1, 1.3])
     tree = gallery.binomial_put(spots, **data)
-    assert np.interp(spots, scene.coordinates[0], z) == pytest.approx(tree, abs=2e-4 * data["strike"])
+    assert np.interp(spots, scene.coordinates[0], z) == pytest.approx(
+        tree, abs=2e-4 * data["strike"]
+    )
     assert tree[0] == pytest.approx(20.0, abs=1e-12)
     assert gallery.binomial_put(100.0, **data).shape == ()
 
@@ -568,7 +624,9 @@ def test_both_put_scenes_have_the_same_defaults() -> None:
 def test_binomial_tree_refuses_what_gives_no_probability() -> None:
     """No steps, or steps too long for the drift, are refused; the latter with the number that suffices."""
     data = {"strike": 100.0, "rate": 0.5, "volatility": 0.05, "maturity": 1.0}
-    with pytest.raises(InvalidOption, match="steps must be at least 101 at this rate and volatility, got 50"):
+    with pytest.raises(
+        InvalidOption, match="steps must be at least 101 at this rate and volatility, got 50"
+    ):
         gallery.binomial_put(100.0, **data, steps=50)
     assert gallery.binomial_put(100.0, **data, steps=101) == pytest.approx(0.0, abs=0.1)
     with pytest.raises(InvalidOption, match="steps must be positive, got 0"):
@@ -600,7 +658,10 @@ def test_market_clears_and_nobody_runs_at_a_loss() -> None:
     assert not (w * scene.exact).any()
     assert np.any(scene.exact[:30] == 0.0)
     assert np.count_nonzero(scene.exact[30:]) == 6
-    assert np.linalg.eigvalsh(scene.problem.csr.toarray() + scene.problem.csr.toarray().T).min() > -1e-9
+    assert (
+        np.linalg.eigvalsh(scene.problem.csr.toarray() + scene.problem.csr.toarray().T).min()
+        > -1e-9
+    )
 
 
 def test_stack_carries_its_weight() -> None:
@@ -664,7 +725,9 @@ def test_torsion_is_nowhere_steeper_than_the_yield_stress() -> None:
     for share in (0.0, 0.5, 0.9):
         scene, z = twisted(f"size=30,plastic_share={share}")
         u = np.pad(scene.picture(z), 1)
-        assert max(np.abs(np.diff(u, axis=axis)).max() for axis in (0, 1)) <= 2.0 / 31.0 * (1.0 + 1e-12)
+        assert max(np.abs(np.diff(u, axis=axis)).max() for axis in (0, 1)) <= 2.0 / 31.0 * (
+            1.0 + 1e-12
+        )
         shares.append(np.mean(plastic(scene, z)))
         assert scene.picture(z)[0, 0] < scene.picture(scene.problem.upper)[0, 0]
     assert 0.1 < shares[0] < shares[1] < shares[2] < 0.8

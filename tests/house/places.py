@@ -15,29 +15,77 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"
-MIDDLES = ("min", "max", "minimum", "maximum", "clip", "fmin", "fmax", "_clamp", "_clamped", "clamp", "mid")
+MIDDLES = (
+    "min",
+    "max",
+    "minimum",
+    "maximum",
+    "clip",
+    "fmin",
+    "fmax",
+    "_clamp",
+    "_clamped",
+    "clamp",
+    "mid",
+)
 BOUND = re.compile(r"(?i)\b(lower|upper|high|low|bounds)\b")
 TOLERANCE = re.compile(r"\b(tolerance|goal)\b")
-MEASURED = re.compile(r"residual|size|largest|value|optimality|errors?\b|gap|small|ends|relative|least|reached")
+MEASURED = re.compile(
+    r"residual|size|largest|value|optimality|errors?\b|gap|small|ends|relative|least|reached"
+)
 
 NAMED = {
     "bring M, q to one scale": (
-        "scaling_of", "CommonScaling", "equilibrated", "equilibrating_exponents", "scaling_exponents",
-        "equilibration", "equilibrate", "_fitted", "_scaled_columns", "balance_within", "_together", "_fitted_together",
+        "scaling_of",
+        "CommonScaling",
+        "equilibrated",
+        "equilibrating_exponents",
+        "scaling_exponents",
+        "equilibration",
+        "equilibrate",
+        "_fitted",
+        "_scaled_columns",
+        "balance_within",
+        "_together",
+        "_fitted_together",
         "_symmetrising",
     ),
     "take out what is known": (
-        "Presolved", "fold_simple_rows", "substitute_definitions", "eliminate_definitions", "without_known",
-         "fixed_and_free", "Condensed", "_FreePart", "CanonicalBox", "Reduction",
+        "Presolved",
+        "fold_simple_rows",
+        "substitute_definitions",
+        "eliminate_definitions",
+        "without_known",
+        "fixed_and_free",
+        "Condensed",
+        "_FreePart",
+        "CanonicalBox",
+        "Reduction",
     ),
     "a dense active set of a convex program": (
-        "append_row", "WorkingSet", "add_row", "drop_row", "dual_active_set",
+        "append_row",
+        "WorkingSet",
+        "add_row",
+        "drop_row",
+        "dual_active_set",
     ),
     "a tableau": ("follow_path", "_exchange", "pivots", "_hold", "_add"),
-    "a form of a program": ("DirectForm", "KKTForm", "DualForm", "_is_laplacian", "least_multipliers"),
+    "a form of a program": (
+        "DirectForm",
+        "KKTForm",
+        "DualForm",
+        "_is_laplacian",
+        "least_multipliers",
+    ),
     "a derivative": ("Derivative", "settle", "solve_steps"),
     "many": (
-        "solve_many", "solve_batch", "MixedRun", "BatchRun", "ProgramBatchRun", "QuadraticProgramBatch", "march",
+        "solve_many",
+        "solve_batch",
+        "MixedRun",
+        "BatchRun",
+        "ProgramBatchRun",
+        "QuadraticProgramBatch",
+        "march",
         "march_many",
     ),
 }
@@ -83,13 +131,17 @@ def has_residual(function: ast.AST) -> bool:
                 differences |= {ast.unparse(name) for name, value in pairs if _is_difference(value)}
 
     def is_known(node: ast.AST) -> bool:
-        return _is_difference(node) or any(ast.unparse(part) in differences for part in ast.walk(node))
+        return _is_difference(node) or any(
+            ast.unparse(part) in differences for part in ast.walk(node)
+        )
 
     for node in ast.walk(function):
         if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in MIDDLES:
             arguments = [*node.args, *(word.value for word in node.keywords)]
             inner = [part for one in arguments if isinstance(one, ast.Call) for part in one.args]
-            parts = [one for one in arguments if not isinstance(one, ast.Call) or _is_difference(one)] + inner
+            parts = [
+                one for one in arguments if not isinstance(one, ast.Call) or _is_difference(one)
+            ] + inner
             known = [is_known(part) for part in parts]
             if len(parts) >= 3 and sum(known) >= 2 and not all(known):
                 return True
@@ -106,9 +158,17 @@ def says_solved(function: ast.AST) -> bool:
     for node in ast.walk(function):
         if isinstance(node, (ast.Return, ast.Assign, ast.AugAssign, ast.If)):
             part = node.test if isinstance(node, ast.If) else node.value
-            tests = [one for one in ast.walk(part) if isinstance(one, ast.Compare)] if part is not None else []
-            if any(isinstance(one.ops[-1], (ast.LtE, ast.Gt)) and TOLERANCE.search(ast.unparse(one.comparators[-1]))
-                   and MEASURED.search(ast.unparse(one.left)) for one in tests):
+            tests = (
+                [one for one in ast.walk(part) if isinstance(one, ast.Compare)]
+                if part is not None
+                else []
+            )
+            if any(
+                isinstance(one.ops[-1], (ast.LtE, ast.Gt))
+                and TOLERANCE.search(ast.unparse(one.comparators[-1]))
+                and MEASURED.search(ast.unparse(one.left))
+                for one in tests
+            ):
                 return True
     return False
 
@@ -146,7 +206,9 @@ def places(package: Path) -> dict[str, list[str]]:
             for job, names in NAMED.items():
                 if name.rpartition(".")[2] in names and re.search(FOLDERS.get(job, ""), where):
                     found[job].append(f"{where}: {name}")
-            if isinstance(node, ast.FunctionDef) and not where.startswith(("interfaces/", "modeling/")):  # others' data
+            if isinstance(node, ast.FunctionDef) and not where.startswith(
+                ("interfaces/", "modeling/")
+            ):  # others' data
                 for job, is_one in READ.items():
                     if is_one(node):
                         found[job].append(f"{where}: {name}")
@@ -156,13 +218,21 @@ def places(package: Path) -> dict[str, list[str]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--list", action="store_true", help="print every place as well")
-    parser.add_argument("--package", type=Path, default=PACKAGE, help="the folder lcp_plugin of another version")
+    parser.add_argument(
+        "--package", type=Path, default=PACKAGE, help="the folder lcp_plugin of another version"
+    )
     asked = parser.parse_args()
     files = list(asked.package.rglob("*.py"))
-    nodes = sum(sum(1 for _ in ast.walk(ast.parse(file.read_text(encoding="utf-8")))) for file in files)
+    nodes = sum(
+        sum(1 for _ in ast.walk(ast.parse(file.read_text(encoding="utf-8")))) for file in files
+    )
     print(f"{len(files)} files, {nodes} syntax nodes")
     for job, found in places(asked.package).items():
-        print(f"{len(found):4}  {job}", *(f"        {place}" for place in found if asked.list), sep="\n")
+        print(
+            f"{len(found):4}  {job}",
+            *(f"        {place}" for place in found if asked.list),
+            sep="\n",
+        )
 
 
 if __name__ == "__main__":

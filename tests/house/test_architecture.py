@@ -19,17 +19,39 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
 FLOORS = 14
 HEAVY = (
-    "numba", "pyamg", "cvxpy", "matplotlib", "hypothesis", "rich", "typer", "jinja2", "torch", "jax", "pyomo",
-    "qpsolvers", "quantecon", "cvxpylayers", "h5py",
+    "numba",
+    "pyamg",
+    "cvxpy",
+    "matplotlib",
+    "hypothesis",
+    "rich",
+    "typer",
+    "jinja2",
+    "torch",
+    "jax",
+    "pyomo",
+    "qpsolvers",
+    "quantecon",
+    "cvxpylayers",
+    "h5py",
 )
-FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "interfaces")  # which hold nothing but a docstring
+FOLDERS_ALONE = (
+    "__init__",
+    "__main__",
+    "methods",
+    "problems",
+    "interfaces",
+)  # which hold nothing but a docstring
 LEADS_ON = {  # imports inside a function that lead to what lies above: from which file, to what, why
     "core.lcp": (
         {"cones", "contact", "files", "modeling", "programs", "ranks", "reformulations"},
         "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
     ),
     "core.kind": ({"kinds"}, "a refusal names every kind that would be taken"),
-    "core.solving.result": ({"proofs"}, "explain() says what may mislead, guarantee what is proved"),
+    "core.solving.result": (
+        {"proofs"},
+        "explain() says what may mislead, guarantee what is proved",
+    ),
     "core.solving.answer": ({"evidence"}, "plot() of every answer"),
     "problems.many.answers": ({"evidence"}, "plot() of many answers"),
     "problems.contact": ({"cones"}, "auto begins with the cones behind a pyramid's LCP"),
@@ -39,8 +61,14 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),
     "problems.cones.frictional_contact": ({"files"}, "save() of many worlds with contact"),
     "problems.programs.certification": ({"modeling"}, "certify takes a cvxpy problem as well"),
-    "problems.equilibria.branch_and_bound": ({"scip"}, "SCIP is asked where it is installed, in expressions"),
-    "proofs.guarantees": ({"auto", "direct"}, "convergence_guarantee takes what solve takes, a name or auto"),
+    "problems.equilibria.branch_and_bound": (
+        {"scip"},
+        "SCIP is asked where it is installed, in expressions",
+    ),
+    "proofs.guarantees": (
+        {"auto", "direct"},
+        "convergence_guarantee takes what solve takes, a name or auto",
+    ),
     "interfaces.files.files": ({"nl"}, "LCP.load and save take an .nl file as well"),
     "interfaces.nl.writing": ({"pyomo"}, "write_nl takes a Pyomo model as well"),
 }
@@ -51,7 +79,11 @@ def module_of(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-FILES = sorted(file for file in PACKAGE.rglob("*.py") if subpackage_of(file) not in (*FOLDERS_ALONE, "__init__"))
+FILES = sorted(
+    file
+    for file in PACKAGE.rglob("*.py")
+    if subpackage_of(file) not in (*FOLDERS_ALONE, "__init__")
+)
 MODULES = {module_of(file): file for file in FILES}
 
 
@@ -74,25 +106,36 @@ def imported_modules(file: Path) -> tuple[set[str], set[str]]:
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else []
             prefix = ".".join([*base, node.module] if node.module else base)
-            targets = [name if (name := f"{prefix}.{alias.name}") in MODULES else prefix for alias in node.names]
+            targets = [
+                name if (name := f"{prefix}.{alias.name}") in MODULES else prefix
+                for alias in node.names
+            ]
         else:
             continue
-        found[is_inside].update({target for target in targets if target in MODULES} - {module_of(file)})
+        found[is_inside].update(
+            {target for target in targets if target in MODULES} - {module_of(file)}
+        )
     return found
 
 
 BOTH = {module: imported_modules(file) for module, file in MODULES.items()}
 PLAIN = {module: plain for module, (plain, _) in BOTH.items()}
-PLAIN["lcp_plugin.algorithms"] |= {one for one in MODULES if one.startswith("lcp_plugin.methods.")}  # its table's
+PLAIN["lcp_plugin.algorithms"] |= {
+    one for one in MODULES if one.startswith("lcp_plugin.methods.")
+}  # its table's
 INSIDE = {module: inside for module, (_, inside) in BOTH.items()}
 LED = {
     module: {
-        target for target in targets
-        if subpackage_of(MODULES[target]) in LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
+        target
+        for target in targets
+        if subpackage_of(MODULES[target])
+        in LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
     }
     for module, targets in INSIDE.items()
 }
-IMPORTS = {module: PLAIN[module] | INSIDE[module] - LED[module] for module in MODULES}  # what the picture is about
+IMPORTS = {
+    module: PLAIN[module] | INSIDE[module] - LED[module] for module in MODULES
+}  # what the picture is about
 
 
 def assert_has_no_circle(imports: dict[str, set[str]]) -> None:
@@ -107,7 +150,9 @@ def test_arrows_stand_in_the_picture() -> None:
     """A file imports from its own subpackage, from the core, and from where the arrows lead, in functions too."""
     for module, file in MODULES.items():
         subpackage = subpackage_of(file)
-        assert subpackage in ARROWS, f"the picture in architecture.md and the table below it lack {subpackage}"
+        assert subpackage in ARROWS, (
+            f"the picture in architecture.md and the table below it lack {subpackage}"
+        )
         for target in IMPORTS[module]:
             allowed = {subpackage, "core", *ARROWS[subpackage]}
             assert subpackage_of(MODULES[target]) in allowed, f"{module} → {target}"
@@ -118,7 +163,8 @@ def test_every_arrow_is_needed() -> None:
     drawn = {(subpackage, target) for subpackage, targets in ARROWS.items() for target in targets}
     has = {
         (subpackage_of(MODULES[one]), subpackage_of(MODULES[other]))
-        for one, targets in IMPORTS.items() for other in targets
+        for one, targets in IMPORTS.items()
+        for other in targets
     }
     assert not drawn - has
 
@@ -127,7 +173,8 @@ def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
     """What a function imports from above is listed with its reason, and nothing is listed in vain."""
     led = {
         module.removeprefix("lcp_plugin."): {subpackage_of(MODULES[target]) for target in targets}
-        for module, targets in LED.items() if targets
+        for module, targets in LED.items()
+        if targets
     }
     assert led == {module: subpackages for module, (subpackages, _) in LEADS_ON.items()}
     assert all(why for _, why in LEADS_ON.values())
@@ -163,10 +210,17 @@ def test_the_house_has_few_floors() -> None:
 def test_the_storeys_of_the_readme_hold() -> None:
     """Each subpackage stands on one line of README's picture; none imports from a line below its own."""
     storey = {name: k for k, names in enumerate(STOREYS) for name in names}
-    for k, names in enumerate(STOREYS):  # a folder stands for those of its subpackages that no line names
+    for k, names in enumerate(
+        STOREYS
+    ):  # a folder stands for those of its subpackages that no line names
         storey |= {name: k for name in names if not any(name in STOREYS[j] for j in range(k))}
     assert set(storey) == set(ARROWS)
-    assert [(one, other) for one, targets in ARROWS.items() for other in targets if storey[other] > storey[one]] == []
+    assert [
+        (one, other)
+        for one, targets in ARROWS.items()
+        for other in targets
+        if storey[other] > storey[one]
+    ] == []
 
 
 def test_picture_shows_every_subpackage() -> None:
@@ -238,7 +292,9 @@ def test_star_import_needs_no_hypothesis() -> None:
     )
     solved, *asked = printed_by(code).splitlines()
     assert solved == "SOLVED"
-    assert asked == 3 * ["lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"]
+    assert asked == 3 * [
+        "lcp_plugin.strategies needs hypothesis; install it with: pip install 'lcp_plugin[test]'"
+    ]
 
 
 @pytest.mark.full
@@ -251,8 +307,13 @@ def test_layers_ask_for_their_frameworks() -> None:
         "    try:\n        importlib.import_module(f'lcp_plugin.interfaces.learn.{name}')\n"
         "    except ImportError as error:\n        print(error)"
     )
-    needed = "lcp_plugin.interfaces.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
-    assert printed_by(code).splitlines() == [needed.format("torch", "PyTorch"), needed.format("jax", "JAX")]
+    needed = (
+        "lcp_plugin.interfaces.learn.{} needs {}; install it with: pip install 'lcp_plugin[learn]'"
+    )
+    assert printed_by(code).splitlines() == [
+        needed.format("torch", "PyTorch"),
+        needed.format("jax", "JAX"),
+    ]
 
 
 def table_rows() -> dict[str, list[str]]:

@@ -22,7 +22,8 @@ QUICK = ("sweeps", "paper-at-scale", "programs", "certificates")  # half a secon
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in BENCHMARKS]
+    "name",
+    [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in BENCHMARKS],
 )
 def test_benchmark_runs(name: str) -> None:
     """A benchmark in its quick form prints lines with measured figures."""
@@ -33,7 +34,9 @@ def test_benchmark_runs(name: str) -> None:
 def benchmarks(*arguments: str) -> subprocess.CompletedProcess[str]:
     """What ``python tests/benchmarks`` does with these arguments."""
     return subprocess.run(
-        [sys.executable, str(Path(__file__).parents[1] / "benchmarks"), *arguments], capture_output=True, text=True
+        [sys.executable, str(Path(__file__).parents[1] / "benchmarks"), *arguments],
+        capture_output=True,
+        text=True,
     )
 
 
@@ -59,7 +62,9 @@ def test_a_benchmark_runs_by_its_name() -> None:
     [
         ("smal", r"unknown benchmark 'smal'; did you mean 'small'\?"),
         ("xyz", r"unknown benchmark 'xyz'; known: sweeps"),
-        ("sweeps one.npz", "sweeps takes no files"), ("programs none.npz", "none.npz"), ("small --slow", "--slow"),
+        ("sweeps one.npz", "sweeps takes no files"),
+        ("programs none.npz", "none.npz"),
+        ("small --slow", "--slow"),
     ],
 )
 def test_what_is_wrong_is_said_without_a_traceback(arguments: str, told: str) -> None:
@@ -74,7 +79,9 @@ def test_scipy_baselines_compute_the_same_iterates() -> None:
     """Both scipy implementations stop at the paper's count and at our iterate: the comparison is fair."""
     scene = gallery.build("paper_example_1", n=900)
     M, q, start = scene.problem.csr, np.array(scene.problem.q), np.array(scene.start)
-    (first, k), (second, m) = (scipy_npsor(M, q, start, prepare) for prepare in (factorised, substituted))
+    (first, k), (second, m) = (
+        scipy_npsor(M, q, start, prepare) for prepare in (factorised, substituted)
+    )
     assert (k, m) == (16, 16)
     np.testing.assert_allclose(first, second, rtol=0, atol=1e-14)
 

@@ -19,7 +19,9 @@ def is_function(thing: Any) -> bool:
     return inspect.isfunction(thing) or inspect.ismethod(thing)
 
 
-DESCRIBED = {name: thing for name, thing in PUBLIC.items() if inspect.isclass(thing) or is_function(thing)}
+DESCRIBED = {
+    name: thing for name, thing in PUBLIC.items() if inspect.isclass(thing) or is_function(thing)
+}
 
 
 def sections(thing: Any) -> dict[str, str]:
@@ -33,7 +35,11 @@ def entries(thing: Any) -> dict[str, str]:
     told = sections(thing)
     text = told.get("Parameters", "") + "\n" + told.get("Attributes", "")
     found = re.findall(r"^(\S.*)\n?((?:^[ ]+.*\n?|^\n)*)", text, re.M)
-    return {name.strip(" *"): f"{head}\n{body}" for head, body in found for name in head.partition(" : ")[0].split(",")}
+    return {
+        name.strip(" *"): f"{head}\n{body}"
+        for head, body in found
+        for name in head.partition(" : ")[0].split(",")
+    }
 
 
 def parameters(thing: Any) -> dict[str, str]:
@@ -41,7 +47,11 @@ def parameters(thing: Any) -> dict[str, str]:
     if inspect.isclass(thing) and not (is_dataclass(thing) or "__init__" in vars(thing)):
         return {}
     given = inspect.signature(inspect.unwrap(thing)).parameters
-    return {name: str(p.annotation) for name, p in given.items() if name not in ("self", "cls") and name[0] != "_"}
+    return {
+        name: str(p.annotation)
+        for name, p in given.items()
+        if name not in ("self", "cls") and name[0] != "_"
+    }
 
 
 def test_help_tells_what_goes_in_and_what_comes_out() -> None:
@@ -49,17 +59,27 @@ def test_help_tells_what_goes_in_and_what_comes_out() -> None:
     for name, thing in DESCRIBED.items():
         told, said = sections(thing), entries(thing)
         assert re.match(r"\S.*[.:,;\w]$", told[""].splitlines()[0]), name
-        assert not re.search(r"\S +-{4,}", inspect.getdoc(thing) or ""), f"{name}: a section's title in its text"
+        assert not re.search(r"\S +-{4,}", inspect.getdoc(thing) or ""), (
+            f"{name}: a section's title in its text"
+        )
         for parameter, annotation in parameters(thing).items():
             assert parameter in said, f"{name}: {parameter} is not described"
             if re.search("FloatVector|ArrayLike|NDArray", annotation):
-                assert re.search(r"shape|length|As in", said[parameter]), f"{name}: {parameter}: which shape?"
+                assert re.search(r"shape|length|As in", said[parameter]), (
+                    f"{name}: {parameter}: which shape?"
+                )
             if "seconds" in parameter:
                 unit = re.search(r"[Ss]econd|units", said[parameter].partition("\n")[2])
                 assert unit, f"{name}: {parameter}: which unit?"
         returns = is_function(thing) and inspect.signature(inspect.unwrap(thing)).return_annotation
-        if returns and returns not in ("None", "Scene"):  # the first line of a scene says what the scene is
-            is_told = re.search(r"\b([Rr]eturn|Yield|Solve|Raise)", told[""]) or {"Returns", "Yields"} & set(told)
+        if returns and returns not in (
+            "None",
+            "Scene",
+        ):  # the first line of a scene says what the scene is
+            is_told = re.search(r"\b([Rr]eturn|Yield|Solve|Raise)", told[""]) or {
+                "Returns",
+                "Yields",
+            } & set(told)
             assert is_told, f"{name}: what comes back?"
 
 
@@ -69,13 +89,21 @@ def test_help_tells_what_is_raised() -> None:
         if is_function(described):
             thing = inspect.unwrap(described)
             tree = ast.parse(textwrap.dedent(inspect.getsource(thing)))
-            calls = [one.exc for one in ast.walk(tree) if isinstance(one, ast.Raise) and isinstance(one.exc, ast.Call)]
+            calls = [
+                one.exc
+                for one in ast.walk(tree)
+                if isinstance(one, ast.Raise) and isinstance(one.exc, ast.Call)
+            ]
             raised = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
-            assert not {error for error in raised if error not in sections(thing).get("Raises", "")}, name
+            assert not {
+                error for error in raised if error not in sections(thing).get("Raises", "")
+            }, name
 
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("name", REGISTRY)
 def test_an_algorithm_names_its_source(name: str) -> None:
     """The class says where the method comes from, with a doi unless it is the paper that has none."""
-    assert re.search(r"doi:10\.|More on projected type iteration method", algorithm_class(name).reference)
+    assert re.search(
+        r"doi:10\.|More on projected type iteration method", algorithm_class(name).reference
+    )

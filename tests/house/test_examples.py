@@ -17,23 +17,51 @@ NUMBER = r"([\d.]+(?:e[+-]\d+)?%?)"
 CHECKS = [
     ("two_by_two_in_cvxpy", f"all four cases by hand differ by {NUMBER}", 1e-9),
     ("obstacle_problem", f"the heights differ from the closed form by {NUMBER}", 1e-3),
-    ("obstacle_with_scikit_fem", f"the heights differ from the closed form by {NUMBER} in L²", 1e-5),
+    (
+        "obstacle_with_scikit_fem",
+        f"the heights differ from the closed form by {NUMBER} in L²",
+        1e-5,
+    ),
     ("obstacle_with_scikit_fem", f"off 2 and 2.5 by {NUMBER}", 0.1),
     ("american_put", f"the prices differ from a binomial tree by at most {NUMBER} EUR", 0.02),
     ("journal_bearing", f"the largest pressure differs from quadrature by {NUMBER}", 0.002),
     ("journal_bearing", f"the place where the film tears by {NUMBER}", 0.1),
-    ("spatial_price_equilibrium", f"the prices of the greatest surplus differ by {NUMBER} EUR/t", 1e-4),
+    (
+        "spatial_price_equilibrium",
+        f"the prices of the greatest surplus differ by {NUMBER} EUR/t",
+        1e-4,
+    ),
     ("bimatrix_game", f"7 equilibria here, 7 by supports; the same up to {NUMBER}", 1e-12),
-    ("stack_of_blocks", f"the forces of the standing tower differ from the lever rule by {NUMBER} N", 1e-9),
+    (
+        "stack_of_blocks",
+        f"the forces of the standing tower differ from the lever rule by {NUMBER} N",
+        1e-9,
+    ),
     ("nnls_svm_portfolio", f"least squares differ from scipy's nnls by {NUMBER}", 1e-9),
     ("nnls_svm_portfolio", f"the classifier's duality gap is {NUMBER}", 1e-9),
     ("nnls_svm_portfolio", f"the portfolios differ from those of a conic solver by {NUMBER}", 1e-4),
-    ("denoise_picture", rf"the energy [\d.]+ is at most {NUMBER} above the least, relatively", 1e-5),
-    ("error_against_time", rf"with the same [1-9]\d* hottest points a linear solve differs by {NUMBER}", 1e-8),
+    (
+        "denoise_picture",
+        rf"the energy [\d.]+ is at most {NUMBER} above the least, relatively",
+        1e-5,
+    ),
+    (
+        "error_against_time",
+        rf"with the same [1-9]\d* hottest points a linear solve differs by {NUMBER}",
+        1e-8,
+    ),
     ("paper_study", f"a loop in NumPy takes as many sweeps up to {NUMBER}", 1.0),
-    ("add_an_algorithm", f"the largest error on random problems with exact answers is {NUMBER}", 1e-6),
+    (
+        "add_an_algorithm",
+        f"the largest error on random problems with exact answers is {NUMBER}",
+        1e-6,
+    ),
     ("model_predictive_control", f"plans differ from a conic solver's by {NUMBER} m/s²", 1e-4),
-    ("model_predictive_control", f"where no limit acts, inputs differ from −K x by {NUMBER} m/s²", 1e-12),
+    (
+        "model_predictive_control",
+        f"where no limit acts, inputs differ from −K x by {NUMBER} m/s²",
+        1e-12,
+    ),
     ("parameter_study", f"the first torque differs from the elastic one by {NUMBER}, ", 0.005),
     ("parameter_study", f"the last from the fully plastic one by {NUMBER}", 0.01),
     ("lasso_path", f"twenty solves differ from the path by at most {NUMBER}, ", 1e-6),
@@ -45,15 +73,31 @@ CHECKS = [
     ("option_greeks", f"backwards they are the same at the money to {NUMBER}", 1e-8),
     ("calibration", f"all quotes are met to {NUMBER}, relatively", 1e-8),
     ("calibration", f"differ from the planted ones by at most {NUMBER} percentage points", 0.1),
-    ("calibration", f"vega differs from a central difference by at most {NUMBER}, relatively", 2e-3),
+    (
+        "calibration",
+        f"vega differs from a central difference by at most {NUMBER}, relatively",
+        2e-3,
+    ),
     ("explicit_controller", f"along four drives the forces differ from daqp's by {NUMBER}", 1e-9),
-    ("designed_contact", f"in a random direction the gradient differs from a difference by {NUMBER}, ", 1e-6),
-    ("learn_friction", f"without noise the coefficients differ from the planted ones by {NUMBER}, ", 1e-9),
+    (
+        "designed_contact",
+        f"in a random direction the gradient differs from a difference by {NUMBER}, ",
+        1e-6,
+    ),
+    (
+        "learn_friction",
+        f"without noise the coefficients differ from the planted ones by {NUMBER}, ",
+        1e-9,
+    ),
     ("learn_friction", f"10 mm of noise by {NUMBER}", 0.01),
     ("general_equilibrium", f"markets differ from cleared ones by {NUMBER} units", 1e-3),
     ("cournot_oligopoly", f"the published outputs differ by {NUMBER}", 1e-4),
     ("cournot_oligopoly", f"alone no firm could earn more than {NUMBER} besides", 1e-6),
-    ("elastic_transport", f"sales differ from those of the greatest surplus by {NUMBER} cases", 0.02),
+    (
+        "elastic_transport",
+        f"sales differ from those of the greatest surplus by {NUMBER} cases",
+        0.02,
+    ),
     ("self_heating", f"which differs from the integral by {NUMBER}", 1e-4),
     ("network_tolls", f"the income of an integer program differs by {NUMBER};", 1e-4),
     ("network_tolls", f"tolls lower by a millionth earn less by {NUMBER}, relatively", 1e-5),
@@ -107,13 +151,18 @@ def test_example_keeps_its_promise(
     assert len(picture) > 20_000
 
 
-def test_the_command_draws_the_picture_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_draws_the_picture_of_the_readme(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It solves the three problems, and what it draws is as large as the picture that the README shows."""
     readme = EXAMPLES.parent.joinpath("README.md").read_text(encoding="utf-8")
     assert "(examples/pictures/three_problems.png)" in readme
     assert "`python examples/pictures/three_problems.py`" in readme
     run("pictures/three_problems", tmp_path, monkeypatch)
-    drawn, shown = (folder.joinpath("three_problems.png").read_bytes() for folder in (tmp_path, EXAMPLES / "pictures"))
+    drawn, shown = (
+        folder.joinpath("three_problems.png").read_bytes()
+        for folder in (tmp_path, EXAMPLES / "pictures")
+    )
     assert drawn[16:24] == shown[16:24]  # width and height in pixels
 
 

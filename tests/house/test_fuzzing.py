@@ -21,7 +21,11 @@ from lcp_plugin import LCP, LCPError
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
 
-PROBLEM = LCP([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]], [-3.0, 5.0, -1.0], upper=[1.0, np.inf, 9.0])
+PROBLEM = LCP(
+    [[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]],
+    [-3.0, 5.0, -1.0],
+    upper=[1.0, np.inf, 9.0],
+)
 TOKENS = (b"1e999", b"nan", b"-1", b"\x00", b"\xff\xfe", b"\n", b"%", b"9" * 25, b"i4", b"<O8")
 FILES = ("M.mtx", "q.mtx", "lower.mtx", "upper.mtx")
 
@@ -64,12 +68,16 @@ def mutated(draw: st.DrawFn, whole: bytes) -> bytes:
 def archive() -> bytes:
     buffer = io.BytesIO()
     csr = PROBLEM.csr
-    np.savez(buffer, data=csr.data, indices=csr.indices, indptr=csr.indptr, shape=[3, 3], q=PROBLEM.q)
+    np.savez(
+        buffer, data=csr.data, indices=csr.indices, indptr=csr.indptr, shape=[3, 3], q=PROBLEM.q
+    )
     return buffer.getvalue()
 
 
 @pytest.mark.sampled(1)
-@given(content=st.binary(max_size=200) | st.binary(max_size=100).map(lambda tail: b"PK\x03\x04" + tail))
+@given(
+    content=st.binary(max_size=200) | st.binary(max_size=100).map(lambda tail: b"PK\x03\x04" + tail)
+)
 @pytest.mark.parametrize("name", ["p.npz", "M.mtx"])
 def test_random_bytes_are_refused(name: str, content: bytes, tmp_path: Path) -> None:
     """No random bytes are a problem, whatever they pretend to be."""
@@ -95,7 +103,9 @@ TEXTS = {
 
 @settings.get_profile("many")
 @given(data=st.data())
-def test_mutated_matrix_market_files_are_refused_or_valid(data: st.DataObject, tmp_path: Path) -> None:
+def test_mutated_matrix_market_files_are_refused_or_valid(
+    data: st.DataObject, tmp_path: Path
+) -> None:
     """A text file with pieces missing, doubled or wrong is refused, or states some valid problem."""
     for name in ("M.mtx", "q.mtx"):
         (tmp_path / name).write_bytes(TEXTS[name])
@@ -107,8 +117,13 @@ def test_mutated_matrix_market_files_are_refused_or_valid(data: st.DataObject, t
 def any_array() -> st.SearchStrategy[Any]:
     """Arrays of every kind that a file can hold without pickling."""
     kinds = (
-        arrays.floating_dtypes() | arrays.integer_dtypes() | arrays.unsigned_integer_dtypes() | arrays.boolean_dtypes()
-        | arrays.complex_number_dtypes() | arrays.unicode_string_dtypes(max_len=3) | arrays.datetime64_dtypes()
+        arrays.floating_dtypes()
+        | arrays.integer_dtypes()
+        | arrays.unsigned_integer_dtypes()
+        | arrays.boolean_dtypes()
+        | arrays.complex_number_dtypes()
+        | arrays.unicode_string_dtypes(max_len=3)
+        | arrays.datetime64_dtypes()
     )
     return arrays.arrays(kinds, arrays.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4))
 
@@ -118,11 +133,22 @@ KEYS = ("data", "indices", "indptr", "shape", "q", "lower", "upper")
 
 @pytest.mark.full
 @settings.get_profile("many")
-@given(changes=st.dictionaries(st.sampled_from((*KEYS, "P_data", "other")), any_array() | st.none(), max_size=3))
-def test_archives_of_other_arrays_are_refused_or_valid(changes: dict[str, Any], tmp_path: Path) -> None:
+@given(
+    changes=st.dictionaries(
+        st.sampled_from((*KEYS, "P_data", "other")), any_array() | st.none(), max_size=3
+    )
+)
+def test_archives_of_other_arrays_are_refused_or_valid(
+    changes: dict[str, Any], tmp_path: Path
+) -> None:
     """A whole archive whose members have any type, shape and values is refused, or states some valid problem."""
     csr = PROBLEM.csr
-    whole = {"data": csr.data, "indices": csr.indices, "indptr": csr.indptr, "shape": np.array([3, 3])}
+    whole = {
+        "data": csr.data,
+        "indices": csr.indices,
+        "indptr": csr.indptr,
+        "shape": np.array([3, 3]),
+    }
     whole |= {"q": PROBLEM.q, "lower": PROBLEM.lower, "upper": PROBLEM.upper}
     content = {key: value for key, value in (whole | changes).items() if value is not None}
     np.savez(tmp_path / "p.npz", **content)
@@ -132,10 +158,19 @@ def test_archives_of_other_arrays_are_refused_or_valid(changes: dict[str, Any], 
 @settings.get_profile("many")
 @given(indices=arrays.arrays(np.int64, 7, elements=st.integers(-2, 4)), size=st.integers(-1, 2**62),
        indptr=arrays.arrays(np.int64, 4, elements=st.integers(-2, 9)))  # fmt: skip
-def test_wrong_indices_never_reach_a_kernel(indices: np.ndarray, indptr: np.ndarray, size: int, tmp_path: Path) -> None:
+def test_wrong_indices_never_reach_a_kernel(
+    indices: np.ndarray, indptr: np.ndarray, size: int, tmp_path: Path
+) -> None:
     """Row and column numbers of any value are refused or in range."""
     size = size if size % 3 == 0 else 3
-    np.savez(tmp_path / "p.npz", data=np.ones(7), indices=indices, indptr=indptr, shape=[size, size], q=np.ones(3))
+    np.savez(
+        tmp_path / "p.npz",
+        data=np.ones(7),
+        indices=indices,
+        indptr=indptr,
+        shape=[size, size],
+        q=np.ones(3),
+    )
     problem = load(tmp_path / "p.npz")
     assert problem is None or (problem.csr.indices >= 0).all()
 
@@ -143,8 +178,12 @@ def test_wrong_indices_never_reach_a_kernel(indices: np.ndarray, indptr: np.ndar
 def test_an_archive_may_lie_about_its_sizes(tmp_path: Path) -> None:
     """A member that announces more than any memory holds is refused without being allocated."""
     for shape in ((2**40,), (2**62,), (2**31, 2**31), (-5,)):
-        header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape!r}, }}".ljust(117) + "\n"
-        member = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(16)
+        header = (
+            f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape!r}, }}".ljust(117) + "\n"
+        )
+        member = (
+            b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(16)
+        )
         with zipfile.ZipFile(tmp_path / "p.npz", "w") as file:
             for key in KEYS[:5]:
                 file.writestr(f"{key}.npy", member)
@@ -153,9 +192,19 @@ def test_an_archive_may_lie_about_its_sizes(tmp_path: Path) -> None:
 
 # --- The command ----------------------------------------------------------------------------------------------------
 
-NUMBERS = st.sampled_from(["0", "1", "-1", "3", "1e-3", "nan", "inf", "1e400", "", "x", "∞", "0x1", "1_0", "-0", "2"])
-WORDS = st.sampled_from(["", "--", "-", ".", "/", "//", "'", "a b", "\t", "-h", "--json", "ü", "=", ":", ",", "%s"])
-SCENES = ("half_active:n=9", "obstacle_2d:size=4", "bimatrix_game", "paper_example_1:n=9", "american_put_march:size=9")
+NUMBERS = st.sampled_from(
+    ["0", "1", "-1", "3", "1e-3", "nan", "inf", "1e400", "", "x", "∞", "0x1", "1_0", "-0", "2"]
+)
+WORDS = st.sampled_from(
+    ["", "--", "-", ".", "/", "//", "'", "a b", "\t", "-h", "--json", "ü", "=", ":", ",", "%s"]
+)
+SCENES = (
+    "half_active:n=9",
+    "obstacle_2d:size=4",
+    "bimatrix_game",
+    "paper_example_1:n=9",
+    "american_put_march:size=9",
+)
 OPTIONS = st.sampled_from(["sweep", "scaling", "omega", "relaxation", "x", "", "tolerance"])
 PATHS = ("p.npz", "folder", "folder/M.mtx", "damaged.npz", "nothing.npz", "empty", "folder/")
 
@@ -181,7 +230,9 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     options = {
         "--algorithm": st.sampled_from(["auto", *REGISTRY, "psr", ""]),
         "--relaxation": NUMBERS | st.just("auto"),
-        "--option": st.builds("{}={}".format, OPTIONS, NUMBERS | st.sampled_from(["forward", "none", "diagonal"])),
+        "--option": st.builds(
+            "{}={}".format, OPTIONS, NUMBERS | st.sampled_from(["forward", "none", "diagonal"])
+        ),
         "--tolerance": NUMBERS,
         "--tolerance-on": st.sampled_from(["residual", "error", "x", ""]),
         "--max-iterations": NUMBERS,
@@ -222,7 +273,10 @@ def test_mutated_commands_end_in_zero_one_or_two(
     Path("empty").write_bytes(b"")
     outcome = CliRunner().invoke(app, line)
     assert outcome.exit_code in (0, 1, 2), line
-    assert outcome.exception is None or isinstance(outcome.exception, SystemExit), (line, outcome.exception)
+    assert outcome.exception is None or isinstance(outcome.exception, SystemExit), (
+        line,
+        outcome.exception,
+    )
     assert "Traceback" not in outcome.output
     assert outcome.output, line
     assert LCP.load("folder").q.tolist() == PROBLEM.q.tolist()

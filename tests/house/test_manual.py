@@ -16,7 +16,17 @@ from pathlib import Path
 
 import pytest
 from manual import site
-from manual.contents import EXAMPLES, SUBJECTS, TRADES, Example, Guide, examples, guides, is_member, subject_of
+from manual.contents import (
+    EXAMPLES,
+    SUBJECTS,
+    TRADES,
+    Example,
+    Guide,
+    examples,
+    guides,
+    is_member,
+    subject_of,
+)
 from manual.docstrings import CODE, render, to_markdown
 from manual.formulas import HIGH, LOW, mathml, set_formulas
 from manual.notebooks import NAMES, NOTEBOOKS, cells_of, notebook
@@ -26,7 +36,9 @@ from public_names import PUBLIC
 import lcp_plugin.ranks
 
 PICTURE = EXAMPLES / "pictures" / "three_problems.png"
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.S | re.M)
 ONE_SCREEN = 60  # lines
 NOT_SHOWN = re.compile(r"[_{}^\s]")
@@ -131,7 +143,10 @@ def test_every_guide_has_a_picture_that_an_example_draws() -> None:
 def test_a_trade_is_told_on_one_screen(name: str) -> None:
     """Words, code that prints, a picture, what was checked and the time, in this order and in at most 60 lines."""
     screen = Guide(name).source.partition("\n## ")[0]
-    places = [screen.find(part) for part in ("```python", "```text", "![", "**Checked.**", "**Time.** On ")]
+    places = [
+        screen.find(part)
+        for part in ("```python", "```text", "![", "**Checked.**", "**Time.** On ")
+    ]
     assert -1 not in places
     assert places == sorted(places)
     assert len(screen.splitlines()) <= ONE_SCREEN
@@ -176,7 +191,12 @@ def test_a_notebook_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium installed: apt-get install chromium")
 def test_the_manual_in_a_browser(folder: Path, tmp_path: Path) -> None:
     """In Chromium, 1280 and 390 pixels wide: no page is wider than that, every picture is there; words are found."""
-    names = ["index.html", *(guide.address for guide in guides()), "class.LCP.html", "search.html?q=from_contacts"]
+    names = [
+        "index.html",
+        *(guide.address for guide in guides()),
+        "class.LCP.html",
+        "search.html?q=from_contacts",
+    ]
     script = """
       const names = NAMES, widths = [1280, 390], found = {};
       const look = (name, width) => new Promise(done => {
@@ -204,13 +224,31 @@ def test_the_manual_in_a_browser(folder: Path, tmp_path: Path) -> None:
       })();
     """.replace("NAMES", json.dumps(names))
     harness = folder / "harness.htm"
-    harness.write_text(f'<!doctype html><body><pre id="answer"></pre><script>{script}</script>', encoding="utf-8")
+    harness.write_text(
+        f'<!doctype html><body><pre id="answer"></pre><script>{script}</script>', encoding="utf-8"
+    )
     run = subprocess.run(
-        [str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
-         "--disable-background-networking", "--allow-file-access-from-files", f"--user-data-dir={tmp_path}",
-         "--window-size=1400,1000", "--enable-logging=stderr", "--v=0", "--host-resolver-rules=MAP * ~NOTFOUND",
-         "--virtual-time-budget=60000", "--dump-dom", harness.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
+        [
+            str(BROWSER),
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--allow-file-access-from-files",
+            f"--user-data-dir={tmp_path}",
+            "--window-size=1400,1000",
+            "--enable-logging=stderr",
+            "--v=0",
+            "--host-resolver-rules=MAP * ~NOTFOUND",
+            "--virtual-time-budget=60000",
+            "--dump-dom",
+            harness.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
     )
     harness.unlink()
     answer = re.search(r'<pre id="answer">(.+?)</pre>', run.stdout, re.S)
@@ -231,7 +269,9 @@ def test_every_public_name_has_its_place(folder: Path) -> None:
     for name, thing in PUBLIC.items():
         if not (inspect.isclass(thing) or inspect.ismodule(thing) or is_member(thing)):
             continue  # a field, of which its class tells; or the version, which stands on every page
-        own = getattr(thing, "__name__", name).rpartition(".")[2] if inspect.isclass(thing) else name
+        own = (
+            getattr(thing, "__name__", name).rpartition(".")[2] if inspect.isclass(thing) else name
+        )
         address = addresses.get(name) or addresses[own]
         assert (folder / address.partition("#")[0]).is_file()
     files = [file.name.lower() for file in folder.iterdir()]
@@ -254,12 +294,26 @@ def test_every_example_has_its_picture_its_code_and_what_it_printed(folder: Path
 
 def test_a_name_without_a_subject_is_an_error() -> None:
     """Every subpackage of a public name belongs to a subject, the longest match first; the message says what to do."""
-    assert [subject_of(subpackage) for subpackage in ("api", "problems.sensitivity", "interfaces")] == [
-        "solve", "differentiate", "interfaces",
+    assert [
+        subject_of(subpackage) for subpackage in ("api", "problems.sensitivity", "interfaces")
+    ] == [
+        "solve",
+        "differentiate",
+        "interfaces",
     ]
-    with pytest.raises(LookupError, match=r"no subject of the manual shows lcp_plugin\.garden: add it to SUBJECTS"):
+    with pytest.raises(
+        LookupError, match=r"no subject of the manual shows lcp_plugin\.garden: add it to SUBJECTS"
+    ):
         subject_of("garden")
-    assert list(SUBJECTS) == ["solve", "model", "prove", "batch", "differentiate", "measure", "interfaces"]
+    assert list(SUBJECTS) == [
+        "solve",
+        "model",
+        "prove",
+        "batch",
+        "differentiate",
+        "measure",
+        "interfaces",
+    ]
 
 
 def test_help_that_is_nowhere_is_an_error() -> None:
@@ -281,16 +335,28 @@ def formulas_in(text: str) -> list[str]:
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize(("text", "formulas"), [
-    ("z with lower ≤ z ≤ upper and w = M z + q complementary", ["z", "lower ≤ z ≤ upper", "w = M z + q"]),
-    ("where ‖z_k − z_{k−1}‖_v ≤ cᵏ, n = 20 000 rows", ["‖z_k − z_{k−1}‖_v ≤ cᵏ", "n = 20 000"]),
-    ("the largest of max_j |a_ij| + |b_i| is a bound of A", ["max_j |a_ij| + |b_i|", "A"]),
-    ("A put of 10 s, a P-matrix, M's rows, J. Finance 3, and/or 2-D; (n, 5) and 40 % more", ["n"]),
-    ("−∇·(h³ ∇p) ≥ ε sin θ,   and at every point", ["−∇·(h³ ∇p) ≥ ε sin θ"]),
-    ("a utility of d_ch = α_ch p_c^−σ_h, say", ["d_ch = α_ch p_c^−σ_h"]),
-    ("x below √tolerance, and mid(lower, upper, z − w/d)", ["x", "√tolerance", "mid(lower, upper, z − w/d)"]),
-    ("*z* is printed in italics, **n** in bold", []),
-])
+@pytest.mark.parametrize(
+    ("text", "formulas"),
+    [
+        (
+            "z with lower ≤ z ≤ upper and w = M z + q complementary",
+            ["z", "lower ≤ z ≤ upper", "w = M z + q"],
+        ),
+        ("where ‖z_k − z_{k−1}‖_v ≤ cᵏ, n = 20 000 rows", ["‖z_k − z_{k−1}‖_v ≤ cᵏ", "n = 20 000"]),
+        ("the largest of max_j |a_ij| + |b_i| is a bound of A", ["max_j |a_ij| + |b_i|", "A"]),
+        (
+            "A put of 10 s, a P-matrix, M's rows, J. Finance 3, and/or 2-D; (n, 5) and 40 % more",
+            ["n"],
+        ),
+        ("−∇·(h³ ∇p) ≥ ε sin θ,   and at every point", ["−∇·(h³ ∇p) ≥ ε sin θ"]),
+        ("a utility of d_ch = α_ch p_c^−σ_h, say", ["d_ch = α_ch p_c^−σ_h"]),
+        (
+            "x below √tolerance, and mid(lower, upper, z − w/d)",
+            ["x", "√tolerance", "mid(lower, upper, z − w/d)"],
+        ),
+        ("*z* is printed in italics, **n** in bold", []),
+    ],
+)
 def test_formulas_are_found_in_sentences(text: str, formulas: list[str]) -> None:
     """From the first operand to the last, and no word, unit or initial beside."""
     assert formulas_in(text) == formulas
@@ -299,12 +365,18 @@ def test_formulas_are_found_in_sentences(text: str, formulas: list[str]) -> None
 def test_a_formula_keeps_its_characters() -> None:
     """MathML of each of the hundreds in our docstrings shows the same signs; a root is drawn."""
     plain = str.maketrans({**HIGH, **LOW, "*": "∗"})
-    texts = (text for thing in PUBLIC.values() for text in CODE.split(to_markdown(inspect.getdoc(thing) or ""))[::2])
+    texts = (
+        text
+        for thing in PUBLIC.values()
+        for text in CODE.split(to_markdown(inspect.getdoc(thing) or ""))[::2]
+    )
     found = {formula for text in texts for formula in formulas_in(text)}
     assert len(found) > 300
     for formula in found:
         shown = unescape(re.sub(r"<[^>]*>", "", mathml(formula).replace("<msqrt>", "√")))
-        assert sorted(NOT_SHOWN.sub("", shown)) == sorted(NOT_SHOWN.sub("", formula).translate(plain)), formula
+        assert sorted(NOT_SHOWN.sub("", shown)) == sorted(
+            NOT_SHOWN.sub("", formula).translate(plain)
+        ), formula
 
 
 @pytest.mark.full
@@ -313,5 +385,7 @@ def test_the_command_draws_what_is_missing(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(site, "examples", lambda: [Example("two_by_two_in_cvxpy", "", "")])
     assert list(site.run_examples(tmp_path)) == ["python examples/two_by_two_in_cvxpy.py"]
     assert (tmp_path / "examples" / "two_by_two_in_cvxpy.png").read_bytes().startswith(b"\x89PNG")
-    assert "check: " in (tmp_path / "examples" / "two_by_two_in_cvxpy.txt").read_text(encoding="utf-8")
+    assert "check: " in (tmp_path / "examples" / "two_by_two_in_cvxpy.txt").read_text(
+        encoding="utf-8"
+    )
     assert not list(site.run_examples(tmp_path))

@@ -46,7 +46,8 @@ def sources(folder: str) -> set[str]:
     """The files below a folder of this tree that belong to the project."""
     files = (file for file in ROOT.joinpath(folder).rglob("*") if file.is_file())
     return {
-        file.relative_to(ROOT).as_posix() for file in files
+        file.relative_to(ROOT).as_posix()
+        for file in files
         if "__pycache__" not in file.parts
         and file.suffix in {".py", ".pyi", ".json", ".html", ".typed", ".jinja2", ".css"}
     }
@@ -57,7 +58,9 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     assert wheel.stat().st_size < SMALL
     names = set(zipfile.ZipFile(wheel).namelist())
-    about = {name for name in names if name.startswith(f"lcp_plugin-{lcp_plugin.__version__}.dist-info/")}
+    about = {
+        name for name in names if name.startswith(f"lcp_plugin-{lcp_plugin.__version__}.dist-info/")
+    }
     assert names - about == sources("lcp_plugin")
     assert any(name.endswith("LICENSE") for name in about)
 
@@ -75,7 +78,11 @@ def test_the_metadata_say_what_the_project_says(built: Path) -> None:
     assert told["Description-Content-Type"] == "text/markdown"
     for command, function in PROJECT["scripts"].items():
         assert f"{command} = {function}" in entries
-    needed = {re.match(r"[\w.-]+", line)[0] for line in told.get_all("Requires-Dist") if "extra ==" not in line}  # type: ignore[index]
+    needed = {
+        re.match(r"[\w.-]+", line)[0]
+        for line in told.get_all("Requires-Dist")
+        if "extra ==" not in line
+    }  # type: ignore[index]
     assert needed == {re.match(r"[\w.-]+", line)[0] for line in PROJECT["dependencies"]}  # type: ignore[index]
 
 
@@ -85,12 +92,20 @@ def test_the_source_archive_can_be_tested(built: Path) -> None:
     with tarfile.open(archive) as opened:
         names = {name.partition("/")[2] for name in opened.getnames()}
     needed = sources("lcp_plugin") | sources("tests") | sources("examples")
-    needed |= {"README.md", "LICENSE", "CITATION.cff", "pyproject.toml", "examples/pictures/three_problems.png"}
+    needed |= {
+        "README.md",
+        "LICENSE",
+        "CITATION.cff",
+        "pyproject.toml",
+        "examples/pictures/three_problems.png",
+    }
     assert needed <= names
 
 
 @pytest.mark.full
-def test_the_source_archive_builds_the_same_wheel(built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_source_archive_builds_the_same_wheel(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Byte for byte, from an unpacked archive and an hour later: what is uploaded can be built again by anybody."""
     import hatchling.build
 
@@ -123,7 +138,9 @@ def test_the_conda_recipe_says_what_the_project_says(recipe: str) -> None:
     run = {line.replace("qdldl-python", "qdldl") for line in run}
     assert run == {"python>=${{python_min}}", *PROJECT["dependencies"]}
     assert host == {"python${{python_min}}.*", "pip", *BUILD["requires"]}
-    assert listed(recipe, "entry_points") == [f"{name} = {function}" for name, function in PROJECT["scripts"].items()]
+    assert listed(recipe, "entry_points") == [
+        f"{name} = {function}" for name, function in PROJECT["scripts"].items()
+    ]
     assert f"license: {PROJECT['license']}\n" in recipe
     assert f'summary: "{PROJECT["description"]}"' in recipe
 

@@ -71,15 +71,43 @@ WILD = {"matrices": not_h_matrices(SMALL), "may_give_up": True}
 BUGS: dict[str, tuple[Solver, str, str, dict[str, Any], str]] = {
     "sign of q": (psor, "w = M @ z + q", "w = M @ z - q", {}, "wrong sign|gave up"),
     "w never checked": (least_index, "leave = ", "leave = False & ", {}, "w has the wrong sign"),
-    "transposed matrix": (least_index, "state = ", "M = M.T\n    state = ", {}, "wrong sign|not complementary"),
+    "transposed matrix": (
+        least_index,
+        "state = ",
+        "M = M.T\n    state = ",
+        {},
+        "wrong sign|not complementary",
+    ),
     "status before check": (psor, "return None", "return z", WILD, "z is not|w has the wrong sign"),
     "upper bound forgotten": (psor, "upper[i])", "np.inf)", {"bounds": True}, "gave up"),
     "wrong sign at the upper bound": (
-        least_index, "(w > 1e-9)", "(w < -1e-9)", {"bounds": True}, "w has the wrong sign|gave up"
+        least_index,
+        "(w > 1e-9)",
+        "(w < -1e-9)",
+        {"bounds": True},
+        "w has the wrong sign|gave up",
     ),
-    "tolerance relative to a huge q": (psor, CHECK, "if residual <= 1e-6 * abs(q).max():", {}, "not complementary"),
-    "input modified": (psor, "z, d =", "M /= M.diagonal()[:, None]\n    z, d =", {}, "modified its input M"),
-    "gives up too early": (least_index, "for _ in range(3 ** len(q))", "for _ in range(1)", {}, "gave up"),
+    "tolerance relative to a huge q": (
+        psor,
+        CHECK,
+        "if residual <= 1e-6 * abs(q).max():",
+        {},
+        "not complementary",
+    ),
+    "input modified": (
+        psor,
+        "z, d =",
+        "M /= M.diagonal()[:, None]\n    z, d =",
+        {},
+        "modified its input M",
+    ),
+    "gives up too early": (
+        least_index,
+        "for _ in range(3 ** len(q))",
+        "for _ in range(1)",
+        {},
+        "gave up",
+    ),
 }
 
 
@@ -94,8 +122,14 @@ def as_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_planted_bugs_are_found(name: str) -> None:
     """One bug, put alone into a correct solver, is found within 500 problems of the class it is meant for."""
     solver, right, wrong, options, report = BUGS[name]
-    with pytest.raises(AssertionError, match=f"{solver.__name__}: .*({report})") as found, np.errstate(all="ignore"):
-        assert_solves(planted(solver, right, wrong), **{"matrices": DOMINANT, "max_examples": ENOUGH, **options})
+    with (
+        pytest.raises(AssertionError, match=f"{solver.__name__}: .*({report})") as found,
+        np.errstate(all="ignore"),
+    ):
+        assert_solves(
+            planted(solver, right, wrong),
+            **{"matrices": DOMINANT, "max_examples": ENOUGH, **options},
+        )
     assert "problem = LCP([[" in str(found.value)
 
 

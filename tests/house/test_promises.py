@@ -61,7 +61,9 @@ def promises() -> list[str]:
 def quoted() -> list[str]:
     """What the tests of this file quote."""
     tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
-    texts = [ast.get_docstring(node) or "" for node in tree.body if isinstance(node, ast.FunctionDef)]
+    texts = [
+        ast.get_docstring(node) or "" for node in tree.body if isinstance(node, ast.FunctionDef)
+    ]
     return [words for text in texts for words in re.findall(r"“(.*?)”", text)]
 
 
@@ -113,7 +115,9 @@ def test_rounding_hides_no_residual() -> None:
     result = solve(infeasible, FarAway())
     assert not result.is_solved
     assert result.status is not Status.PRECISION_LIMIT
-    nearly_singular = LCP([[1.0, -1.0], [-1.0, 1.0 + 2.0**-50]], [0.0, -1.0])  # here the large z is right
+    nearly_singular = LCP(
+        [[1.0, -1.0], [-1.0, 1.0 + 2.0**-50]], [0.0, -1.0]
+    )  # here the large z is right
     right = solve(nearly_singular, "newton")
     assert right.is_solved
     assert right.z.tolist() == [2.0**50, 2.0**50]
@@ -193,7 +197,11 @@ def test_the_method_of_a_program_is_known_where_cvxpy_was_imported_before() -> N
     )
     path = os.pathsep.join([str(TESTS.parent), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": path}
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": path},
     )
     assert float(done.stdout) == pytest.approx(1.0)
 
@@ -256,7 +264,9 @@ def test_runs_agree(name: str) -> None:
 def test_threads_agree() -> None:
     """“Threads may share a problem”: eight at once, with different algorithms, on one whose cache is empty."""
     names = [*BOUNDED, "auto"] * 3
-    alone = {name: bits(solve(gallery.build("random_h_plus", n=30).problem, name).z) for name in {*names}}
+    alone = {
+        name: bits(solve(gallery.build("random_h_plus", n=30).problem, name).z) for name in {*names}
+    }
     shared = gallery.build("random_h_plus", n=30).problem
     with ThreadPoolExecutor(8) as pool:
         answers = list(pool.map(lambda name: bits(solve(shared, name).z), names))
@@ -274,11 +284,23 @@ def given_matrices() -> dict[str, Any]:
     unsorted = sp.csr_array((np.array([-1.0, 4, -1, 4, -1, -1, 4]), columns, csr.indptr), (3, 3))
     wide = csr.copy()
     wide.indices, wide.indptr = wide.indices.astype(np.int64), wide.indptr.astype(np.int64)
-    zeros = sp.csr_array((np.append(csr.data, 0.0), np.append(csr.indices, 0), np.append(csr.indptr[:3], 8)), (3, 3))
-    forms = {"list": M.tolist(), "integers": M, "single": M.astype(np.float32), "double": M.astype(float)}
-    forms |= {"Fortran": np.asfortranarray(M.astype(float)), "view": np.kron(M, np.eye(2))[::2, ::2]}
+    zeros = sp.csr_array(
+        (np.append(csr.data, 0.0), np.append(csr.indices, 0), np.append(csr.indptr[:3], 8)), (3, 3)
+    )
+    forms = {
+        "list": M.tolist(),
+        "integers": M,
+        "single": M.astype(np.float32),
+        "double": M.astype(float),
+    }
+    forms |= {
+        "Fortran": np.asfortranarray(M.astype(float)),
+        "view": np.kron(M, np.eye(2))[::2, ::2],
+    }
     forms |= {"csr": csr, "unsorted": unsorted, "wide": wide, "stored zeros": zeros}
-    return forms | {form: sp.coo_array(M.astype(float)).asformat(form) for form in ("csc", "coo", "dia", "bsr")}
+    return forms | {
+        form: sp.coo_array(M.astype(float)).asformat(form) for form in ("csc", "coo", "dia", "bsr")
+    }
 
 
 @pytest.mark.sampled(2)
@@ -344,7 +366,12 @@ def blas_threads() -> Any:
 @EVERY_ALGORITHM
 def test_callbacks_may_raise(name: str) -> None:
     """“What your callback raises reaches you”: the same object, an LCPError and a SystemExit, too."""
-    for error in (ZeroDivisionError("mine"), UnsuitableMatrix("mine"), SystemExit(3), MemoryError("mine")):
+    for error in (
+        ZeroDivisionError("mine"),
+        UnsuitableMatrix("mine"),
+        SystemExit(3),
+        MemoryError("mine"),
+    ):
 
         def raises(sample: Any, z: np.ndarray, error: BaseException = error) -> None:
             raise error
@@ -357,7 +384,9 @@ def test_callbacks_may_raise(name: str) -> None:
 @pytest.mark.parametrize("kind", [UnsuitableMatrix, UnsuitableProblem])
 def test_callbacks_may_raise_in_a_later_stage(kind: type[LCPError]) -> None:
     """“What your callback raises reaches you”: what a method would refuse a matrix with is no refusal here."""
-    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])  # no solution: the small dense solver, then a search
+    problem = LCP(
+        [[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]
+    )  # no solution: the small dense solver, then a search
 
     def raises(sample: Any, z: np.ndarray) -> None:
         if sample.label == "search":

@@ -34,7 +34,11 @@ def test_sampled_rows_touch_every_value(request: pytest.FixtureRequest) -> None:
     assert len(chosen) == 4
     assert {row["a"] for row in chosen} == {*"xyz"}
     assert {row["b"] for row in chosen} == {*"1234"}
-    assert [row.callspec.params["b"] for row in sample(rows(pytest.mark.sampled(3)))] == ["1", "1", "1"]
+    assert [row.callspec.params["b"] for row in sample(rows(pytest.mark.sampled(3)))] == [
+        "1",
+        "1",
+        "1",
+    ]
     assert len(sample(rows(pytest.mark.sampled(100)))) == 12
     assert [row.callspec.params["b"] for row in sample(rows())] == ["1", "4", "3", "2"]
 
@@ -44,7 +48,11 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
     script = HERE.parent / ".ci" / "run"
     if not script.exists():
         pytest.skip("a source archive has no .ci")
-    lines = [line for line in script.read_text(encoding="utf-8").splitlines() if line.startswith(("bash", "python -m"))]
+    lines = [
+        line
+        for line in script.read_text(encoding="utf-8").splitlines()
+        if line.startswith(("bash", "python -m"))
+    ]
     assert [line.partition(" </dev/null")[0] for line in lines] == [
         'bash -euo pipefail -c "$command"', "python -m pytest --full -n 2",
     ]  # fmt: skip

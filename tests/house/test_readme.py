@@ -29,7 +29,12 @@ def blocks(language: str) -> list[str]:
 def commands() -> list[str]:
     """Every call of lcp-plugin in a shell block; the installation before it is what .ci/run does."""
     lines = "\n".join(blocks("bash") + blocks("sh")).splitlines()
-    return [part.strip() for line in lines for part in line.split("&&") if part.strip().startswith("lcp-plugin")]
+    return [
+        part.strip()
+        for line in lines
+        for part in line.split("&&")
+        if part.strip().startswith("lcp-plugin")
+    ]
 
 
 @pytest.mark.parametrize("k", range(len(blocks("python"))))
@@ -56,7 +61,10 @@ def test_first_two_shell_blocks_install_and_test() -> None:
     first, second = blocks("bash")[:2]
     assert "pip install" in first
     assert "--plot" in first
-    assert [part.strip() for part in second.split("&&")][1:] == ["pip install '.[test]'", "python -m pytest -n 2"]
+    assert [part.strip() for part in second.split("&&")][1:] == [
+        "pip install '.[test]'",
+        "python -m pytest -n 2",
+    ]
 
 
 def pages(text: str) -> list[str]:
@@ -87,8 +95,12 @@ def test_pages_open_without_extras(module: str) -> None:
 
 def test_the_example_of_an_algorithm_says_how_to_offer_it() -> None:
     """The TOML in the docstring that "Add an algorithm" leads to is the entry point that this package reads."""
-    assert "(../add_an_algorithm.py)" in MANUAL.joinpath("architecture.md").read_text(encoding="utf-8")
-    told = ast.get_docstring(ast.parse(ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")))
+    assert "(../add_an_algorithm.py)" in MANUAL.joinpath("architecture.md").read_text(
+        encoding="utf-8"
+    )
+    told = ast.get_docstring(
+        ast.parse(ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8"))
+    )
     block = re.search(r"^ +(\[project.*?)\n\n", told or "", re.S | re.M)
     assert block is not None
     groups = tomllib.loads(block[1])["project"]["entry-points"]
@@ -109,14 +121,20 @@ def test_links_lead_to_files() -> None:
             name, _, title = link.partition("#")
             target = file.parent / name if name else file
             assert target.is_file(), f"{file.name} → {link}"
-            titles = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.M) if title else []
-            assert not title or title in {re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in titles}
+            titles = (
+                re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.M) if title else []
+            )
+            assert not title or title in {
+                re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in titles
+            }
             followed += 1
     assert followed > 20
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("file", [ROOT / "README.md", *sorted(MANUAL.glob("*.md"))], ids=lambda file: file.stem)
+@pytest.mark.parametrize(
+    "file", [ROOT / "README.md", *sorted(MANUAL.glob("*.md"))], ids=lambda file: file.stem
+)
 def test_sentences_are_short(file: Path) -> None:
     """No sentence of the README or of a page of the manual has more than 25 words; tables and formulas are none."""
     text = re.sub(r"^```.*?^```$", "", file.read_text("utf-8"), flags=re.S | re.M)

@@ -76,7 +76,9 @@ def confirm(answer: Any, sample: Sample) -> None:
     assert isinstance(answer, Answer)
     assert answer.status in sample.ends, answer
     assert answer.is_solved == (answer.status is Status.SOLVED)
-    assert answer.has_no_solution == (answer.status in (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED))
+    assert answer.has_no_solution == (
+        answer.status in (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED)
+    )
     assert isinstance(answer.algorithm, str)
     assert answer.seconds >= 0.0
     assert answer.iterations >= 0
@@ -118,7 +120,9 @@ def by_batch(sample: Sample, folder: Path) -> None:
         batches.append(solve_batch(stack))
     if sample.kind == "FrictionalContact":
         one = sample.problem
-        worlds = FrictionalContact(one.W, np.stack([one.b] * 2), one.friction, dimension=one.dimension)
+        worlds = FrictionalContact(
+            one.W, np.stack([one.b] * 2), one.friction, dimension=one.dimension
+        )
         batches.append(solve_batch(worlds))
         if batches[-1].all_solved:
             assert derivative(batches[-1]).vjp(np.ones(one.n)).q.shape == (2, one.n)
@@ -133,7 +137,11 @@ def by_batch(sample: Sample, folder: Path) -> None:
 
 
 def by_many(sample: Sample, folder: Path) -> None:
-    given = [{}, {"c": sample.problem.c}] if sample.kind == "QuadraticProgram" else [sample.problem.q] * 2
+    given = (
+        [{}, {"c": sample.problem.c}]
+        if sample.kind == "QuadraticProgram"
+        else [sample.problem.q] * 2
+    )
     for answer in solve_many(sample.problem, given):
         confirm(answer, sample)
 
@@ -235,7 +243,9 @@ def by_curves(sample: Sample, folder: Path) -> None:
 
 
 def by_study(sample: Sample, folder: Path) -> None:
-    assert [row.curve.label for row in study(sample.problem, ["lemke"], repeats=1).rows] == ["lemke"]
+    assert [row.curve.label for row in study(sample.problem, ["lemke"], repeats=1).rows] == [
+        "lemke"
+    ]
 
 
 def by_files(sample: Sample, folder: Path) -> None:
@@ -278,8 +288,12 @@ def by_pyomo(sample: Sample, folder: Path) -> None:
 
 
 PYOMO_ENDS = {
-    Status.SOLVED: "optimal", Status.INFEASIBLE: "infeasible", Status.NO_SOLUTION: "infeasible",
-    Status.UNBOUNDED: "unbounded", Status.STALLED: "noSolution", Status.MAX_ITERATIONS: "maxIterations",
+    Status.SOLVED: "optimal",
+    Status.INFEASIBLE: "infeasible",
+    Status.NO_SOLUTION: "infeasible",
+    Status.UNBOUNDED: "unbounded",
+    Status.STALLED: "noSolution",
+    Status.MAX_ITERATIONS: "maxIterations",
 }
 
 
@@ -397,28 +411,55 @@ def by_command_report(sample: Sample, folder: Path) -> None:
 
 
 TRIALS: dict[str, Callable[[Sample, Path], None]] = {
-    "solve": by_solve, "solve_batch": by_batch, "solve_many": by_many, "prepare": by_prepare, "march": by_march,
-    "march_many": by_marches, "trace": by_trace, "regions": by_regions, "derivative": by_derivative,
-    "certify": by_certify, "Certificate.of": by_certificate,
-    "error_bound": by_bound, "analyze": by_analyze, "all_solutions": by_all_solutions,
+    "solve": by_solve,
+    "solve_batch": by_batch,
+    "solve_many": by_many,
+    "prepare": by_prepare,
+    "march": by_march,
+    "march_many": by_marches,
+    "trace": by_trace,
+    "regions": by_regions,
+    "derivative": by_derivative,
+    "certify": by_certify,
+    "Certificate.of": by_certificate,
+    "error_bound": by_bound,
+    "analyze": by_analyze,
+    "all_solutions": by_all_solutions,
     "convergence_guarantee": by_guarantee,
-    "cross_validate": by_cross_validation, "error_against_time": by_curves, "study": by_study,
-    "save": by_files, "pickle": by_pickle, "cvxpy": by_cvxpy, "Pyomo": by_pyomo, "AMPL": by_ampl,
-    "qpsolvers": by_qpsolvers, "lcp-plugin solve": by_command_solve, "lcp-plugin check": by_command_check,
-    "lcp-plugin certify": by_command_certify, "lcp-plugin analyze": by_command_analyze,
-    "lcp-plugin study": by_command_study, "lcp-plugin report": by_command_report,
+    "cross_validate": by_cross_validation,
+    "error_against_time": by_curves,
+    "study": by_study,
+    "save": by_files,
+    "pickle": by_pickle,
+    "cvxpy": by_cvxpy,
+    "Pyomo": by_pyomo,
+    "AMPL": by_ampl,
+    "qpsolvers": by_qpsolvers,
+    "lcp-plugin solve": by_command_solve,
+    "lcp-plugin check": by_command_check,
+    "lcp-plugin certify": by_command_certify,
+    "lcp-plugin analyze": by_command_analyze,
+    "lcp-plugin study": by_command_study,
+    "lcp-plugin report": by_command_report,
 }
 REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
-    "solve_batch": lambda p, _: solve_batch([p]), "solve_many": lambda p, _: solve_many(p, [[1.0, 1.0]]),
-    "prepare": lambda p, _: prepare(p), "march": lambda p, _: march(p, [[1.0, 1.0]]),
-    "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]), "trace": lambda p, _: trace(p, {"q": 1}, 0, 1),
+    "solve_batch": lambda p, _: solve_batch([p]),
+    "solve_many": lambda p, _: solve_many(p, [[1.0, 1.0]]),
+    "prepare": lambda p, _: prepare(p),
+    "march": lambda p, _: march(p, [[1.0, 1.0]]),
+    "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]),
+    "trace": lambda p, _: trace(p, {"q": 1}, 0, 1),
     "regions": lambda p, _: regions(p, {"q": [[1.0]]}, ([0.0], [1.0])),
     "derivative": lambda _, answer: derivative(answer()),
-    "certify": lambda p, answer: certify(p, answer().x), "Certificate.of": lambda p, _: Certificate.of(p, [1.0, 1.0]),
-    "error_bound": lambda p, _: error_bound(p, [1.0, 1.0]), "all_solutions": lambda p, _: all_solutions(p),
+    "certify": lambda p, answer: certify(p, answer().x),
+    "Certificate.of": lambda p, _: Certificate.of(p, [1.0, 1.0]),
+    "error_bound": lambda p, _: error_bound(p, [1.0, 1.0]),
+    "all_solutions": lambda p, _: all_solutions(p),
     "analyze": lambda p, _: analyze(p),
-    "convergence_guarantee": lambda p, _: convergence_guarantee(p), "cross_validate": lambda p, _: cross_validate(p),
-    "error_against_time": lambda p, _: error_against_time(p), "study": lambda p, _: study(p, ["lemke"]),
+    "convergence_guarantee": lambda p, _: convergence_guarantee(p),
+    "cross_validate": lambda p, _: cross_validate(p),
+    "error_against_time": lambda p, _: error_against_time(p),
+    "study": lambda p, _: study(p, ["lemke"]),
 }
 CELLS = [pytest.param(sample, way, id=f"{sample} × {way}") for sample in SAMPLES for way in WAYS]
 
@@ -429,7 +470,9 @@ def test_every_kind_and_every_way_has_its_row() -> None:
     assert TRIALS.keys() == set(WAYS)
     for kind in KINDS:
         assert set(kind.ways) <= set(WAYS)
-        assert {name for name in kind.instead if not name.endswith("=")} <= set(WAYS) - set(kind.ways)
+        assert {name for name in kind.instead if not name.endswith("=")} <= set(WAYS) - set(
+            kind.ways
+        )
         assert all(kind.words(way) for way in WAYS if way not in kind.ways), kind
         assert {f"lcp-plugin {one.name}" for one in app.registered_commands} >= set(COMMANDS)
 
@@ -437,7 +480,9 @@ def test_every_kind_and_every_way_has_its_row() -> None:
 def test_readme_shows_the_table_in_small() -> None:
     """Its rows are the kinds, a mark stands where all ways of a column take the kind."""
     text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    head, _, *rows = next(part for part in text.split("\n\n") if part.startswith("| kind |")).splitlines()
+    head, _, *rows = next(
+        part for part in text.split("\n\n") if part.startswith("| kind |")
+    ).splitlines()
     columns = [cell.replace("`", "").split(", ") for cell in map(str.strip, head.split("|")[2:-1])]
     assert [row.split("`")[1].partition("(")[0] for row in rows] == [kind.word for kind in KINDS]
     for row, kind in zip(rows, KINDS, strict=True):
@@ -463,7 +508,9 @@ def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_pa
                 continue  # where it is a program
             found = command(way.split()[1], path)
             assert found.exit_code == 2, found.output
-            assert any(f"lcp-plugin {one}" in found.output for one in ("solve", "certify")), found.output
+            assert any(f"lcp-plugin {one}" in found.output for one in ("solve", "certify")), (
+                found.output
+            )
     else:
         assert kind.words(way)
 
@@ -497,10 +544,21 @@ def test_worlds_with_contact_work_or_are_refused_in_words(tmp_path: Path) -> Non
 # --- Options of solve, Ctrl-C ----------------------------------------------------------------------------------------
 
 WISHES: dict[str, Any] = {
-    "tolerance": 1e-7, "tolerance_on": "error", "max_iterations": 10_000, "max_seconds": 60.0,
-    "absolute_tolerance": 1e-12, "record": True, "error_bound": True, "threads": 1, "verbose": True,
-    "prove_infeasibility": False, "z0": np.ones(2), "x0": np.ones(2), "callback": lambda *given: None,
-    "algorithm": "lemke", "max_nodes": 1000,
+    "tolerance": 1e-7,
+    "tolerance_on": "error",
+    "max_iterations": 10_000,
+    "max_seconds": 60.0,
+    "absolute_tolerance": 1e-12,
+    "record": True,
+    "error_bound": True,
+    "threads": 1,
+    "verbose": True,
+    "prove_infeasibility": False,
+    "z0": np.ones(2),
+    "x0": np.ones(2),
+    "callback": lambda *given: None,
+    "algorithm": "lemke",
+    "max_nodes": 1000,
 }
 SOLVABLE = [sample for sample in SAMPLES if Status.SOLVED in sample.ends]
 
@@ -518,7 +576,11 @@ def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, cap
     """What an option promises happens; one that a kind does not take is refused by its name."""
     kind, wish = kind_of(sample.problem), WISHES[name]
     assert kind is not None
-    is_taken = name in OF_SOLVE or name == "algorithm" if options_of(kind) is None else name in options_of(kind)
+    is_taken = (
+        name in OF_SOLVE or name == "algorithm"
+        if options_of(kind) is None
+        else name in options_of(kind)
+    )
     is_start_x = name == "z0" and "x0" in (options_of(kind) or {})  # z0 is x0 there
     is_taken = is_taken or is_start_x
     wish = "newton" if name == "algorithm" and sample.kind in ON_CONES else wish
@@ -568,7 +630,11 @@ def test_without_time_the_start_is_returned(sample: Sample) -> None:
     """max_seconds=0 ends with MAX_SECONDS, or with what is known without a step."""
     answer = solved(sample, max_seconds=0.0)
     assert answer.status in (Status.MAX_SECONDS, *sample.ends)
-    assert answer.x is None if sample.kind == "EquilibriumProgram" and sample.x is None else answer.x.shape[0] >= 2
+    assert (
+        answer.x is None
+        if sample.kind == "EquilibriumProgram" and sample.x is None
+        else answer.x.shape[0] >= 2
+    )
 
 
 # --- Sequences of answers --------------------------------------------------------------------------------------------
@@ -576,7 +642,9 @@ def test_without_time_the_start_is_returned(sample: Sample) -> None:
 
 def one_of_each_kind() -> list[Any]:
     """Return a problem of each kind that solve_batch takes."""
-    return list({one.kind: one.problem for one in SOLVABLE if one.kind != "NonlinearProblem"}.values())
+    return list(
+        {one.kind: one.problem for one in SOLVABLE if one.kind != "NonlinearProblem"}.values()
+    )
 
 
 def test_time_ends_a_batch_of_several_kinds() -> None:
@@ -607,7 +675,9 @@ def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -
     answers = solve_batch(problems)
     assert len(answers) == len(problems)
     is_done = [problem is one or kind_of(problem).word in ON_CONES for problem in problems]  # type: ignore[union-attr]
-    assert [status.name for status in answers.status] == ["SOLVED" if done else "INTERRUPTED" for done in is_done]
+    assert [status.name for status in answers.status] == [
+        "SOLVED" if done else "INTERRUPTED" for done in is_done
+    ]
 
 
 def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
@@ -648,7 +718,9 @@ def test_no_marches() -> None:
 def test_derivative_names_the_answer_that_it_takes() -> None:
     """An answer of another kind is not called no result; of a list it takes those to LCPs."""
     answers = solve_batch(one_of_each_kind())
-    with pytest.raises(InvalidOption, match=r"needs the answer to an LCP, NonlinearProblem, .*answers\[k\]"):
+    with pytest.raises(
+        InvalidOption, match=r"needs the answer to an LCP, NonlinearProblem, .*answers\[k\]"
+    ):
         derivative(answers)
     assert derivative(answers[0]).jvp(dq=np.ones(2)).shape == (2,)
 
@@ -656,7 +728,9 @@ def test_derivative_names_the_answer_that_it_takes() -> None:
 def test_a_start_is_refused_in_words_that_say_what_it_is_called() -> None:
     """x0 of an LCP is called z0; a z0 with NaN is an InvalidOption for every kind that takes one."""
     by_name = {sample.name: sample.problem for sample in SAMPLES}
-    with pytest.raises(InvalidOption, match="solve takes no x0 for an LCP; a start is called z0 here"):
+    with pytest.raises(
+        InvalidOption, match="solve takes no x0 for an LCP; a start is called z0 here"
+    ):
         solve(by_name["LCP"], x0=[1.0, 1.0])
     for name in ("LCP", "QP"):
         with pytest.raises(InvalidOption, match=r"z0 must be finite|z0\[0\] = nan"):
@@ -690,11 +764,19 @@ def begun_in_pyomo(through_a_file: Path | None = None) -> Any:
 
 def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
     """From x = −1, outside x ≥ 0, where log is −∞: each begins at 1, solves log x + 1 = 0, and says where it began."""
-    for begun in (begun_in_python, begun_in_cvxpy, begun_in_pyomo, partial(begun_in_pyomo, tmp_path / "m.nl")):
+    for begun in (
+        begun_in_python,
+        begun_in_cvxpy,
+        begun_in_pyomo,
+        partial(begun_in_pyomo, tmp_path / "m.nl"),
+    ):
         result = begun()
         assert result.is_solved
         assert float(result.x[0]) == pytest.approx(np.exp(-1.0))
-        assert "begun at the point of the bounds nearest to 1: F or its derivative is not finite" in str(result)
+        assert (
+            "begun at the point of the bounds nearest to 1: F or its derivative is not finite"
+            in str(result)
+        )
 
 
 def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind() -> None:
@@ -703,7 +785,13 @@ def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind() -> None:
     squares = BoundedLeastSquares(np.array([[2.0, 1.0], [1.0, 3.0]]), [1.0, -1.0])
     for problem, start in ((root, [1.0]), (squares, [0.5, 0.5])):
         assert np.array_equal(solve(problem, z0=start).x, solve(problem, x0=start).x)
-    for problem, more in ((LCP([[2.0]], [-1.0]), {}), (QuadraticProgram([[2.0]], [-1.0]), {}), (root, {"z0": [1.0]}),
-                          (squares, {})):
-        with pytest.raises(InvalidOption, match="tolerance must be less than 1, got 2: it is relative"):
+    for problem, more in (
+        (LCP([[2.0]], [-1.0]), {}),
+        (QuadraticProgram([[2.0]], [-1.0]), {}),
+        (root, {"z0": [1.0]}),
+        (squares, {}),
+    ):
+        with pytest.raises(
+            InvalidOption, match="tolerance must be less than 1, got 2: it is relative"
+        ):
             solve(problem, tolerance=2, **more)

@@ -80,12 +80,19 @@ def runs() -> dict[str, Callable[[], Any]]:
     M, G = A @ A.T + np.eye(10), rng.normal(size=(20, 10))
     lcp, program = lcp_plugin.LCP(M, q), lcp_plugin.QuadraticProgram(M, q, G=G, h=np.ones(20))
     n = 50
-    heat = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
-    first, forcing = lcp_plugin.LCP(heat + sp.eye_array(n), np.zeros(n)), np.tile(rng.normal(size=n), (5, 1))
+    heat = sp.diags_array(
+        [-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
+    first, forcing = (
+        lcp_plugin.LCP(heat + sp.eye_array(n), np.zeros(n)),
+        np.tile(rng.normal(size=n), (5, 1)),
+    )
     found = {
         "LCP, n = 10": lambda: lcp_plugin.solve(lcp),
         "program, n = 10, m = 20": lambda: lcp_plugin.solve(program),
-        "march, n = 50, 5 steps": lambda: lcp_plugin.march(first, forcing, propagator=-sp.eye_array(n, format="csr")),
+        "march, n = 50, 5 steps": lambda: lcp_plugin.march(
+            first, forcing, propagator=-sp.eye_array(n, format="csr")
+        ),
     }
     import cvxpy as cp
 
@@ -97,7 +104,9 @@ def runs() -> dict[str, Callable[[], Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--calls", action="store_true", help="print every move between subpackages as well")
+    parser.add_argument(
+        "--calls", action="store_true", help="print every move between subpackages as well"
+    )
     shown = parser.parse_args().calls
     imported = reach()
     print(f"{'warm solve':28} {'calls':>6} {'files':>6} {'moves':>6} {'climbs':>7}")
@@ -107,7 +116,9 @@ def main() -> None:
         calls = calls_of(run)
         files = dict.fromkeys(other[0] for _, other in calls)
         moves = dict.fromkeys(
-            (one[0], other[0]) for one, other in calls if one is not None and subpackage(one[0]) != subpackage(other[0])
+            (one[0], other[0])
+            for one, other in calls
+            if one is not None and subpackage(one[0]) != subpackage(other[0])
         )
         climbs = [(one, other) for one, other in moves if other not in imported.get(one, ())]
         print(f"{title:28} {len(calls):6} {len(files):6} {len(moves):6} {len(climbs):7}")
@@ -115,7 +126,9 @@ def main() -> None:
             print(*(f"    {Path(file).relative_to(PACKAGE)}" for file in files), sep="\n")
             for one, other in moves:
                 mark = "climb" if (one, other) in climbs else ""
-                print(f"    {mark:6}{Path(one).relative_to(PACKAGE)} → {Path(other).relative_to(PACKAGE)}")
+                print(
+                    f"    {mark:6}{Path(one).relative_to(PACKAGE)} → {Path(other).relative_to(PACKAGE)}"
+                )
 
 
 if __name__ == "__main__":

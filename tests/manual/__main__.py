@@ -19,9 +19,13 @@ from manual.pictures import keep  # noqa: E402
 from manual.site import run_examples, write  # noqa: E402
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser("python tests/manual", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        "python tests/manual", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("folder", type=Path, help="where the pages go")
-    parser.add_argument("--keep", action="store_true", help="write the pages' pictures and the notebooks, too")
+    parser.add_argument(
+        "--keep", action="store_true", help="write the pages' pictures and the notebooks, too"
+    )
     given = parser.parse_args()
     folder = given.folder
     for line in run_examples(folder):

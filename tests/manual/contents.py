@@ -18,32 +18,72 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TRADES = (  # in examples/manual: the problem, its code and picture, what was checked and the time, on one screen
-    "options", "contact", "equilibria", "obstacle", "data", "control", "games", "which_algorithm",
+    "options",
+    "contact",
+    "equilibria",
+    "obstacle",
+    "data",
+    "control",
+    "games",
+    "which_algorithm",
 )
-GUIDES = ("first_model", *TRADES, "what_is_proved", "layers", "many_machines")  # in the order in which they are read
-TO_LOOK_UP = ("solved", "algorithms", "promises", "speed", "limits", "architecture")  # tables, in examples/manual
+GUIDES = (
+    "first_model",
+    *TRADES,
+    "what_is_proved",
+    "layers",
+    "many_machines",
+)  # in the order in which they are read
+TO_LOOK_UP = (
+    "solved",
+    "algorithms",
+    "promises",
+    "speed",
+    "limits",
+    "architecture",
+)  # tables, in examples/manual
 SUBJECTS = {  # subject: what it is about, and the subpackages whose names and pages it shows; the longest match counts
-    "solve": ("Solve: problems, methods, what comes back", "core algorithms api auto methods problems"),
-    "model": ("Model: in cvxpy, as a program, a game, an equation", "modeling problems.programs "
-              "problems.reformulations"),
+    "solve": (
+        "Solve: problems, methods, what comes back",
+        "core algorithms api auto methods problems",
+    ),
+    "model": (
+        "Model: in cvxpy, as a program, a game, an equation",
+        "modeling problems.programs problems.reformulations",
+    ),
     "prove": (
         "Prove: a matrix, a method, an error, an answer",
         "proofs core.certificates methods.search problems.programs.certification problems.programs.certification",
     ),
-    "batch": ("Batch: many problems at once", "problems.batches problems.march problems.programs.stacked_programs"),
-    "differentiate": ("Differentiate: how the answer changes", "interfaces.learn problems.sensitivity"),
+    "batch": (
+        "Batch: many problems at once",
+        "problems.batches problems.march problems.programs.stacked_programs",
+    ),
+    "differentiate": (
+        "Differentiate: how the answer changes",
+        "interfaces.learn problems.sensitivity",
+    ),
     "measure": ("Measure: scenes, pictures, tests of solvers", "gallery evidence strategies"),
-    "interfaces": ("Interfaces: other languages, files, machines", "interfaces pyomo ranks commands"),
+    "interfaces": (
+        "Interfaces: other languages, files, machines",
+        "interfaces pyomo ranks commands",
+    ),
 }
 TOGETHER = ("core.errors",)  # a subpackage whose names stand on one page
 
 
 def subject_of(subpackage: str) -> str:
     """Return the subject that shows a subpackage's names."""
-    fits = [(len(own), subject) for subject, (_, subpackages) in SUBJECTS.items() for own in subpackages.split()
-            if f"{subpackage}.".startswith(f"{own}.")]
+    fits = [
+        (len(own), subject)
+        for subject, (_, subpackages) in SUBJECTS.items()
+        for own in subpackages.split()
+        if f"{subpackage}.".startswith(f"{own}.")
+    ]
     if not fits:
-        raise LookupError(f"no subject of the manual shows lcp_plugin.{subpackage}: add it to SUBJECTS in {__file__}")
+        raise LookupError(
+            f"no subject of the manual shows lcp_plugin.{subpackage}: add it to SUBJECTS in {__file__}"
+        )
     return max(fits)[1]
 
 
@@ -63,8 +103,14 @@ def members_of(thing: Any) -> dict[str, Any]:
         return {}
     ours = [base for base in reversed(thing.__mro__) if base.__module__.startswith("lcp_plugin")]
     found = {name: getattr(thing, name) for base in ours for name in vars(base) if name[0] != "_"}
-    told = {name: member for name, member in found.items() if is_member(member) and inspect.getdoc(member)}
-    return dict(sorted(told.items(), key=lambda item: is_function(item[1])))  # what it is, then what it does
+    told = {
+        name: member
+        for name, member in found.items()
+        if is_member(member) and inspect.getdoc(member)
+    }
+    return dict(
+        sorted(told.items(), key=lambda item: is_function(item[1]))
+    )  # what it is, then what it does
 
 
 @dataclass
@@ -101,7 +147,9 @@ class Page:
         things = self.entries or {self.name: self.thing}
         for name, thing in things.items():
             if self.entries:
-                yield from ((f"{start}{name}", f"{self.address}#{name}") for start in ("", f"{home}."))
+                yield from (
+                    (f"{start}{name}", f"{self.address}#{name}") for start in ("", f"{home}.")
+                )
                 yield f"{self.name}.{name}", f"{self.address}#{name}"
             for member in members_of(thing):
                 for start in ("", "lcp_plugin."):
@@ -116,22 +164,32 @@ def help_page(subpackage: str, entries: dict[str, Any], name: str = "") -> Page:
 def pages() -> list[Page]:
     """Return every page but those of examples and subjects: first what is a help page, then the names."""
     homes = lcp_plugin._HOME
-    subpackages = {name: {} for name in re.findall(r'help\("lcp_plugin\.([\w.]+)"\)', lcp_plugin.__doc__ or "")}
+    subpackages = {
+        name: {} for name in re.findall(r'help\("lcp_plugin\.([\w.]+)"\)', lcp_plugin.__doc__ or "")
+    }
     for subpackage, names in ELSEWHERE.items():
         module = import_module(f"lcp_plugin.{subpackage}")
-        subpackages.setdefault(subpackage, {}).update({name: getattr(module, name) for name in names.split()})
-    subpackages["algorithms"] |= {algorithm_class(name).__name__: algorithm_class(name) for name in REGISTRY}
+        subpackages.setdefault(subpackage, {}).update(
+            {name: getattr(module, name) for name in names.split()}
+        )
+    subpackages["algorithms"] |= {
+        algorithm_class(name).__name__: algorithm_class(name) for name in REGISTRY
+    }
     alone, names = [], {}
     for name, home in homes.items():
         thing = getattr(lcp_plugin, name)
         if inspect.ismodule(thing):
-            subpackages.setdefault(home, {}).update({each: getattr(thing, each) for each in thing.__all__})
+            subpackages.setdefault(home, {}).update(
+                {each: getattr(thing, each) for each in thing.__all__}
+            )
             names[home] = name
         elif home in TOGETHER:
             subpackages.setdefault(home, {})[name] = thing
         else:
             alone.append(Page(name, home, thing))
-    found = [help_page(home, entries, names.get(home, "")) for home, entries in subpackages.items()] + alone
+    found = [
+        help_page(home, entries, names.get(home, "")) for home, entries in subpackages.items()
+    ] + alone
     return found + further(found)
 
 
@@ -176,7 +234,9 @@ class Guide:
     @property
     def body(self) -> str:
         """What stands below the title, its links leading to pages of the site."""
-        text = re.sub(r"\]\(\.\./pictures/(\w+\.png)\)", r"](examples/\1)", self.source.partition("\n")[2])
+        text = re.sub(
+            r"\]\(\.\./pictures/(\w+\.png)\)", r"](examples/\1)", self.source.partition("\n")[2]
+        )
         text = re.sub(r"\]\(\.\./(\w+)\.py\)", r"](examples/\1.html)", text)
         return re.sub(r"\]\((\w+)\.md(#[\w-]+)?\)", r"](guide.\1.html)", text)
 
@@ -223,4 +283,6 @@ class Example:
 def examples() -> list[Example]:
     """Return the examples in the order of their table."""
     table = EXAMPLES.joinpath("README.md").read_text(encoding="utf-8")
-    return [Example(*row) for row in re.findall(r"^\| `(\w+)\.py` \| (.*?) \| (.*?) \|$", table, re.M)]
+    return [
+        Example(*row) for row in re.findall(r"^\| `(\w+)\.py` \| (.*?) \| (.*?) \|$", table, re.M)
+    ]

@@ -44,12 +44,18 @@ def displayed(block: str) -> str:
 
 def with_blocks(text: str) -> str:
     """Replace the indented blocks of a text that is not a list of entries."""
+
     def replaced(found: re.Match[str]) -> str:
         is_code = found["before"].endswith("::")
         before = found["before"].removesuffix(":") if is_code else found["before"]
         return before + "\n" + (fenced if is_code else displayed)(found["block"])
 
-    return re.sub(r"(?P<before>^(?![-*] | ).*)\n\n(?P<block>(?: {4}.*\n?|\n(?= {4}))+)", replaced, text, flags=re.M)
+    return re.sub(
+        r"(?P<before>^(?![-*] | ).*)\n\n(?P<block>(?: {4}.*\n?|\n(?= {4}))+)",
+        replaced,
+        text,
+        flags=re.M,
+    )
 
 
 def to_markdown(text: str) -> str:
@@ -59,7 +65,9 @@ def to_markdown(text: str) -> str:
     out = with_blocks(parts[0])
     for title, content in zip(parts[1::2], parts[2::2], strict=True):
         out += f"{title}\n{'-' * len(title)}\n{content if title in OF_ENTRIES else with_blocks(content)}"
-    return re.sub(r"^( - .*\)):\n\s*\n", r"\1\n", docstrings.convert(out, "numpy", None), flags=re.M)
+    return re.sub(
+        r"^( - .*\)):\n\s*\n", r"\1\n", docstrings.convert(out, "numpy", None), flags=re.M
+    )
 
 
 def render(text: str, links: Links) -> str:
@@ -73,7 +81,10 @@ def render(text: str, links: Links) -> str:
     def cited(found: re.Match[str]) -> str:
         number = found[2].rstrip(".,;)")
         site = "https://doi.org/" if found[1] == "doi" else "https://arxiv.org/abs/"
-        return keep(f'<a href="{site}{number}">{escape(found[1])}:{escape(number)}</a>') + found[2][len(number) :]
+        return (
+            keep(f'<a href="{site}{number}">{escape(found[1])}:{escape(number)}</a>')
+            + found[2][len(number) :]
+        )
 
     def formulas(words: str) -> str:
         words = re.sub(r"\b(doi|arXiv):(\S+)", cited, words)

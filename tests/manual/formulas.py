@@ -32,9 +32,58 @@ TOKEN = re.compile(
     re.X,
 )
 PROSE = {
-    *("a", "an", "and", "are", "as", "at", "be", "between", "beyond", "both", "but", "by", "each", "ends", "every"),
-    *("for", "from", "has", "have", "holds", "if", "in", "is", "it", "its", "means", "needs", "no", "not", "of", "on"),
-    *("only", "or", "so", "than", "that", "the", "then", "there", "they", "to", "up", "was", "were", "what", "where"),
+    *(
+        "a",
+        "an",
+        "and",
+        "are",
+        "as",
+        "at",
+        "be",
+        "between",
+        "beyond",
+        "both",
+        "but",
+        "by",
+        "each",
+        "ends",
+        "every",
+    ),
+    *(
+        "for",
+        "from",
+        "has",
+        "have",
+        "holds",
+        "if",
+        "in",
+        "is",
+        "it",
+        "its",
+        "means",
+        "needs",
+        "no",
+        "not",
+        "of",
+        "on",
+    ),
+    *(
+        "only",
+        "or",
+        "so",
+        "than",
+        "that",
+        "the",
+        "then",
+        "there",
+        "they",
+        "to",
+        "up",
+        "was",
+        "were",
+        "what",
+        "where",
+    ),
     *("which", "while", "with", "within"),
 }
 SPACE = '<mspace width="0.2em"/>'
@@ -75,7 +124,11 @@ def belongs(tokens: list[Token], k: int, depth: int) -> bool:
     is_marked = k + 1 < len(tokens) and tokens[k + 1].kind in ("index", "low", "high", "bar")
     if token.kind == "word" or (token.text in PROSE and not is_marked) or is_article(tokens, k):
         is_argument = depth > 0 and before in ("open", "comma") and after in ("close", "comma")
-        beside = OPERATION & {before, after} if token.text not in PROSE else before in OPERATION and after in OPERATION
+        beside = (
+            OPERATION & {before, after}
+            if token.text not in PROSE
+            else before in OPERATION and after in OPERATION
+        )
         return is_argument or bool(beside) or (k > 0 and tokens[k - 1].kind == "prefix")
     return token.kind != "other" and (token.kind != "comma" or depth > 0)
 
@@ -106,7 +159,10 @@ def is_formula(run: list[Token]) -> bool:
     if {"letter", "high"} <= {*kinds}:
         return True
     has_operand = any(kind in ("letter", "function", "bar", "prefix", "relation") for kind in kinds)
-    return bool({"relation", "index"} & {*kinds[1:]} or {"bar", "sign", "prefix"} & {*kinds}) and has_operand
+    return (
+        bool({"relation", "index"} & {*kinds[1:]} or {"bar", "sign", "prefix"} & {*kinds})
+        and has_operand
+    )
 
 
 def is_variable(tokens: list[Token], k: int) -> bool:
@@ -124,7 +180,11 @@ def set_formulas(text: str, put: Callable[[str], str]) -> str:
     """Return a text with each formula in it replaced by what `put` makes of it."""
     tokens, out, k = tokens_of(text), "", 0
     while k < len(tokens):
-        end = end_of_run(tokens, k) if tokens[k].kind not in ("space", "index", "low", "high", "comma") else k
+        end = (
+            end_of_run(tokens, k)
+            if tokens[k].kind not in ("space", "index", "low", "high", "comma")
+            else k
+        )
         run = tokens[k:end]
         if run and is_formula(run) and not (k and tokens[k - 1].text.endswith("*")):
             out += put("".join(token.text for token in run))
@@ -148,7 +208,12 @@ class Node:
 
     def __str__(self) -> str:
         parts = [self.markup, *(row for row in (self.low, self.high) if row)]
-        name = {(False, False): "", (True, False): "msub", (False, True): "msup", (True, True): "msubsup"}
+        name = {
+            (False, False): "",
+            (True, False): "msub",
+            (False, True): "msup",
+            (True, True): "msubsup",
+        }
         element = name[bool(self.low), bool(self.high)]
         return f"<{element}>{''.join(parts)}</{element}>" if element else self.markup
 
@@ -178,13 +243,19 @@ def nodes(waiting: Iterator[Token], until: str = "") -> list[Node]:
         hangs = bool(out) and out[-1].markup != SPACE
         if token.kind in ("open", "bar"):
             inner = "".join(map(str, nodes(waiting, PARTNER[token.text])))
-            left, right = (f'<mo stretchy="false">{sign}</mo>' for sign in (token.text, PARTNER[token.text]))
+            left, right = (
+                f'<mo stretchy="false">{sign}</mo>' for sign in (token.text, PARTNER[token.text])
+            )
             out.append(Node(f"<mrow>{left}{inner}{right}</mrow>"))
         elif token.kind == "low" and hangs:
             out[-1].low = row([leaf(LOW.get(c, c)) for c in token.text])
         elif token.kind == "index" and hangs:
             index = token.text[1:]
-            out[-1].low = row([leaf(letter) for letter in index]) if len(index) == 2 else inside(index.strip("{}"))
+            out[-1].low = (
+                row([leaf(letter) for letter in index])
+                if len(index) == 2
+                else inside(index.strip("{}"))
+            )
         elif token.kind == "power" and hangs:
             out[-1].high = inside(token.text[1:])
         elif token.kind == "high" and hangs:
@@ -198,8 +269,12 @@ def nodes(waiting: Iterator[Token], until: str = "") -> list[Node]:
         if len(out) > 1 and out[-2].markup == "<mo>√</mo>" and not (out[-1].low or out[-1].high):
             out[-2:] = [Node(f"<msqrt>{out[-1]}</msqrt>")]
     signs = [Node("<mo></mo>"), *out, Node("<mo></mo>")]
-    return [node for before, node, after in zip(signs, out, signs[2:], strict=False)
-            if node.markup != SPACE or not any(beside.markup.startswith("<mo") for beside in (before, after))]
+    return [
+        node
+        for before, node, after in zip(signs, out, signs[2:], strict=False)
+        if node.markup != SPACE
+        or not any(beside.markup.startswith("<mo") for beside in (before, after))
+    ]
 
 
 def mathml(formula: str) -> str:

@@ -13,7 +13,10 @@ from .contents import EXAMPLES
 
 NOTEBOOKS = EXAMPLES / "notebooks"
 NAMES = ("two_by_two_in_cvxpy", "american_put", "nnls_svm_portfolio", "model_predictive_control")
-OF_SCRIPTS = ("import typer", "from pathlib import Path")  # what saves the picture, and reads the command line
+OF_SCRIPTS = (
+    "import typer",
+    "from pathlib import Path",
+)  # what saves the picture, and reads the command line
 
 
 def cells_of(name: str) -> Iterator[tuple[str, str]]:
@@ -21,13 +24,18 @@ def cells_of(name: str) -> Iterator[tuple[str, str]]:
     script = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
     tree, lines = ast.parse(script), script.splitlines()
     title, _, story = (ast.get_docstring(tree) or "").partition("\n")
-    yield "markdown", f"# {title.rstrip('.')}\n{story}\n\nThe same as a script: [`{name}.py`](../{name}.py)."
+    yield (
+        "markdown",
+        f"# {title.rstrip('.')}\n{story}\n\nThe same as a script: [`{name}.py`](../{name}.py).",
+    )
     *before, main, _ = tree.body[1:]
     yield from (("code", part) for part in _parts(before, lines))
     assert isinstance(main, ast.FunctionDef)
     assert main.name == "main"
     steps = [part for part in _parts(main.body[1:], lines) if part]
-    drawn = next(k for k, part in enumerate(steps) if "plt.subplots" in part)  # a figure is shown below its cell
+    drawn = next(
+        k for k, part in enumerate(steps) if "plt.subplots" in part
+    )  # a figure is shown below its cell
     yield from (("code", part) for part in (*steps[:drawn], "\n\n".join(steps[drawn:])))
 
 
@@ -35,7 +43,15 @@ def _parts(statements: list[ast.stmt], lines: list[str]) -> Iterator[str]:
     """Yield the source of statements, apart where a blank line stands between, imports together; none that saves."""
     part: list[str] = []
     for k, statement in enumerate(statements):
-        first = min([statement.lineno, *(each.lineno for each in getattr(statement, "decorator_list", []))]) - 1
+        first = (
+            min(
+                [
+                    statement.lineno,
+                    *(each.lineno for each in getattr(statement, "decorator_list", [])),
+                ]
+            )
+            - 1
+        )
         source = textwrap.dedent("\n".join(lines[first : statement.end_lineno]))
         if k and not lines[first - 1].strip():
             if isinstance(statement, (ast.Import, ast.ImportFrom)):
@@ -53,11 +69,15 @@ def notebook(name: str) -> str:
     cells: list[dict[str, Any]] = []
     for kind, text in cells_of(name):
         of_code = {"execution_count": None, "outputs": []} if kind == "code" else {}
-        cells.append({"cell_type": kind, "metadata": {}, **of_code, "source": text.splitlines(keepends=True)})
+        cells.append(
+            {"cell_type": kind, "metadata": {}, **of_code, "source": text.splitlines(keepends=True)}
+        )
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     content = {
-        "cells": cells, "metadata": {"kernelspec": kernel, "language_info": {"name": "python"}},
-        "nbformat": 4, "nbformat_minor": 4,
+        "cells": cells,
+        "metadata": {"kernelspec": kernel, "language_info": {"name": "python"}},
+        "nbformat": 4,
+        "nbformat_minor": 4,
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 

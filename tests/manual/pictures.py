@@ -18,7 +18,13 @@ LARGEST = 100_000  # bytes
 def shown() -> list[str]:
     """Return the names of the pictures that the pages and the index of the examples show."""
     pages = [EXAMPLES / "README.md", *sorted((EXAMPLES / "manual").glob("*.md"))]
-    return sorted({name for page in pages for name in re.findall(r"pictures/(\w+)\.png", page.read_text("utf-8"))})
+    return sorted(
+        {
+            name
+            for page in pages
+            for name in re.findall(r"pictures/(\w+)\.png", page.read_text("utf-8"))
+        }
+    )
 
 
 def small(picture: Path) -> bytes:
@@ -29,7 +35,9 @@ def small(picture: Path) -> bytes:
         image.quantize(256, dither=Image.Dither.NONE).save(written, "PNG", optimize=True)
         if len(written.getvalue()) <= LARGEST:
             return written.getvalue()
-        image = image.resize((round(0.9 * image.width), round(0.9 * image.height)), Image.Resampling.LANCZOS)
+        image = image.resize(
+            (round(0.9 * image.width), round(0.9 * image.height)), Image.Resampling.LANCZOS
+        )
 
 
 def keep(folder: Path) -> Iterator[str]:

@@ -62,7 +62,9 @@ def signature(thing: Any) -> Markup:
     except (TypeError, ValueError):
         return Markup("")
     given = [
-        each.replace(annotation=written(each.annotation)) for each in told.parameters.values() if each.name != "self"
+        each.replace(annotation=written(each.annotation))
+        for each in told.parameters.values()
+        if each.name != "self"
     ]
     returned = told.empty if inspect.isclass(thing) else written(told.return_annotation)
     return format_signature(told.replace(parameters=given, return_annotation=returned), colon=False)
@@ -79,15 +81,26 @@ class Site:
     def __init__(self) -> None:
         self.package, self.pages, self.examples = lcp_plugin, pages(), examples()
         self.guides, self.to_look_up = guides(), to_look_up()
-        self.addresses = {name: address for page in reversed(self.pages) for name, address in page.anchors()}
+        self.addresses = {
+            name: address for page in reversed(self.pages) for name, address in page.anchors()
+        }
         self.templates = Environment(
-            loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
-            trim_blocks=True, lstrip_blocks=True,
+            loader=FileSystemLoader(HERE),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
         )
         self.templates.filters["breakable"] = breakable
         self.templates.globals.update(
-            site=self, subjects=SUBJECTS, version=lcp_plugin.__version__, summary=summary, members_of=members_of,
-            signature=self.signature, isclass=inspect.isclass, is_function=is_function,
+            site=self,
+            subjects=SUBJECTS,
+            version=lcp_plugin.__version__,
+            summary=summary,
+            members_of=members_of,
+            signature=self.signature,
+            isclass=inspect.isclass,
+            is_function=is_function,
         )
 
     def of_subject(self, subject: str) -> list[Page]:
@@ -101,17 +114,30 @@ class Site:
 
     def signature(self, thing: Any, up: str = "") -> Markup:
         """Return a signature in which public classes are links."""
+
         def linked(found: re.Match[str]) -> str:
             address = self.addresses.get(found[1])
-            return f'<span class="n"><a href="{up}{address}">{found[1]}</a></span>' if address else found[0]
+            return (
+                f'<span class="n"><a href="{up}{address}">{found[1]}</a></span>'
+                if address
+                else found[0]
+            )
 
         return Markup(re.sub(r'<span class="n">([A-Z]\w+)</span>', linked, signature(thing)))
 
     def docstring(self, text: str, scope: str = "", up: str = "") -> Markup:
         """Return a docstring as HTML; names are looked up in its scope first."""
+
         def links(name: str) -> str | None:
-            starts = [scope.rsplit(".", k)[0] + "." for k in range(scope.count(".") + 1)] if scope else []
-            address = next((found for start in [*starts, ""] if (found := self.addresses.get(start + name))), None)
+            starts = (
+                [scope.rsplit(".", k)[0] + "." for k in range(scope.count(".") + 1)]
+                if scope
+                else []
+            )
+            address = next(
+                (found for start in [*starts, ""] if (found := self.addresses.get(start + name))),
+                None,
+            )
             return address and up + address
 
         return Markup(render(text, links))
@@ -123,13 +149,22 @@ class Site:
 
     def files(self, folder: Path) -> Iterator[tuple[str, str]]:
         """Yield the name of each file with its text."""
-        make = {name: self.templates.get_template(f"{name}.html.jinja2").render
-                for name in ("start", "guide", "subject", "page", "example", "search")}
+        make = {
+            name: self.templates.get_template(f"{name}.html.jinja2").render
+            for name in ("start", "guide", "subject", "page", "example", "search")
+        }
         yield "index.html", make["start"](up="", subject=None)
         yield "search.html", make["search"](up="", subject=None)
         for k, guide in enumerate(told := self.guides + self.to_look_up):
-            yield guide.address, make["guide"](
-                up="", subject=None, guide=guide, text=self.docstring(guide.body), following=told[k + 1 : k + 2]
+            yield (
+                guide.address,
+                make["guide"](
+                    up="",
+                    subject=None,
+                    guide=guide,
+                    text=self.docstring(guide.body),
+                    following=told[k + 1 : k + 2],
+                ),
             )
         for subject in SUBJECTS:
             yield f"subject.{subject}.html", make["subject"](up="", subject=subject)
@@ -138,10 +173,18 @@ class Site:
         for k, example in enumerate(self.examples):
             story, code = told_and_code(example)
             output = (folder / "examples" / f"{example.name}.txt").read_text(encoding="utf-8")
-            yield example.address, make["example"](
-                up="../", subject=None, example=example, title=summary_of(story), output=output,
-                story=self.docstring(story.partition("\n\n")[2], up="../"), code=code,
-                following=self.examples[(k + 1) % len(self.examples)],
+            yield (
+                example.address,
+                make["example"](
+                    up="../",
+                    subject=None,
+                    example=example,
+                    title=summary_of(story),
+                    output=output,
+                    story=self.docstring(story.partition("\n\n")[2], up="../"),
+                    code=code,
+                    following=self.examples[(k + 1) % len(self.examples)],
+                ),
             )
         style = HERE.joinpath("style.css").read_text(encoding="utf-8")
         yield "style.css", style + CODE.get_style_defs(".pdoc-code") + "\n"
@@ -177,7 +220,11 @@ def run_examples(folder: Path) -> Iterator[str]:
 def document(address: str, page: str) -> dict[str, str]:
     """Return what the search knows of a page: where it is, its title and the words of its main part."""
     main = page.partition("<main>")[2].partition("</main>")[0]
-    words = " ".join(unescape(re.sub(r"<[^>]*>", "", re.sub(r"(?=<(p|h\d|li|td|pre|div|dt|dd)\b)", " ", main))).split())
+    words = " ".join(
+        unescape(
+            re.sub(r"<[^>]*>", "", re.sub(r"(?=<(p|h\d|li|td|pre|div|dt|dd)\b)", " ", main))
+        ).split()
+    )
     title = re.search(r"<title>(.*?) · lcp_plugin</title>", page)
     return {"address": address, "title": unescape(title[1]) if title else address, "text": words}
 
@@ -188,8 +235,16 @@ def write(folder: Path) -> int:
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
     pages = {name: text for name, text in files.items() if name.endswith(".html")}
-    searched = [document(name, text) for name, text in pages.items() if name not in ("index.html", "search.html")]
-    (folder / "documents.js").write_text(f"const DOCUMENTS = {json.dumps(searched)};\n", encoding="utf-8")
-    shutil.copy(Path(pdoc.__file__).parent / "templates" / "resources" / "elasticlunr.min.js", folder)
+    searched = [
+        document(name, text)
+        for name, text in pages.items()
+        if name not in ("index.html", "search.html")
+    ]
+    (folder / "documents.js").write_text(
+        f"const DOCUMENTS = {json.dumps(searched)};\n", encoding="utf-8"
+    )
+    shutil.copy(
+        Path(pdoc.__file__).parent / "templates" / "resources" / "elasticlunr.min.js", folder
+    )
     shutil.copy(EXAMPLES / "pictures" / "three_problems.png", folder)
     return len(pages)

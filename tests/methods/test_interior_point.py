@@ -35,16 +35,24 @@ def random_bounds(kind: str, n: int, rng: np.random.Generator) -> tuple[Any, Any
     if kind == "mixed":
         row = rng.integers(0, 5, n)
         lower = np.where(row <= 1, -np.inf, rng.integers(-3, 3, n).astype(float))
-        upper = np.where((row == 1) | (row == 2), np.inf, np.where(row == 0, 1.0, lower + rng.random(n) + 0.1))
+        upper = np.where(
+            (row == 1) | (row == 2), np.inf, np.where(row == 0, 1.0, lower + rng.random(n) + 0.1)
+        )
         upper = np.where(row == 4, lower, upper)
     return lower, upper
 
 
-def with_answer(M: Any, lower: Any, upper: Any, rng: np.random.Generator, degenerate: float = 0.2) -> LCP:
+def with_answer(
+    M: Any, lower: Any, upper: Any, rng: np.random.Generator, degenerate: float = 0.2
+) -> LCP:
     """A problem whose answer was chosen first, part of its rows with both distance and slack 0."""
     n = lower.size
     bound = np.where(rng.random(n) < 0.5, lower, upper)
-    z = np.where((rng.random(n) < 0.5) & np.isfinite(bound), bound, np.clip(rng.standard_normal(n), lower, upper))
+    z = np.where(
+        (rng.random(n) < 0.5) & np.isfinite(bound),
+        bound,
+        np.clip(rng.standard_normal(n), lower, upper),
+    )
     size = np.where(rng.random(n) < degenerate, 0.0, rng.random(n))
     w = np.where(z == lower, size, 0.0) - np.where((z == upper) & (z != lower), size, 0.0)
     return LCP(M, w - M @ z, lower=lower, upper=upper)
@@ -60,8 +68,14 @@ def test_solves_monotone_problems(kind: str, storage: str, bounds: str) -> None:
         n = [1, 2, 5, 12, 30, 200][seed]
         M = random_matrix(kind, n, rng)
         if storage == "sparse":
-            M = sp.csr_array(np.where(rng.random((n, n)) < 0.2, M, 0.0)) if kind == "zero" else sp.csr_array(M)
-        result = solve(with_answer(M, *random_bounds(bounds, n, rng), rng), InteriorPoint(), tolerance=1e-10)
+            M = (
+                sp.csr_array(np.where(rng.random((n, n)) < 0.2, M, 0.0))
+                if kind == "zero"
+                else sp.csr_array(M)
+            )
+        result = solve(
+            with_answer(M, *random_bounds(bounds, n, rng), rng), InteriorPoint(), tolerance=1e-10
+        )
         assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, result.certificate)
         assert result.iterations <= 40
 
@@ -81,7 +95,9 @@ def test_multipliers_alone_are_at_their_bounds() -> None:
 
 @pytest.mark.parametrize("condition", [1e2, 1e6, 1e8])
 @pytest.mark.parametrize("active", [0.3, 0.7])
-def test_ill_conditioned_dense_problem_is_solved_to_rounding(condition: float, active: float) -> None:
+def test_ill_conditioned_dense_problem_is_solved_to_rounding(
+    condition: float, active: float
+) -> None:
     """Dense SPD, n = 200: z is off by rounding times the condition."""
     n, rng = 200, np.random.default_rng(1)
     vectors, _ = np.linalg.qr(rng.standard_normal((n, n)))
@@ -171,7 +187,9 @@ def test_signs_are_found_or_there_are_none() -> None:
         assert s is not None
         assert (s[:, np.newaxis] * M == (s[:, np.newaxis] * M).T).all()
         assert not M[s < 0.0][:, s < 0.0].any()
-    triangle = np.array([[0.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [-1.0, -1.0, 0.0]])  # all three oppose each other
+    triangle = np.array(
+        [[0.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [-1.0, -1.0, 0.0]]
+    )  # all three oppose each other
     bent = np.array([[1.0, 1.0], [-1.0, 1.0]])  # a multiplier with an entry of its own
     for M in (triangle, np.triu(triangle), bent):
         assert signs_of(Matrix(M)) is None
@@ -185,9 +203,22 @@ def test_multipliers_of_any_bounds(kind: str, storage: str) -> None:
     n, m = 12, 5
     B, C = rng.standard_normal((n, n)), rng.standard_normal((m, n))
     M = np.block([[B @ B.T, -C.T], [C, np.zeros((m, m))]])
-    bounds = {"fixed": (0.5, 0.5), "boxed": (-0.2, 0.2), "free": (-np.inf, np.inf), "below": (-np.inf, 0.3)}[kind]
-    lower, upper = np.append(np.zeros(n), np.full(m, bounds[0])), np.append(np.full(n, np.inf), np.full(m, bounds[1]))
-    problem = LCP(M if storage == "dense" else sp.csr_array(M), rng.standard_normal(n + m), lower=lower, upper=upper)
+    bounds = {
+        "fixed": (0.5, 0.5),
+        "boxed": (-0.2, 0.2),
+        "free": (-np.inf, np.inf),
+        "below": (-np.inf, 0.3),
+    }[kind]
+    lower, upper = (
+        np.append(np.zeros(n), np.full(m, bounds[0])),
+        np.append(np.full(n, np.inf), np.full(m, bounds[1])),
+    )
+    problem = LCP(
+        M if storage == "dense" else sp.csr_array(M),
+        rng.standard_normal(n + m),
+        lower=lower,
+        upper=upper,
+    )
     result = solve(problem, "interior_point", tolerance=1e-12)
     assert result.is_solved
     np.testing.assert_allclose(result.z, solve(problem, "newton", tolerance=1e-12).z, atol=1e-8)
@@ -197,7 +228,9 @@ def test_multipliers_of_any_bounds(kind: str, storage: str) -> None:
 def test_a_start_near_the_answer_saves_the_engine(storage: str) -> None:
     """The case of such a z0 is tried first; of a z0 far away nothing is used."""
     rng = np.random.default_rng(0)
-    problem = with_answer(random_matrix("nonsymmetric", 60, rng), np.zeros(60), np.full(60, np.inf), rng, 0.0)
+    problem = with_answer(
+        random_matrix("nonsymmetric", 60, rng), np.zeros(60), np.full(60, np.inf), rng, 0.0
+    )
     problem = problem if storage == "dense" else LCP(sp.csr_array(problem.M), problem.q)
     plain = solve(problem, "interior_point")
     begun = solve(problem, "interior_point", z0=plain.z * (1.0 + 1e-4))
@@ -252,8 +285,14 @@ def test_rows_of_a_definite_matrix_may_be_in_any_units(kind: str) -> None:
         M = A @ A.T / 300 + 1e-6 * np.eye(300)
     q, rows = rng.standard_normal(M.shape[0]), np.exp2(rng.integers(-15, 16, M.shape[0]))
     own = solve(LCP(M, q), "interior_point")
-    other = solve(LCP(sp.csr_array(sp.diags_array(rows) @ M) if kind == "plate" else rows[:, None] * M, rows * q),
-                  "interior_point", prove_infeasibility=False)
+    other = solve(
+        LCP(
+            sp.csr_array(sp.diags_array(rows) @ M) if kind == "plate" else rows[:, None] * M,
+            rows * q,
+        ),
+        "interior_point",
+        prove_infeasibility=False,
+    )
     assert own.is_solved
     assert other.is_solved
     np.testing.assert_allclose(other.z, own.z, atol=1e-6 * np.abs(own.z).max())

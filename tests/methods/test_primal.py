@@ -18,7 +18,9 @@ def dense(kind: str, n: int, rng: np.random.Generator) -> LCP:
     if kind == "half rank":
         B = rng.standard_normal((n, n // 2))
         M = B @ B.T
-        return LCP(M, rng.random(n) * (rng.random(n) < 0.5) - M @ np.maximum(rng.standard_normal(n), 0.0))
+        return LCP(
+            M, rng.random(n) * (rng.random(n) < 0.5) - M @ np.maximum(rng.standard_normal(n), 0.0)
+        )
     basis = np.linalg.qr(rng.standard_normal((n, n)))[0]
     M = (basis * np.logspace(0.0, -8.0 if kind == "condition 1e8" else -1.0, n)) @ basis.T
     M = 0.5 * (M + M.T)

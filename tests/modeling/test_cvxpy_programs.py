@@ -30,7 +30,9 @@ CASES = 40
 def hinge_loss() -> Any:
     """The loss of a support vector machine, 0.017347 at its minimum; 2 where pos(…) is held at or above 1."""
     w, y, A = cp.Variable(2), np.array([1.0, -1.0]), np.array([[1.0, 2.0], [3.0, -1.0]])
-    return cp.Problem(cp.Minimize(cp.sum(cp.pos(1 - cp.multiply(y, A @ w))) + 0.05 * cp.sum_squares(w)))
+    return cp.Problem(
+        cp.Minimize(cp.sum(cp.pos(1 - cp.multiply(y, A @ w))) + 0.05 * cp.sum_squares(w))
+    )
 
 
 # --- Nothing inferred is believed ------------------------------------------------------------------------------------
@@ -40,7 +42,9 @@ def hinge_loss() -> Any:
 @pytest.mark.parametrize("second_solve", [False, True], ids=["first solve", "after Clarabel"])
 def test_random_programs_agree_with_other_solvers(second_solve: bool) -> None:
     """Random DCP programs: no wrong value, no wrong status, at most one undecided (see the campaign)."""
-    outcomes = Counter(cvxpy_programs.judged(7, k, second_solve=second_solve)[0] for k in range(CASES))
+    outcomes = Counter(
+        cvxpy_programs.judged(7, k, second_solve=second_solve)[0] for k in range(CASES)
+    )
     assert outcomes["agreed"] >= CASES - 1, outcomes
     assert not outcomes["wrong value"] + outcomes["wrong status"]
 
@@ -76,10 +80,18 @@ def test_bounds_that_cvxpy_sends_are_refused() -> None:
         qp_solver.quadratic_program({**data, "lower_bounds": np.zeros(data["n_var"])})
 
 
-@pytest.mark.parametrize("kind", [
-    {"nonneg": True}, {"nonpos": True}, {"bounds": [-0.25, 0.5]}, {"symmetric": True},
-    {"sparsity": ([0, 1], [1, 0])}, {},
-], ids=str)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"nonneg": True},
+        {"nonpos": True},
+        {"bounds": [-0.25, 0.5]},
+        {"symmetric": True},
+        {"sparsity": ([0, 1], [1, 0])},
+        {},
+    ],
+    ids=str,
+)
 @pytest.mark.parametrize("turned", [cp.Minimize, cp.Maximize])
 def test_attributes_of_one_s_own_variables_hold(kind: dict[str, Any], turned: Any) -> None:
     """Minima and maxima over variables of every attribute are Clarabel's, with constants and parameters about."""
@@ -116,11 +128,22 @@ def compiled_problems() -> dict[str, Any]:
     return {
         "no parameter": (cp.Problem(cp.Minimize(cp.norm1(x - 1) + cp.sum_squares(x)), rows), []),
         "no rows": (cp.Problem(cp.Minimize(cp.sum_squares(x - rng.normal(size=4)))), []),
-        "limits": (cp.Problem(cp.Minimize(cp.sum_squares(x) + t), [*rows, x <= t + p, x[:2] == p[:2]]), [p]),
+        "limits": (
+            cp.Problem(cp.Minimize(cp.sum_squares(x) + t), [*rows, x <= t + p, x[:2] == p[:2]]),
+            [p],
+        ),
         "costs": (cp.Problem(cp.Maximize(p @ x - s * cp.norm1(x)), rows), [p, s]),
-        "rows": (cp.Problem(cp.Minimize(cp.sum(cp.huber(A @ x - 1)) + s), [*rows, A @ x <= 2]), [A, s]),
-        "matrices": (cp.Problem(cp.Minimize(cp.sum_squares(X @ A - 1) + cp.norm1(X)), [X[0] >= X[1], X[:, 0] <= p[:2]]),
-                     [A, p]),
+        "rows": (
+            cp.Problem(cp.Minimize(cp.sum(cp.huber(A @ x - 1)) + s), [*rows, A @ x <= 2]),
+            [A, s],
+        ),
+        "matrices": (
+            cp.Problem(
+                cp.Minimize(cp.sum_squares(X @ A - 1) + cp.norm1(X)),
+                [X[0] >= X[1], X[:, 0] <= p[:2]],
+            ),
+            [A, p],
+        ),
     }
 
 
@@ -133,7 +156,9 @@ def test_the_program_is_the_one_that_cvxpy_s_interface_makes(name: str) -> None:
         for parameter in parameters:
             parameter.value = scale * np.abs(rng.normal(size=parameter.shape))
         data, _, inverse = problem.get_problem_data(QPSolver)
-        stated = cp.Problem(problem.objective, problem.constraints)  # with its quadratic terms, none of them or not
+        stated = cp.Problem(
+            problem.objective, problem.constraints
+        )  # with its quadratic terms, none of them or not
         theirs, back = super(type(QPSolver), QPSolver).apply(
             stated.get_problem_data(QPSolver, solver_opts={"use_quad_obj": True})[0]["param_prob"]
         )
@@ -155,7 +180,9 @@ def test_the_program_is_the_one_that_cvxpy_s_interface_makes(name: str) -> None:
 def losses() -> Any:
     x = cp.Variable(3)
     a = np.array([1.0, -2.0, 0.5])
-    return cp.Problem(cp.Minimize(cp.norm1(x - a) + cp.sum_squares(x)), [cp.sum(x) == 1, x[0] <= 0.25, x[1] >= -1])
+    return cp.Problem(
+        cp.Minimize(cp.norm1(x - a) + cp.sum_squares(x)), [cp.sum(x) == 1, x[0] <= 0.25, x[1] >= -1]
+    )
 
 
 def impossible() -> Any:
@@ -226,12 +253,16 @@ def test_a_program_that_is_not_the_problem_is_never_optimal(
 
 
 @pytest.mark.parametrize("planted", PLANTED)
-def test_a_re_solve_is_judged_as_a_first_solve_is(planted: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_re_solve_is_judged_as_a_first_solve_is(
+    planted: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same errors show where they come with new vectors only, to a program whose matrices were right before."""
     status, tamper = PLANTED[planted]
     problem, original = PROBLEMS[status](), QuadraticProgram.with_vectors
     problem.solve(solver=QPSolver)
-    monkeypatch.setattr(QuadraticProgram, "with_vectors", lambda *args, **kwargs: tamper(original(*args, **kwargs)))
+    monkeypatch.setattr(
+        QuadraticProgram, "with_vectors", lambda *args, **kwargs: tamper(original(*args, **kwargs))
+    )
     whole = qp_solver.quadratic_program  # which a re-solve begins with again before cvxpy 1.8
     monkeypatch.setattr(qp_solver, "quadratic_program", lambda data: tamper(whole(data)))
     with pytest.raises(SolverError, match="the problem itself contradicts"):
@@ -246,7 +277,9 @@ def test_a_violation_shows_in_any_unit(unit: float, monkeypatch: pytest.MonkeyPa
     problem = cp.Problem(cp.Minimize(cp.abs(x - 3 * unit)), [x <= unit])
     assert problem.solve(solver=QPSolver) == pytest.approx(2 * unit, rel=1e-6)
     tampered = cp.Problem(problem.objective, problem.constraints)
-    monkeypatch.setattr(qp_solver, "quadratic_program", lambda data: without_single_rows(original(data)))
+    monkeypatch.setattr(
+        qp_solver, "quadratic_program", lambda data: without_single_rows(original(data))
+    )
     with pytest.raises(SolverError, match="is violated by"):
         tampered.solve(solver=QPSolver)
 
@@ -259,8 +292,13 @@ def test_the_problem_s_terms_have_the_values_that_cvxpy_gives_them() -> None:
     shared = X.T @ np.array([1.0, -2.0]) + cp.multiply(p, y) / 2.0
     sparse = sp.csc_array(np.diag([1.0, 0.0, 3.0]))
     constraints = [
-        shared <= 1 + cp.abs(p), cp.vstack([shared, y]) >= X - z, cp.sum(X, axis=0) == sparse @ y, z >= p[0],
-        cp.constraints.NonNeg(2 - z), cp.constraints.Zero(cp.hstack([z, y]) - 1), cp.Constant(1.0) <= 2.0 + 0 * z,
+        shared <= 1 + cp.abs(p),
+        cp.vstack([shared, y]) >= X - z,
+        cp.sum(X, axis=0) == sparse @ y,
+        z >= p[0],
+        cp.constraints.NonNeg(2 - z),
+        cp.constraints.Zero(cp.hstack([z, y]) - 1),
+        cp.Constant(1.0) <= 2.0 + 0 * z,
     ]
     loss = cp.sum_squares(shared) + cp.norm1(X) + 3.0
     for objective in (cp.Minimize(loss), cp.Maximize(-cp.max(shared)), cp.Minimize(0)):
@@ -268,9 +306,13 @@ def test_the_problem_s_terms_have_the_values_that_cvxpy_gives_them() -> None:
         for variable in problem.variables():
             variable.value = np.abs(rng.normal(size=variable.shape))
         terms = StatedTerms.of(problem)
-        assert terms.goal == objective.args[0].value * (-1.0 if isinstance(objective, cp.Maximize) else 1.0)
+        assert terms.goal == objective.args[0].value * (
+            -1.0 if isinstance(objective, cp.Maximize) else 1.0
+        )
         for constraint, slack in zip(constraints, terms.slacks, strict=True):
-            violation = np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
+            violation = (
+                np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
+            )
             np.testing.assert_allclose(violation, constraint.residual, atol=1e-14)
 
 
@@ -278,7 +320,9 @@ def test_an_error_of_cvxpy_s_own_is_found() -> None:
     """Every cvxpy so far compiles vstack of a bare diag transposed: other solvers' answer violates its constraint."""
     X = cp.Variable((2, 2))
     doubled = cp.vstack([cp.diag(X), cp.diag(X)])
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(X)), [doubled == np.array([[1.0, 1.0], [1.5, 1.5]])])
+    problem = cp.Problem(
+        cp.Minimize(cp.sum_squares(X)), [doubled == np.array([[1.0, 1.0], [1.5, 1.5]])]
+    )
     problem.solve(solver=cp.CLARABEL)
     if problem.status == "infeasible":
         pytest.skip("this cvxpy compiles it as stated")
@@ -302,7 +346,9 @@ def test_other_solvers_are_left_alone() -> None:
         problem.unpack_results(moved, chain, inverse)
 
 
-def test_what_cannot_be_evaluated_is_not_judged_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_evaluated_is_not_judged_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Where an atom of cvxpy fails at a value, the program's answer stands, with a warning."""
     x = cp.Variable(3)
     norm = cp.norm1(x)
@@ -350,8 +396,14 @@ def test_extra_stats_of_complementarity_have_the_same_shape(q: float) -> None:
 def refused() -> dict[str, tuple[Any, str]]:
     x, k, S = cp.Variable(2), cp.Variable(2, integer=True), cp.Variable((2, 2), PSD=True)
     return {
-        "norm": (cp.Problem(cp.Minimize(cp.sum(x)), [cp.norm(x) <= 1]), "<= 1.0 is not piecewise linear"),
-        "exp": (cp.Problem(cp.Minimize(cp.sum(cp.exp(x)))), "the objective .*exp.* is not quadratic"),
+        "norm": (
+            cp.Problem(cp.Minimize(cp.sum(x)), [cp.norm(x) <= 1]),
+            "<= 1.0 is not piecewise linear",
+        ),
+        "exp": (
+            cp.Problem(cp.Minimize(cp.sum(cp.exp(x)))),
+            "the objective .*exp.* is not quadratic",
+        ),
         "cone": (cp.Problem(cp.Minimize(x[0]), [cp.SOC(x[0], x)]), "is a SOC"),
         "integer": (cp.Problem(cp.Minimize(cp.sum_squares(k - 0.4))), "is integer"),
         "semidefinite": (cp.Problem(cp.Minimize(cp.trace(S)), [S[0, 1] == 1]), "is PSD"),
@@ -366,10 +418,10 @@ def test_a_refusal_has_its_reason(name: str) -> None:
         problem.solve(method="LCP")
     with pytest.raises(SolverError) as raised:
         problem.solve(solver=QPSolver)
-    if hasattr(QpSolver, "can_solve") and name != "integer":  # before 1.9, and of integers, cvxpy has words of its own
+    if (
+        hasattr(QpSolver, "can_solve") and name != "integer"
+    ):  # before 1.9, and of integers, cvxpy has words of its own
         assert re.search(reason, str(raised.value))
-
-
 
 
 @pytest.mark.parametrize("algorithm", ["psor", "pgs", "npgs", "npsor", "newton", "interior_point"])

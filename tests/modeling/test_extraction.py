@@ -18,7 +18,9 @@ from lcp_plugin.modeling.reading import Reader
 V = np.array([2.0, -1.0, 3.0, 5.0])
 A = np.array([[1.0, 2.0, 0.0, -1.0], [0.0, 3.0, 1.0, 0.0], [4.0, 0.0, -2.0, 1.0]])
 B = np.array([[1.0, 0.0], [-2.0, 3.0], [0.0, 5.0], [7.0, 0.0]])
-S = np.array([[4.0, -1.0, 0.0, 0.0], [-1.0, 4.0, -2.0, 0.0], [0.0, -1.0, 4.0, -1.0], [3.0, 0.0, -1.0, 4.0]])
+S = np.array(
+    [[4.0, -1.0, 0.0, 0.0], [-1.0, 4.0, -2.0, 0.0], [0.0, -1.0, 4.0, -1.0], [3.0, 0.0, -1.0, 4.0]]
+)
 MASK = np.array([True, False, True, True])
 MASKS = np.arange(12).reshape(3, 4) % 3 == 0
 SPARSE = sp.csr_array(S)
@@ -112,7 +114,9 @@ FORMS = {
     "variable plus number": lambda u: u.X + 7,
     "column plus row": lambda u: u.c + cp.reshape(u.x, (1, 4), order="F"),
     "row plus matrix": lambda u: u.X + cp.reshape(u.x, (1, 4), order="F"),
-    "promote": lambda u: cp.promote(u.s, (3, 2)) if hasattr(cp, "promote") else u.s * np.ones((3, 2)),
+    "promote": lambda u: (
+        cp.promote(u.s, (3, 2)) if hasattr(cp, "promote") else u.s * np.ones((3, 2))
+    ),
     "broadcast_to": lambda u: cp.broadcast_to(u.x, (3, 4)),
     # products
     "number times": lambda u: 3 * u.X,
@@ -182,11 +186,17 @@ FORMS = {
     "quadratic form of zero": lambda u: cp.quad_form(u.x, np.zeros((4, 4))) + u.s,
     # constants and parameters
     "folded constants": lambda u: (cp.Constant(S) @ cp.Constant(S)) @ u.x + cp.square(V),
-    "folded sparse constants": lambda u: (2 * cp.Constant(SPARSE).T @ cp.Constant(SPARSE) / 4) @ u.x,
-    "sparse block constant": lambda u: cp.bmat([[SPARSE, -SPARSE], [SPARSE, SPARSE]]) @ cp.hstack([u.x, u.y]),
+    "folded sparse constants": lambda u: (
+        (2 * cp.Constant(SPARSE).T @ cp.Constant(SPARSE) / 4) @ u.x
+    ),
+    "sparse block constant": lambda u: (
+        cp.bmat([[SPARSE, -SPARSE], [SPARSE, SPARSE]]) @ cp.hstack([u.x, u.y])
+    ),
     "sparse constant diagonal": lambda u: cp.multiply(cp.diag(cp.Constant(SPARSE)), u.x),
     "sparse constant sum": lambda u: cp.multiply(cp.sum(cp.Constant(SPARSE), axis=0), u.x),
-    "sparse constant kron": lambda u: cp.kron(cp.Constant(SPARSE), cp.Constant(np.eye(2))) @ cp.hstack([u.x, u.y]),
+    "sparse constant kron": lambda u: (
+        cp.kron(cp.Constant(SPARSE), cp.Constant(np.eye(2))) @ cp.hstack([u.x, u.y])
+    ),
     "sparse constant rows": lambda u: cp.Constant(SPARSE)[1:3] @ u.x,
     "sparse constant one row": lambda u: cp.Constant(SPARSE)[1] @ u.x,
     "parameter offset": lambda u: S @ u.x + u.v,
@@ -197,9 +207,12 @@ FORMS = {
     "parameter as divisor": lambda u: u.x / u.p,
     "parameter in a shifted product": lambda u: S @ (u.x + u.v),
 }
-MISSING = {"stack": "stack", "einsum": "einsum", "einsum trace": "einsum", "broadcast_to": "broadcast_to"} | {
-    name: name for name in ("squeeze", "convolve", "permute_dims", "swapaxes")
-}
+MISSING = {
+    "stack": "stack",
+    "einsum": "einsum",
+    "einsum trace": "einsum",
+    "broadcast_to": "broadcast_to",
+} | {name: name for name in ("squeeze", "convolve", "permute_dims", "swapaxes")}
 
 
 def affine_map(expression, memo=None):
@@ -225,7 +238,9 @@ def expression(name):
 
 def integer_point(variables, seed):
     generator = np.random.default_rng(seed)
-    return {key: generator.integers(-9, 10, size=v.shape).astype(float) for key, v in variables.items()}
+    return {
+        key: generator.integers(-9, 10, size=v.shape).astype(float) for key, v in variables.items()
+    }
 
 
 def value_at(F, variables, point):
@@ -241,7 +256,10 @@ def value_at(F, variables, point):
 
 
 def by_matrices(found, point):
-    return sum((found.blocks[key] @ np.ravel(point[key], order="F") for key in found.blocks), start=found.offset)
+    return sum(
+        (found.blocks[key] @ np.ravel(point[key], order="F") for key in found.blocks),
+        start=found.offset,
+    )
 
 
 #: cvxpy itself has no value where sparse constants are stacked or broadcast.
@@ -325,7 +343,9 @@ def test_a_memo_gives_the_same_matrix_after_a_change_of_parameters():
         first = affine_map(F, memo=memo)
         u.v.value = 2 * V
         second = affine_map(F, memo=memo)
-        np.testing.assert_array_equal(second.blocks[u.x.id].toarray(), first.blocks[u.x.id].toarray())
+        np.testing.assert_array_equal(
+            second.blocks[u.x.id].toarray(), first.blocks[u.x.id].toarray()
+        )
         np.testing.assert_array_equal(second.offset, 2 * first.offset)
     F, memo = S @ u.x + u.v, {}
     assert affine_map(F, memo=memo).blocks[u.x.id] is affine_map(F, memo=memo).blocks[u.x.id]
@@ -351,7 +371,10 @@ def test_a_parameter_in_the_matrix_and_one_beside_it_are_told_apart(form, in_mat
     for parameter in F.parameters():
         parameter.value = 2.0 * parameter.value
     second = affine_map(F, memo=memo)
-    same = [np.array_equal(first.blocks[key].toarray(), second.blocks[key].toarray()) for key in first.blocks]
+    same = [
+        np.array_equal(first.blocks[key].toarray(), second.blocks[key].toarray())
+        for key in first.blocks
+    ]
     assert in_matrix != all(same)
     assert in_offset != np.array_equal(first.offset, second.offset)
 
@@ -385,7 +408,9 @@ def stacked(n, are_apart):
     """Return n scalar rows of one variable or of n scalar ones, and what these are."""
     scalars, x = [cp.Variable() for _ in range(n)], cp.Variable(n)
     each = scalars if are_apart else x
-    return cp.hstack([2 * each[i] - each[i - 1] + i for i in range(n)]), scalars if are_apart else [x]
+    return cp.hstack([2 * each[i] - each[i - 1] + i for i in range(n)]), scalars if are_apart else [
+        x
+    ]
 
 
 def calls_of(work):
@@ -409,7 +434,10 @@ def test_each_of_many_scalar_expressions_costs_the_same(are_apart):
     assert calls_of(lambda: affine_map(many)) < 2.1 * calls_of(lambda: affine_map(few))
     found = affine_map(many)
     block = sp.hstack([found.blocks[variable.id] for variable in variables])
-    assert abs(block - 2 * sp.eye_array(400) + sp.csr_array(np.roll(np.eye(400), -1, axis=1))).max() == 0.0
+    assert (
+        abs(block - 2 * sp.eye_array(400) + sp.csr_array(np.roll(np.eye(400), -1, axis=1))).max()
+        == 0.0
+    )
     np.testing.assert_array_equal(found.offset, np.arange(400))
 
 
@@ -450,24 +478,57 @@ def test_an_answer_by_a_wrong_matrix_is_none(monkeypatch, is_defined):
         (lambda u: S @ cp.abs(u.x), r"abs\(x\) is not smooth.*of its own"),
         (lambda u: cp.max(u.x) + 1, r"max\(x.*\) is not smooth"),
         (lambda u: cp.lambda_max(u.Y) + u.s, r"lambda_max\(Y\) is not affine.*linearise"),
-        (lambda u: u.x + cp.Parameter(4, name="load"), r"parameter load has no value; set load.value"),
+        (
+            lambda u: u.x + cp.Parameter(4, name="load"),
+            r"parameter load has no value; set load.value",
+        ),
         (lambda u: cp.Parameter(name="k") * u.x, r"parameter k has no value"),
         (lambda u: u.x + np.array([1.0, np.nan, 0.0, 0.0]), r"constants must be finite.*nan"),
         (lambda u: u.x * np.inf, r"constants must be finite.*inf"),
         (lambda u: u.x / 0.0, r"finite"),
-        (lambda u: sp.csr_array(np.diag([1.0, np.inf, 1.0, 1.0])) @ u.x, r"constants must be finite.*inf"),
+        (
+            lambda u: sp.csr_array(np.diag([1.0, np.inf, 1.0, 1.0])) @ u.x,
+            r"constants must be finite.*inf",
+        ),
         (lambda u: u.x + 1j, r"complex"),
         (lambda u: 1e200 * (1e200 * u.x + 1), r"overflow"),
         (lambda u: 1e200 * (1e200 * u.x) + 1, r"is not finite, multiplied out: its data overflow"),
-        (lambda u: u.x + cp.Variable(4, boolean=True, name="b"), r"variable b has the attribute 'boolean'"),
-        (lambda u: u.x + cp.Variable(4, integer=True, name="b"), r"variable b has the attribute 'integer'"),
-        (lambda u: u.x + cp.Variable(4, complex=True, name="b"), r"variable b has the attribute 'complex'"),
-        (lambda u: u.x + cp.Variable(4, imag=True, name="b"), r"variable b has the attribute 'imag'"),
-        (lambda u: u.Y + cp.Variable((4, 4), PSD=True, name="b"), r"variable b has the attribute 'PSD'"),
-        (lambda u: u.Y + cp.Variable((4, 4), NSD=True, name="b"), r"variable b has the attribute 'NSD'"),
-        (lambda u: u.Y + cp.Variable((4, 4), symmetric=True, name="b"), r"variable b has the attribute 'symmetric'"),
-        (lambda u: u.Y + cp.Variable((4, 4), diag=True, name="b"), r"variable b has the attribute 'diag'"),
-        (lambda u: u.Y + cp.Variable((4, 4), hermitian=True, name="b"), r"variable b has the attribute 'hermitian'"),
+        (
+            lambda u: u.x + cp.Variable(4, boolean=True, name="b"),
+            r"variable b has the attribute 'boolean'",
+        ),
+        (
+            lambda u: u.x + cp.Variable(4, integer=True, name="b"),
+            r"variable b has the attribute 'integer'",
+        ),
+        (
+            lambda u: u.x + cp.Variable(4, complex=True, name="b"),
+            r"variable b has the attribute 'complex'",
+        ),
+        (
+            lambda u: u.x + cp.Variable(4, imag=True, name="b"),
+            r"variable b has the attribute 'imag'",
+        ),
+        (
+            lambda u: u.Y + cp.Variable((4, 4), PSD=True, name="b"),
+            r"variable b has the attribute 'PSD'",
+        ),
+        (
+            lambda u: u.Y + cp.Variable((4, 4), NSD=True, name="b"),
+            r"variable b has the attribute 'NSD'",
+        ),
+        (
+            lambda u: u.Y + cp.Variable((4, 4), symmetric=True, name="b"),
+            r"variable b has the attribute 'symmetric'",
+        ),
+        (
+            lambda u: u.Y + cp.Variable((4, 4), diag=True, name="b"),
+            r"variable b has the attribute 'diag'",
+        ),
+        (
+            lambda u: u.Y + cp.Variable((4, 4), hermitian=True, name="b"),
+            r"variable b has the attribute 'hermitian'",
+        ),
         (
             lambda u: u.Y + cp.Variable((4, 4), sparsity=([0], [1]), name="b"),
             r"variable b has the attribute 'sparsity'",

@@ -13,8 +13,21 @@ import pytest
 import scipy.sparse as sp
 from fresh_process import printed_by
 
-from lcp_plugin import LCP, InvalidProblem, ModelWarning, QPSolver, UnsupportedModel, box, complements, solve
-from lcp_plugin.modeling.registration import ComplementarityProblem, build, is_complementarity_problem
+from lcp_plugin import (
+    LCP,
+    InvalidProblem,
+    ModelWarning,
+    QPSolver,
+    UnsupportedModel,
+    box,
+    complements,
+    solve,
+)
+from lcp_plugin.modeling.registration import (
+    ComplementarityProblem,
+    build,
+    is_complementarity_problem,
+)
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -2.0, 4.0]])
 Q = np.array([-3.0, 5.0, -4.0])
@@ -97,7 +110,9 @@ def test_obstacle_matrix_shaped_and_n_dimensional() -> None:
         np.testing.assert_allclose(pair.dual_value[:, k], column.w, atol=1e-10)
     T = cp.Variable((2, 2, 2))
     model(complements(T >= 0, 2 * T - np.arange(8.0).reshape(2, 2, 2) + 3 >= 0))
-    np.testing.assert_allclose(T.value, np.maximum(np.arange(8.0).reshape(2, 2, 2) - 3, 0) / 2, atol=1e-12)
+    np.testing.assert_allclose(
+        T.value, np.maximum(np.arange(8.0).reshape(2, 2, 2) - 3, 0) / 2, atol=1e-12
+    )
 
 
 def test_slices_scalars_and_several_pairs_of_one_variable() -> None:
@@ -181,7 +196,9 @@ def test_parameters_dpp_or_not() -> None:
     for scale, q in ((1.0, Q), (2.0, -Q)):
         a.value, b.value, c.value = scale, 0.5, q
         problem.solve(method="LCP", tolerance=1e-12)
-        np.testing.assert_allclose(x.value, solve(LCP(0.5 * scale * M, q), "pgs", tolerance=1e-13).z, atol=1e-10)
+        np.testing.assert_allclose(
+            x.value, solve(LCP(0.5 * scale * M, q), "pgs", tolerance=1e-13).z, atol=1e-10
+        )
 
 
 def test_parameter_without_value_is_named() -> None:
@@ -206,7 +223,9 @@ def test_second_solve_starts_from_the_first() -> None:
 
 def test_matrix_is_extracted_exactly_and_left_alone() -> None:
     """The problem's matrix is the user's, entry by entry; the user's own array stays as it was."""
-    A = sp.csr_array(sp.diags_array([-np.ones(99), 4 * np.ones(100), -np.ones(99)], offsets=[-1, 0, 1]))
+    A = sp.csr_array(
+        sp.diags_array([-np.ones(99), 4 * np.ones(100), -np.ones(99)], offsets=[-1, 0, 1])
+    )
     before = A.copy()
     x = cp.Variable(100)
     problem = build([complements(x >= 0, A @ x - np.ones(100) >= 0)]).problem
@@ -241,7 +260,9 @@ def test_limits_keep_the_values_and_warn() -> None:
 def test_divergence_is_a_solver_error_with_advice() -> None:
     """A run that diverges raises cvxpy's SolverError with our advice."""
     x = cp.Variable(2)
-    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, np.array([[1.0, -9.0], [-9.0, 1.0]]) @ x - 1 >= 0)])
+    problem = cp.Problem(
+        cp.Minimize(0), [complements(x >= 0, np.array([[1.0, -9.0], [-9.0, 1.0]]) @ x - 1 >= 0)]
+    )
     with pytest.raises(cp.error.SolverError, match="DIVERGED"):
         problem.solve(method="LCP", algorithm="npgs")
 
@@ -284,14 +305,23 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "not smooth": (lambda x: [complements(x >= 0, cp.abs(x) >= 0)], "not smooth"),
     "twice": (lambda x: [pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)], "no other pair"),
     "two equalities": (lambda x: [complements(x == 0, 2 * x == 1)], "two equalities"),
-    "unpaired variable": (lambda x: [complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)], "1 unknown without"),
+    "unpaired variable": (
+        lambda x: [complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)],
+        "1 unknown without",
+    ),
     "too many equations": (lambda x: [pair_of(x), cp.sum(x) == 1], "as many equations"),
     "integer": (lambda x: [pair_of(cp.Variable(3, integer=True))], "integer"),
     "boolean": (lambda x: [pair_of(cp.Variable(3, boolean=True))], "boolean"),
     "PSD": (lambda x: [pair_of(cp.Variable((2, 2), PSD=True))], "PSD"),
     "symmetric": (lambda x: [pair_of(cp.Variable((2, 2), symmetric=True))], "symmetric"),
-    "contradicting bounds": (lambda x: [with_other_bounds(cp.Variable(3, nonneg=True))], "other bounds"),
-    "second-order cone": (lambda x: [complements(cp.SOC(x[0], x[1:]), x >= 0)], "a cone, and the other is"),
+    "contradicting bounds": (
+        lambda x: [with_other_bounds(cp.Variable(3, nonneg=True))],
+        "other bounds",
+    ),
+    "second-order cone": (
+        lambda x: [complements(cp.SOC(x[0], x[1:]), x >= 0)],
+        "a cone, and the other is",
+    ),
     "box with equality": (lambda x: [complements(box(x, 0, 1), x == 1)], "needs an expression"),
 }
 
@@ -337,14 +367,19 @@ def test_a_bounded_unknown_in_no_pair_is_taken() -> None:
 def test_an_objective_states_no_single_lcp() -> None:
     """LCP.from_cvxpy refuses an objective beside complementarity, and names the call that takes it."""
     x = cp.Variable(3, name="x")
-    with pytest.raises(UnsupportedModel, match=r"objective Sum\(x.* best of all solutions.*solve\(method=\"LCP\"\)"):
+    with pytest.raises(
+        UnsupportedModel, match=r"objective Sum\(x.* best of all solutions.*solve\(method=\"LCP\"\)"
+    ):
         LCP.from_cvxpy(cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]))
 
 
 def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:
     """The side that states it is named."""
     x = cp.Variable(name="x")
-    with pytest.raises(UnsupportedModel, match=r"^1e\+200 <= 1e-200 [*@] x keeps a variable beyond the largest double"):
+    with pytest.raises(
+        UnsupportedModel,
+        match=r"^1e\+200 <= 1e-200 [*@] x keeps a variable beyond the largest double",
+    ):
         ComplementarityProblem([complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)]).solve()
 
 
@@ -392,7 +427,10 @@ def test_a_run_says_that_it_began_from_the_last_answer() -> None:
     smooth = ComplementarityProblem([complements(x >= 0, cp.exp(x) + M @ x + Q >= 0)])
     program = cp.Problem(cp.Minimize(cp.quad_form(x, weights.T @ weights) + Q @ x), [x >= 0])
     for problem, first in ((affine, None), (smooth, None), (program, "psor")):
-        x.value, wishes = None, {} if first is None else {"algorithm": first, "max_iterations": 100_000}
+        x.value, wishes = (
+            None,
+            {} if first is None else {"algorithm": first, "max_iterations": 100_000},
+        )
         told = []
         for start in (True, True, False):
             problem.solve(method="LCP", warm_start=start, **wishes)
@@ -423,14 +461,21 @@ def test_round_trip_through_cvxpy(name: str) -> None:
     stated = problem.to_cvxpy()
     stated.solve(tolerance=1e-12)
     if problem.n:
-        np.testing.assert_allclose(stated.variables()[0].value, solve(problem, "pgs", tolerance=1e-13).z, atol=1e-10)
+        np.testing.assert_allclose(
+            stated.variables()[0].value, solve(problem, "pgs", tolerance=1e-13).z, atol=1e-10
+        )
 
 
 @pytest.mark.parametrize("name", ["plain", "sparse", "one"])
 def test_round_trip_through_a_quadratic_program(name: str) -> None:
     """from_qp(to_qp(LCP)) of a symmetric problem has the same M, q and bounds; its origin recovers the multipliers."""
     problem = ROUND_TRIPS[name]
-    symmetric = LCP((problem.csr + problem.csr.T).toarray() / 2, problem.q, lower=problem.lower, upper=problem.upper)
+    symmetric = LCP(
+        (problem.csr + problem.csr.T).toarray() / 2,
+        problem.q,
+        lower=problem.lower,
+        upper=problem.upper,
+    )
     program = symmetric.to_qp()
     back = LCP.from_qp(program.P, program.c, lower=program.lower, upper=program.upper)
     np.testing.assert_array_equal(back.csr.toarray(), symmetric.csr.toarray())
@@ -482,7 +527,11 @@ def test_diagonal_functions_are_not_taken_for_variables(swap: bool) -> None:
 
     x, y = cp.Variable(3), cp.Variable(3, nonneg=True)
     z, s = cp.Variable(3, bounds=[lower, upper]), cp.Variable(nonneg=True)
-    pairs = [pair(x >= 0, cp.multiply(d, x) + q), pair(y, cp.multiply(d, y) + q), pair(z, cp.multiply(d, z) + q)]
+    pairs = [
+        pair(x >= 0, cp.multiply(d, x) + q),
+        pair(y, cp.multiply(d, y) + q),
+        pair(z, cp.multiply(d, z) + q),
+    ]
     pairs.append(pair(s, 2 * s - 1))
     for one in pairs:
         model(one)
@@ -507,7 +556,9 @@ def test_violation_is_the_natural_residual_of_any_form() -> None:
     y = cp.Variable(3)
     y.value = np.array([0.5, -2.0, 3.0])
     inside = np.clip(y.value - (M @ y.value + Q), -1.0, 1.0)
-    assert complements(box(y, -1, 1), M @ y + Q).violation() == pytest.approx(np.abs(y.value - inside).max())
+    assert complements(box(y, -1, 1), M @ y + Q).violation() == pytest.approx(
+        np.abs(y.value - inside).max()
+    )
 
 
 def bounded_beside_a_box() -> Any:
@@ -526,15 +577,22 @@ def defined_below_its_bound() -> Any:
     return [complements(x, 2 * x - 1), w[1] == 3, w[0] == x - 1]
 
 
-@pytest.mark.parametrize("make", [bounded_beside_a_box, slack_pair_of_bounded, defined_below_its_bound])
+@pytest.mark.parametrize(
+    "make", [bounded_beside_a_box, slack_pair_of_bounded, defined_below_its_bound]
+)
 def test_bounded_unknowns_do_not_go_with_equations(make: Any) -> None:
     """A bounded unknown matched with an equation would relax it: refused, naming the entry."""
-    with pytest.raises(UnsupportedModel, match=r"^w\[0\] has bounds that the rest of the model does not imply"):
+    with pytest.raises(
+        UnsupportedModel, match=r"^w\[0\] has bounds that the rest of the model does not imply"
+    ):
         model(*make())
 
 
 def pair_of_named(has_bound_x: bool, has_bound_w: bool) -> tuple[Any, Any, Any]:
-    x, w = cp.Variable(2, nonneg=has_bound_x, name="x"), cp.Variable(2, nonneg=has_bound_w, name="w")
+    x, w = (
+        cp.Variable(2, nonneg=has_bound_x, name="x"),
+        cp.Variable(2, nonneg=has_bound_w, name="w"),
+    )
     return x, w, w == np.array([[2.0, 1.0], [1.0, 2.0]]) @ x + [-5.0, 1.0]
 
 
@@ -581,14 +639,18 @@ def test_a_bound_that_an_equation_implies_may_be_stated(value: Any, expected: li
     for write in (lambda h: h, lambda h: h >= 0):
         h = cp.Variable(3, nonneg=True)
         F = np.array([[2.0, 1.0], [1.0, 2.0]]) @ h[:2] + [-5.0, 1.0]
-        ComplementarityProblem([complements(write(h[:2]), F), h[2] == value(h)]).solve(tolerance=1e-12)
+        ComplementarityProblem([complements(write(h[:2]), F), h[2] == value(h)]).solve(
+            tolerance=1e-12
+        )
         np.testing.assert_allclose(h.value, expected, atol=1e-9)
 
 
 def test_an_equation_outside_the_bounds_is_told() -> None:
     """h[2] == −1 with h nonneg has no solution, and the message says that, not something about pairs."""
     h = cp.Variable(3, nonneg=True, name="h")
-    with pytest.raises(UnsupportedModel, match=r"equations and pairs keep h\[2\] outside its bounds, 0 and inf"):
+    with pytest.raises(
+        UnsupportedModel, match=r"equations and pairs keep h\[2\] outside its bounds, 0 and inf"
+    ):
         model(complements(h[:2], h[:2] - 1), h[2] == -1)
 
 
@@ -597,7 +659,9 @@ def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
     """complements(x, F) with x without bounds means F == 0: said where the model is solved, in the caller's line."""
     x = cp.Variable(2, name="x")
     problem = ComplementarityProblem([complements(x, other(x))])
-    with pytest.warns(ModelWarning, match=r"x has no bounds, so that complements\(x, F\) means F == 0") as caught:
+    with pytest.warns(
+        ModelWarning, match=r"x has no bounds, so that complements\(x, F\) means F == 0"
+    ) as caught:
         problem.solve()
     assert [warning.filename for warning in caught] == [__file__]
     with pytest.warns(ModelWarning) as caught:
@@ -696,9 +760,18 @@ def test_a_single_constraint_needs_no_list() -> None:
         (lambda p: p.solve(solver="OSQP"), "solver"),
         (lambda p: LCP.from_cvxpy(3), "cvxpy problem is needed, got int"),
         (lambda p: complements(None, p.variables()[0]), "None"),
-        (lambda p: complements(box(p.variables()[0], [0.0], 1), p.variables()[0]).violation(), "shape"),
-        (lambda p: complements(p.variables()[0] >= 0, -np.ones(3) >= 0), r"Booleans, \[False False False\].*Constant"),
-        (lambda p: complements(1 >= 0, p.variables()[0]), "first side of complements holds Booleans, True"),
+        (
+            lambda p: complements(box(p.variables()[0], [0.0], 1), p.variables()[0]).violation(),
+            "shape",
+        ),
+        (
+            lambda p: complements(p.variables()[0] >= 0, -np.ones(3) >= 0),
+            r"Booleans, \[False False False\].*Constant",
+        ),
+        (
+            lambda p: complements(1 >= 0, p.variables()[0]),
+            "first side of complements holds Booleans, True",
+        ),
         (lambda p: complements([True, False, True], p.variables()[0]), "Booleans"),
         (lambda p: box(-np.ones(3) >= 0, 0, 1), "expression of box holds Booleans"),
         (lambda p: box(None, 0, 1), "no cvxpy expression"),

@@ -44,7 +44,9 @@ def test_a_convex_program_over_cones_has_the_same_answer_in_cvxpy() -> None:
     )
     np.testing.assert_allclose(found, z.value, atol=1e-6)
     np.testing.assert_allclose(pair.dual_value, M @ found + q, atol=1e-8)
-    np.testing.assert_allclose(np.concatenate([np.ravel(one) for one in soc.dual_value]), pair.dual_value, atol=1e-5)
+    np.testing.assert_allclose(
+        np.concatenate([np.ravel(one) for one in soc.dual_value]), pair.dual_value, atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -79,18 +81,24 @@ def test_two_cones_of_expressions_complement_each_other() -> None:
     assert pair.violation() <= 1e-8
     assert abs(z @ w) <= 1e-8
     for dual, value in ((first.dual_value, w), (second.dual_value, z)):
-        np.testing.assert_allclose(np.concatenate([np.ravel(one) for one in dual]), value, atol=1e-8)
+        np.testing.assert_allclose(
+            np.concatenate([np.ravel(one) for one in dual]), value, atol=1e-8
+        )
 
 
 def test_friction_in_cvxpy_is_frictional_contact() -> None:
     """By velocities of bodies as definitions, with parameters for μ and the push; again after they change."""
     J, push, mu = RNG.standard_normal((6, 4)), cp.Parameter(4), cp.Parameter(2)
     r, v = cp.Variable(6), cp.Variable(4)
-    problem = ComplementarityProblem([complements(friction_cone(r, mu), J @ v), v == push + J.T @ r])
+    problem = ComplementarityProblem(
+        [complements(friction_cone(r, mu), J @ v), v == push + J.T @ r]
+    )
     for scale in (1.0, 2.0):
         push.value, mu.value = scale * np.array([1.0, -2.0, 0.5, 1.0]), np.array([0.3, 0.9]) * scale
         problem.solve(tolerance=1e-10)
-        expected = solve(FrictionalContact(J @ J.T, J @ push.value, mu.value), tolerance=1e-10).require_solved()
+        expected = solve(
+            FrictionalContact(J @ J.T, J @ push.value, mu.value), tolerance=1e-10
+        ).require_solved()
         np.testing.assert_allclose(r.value, expected.z, atol=1e-7)
         found = problem.solver_stats.extra_stats
         assert isinstance(found.problem, FrictionalContact)
@@ -101,7 +109,9 @@ def test_a_plane_contact_has_two_rows() -> None:
     """Their d is told by the number of coefficients, or by `dimension`."""
     for given in ({"friction": [0.5]}, {"friction": 0.5, "dimension": 2}):
         r = cp.Variable(2)
-        ComplementarityProblem(complements(friction_cone(r, **given), r - np.array([1.0, -0.25]))).solve()
+        ComplementarityProblem(
+            complements(friction_cone(r, **given), r - np.array([1.0, -0.25]))
+        ).solve()
         np.testing.assert_allclose(r.value, [1.0, -0.25], atol=1e-7)
 
 
@@ -111,7 +121,9 @@ def test_the_order_of_the_sides_is_free() -> None:
         r = cp.Variable(3)
         pair = complements(r - np.array([1.0, -3.0, -4.0]), side(r))
         ComplementarityProblem(pair).solve()
-        np.testing.assert_allclose(pair.dual_value, r.value - np.array([1.0, -3.0, -4.0]), atol=1e-8)
+        np.testing.assert_allclose(
+            pair.dual_value, r.value - np.array([1.0, -3.0, -4.0]), atol=1e-8
+        )
         assert pair.violation() <= 1e-8
 
 
@@ -188,9 +200,15 @@ def with_friction(rng: Any) -> tuple[Any, list[Any]]:
     """Six contacts that open, stick and slide; coefficients of three are one parameter, those of the others three."""
     J = rng.standard_normal((18, 24)) / 5.0
     r, b = cp.Variable(18, name="r"), cp.Parameter(18, value=rng.standard_normal(18))
-    same, each = cp.Parameter(nonneg=True, value=0.4), cp.Parameter(3, nonneg=True, value=[0.2, 0.5, 0.9])
+    same, each = (
+        cp.Parameter(nonneg=True, value=0.4),
+        cp.Parameter(3, nonneg=True, value=[0.2, 0.5, 0.9]),
+    )
     u = J @ J.T @ r + b
-    pairs = [complements(friction_cone(r[:9], 2 * same), u[:9]), complements(friction_cone(r[9:], each**2), u[9:])]
+    pairs = [
+        complements(friction_cone(r[:9], 2 * same), u[:9]),
+        complements(friction_cone(r[9:], each**2), u[9:]),
+    ]
     return ComplementarityProblem(pairs), [b, same, each]
 
 
@@ -202,10 +220,13 @@ def with_boxes(rng: Any) -> tuple[Any, list[Any]]:
     low, high = cp.Parameter(3, value=[-0.1, -0.2, -9.0]), cp.Parameter(3, value=[9.0, 0.1, 9.0])
     F = scale**2 * (M @ cp.hstack([z, y])) + q
     side = A @ s + q[:3]
-    return ComplementarityProblem([
-        complements(cp.SOC(z[0], z[1:]), F[:4]), complements(box(y, low, high), F[4:]),
-        complements(cp.SOC(side[0], side[1:]), scale * s - [2.0, 1.0, 0.0]),
-    ]), [q, scale, low, high]
+    return ComplementarityProblem(
+        [
+            complements(cp.SOC(z[0], z[1:]), F[:4]),
+            complements(box(y, low, high), F[4:]),
+            complements(cp.SOC(side[0], side[1:]), scale * s - [2.0, 1.0, 0.0]),
+        ]
+    ), [q, scale, low, high]
 
 
 @pytest.mark.parametrize("make", [with_friction, with_boxes])
@@ -219,7 +240,9 @@ def test_gradients_over_cones_agree_with_differences_of_solves(make: Any, seed: 
     def solved() -> np.ndarray:
         problem.solve(tolerance=1e-11, requires_grad=True)
         assert problem.status == "optimal"
-        return np.concatenate([*(np.ravel(one.value, order="F") for one in problem.variables()), pair.dual_value])
+        return np.concatenate(
+            [*(np.ravel(one.value, order="F") for one in problem.variables()), pair.dual_value]
+        )
 
     solved()
     values = [parameter.value for parameter in parameters]
@@ -227,20 +250,28 @@ def test_gradients_over_cones_agree_with_differences_of_solves(make: Any, seed: 
         parameter.delta = rng.standard_normal(parameter.shape)
     deltas = [parameter.delta for parameter in parameters]
     problem.derivative()
-    pushed = np.concatenate([
-        *(np.ravel(one.delta, order="F") for one in problem.variables()), pair.dual_variables[0].delta
-    ])
+    pushed = np.concatenate(
+        [
+            *(np.ravel(one.delta, order="F") for one in problem.variables()),
+            pair.dual_variables[0].delta,
+        ]
+    )
     weights = rng.standard_normal(pushed.size)
     first = 0
     for leaf in [*problem.variables(), pair.dual_variables[0]]:
-        leaf.gradient = weights[first:first + leaf.size].reshape(leaf.shape, order="F")
+        leaf.gradient = weights[first : first + leaf.size].reshape(leaf.shape, order="F")
         first += leaf.size
     problem.backward()
-    pulled = sum(np.sum(parameter.gradient * delta) for parameter, delta in zip(parameters, deltas, strict=True))
+    pulled = sum(
+        np.sum(parameter.gradient * delta)
+        for parameter, delta in zip(parameters, deltas, strict=True)
+    )
     np.testing.assert_allclose(pulled, weights @ pushed, rtol=1e-7, atol=1e-9)
     ends = []
     for step in (1e-5, -1e-5):
         for parameter, value, delta in zip(parameters, values, deltas, strict=True):
             parameter.value = value + step * delta
         ends.append(solved())
-    np.testing.assert_allclose(pushed, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-5 * np.abs(pushed).max())
+    np.testing.assert_allclose(
+        pushed, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-5 * np.abs(pushed).max()
+    )

@@ -41,8 +41,11 @@ def test_a_defined_slack_leaves_the_problem_of_x_alone(side: str, order: int) ->
     x, w = cp.Variable(N, name="x"), cp.Variable(N, name="w")
     F = M @ x + q
     equation = {
-        "w == F": w == F, "F == w": F == w,  # noqa: SIM300
-        "w - F == 0": w - F == 0, "-3 w == -3 F": -3 * w == -3 * F, "first": w == F,
+        "w == F": w == F,
+        "F == w": F == w,  # noqa: SIM300
+        "w - F == 0": w - F == 0,
+        "-3 w == -3 F": -3 * w == -3 * F,
+        "first": w == F,
     }[side]
     pair = complements(x >= 0, w >= 0) if order == 0 else complements(w >= 0, x >= 0)
     constraints = [equation, pair] if side == "first" else [pair, equation]
@@ -81,8 +84,10 @@ def test_several_definitions_and_a_true_equation() -> None:
     x, w, y = (cp.Variable(N, name=name) for name in "xwy")
     u = cp.Variable(N, name="u")
     constraints = [
-        complements(w >= 0, x >= 0), complements(u >= 0, cp.multiply(2.0, u) + y - y_true + 1 >= 0),
-        w == M @ x + q, B @ y == B @ y_true,
+        complements(w >= 0, x >= 0),
+        complements(u >= 0, cp.multiply(2.0, u) + y - y_true + 1 >= 0),
+        w == M @ x + q,
+        B @ y == B @ y_true,
     ]
     model = build(constraints)
     assert model.problem.n == 3 * N
@@ -164,7 +169,10 @@ def test_known_ranges_hold_what_satisfies_the_model() -> None:
     for _ in range(200):
         paired, defined = 3, 2
         coefficients = generator.integers(-2, 3, (defined, paired)).astype(float)
-        pivots, offset = generator.choice([-2.0, -1.0, 0.5, 3.0], defined), generator.integers(-3, 4, defined) / 1.0
+        pivots, offset = (
+            generator.choice([-2.0, -1.0, 0.5, 3.0], defined),
+            generator.integers(-3, 4, defined) / 1.0,
+        )
         low = generator.choice([-np.inf, -1.0, 0.0], paired)
         high = np.maximum(low, 0.0) + generator.choice([0.0, 1.0, np.inf], paired)
         matrix = sp.csr_array(np.hstack([coefficients, np.diag(pivots)]))

@@ -36,7 +36,11 @@ class ParametersForUnknowns(Unknowns):
         generator = np.random.default_rng(5)
         for name in (*among, "p", "v", "P"):
             leaf = getattr(self, name)
-            setattr(self, name, cp.Parameter(leaf.shape, name=name, value=generator.uniform(0.5, 2.0, leaf.shape)))
+            setattr(
+                self,
+                name,
+                cp.Parameter(leaf.shape, name=name, value=generator.uniform(0.5, 2.0, leaf.shape)),
+            )
 
 
 def changes(leaves: list[Any], seed: int = 0) -> list[Any]:
@@ -70,7 +74,9 @@ def test_every_affine_form_is_differentiated_by_its_parameters(name: str) -> Non
         expected += known.blocks[variables[parameter.name()].id] @ np.ravel(change, order="F")
     parametric = ParametricRows([twin], {})
     found = parametric.change({p.id: change for p, change in zip(parameters, moved, strict=True)})
-    np.testing.assert_allclose(found, expected, atol=1e-13 * (1.0 + np.abs(expected).max(initial=0.0)))
+    np.testing.assert_allclose(
+        found, expected, atol=1e-13 * (1.0 + np.abs(expected).max(initial=0.0))
+    )
     gradients = parametric.gradient(g)
     for parameter in parameters:
         column = known.blocks[variables[parameter.name()].id].T @ g
@@ -86,11 +92,19 @@ CURVED: dict[str, Callable[[Any], Any]] = {
     "two scaled sparse": lambda u: (u.s * SPARSE + u.p * SPARSE.T) @ u.x,
     "sparse product": lambda u: (u.s * SPARSE) @ (u.p * SPARSE) @ u.x,
     "sparse transposed and divided": lambda u: (u.s * SPARSE).T @ u.x / u.p + (SPARSE / u.s) @ u.y,
-    "sparse blocks": lambda u: cp.bmat([[u.s * SPARSE, -SPARSE], [SPARSE * u.p, SPARSE / u.p]]) @ cp.hstack([u.x, u.y]),
-    "sparse sums": lambda u: cp.sum(u.s * SPARSE, axis=0) @ u.x + cp.sum(cp.sum(u.p * SPARSE, axis=1)),
-    "on a sparse pattern": lambda u: cp.multiply(u.Y, SPARSE) @ u.x + cp.multiply(u.s * SPARSE, u.p * SPARSE) @ u.y,
+    "sparse blocks": lambda u: (
+        cp.bmat([[u.s * SPARSE, -SPARSE], [SPARSE * u.p, SPARSE / u.p]]) @ cp.hstack([u.x, u.y])
+    ),
+    "sparse sums": lambda u: (
+        cp.sum(u.s * SPARSE, axis=0) @ u.x + cp.sum(cp.sum(u.p * SPARSE, axis=1))
+    ),
+    "on a sparse pattern": lambda u: (
+        cp.multiply(u.Y, SPARSE) @ u.x + cp.multiply(u.s * SPARSE, u.p * SPARSE) @ u.y
+    ),
     "row times sparse": lambda u: u.x @ (u.s * SPARSE),
-    "Gram matrix applied": lambda u: (u.P.T @ u.P + np.eye(4)) @ u.x - (u.P @ u.Y + u.Y) @ (u.Y @ u.x),
+    "Gram matrix applied": lambda u: (
+        (u.P.T @ u.P + np.eye(4)) @ u.x - (u.P @ u.Y + u.Y) @ (u.Y @ u.x)
+    ),
     "sparse kron": lambda u: cp.kron(u.s * SPARSE, np.eye(2)) @ cp.hstack([u.x, u.y]),
     "log and root": lambda u: cp.log(u.x) + cp.sqrt(u.y) + cp.norm(u.v),
     "largest": lambda u: cp.maximum(u.x, 3 * u.y) + cp.max(u.v),
@@ -104,14 +118,20 @@ def test_parameters_need_not_enter_affinely(name: str, held: tuple[str, ...]) ->
     """The change is that of central differences, and ⟨g, forward(h)⟩ = ⟨backward(g), h⟩."""
     unknowns = ParametersForUnknowns(tuple(leaf for leaf in LEAVES if leaf not in held))
     F = CURVED[name](unknowns)
-    values = {variable.id: np.random.default_rng(8).uniform(0.5, 2.0, variable.shape) for variable in F.variables()}
+    values = {
+        variable.id: np.random.default_rng(8).uniform(0.5, 2.0, variable.shape)
+        for variable in F.variables()
+    }
     parameters, g = F.parameters(), np.random.default_rng(1).standard_normal(F.size)
     moved, step = changes(parameters), 1e-5
     parametric = ParametricRows([F], values)
     found = parametric.change({p.id: change for p, change in zip(parameters, moved, strict=True)})
     ends = []
     for side in (1.0, -1.0):
-        at = {p.id: p.value + side * step * change for p, change in zip(parameters, moved, strict=True)}
+        at = {
+            p.id: p.value + side * step * change
+            for p, change in zip(parameters, moved, strict=True)
+        }
         ends.append(np.ravel(folded(F, Reader(held={**values, **at})._value, {}), order="F"))
     np.testing.assert_allclose(found, (ends[0] - ends[1]) / (2 * step), rtol=1e-7, atol=1e-7)
     gradients = parametric.gradient(g)
@@ -140,7 +160,10 @@ def test_a_scaled_sparse_matrix_stays_sparse() -> None:
 def test_products_of_matrices_are_applied_from_the_right() -> None:
     """The derivative by P of (PᵀP + I) x with n = 150 takes less than n³ numbers; written out, it has more."""
     n = 150
-    P, x = cp.Parameter((n, n), value=np.random.default_rng(0).standard_normal((n, n))), cp.Variable(n)
+    P, x = (
+        cp.Parameter((n, n), value=np.random.default_rng(0).standard_normal((n, n))),
+        cp.Variable(n),
+    )
     F = (P.T @ P + np.eye(n)) @ x
     tracemalloc.start()
     try:
@@ -207,7 +230,9 @@ def test_derivatives_are_the_formula_of_a_planted_solution(seed: int, n: int) ->
     x.gradient = r.standard_normal(n)
     problem.backward()
     adjoint = dot([parameter.gradient for parameter in parameters], moved)
-    assert abs(adjoint - x.gradient @ x.delta) <= 1e-12 * (1.0 + np.abs(x.gradient) @ np.abs(x.delta))
+    assert abs(adjoint - x.gradient @ x.delta) <= 1e-12 * (
+        1.0 + np.abs(x.gradient) @ np.abs(x.delta)
+    )
 
 
 # --- models of all kinds ------------------------------------------------------------------------------------------
@@ -218,10 +243,18 @@ def dominant(r: Any, n: int) -> Any:
 
 
 def matrix_and_offset(r: Any) -> Parts:
-    M, q = cp.Parameter((6, 6), value=dominant(r, 6)), cp.Parameter(6, value=10 * r.standard_normal(6))
+    M, q = (
+        cp.Parameter((6, 6), value=dominant(r, 6)),
+        cp.Parameter(6, value=10 * r.standard_normal(6)),
+    )
     x = cp.Variable(6)
     pair = complements(x >= 0, M @ x + q >= 0)
-    return ComplementarityProblem(pair), [M, q], [x], [pair, pair.first.constraint, pair.second.constraint]
+    return (
+        ComplementarityProblem(pair),
+        [M, q],
+        [x],
+        [pair, pair.first.constraint, pair.second.constraint],
+    )
 
 
 def not_disciplined(r: Any) -> Parts:
@@ -229,7 +262,12 @@ def not_disciplined(r: Any) -> Parts:
     A, q = sp.csr_array(dominant(r, 5)), 10 * r.standard_normal(5)
     F = (cp.exp(p) * A + p**2 * np.eye(5)) @ x + p * cp.multiply(s, q)
     pair = complements(cp.multiply(s**2, x) - 1 / p >= 0, F >= 0)
-    return ComplementarityProblem(pair), [p, s], [x], [pair, pair.first.constraint, pair.second.constraint]
+    return (
+        ComplementarityProblem(pair),
+        [p, s],
+        [x],
+        [pair, pair.first.constraint, pair.second.constraint],
+    )
 
 
 def boxed(r: Any) -> Parts:
@@ -246,34 +284,67 @@ def definitions_and_equations(r: Any) -> Parts:
     pair = complements(x >= 0, w >= 0)
     defined = w == (k * dominant(r, 5)) @ x + q - B.T @ y
     balance = (k * (np.eye(2) + 0.1 * r.standard_normal((2, 2)))) @ y == -B @ x + k
-    return ComplementarityProblem([pair, defined, balance]), [q, B, k], [x, w, y], [pair, defined, balance]
+    return (
+        ComplementarityProblem([pair, defined, balance]),
+        [q, B, k],
+        [x, w, y],
+        [pair, defined, balance],
+    )
 
 
 def two_functions(r: Any) -> Parts:
-    q, k, x = cp.Parameter(4, value=10 * r.standard_normal(4)), cp.Parameter(value=1.2), cp.Variable(4)
+    q, k, x = (
+        cp.Parameter(4, value=10 * r.standard_normal(4)),
+        cp.Parameter(value=1.2),
+        cp.Variable(4),
+    )
     pair = complements((k * dominant(r, 4)) @ x + q * k >= 0, dominant(r, 4) @ x - q >= 0)
-    return ComplementarityProblem(pair), [q, k], [x], [pair, pair.first.constraint, pair.second.constraint]
+    return (
+        ComplementarityProblem(pair),
+        [q, k],
+        [x],
+        [pair, pair.first.constraint, pair.second.constraint],
+    )
 
 
 def several_pairs(r: Any) -> Parts:
     X, y, B = cp.Variable((2, 3)), cp.Variable(4, bounds=[-1, 1]), 0.3 * r.standard_normal((4, 6))
-    P, Q = cp.Parameter((2, 2), value=dominant(r, 2)), cp.Parameter((2, 3), value=4 * r.standard_normal((2, 3)))
-    t, psi = cp.Parameter(pos=True, value=2.0), cp.Parameter((2, 3), value=r.standard_normal((2, 3)))
+    P, Q = (
+        cp.Parameter((2, 2), value=dominant(r, 2)),
+        cp.Parameter((2, 3), value=4 * r.standard_normal((2, 3))),
+    )
+    t, psi = (
+        cp.Parameter(pos=True, value=2.0),
+        cp.Parameter((2, 3), value=r.standard_normal((2, 3))),
+    )
     F = P @ X + X + Q - cp.reshape(B.T @ y, (2, 3), order="F")
     first = complements(psi <= X, F >= 0)
     second = complements(y, 5 * t * y + B @ cp.vec(X, order="F") - cp.sum(Q) / t)
-    return ComplementarityProblem([first, second]), [P, Q, t, psi], [X, y], [first, second, first.second.constraint]
+    return (
+        ComplementarityProblem([first, second]),
+        [P, Q, t, psi],
+        [X, y],
+        [first, second, first.second.constraint],
+    )
 
 
 def upper_bounds(r: Any) -> Parts:
     a, b = cp.Parameter(5, value=r.uniform(1, 2, 5)), cp.Parameter(5, value=r.standard_normal(5))
     q, x = cp.Parameter(5, value=10 * r.standard_normal(5)), cp.Variable(5)
     pair = complements(b - cp.multiply(a, x) >= 0, q - dominant(r, 5) @ x >= 0)
-    return ComplementarityProblem(pair), [a, b, q], [x], [pair, pair.first.constraint, pair.second.constraint]
+    return (
+        ComplementarityProblem(pair),
+        [a, b, q],
+        [x],
+        [pair, pair.first.constraint, pair.second.constraint],
+    )
 
 
 def bounds_of_the_variable(r: Any) -> Parts:
-    lower, upper = cp.Parameter(5, value=-r.uniform(0.1, 1, 5)), cp.Parameter(5, value=r.uniform(0.1, 1, 5))
+    lower, upper = (
+        cp.Parameter(5, value=-r.uniform(0.1, 1, 5)),
+        cp.Parameter(5, value=r.uniform(0.1, 1, 5)),
+    )
     try:
         x = cp.Variable(5, bounds=[lower, upper])
     except ValueError as error:
@@ -284,23 +355,41 @@ def bounds_of_the_variable(r: Any) -> Parts:
 
 
 def parts_of_a_variable(r: Any) -> Parts:
-    q, u = cp.Parameter(6, value=10 * r.standard_normal(6)), cp.Parameter(3, value=r.standard_normal(3))
+    q, u = (
+        cp.Parameter(6, value=10 * r.standard_normal(6)),
+        cp.Parameter(3, value=r.standard_normal(3)),
+    )
     x = cp.Variable(6)
     F = dominant(r, 6) @ x + q
-    first, second = complements(x[:3] >= u, F[:3] >= 0), complements(box(x[3:], -1, cp.exp(u)), F[3:])
-    return cp.Problem(cp.Minimize(0), [first, second]), [q, u], [x], [first, second, first.first.constraint]
+    first, second = (
+        complements(x[:3] >= u, F[:3] >= 0),
+        complements(box(x[3:], -1, cp.exp(u)), F[3:]),
+    )
+    return (
+        cp.Problem(cp.Minimize(0), [first, second]),
+        [q, u],
+        [x],
+        [first, second, first.first.constraint],
+    )
 
 
 def chain_of_definitions(r: Any) -> Parts:
     q, k = cp.Parameter(4, value=10 * r.standard_normal(4)), cp.Parameter(value=2.0)
     x, a, b, t = cp.Variable(4), cp.Variable(4), cp.Variable(4), cp.Variable()
     pair = complements(x >= 0, b >= 0)
-    chain = [a == k * (dominant(r, 4) @ x) - t, b == a / k + q * k + t * k, t == cp.sum(x) / k + k**2]
+    chain = [
+        a == k * (dominant(r, 4) @ x) - t,
+        b == a / k + q * k + t * k,
+        t == cp.sum(x) / k + k**2,
+    ]
     return cp.Problem(cp.Minimize(0), [pair, *chain]), [q, k], [x, a, b, t], [pair, *chain]
 
 
 def fixed_by_a_parameter(r: Any) -> Parts:
-    q, at = cp.Parameter(4, value=10 * r.standard_normal(4)), cp.Parameter(4, value=r.standard_normal(4))
+    q, at = (
+        cp.Parameter(4, value=10 * r.standard_normal(4)),
+        cp.Parameter(4, value=r.standard_normal(4)),
+    )
     x = cp.Variable(4)
     pair = complements(box(x, at, at), dominant(r, 4) @ x + q)
     return cp.Problem(cp.Minimize(0), [pair]), [q, at], [x], [pair]
@@ -316,8 +405,21 @@ def free_with_its_equation(r: Any) -> Parts:
 
 
 MODELS = (
-    *(matrix_and_offset, not_disciplined, boxed, definitions_and_equations, two_functions, several_pairs),
-    *(upper_bounds, bounds_of_the_variable, parts_of_a_variable, chain_of_definitions, fixed_by_a_parameter),
+    *(
+        matrix_and_offset,
+        not_disciplined,
+        boxed,
+        definitions_and_equations,
+        two_functions,
+        several_pairs,
+    ),
+    *(
+        upper_bounds,
+        bounds_of_the_variable,
+        parts_of_a_variable,
+        chain_of_definitions,
+        fixed_by_a_parameter,
+    ),
     free_with_its_equation,
 )
 
@@ -325,7 +427,11 @@ MODELS = (
 
 
 def least_squares(r: Any) -> Parts:
-    b, k, x = cp.Parameter(8, value=r.standard_normal(8)), cp.Parameter(nonneg=True, value=0.4), cp.Variable(4)
+    b, k, x = (
+        cp.Parameter(8, value=r.standard_normal(8)),
+        cp.Parameter(nonneg=True, value=0.4),
+        cp.Variable(4),
+    )
     rows = [x >= -0.1, cp.sum(x) == k]
     goal = cp.sum_squares(r.standard_normal((8, 4)) @ x - b) + k * cp.norm1(x)
     return cp.Problem(cp.Minimize(goal), rows), [b, k], [x], rows
@@ -334,30 +440,53 @@ def least_squares(r: Any) -> Parts:
 def fitted_matrix(r: Any) -> Parts:
     A, x = cp.Parameter((8, 4), value=r.standard_normal((8, 4))), cp.Variable(4, nonneg=True)
     rows = [np.ones(4) @ x <= 0.5]
-    return cp.Problem(cp.Minimize(cp.sum_squares(A @ x - r.standard_normal(8))), rows), [A], [x], rows
+    return (
+        cp.Problem(cp.Minimize(cp.sum_squares(A @ x - r.standard_normal(8))), rows),
+        [A],
+        [x],
+        rows,
+    )
 
 
 def maximum(r: Any) -> Parts:
-    p, G = cp.Parameter(3, value=r.standard_normal(3)), cp.Parameter((5, 3), value=r.standard_normal((5, 3)))
+    p, G = (
+        cp.Parameter(3, value=r.standard_normal(3)),
+        cp.Parameter((5, 3), value=r.standard_normal((5, 3))),
+    )
     x, t = cp.Variable(3), cp.Variable(bounds=[-1, 2])
     rows = [G @ x <= 1 + t, t >= 0.1 * cp.sum(p)]
-    return cp.Problem(cp.Maximize(p @ x - cp.sum_squares(x) - cp.square(t)), rows), [p, G], [x, t], rows
+    return (
+        cp.Problem(cp.Maximize(p @ x - cp.sum_squares(x) - cp.square(t)), rows),
+        [p, G],
+        [x, t],
+        rows,
+    )
 
 
 def linear_program(r: Any) -> Parts:
-    h, c, x = cp.Parameter(9, value=r.uniform(1, 2, 9)), cp.Parameter(3, value=r.standard_normal(3)), cp.Variable(3)
+    h, c, x = (
+        cp.Parameter(9, value=r.uniform(1, 2, 9)),
+        cp.Parameter(3, value=r.standard_normal(3)),
+        cp.Variable(3),
+    )
     rows = [r.standard_normal((9, 3)) @ x <= h, x <= 3, x >= -3]
     return cp.Problem(cp.Minimize(c @ x), rows), [h, c], [x], rows[:1]
 
 
 def symmetric_variable(r: Any) -> Parts:
-    p, X = cp.Parameter((3, 3), value=r.standard_normal((3, 3))), cp.Variable((3, 3), symmetric=True)
+    p, X = (
+        cp.Parameter((3, 3), value=r.standard_normal((3, 3))),
+        cp.Variable((3, 3), symmetric=True),
+    )
     rows = [p - 1 <= X, cp.trace(X) == 1]
     return cp.Problem(cp.Minimize(cp.sum_squares(X - p)), rows), [p], [X], rows[1:]
 
 
 def huber(r: Any) -> Parts:
-    b, w = cp.Parameter(9, value=3 * r.standard_normal(9)), cp.Parameter(3, nonneg=True, value=r.uniform(1, 2, 3))
+    b, w = (
+        cp.Parameter(9, value=3 * r.standard_normal(9)),
+        cp.Parameter(3, nonneg=True, value=r.uniform(1, 2, 3)),
+    )
     x = cp.Variable(3)
     goal = cp.sum(cp.huber(r.standard_normal((9, 3)) @ x - b)) + w @ cp.abs(x)
     return cp.Problem(cp.Minimize(goal)), [b, w], [x], []
@@ -374,7 +503,9 @@ def solved(problem: Any, **options: Any) -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("make", [*MODELS, *PROGRAMS], ids=lambda make: make.__name__)
-def test_derivatives_agree_with_differences_of_solves(make: Callable[[Any], Parts], seed: int) -> None:
+def test_derivatives_agree_with_differences_of_solves(
+    make: Callable[[Any], Parts], seed: int
+) -> None:
     """Changes of values and dual values are central differences of tight solves; backward is the adjoint."""
     problem, parameters, variables, constraints = make(np.random.default_rng(seed))
     solved(problem, requires_grad=True)
@@ -388,8 +519,14 @@ def test_derivatives_agree_with_differences_of_solves(make: Callable[[Any], Part
         leaf.gradient = gradient
     problem.derivative()
     problem.backward()
-    found, gradients = [leaf.delta for leaf in (*variables, *duals)], [leaf.gradient for leaf in (*variables, *duals)]
-    forward, adjoint = dot(gradients, found), dot([parameter.gradient for parameter in parameters], moved)
+    found, gradients = (
+        [leaf.delta for leaf in (*variables, *duals)],
+        [leaf.gradient for leaf in (*variables, *duals)],
+    )
+    forward, adjoint = (
+        dot(gradients, found),
+        dot([parameter.gradient for parameter in parameters], moved),
+    )
     size = dot([np.abs(gradient) for gradient in gradients], [np.abs(change) for change in found])
     assert abs(forward - adjoint) <= 1e-12 * size
     base, ends = [parameter.value for parameter in parameters], []
@@ -402,17 +539,25 @@ def test_derivatives_agree_with_differences_of_solves(make: Callable[[Any], Part
         np.testing.assert_allclose(change, (after - before) / (2 * step), atol=3e-7)
 
 
-@pytest.mark.parametrize("attributes", [{"nonpos": True}, {"bounds": [-3.0, 1.5]}, {"bounds": [-2.5, -0.5]}], ids=str)
+@pytest.mark.parametrize(
+    "attributes", [{"nonpos": True}, {"bounds": [-3.0, 1.5]}, {"bounds": [-2.5, -0.5]}], ids=str
+)
 def test_entries_of_bounded_variables_are_found(attributes: dict[str, Any]) -> None:
     """Of x = p inside any bounds of its own the change is that of p, and the values can be certified."""
-    p, x, y = cp.Parameter(4, value=[-1.0, -2.0, -1.5, -1.2]), cp.Variable(4, **attributes), cp.Variable(2)
+    p, x, y = (
+        cp.Parameter(4, value=[-1.0, -2.0, -1.5, -1.2]),
+        cp.Variable(4, **attributes),
+        cp.Variable(2),
+    )
     problem = cp.Problem(cp.Minimize(cp.sum_squares(x - p) + cp.sum_squares(y - p[:2])))
     problem.solve(method="LCP", requires_grad=True)
     p.delta = np.arange(1.0, 5.0)
     problem.derivative()
     np.testing.assert_allclose(x.delta, p.delta, atol=1e-12)
     said = certify(problem)
-    assert said.verdict == "proved" or said.gap <= 1e-30  # beside a minimum of 0 an ulp of x is no small error
+    assert (
+        said.verdict == "proved" or said.gap <= 1e-30
+    )  # beside a minimum of 0 an ulp of x is no small error
     assert said.distance is not None
     assert said.distance <= 1e-15
 
@@ -512,12 +657,16 @@ def test_no_stale_gradient_answers(make: Callable[[], Any], name: str) -> None:
             getattr(twin, name)()
         twin.solve(method="LCP", requires_grad=True)
         getattr(twin, name)()
-    if isinstance(problem, ComplementarityProblem):  # cvxpy copies a compiled program with the ids it had before
+    if isinstance(
+        problem, ComplementarityProblem
+    ):  # cvxpy copies a compiled program with the ids it had before
         twin = copy.deepcopy(problem)
         with pytest.raises(ValueError, match="requires_grad"):
             getattr(twin, name)()
     problem.solve(method="LCP")
-    with pytest.raises(UnsupportedModel, match=r'problem.solve\(method="LCP", requires_grad=True\)'):
+    with pytest.raises(
+        UnsupportedModel, match=r'problem.solve\(method="LCP", requires_grad=True\)'
+    ):
         getattr(problem, name)()
     problem.solve(method="LCP", requires_grad=True)
     getattr(problem, name)()
@@ -528,7 +677,10 @@ def test_other_solvers_leave_nothing_of_ours_and_we_nothing_of_theirs() -> None:
     import lcp_plugin
 
     problem, p, x = quadratic()
-    for other in (lambda: problem.solve(solver=lcp_plugin.QPSolver), lambda: problem.solve(solver=cp.CLARABEL)):
+    for other in (
+        lambda: problem.solve(solver=lcp_plugin.QPSolver),
+        lambda: problem.solve(solver=cp.CLARABEL),
+    ):
         problem.solve(method="LCP", requires_grad=True)
         problem.backward()
         other()
@@ -569,22 +721,30 @@ def test_tied_or_discrete_parameters_are_refused(attributes: dict[str, Any]) -> 
     """Integer, Boolean, complex, symmetric, PSD, diagonal and sparse parameters: refused before the solve, by name."""
     P, x = cp.Parameter((2, 2), name="rigid", **attributes), cp.Variable(2)
     problem = ComplementarityProblem(complements(x >= 0, cp.real(P) @ x - 1 >= 0))
-    with pytest.raises(UnsupportedModel, match=f"parameter rigid has the attribute '{next(iter(attributes))}'"):
+    with pytest.raises(
+        UnsupportedModel, match=f"parameter rigid has the attribute '{next(iter(attributes))}'"
+    ):
         problem.solve(requires_grad=True)
     if not attributes.keys() & {"complex", "sparsity"}:
         P.value = np.eye(2)
         assert problem.solve() == 0.0
 
 
-@pytest.mark.parametrize("given_gradient", [np.ones(3), [[1.0, 2.0]], 1.0, ["a", "b"], [np.nan, 0.0]], ids=str)
+@pytest.mark.parametrize(
+    "given_gradient", [np.ones(3), [[1.0, 2.0]], 1.0, ["a", "b"], [np.nan, 0.0]], ids=str
+)
 def test_gradients_and_changes_of_another_shape_are_refused(given_gradient: Any) -> None:
     """What is set must be finite numbers of the leaf's own shape."""
     problem, _, q, x = two_unknowns()
     problem.solve(requires_grad=True)
     x.gradient = q.delta = given_gradient
-    with pytest.raises(UnsupportedModel, match=r"the gradient of x must be finite real numbers of its shape \(2,\)"):
+    with pytest.raises(
+        UnsupportedModel, match=r"the gradient of x must be finite real numbers of its shape \(2,\)"
+    ):
         problem.backward()
-    with pytest.raises(UnsupportedModel, match=r"the delta of q must be finite real numbers of its shape \(2,\)"):
+    with pytest.raises(
+        UnsupportedModel, match=r"the delta of q must be finite real numbers of its shape \(2,\)"
+    ):
         problem.derivative()
 
 
@@ -612,7 +772,10 @@ def test_what_is_not_determined_has_no_derivative_and_the_rest_has() -> None:
     p.delta = 2.0
     problem.derivative()
     assert x.delta == pytest.approx(2.0, abs=1e-12)
-    equal[0].dual_variables[0].gradient, flat = 1.0, cp.Problem(cp.Minimize(cp.square(cp.sum(y) - p)))
+    equal[0].dual_variables[0].gradient, flat = (
+        1.0,
+        cp.Problem(cp.Minimize(cp.square(cp.sum(y) - p))),
+    )
     flat.solve(method="LCP", requires_grad=True)
     for one, name in ((problem, "backward"), (flat, "backward"), (flat, "derivative")):
         with pytest.raises(UnsuitableProblem, match="drop redundant constraints"):
@@ -668,4 +831,7 @@ def test_another_layout_of_the_compiled_program_is_refused(monkeypatch: pytest.M
 @pytest.mark.full
 def test_modeling_loads_no_kernels() -> None:
     """Stating models loads no numba: derivatives load when they are asked for."""
-    assert printed_by("import sys, lcp_plugin; lcp_plugin.complements; print('numba' in sys.modules)") == "False"
+    assert (
+        printed_by("import sys, lcp_plugin; lcp_plugin.complements; print('numba' in sys.modules)")
+        == "False"
+    )

@@ -26,7 +26,11 @@ from lcp_plugin.modeling.expressions import functions
 from lcp_plugin.modeling.expressions import intervals as iv
 from lcp_plugin.modeling.expressions.program import Program
 from lcp_plugin.modeling.reading import Reader
-from lcp_plugin.modeling.registration import ComplementarityProblem, build, is_complementarity_problem
+from lcp_plugin.modeling.registration import (
+    ComplementarityProblem,
+    build,
+    is_complementarity_problem,
+)
 
 WIDTH = 2 * (2 * iv.ULPS + 2)  # units in the last place: ε|y| is one or two of them
 STEP = 1e-200  # of complex differentiation: no subtraction, hence no rounding of one
@@ -78,7 +82,10 @@ FORMS: dict[str, tuple[Callable[[Unknowns], Any], Callable[..., Any]]] = {
     "negative power": (lambda u: cp.power(u.X, -0.6), lambda x, X, s: X**-0.6),
     "sqrt": (lambda u: cp.sqrt(u.x + 2 * u.s), lambda x, X, s: np.sqrt(x + 2 * s)),
     "inv_pos": (lambda u: cp.inv_pos(u.x), lambda x, X, s: 1 / x),
-    "constant over variable": (lambda u: np.array([1.0, 2.0, 3.0]) / u.x, lambda x, X, s: np.array([1, 2, 3]) / x),
+    "constant over variable": (
+        lambda u: np.array([1.0, 2.0, 3.0]) / u.x,
+        lambda x, X, s: np.array([1, 2, 3]) / x,
+    ),
     "multiply": (lambda u: cp.multiply(u.x, u.X[0] - u.s), lambda x, X, s: x * (X[0] - s)),
     "multiply broadcasts": (lambda u: cp.multiply(u.s, u.X), lambda x, X, s: s * X),
     "scalar times vector": (lambda u: u.s * u.x, lambda x, X, s: s * x),
@@ -89,26 +96,37 @@ FORMS: dict[str, tuple[Callable[[Unknowns], Any], Callable[..., Any]]] = {
     "matrix of variables times vector": (lambda u: u.X @ u.x, lambda x, X, s: X @ x),
     "product of matrices": (lambda u: u.X @ u.X.T, lambda x, X, s: X @ X.T),
     "x @ x": (lambda u: u.x @ u.x, lambda x, X, s: x @ x),
-    "matrix @ nonlinear": (lambda u: S @ cp.exp(u.x) - B @ u.x, lambda x, X, s: B @ np.exp(x) - B @ x),
+    "matrix @ nonlinear": (
+        lambda u: S @ cp.exp(u.x) - B @ u.x,
+        lambda x, X, s: B @ np.exp(x) - B @ x,
+    ),
     "nonlinear @ matrix": (lambda u: cp.log(u.X) @ B, lambda x, X, s: np.log(X) @ B),
-    "sum along an axis": (lambda u: cp.sum(cp.exp(u.X), axis=0), lambda x, X, s: np.exp(X).sum(axis=0)),
+    "sum along an axis": (
+        lambda u: cp.sum(cp.exp(u.X), axis=0),
+        lambda x, X, s: np.exp(X).sum(axis=0),
+    ),
     "index, stack, transpose": (
         lambda u: cp.vstack([cp.exp(u.x)[::-1], cp.square(u.X)[1], u.x]).T,
         lambda x, X, s: np.vstack([np.exp(x)[::-1], X[1] ** 2, x]).T,
     ),
     "reshape": (
-        lambda u: cp.reshape(cp.exp(u.X), (3, 2), order="F"), lambda x, X, s: np.exp(X).reshape((3, 2), order="F")
+        lambda u: cp.reshape(cp.exp(u.X), (3, 2), order="F"),
+        lambda x, X, s: np.exp(X).reshape((3, 2), order="F"),
     ),
     "cumsum": (lambda u: cp.cumsum(cp.exp(u.x)), lambda x, X, s: np.cumsum(np.exp(x))),
     "sum_squares": (lambda u: cp.sum_squares(u.X), lambda x, X, s: (X**2).sum()),
     "quad_over_lin": (lambda u: cp.quad_over_lin(u.x, u.s), lambda x, X, s: (x**2).sum() / s),
     "quad_form": (lambda u: cp.quad_form(u.x, B + B.T), lambda x, X, s: x @ (B + B.T) @ x),
-    "geo_mean": (lambda u: cp.geo_mean(u.x, [1, 0, 2]), lambda x, X, s: x[0] ** (1 / 3) * x[2] ** (2 / 3)),
+    "geo_mean": (
+        lambda u: cp.geo_mean(u.x, [1, 0, 2]),
+        lambda x, X, s: x[0] ** (1 / 3) * x[2] ** (2 / 3),
+    ),
     "prod": (lambda u: cp.prod(u.x), lambda x, X, s: x[0] * x[1] * x[2]),
     "prod along an axis": (lambda u: cp.prod(u.X, axis=1), lambda x, X, s: np.prod(X, axis=1)),
     "log_sum_exp": (lambda u: cp.log_sum_exp(u.x), lambda x, X, s: np.log(np.exp(x).sum())),
     "log_sum_exp along an axis": (
-        lambda u: cp.log_sum_exp(u.X, axis=1), lambda x, X, s: np.log(np.exp(X).sum(axis=1))
+        lambda u: cp.log_sum_exp(u.X, axis=1),
+        lambda x, X, s: np.log(np.exp(X).sum(axis=1)),
     ),
     "rel_entr": (lambda u: cp.rel_entr(u.x, u.X[0]), lambda x, X, s: x * np.log(x / X[0])),
     "kl_div": (lambda u: cp.kl_div(u.x, u.X[0]), lambda x, X, s: x * np.log(x / X[0]) - x + X[0]),
@@ -133,12 +151,23 @@ def compiled_form(name: str) -> tuple[Program, Callable[[Any], Any], Any, Unknow
     form, reference = FORMS[name]
     expression = form(unknowns) + unknowns.everything
     order = {variable.id: variable for variable in expression.variables()}
-    places = np.concatenate([
-        {unknowns.x.id: np.arange(3), unknowns.X.id: np.arange(3, 9), unknowns.s.id: np.arange(9, 10)}[key]
-        for key in order
-    ])
+    places = np.concatenate(
+        [
+            {
+                unknowns.x.id: np.arange(3),
+                unknowns.X.id: np.arange(3, 9),
+                unknowns.s.id: np.arange(9, 10),
+            }[key]
+            for key in order
+        ]
+    )
     back = np.argsort(places)
-    return compiled(expression), lambda v: flat(reference(*Unknowns.split(v[back]))), expression, unknowns
+    return (
+        compiled(expression),
+        lambda v: flat(reference(*Unknowns.split(v[back]))),
+        expression,
+        unknowns,
+    )
 
 
 def points(seed: int, count: int) -> Any:
@@ -152,7 +181,9 @@ def test_values_and_derivatives_are_those_of_the_function(name: str) -> None:
     for v in points(1, 5):
         np.testing.assert_allclose(program.value(v), reference(v), rtol=1e-13, atol=1e-13)
         columns = [reference(v + 1j * STEP * unit).imag / STEP for unit in np.eye(10)]
-        np.testing.assert_allclose(program.jacobian(v).toarray(), np.array(columns).T, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            program.jacobian(v).toarray(), np.array(columns).T, rtol=1e-12, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -209,15 +240,23 @@ def test_elementary_intervals_hold_the_true_values(name: str) -> None:
         u *= generator.choice([-1.0, 1.0], size=2000)
         u = np.maximum(u, -60.0)  # 1 + exp(u) takes digits from then on
     of_doubles = {
-        "exp": iv.exponential, "log": iv.logarithm, "log1p": iv.logarithm_of_one_more, "root": iv.root,
-        "softplus": iv.softplus, "power": lambda a: iv.power(a, 0.37),
+        "exp": iv.exponential,
+        "log": iv.logarithm,
+        "log1p": iv.logarithm_of_one_more,
+        "root": iv.root,
+        "softplus": iv.softplus,
+        "power": lambda a: iv.power(a, 0.37),
     }
     with localcontext() as context:
         context.prec = 80
         exponent = Decimal.from_float(0.37)
         of_decimals: dict[str, Callable[[Decimal], Decimal]] = {
-            "exp": Decimal.exp, "log": Decimal.ln, "log1p": lambda d: (1 + d).ln(), "root": Decimal.sqrt,
-            "softplus": lambda d: (1 + d.exp()).ln(), "power": lambda d: (exponent * d.ln()).exp(),
+            "exp": Decimal.exp,
+            "log": Decimal.ln,
+            "log1p": lambda d: (1 + d).ln(),
+            "root": Decimal.sqrt,
+            "softplus": lambda d: (1 + d.exp()).ln(),
+            "power": lambda d: (exponent * d.ln()).exp(),
         }
         lower, upper = of_doubles[name]((u, u))
         for k in range(u.size):
@@ -237,28 +276,37 @@ def test_intervals_of_two_arguments_hold_the_true_values(name: str) -> None:
         u, v = np.array([u, v]) * generator.choice([-1.0, 1.0], size=(2, 1000))
         v[:3] = u[:3] = -math.log(2.0), 700.0, -700.0
     lower, upper = {
-        "log add exp": iv.log_add_exp, "sigmoid": lambda a, b: functions.LOG_ADD_EXP.interval_derivatives(a, b)[0],
+        "log add exp": iv.log_add_exp,
+        "sigmoid": lambda a, b: functions.LOG_ADD_EXP.interval_derivatives(a, b)[0],
         "relative entropy": functions.RELATIVE_ENTROPY.interval,
     }[name]((u, u), (v, v))
     with localcontext() as context:
         context.Emin, context.Emax = -(10**6), 10**6
         of_decimals: dict[str, Callable[[Decimal, Decimal], Decimal]] = {
             "log add exp": lambda a, b: max(a, b) + (1 + (-abs(a - b)).exp()).ln(),
-            "sigmoid": lambda a, b: 1 / (1 + (b - a).exp()), "relative entropy": lambda a, b: a * (a / b).ln(),
+            "sigmoid": lambda a, b: 1 / (1 + (b - a).exp()),
+            "relative entropy": lambda a, b: a * (a / b).ln(),
         }
         for k in range(u.size):
             context.prec = 80 if abs(u[k] - v[k]) < 60.0 or name == "relative entropy" else 500
-            assert Decimal(lower[k]) <= of_decimals[name](Decimal(u[k]), Decimal(v[k])) <= Decimal(upper[k])
+            assert (
+                Decimal(lower[k])
+                <= of_decimals[name](Decimal(u[k]), Decimal(v[k]))
+                <= Decimal(upper[k])
+            )
     sizes = {
-        "log add exp": np.abs([u, v]).max(axis=0) + 1.0, "sigmoid": np.ones_like(u),
+        "log add exp": np.abs([u, v]).max(axis=0) + 1.0,
+        "sigmoid": np.ones_like(u),
         "relative entropy": u * (1.0 + np.abs(np.log(np.abs(u / v)))),
     }[name]
     assert (upper - lower <= 50 * np.spacing(sizes)).all()
 
 
-def test_the_slope_of_a_power_with_a_huge_exponent_is_not_held_positive_at_negative_arguments() -> None:
+def test_the_slope_of_a_power_with_a_huge_exponent_is_not_held_positive_at_negative_arguments() -> (
+    None
+):
     """The exponent less one is odd, and none of the doubles next to it is."""
-    (lower, _), = functions.power(1e17).interval_derivatives((np.array([-1.0]), np.array([-1.0])))
+    ((lower, _),) = functions.power(1e17).interval_derivatives((np.array([-1.0]), np.array([-1.0])))
     assert lower[0] <= -1e17  # 1e17 (-1)^(1e17 - 1)
 
 
@@ -300,7 +348,10 @@ def test_relative_entropy_is_defined_where_cvxpy_has_it() -> None:
     x = cp.Variable(2)
     for atom in (cp.rel_entr, cp.kl_div):
         program = compiled(atom(x[0], x[1]))
-        assert [program.value(np.array(point))[0] for point in ((0.0, 0.0), (0.0, 2.0))] == [0.0, atom(0, 2).value]
+        assert [program.value(np.array(point))[0] for point in ((0.0, 0.0), (0.0, 2.0))] == [
+            0.0,
+            atom(0, 2).value,
+        ]
         assert not np.isfinite(program.value(np.array([-1.0, -1.0]))).any()
 
 
@@ -318,10 +369,14 @@ def test_log_sum_exp_of_thousands_is_solved() -> None:
 def kojima_shindo(x: Any, stack: Callable[..., Any]) -> Any:
     """Kojima and Shindo's problem; its solutions are (√6/2, 0, 0, 1/2), degenerate, and (1, 0, 3, 0)."""
     a, b, c, d = (x[k] for k in range(4))
-    return stack([
-        3 * a**2 + 2 * a * b + 2 * b**2 + c + 3 * d - 6, 2 * a**2 + a + b**2 + 10 * c + 2 * d - 2,
-        3 * a**2 + a * b + 2 * b**2 + 2 * c + 9 * d - 9, a**2 + 3 * b**2 + 2 * c + 3 * d - 3,
-    ])
+    return stack(
+        [
+            3 * a**2 + 2 * a * b + 2 * b**2 + c + 3 * d - 6,
+            2 * a**2 + a + b**2 + 10 * c + 2 * d - 2,
+            3 * a**2 + a * b + 2 * b**2 + 2 * c + 9 * d - 9,
+            a**2 + 3 * b**2 + 2 * c + 3 * d - 3,
+        ]
+    )
 
 
 @cache
@@ -337,14 +392,22 @@ def test_intervals_of_polynomials_hold_the_exact_values(z: list[float]) -> None:
     a, b, c, d = map(Fraction, z)
     exact = kojima_shindo([a, b, c, d], list)
     v = np.array(z)
-    for low, value, high in zip(*(program.interval_F(v, v)[0], exact, program.interval_F(v, v)[1]), strict=True):
+    for low, value, high in zip(
+        *(program.interval_F(v, v)[0], exact, program.interval_F(v, v)[1]), strict=True
+    ):
         assert Fraction(low) <= value <= Fraction(high)
     slopes = [
-        [6 * a + 2 * b, 2 * a + 4 * b, 1, 3], [4 * a + 1, 2 * b, 10, 2], [6 * a + b, a + 4 * b, 2, 9],
+        [6 * a + 2 * b, 2 * a + 4 * b, 1, 3],
+        [4 * a + 1, 2 * b, 10, 2],
+        [6 * a + b, a + 4 * b, 2, 9],
         [2 * a, 6 * b, 2, 3],
     ]
     low, high = (matrix.toarray() for matrix in program.interval_jacobian(v, v))
-    assert all(Fraction(low[i, j]) <= slopes[i][j] <= Fraction(high[i, j]) for i in range(4) for j in range(4))
+    assert all(
+        Fraction(low[i, j]) <= slopes[i][j] <= Fraction(high[i, j])
+        for i in range(4)
+        for j in range(4)
+    )
 
 
 def test_nothing_is_known_outside_a_domain() -> None:
@@ -433,7 +496,9 @@ def test_total_quantity_may_be_a_variable_of_its_own() -> None:
         F = c + cp.multiply(q, 0.2) - price + cp.multiply(q, price / Q) / gamma
         solved([complements(q >= 0, F), *([total == cp.sum(q)] if is_variable else [])])
         answers.append(q.value)
-        jacobian = build([complements(q >= 0, F), *([total == cp.sum(q)] if is_variable else [])]).problem.jacobian
+        jacobian = build(
+            [complements(q >= 0, F), *([total == cp.sum(q)] if is_variable else [])]
+        ).problem.jacobian
         assert jacobian(np.ones(n + is_variable)).nnz <= (4 * n + 1 if is_variable else n * n)
     np.testing.assert_allclose(answers[0], answers[1], rtol=1e-7)
 
@@ -445,19 +510,29 @@ def test_ces_exchange_economy_clears_its_markets() -> None:
     sigma = np.array([0.5, 1.5, 0.8])
 
     def demand(prices: Any, income: Any, power: Any, times: Any) -> Any:
-        bundles = [times(share[k], power(prices, -sigma[k])) * (income[k] / (share[k] @ power(prices, 1 - sigma[k])))
-                   for k in range(3)]
+        bundles = [
+            times(share[k], power(prices, -sigma[k]))
+            * (income[k] / (share[k] @ power(prices, 1 - sigma[k])))
+            for k in range(3)
+        ]
         return bundles[0] + bundles[1] + bundles[2]
 
-    p = cp.Variable(4)  # relative prices: the first good is the measure, and its market clears by Walras' law
+    p = cp.Variable(
+        4
+    )  # relative prices: the first good is the measure, and its market clears by Walras' law
     p.value = np.ones(4)
     wanted = demand(p[:3], endowment @ p, cp.power, cp.multiply)
     supply = endowment.sum(axis=0)
-    solved([
-        complements(p[1:3] >= 0, supply[1:3] - wanted[1:] >= 0), complements(p[3] >= 0, supply[3] + 0 * p[3] >= 0),
-        p[0] == 1,
-    ])
-    np.testing.assert_allclose(demand(p.value[:3], endowment @ p.value, np.power, np.multiply), supply[:3], rtol=1e-8)
+    solved(
+        [
+            complements(p[1:3] >= 0, supply[1:3] - wanted[1:] >= 0),
+            complements(p[3] >= 0, supply[3] + 0 * p[3] >= 0),
+            p[0] == 1,
+        ]
+    )
+    np.testing.assert_allclose(
+        demand(p.value[:3], endowment @ p.value, np.power, np.multiply), supply[:3], rtol=1e-8
+    )
     assert p.value[3] == 0.0
 
 
@@ -465,30 +540,43 @@ def test_elastic_transport_equilibrium() -> None:
     """Flows between factories and cities with power-law demand: as scipy finds them on the same active set."""
     cost = np.array([[2.0, 4.0, 9.0], [5.0, 1.0, 3.0]])
     flow, supply_price, demand_price = cp.Variable((2, 3)), cp.Variable(2), cp.Variable(3)
-    flow.value, supply_price.value, demand_price.value = np.ones((2, 3)), np.ones(2), np.full(3, 4.0)
+    flow.value, supply_price.value, demand_price.value = (
+        np.ones((2, 3)),
+        np.ones(2),
+        np.full(3, 4.0),
+    )
     sent = 0.5 * cp.power(supply_price, 1.5)
     wanted = np.array([30.0, 40.0, 50.0])
     bought = cp.multiply(wanted, cp.power(demand_price, -1.2))
     margin = cp.vstack([supply_price[i] + cost[i] - demand_price for i in range(2)])
-    solved([
-        complements(flow >= 0, margin >= 0),
-        complements(supply_price >= 0, sent - cp.sum(flow, axis=1) >= 0),
-        complements(demand_price >= 0, cp.sum(flow, axis=0) - bought >= 0),
-    ])
+    solved(
+        [
+            complements(flow >= 0, margin >= 0),
+            complements(supply_price >= 0, sent - cp.sum(flow, axis=1) >= 0),
+            complements(demand_price >= 0, cp.sum(flow, axis=0) - bought >= 0),
+        ]
+    )
 
     def F(v: Any) -> Any:
         f, s, d = v[:6].reshape((2, 3)), v[6:8], v[8:]
         gap = s[:, None] + cost - d
-        return np.concatenate([gap.ravel(), 0.5 * s**1.5 - f.sum(axis=1), f.sum(axis=0) - wanted * d**-1.2])
+        return np.concatenate(
+            [gap.ravel(), 0.5 * s**1.5 - f.sum(axis=1), f.sum(axis=0) - wanted * d**-1.2]
+        )
 
-    agrees_with_scipy(F, np.concatenate([flow.value.ravel(), supply_price.value, demand_price.value]))
+    agrees_with_scipy(
+        F, np.concatenate([flow.value.ravel(), supply_price.value, demand_price.value])
+    )
 
 
 def test_semilinear_obstacle() -> None:
     """−u″ + exp(u) = 6 above an obstacle: as scipy finds it on the same contact set, and twice the same bits."""
     n = 40
     h = 1.0 / (n + 1)
-    A = sp.csr_array(sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1]) / h**2)
+    A = sp.csr_array(
+        sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+        / h**2
+    )
     obstacle = 0.35 - 4.0 * (np.linspace(h, 1 - h, n) - 0.4) ** 2
     u = cp.Variable(n)
     solved([complements(u >= obstacle, A @ u + cp.exp(u) - 3 >= 0)])
@@ -505,10 +593,15 @@ def test_planted_answers_are_found(seed: int) -> None:
     """A monotone F with x and w chosen first, bounds on both sides and free rows: x is found."""
     generator = np.random.default_rng(seed)
     n = 6
-    lower, upper = generator.choice([-1.0, -np.inf], size=n), generator.choice([2.0, np.inf], size=n)
+    lower, upper = (
+        generator.choice([-1.0, -np.inf], size=n),
+        generator.choice([2.0, np.inf], size=n),
+    )
     low, high = np.where(np.isfinite(lower), lower, -0.5), np.where(np.isfinite(upper), upper, 0.7)
     where = generator.integers(0, 3, size=n)
-    planted = np.where(where == 0, low, np.where(where == 1, high, low + (high - low) * generator.random(n)))
+    planted = np.where(
+        where == 0, low, np.where(where == 1, high, low + (high - low) * generator.random(n))
+    )
     is_low, is_high = planted == lower, planted == upper
     w = np.where(is_low, 1.0, np.where(is_high, -1.0, 0.0)) * generator.random(n)
     A = generator.standard_normal((n, n))
@@ -613,8 +706,15 @@ def test_existence_is_proved_where_both_sides_are_nonlinear() -> None:
 def test_an_exponent_may_become_one_and_another_again() -> None:
     """Where a parameter makes a power affine, what was read then is not taken for the power of the next value."""
     x, exponent = cp.Variable(2), cp.Parameter(nonneg=True)
-    problem = ComplementarityProblem(complements(x >= 0, cp.power(x, exponent) - np.array([4.0, 9.0]) >= 0))
-    for power, answer in ((1.0, [4.0, 9.0]), (2.0, [2.0, 3.0]), (1.0, [4.0, 9.0]), (0.5, [16.0, 81.0])):
+    problem = ComplementarityProblem(
+        complements(x >= 0, cp.power(x, exponent) - np.array([4.0, 9.0]) >= 0)
+    )
+    for power, answer in (
+        (1.0, [4.0, 9.0]),
+        (2.0, [2.0, 3.0]),
+        (1.0, [4.0, 9.0]),
+        (0.5, [16.0, 81.0]),
+    ):
         exponent.value = power
         problem.solve()
         assert np.allclose(x.value, answer)
@@ -623,9 +723,16 @@ def test_an_exponent_may_become_one_and_another_again() -> None:
 def test_parameters_are_read_at_every_solve() -> None:
     """A factor, an exponent and a bound are parameters: each solve has their present values."""
     x, factor, exponent, bound = cp.Variable(), cp.Parameter(), cp.Parameter(), cp.Parameter()
-    problem = ComplementarityProblem(complements(box(x, bound, np.inf), factor * cp.power(x, exponent) - 8))
+    problem = ComplementarityProblem(
+        complements(box(x, bound, np.inf), factor * cp.power(x, exponent) - 8)
+    )
     x.value = 1.0
-    for a, p, low, answer in ((1.0, 3, 0.0, 2.0), (2.0, 2, 0.0, 2.0), (2.0, 2, 3.0, 3.0), (4.0, 1, 0.0, 2.0)):
+    for a, p, low, answer in (
+        (1.0, 3, 0.0, 2.0),
+        (2.0, 2, 0.0, 2.0),
+        (2.0, 2, 3.0, 3.0),
+        (4.0, 1, 0.0, 2.0),
+    ):
         factor.value, exponent.value, bound.value = a, p, low
         problem.solve(tolerance=1e-12)
         assert x.value == pytest.approx(answer, abs=1e-9)
@@ -681,7 +788,9 @@ def test_solutions_have_derivatives_by_parameters() -> None:
         return np.append(x.value, y.value)
 
     at, step = np.array([0.5, 0.8, 1.3]), 1e-5
-    slopes = np.array([(solution(at + e) - solution(at - e)) / (2 * step) for e in step * np.eye(3)])
+    slopes = np.array(
+        [(solution(at + e) - solution(at - e)) / (2 * step) for e in step * np.eye(3)]
+    )
     solution(at)
     problem.backward()
     np.testing.assert_allclose(np.append(p.gradient, r.gradient), slopes.sum(axis=1), rtol=1e-7)
@@ -722,10 +831,16 @@ def with_parameter(value: Any) -> Any:
 
 X, P = cp.Variable(2), cp.Variable(2, nonneg=True)
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
-    "absolute value": (lambda: complements(X >= 0, cp.abs(X) - 1 >= 0), r"abs\(.*not smooth.*of its own"),
+    "absolute value": (
+        lambda: complements(X >= 0, cp.abs(X) - 1 >= 0),
+        r"abs\(.*not smooth.*of its own",
+    ),
     "maximum": (lambda: complements(X >= 0, cp.maximum(X, 1) - 2 >= 0), "not smooth"),
     "norm": (lambda: complements(X[0] >= 0, cp.norm(X, 2) - 2 >= 0), "not smooth"),
-    "unknown atom": (lambda: complements(X[0] >= 0, cp.lambda_max(cp.diag(X)) >= 0), "lambda_max.*no derivative"),
+    "unknown atom": (
+        lambda: complements(X[0] >= 0, cp.lambda_max(cp.diag(X)) >= 0),
+        "lambda_max.*no derivative",
+    ),
     "shapes": (lambda: complements(X >= 0, cp.sum(cp.exp(X)) >= 0), "same shape"),
     "integer": (integer_pair, "integer"),
     "NaN parameter": (lambda: with_parameter(np.array([np.nan, 1.0])), "finite"),
@@ -736,9 +851,13 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         "1 equation, 1 of them from pairs of two expressions and 2 unknowns",
     ),
     "two expressions, bounded": (
-        lambda: complements(cp.exp(P) >= 1, cp.exp(P) + P >= 4), "has bounds that the rest.*variable of a pair"
+        lambda: complements(cp.exp(P) >= 1, cp.exp(P) + P >= 4),
+        "has bounds that the rest.*variable of a pair",
     ),
-    "two values": (lambda: complements(cp.exp(X) - 1, cp.exp(X) - 3), "must be a variable.*y == side"),
+    "two values": (
+        lambda: complements(cp.exp(X) - 1, cp.exp(X) - 3),
+        "must be a variable.*y == side",
+    ),
     "not square": (lambda: complements(X[0] >= 0, cp.exp(X[0]) + X[1] >= 0), "1 unknown without"),
 }
 

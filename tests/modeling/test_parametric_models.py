@@ -30,7 +30,9 @@ def test_frontier_in_cvxpy_is_said_to_end_nowhere() -> None:
     rng = np.random.default_rng(1)
     root, mean = rng.standard_normal((5, 5)), rng.random(5)
     x, tolerance = cp.Variable(5, nonneg=True), cp.Parameter()
-    problem = cp.Problem(cp.Maximize(tolerance * (mean @ x) - cp.sum_squares(root @ x)), [cp.sum(x) == 1])
+    problem = cp.Problem(
+        cp.Maximize(tolerance * (mean @ x) - cp.sum_squares(root @ x)), [cp.sum(x) == 1]
+    )
     path = trace(problem, tolerance, 0, 100).require_solved()
     tolerance.value = 3.0
     problem.solve(solver=QPSolver)
@@ -42,7 +44,9 @@ def test_pairs_follow_a_load() -> None:
     """A model of complementarities, with a definition that is put in, along a vector parameter."""
     x, y, load = cp.Variable(2), cp.Variable(), cp.Parameter(2, value=[-5.0, 1.0])
     M = np.array([[2.0, 1.0], [1.0, 2.0]])
-    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + load >= 0), y == x[0] + 3 * load[1]])
+    problem = cp.Problem(
+        cp.Minimize(0), [complements(x >= 0, M @ x + load >= 0), y == x[0] + 3 * load[1]]
+    )
     path = trace(problem, {load: [0.0, -1.0]}, 0, 6).require_solved()
     assert path.breakpoints == pytest.approx([0.0, 3.5, 6.0])
     assert path.at(4.5)[x] == pytest.approx([13 / 6, 2 / 3])
@@ -53,7 +57,9 @@ def test_pairs_follow_a_load() -> None:
 def test_infeasible_from_a_value_on() -> None:
     """A budget that is too small from somewhere on."""
     x, need = cp.Variable(2, nonneg=True), cp.Parameter()
-    path = trace(cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.sum(x) >= need, x <= 1]), need, 0, 5)
+    path = trace(
+        cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.sum(x) >= need, x <= 1]), need, 0, 5
+    )
     assert path.status is Status.INFEASIBLE
     assert path.reached == pytest.approx(2.0, abs=1e-9)
 
@@ -90,7 +96,9 @@ def test_derivatives_are_those_of_the_problem_as_it_was_stated() -> None:
     constant = trace(cp.Problem(cp.Minimize(x**2 + 2 * g), [x >= 1]), g, 0.0, 4.0)
     assert constant.derivative(1.0).objective == pytest.approx(2.0)
     assert constant.derivative(1.0)[x] == pytest.approx(0.0, abs=1e-12)
-    shaped = trace(cp.Problem(cp.Minimize(cp.sum_squares(y - np.array([1, 2]))), [cp.sum(y) <= g]), g, 0.0, 2.0)
+    shaped = trace(
+        cp.Problem(cp.Minimize(cp.sum_squares(y - np.array([1, 2]))), [cp.sum(y) <= g]), g, 0.0, 2.0
+    )
     assert shaped.derivative(1.0)[y] == pytest.approx([0.5, 0.5])
     with pytest.raises(UnsupportedModel, match="no variable"):
         shaped.derivative(1.0)[x]
@@ -99,7 +107,11 @@ def test_derivatives_are_those_of_the_problem_as_it_was_stated() -> None:
 def test_parameters_that_bend_or_may_not_move_are_said() -> None:
     """A parameter within a square, and a nonnegative one below zero, are refused in words."""
     y, h, positive = cp.Variable(2), cp.Parameter(value=1.0), cp.Parameter(nonneg=True)
-    with pytest.raises(UnsupportedModel, match="make the expression that bends a parameter of its own"):
+    with pytest.raises(
+        UnsupportedModel, match="make the expression that bends a parameter of its own"
+    ):
         trace(cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= cp.square(h)]), h, 0.0, 1.0)
     with pytest.raises(InvalidOption, match="cannot be what it is at -1"):
-        trace(cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= positive]), positive, -1.0, 1.0)
+        trace(
+            cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= positive]), positive, -1.0, 1.0
+        )

@@ -14,7 +14,9 @@ from lcp_plugin import QPSolver, UnsupportedModel
 
 RNG = np.random.default_rng(7)
 IS_OLD = tuple(map(int, cp.__version__.split(".")[:2])) < (1, 9)
-has_duals = pytest.mark.skipif(IS_OLD, reason="this release of cvxpy forgets the duals of infeasible problems")
+has_duals = pytest.mark.skipif(
+    IS_OLD, reason="this release of cvxpy forgets the duals of infeasible problems"
+)
 
 
 def nnls() -> tuple[Any, list[Any]]:
@@ -28,7 +30,9 @@ def ridge_with_bounds() -> tuple[Any, list[Any]]:
     A, b = RNG.standard_normal((20, 10)), RNG.standard_normal(20)
     x = cp.Variable(10)
     constraints = [x <= 0.2, x >= -0.1]
-    return cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b) + 0.5 * cp.sum_squares(x)), constraints), constraints
+    return cp.Problem(
+        cp.Minimize(cp.sum_squares(A @ x - b) + 0.5 * cp.sum_squares(x)), constraints
+    ), constraints
 
 
 def isotonic() -> tuple[Any, list[Any]]:
@@ -68,7 +72,11 @@ def test_quadratic_programs_agree_with_cvxpy(name: str, how: str) -> None:
     """Value, x and duals equal those of an accurate cvxpy solver to 1e-6, by solver= and by method=."""
     problem, constraints = MODELS[name]()
     problem.solve(solver=cp.OSQP, eps_abs=1e-10, eps_rel=1e-10, max_iter=200000)
-    expected = (problem.value, problem.variables()[0].value.copy(), [c.dual_value for c in constraints])
+    expected = (
+        problem.value,
+        problem.variables()[0].value.copy(),
+        [c.dual_value for c in constraints],
+    )
     if how == "method":
         problem.solve(method="LCP", tolerance=1e-12)
     else:
@@ -79,7 +87,9 @@ def test_quadratic_programs_agree_with_cvxpy(name: str, how: str) -> None:
     for constraint, dual in zip(constraints, expected[2], strict=True):
         np.testing.assert_allclose(constraint.dual_value, dual, atol=2e-6)
     assert problem.solver_stats.solver_name == "LCP"
-    assert problem.solver_stats.num_iters >= 0  # 0 where the minimum on the equations meets the rest
+    assert (
+        problem.solver_stats.num_iters >= 0
+    )  # 0 where the minimum on the equations meets the rest
 
 
 def test_bounds_as_attributes_are_bounds() -> None:
@@ -116,7 +126,8 @@ def parametric(where: str, seed: int) -> tuple[Any, Any]:
     loss = cp.sum_squares(rng.normal(size=(9, 6)) @ x - 1.0) + (p @ x if where == "c" else 0.0)
     rows = p if where == "G" else G
     constraints = [
-        rows @ x <= (p if where == "h" else np.ones(4)), A @ x == (p if where == "b" else np.full(3, 0.1)),
+        rows @ x <= (p if where == "h" else np.ones(4)),
+        A @ x == (p if where == "b" else np.full(3, 0.1)),
         x >= (p if where == "bound" else -2.0),
     ]
     return cp.Problem(cp.Minimize(loss), constraints), p
@@ -127,7 +138,11 @@ def test_a_parameter_changes_numbers_only(where: str) -> None:
     """Solved again with other parameters, a problem has the status, values and duals of a fresh one, there and back."""
     problem, p = parametric(where, 4)
     rng = np.random.default_rng(5)
-    values = [rng.normal(size=p.shape) * 0.1, rng.normal(size=p.shape) * 0.1 - 0.1, np.full(p.shape, 9.0)]
+    values = [
+        rng.normal(size=p.shape) * 0.1,
+        rng.normal(size=p.shape) * 0.1 - 0.1,
+        np.full(p.shape, 9.0),
+    ]
     for value in (*values, values[0]):
         fresh, own = parametric(where, 4)
         p.value = own.value = value
@@ -151,9 +166,13 @@ def test_matrices_that_the_host_changes_in_place_are_not_taken_for_the_old_ones(
     data["P"].data *= 4.0
     second = QPSolver.solve_via_data(data, True, False, {}, cache)
     assert second.solution.program.matrices is not first.solution.program.matrices
-    np.testing.assert_allclose(second.solution.program.P.diagonal(), 4.0 * first.solution.program.P.diagonal())
+    np.testing.assert_allclose(
+        second.solution.program.P.diagonal(), 4.0 * first.solution.program.P.diagonal()
+    )
     third = QPSolver.solve_via_data({**own, "P": 9.0 * own["P"]}, True, False, {}, cache)
-    np.testing.assert_allclose(third.solution.program.P.diagonal(), 9.0 * first.solution.program.P.diagonal())
+    np.testing.assert_allclose(
+        third.solution.program.P.diagonal(), 9.0 * first.solution.program.P.diagonal()
+    )
     if "lcp_plugin.matrices" in own:  # made by us, and kept
         with pytest.raises(ValueError, match="read-only"):
             own["P"].data *= 4.0
@@ -180,16 +199,23 @@ def test_cones_and_integers_are_cvxpy_s_to_refuse() -> None:
     """A second-order cone or an integer variable is refused before it reaches us."""
     x = cp.Variable(3)
     with pytest.raises(cp.error.SolverError):
-        cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.norm(x) <= 1, cp.sum(x) == 1]).solve(solver=QPSolver)
+        cp.Problem(cp.Minimize(cp.sum_squares(x)), [cp.norm(x) <= 1, cp.sum(x) == 1]).solve(
+            solver=QPSolver
+        )
     y = cp.Variable(2, integer=True)
     with pytest.raises(cp.error.SolverError):
         cp.Problem(cp.Minimize(cp.sum_squares(y - 0.4))).solve(solver=QPSolver)
 
 
 # test_qp_bound_attr asks that bounds do not become rows, which is not wanted; test_cvxpy_programs.py solves it.
-@pytest.mark.parametrize("name", [
-    name for name in dir(StandardTestQPs) if name.startswith("test_qp") and name != "test_qp_bound_attr"
-])
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name in dir(StandardTestQPs)
+        if name.startswith("test_qp") and name != "test_qp_bound_attr"
+    ],
+)
 def test_cvxpy_s_own_quadratic_tests_pass(name: str) -> None:
     """Each of cvxpy's StandardTestQPs that this version has passes with our solver."""
     getattr(StandardTestQPs, name)(solver=QPSolver, tolerance=1e-12)
@@ -236,7 +262,9 @@ def without_minimum(kind: str, n: int) -> Any:
         A = np.abs(rng.standard_normal((2 * n // 3, n)))
         return cp.Problem(cp.Minimize(cp.sum_squares(x)), [A @ x <= -1, x >= 0])
     C = rng.standard_normal((n // 2, n))
-    return cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(C.T @ C)) + rng.standard_normal(n) @ x))
+    return cp.Problem(
+        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(C.T @ C)) + rng.standard_normal(n) @ x)
+    )
 
 
 @pytest.mark.sampled(1)
@@ -261,10 +289,16 @@ def test_duals_of_an_infeasible_problem_prove_it_and_name_its_constraints(sense:
     problem.solve(solver=QPSolver)
     assert problem.status == "infeasible"
     combined = sum(cp.sum(cp.multiply(one.dual_value, one.expr)) for one in constraints)
-    found = [combined.value for x.value, y.value in ((np.zeros(3), 0.0), (np.array([3.0, -1.0, 2.0]), 5.0))]
+    found = [
+        combined.value
+        for x.value, y.value in ((np.zeros(3), 0.0), (np.array([3.0, -1.0, 2.0]), 5.0))
+    ]
     assert found == pytest.approx([1.0, 1.0])
     words = str(problem.solver_stats.extra_stats)
-    assert all(part in words for part in ("1.0 <= x[0]", "0.0 <= x, entry 1", "contradict one another", "0.25"))
+    assert all(
+        part in words
+        for part in ("1.0 <= x[0]", "0.0 <= x, entry 1", "contradict one another", "0.25")
+    )
     assert "y <= 3" not in words
 
 
@@ -297,10 +331,15 @@ def concave() -> Any:
 
 
 @pytest.mark.parametrize("ways", [{"solver": QPSolver}, {"method": "LCP"}])
-@pytest.mark.parametrize(("made", "words"), [
-    (integer_program, "(SCIP|HIGHS)"), (complex_sizes, "complex.*CLARABEL"), (norm, "CLARABEL"),
-    (concave, "not convex"),
-])
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (integer_program, "(SCIP|HIGHS)"),
+        (complex_sizes, "complex.*CLARABEL"),
+        (norm, "CLARABEL"),
+        (concave, "not convex"),
+    ],
+)
 def test_what_is_refused_inside_cvxpy_is_a_solver_error_and_names_a_way_out(
     ways: dict[str, Any], made: Callable[[], Any], words: str
 ) -> None:

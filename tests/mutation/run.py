@@ -39,33 +39,58 @@ from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).parents[2]
 ENOUGH = 0.85
-CERTIFICATES, BOUNDS, CLASSES = "lcp_plugin/core/certificates", "lcp_plugin/proofs/bounds", "lcp_plugin/proofs/verdicts"
-BOUND_TESTS = ("tests/proofs/test_bound_stages.py", "tests/proofs/test_error_bounds.py", CERTIFICATES)
-CLASS_TESTS = ("tests/proofs/test_matrix_proofs.py", "tests/proofs/test_matrix_classes.py", CLASSES,
-    "tests/proofs/test_error_bounds.py")
+CERTIFICATES, BOUNDS, CLASSES = (
+    "lcp_plugin/core/certificates",
+    "lcp_plugin/proofs/bounds",
+    "lcp_plugin/proofs/verdicts",
+)
+BOUND_TESTS = (
+    "tests/proofs/test_bound_stages.py",
+    "tests/proofs/test_error_bounds.py",
+    CERTIFICATES,
+)
+CLASS_TESTS = (
+    "tests/proofs/test_matrix_proofs.py",
+    "tests/proofs/test_matrix_classes.py",
+    CLASSES,
+    "tests/proofs/test_error_bounds.py",
+)
 # The files, each with its tests, those first that fail soonest.
 TESTS = {
-    f"{CERTIFICATES}/residuals.py": ("tests/proofs/test_bound_stages.py", "tests/core/test_certificate.py",
-        CERTIFICATES),
+    f"{CERTIFICATES}/residuals.py": (
+        "tests/proofs/test_bound_stages.py",
+        "tests/core/test_certificate.py",
+        CERTIFICATES,
+    ),
     f"{BOUNDS}/error_bounds.py": BOUND_TESTS,
     f"{BOUNDS}/solution_bounds.py": BOUND_TESTS,
     f"{BOUNDS}/row_inequality.py": BOUND_TESTS,
     **dict.fromkeys(
         [f"{BOUNDS}/curvature.py"]
         + [f"lcp_plugin/problems/programs/{name}.py" for name in ("dual_bounds", "feasible_points")]
-        + ["lcp_plugin/problems/programs/certification.py"], ("tests/problems/programs/test_certify.py",),
+        + ["lcp_plugin/problems/programs/certification.py"],
+        ("tests/problems/programs/test_certify.py",),
     ),
     "lcp_plugin/proofs/exact/rational.py": BOUND_TESTS,
-    "lcp_plugin/core/rounding.py": ("tests/core/test_rounding.py", "tests/proofs/test_error_bounds.py"),
-    **{str(file.relative_to(ROOT)): CLASS_TESTS for file in sorted(
-        file for folder in (CLASSES, "lcp_plugin/core/matrix",
-            "lcp_plugin/systems") for file in (ROOT / folder).glob("[a-z]*.py")
-    )},
+    "lcp_plugin/core/rounding.py": (
+        "tests/core/test_rounding.py",
+        "tests/proofs/test_error_bounds.py",
+    ),
+    **{
+        str(file.relative_to(ROOT)): CLASS_TESTS
+        for file in sorted(
+            file
+            for folder in (CLASSES, "lcp_plugin/core/matrix", "lcp_plugin/systems")
+            for file in (ROOT / folder).glob("[a-z]*.py")
+        )
+    },
 }
 # Operators are exchanged within a group: floats have no shifts, and `x is None` is `x == None`.
 GROUPS = (
-    {"Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow"}, {"BitOr", "BitAnd", "BitXor"},
-    {"Eq", "NotEq", "Lt", "LtE", "Gt", "GtE"}, {"Is", "IsNot"},
+    {"Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow"},
+    {"BitOr", "BitAnd", "BitXor"},
+    {"Eq", "NotEq", "Lt", "LtE", "Gt", "GtE"},
+    {"Is", "IsNot"},
 )
 
 
@@ -90,7 +115,9 @@ def offered_operators() -> Iterator[str]:
         kind, *pair = name.removeprefix("core/").split("_")
         if kind.startswith("Variable"):
             continue
-        if kind in ("ReplaceBinaryOperator", "ReplaceComparisonOperator") and not any(set(pair) <= g for g in GROUPS):
+        if kind in ("ReplaceBinaryOperator", "ReplaceComparisonOperator") and not any(
+            set(pair) <= g for g in GROUPS
+        ):
             continue
         yield name
 
@@ -124,7 +151,9 @@ def places(path: str, seed: int) -> Iterator[tuple[str, list[tuple[str, str, int
     for (start, end), mutants in sorted(found.items()):
         text = lines[start[0] - 1].strip()
         seen[text, start[1]] += 1
-        rank = digest(seed, path, text, start[1], end[1] if end[0] == start[0] else -1, seen[text, start[1]])
+        rank = digest(
+            seed, path, text, start[1], end[1] if end[0] == start[0] else -1, seen[text, start[1]]
+        )
         yield rank, sorted(mutants, key=lambda mutant: digest(rank, mutant[1]))
 
 
@@ -139,9 +168,14 @@ def made(path: str, operator: str, occurrence: int) -> Mutant | None:
         return None
     old, new = code.splitlines(), changed.splitlines()
     _, first, last, new_first, new_last = next(
-        change for change in SequenceMatcher(None, old, new, autojunk=False).get_opcodes() if change[0] != "equal"
+        change
+        for change in SequenceMatcher(None, old, new, autojunk=False).get_opcodes()
+        if change[0] != "equal"
     )
-    before, after = " ".join(map(str.strip, old[first:last])), " ".join(map(str.strip, new[new_first:new_last]))
+    before, after = (
+        " ".join(map(str.strip, old[first:last])),
+        " ".join(map(str.strip, new[new_first:new_last])),
+    )
     return Mutant(path, first + 1, before, after, changed)
 
 
@@ -149,7 +183,9 @@ def sampled(size: int, seed: int) -> list[Mutant]:
     """Return that many mutants at different places, drawn from all files."""
     drawn: list[Mutant] = []
     for _, mutants in sorted(place for path in TESTS for place in places(path, seed)):
-        mutant = next((m for m in (made(*candidate) for candidate in mutants) if m is not None), None)
+        mutant = next(
+            (m for m in (made(*candidate) for candidate in mutants) if m is not None), None
+        )
         drawn += [mutant] if mutant else []
         if len(drawn) == size:
             break
@@ -164,7 +200,9 @@ class Workplace:
         left_out = shutil.ignore_patterns(".git", "__pycache__", ".*_cache", ".hypothesis")
         shutil.copytree(ROOT, self.root, ignore=left_out)
         self.environment = os.environ | {
-            "PYTHONPATH": str(self.root), "NUMBA_CACHE_DIR": str(folder / "numba"), "OMP_NUM_THREADS": "1",
+            "PYTHONPATH": str(self.root),
+            "NUMBA_CACHE_DIR": str(folder / "numba"),
+            "OMP_NUM_THREADS": "1",
         }
 
     def write(self, path: str, code: str) -> None:
@@ -177,8 +215,12 @@ class Workplace:
         """Return whether the tests pass within the limit in seconds."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
         run = subprocess.Popen(
-            command, cwd=self.root, env=self.environment, start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            command,
+            cwd=self.root,
+            env=self.environment,
+            start_new_session=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         )
         try:
             return run.wait(limit) == 0
@@ -223,11 +265,20 @@ def tested(mutants: list[Mutant], workers: int) -> list[Mutant]:
             workplace = free.get()
             survives = workplace.survives(mutant, 5.0 * times[TESTS[mutant.path]])
             free.put(workplace)
-            print("survived" if survives else "killed  ", f"{mutant.path}:{mutant.line}", mutant.after, flush=True)
+            print(
+                "survived" if survives else "killed  ",
+                f"{mutant.path}:{mutant.line}",
+                mutant.after,
+                flush=True,
+            )
             return survives
 
         with ThreadPoolExecutor(workers) as pool:
-            return [mutant for mutant, survives in zip(mutants, pool.map(judge, mutants), strict=True) if survives]
+            return [
+                mutant
+                for mutant, survives in zip(mutants, pool.map(judge, mutants), strict=True)
+                if survives
+            ]
 
 
 def main() -> int:
@@ -237,27 +288,35 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--record", type=Path, help="write the names of the survivors to this file")
-    parser.add_argument("--only", type=Path, help="test only the mutants named in this file, as --record wrote it")
+    parser.add_argument(
+        "--only", type=Path, help="test only the mutants named in this file, as --record wrote it"
+    )
     options = parser.parse_args()
 
     mutants = sampled(options.sample, options.seed)
     if options.only:
         wanted = set(json.loads(options.only.read_text(encoding="utf-8")))
         mutants = [mutant for mutant in mutants if mutant.name in wanted]
-    listed = tomllib.loads((Path(__file__).parent / "equivalent.toml").read_text(encoding="utf-8"))["mutant"]
+    listed = tomllib.loads((Path(__file__).parent / "equivalent.toml").read_text(encoding="utf-8"))[
+        "mutant"
+    ]
     reasons = {f"{m['path']}: {m['before']}  →  {m['after']}": m["reason"] for m in listed}
     equivalent = [mutant for mutant in mutants if mutant.name in reasons]
     judged = [mutant for mutant in mutants if mutant.name not in reasons]
     survivors = tested(judged, options.workers)
 
-    print(f"\n{len(mutants)} mutants, seed {options.seed}: {len(judged) - len(survivors)} killed, "
-          f"{len(survivors)} survived, {len(equivalent)} equivalent")
+    print(
+        f"\n{len(mutants)} mutants, seed {options.seed}: {len(judged) - len(survivors)} killed, "
+        f"{len(survivors)} survived, {len(equivalent)} equivalent"
+    )
     for mutant in survivors:
         print(f"\n{mutant.path}:{mutant.line}\n  - {mutant.before}\n  + {mutant.after}")
     for mutant in equivalent:
         print(f"\nequivalent: {mutant.name}\n  {reasons[mutant.name]}")
     if options.record:
-        options.record.write_text(json.dumps([mutant.name for mutant in survivors], indent=1), encoding="utf-8")
+        options.record.write_text(
+            json.dumps([mutant.name for mutant in survivors], indent=1), encoding="utf-8"
+        )
     return int(len(survivors) > (1.0 - ENOUGH) * len(judged))
 
 

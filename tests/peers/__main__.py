@@ -16,6 +16,8 @@ sys.path.insert(1, str(Path(__file__).parents[2]))
 from peers.running import run  # noqa: E402
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser("python tests/peers", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        "python tests/peers", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("name", nargs="?", default="", help="a part of the names of tests")
     sys.exit(run(parser.parse_args().name))

@@ -22,14 +22,22 @@ OPTIONS, REFUSED = "scipy's own options and warnings", "refused as input: lower 
 SEVERAL = "there are several minimisers, and scipy's is another"
 UNDECLARED = "asked of solvers that say they take bounds of variables"
 NOT_ASKED = {
-    "linprog.test_callback": OPTIONS, "linprog.test_disp": OPTIONS, "linprog.test_maxiter": OPTIONS,
+    "linprog.test_callback": OPTIONS,
+    "linprog.test_disp": OPTIONS,
+    "linprog.test_maxiter": OPTIONS,
     "linprog.test_optimize_result": "fields of scipy's result",
-    "linprog.test_unknown_options": OPTIONS, "linprog.test_integrality_without_highs": OPTIONS,
-    "linprog.test_bounds_infeasible": REFUSED, "linprog.test_bounds_infeasible_2": REFUSED,
-    "nnls.test_maxiter": OPTIONS, "nnls.test_atol_deprecation_warning": OPTIONS,
-    "nnls.test_2D_singleton_RHS_input": "b is a vector", "nnls.test_2D_not_singleton_RHS_input_2": "b is a vector",
-    "nnls.test_gh_22791_32bit": SEVERAL, "nnls.test_nnls_gh21021_ex1": SEVERAL,
-    "cvxpy.LPs.test_lp_bound_attr": UNDECLARED, "cvxpy.QPs.test_qp_bound_attr": UNDECLARED,
+    "linprog.test_unknown_options": OPTIONS,
+    "linprog.test_integrality_without_highs": OPTIONS,
+    "linprog.test_bounds_infeasible": REFUSED,
+    "linprog.test_bounds_infeasible_2": REFUSED,
+    "nnls.test_maxiter": OPTIONS,
+    "nnls.test_atol_deprecation_warning": OPTIONS,
+    "nnls.test_2D_singleton_RHS_input": "b is a vector",
+    "nnls.test_2D_not_singleton_RHS_input_2": "b is a vector",
+    "nnls.test_gh_22791_32bit": SEVERAL,
+    "nnls.test_nnls_gh21021_ex1": SEVERAL,
+    "cvxpy.LPs.test_lp_bound_attr": UNDECLARED,
+    "cvxpy.QPs.test_qp_bound_attr": UNDECLARED,
     "cvxpy.LPs.test_lp_7": "it needs sdpap",
 }
 STATUS = {Status.SOLVED: 0, Status.MAX_ITERATIONS: 1, Status.INFEASIBLE: 2, Status.UNBOUNDED: 3}
@@ -59,7 +67,9 @@ def _outcome(call: Callable[[], Any]) -> tuple[str, str]:
     except BaseException as error:  # what pytest raises is no Exception
         is_skipped = isinstance(error, SkipTest) or type(error).__name__ == "Skipped"
         words = " ".join(str(error).split())[:160]
-        return ("not asked", words) if is_skipped else ("failed", f"{type(error).__name__}: {words}")
+        return (
+            ("not asked", words) if is_skipped else ("failed", f"{type(error).__name__}: {words}")
+        )
     return "passed", ""
 
 
@@ -82,13 +92,25 @@ def tests() -> Iterator[tuple[str, Callable[[], Any]]]:
 def _of_cvxpy() -> Iterator[tuple[str, Callable[[], Any]]]:
     """Yield cvxpy's programs: those that it gives every QP solver, and its standard LPs, QPs and infeasible LPs."""
     programs = import_module("cvxpy.tests.test_qp_solvers")
-    kind = next(one for one in vars(programs).values() if inspect.isclass(one) and hasattr(one, "test_all_solvers")
-                and hasattr(one, "quad_over_lin"))
+    kind = next(
+        one
+        for one in vars(programs).values()
+        if inspect.isclass(one)
+        and hasattr(one, "test_all_solvers")
+        and hasattr(one, "quad_over_lin")
+    )
     for name, method in inspect.getmembers(kind, inspect.isfunction):
-        if list(inspect.signature(method).parameters)[:2] == ["self", "solver"] and "norm_2" not in name:
+        if (
+            list(inspect.signature(method).parameters)[:2] == ["self", "solver"]
+            and "norm_2" not in name
+        ):
             yield f"cvxpy.{name}", partial(_of_object, kind("test_all_solvers"), name, QPSolver())
     helpers = import_module("cvxpy.tests.solver_test_helpers")
-    for group, prefix in (("LPs", "test_lp"), ("QPs", "test_qp"), ("InfeasibleProblems", "test_lp")):
+    for group, prefix in (
+        ("LPs", "test_lp"),
+        ("QPs", "test_qp"),
+        ("InfeasibleProblems", "test_lp"),
+    ):
         standard = getattr(helpers, f"StandardTest{group}")
         for name in (name for name in dir(standard) if name.startswith(prefix)):
             yield f"cvxpy.{group}.{name}", partial(getattr(standard, name), solver=QPSolver())
@@ -109,6 +131,7 @@ def _of_object(one: Any, name: str, *given: Any) -> None:
 
 # --- scipy's functions, answered by this package ------------------------------------------------------------------
 
+
 def our_linprog(
     c: Any, A_ub: Any = None, b_ub: Any = None, A_eq: Any = None, b_eq: Any = None, bounds: Any = (0, None),
     method: str = "highs", callback: Any = None, options: Any = None, x0: Any = None, integrality: Any = None,
@@ -121,13 +144,26 @@ def our_linprog(
         raise SkipTest("integers")
     lp = _clean_inputs(_LPProblem(c, A_ub, b_ub, A_eq, b_eq, bounds, None, None))
     program = QuadraticProgram(
-        np.zeros((lp.c.size, lp.c.size)), lp.c, lp.A_ub, lp.b_ub, lp.A_eq, lp.b_eq, lp.bounds[:, 0], lp.bounds[:, 1]
+        np.zeros((lp.c.size, lp.c.size)),
+        lp.c,
+        lp.A_ub,
+        lp.b_ub,
+        lp.A_eq,
+        lp.b_eq,
+        lp.bounds[:, 0],
+        lp.bounds[:, 1],
     )
     found = solve(program)
     x = found.x
     return OptimizeResult(
-        x=x, fun=found.objective, status=STATUS.get(found.status, 4), success=found.is_solved, nit=0,
-        message=str(found.status.value), slack=lp.b_ub - lp.A_ub @ x, con=lp.b_eq - lp.A_eq @ x,
+        x=x,
+        fun=found.objective,
+        status=STATUS.get(found.status, 4),
+        success=found.is_solved,
+        nit=0,
+        message=str(found.status.value),
+        slack=lp.b_ub - lp.A_ub @ x,
+        con=lp.b_eq - lp.A_eq @ x,
     )
 
 
@@ -146,6 +182,14 @@ def our_lsq_linear(A: Any, b: Any, bounds: Any = (-np.inf, np.inf), **_: Any) ->
     fun = np.ravel(A @ found.x) - b
     mask = np.where(found.x == lower, -1, np.where(found.x == upper, 1, 0))
     return OptimizeResult(
-        x=found.x, fun=fun, cost=0.5 * float(fun @ fun), optimality=0.0, active_mask=mask,
-        nit=1, status=1, message="", success=found.is_solved, unbounded_sol=np.linalg.lstsq(A, b, rcond=-1),
+        x=found.x,
+        fun=fun,
+        cost=0.5 * float(fun @ fun),
+        optimality=0.0,
+        active_mask=mask,
+        nit=1,
+        status=1,
+        message="",
+        success=found.is_solved,
+        unbounded_sol=np.linalg.lstsq(A, b, rcond=-1),
     )

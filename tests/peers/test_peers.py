@@ -12,9 +12,13 @@ COMMAND = [sys.executable, str(Path(__file__).parent)]
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("name", "code", "printed"), [
-    ("cvxpy.InfeasibleProblems", 0, "2 passed, 0 failed, 0 not asked"), ("no such test", 1, "0 passed"),
-])
+@pytest.mark.parametrize(
+    ("name", "code", "printed"),
+    [
+        ("cvxpy.InfeasibleProblems", 0, "2 passed, 0 failed, 0 not asked"),
+        ("no such test", 1, "0 passed"),
+    ],
+)
 def test_the_command_runs_what_is_named(name: str, code: int, printed: str) -> None:
     """Counts of what passed, failed and is not asked; exit code 1 where one fails, or none is named so."""
     done = subprocess.run([*COMMAND, name], capture_output=True, text=True)

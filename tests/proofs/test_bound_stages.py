@@ -68,7 +68,9 @@ def test_the_margin_of_a_dense_factor_is_what_the_theorem_asks_for() -> None:
         M = with_least_eigenvalue(n, times * margin)
         part = solution_bounds._symmetric_part(M, unit_diagonal(M.diagonal()))
         assert (solution_bounds._proven_bound(*part) is not None) == is_proven
-        bound = smallest_eigenvalue_bound(LCP(M, np.zeros(n)).matrix)  # where the factor does not, ⟨M⟩v > 0 proves one
+        bound = smallest_eigenvalue_bound(
+            LCP(M, np.zeros(n)).matrix
+        )  # where the factor does not, ⟨M⟩v > 0 proves one
         assert bound is not None
         assert 0.0 < bound.value < times * margin
 
@@ -82,9 +84,13 @@ def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
     L = [[Fraction(float(entry)) for entry in row] for row in factor.L.toarray()]
     D = [Fraction(float(entry)) for entry in factor.U.diagonal()]
     for i, row in enumerate(A.toarray()[order][:, order]):
-        product = [sum((L[i][k] * D[k] * L[j][k] for k in range(40) if L[i][k] and L[j][k]), Fraction(0))
-                   for j in range(40)]
-        assert sum(abs(Fraction(float(a)) - b) for a, b in zip(row, product, strict=True)) <= Fraction(bound)
+        product = [
+            sum((L[i][k] * D[k] * L[j][k] for k in range(40) if L[i][k] and L[j][k]), Fraction(0))
+            for j in range(40)
+        ]
+        assert sum(
+            abs(Fraction(float(a)) - b) for a, b in zip(row, product, strict=True)
+        ) <= Fraction(bound)
     longest = max(np.diff(factor.L.tocsr().indptr).max(), np.diff(factor.U.tocsc().indptr).max())
     size = (abs(factor.L) @ abs(factor.U)).sum(axis=1).max()
     assert (longest + 2) * UNIT * size <= bound <= (longest + 2 + 5) * UNIT * size
@@ -96,7 +102,9 @@ def test_a_poor_estimate_costs_a_share_and_not_the_bound(kind, monkeypatch) -> N
     n = 250 if kind == "sparse" else 30
     least = 4.0 * np.sin(np.pi / (2 * (n + 1))) ** 2
     for factor, share in ((1.5, 0.5), (5.0, 0.1)):
-        monkeypatch.setattr(solution_bounds, "_inverse_iteration", lambda *_, wrong=factor * least: wrong)
+        monkeypatch.setattr(
+            solution_bounds, "_inverse_iteration", lambda *_, wrong=factor * least: wrong
+        )
         bound = smallest_eigenvalue_bound(LCP(chain(n), np.zeros(n)).matrix)
         assert bound.is_rigorous
         assert bound.value == pytest.approx(share * factor * least)
@@ -107,14 +115,18 @@ def test_what_a_sparse_factor_errs_is_taken_off(monkeypatch) -> None:
     M = chain(250, 4.0)
     before = smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value
     monkeypatch.setattr(solution_bounds, "_factor_error", lambda _: 0.25)
-    assert smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value == pytest.approx(before - 0.25, rel=1e-9)
+    assert smallest_eigenvalue_bound(LCP(M, np.zeros(250)).matrix).value == pytest.approx(
+        before - 0.25, rel=1e-9
+    )
 
 
 def test_dense_and_sparse_matrices_have_their_own_factor(monkeypatch) -> None:
     """LAPACK factorises dense matrices and small ones, SuperLU the others."""
     used = []
     monkeypatch.setattr(
-        solution_bounds, "_proven_bound", lambda part, _: used.append("sparse" if sp.issparse(part) else "dense") or 1.0
+        solution_bounds,
+        "_proven_bound",
+        lambda part, _: used.append("sparse" if sp.issparse(part) else "dense") or 1.0,
     )
     for M in (np.eye(300) + 1.0, chain(200), chain(201)):
         smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
@@ -128,13 +140,17 @@ def test_no_estimate_without_convergence(monkeypatch) -> None:
     monkeypatch.setattr(solution_bounds, "SPARSE_UP_TO", 100)
     biharmonic = sp.csr_array(chain(300) @ chain(300) + 0.5 * sp.eye_array(300))
     assert smallest_eigenvalue_bound(LCP(biharmonic, np.zeros(300)).matrix).is_rigorous is False
-    assert smallest_eigenvalue_bound(LCP(biharmonic - sp.eye_array(300), np.zeros(300)).matrix) is None
+    assert (
+        smallest_eigenvalue_bound(LCP(biharmonic - sp.eye_array(300), np.zeros(300)).matrix) is None
+    )
 
     def fails(*_, **__):
         raise scipy.sparse.linalg.ArpackNoConvergence("no", np.array([]), np.array([]))
 
     monkeypatch.setattr(scipy.sparse.linalg, "eigsh", fails)
-    assert error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300)).kind == "rigorous"  # analyze proves it
+    assert (
+        error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300)).kind == "rigorous"
+    )  # analyze proves it
     monkeypatch.setattr(solution_bounds, "eigenvalue_proven", lambda *_: None)
     with pytest.raises(UnsuitableMatrix):
         error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300))
@@ -160,10 +176,16 @@ def test_steps_that_lead_astray_lead_home() -> None:
         z = 10.0 * np.abs(rng.standard_normal(40))
         bound = error_bound(problem, z)
         assert bound.is_active_set_proven
-        assert np.abs(z - exact).max() * (1.0 - 1e-9) <= bound.infinity <= 1.01 * np.abs(z - exact).max()
+        assert (
+            np.abs(z - exact).max() * (1.0 - 1e-9)
+            <= bound.infinity
+            <= 1.01 * np.abs(z - exact).max()
+        )
 
 
-@pytest.mark.parametrize(("limits", "sign"), [((1000, 0), -1), ((1000, 64), -1), ((0, 0), -1), ((0, 0), 1)])
+@pytest.mark.parametrize(
+    ("limits", "sign"), [((1000, 0), -1), ((1000, 64), -1), ((0, 0), -1), ((0, 0), 1)]
+)
 def test_every_solver_leads_to_the_solution(limits, sign, monkeypatch) -> None:
     """SuperLU, LAPACK's band and Krylov steps on the grids: some steps of the active-set method end near the solution.
 
@@ -213,7 +235,9 @@ def test_no_step_is_taken_after_all_is_known(n, monkeypatch) -> None:
     asked = []
     following = error_bounds.ActiveSetSteps.next_point
     monkeypatch.setattr(
-        error_bounds.ActiveSetSteps, "next_point", lambda steps, at: asked.append(1) or following(steps, at)
+        error_bounds.ActiveSetSteps,
+        "next_point",
+        lambda steps, at: asked.append(1) or following(steps, at),
     )
     M = chain(n, 2.0) + 1e-4 * sp.eye_array(n)
     exact = np.maximum(np.sin(np.arange(n)), 0.0)
@@ -236,7 +260,9 @@ def test_the_unit_of_z_changes_nothing(sharp) -> None:
         for exponent in (-20, 20):
             problem = LCP(M, np.ldexp(q, exponent))
             bound = error_bound(problem, np.ldexp(z, exponent), sharp=sharp)
-            np.testing.assert_array_equal(bound.componentwise, np.ldexp(plain.componentwise, exponent))
+            np.testing.assert_array_equal(
+                bound.componentwise, np.ldexp(plain.componentwise, exponent)
+            )
             np.testing.assert_array_equal(bound.proven_active, plain.proven_active)
             assert bound.relative == plain.relative
 
@@ -255,7 +281,9 @@ def test_rounding_at_powers_of_two_is_upwards(power) -> None:
 def test_small_diagonals_are_h_plus_too() -> None:
     """The unit of the rows does not decide which bound there is."""
     for unit in (2.0**-30, 1.0, 2.0**30):
-        bound = error_bound(LCP(unit * chain(4).toarray(), -unit * np.ones(4)), np.ones(4), sharp=False)
+        bound = error_bound(
+            LCP(unit * chain(4).toarray(), -unit * np.ones(4)), np.ones(4), sharp=False
+        )
         assert bound.method == "v-certificate"
         assert bound.kind == "rigorous"
 
@@ -271,8 +299,18 @@ def test_a_certificate_is_of_an_lcp() -> None:
 
 @pytest.mark.parametrize(
     ("numerator", "denominator", "expected"),
-    [(0.0, 0.0, 0.0), (0.0, 2.0, 0.0), (1.0, 2.0, 0.5), (3.0, 2.0, 1.5), (1.0, 0.0, np.inf), (np.nan, 0.0, np.nan),
-     (np.nan, 1.0, np.nan), (1.0, np.inf, np.nan), (0.0, np.inf, np.nan), (np.inf, 1.0, np.inf)],
+    [
+        (0.0, 0.0, 0.0),
+        (0.0, 2.0, 0.0),
+        (1.0, 2.0, 0.5),
+        (3.0, 2.0, 1.5),
+        (1.0, 0.0, np.inf),
+        (np.nan, 0.0, np.nan),
+        (np.nan, 1.0, np.nan),
+        (1.0, np.inf, np.nan),
+        (0.0, np.inf, np.nan),
+        (np.inf, 1.0, np.inf),
+    ],
 )
 def test_ratios_of_residuals(numerator: float, denominator: float, expected: float) -> None:
     """0/0 is 0, a positive residual over none is ∞, and nothing can be measured against ∞."""

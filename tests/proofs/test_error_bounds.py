@@ -16,7 +16,11 @@ from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, analy
 from lcp_plugin.proofs.bounds import solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
 from lcp_plugin.proofs.bounds.row_inequality import RowInequality
-from lcp_plugin.proofs.bounds.solution_bounds import HPlusBounds, bounds_of, smallest_eigenvalue_bound
+from lcp_plugin.proofs.bounds.solution_bounds import (
+    HPlusBounds,
+    bounds_of,
+    smallest_eigenvalue_bound,
+)
 from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.proofs.verdicts import comparison_certificate
 from lcp_plugin.proofs.verdicts.verdicts import eigenvalue_proven
@@ -30,7 +34,9 @@ STEPS = st.sampled_from([1.0, 1e-3, 1e-9, 2.0**-52, 0.0])
 def near(exact: tuple[Fraction, ...], direction: list[float], step: float) -> np.ndarray:
     """Return the exact solution moved by a relative step."""
     z = np.array(exact, dtype=float)
-    return z + step * np.array(direction[: z.size]) * np.maximum(np.abs(z).max(), np.finfo(float).tiny)
+    return z + step * np.array(direction[: z.size]) * np.maximum(
+        np.abs(z).max(), np.finfo(float).tiny
+    )
 
 
 def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: ErrorBound) -> None:
@@ -55,7 +61,9 @@ def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Error
 
 
 @settings.get_profile("many")
-@given(scaled_solved(solved_lcps(h_plus_matrices(), bounds=True), 60, 60), POINTS, STEPS, st.booleans())
+@given(
+    scaled_solved(solved_lcps(h_plus_matrices(), bounds=True), 60, 60), POINTS, STEPS, st.booleans()
+)
 def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
     """No component of the bound is below the exact error, and no row is classified wrongly, M an H₊-matrix."""
     problem, exact = drawn
@@ -74,7 +82,10 @@ def near_singular_problem(seed: int) -> LCP:
         np.fill_diagonal(M, 0.0)
         diagonal = np.abs(M) @ v / v
     else:  # a Gram matrix of rank n − 1, and a skew part
-        factor, skew = rng.integers(-9, 10, (n, n - 1)) / 10, np.triu(rng.integers(-9, 10, (n, n)) / 10, 1)
+        factor, skew = (
+            rng.integers(-9, 10, (n, n - 1)) / 10,
+            np.triu(rng.integers(-9, 10, (n, n)) / 10, 1),
+        )
         M = factor @ factor.T + (skew - skew.T) * (seed % 4 == 2)
         diagonal = M.diagonal().copy()
     diagonal = np.maximum(diagonal, 0.1)
@@ -107,7 +118,9 @@ def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> N
 
 def test_the_tolerance_on_the_error_takes_what_is_proved() -> None:
     """A matrix that only exact elimination decides is no reason to refuse tolerance_on="error"."""
-    result = solve(LCP([[0.25, 0.1], [0.1, 0.04000000000000001]], [-1.0, -2.0]), tolerance_on="error")
+    result = solve(
+        LCP([[0.25, 0.1], [0.1, 0.04000000000000001]], [-1.0, -2.0]), tolerance_on="error"
+    )
     assert result.is_solved
     assert result.error_bound is not None
     assert result.error_bound.relative <= 1e-8
@@ -117,7 +130,9 @@ def test_the_refusal_does_not_deny_what_is_proved() -> None:
     """An H₊-matrix whose v leaves the range of doubles is refused, but not as one that was not proven to be H₊."""
     problem = LCP(sp.diags_array([np.full(14, -1e60), np.ones(15)], offsets=[-1, 0]), np.ones(15))
     assert analyze(problem).is_h_plus
-    with pytest.raises(UnsuitableMatrix, match=r"M is an H₊-matrix \(.*\), but no such v was found in doubles"):
+    with pytest.raises(
+        UnsuitableMatrix, match=r"M is an H₊-matrix \(.*\), but no such v was found in doubles"
+    ):
         error_bound(problem, np.zeros(15))
 
 
@@ -261,7 +276,9 @@ def test_large_five_point_matrix() -> None:
 @pytest.mark.parametrize("unit", [1.0, 2.0**-10])
 def test_a_dominant_large_matrix_needs_no_linear_solve(monkeypatch, unit) -> None:
     """Where a sweep contracts well, a few of them lead to a point whose bound is sharp, in any unit of the rows."""
-    monkeypatch.setattr("lcp_plugin.proofs.bounds.error_bounds._sharpen", lambda *_: pytest.fail("not needed"))
+    monkeypatch.setattr(
+        "lcp_plugin.proofs.bounds.error_bounds._sharpen", lambda *_: pytest.fail("not needed")
+    )
     side = 50
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
     laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
@@ -283,7 +300,9 @@ def test_large_matrix_with_both_signs() -> None:
     generator = np.random.default_rng(0)
     n = 60_000
     rows = np.repeat(np.arange(n), 4)
-    B = sp.csr_array((generator.standard_normal(4 * n), (rows, generator.integers(0, n, 4 * n))), shape=(n, n))
+    B = sp.csr_array(
+        (generator.standard_normal(4 * n), (rows, generator.integers(0, n, 4 * n))), shape=(n, n)
+    )
     M = sp.csr_array(B + sp.diags_array(1.2 * np.asarray(abs(B).sum(axis=1))))
     exact = np.where(generator.random(n) < 0.5, generator.random(n), 0.0)
     problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
@@ -389,8 +408,13 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
         value, scale = (None, None) if bound is None else (bound.value, bound.scale)
     if value is None:
         return
-    exact = [[Fraction(float(m)) * Fraction(float(a)) * Fraction(float(b)) for m, b in zip(row, scale, strict=True)]
-             for row, a in zip(M, scale, strict=True)]
+    exact = [
+        [
+            Fraction(float(m)) * Fraction(float(a)) * Fraction(float(b))
+            for m, b in zip(row, scale, strict=True)
+        ]
+        for row, a in zip(M, scale, strict=True)
+    ]
     for i in range(len(exact)):
         exact[i][i] -= Fraction(value) * Fraction(999_999, 1_000_000)
     assert has_positive_pivots(exact)
@@ -403,7 +427,10 @@ def test_two_norm_bound_is_its_formula() -> None:
     skew = generator.standard_normal((6, 6))
     unit = np.exp2(generator.integers(-9, 9, 6))
     M = unit[:, None] * (factor @ factor.T + np.eye(6) + skew - skew.T) * unit
-    lower, upper = np.array([0, -1, -np.inf, 0, -1, -np.inf]) / unit, np.array([np.inf, 1, np.inf, 2, 1, 1]) / unit
+    lower, upper = (
+        np.array([0, -1, -np.inf, 0, -1, -np.inf]) / unit,
+        np.array([np.inf, 1, np.inf, 2, 1, 1]) / unit,
+    )
     problem = LCP(M, generator.standard_normal(6) * unit, lower=lower, upper=upper)
     z = generator.standard_normal(6) / unit
     step = np.exp2(-np.round(np.log2(np.diag(M))))
@@ -426,7 +453,9 @@ def test_eigenvalue_bound_is_near(kind) -> None:
         M = factor @ factor.T + 0.1 * np.eye(80)
         singular = factor[:, :40] @ factor[:, :40].T
     else:
-        line = sp.diags_array([1.0, -4.0, 6.0, -4.0, 1.0], offsets=[-2, -1, 0, 1, 2], shape=(400, 400))
+        line = sp.diags_array(
+            [1.0, -4.0, 6.0, -4.0, 1.0], offsets=[-2, -1, 0, 1, 2], shape=(400, 400)
+        )
         M = sp.csr_array(line + 0.01 * sp.eye_array(400))
         singular = sp.csr_array(line - 1e-3 * sp.eye_array(400))
     bound = smallest_eigenvalue_bound(LCP(M, np.zeros(M.shape[0])).matrix)
@@ -437,7 +466,9 @@ def test_eigenvalue_bound_is_near(kind) -> None:
 
 
 EXTREMES = [0.0, 5e-324, 2.0**-1022, 1.0, 1.0 + 2.0**-52, np.pi, 1.7e308, 1.7976931348623157e308]
-DOUBLES = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(EXTREMES + [-x for x in EXTREMES])
+DOUBLES = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(
+    EXTREMES + [-x for x in EXTREMES]
+)
 
 
 @settings.get_profile("many")
@@ -453,7 +484,9 @@ def test_rounding_is_upwards(a, b) -> None:
     for truth, result in zip(exact, results, strict=True):
         assert result == np.inf or Fraction(float(result)) >= truth
         if abs(truth) < Fraction(1e308):
-            assert Fraction(float(result)) <= truth + abs(truth) * Fraction(3, 2**52) + Fraction(3, 2**1074)
+            assert Fraction(float(result)) <= truth + abs(truth) * Fraction(3, 2**52) + Fraction(
+                3, 2**1074
+            )
     if abs(exact[0]) < Fraction(1e308) and float(exact[0]) == exact[0]:
         assert results[0] == exact[0]
 
@@ -471,7 +504,12 @@ def test_fractions_solve_exactly() -> None:
     A = [[Fraction(1, i + j + 1) for j in range(6)] for i in range(6)]
     x = solve_fractions(A, [sum(row) for row in A])
     assert x == [1] * 6
-    assert solve_fractions([[Fraction(1), Fraction(2)], [Fraction(2), Fraction(4)]], [Fraction(1), Fraction(0)]) is None
+    assert (
+        solve_fractions(
+            [[Fraction(1), Fraction(2)], [Fraction(2), Fraction(4)]], [Fraction(1), Fraction(0)]
+        )
+        is None
+    )
 
 
 def test_numbers_near_the_end_of_the_range_are_refused_without_a_warning() -> None:
@@ -499,7 +537,10 @@ def test_eigenvalues_near_rounding_are_bounded_from_below_by_what_proves_them(se
         scale = [Fraction(2) ** int(k) for k in exponents]
         rows = exact_rows(matrix.csr)
         shifted = [
-            [scale[i] * (rows[i][j] + rows[j][i]) / 2 * scale[j] - Fraction(value) * (i == j) for j in range(n)]
+            [
+                scale[i] * (rows[i][j] + rows[j][i]) / 2 * scale[j] - Fraction(value) * (i == j)
+                for j in range(n)
+            ]
             for i in range(n)
         ]
         assert has_positive_pivots(shifted)

@@ -53,7 +53,10 @@ def test_no_run_contradicts_a_guarantee(seed: int) -> None:
     rng = np.random.default_rng(1000 + seed)
     outcomes = [run_case(rng) for _ in range(40)]
     assert [text for outcome in outcomes for text in outcome.violations] == []
-    assert Counter(outcome.label.partition(": ")[2] for outcome in outcomes)["guaranteed with rate"] >= 8
+    assert (
+        Counter(outcome.label.partition(": ")[2] for outcome in outcomes)["guaranteed with rate"]
+        >= 8
+    )
 
 
 @pytest.mark.parametrize(
@@ -86,7 +89,9 @@ def test_the_contraction_bound_holds_and_is_not_far_off(name: str, sweep: str) -
     guarantee = convergence_guarantee(scene.problem, algorithm)
     assert guarantee.speaks_of == "z"
     rate, v = guarantee.rate, guarantee.v
-    path = [step.z.copy() for step in islice(algorithm.iterates(scene.problem, np.full(100, 3.0)), 12)]
+    path = [
+        step.z.copy() for step in islice(algorithm.iterates(scene.problem, np.full(100, 3.0)), 12)
+    ]
     for old, new in pairwise(path):
         bound, error = rate / (1.0 - rate) * np.max(abs(new - old) / v) * v, abs(new - scene.exact)
         assert np.all(error <= bound)
@@ -117,21 +122,36 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
 ) -> None:
     """With scaling="auto", α > 0 and 0 ≤ β ≤ α NP methods are guaranteed on every H₊-matrix; steps shrink."""
     problem = with_matrix(M)
-    algorithm = create("npaor", {"relaxation": alpha, "acceleration": share * alpha, "sweep": sweep})
+    algorithm = create(
+        "npaor", {"relaxation": alpha, "acceleration": share * alpha, "sweep": sweep}
+    )
     guarantee = convergence_guarantee(problem, algorithm)
     assert guarantee.is_guaranteed
     if guarantee.rate is not None and guarantee.v is not None:
-        iterates = [step.z.copy() for step in islice(algorithm.iterates(problem, np.zeros(problem.n)), 20)]
+        iterates = [
+            step.z.copy() for step in islice(algorithm.iterates(problem, np.zeros(problem.n)), 20)
+        ]
         lengths = [np.max(np.abs(new - old) / guarantee.v) for old, new in pairwise(iterates)]
         rounding = 1e-12 * max(np.max(np.abs(z) / guarantee.v) for z in iterates)
         assert all(new <= guarantee.rate * old + rounding for old, new in pairwise(lengths))
 
 
 @pytest.mark.parametrize(
-    "name", ["auto", *(name for name in REGISTRY if name not in (*UNPROVEN, "newton", "banded", "multigrid"))]
+    "name",
+    [
+        "auto",
+        *(name for name in REGISTRY if name not in (*UNPROVEN, "newton", "banded", "multigrid")),
+    ],
 )
 @pytest.mark.parametrize(
-    "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100", "murty:n=20", "scaling_trap"]
+    "text",
+    [
+        "half_active:n=100,delta=0",
+        "random_h_plus:n=100",
+        "paper_example_2:n=100",
+        "murty:n=20",
+        "scaling_trap",
+    ],
 )
 def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) -> None:
     """Every registered algorithm at its default options is proved to converge on the gallery's H₊-matrices."""
@@ -151,7 +171,9 @@ def test_what_is_proved_of_direct_methods() -> None:
         "interior_point": (False, False, False, False),
     }
     for name, expected in claims.items():
-        found = [convergence_guarantee(problem, name) for problem in (murty, rotation, m_matrix, boxed)]
+        found = [
+            convergence_guarantee(problem, name) for problem in (murty, rotation, m_matrix, boxed)
+        ]
         assert tuple(guarantee.is_guaranteed for guarantee in found) == expected
         assert all(guarantee.is_guaranteed or name in guarantee.theorem for guarantee in found)
         assert all(guarantee.rate is None for guarantee in found)
@@ -176,7 +198,11 @@ def test_newton_is_finite_on_m_matrices(n: int) -> None:
     front = LCP(np.eye(n) - np.eye(n, k=-1), -np.eye(n)[0])
     for problem in (with_matrix(chain), LCP(chain, rng.normal(size=n)), front):
         assert convergence_guarantee(problem, "newton").is_guaranteed
-        for start in (np.zeros(n), 100.0 * rng.random(n), np.where(np.arange(n) < n // 2, 1e3, 0.0)):
+        for start in (
+            np.zeros(n),
+            100.0 * rng.random(n),
+            np.where(np.arange(n) < n // 2, 1e3, 0.0),
+        ):
             result = solve(problem, "newton", z0=start)
             assert result.is_solved
             assert result.iterations <= n + 2
@@ -247,8 +273,11 @@ def test_positive_definite_matrices() -> None:
     """SPD but not H₊: PSOR-type sweeps and a short gradient step are covered, Jacobi is not, and diverges."""
     problem = with_matrix(SPD_NOT_H)
     for name, options in (
-        ("pgs", {}), ("psor", {}), ("psor", {"relaxation": 1.9, "sweep": "symmetric"}),
-        ("paor", {"relaxation": 1.3, "acceleration": 1.3}), ("gfp", {"relaxation": 0.7}),
+        ("pgs", {}),
+        ("psor", {}),
+        ("psor", {"relaxation": 1.9, "sweep": "symmetric"}),
+        ("paor", {"relaxation": 1.3, "acceleration": 1.3}),
+        ("gfp", {"relaxation": 0.7}),
     ):
         guarantee = convergence_guarantee(problem, name, **options)
         assert guarantee.is_guaranteed
@@ -265,9 +294,15 @@ def test_positive_definite_matrices() -> None:
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("gfp", {"relaxation": 2.0}), ("paor", {"relaxation": 2.5, "acceleration": 2.5}), ("gfp", {"relaxation": 3.0})],
+    [
+        ("gfp", {"relaxation": 2.0}),
+        ("paor", {"relaxation": 2.5, "acceleration": 2.5}),
+        ("gfp", {"relaxation": 3.0}),
+    ],
 )
-def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(name: str, options: dict[str, float]) -> None:
+def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(
+    name: str, options: dict[str, float]
+) -> None:
     """ω ≥ 2: determinant or trace forbid convergence where no constraint is active, even on the identity."""
     problem = with_matrix(np.eye(2))
     guarantee = convergence_guarantee(problem, name, **options)
@@ -280,13 +315,24 @@ def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(name: str, options:
 CHANGEABLE = ("psor", "paor", "gfp", "npsor", "npaor", "npsplitting", "mj", "mgs", "msor", "maor")
 
 
-@given(h_plus_matrices(), st.sampled_from(CHANGEABLE), st.floats(0.2, 2.5), st.floats(-0.5, 2.5), st.floats(0.0, 1.0))
+@given(
+    h_plus_matrices(),
+    st.sampled_from(CHANGEABLE),
+    st.floats(0.2, 2.5),
+    st.floats(-0.5, 2.5),
+    st.floats(0.0, 1.0),
+)
 def test_a_remedy_followed_to_the_letter_is_guaranteed(
     M: Any, name: str, alpha: float, beta: float, share: float
 ) -> None:
     """On an H₊-matrix the remedy names options the algorithm has, and any values in its range are guaranteed."""
     known = {field.name for field in fields(create(name, {}))}
-    options: dict[str, Any] = {"scaling": None, "omega": 0.3, "relaxation": alpha, "acceleration": beta}
+    options: dict[str, Any] = {
+        "scaling": None,
+        "omega": 0.3,
+        "relaxation": alpha,
+        "acceleration": beta,
+    }
     options["relaxation"] = min(alpha, 1.99) if name == "psor" else alpha
     options = {option: value for option, value in options.items() if option in known}
     problem = with_matrix(M)
@@ -294,19 +340,25 @@ def test_a_remedy_followed_to_the_letter_is_guaranteed(
     if guarantee.is_guaranteed or "it cannot run" in guarantee.theorem:
         return
     remedy = guarantee.remedy
-    assert {word for word in ("scaling", "omega", "relaxation", "acceleration") if word in remedy} <= known
+    assert {
+        word for word in ("scaling", "omega", "relaxation", "acceleration") if word in remedy
+    } <= known
     if "scaling=" in remedy:
         options["scaling"] = "auto"
     if "omega=" in remedy:
         options["omega"] = 1.0
     if limit := re.search(r"relaxation (<|≤) ([\d.]+)", remedy):
-        options["relaxation"] = max(1e-3, share) * float(limit[2]) * (1.0 - 1e-9 * (limit[1] == "<"))
+        options["relaxation"] = (
+            max(1e-3, share) * float(limit[2]) * (1.0 - 1e-9 * (limit[1] == "<"))
+        )
     if "acceleration" in remedy:
         options["acceleration"] = share * options["relaxation"]
     assert convergence_guarantee(problem, name, **options).is_guaranteed, remedy
 
 
-@pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor", "pj", "pgs", "psor", "gfp", "mgs", "msor"])
+@pytest.mark.parametrize(
+    "name", ["npj", "npgs", "npsor", "npaor", "pj", "pgs", "psor", "gfp", "mgs", "msor"]
+)
 @pytest.mark.parametrize("below", [0.1, 0.2])  # symmetric, and not
 def test_a_remedy_is_no_call_that_failed(name: str, below: float) -> None:
     """Of an H₊-matrix that is singular but for rounding the remedy names a method that is guaranteed, or none."""
@@ -324,15 +376,23 @@ def test_a_remedy_is_no_call_that_failed(name: str, below: float) -> None:
 def test_a_remedy_names_what_was_given() -> None:
     """A paor with α = β hears of both options, msor of none that it does not have."""
     problem = with_matrix([[1.0, -0.9], [-0.9, 1.0]])
-    both = convergence_guarantee(with_matrix([[1.0, -0.9], [0.9, 1.0]]), "paor", relaxation=1.8, acceleration=1.8)
+    both = convergence_guarantee(
+        with_matrix([[1.0, -0.9], [0.9, 1.0]]), "paor", relaxation=1.8, acceleration=1.8
+    )
     assert both.remedy == "0 ≤ acceleration ≤ relaxation < 1.052"
-    assert convergence_guarantee(problem, "msor", omega=0.3, relaxation=1.9).remedy == "omega=1.0 and relaxation ≤ 1"
+    assert (
+        convergence_guarantee(problem, "msor", omega=0.3, relaxation=1.9).remedy
+        == "omega=1.0 and relaxation ≤ 1"
+    )
     assert convergence_guarantee(problem, "mgs", omega=0.3).remedy == "omega=1.0"
 
 
 def test_an_iteration_that_cannot_run_is_not_covered() -> None:
     """A zero diagonal or an upper bound is told as the algorithm tells it."""
-    assert "positive diagonal" in convergence_guarantee(with_matrix([[0.0, 1.0], [1.0, 1.0]]), "pgs").remedy
+    assert (
+        "positive diagonal"
+        in convergence_guarantee(with_matrix([[0.0, 1.0], [1.0, 1.0]]), "pgs").remedy
+    )
     boxed = LCP(np.eye(2), [1.0, 1.0], upper=1.0)
     assert convergence_guarantee(boxed, "mgs").verdict == "not covered"
     assert convergence_guarantee(boxed, "pgs").is_guaranteed
@@ -388,7 +448,9 @@ def named_like_another(omega: float) -> Algorithm:
 
         def facts(self, problem: LCP) -> IterationFacts:
             return IterationFacts(
-                family=PROJECTED_RELAXATION, relaxation=getattr(self, "step", omega), acceleration=0.0
+                family=PROJECTED_RELAXATION,
+                relaxation=getattr(self, "step", omega),
+                acceleration=0.0,
             )
 
     return Richardson()
@@ -396,7 +458,10 @@ def named_like_another(omega: float) -> Algorithm:
 
 def test_weights_that_are_no_use_are_not_the_last() -> None:
     """Weights of 460 decades are no use to a row bound; where others serve, the answer is theirs."""
-    problem, algorithm = with_matrix([[1.0, 1e300], [1e-310, 1.7e308]]), create("npsor", {"sweep": "symmetric"})
+    problem, algorithm = (
+        with_matrix([[1.0, 1e300], [1e-310, 1.7e308]]),
+        create("npsor", {"sweep": "symmetric"}),
+    )
     assert convergence_guarantee(problem, algorithm).is_guaranteed
 
 
@@ -415,13 +480,28 @@ def test_bounds_are_asked_before_what_is_kept() -> None:
 @pytest.mark.parametrize(
     ("M", "name", "options"),
     [
-        ([[1.0]], "msor", {"relaxation": 1.19, "omega": (1.19 - 1.0) / 1.19}),  # a kept diagonal of 0, but for rounding
+        (
+            [[1.0]],
+            "msor",
+            {"relaxation": 1.19, "omega": (1.19 - 1.0) / 1.19},
+        ),  # a kept diagonal of 0, but for rounding
         ([[1.0]], "mj", {"omega": 2.0**60}),  # the pivot αΩ + d rounds to αΩ: a cycle of two
         ([[3.0, 1.0], [1.0, 3.0]], "psor", {"relaxation": 2.0 - 2.0**-52}),  # ω (1/d) d rounds to 2
-        ([[1.0]], "npaor", {"relaxation": 1e17, "acceleration": 0.0, "scaling": "diagonal", "scaling_factor": 1e20}),
+        (
+            [[1.0]],
+            "npaor",
+            {
+                "relaxation": 1e17,
+                "acceleration": 0.0,
+                "scaling": "diagonal",
+                "scaling_factor": 1e20,
+            },
+        ),
     ],
 )
-def test_what_rounding_may_undo_is_not_guaranteed(M: Any, name: str, options: dict[str, Any]) -> None:
+def test_what_rounding_may_undo_is_not_guaranteed(
+    M: Any, name: str, options: dict[str, Any]
+) -> None:
     """A margin smaller than the rounding of the step sizes proves nothing of the iteration that runs."""
     problem = with_matrix(M)
     guarantee = convergence_guarantee(problem, name, **options)
@@ -442,7 +522,10 @@ def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
     M = unit[:, None] * (0.999 * np.ones((4, 4)) + 0.001 * np.eye(4)) * unit
     M = np.tril(M) + np.tril(M, -1).T
     assert analyze(M).is_positive_definite
-    assert convergence_guarantee(with_matrix(M), "paor", relaxation=0.9, acceleration=0.0).verdict == "not covered"
+    assert (
+        convergence_guarantee(with_matrix(M), "paor", relaxation=0.9, acceleration=0.0).verdict
+        == "not covered"
+    )
     assert convergence_guarantee(with_matrix(M), "pgs").is_guaranteed
 
 
@@ -459,7 +542,9 @@ def test_blocks_whose_coupling_leaves_the_range_are_covered_one_by_one() -> None
         guarantee = convergence_guarantee(with_matrix(M), name)
         assert guarantee.is_guaranteed
         assert guarantee.rate is None
-    assert not convergence_guarantee(with_matrix(M), "paor", relaxation=1.5, acceleration=1.5).is_guaranteed
+    assert not convergence_guarantee(
+        with_matrix(M), "paor", relaxation=1.5, acceleration=1.5
+    ).is_guaranteed
 
 
 def test_an_empty_problem_is_guaranteed() -> None:
@@ -473,8 +558,12 @@ def test_an_empty_problem_is_guaranteed() -> None:
 
 @pytest.mark.parametrize(
     ("text", "largest"),
-    [("half_active:n=100", 2.0), ("half_active:n=100,delta=16", 1.25), ("half_active:n=100,delta=0", 2.0),
-     ("random_h_plus:n=100", 1.0)],
+    [
+        ("half_active:n=100", 2.0),
+        ("half_active:n=100,delta=16", 1.25),
+        ("half_active:n=100,delta=0", 2.0),
+        ("random_h_plus:n=100", 1.0),
+    ],
 )
 def test_automatic_factors(text: str, largest: float) -> None:
     """θ = min(2, 1/(1 − ℓ − u), 0.9/ℓ) where all rows are dominant (weakly counts), 1 where one is not."""
@@ -487,7 +576,9 @@ def test_automatic_factors(text: str, largest: float) -> None:
             expected = np.minimum(np.minimum(2.0, 1.0 / (1.0 - lower - upper)), 0.9 / lower)
         np.testing.assert_allclose(factors, expected)
     reversed_problem = LCP(problem.csr.toarray()[::-1, ::-1], problem.q[::-1])
-    np.testing.assert_allclose(automatic_factors(reversed_problem.matrix, 1.0, "backward")[::-1], factors)
+    np.testing.assert_allclose(
+        automatic_factors(reversed_problem.matrix, 1.0, "backward")[::-1], factors
+    )
     both = automatic_factors(problem.matrix, 1.0, "symmetric")
     assert np.all(both <= np.minimum(factors, automatic_factors(problem.matrix, 1.0, "backward")))
 
@@ -499,7 +590,12 @@ def test_automatic_scaling_is_the_row_scaled_iteration() -> None:
     assert len(set(S.round(6))) > 1
     scaled = LCP(sp.diags_array(S) @ problem.csr, S * problem.q)
     paths = [
-        np.array([step.z.copy() for step in islice(create("npsor", options).iterates(p, np.ones(100)), 20)])
+        np.array(
+            [
+                step.z.copy()
+                for step in islice(create("npsor", options).iterates(p, np.ones(100)), 20)
+            ]
+        )
         for p, options in ((problem, {}), (scaled, UNSCALED))
     ]
     np.testing.assert_allclose(paths[0], paths[1], atol=1e-13)
@@ -507,16 +603,25 @@ def test_automatic_scaling_is_the_row_scaled_iteration() -> None:
 
 def test_automatic_scaling_pays() -> None:
     """On grids it needs fewer sweeps than θ = 1, on a random matrix at most a fifth more."""
-    for text in ("half_active:n=400", "half_active:n=400,delta=0", "obstacle_2d:size=12", "american_put:size=50",
-                 "random_h_plus:n=300,row_scale=0,column_scale=0"):
+    for text in (
+        "half_active:n=400",
+        "half_active:n=400,delta=0",
+        "obstacle_2d:size=12",
+        "american_put:size=50",
+        "random_h_plus:n=300,row_scale=0,column_scale=0",
+    ):
         problem = gallery.parse(text).problem
-        automatic, plain = (solve(problem, "npsor", scaling=word).iterations for word in ("auto", "diagonal"))
+        automatic, plain = (
+            solve(problem, "npsor", scaling=word).iterations for word in ("auto", "diagonal")
+        )
         assert automatic <= (0.95 * plain if "random" not in text else 1.2 * plain)
 
 
 def test_the_paper_s_tables_run_unscaled() -> None:
     """The tables set scaling=None for every projected-type method."""
-    assert all(contestants.paper_options(name, 1.7)["scaling"] is None for name in ("npgs", "npsor"))
+    assert all(
+        contestants.paper_options(name, 1.7)["scaling"] is None for name in ("npgs", "npsor")
+    )
 
 
 # --- The numbers behind it -----------------------------------------------------------------------------------
@@ -535,7 +640,9 @@ def test_bounds_of_a_nonnegative_radius() -> None:
         assert radius <= upper * (1 + 1e-6) + 1e-5
         assert upper - lower <= 1e-8 * max(upper, 1.0)
         assert np.array_equal(given.toarray(), B)
-    lower, upper = nonnegative_radius(abs(gallery.paper_example_1(n=100).problem.csr - 8.0 * sp.eye_array(100)))
+    lower, upper = nonnegative_radius(
+        abs(gallery.paper_example_1(n=100).problem.csr - 8.0 * sp.eye_array(100))
+    )
     assert lower <= 4.0 * math.cos(math.pi / 11.0) <= upper <= lower + 1e-9
 
 
@@ -548,7 +655,9 @@ def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
         M = np.eye(n) * rng.uniform(0.5, 2.0) + 0.3 * rng.normal(size=(n, n)) / n
         inner = np.tril(M) + 0.1 * rng.normal(size=(n, n))
         D, identity = np.diag(np.diag(M)), np.eye(n)
-        T = abs(np.linalg.inv(inner + 2 * identity + D)) @ (abs(inner - M + identity + D) + abs(M - identity))
+        T = abs(np.linalg.inv(inner + 2 * identity + D)) @ (
+            abs(inner - M + identity + D) + abs(M - identity)
+        )
         radius = max(abs(np.linalg.eigvals(T)))
         found = theorem_4_1(M, inner)
         assert (found is not None) == (radius < 1.0) or abs(radius - 1.0) < 0.01
@@ -561,7 +670,9 @@ def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
 def test_a_splitting_of_one_s_own_is_covered_by_theorem_4_1() -> None:
     """A splitting that is no part of M gets a rate from ρ(T) < 1, up to n = 500, and no claim beyond."""
     for n, covered in ((30, True), (501, False)):
-        M = sp.diags_array([np.full(n - 1, -1.0), np.full(n, 4.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1])
+        M = sp.diags_array(
+            [np.full(n - 1, -1.0), np.full(n, 4.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
+        )
         problem = LCP(sp.csr_array(M), -np.ones(n))
         guarantee = convergence_guarantee(problem, NPSplitting(splitting=sp.csr_array(1.1 * M)))
         assert guarantee.is_guaranteed == covered
@@ -583,7 +694,10 @@ def test_the_command_tells_matrix_and_guarantees() -> None:
     assert result.exit_code == 0
     for words in ("H₊-matrix                     yes", "npsor, scaling=none       not covered"):
         assert words in result.stdout
-    assert "not covered by Theorem 4.2 as stated (ρ|L+U| = 3.84); covered after diagonal scaling" in result.stdout
+    assert (
+        "not covered by Theorem 4.2 as stated (ρ|L+U| = 3.84); covered after diagonal scaling"
+        in result.stdout
+    )
     lines = result.stdout.splitlines()
     assert all(any(line.startswith(f"{name} ") for line in lines) for name in ("auto", *REGISTRY))
 

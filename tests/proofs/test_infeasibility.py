@@ -97,7 +97,9 @@ def test_the_proof_does_not_depend_on_units() -> None:
         rng = np.random.default_rng(seed)
         plain = contradicting(rng, 6)
         rows, columns = 10.0 ** rng.integers(-9, 9, (6, 1)), 2.0 ** rng.integers(-20, 20, 6)
-        problem = LCP(plain.csr.toarray() * rows * columns - 1e-16 * rows * columns, plain.q * rows[:, 0])
+        problem = LCP(
+            plain.csr.toarray() * rows * columns - 1e-16 * rows * columns, plain.q * rows[:, 0]
+        )
         proof = find_infeasibility(problem)
         assert proof is not None
         assert is_farkas(problem, list(proof.exact_y))
@@ -107,7 +109,9 @@ def test_the_proof_does_not_depend_on_units() -> None:
 def test_a_large_problem_is_proven_exactly() -> None:
     """For n = 3000 a proof is found, and other fractions confirm it."""
     n = 3000
-    laplacian = sp.diags_array([-np.ones(n - 1), 2.1 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    laplacian = sp.diags_array(
+        [-np.ones(n - 1), 2.1 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1]
+    )
     problem = LCP(-laplacian, np.random.default_rng(0).standard_normal(n) - 0.5)
     proof = find_infeasibility(problem)
     assert proof is not None
@@ -128,10 +132,18 @@ def test_a_contradiction_is_the_supremum_of_its_sum(seed: int) -> None:
     y = np.where(kind == 0, rng.random(n), 0.0)
     found = Choices(problem, {}).contradiction(dict(enumerate(y)))
     exact = [Fraction(value) for value in y.tolist()]
-    product = [sum(Fraction(a) * b for a, b in zip(column, exact, strict=True)) for column in M.T.tolist()]
-    highest = sum(Fraction(a) * Fraction(b) for a, b in zip(problem.q.tolist(), y.tolist(), strict=True))
-    is_open = [value > 0 and side == math.inf for value, side in zip(product, upper.tolist(), strict=True)]
-    for value, low, high, opened in zip(product, lower.tolist(), upper.tolist(), is_open, strict=True):
+    product = [
+        sum(Fraction(a) * b for a, b in zip(column, exact, strict=True)) for column in M.T.tolist()
+    ]
+    highest = sum(
+        Fraction(a) * Fraction(b) for a, b in zip(problem.q.tolist(), y.tolist(), strict=True)
+    )
+    is_open = [
+        value > 0 and side == math.inf for value, side in zip(product, upper.tolist(), strict=True)
+    ]
+    for value, low, high, opened in zip(
+        product, lower.tolist(), upper.tolist(), is_open, strict=True
+    ):
         highest += 0 if opened else value * Fraction(high if value > 0 else low)
     assert set(found.left) == {j for j, opened in enumerate(is_open) if opened}
     assert found.plain == -highest
@@ -172,7 +184,9 @@ def test_exact_solutions_are_told_from_rounded_ones() -> None:
 def test_integers_lose_nothing(values: list[float]) -> None:
     """Doubles of any size, subnormal ones included, are integers times one power of two, exactly."""
     whole, exponent = integers(np.array(values, dtype=float))
-    assert [Fraction(x) * Fraction(2) ** exponent for x in whole] == [Fraction(value) for value in values]
+    assert [Fraction(x) * Fraction(2) ** exponent for x in whole] == [
+        Fraction(value) for value in values
+    ]
 
 
 @given(st.integers(0, 10**6))
@@ -192,7 +206,9 @@ def test_exact_solves_satisfy_their_equations(seed: int) -> None:
 
 def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:
     """A row of M ≤ 0 with q < 0 is a proof that a look at each entry finds; rows that can be satisfied are none."""
-    M = -abs(sp.random_array((5000, 5000), density=0.001, rng=np.random.default_rng(1), format="csr"))
+    M = -abs(
+        sp.random_array((5000, 5000), density=0.001, rng=np.random.default_rng(1), format="csr")
+    )
     proof = contradictory_row(LCP(M, np.full(5000, -1.0)))
     assert proof is not None
     assert proof.verify()
@@ -212,9 +228,14 @@ def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
     proof = find_infeasibility(problem)
     assert proof is not None
     assert 0.0 < proof.margin < 1.0
-    points = [solve(problem, name, max_iterations=50).z for name in ("npsor", "newton", "interior_point", "lemke")]
-    points += [np.clip(rng.standard_normal(6) * 10.0 ** rng.integers(-2, 4), problem.lower, problem.upper)
-               for _ in range(40)]
+    points = [
+        solve(problem, name, max_iterations=50).z
+        for name in ("npsor", "newton", "interior_point", "lemke")
+    ]
+    points += [
+        np.clip(rng.standard_normal(6) * 10.0 ** rng.integers(-2, 4), problem.lower, problem.upper)
+        for _ in range(40)
+    ]
     for z in points:
         certificate = Certificate.of(problem, z)
         assert certificate.relative_residual >= proof.margin * (1.0 - 1e-12)
@@ -285,8 +306,13 @@ def test_cases_have_a_margin_too(t: float) -> None:
 
 @pytest.mark.parametrize(
     ("M", "q"),
-    [([[-1e300]], [-1e-300]), ([[-1e-300]], [-1e300]), ([[-5e-324]], [-5e-324]), ([[-1e308, -1e308], [0, -1e308]],
-     [-1e308, -1e308]), ([[0, -5e-324], [0, 0]], [-1, 1e308])],
+    [
+        ([[-1e300]], [-1e-300]),
+        ([[-1e-300]], [-1e300]),
+        ([[-5e-324]], [-5e-324]),
+        ([[-1e308, -1e308], [0, -1e308]], [-1e308, -1e308]),
+        ([[0, -5e-324], [0, 0]], [-1, 1e308]),
+    ],
 )
 def test_margins_at_the_edge_of_the_numbers_are_sound(M: list[list[float]], q: list[float]) -> None:
     """Whatever overflows or underflows on the way, the margin is the exact one, rounded down."""
@@ -305,7 +331,10 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     kind = rng.integers(0, 4, n)
     lower, upper = np.where(kind == 3, -np.inf, 0.3 * kind), np.where(kind == 0, np.inf, 1e3)
     problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
-    exact, bound = max(exactly_weighted(problem, problem.nearest_to_zero)), references_of_components(problem)[1].max()
+    exact, bound = (
+        max(exactly_weighted(problem, problem.nearest_to_zero)),
+        references_of_components(problem)[1].max(),
+    )
     assert exact <= Fraction(bound)
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
 
@@ -340,26 +369,42 @@ def test_the_optimum_is_the_least_miss(seed: int) -> None:
     """Of any rows, equations among them, and any bounds, kept or with units of their own: by strong duality."""
     rng = np.random.default_rng(seed)
     m, n = (int(size) for size in rng.integers(1, 8, 2))
-    matrix, q = rng.integers(-3, 4, (m, n)) * 10.0 ** rng.integers(-2, 3, (m, 1)), rng.integers(-4, 5, m) + 0.0
+    matrix, q = (
+        rng.integers(-3, 4, (m, n)) * 10.0 ** rng.integers(-2, 3, (m, 1)),
+        rng.integers(-4, 5, m) + 0.0,
+    )
     needs_rise, needs_fall = rng.random((2, m)) < 0.6
     lower = np.where(rng.random(n) < 0.6, rng.integers(-2, 1, n), -np.inf)
     upper = np.where(rng.random(n) < 0.6, lower + rng.integers(0, 3, n), np.inf)
     upper[np.isinf(lower)] = np.inf
     weights, unit = 10.0 ** rng.integers(-1, 2, m), float(seed % 2)
     constraints = LinearConstraints(
-        sp.csr_array(matrix), q, needs_rise, needs_fall, lower, upper, weights, (np.full(n, unit), np.full(n, unit)),
+        sp.csr_array(matrix),
+        q,
+        needs_rise,
+        needs_fall,
+        lower,
+        upper,
+        weights,
+        (np.full(n, unit), np.full(n, unit)),
     )
     answer = FarkasProgram(constraints, 1.0).solve()
     t, low, high = weights[:, None], np.isfinite(lower), np.isfinite(upper)
-    inequalities = np.vstack([
-        np.hstack([-matrix, -t])[needs_rise], np.hstack([matrix, -t])[needs_fall],
-        np.hstack([-np.eye(n), np.full((n, 1), -unit)])[low], np.hstack([np.eye(n), np.full((n, 1), -unit)])[high],
-    ])
+    inequalities = np.vstack(
+        [
+            np.hstack([-matrix, -t])[needs_rise],
+            np.hstack([matrix, -t])[needs_fall],
+            np.hstack([-np.eye(n), np.full((n, 1), -unit)])[low],
+            np.hstack([np.eye(n), np.full((n, 1), -unit)])[high],
+        ]
+    )
     limits = np.concatenate([q[needs_rise], -q[needs_fall], -lower[low], upper[high]])
     if not limits.size:
         assert answer is None
         return
-    least = linprog(np.append(np.zeros(n), 1.0), inequalities, limits, bounds=[(None, None)] * n + [(0.0, None)])
+    least = linprog(
+        np.append(np.zeros(n), 1.0), inequalities, limits, bounds=[(None, None)] * n + [(0.0, None)]
+    )
     assert answer is not None
     assert answer.is_contradiction == (least.fun > CONTRADICTION)
     assert -answer.optimum == pytest.approx(least.fun, rel=1e-6, abs=1e-8)
@@ -371,9 +416,18 @@ def test_no_further_proof_is_tried_after_the_time_limit() -> None:
     M = rng.standard_normal((12, 12))
     problem = LCP(M - M.T, -1.0 - rng.random(12), upper=0.01)
     ones, nothing = np.ones(12), np.zeros(12)
-    program = FarkasProgram(LinearConstraints(
-        problem.csr, problem.q, ones > 0.0, ones < 0.0, problem.lower, problem.upper, ones, (nothing, nothing),
-    ))
+    program = FarkasProgram(
+        LinearConstraints(
+            problem.csr,
+            problem.q,
+            ones > 0.0,
+            ones < 0.0,
+            problem.lower,
+            problem.upper,
+            ones,
+            (nothing, nothing),
+        )
+    )
     answer = program.solve()
     assert answer is not None
     tried: list[object] = []

@@ -33,7 +33,11 @@ from lcp_plugin.proofs.verdicts import (
 from lcp_plugin.proofs.verdicts.h_matrix import decide
 from lcp_plugin.proofs.verdicts.p_matrix import is_p_matrix_by_recursion, nonpositive_pair
 from lcp_plugin.systems.comparison import ComparisonMatrix
-from lcp_plugin.systems.definiteness import is_positive_definite, is_semidefinite_to_rounding, symmetric_part
+from lcp_plugin.systems.definiteness import (
+    is_positive_definite,
+    is_semidefinite_to_rounding,
+    symmetric_part,
+)
 from lcp_plugin.systems.factors import factor_fits
 
 CAMPAIGN = Path(__file__).parents[1] / "campaigns" / "matrix_verdicts.py"
@@ -68,8 +72,15 @@ KNOWN = {
     "lower triangular": ([[1, 0], [100, 1]], "FFFTFFT"),
     "P block over P block": ([[1, -3, 7], [3, 0.5, 9], [0, 0, 2]], "FFFFFFT"),
 }
-CLAIMS = ("is_z_matrix", "is_m_matrix", "is_strictly_dominant", "is_h_plus", "is_positive_definite",
-          "is_positive_semidefinite", "is_p_matrix")
+CLAIMS = (
+    "is_z_matrix",
+    "is_m_matrix",
+    "is_strictly_dominant",
+    "is_h_plus",
+    "is_positive_definite",
+    "is_positive_semidefinite",
+    "is_p_matrix",
+)
 
 
 @pytest.mark.parametrize("sparse", [False, True], ids=["dense", "sparse"])
@@ -89,7 +100,10 @@ def test_campaign_in_small() -> None:
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     run = subprocess.run(
         [sys.executable, str(CAMPAIGN), "--cases", "96", "--seed", "7"],
-        capture_output=True, text=True, check=False, env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
     )
     assert run.returncode == 0, run.stdout + run.stderr
 
@@ -181,7 +195,11 @@ def test_p_recursion_against_minors() -> None:
     for n in (2, 3, 5, 8):
         for _ in range(25):
             M = rng.normal(size=(n, n)) + 1.2 * np.sqrt(n) * np.eye(n)
-            minors = [np.linalg.det(M[np.ix_(c, c)]) for k in range(1, n + 1) for c in combinations(range(n), k)]
+            minors = [
+                np.linalg.det(M[np.ix_(c, c)])
+                for k in range(1, n + 1)
+                for c in combinations(range(n), k)
+            ]
             assert is_p_matrix_by_recursion(sp.csr_array(M)) == (min(minors) > 0.0)
             outcomes.add(min(minors) > 0.0)
     assert outcomes == {True, False}
@@ -192,7 +210,11 @@ def test_p_at_twenty_rows() -> None:
     """With n = 20 a definite matrix in other units of rows and columns passes, one with a bad minor of 3 rows fails."""
     rng = np.random.default_rng(2)
     M = rng.normal(size=(20, 20))
-    M = (M - M.T + 0.5 * np.eye(20)) * 10.0 ** rng.uniform(-40, 40, (20, 1)) * 10.0 ** rng.uniform(-40, 40, 20)
+    M = (
+        (M - M.T + 0.5 * np.eye(20))
+        * 10.0 ** rng.uniform(-40, 40, (20, 1))
+        * 10.0 ** rng.uniform(-40, 40, 20)
+    )
     report = analyze(M)
     assert report.is_p_matrix is True
     assert report.evidence["is_p_matrix"].startswith("recursive")
@@ -249,10 +271,14 @@ def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
     assert analyze(gram).is_positive_definite is None
     assert analyze(gram).is_positive_semidefinite is None
     assert analyze(gram).evidence["is_positive_semidefinite"].startswith("undecided: λ_min ≥ −")
-    gram[3, 3] = np.nextafter(gram[3, 3], 0.0)  # the columns of a Gram matrix are dependent: this one is indefinite
+    gram[3, 3] = np.nextafter(
+        gram[3, 3], 0.0
+    )  # the columns of a Gram matrix are dependent: this one is indefinite
     assert analyze(gram).is_positive_semidefinite is None
     assert 0.0 < analyze(gram).semidefinite_delta < 1e-9 * gram.max()
-    assert analyze(gram[:3, :3] * 0 + [[1, 1, 0], [1, 1, 0], [0, 0, 1]]).is_positive_definite is False
+    assert (
+        analyze(gram[:3, :3] * 0 + [[1, 1, 0], [1, 1, 0], [0, 0, 1]]).is_positive_definite is False
+    )
 
 
 def test_symmetric_part_is_rounded_once() -> None:
@@ -295,7 +321,9 @@ def test_grids_are_factorised() -> None:
     """A plane grid of a quarter million and a chain of a million unknowns fit, in whatever order, an arrow too."""
     rng = np.random.default_rng(0)
     n = 200_000
-    chain = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
+    chain = sp.diags_array(
+        [-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
     order = rng.permutation(n)
     shuffled = sp.csr_array(chain[order][:, order])
     arrow = sp.lil_array((5000, 5000))
@@ -307,7 +335,9 @@ def test_grids_are_factorised() -> None:
 
 def test_too_many_blocks_are_not_looked_at() -> None:
     """Whether M is P is left open where thousands of diagonal blocks would have to be asked."""
-    M = sp.csr_array(sp.kron(sp.eye_array(1500), np.array([[1.0, 3.0, 0.1], [-3.0, 1.0, 3.0], [0.2, -3.0, 1.0]])))
+    M = sp.csr_array(
+        sp.kron(sp.eye_array(1500), np.array([[1.0, 3.0, 0.1], [-3.0, 1.0, 3.0], [0.2, -3.0, 1.0]]))
+    )
     verdict = analyze(M).verdict("is_p_matrix")
     assert verdict.value is None
     assert "1500 diagonal blocks" in verdict.evidence
@@ -340,7 +370,9 @@ def test_ragged_rows_are_refused_as_by_lcp() -> None:
 def test_the_empty_matrix_is_everything() -> None:
     """Without rows every claim about all rows holds."""
     report = analyze(np.zeros((0, 0)))
-    assert {name: report.verdict(name).value for name in report.evidence} == dict.fromkeys(report.evidence, True)
+    assert {name: report.verdict(name).value for name in report.evidence} == dict.fromkeys(
+        report.evidence, True
+    )
 
 
 @pytest.mark.parametrize(
@@ -364,7 +396,10 @@ def test_semidefinite_is_exact_when_small(M: list[list[float]], is_semidefinite:
 
 # Rational arithmetic says of their principal minors: that of rows 0 to 3 is negative; all are at least 1.
 NEGATIVE_MINOR = [
-    [1, 1e137, 0, 1e132, -1e-240], [-1e92, 1, 0, 0, -1e-211], [0, 1e-95, 1, 0, 1e36], [0, 0, -1e101, 1, 0],
+    [1, 1e137, 0, 1e132, -1e-240],
+    [-1e92, 1, 0, 0, -1e-211],
+    [0, 1e-95, 1, 0, 1e36],
+    [0, 0, -1e101, 1, 0],
     [0, 0, 0, 1e-257, 1],
 ]
 MINORS_OF_ONE = [[1, 0, 0, -1e103], [1, 1, 1e84, 0], [0, -1e128, 1, 0], [0, -1e201, 0, 1]]
@@ -452,9 +487,15 @@ def test_nothing_is_computed_before_it_is_asked() -> None:
     assert [verdict.is_known(report.matrix) for verdict in decided] == [True, False, False]
 
 
-@pytest.mark.parametrize(("form", "M"), [
-    ("diagonal", np.eye(2)), ("lower", [[1, 0], [1, 1]]), ("upper", [[1, 1], [0, 1]]), (None, [[1, 1], [1, 1]]),
-])
+@pytest.mark.parametrize(
+    ("form", "M"),
+    [
+        ("diagonal", np.eye(2)),
+        ("lower", [[1, 0], [1, 1]]),
+        ("upper", [[1, 1], [0, 1]]),
+        (None, [[1, 1], [1, 1]]),
+    ],
+)
 def test_triangular_forms(form: str | None, M: object) -> None:
     """The triangular form is named."""
     report = analyze(M)
@@ -494,6 +535,7 @@ def test_graded_matrices_against_rational_arithmetic(seed: int) -> None:
 )
 def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]]) -> None:
     """What overflows inside a question about M is nobody's RuntimeWarning (an error here) and no OverflowError."""
+
     def problem() -> LCP:
         return LCP(M, -np.ones(len(M)))
 
@@ -511,13 +553,16 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
 
 def test_a_library_without_memory_is_no_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where memory ends while scipy is being loaded, analyze says MemoryError, not ImportError, and keeps nothing."""
+
     def no_memory(report: object) -> None:
         raise ImportError("failed to map segment from shared object")
 
     report = analyze([[2.0, 1.0], [1.0, 2.0]])
     with monkeypatch.context() as patched:
         patched.setattr(type(report).is_positive_definite, "decide", no_memory)
-        with pytest.raises(MemoryError, match="is_positive_definite was to be decided: failed to map"):
+        with pytest.raises(
+            MemoryError, match="is_positive_definite was to be decided: failed to map"
+        ):
             report.verdict("is_positive_definite")
     assert report.is_positive_definite is True
 

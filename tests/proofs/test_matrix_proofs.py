@@ -16,7 +16,12 @@ from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.core.kernels.floats import UNIT
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.scaling import scaled
-from lcp_plugin.core.matrix.symmetry import ROUNDED, is_symmetric_entrywise, is_symmetric_to_rounding, mismatch
+from lcp_plugin.core.matrix.symmetry import (
+    ROUNDED,
+    is_symmetric_entrywise,
+    is_symmetric_to_rounding,
+    mismatch,
+)
 from lcp_plugin.core.rounding import lower_end, upper_end
 from lcp_plugin.proofs.exact.linear_systems import (
     exact_rows,
@@ -74,10 +79,14 @@ def test_verdicts_on_small_integers_are_the_minors(A: list[list[Fraction]]) -> N
     """The report on a matrix of small integers, singular ones among them, says what its minors say."""
     report = analyze([[float(entry) for entry in row] for row in A])
     symmetric = [[entry + A[j][i] for j, entry in enumerate(row)] for i, row in enumerate(A)]
-    comparison = [[abs(e) if i == j else -abs(e) for j, e in enumerate(row)] for i, row in enumerate(A)]
+    comparison = [
+        [abs(e) if i == j else -abs(e) for j, e in enumerate(row)] for i, row in enumerate(A)
+    ]
     assert report.is_p_matrix is all(minor > 0 for minor in principal_minors(A))
     assert report.is_positive_definite is all(minor > 0 for minor in principal_minors(symmetric))
-    assert report.is_positive_semidefinite is all(minor >= 0 for minor in principal_minors(symmetric))
+    assert report.is_positive_semidefinite is all(
+        minor >= 0 for minor in principal_minors(symmetric)
+    )
     assert report.is_h_matrix is all(minor > 0 for minor in principal_minors(comparison))
 
 
@@ -101,7 +110,9 @@ def hidden_sign(sign: int, other_rows: int) -> sp.csr_array:
 
 
 @pytest.mark.parametrize("sign", [-1, 0, 1])
-def test_signs_that_the_sums_hide_are_decided_exactly(sign: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signs_that_the_sums_hide_are_decided_exactly(
+    sign: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where the compensated sum of a row leaves its sign open, a proof asks rational arithmetic, for some rows only."""
     M = hidden_sign(sign, 1)
     ones = np.ones(M.shape[0])
@@ -144,7 +155,9 @@ def test_centred_vectors_keep_their_direction() -> None:
 @pytest.mark.parametrize("n", [3, 12])
 @pytest.mark.parametrize("decades", [0.0, 2.0])
 @pytest.mark.parametrize("radius", [0.3, 0.999, 1.001, 3.0])
-def test_the_verdict_is_on_the_side_of_the_spectral_radius(n: int, decades: float, radius: float) -> None:
+def test_the_verdict_is_on_the_side_of_the_spectral_radius(
+    n: int, decades: float, radius: float
+) -> None:
     """M is an H-matrix exactly where ρ(D⁻¹|B|) < 1."""
     rng = np.random.default_rng(n)
     B = rng.uniform(0.5, 1.0, (n, n))
@@ -163,7 +176,12 @@ def test_a_tie_of_two_rows_is_settled_by_elimination() -> None:
     verdict = h_verdict(LCP([[1.0, -3.0], [-third, 1.0]], [0.0, 0.0]).matrix)
     assert verdict.is_h is True
     assert verdict.evidence.startswith("exact elimination")
-    assert h_verdict(LCP([[1.0, -3.0], [-float(np.nextafter(third, 1.0)), 1.0]], [0.0, 0.0]).matrix).is_h is False
+    assert (
+        h_verdict(
+            LCP([[1.0, -3.0], [-float(np.nextafter(third, 1.0)), 1.0]], [0.0, 0.0]).matrix
+        ).is_h
+        is False
+    )
 
 
 def test_a_block_that_is_no_h_matrix_is_the_proof() -> None:
@@ -177,7 +195,9 @@ def test_a_block_that_is_no_h_matrix_is_the_proof() -> None:
     report = analyze(M)
     assert report.is_h_plus is False
     assert is_nonpositive(report.csr, report.not_h_vector)
-    growing = sp.diags_array([1.0, -10.0], offsets=[0, -1], shape=(400, 400))  # its v leaves the doubles
+    growing = sp.diags_array(
+        [1.0, -10.0], offsets=[0, -1], shape=(400, 400)
+    )  # its v leaves the doubles
     for first, second in ((sp.csr_array(bad), growing), (growing, sp.csr_array(bad))):
         report = analyze(sp.csr_array(sp.block_array([[first, None], [None, second]])))
         assert report.is_h_plus is False
@@ -206,7 +226,9 @@ def test_symmetric_part_of_the_smallest_and_largest_entries(build: type) -> None
     for entry in (5e-324, 1.5e-323, 1.7e308):
         M = build([[4.0, entry], [entry, 4.0]])
         part = symmetric_part(M)
-        np.testing.assert_array_equal(part.toarray() if sp.issparse(part) else part, [[4.0, entry], [entry, 4.0]])
+        np.testing.assert_array_equal(
+            part.toarray() if sp.issparse(part) else part, [[4.0, entry], [entry, 4.0]]
+        )
 
 
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
@@ -232,7 +254,9 @@ def test_pivots_stay_on_the_diagonal(first: float) -> None:
 
 def test_explicit_zeros_do_not_count_for_the_rank() -> None:
     """A stored zero puts nothing on the diagonal, and the matrix given is not changed by looking."""
-    M = sp.csc_array((np.array([0.0, 0.0, 1.0]), (np.array([0, 1, 1]), np.array([0, 0, 1]))), shape=(2, 2))
+    M = sp.csc_array(
+        (np.array([0.0, 0.0, 1.0]), (np.array([0, 1, 1]), np.array([0, 0, 1]))), shape=(2, 2)
+    )
     with pytest.raises(RuntimeError, match="no order of the rows"):
         sparse_lu(M)
     assert M.nnz == 3
@@ -253,8 +277,12 @@ def test_definite_beyond_rounding_in_any_unit(eigenvalue: float, build: type) ->
 
 
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
-@pytest.mark.parametrize(("share", "expected"), [(-2.0, False), (-0.5, None), (0.5, None), (2.0, True)])
-def test_definiteness_is_claimed_beyond_the_margin_only(share: float, expected: bool | None, build: type) -> None:
+@pytest.mark.parametrize(
+    ("share", "expected"), [(-2.0, False), (-0.5, None), (0.5, None), (2.0, True)]
+)
+def test_definiteness_is_claimed_beyond_the_margin_only(
+    share: float, expected: bool | None, build: type
+) -> None:
     """With n = 30 and a unit diagonal an eigenvalue is told from 0 where it exceeds n (n + 4) 2⁻⁵², not before."""
     n = 30
     ones = np.ones((n, n)) / n
@@ -265,9 +293,18 @@ def test_definiteness_is_claimed_beyond_the_margin_only(share: float, expected: 
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_a_row_of_zeros_is_semidefinite(build: type) -> None:
     """A zero on the diagonal has to have nothing beside it, and then does not count."""
-    assert is_semidefinite_to_rounding(build([[0.0, 0.0, 0.0], [0.0, 4.0, 2.0], [0.0, 2.0, 1.0]])) is True
-    assert is_semidefinite_to_rounding(build([[0.0, 0.0, 0.0], [0.0, 4.0, 2.1], [0.0, 2.1, 1.0]])) is False
-    assert is_semidefinite_to_rounding(build([[0.0, 1e-9, 0.0], [1e-9, 4.0, 2.0], [0.0, 2.0, 1.0]])) is False
+    assert (
+        is_semidefinite_to_rounding(build([[0.0, 0.0, 0.0], [0.0, 4.0, 2.0], [0.0, 2.0, 1.0]]))
+        is True
+    )
+    assert (
+        is_semidefinite_to_rounding(build([[0.0, 0.0, 0.0], [0.0, 4.0, 2.1], [0.0, 2.1, 1.0]]))
+        is False
+    )
+    assert (
+        is_semidefinite_to_rounding(build([[0.0, 1e-9, 0.0], [1e-9, 4.0, 2.0], [0.0, 2.0, 1.0]]))
+        is False
+    )
 
 
 def test_dominance_decides_what_is_too_large_for_a_factor() -> None:
@@ -349,7 +386,10 @@ def test_schur_complements_are_enclosed(size: float) -> None:
         assert (error < 200.0 * (UNIT * size + bounds.max())).all()
         for A, S, E in zip(true, found, error, strict=True):
             A = [[Fraction(float(entry)) for entry in row] for row in A]
-            exact = [[a - row[0] * top / A[0][0] for a, top in zip(row[1:], A[0][1:], strict=True)] for row in A[1:]]
+            exact = [
+                [a - row[0] * top / A[0][0] for a, top in zip(row[1:], A[0][1:], strict=True)]
+                for row in A[1:]
+            ]
             for row, near, radius in zip(exact, S, E, strict=True):
                 for truth, value, limit in zip(row, near, radius, strict=True):
                     assert abs(truth - Fraction(float(value))) <= Fraction(float(limit))
@@ -368,7 +408,10 @@ def test_schur_complements_are_enclosed_over_all_exponents(reach: int) -> None:
         known = 0
         for A, S, E in zip(true, found, error, strict=True):
             A = [[Fraction(float(entry)) for entry in row] for row in A]
-            exact = [[a - row[0] * top / A[0][0] for a, top in zip(row[1:], A[0][1:], strict=True)] for row in A[1:]]
+            exact = [
+                [a - row[0] * top / A[0][0] for a, top in zip(row[1:], A[0][1:], strict=True)]
+                for row in A[1:]
+            ]
             for row, near, radius in zip(exact, S, E, strict=True):
                 for truth, value, limit in zip(row, near, radius, strict=True):
                     if np.isfinite(value) and np.isfinite(limit):
@@ -378,7 +421,8 @@ def test_schur_complements_are_enclosed_over_all_exponents(reach: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("entry", "is_p"), [(4.0, False), (np.nextafter(4.0, 0.0), True), (np.nextafter(4.0, 5.0), False)]
+    ("entry", "is_p"),
+    [(4.0, False), (np.nextafter(4.0, 0.0), True), (np.nextafter(4.0, 5.0), False)],
 )
 def test_minors_that_rounding_hides_are_settled_in_integers(
     entry: float, is_p: bool, monkeypatch: pytest.MonkeyPatch
@@ -414,7 +458,10 @@ def test_evidence_names_the_row() -> None:
     assert less.row_excess_signs.tolist() == [0, 0, -1]
     assert less.evidence["is_irreducibly_dominant"] == "|m_ii| < Σ|m_ij| on row 2"
     assert less.evidence["is_strictly_dominant"] == "|m_ii| = Σ|m_ij| on row 0"
-    assert analyze([[1.0, 2.0], [0.0, 1.0]]).evidence["is_strictly_dominant"] == "|m_ii| < Σ|m_ij| on row 0"
+    assert (
+        analyze([[1.0, 2.0], [0.0, 1.0]]).evidence["is_strictly_dominant"]
+        == "|m_ii| < Σ|m_ij| on row 0"
+    )
     ties = analyze([[1.0, 1.0], [1.0, 1.0]])
     assert ties.is_irreducibly_dominant is False
     assert ties.evidence["is_irreducibly_dominant"] == "|m_ii| = Σ|m_ij| on every row"
@@ -445,7 +492,9 @@ def test_arrays_that_are_no_matrix(M: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("is_symmetric", [True, False])
-def test_krylov_meets_its_tolerance_or_says_no(is_symmetric: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_krylov_meets_its_tolerance_or_says_no(
+    is_symmetric: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """‖rhs − M x‖₂ ≤ tolerance ‖rhs‖₂ where a solution is returned; None after the steps granted, and no more."""
     n = 200
     below = -1.0 if is_symmetric else -1.5

@@ -51,14 +51,21 @@ def redundant_program(kind: str, seed: int) -> QuadraticProgram:
     return QuadraticProgram(P, c, A=A, b=b, lower=lower)
 
 
-@pytest.mark.parametrize(("is_linear", "b", "status"), [
-    (False, CONTRADICTORY, cp.INFEASIBLE), (True, CONTRADICTORY, cp.INFEASIBLE), (True, MET, cp.UNBOUNDED),
-    (False, MET, cp.OPTIMAL),
-])
+@pytest.mark.parametrize(
+    ("is_linear", "b", "status"),
+    [
+        (False, CONTRADICTORY, cp.INFEASIBLE),
+        (True, CONTRADICTORY, cp.INFEASIBLE),
+        (True, MET, cp.UNBOUNDED),
+        (False, MET, cp.OPTIMAL),
+    ],
+)
 def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status: str) -> None:
     """Rows that are redundant but for rounding: infeasible, unbounded or optimal, as every other solver says."""
     x = cp.Variable(3)
-    problem = cp.Problem(cp.Minimize(cp.sum(x) if is_linear else cp.sum_squares(x)), [DECIMAL @ x == b])
+    problem = cp.Problem(
+        cp.Minimize(cp.sum(x) if is_linear else cp.sum_squares(x)), [DECIMAL @ x == b]
+    )
     problem.solve(solver=QPSolver)
     assert problem.status == status
     result = problem.solver_stats.extra_stats
@@ -73,7 +80,9 @@ def test_the_advice_names_the_radius(c: list[float], b: list[float]) -> None:
     result = solve(QuadraticProgram(None, c, A=DECIMAL, b=b))
     assert result.has_no_solution
     digits = f"{result.proof.radius:.15e}"
-    assert f"; of all x up to {digits[0]}e{digits[-3:]}: a larger one is not excluded" in result.advice
+    assert (
+        f"; of all x up to {digits[0]}e{digits[-3:]}: a larger one is not excluded" in result.advice
+    )
     plain = solve(QuadraticProgram(None, [1.0], A=[[1.0], [1.0]], b=[1.0, 2.0]))
     assert plain.proof.radius == np.inf
     assert "up to" not in plain.advice
@@ -98,7 +107,11 @@ def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
 def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
     """None of 200 consistent programs with the same rows has a proof that counts; one rounded may fall for ever."""
     proofs = [redundant_program("optimal", seed).facts.accepted_proof() for seed in range(200)]
-    assert [seed for seed, proof in enumerate(proofs) if proof is not None and proof.verdict == "infeasible"] == []
+    assert [
+        seed
+        for seed, proof in enumerate(proofs)
+        if proof is not None and proof.verdict == "infeasible"
+    ] == []
     assert all(proof.is_exact for proof in proofs if proof is not None)
 
 
@@ -112,8 +125,14 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
     unit = program.constraints.own_sizes
 
     def residual(x: Any) -> Fraction:
-        sums = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True)) for row in DECIMAL.tolist()]
-        return max(abs(s - Fraction(b)) / Fraction(u) for s, b, u in zip(sums, CONTRADICTORY, unit.tolist()))  # noqa: B905
+        sums = [
+            sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True))
+            for row in DECIMAL.tolist()
+        ]
+        return max(
+            abs(s - Fraction(b)) / Fraction(u)
+            for s, b, u in zip(sums, CONTRADICTORY, unit.tolist(), strict=False)
+        )
 
     for size in (1.0, 1e8, 1e12, proof.radius):
         x = rng.uniform(-size, size, 3)
@@ -122,13 +141,20 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
     start = np.linalg.lstsq(DECIMAL, np.array(CONTRADICTORY), rcond=1e-10)[0]
     for length in (1e9, -1e12, 0.9 * proof.radius):
         assert residual(start + length * flat) >= Fraction(proof.margin)
-    assert QPSolution(program, start, [], np.zeros(3), np.zeros(3), np.zeros(3)).primal_residual >= proof.margin
+    assert (
+        QPSolution(program, start, [], np.zeros(3), np.zeros(3), np.zeros(3)).primal_residual
+        >= proof.margin
+    )
 
 
 def test_a_tampered_proof_within_a_radius_does_not_verify() -> None:
     """Other signs, a direction upwards, or rounding replaced by data: no proof."""
-    infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY).facts.accepted_proof()
-    unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET).facts.accepted_proof()
+    infeasible = QuadraticProgram(
+        np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY
+    ).facts.accepted_proof()
+    unbounded = QuadraticProgram(
+        np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET
+    ).facts.accepted_proof()
     assert isinstance(infeasible, QPInfeasibility)
     assert isinstance(unbounded, QPUnboundedness)
     first, *rest = infeasible.multipliers

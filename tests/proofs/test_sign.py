@@ -78,7 +78,10 @@ def test_a_solved_problem_of_the_wrong_sign_is_told_in_its_explanation() -> None
 @pytest.mark.parametrize(
     ("M", "words"),
     [
-        ([[-2.0, 1.0], [1.0, -2.0]], "(M[0, 0] = -2.0), and −M is a positive definite M-matrix: is its sign right?"),
+        (
+            [[-2.0, 1.0], [1.0, -2.0]],
+            "(M[0, 0] = -2.0), and −M is a positive definite M-matrix: is its sign right?",
+        ),
         ([[-2.0, 1.0], [0.5, -2.0]], "and −M is an M-matrix"),
         ([[-2.0, -1.0], [1.0, -2.0]], "and −M is an H₊-matrix"),
         ([[-1.0, -2.0], [2.0, -3.0]], "(M[0, 0] = -1.0): is its sign right?"),
@@ -106,7 +109,10 @@ def test_a_negated_z_matrix_that_is_no_m_matrix_is_left_to_others() -> None:
 
 def test_without_proofs_the_contradiction_is_told() -> None:
     """With prove_infeasibility=False the run ends STALLED where doubles say that no z is near a solution."""
-    result = solve(LCP(negated_laplacian(12), np.random.default_rng(0).standard_normal(144)), prove_infeasibility=False)
+    result = solve(
+        LCP(negated_laplacian(12), np.random.default_rng(0).standard_normal(144)),
+        prove_infeasibility=False,
+    )
     assert result.status is Status.STALLED
     assert result.infeasibility is None
     assert "in double precision no z within its bounds has w ≥ 0" in result.advice

@@ -16,10 +16,18 @@ from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.guarantees.radius import bound_of_errors
 
 METHODS: list[tuple[str, dict[str, Any]]] = [
-    ("npj", {"scaling": None}), ("npgs", {}), ("npsor", {"relaxation": 0.8, "scaling": None}),
-    ("npaor", {"relaxation": 1.2, "acceleration": 0.7}), ("pj", {}), ("pgs", {"sweep": "backward"}),
-    ("psor", {"relaxation": 1.3}), ("paor", {"relaxation": 0.9, "acceleration": 0.4}), ("mj", {}),
-    ("mgs", {"omega": 1.5}), ("msor", {"relaxation": 0.9}), ("maor", {"relaxation": 0.8, "acceleration": 0.6}),
+    ("npj", {"scaling": None}),
+    ("npgs", {}),
+    ("npsor", {"relaxation": 0.8, "scaling": None}),
+    ("npaor", {"relaxation": 1.2, "acceleration": 0.7}),
+    ("pj", {}),
+    ("pgs", {"sweep": "backward"}),
+    ("psor", {"relaxation": 1.3}),
+    ("paor", {"relaxation": 0.9, "acceleration": 0.4}),
+    ("mj", {}),
+    ("mgs", {"omega": 1.5}),
+    ("msor", {"relaxation": 0.9}),
+    ("maor", {"relaxation": 0.8, "acceleration": 0.6}),
 ]
 
 
@@ -43,12 +51,16 @@ def test_errors_stay_below_the_matrix_of_which_it_is_the_radius(
     algorithm = create(name, options)
     T = bound_of_errors(problem, algorithm.facts(problem))
     z0 = np.random.default_rng(seed + 50).random(problem.n) * 3
-    iterates = [step.z.copy() for step, _ in zip(algorithm.iterates(problem, z0), range(8), strict=False)]
+    iterates = [
+        step.z.copy() for step, _ in zip(algorithm.iterates(problem, z0), range(8), strict=False)
+    ]
     if name.startswith("m"):  # |z − z*| ≤ |x − x*| alone: the radius is that of the errors of x
         iterates = []
     for before, after in pairwise(iterates):
         assert (abs(after - exact) <= T @ abs(before - exact) + 1e-13).all()
-    assert convergence_guarantee(problem, algorithm).spectral_radius == pytest.approx(max(abs(np.linalg.eigvals(T))))
+    assert convergence_guarantee(problem, algorithm).spectral_radius == pytest.approx(
+        max(abs(np.linalg.eigvals(T)))
+    )
 
 
 def test_it_is_no_larger_than_a_proved_rate() -> None:
@@ -78,7 +90,11 @@ def test_what_has_none_says_none() -> None:
 
 def test_a_study_shows_it_as_a_table() -> None:
     """Over α, β and n, solved or not; a method without one has an empty cell."""
-    methods = {"α = 1": ("npsor", {"relaxation": 1.0}), "α = 2": ("npsor", {"relaxation": 2.0}), "lemke": "lemke"}
+    methods = {
+        "α = 1": ("npsor", {"relaxation": 1.0}),
+        "α = 2": ("npsor", {"relaxation": 2.0}),
+        "lemke": "lemke",
+    }
     found = study("half_active", methods, sizes=[100, 400], repeats=1)
     (table,) = found.table("radius")
     assert table.columns == ("method", "n = 100", "n = 400")

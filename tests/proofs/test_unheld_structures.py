@@ -82,7 +82,9 @@ def test_a_weak_spring_is_no_rounding() -> None:
     assert "nothing holds" not in solve(structure.problem).explain()
 
 
-@pytest.mark.parametrize(("n", "stiff", "weak"), [(300, 30, 10), (300, 30, 22), (300, 20, 22), (1500, 20, 18)])
+@pytest.mark.parametrize(
+    ("n", "stiff", "weak"), [(300, 30, 10), (300, 30, 22), (300, 20, 22), (1500, 20, 18)]
+)
 def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n: int, stiff: int, weak: int) -> None:
     """A stiff chain, at its end a spring of 1 and one of 2^-weak to the ground: a minimum at 2^weak, never no solution.
 
@@ -93,19 +95,28 @@ def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n: int, stiff: int, weak:
     unit = sp.diags_array(np.ldexp(1.0, np.arange(n) % 4))
     K = sp.csr_array(unit @ sp.diags_array([-spring, d, -spring], offsets=[-1, 0, 1]) @ unit)
     x = (2.0**weak + np.append(np.ones(n - 1), 0.0)) / unit.diagonal()
-    structure = Structure(K, -(K @ x), np.full(n, -np.inf))  # without any rounding: x is the minimum
+    structure = Structure(
+        K, -(K @ x), np.full(n, -np.inf)
+    )  # without any rounding: x is the minimum
     for result in (solve(structure.problem), solve(structure.program)):
         assert not result.has_no_solution
         assert "nothing holds" not in result.explain()
 
 
 @settings(max_examples=15)
-@given(st.lists(st.integers(1, 9), min_size=1, max_size=6).map(lambda sizes: [2, *sizes]), st.integers(0, 99))
+@given(
+    st.lists(st.integers(1, 9), min_size=1, max_size=6).map(lambda sizes: [2, *sizes]),
+    st.integers(0, 99),
+)
 def test_each_part_of_a_graph_gives_one_direction(sizes: list[int], seed: int) -> None:
     """The null space of a Laplacian: as many dimensions as components: what is constant on each."""
     rng = np.random.default_rng(seed)
-    parts = [circuit(size, 0.0, seed).K * 2.0 ** rng.integers(-20, 20) if size > 1 else sp.csr_array((1, 1))
-             for size in sizes]
+    parts = [
+        circuit(size, 0.0, seed).K * 2.0 ** rng.integers(-20, 20)
+        if size > 1
+        else sp.csr_array((1, 1))
+        for size in sizes
+    ]
     K = sp.csr_array(sp.block_diag(parts))
     order = rng.permutation(K.shape[0])
     basis = null_space(sp.csr_array(K[order][:, order]))
@@ -119,7 +130,9 @@ def test_each_part_of_a_graph_gives_one_direction(sizes: list[int], seed: int) -
 def test_a_direction_keeps_contacts_closed_or_opens_them() -> None:
     """What is pressed on a floor slides along it; what is pulled off it rises."""
     pressed, pulled = block(6, 6, 1.0, -1.0), block(6, 6, 0.0, 1.0)
-    slides, rises = (np.array(solve(one.program).proof.direction, dtype=float) for one in (pressed, pulled))
+    slides, rises = (
+        np.array(solve(one.program).proof.direction, dtype=float) for one in (pressed, pulled)
+    )
     assert (slides[0::2] == 1.0).all()
     assert not slides[1::2].any()
     assert (rises[1::2] == 1.0).all()
@@ -131,7 +144,8 @@ def test_neither_the_unit_of_loads_nor_that_of_lengths_matters(unit: float) -> N
     """Objective × s, lengths × s: the same verdict."""
     K, q, lower = block(6, 6, 0.0, 1.0)
     for program in (
-        QuadraticProgram(K * unit, q * unit, lower=lower), QuadraticProgram(K, q * unit, lower=lower * unit),
+        QuadraticProgram(K * unit, q * unit, lower=lower),
+        QuadraticProgram(K, q * unit, lower=lower * unit),
     ):
         assert solve(program).status is Status.UNBOUNDED
 
@@ -176,7 +190,9 @@ def test_cvxpy_says_unbounded_and_why() -> None:
     K, q, lower = chain(40, 1.0)
     x = cp.Variable(40)
     bounded = np.flatnonzero(np.isfinite(lower))
-    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(K)) + q @ x), [x[bounded] >= lower[bounded]])
+    problem = cp.Problem(
+        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(K)) + q @ x), [x[bounded] >= lower[bounded]]
+    )
     problem.solve(solver=QPSolver)
     assert problem.status == cp.UNBOUNDED
     assert "nothing holds unknowns" in str(problem.solver_stats.extra_stats.proof)

@@ -11,7 +11,17 @@ import pytest
 import scipy.sparse as sp
 from published_problems import COMPLEMENTARITY, FOLDER, errors_of_lcp, needs_files, read
 
-from lcp_plugin import LCP, LCPError, Status, box, complements, load_problem, march, solve, solve_batch
+from lcp_plugin import (
+    LCP,
+    LCPError,
+    Status,
+    box,
+    complements,
+    load_problem,
+    march,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.modeling.registration import ComplementarityProblem
 
@@ -54,7 +64,9 @@ def in_cvxpy(of: Published, name: str) -> np.ndarray:
     else:
         bounded = np.flatnonzero(np.isfinite(low))
         free = np.setdiff1d(np.arange(low.size), bounded)
-        pairs = [complements(z[bounded] >= low[bounded], F[bounded] >= 0)] + [F[free] == 0] * bool(free.size)
+        pairs = [complements(z[bounded] >= low[bounded], F[bounded] >= 0)] + [F[free] == 0] * bool(
+            free.size
+        )
     ComplementarityProblem(pairs).solve()
     return z.value
 
@@ -63,7 +75,9 @@ def in_cvxpy(of: Published, name: str) -> np.ndarray:
 @needs_files
 @pytest.mark.parametrize("way", [sparse, dense, as_a_file, in_a_batch, in_a_list, in_cvxpy])
 @pytest.mark.parametrize("name", COMPLEMENTARITY)
-def test_answers_are_those_published(name: str, way: Callable[[Published, str], np.ndarray]) -> None:
+def test_answers_are_those_published(
+    name: str, way: Callable[[Published, str], np.ndarray]
+) -> None:
     """Within the bounds, every w_i right beside its own terms, and z (of singular M: w) as published."""
     of = read(name)
     z, reference = way(of, name), of["z_reference"]
@@ -82,7 +96,11 @@ def test_whatever_is_called_solved_is_right(name: str, algorithm: str) -> None:
     """By every method that takes the problem: √tolerance beside the rows' own terms, as its criterion promises."""
     of = read(name)
     try:
-        result = solve(LCP(of["M"], of["q"], lower=of["lower"], upper=of["upper"]), algorithm, max_iterations=2000)
+        result = solve(
+            LCP(of["M"], of["q"], lower=of["lower"], upper=of["upper"]),
+            algorithm,
+            max_iterations=2000,
+        )
     except LCPError:
         pytest.skip(f"{algorithm} does not take it")
     if result.status is Status.SOLVED:
@@ -102,7 +120,9 @@ def paper_matrix(example: int, side: int) -> sp.csr_array:
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("way", ["auto", "msor", "npsor", "mgs", "npgs", "newton", "multigrid", "batch", "march"])
+@pytest.mark.parametrize(
+    "way", ["auto", "msor", "npsor", "mgs", "npgs", "newton", "multigrid", "batch", "march"]
+)
 @pytest.mark.parametrize("side", [10, 30, 50])
 @pytest.mark.parametrize("example", [1, 2])
 def test_the_paper_s_answers(example: int, side: int, way: str) -> None:

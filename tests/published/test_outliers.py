@@ -21,7 +21,14 @@ from campaigns.outliers import (
 
 NO_BOUNDS = np.full(2, -np.inf), np.full(2, np.inf)
 HEAVY = [[1e-8, -1e-8, 0], [-1e-8, 1 + 1e-8, -1], [0, -1, 1 + 1e-8]]
-HALF_SPACES = [np.diag([2.0, 2.0]), [-300.0, -500.0], [[3.0, 1.0], [1.0, 4.0]], [10.0, 10.0], np.zeros((0, 2)), []]
+HALF_SPACES = [
+    np.diag([2.0, 2.0]),
+    [-300.0, -500.0],
+    [[3.0, 1.0], [1.0, 4.0]],
+    [10.0, 10.0],
+    np.zeros((0, 2)),
+    [],
+]
 
 
 @pytest.mark.sampled(1)
@@ -51,7 +58,10 @@ def test_no_answer_is_false(kind: str, draws: Callable[[int], range]) -> None:
 )
 def test_the_judge_of_complementarity(M: list, q: list, z: list, status: str, verdict: str) -> None:
     """What is known to be false is told so, what is right is not."""
-    assert judged_lcp(ExactLCP(np.array(M), np.array(q)), _Named(status), np.array(z), np.inf, "").what == verdict
+    assert (
+        judged_lcp(ExactLCP(np.array(M), np.array(q)), _Named(status), np.array(z), np.inf, "").what
+        == verdict
+    )
 
 
 class _Named:
@@ -70,7 +80,12 @@ class _Named:
 )  # fmt: skip
 def test_the_judge_of_programs(x: list[float], status: str, verdict: str) -> None:
     """By value and violations, whatever the multipliers."""
-    none = {"inequality": np.zeros(2), "equality": np.zeros(0), "lower": np.zeros(2), "upper": np.zeros(2)}
+    none = {
+        "inequality": np.zeros(2),
+        "equality": np.zeros(0),
+        "lower": np.zeros(2),
+        "upper": np.zeros(2),
+    }
     P, c, G, h, A, b = HALF_SPACES
     data = [P, np.array(c), np.array(G), np.array(h), A, np.array(b), *NO_BOUNDS]
     assert judged_program(data, status, np.array(x), none, np.inf, "").what == verdict

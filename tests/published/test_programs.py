@@ -12,7 +12,15 @@ import qpsolvers
 import scipy.sparse as sp
 from published_problems import FOLDER, PROGRAMS, PublishedProgram, needs_files
 
-from lcp_plugin import QPSolver, QuadraticProgram, QuadraticProgramBatch, certify, load_problem, solve, solve_batch
+from lcp_plugin import (
+    QPSolver,
+    QuadraticProgram,
+    QuadraticProgramBatch,
+    certify,
+    load_problem,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 
 register_with_qpsolvers()
@@ -28,7 +36,10 @@ def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
     rows, low, high, lower, upper = of.split()
     is_equation = low == high
     above, below = np.isfinite(high) & ~is_equation, np.isfinite(low) & ~is_equation
-    G, h = sp.csc_matrix(sp.vstack([rows[above], -rows[below]])), np.concatenate([high[above], -low[below]])
+    G, h = (
+        sp.csc_matrix(sp.vstack([rows[above], -rows[below]])),
+        np.concatenate([high[above], -low[below]]),
+    )
     return G, h, sp.csc_matrix(rows[is_equation]), high[is_equation], lower, upper
 
 
@@ -45,7 +56,9 @@ def as_rows(of: PublishedProgram, name: str) -> Answer:
 def as_arrays(of: PublishedProgram, name: str) -> Answer:
     """No limit is written as ±1e20."""
     *rows, lower, upper = one_sided(of)
-    result = solve(QuadraticProgram(of.P, of.q, *rows, np.maximum(lower, -1e20), np.minimum(upper, 1e20)))
+    result = solve(
+        QuadraticProgram(of.P, of.q, *rows, np.maximum(lower, -1e20), np.minimum(upper, 1e20))
+    )
     return result.x, result.objective + of.r
 
 
@@ -62,7 +75,11 @@ def in_cvxpy(of: PublishedProgram, name: str, are_rows: bool = False) -> Answer:
     G, h, A, b, lower, upper = one_sided(of)
     limits = [np.maximum(lower, -1e20), np.minimum(upper, 1e20)]
     x = cp.Variable(of.q.size, bounds=None if are_rows else limits)
-    rows = [G @ x <= h] * bool(h.size) + [A @ x == b] * bool(b.size) + [limits[0] <= x, x <= limits[1]] * are_rows
+    rows = (
+        [G @ x <= h] * bool(h.size)
+        + [A @ x == b] * bool(b.size)
+        + [limits[0] <= x, x <= limits[1]] * are_rows
+    )
     objective = 0.5 * cp.quad_form(x, cp.psd_wrap(of.P)) + of.q @ x + of.r
     problem = cp.Problem(cp.Minimize(objective), rows)
     problem.solve(solver=QPSolver())
@@ -76,7 +93,9 @@ def in_cvxpy_by_rows(of: PublishedProgram, name: str) -> Answer:
 def in_a_batch(of: PublishedProgram, name: str) -> Answer:
     """Beside itself at twice the objective."""
     G, h, A, b, lower, upper = one_sided(of)
-    found = solve_batch([QuadraticProgram(scale * of.P, scale * of.q, G, h, A, b, lower, upper) for scale in (1, 2)])
+    found = solve_batch(
+        [QuadraticProgram(scale * of.P, scale * of.q, G, h, A, b, lower, upper) for scale in (1, 2)]
+    )
     assert abs(found[1].objective / 2 - found[0].objective) <= TOLERANCE * abs(of.value)
     return found[0].x, found[0].objective + of.r
 
@@ -84,7 +103,9 @@ def in_a_batch(of: PublishedProgram, name: str) -> Answer:
 def in_a_stack(of: PublishedProgram, name: str) -> Answer:
     """Beside itself."""
     G, h, A, b, lower, upper = one_sided(of)
-    found = solve_batch(QuadraticProgramBatch(of.P, np.array([of.q, of.q]), G, h, A, b, lower, upper))
+    found = solve_batch(
+        QuadraticProgramBatch(of.P, np.array([of.q, of.q]), G, h, A, b, lower, upper)
+    )
     return found.x[1], float(found.objective[1]) + of.r
 
 
@@ -98,12 +119,16 @@ def agrees(of: PublishedProgram, x: np.ndarray, value: float) -> None:
     error, violated = of.errors(x)
     assert error <= of.digits, f"the value is off by {error:.1e}"
     assert violated <= TOLERANCE, f"a row is violated by {violated:.1e} of its terms"
-    assert abs(value - of.value) <= of.digits * abs(of.value), "the value that is told is not that of x"
+    assert abs(value - of.value) <= of.digits * abs(of.value), (
+        "the value that is told is not that of x"
+    )
 
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_value_and_violations_are_those_published(name: str, way: Callable[[PublishedProgram, str], Answer]) -> None:
+def test_value_and_violations_are_those_published(
+    name: str, way: Callable[[PublishedProgram, str], Answer]
+) -> None:
     """From arrays, a file, qpsolvers and cvxpy, with infinite limits and with 1e20 for none."""
     of = PublishedProgram.read(name)
     agrees(of, *way(of, name))
@@ -112,7 +137,9 @@ def test_value_and_violations_are_those_published(name: str, way: Callable[[Publ
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
 @pytest.mark.parametrize("name", SMALL)
-def test_batches_give_what_is_published(name: str, way: Callable[[PublishedProgram, str], Answer]) -> None:
+def test_batches_give_what_is_published(
+    name: str, way: Callable[[PublishedProgram, str], Answer]
+) -> None:
     """A list of programs, and stacked data."""
     of = PublishedProgram.read(name)
     agrees(of, *way(of, name))

@@ -29,7 +29,9 @@ def dense(of: Published) -> np.ndarray:
 
 def in_a_batch(of: Published) -> np.ndarray:
     """Beside itself at a millionth of the velocities."""
-    found = solve_batch([FrictionalContact(of["M"], scale * of["q"], of["mu"]) for scale in (1.0, 1e-6)])
+    found = solve_batch(
+        [FrictionalContact(of["M"], scale * of["q"], of["mu"]) for scale in (1.0, 1e-6)]
+    )
     assert errors_of_contact({**of, "q": 1e-6 * of["q"]}, found[1].x) <= TOLERANCE
     return found[0].x
 
@@ -43,7 +45,9 @@ def in_cvxpy(of: Published) -> np.ndarray:
 @pytest.mark.sampled
 @pytest.mark.parametrize("way", [sparse, dense, in_a_batch, in_cvxpy])
 @pytest.mark.parametrize("name", CONTACTS)
-def test_the_laws_of_contact_and_friction_hold(name: str, way: Callable[[Published], np.ndarray]) -> None:
+def test_the_laws_of_contact_and_friction_hold(
+    name: str, way: Callable[[Published], np.ndarray]
+) -> None:
     """Impulses in their cones, velocities that do not close, no power but of sliding: in every contact."""
     of = read(f"fc3d_{name}")
     assert errors_of_contact(of, way(of)) <= TOLERANCE

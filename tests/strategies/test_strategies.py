@@ -63,14 +63,19 @@ SOLVED = {
 def is_h_plus(matrix: object) -> bool:
     """A Z-matrix is a nonsingular M-matrix exactly if elimination without exchanges has positive pivots."""
     rows = exact_rows(matrix)
-    comparison = [[value if i == j else -abs(value) for j, value in enumerate(row)] for i, row in enumerate(rows)]
+    comparison = [
+        [value if i == j else -abs(value) for j, value in enumerate(row)]
+        for i, row in enumerate(rows)
+    ]
     return has_positive_pivots(comparison)
 
 
 def is_positive_definite(matrix: object) -> bool:
     """Symmetric, and positive pivots in LDLᵀ."""
     rows = exact_rows(matrix)
-    return rows == [list(column) for column in zip(*rows, strict=True)] and has_positive_pivots(rows)
+    return rows == [list(column) for column in zip(*rows, strict=True)] and has_positive_pivots(
+        rows
+    )
 
 
 def exact_slack(problem: LCP, z: tuple[Fraction, ...]) -> list[Fraction]:
@@ -87,15 +92,28 @@ def kind(z: Fraction, w: Fraction, lower: float, upper: float) -> str:
     at_lower, at_upper = z == lower, z == upper
     if not lower <= z <= upper or (w > 0 and not at_lower) or (w < 0 and not at_upper):
         return "wrong"
-    place = "fixed" if at_lower and at_upper else "lower" if at_lower else "upper" if at_upper else "between"
+    place = (
+        "fixed"
+        if at_lower and at_upper
+        else "lower"
+        if at_lower
+        else "upper"
+        if at_upper
+        else "between"
+    )
     if place == "between":
-        place = {0: "free", 1: "half bounded", 2: "boxed"}[int(np.isfinite(lower)) + int(np.isfinite(upper))]
+        place = {0: "free", 1: "half bounded", 2: "boxed"}[
+            int(np.isfinite(lower)) + int(np.isfinite(upper))
+        ]
     return place if w == 0 else f"{place}, w {'>' if w > 0 else '<'} 0"
 
 
 def kinds(problem: LCP, z: tuple[Fraction, ...]) -> list[str]:
     slack = exact_slack(problem, z)
-    return [kind(*row) for row in zip(z, slack, problem.lower.tolist(), problem.upper.tolist(), strict=True)]
+    return [
+        kind(*row)
+        for row in zip(z, slack, problem.lower.tolist(), problem.upper.tolist(), strict=True)
+    ]
 
 
 # --- What is drawn is what is promised --------------------------------------------------------------------
@@ -174,7 +192,12 @@ def rank(rows: list[list[Fraction]]) -> int:
 
 
 def is_z(matrix: object) -> bool:
-    return all(value <= 0 for i, row in enumerate(exact_rows(matrix)) for j, value in enumerate(row) if i != j)
+    return all(
+        value <= 0
+        for i, row in enumerate(exact_rows(matrix))
+        for j, value in enumerate(row)
+        if i != j
+    )
 
 
 def is_dominant(matrix: object) -> bool:
@@ -212,12 +235,27 @@ CLASSES = {
     "m in units": (scaled_matrices(m_matrices(FEW), 99, 99), is_h_plus, "is_m_matrix", True),
     "dominant": (strictly_dominant_matrices(FEW), is_dominant, "is_h_plus", True),
     "nearly singular": (nearly_singular(), is_dominant, "is_strictly_dominant", True),
-    "definite": (skewed(positive_definite_matrices(FEW)), is_definite, "is_positive_definite", True),
-    "semidefinite": (positive_semidefinite_matrices(FEW), is_semidefinite, "is_positive_semidefinite", True),
+    "definite": (
+        skewed(positive_definite_matrices(FEW)),
+        is_definite,
+        "is_positive_definite",
+        True,
+    ),
+    "semidefinite": (
+        positive_semidefinite_matrices(FEW),
+        is_semidefinite,
+        "is_positive_semidefinite",
+        True,
+    ),
     "p": (p_matrices(FEW), is_p, "is_p_matrix", True),
     "p in units": (scaled_matrices(p_matrices(FEW), 9, 9), is_p, "is_p_matrix", True),
     "not h": (not_h_matrices(FEW), lambda M: not is_h(M), "is_h_matrix", False),
-    "sparse, not h": (not_h_matrices(SOME, density=0.2), lambda M: not is_h(M), "is_h_matrix", False),
+    "sparse, not h": (
+        not_h_matrices(SOME, density=0.2),
+        lambda M: not is_h(M),
+        "is_h_matrix",
+        False,
+    ),
     "indefinite": (indefinite_matrices(SOME), is_indefinite, "is_positive_semidefinite", False),
 }
 
@@ -270,15 +308,23 @@ def test_infeasible_lcps_have_a_proof(name: str) -> None:
         if problem.is_plain:
             rows = exact_rows(problem.M)
             assert min(proof.exact_y) >= 0
-            products = [sum(y * row[j] for y, row in zip(proof.exact_y, rows, strict=True)) for j in range(problem.n)]
+            products = [
+                sum(y * row[j] for y, row in zip(proof.exact_y, rows, strict=True))
+                for j in range(problem.n)
+            ]
             assert max(products) <= 0
-            assert sum(y * Fraction(q) for y, q in zip(proof.exact_y, problem.q.tolist(), strict=True)) < 0
+            assert (
+                sum(y * Fraction(q) for y, q in zip(proof.exact_y, problem.q.tolist(), strict=True))
+                < 0
+            )
 
     check()
 
 
 def times(matrix: object, x: tuple[Fraction, ...]) -> list[Fraction]:
-    return [sum((a * b for a, b in zip(row, x, strict=True)), Fraction(0)) for row in exact_rows(matrix)]
+    return [
+        sum((a * b for a, b in zip(row, x, strict=True)), Fraction(0)) for row in exact_rows(matrix)
+    ]
 
 
 def test_convex_qps_are_solved() -> None:
@@ -287,7 +333,9 @@ def test_convex_qps_are_solved() -> None:
     @given(convex_qps() | convex_qps(bounds=False))
     def check(drawn: tuple[object, object]) -> None:
         program, answer = drawn
-        exact = [list(map(Fraction, values.tolist())) for values in (program.c, program.h, program.b)]
+        exact = [
+            list(map(Fraction, values.tolist())) for values in (program.c, program.h, program.b)
+        ]
         gradient, h, b = exact
         bent = times(program.P, answer.x)
         forces = [times(program.G.T, answer.inequality), times(program.A.T, answer.equality)]
@@ -296,14 +344,23 @@ def test_convex_qps_are_solved() -> None:
         gaps = [right - left for left, right in zip(times(program.G, answer.x), h, strict=True)]
         assert times(program.A, answer.x) == b
         assert min(*gaps, *answer.inequality, *answer.lower, *answer.upper, 0, 0) >= 0
-        assert all(gap * multiplier == 0 for gap, multiplier in zip(gaps, answer.inequality, strict=True))
+        assert all(
+            gap * multiplier == 0 for gap, multiplier in zip(gaps, answer.inequality, strict=True)
+        )
         for x, low, high, at_low, at_high in zip(
-            answer.x, program.lower.tolist(), program.upper.tolist(), answer.lower, answer.upper, strict=True
+            answer.x,
+            program.lower.tolist(),
+            program.upper.tolist(),
+            answer.lower,
+            answer.upper,
+            strict=True,
         ):
             assert low <= x <= high
             assert at_low == 0 or x == low
             assert at_high == 0 or x == high
-        value = sum((x * (p / 2 + c) for x, p, c in zip(answer.x, bent, gradient, strict=True)), Fraction(0))
+        value = sum(
+            (x * (p / 2 + c) for x, p, c in zip(answer.x, bent, gradient, strict=True)), Fraction(0)
+        )
         assert answer.objective == value
 
     check()
@@ -339,7 +396,9 @@ def verdict_on(solver: object, **options: object) -> str:
     return str(found.value)
 
 
-def exact_diagonal(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def exact_diagonal(
+    M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
     return np.clip(-q / M.diagonal(), lower, upper)
 
 
@@ -350,7 +409,10 @@ def exact_diagonal(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.nd
         (lambda z: z * np.nan, "z is not finite"),
         (lambda z: np.append(z, 0.0), "real numbers in an array of shape"),
         (lambda z: z - 2.0, r"z is outside its bounds: z\[0\] = -1, but lower\[0\] = 0"),
-        (lambda z: z * 0.0, r"w has the wrong sign: w\[0\] = -1, but z\[0\] = 0 is at its lower bound 0"),
+        (
+            lambda z: z * 0.0,
+            r"w has the wrong sign: w\[0\] = -1, but z\[0\] = 0 is at its lower bound 0",
+        ),
         (lambda z: z + 0.5, r"z is not complementary: w\[0\] = 0.5, but z\[0\] = 1.5 lies between"),
         (lambda z: None, "it gave up \\(returned None\\) on a problem that has a solution"),
         (lambda z: 1 / 0, "it gave up \\(raised ZeroDivisionError: division by zero\\)"),
@@ -358,7 +420,9 @@ def exact_diagonal(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.nd
 )
 def test_the_judge_names_what_is_wrong(spoil: object, complaint: str) -> None:
     """Each kind of wrong answer is named, on the 1 × 1 identity with q = −1, 0 or 1."""
-    report = verdict_on(lambda *data: spoil(exact_diagonal(*data)), matrices=h_plus_matrices(density=0))
+    report = verdict_on(
+        lambda *data: spoil(exact_diagonal(*data)), matrices=h_plus_matrices(density=0)
+    )
     assert re.search(complaint, report), report
     assert re.search(r"problem = LCP\(\[\[1.0\]\], \[(-1|0|1).0\]\)", report), report
 
@@ -383,7 +447,10 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
 def test_the_judge_shows_problems_without_solution() -> None:
     """A solver that claims to have solved a problem without solution is found, with the proof, where that is asked."""
     only_those = {"matrices": h_plus_matrices(1), "infeasible": True, "may_give_up": True}
-    report = verdict_on(lambda M, q, *bounds: exact_diagonal(M, q, *bounds) if M[0, 0] > 0 else q * 0.0, **only_those)
+    report = verdict_on(
+        lambda M, q, *bounds: exact_diagonal(M, q, *bounds) if M[0, 0] > 0 else q * 0.0,
+        **only_those,
+    )
     assert "it claims to have solved a problem that has no solution" in report
     assert "; proof: exact" in report
 
@@ -399,7 +466,9 @@ def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
 
     drawn = h_plus_matrices(st.integers(1, 6), density=0.5)
     matrices = drawn if is_dense else drawn.map(sp.csr_array)
-    assert_solves(solver, matrices=matrices, bounds=True, infeasible=True, may_give_up=True, max_examples=40)
+    assert_solves(
+        solver, matrices=matrices, bounds=True, infeasible=True, may_give_up=True, max_examples=40
+    )
     assert forms == {np.ndarray if is_dense else sp.csr_array}
 
 
@@ -407,7 +476,9 @@ def test_solvers_get_matrices_as_they_are_drawn(is_dense: bool) -> None:
 @pytest.mark.parametrize("answer", [lambda z: (z, 0), lambda z: [z, "solved"], lambda z: {"z": z}])
 def test_the_judge_names_answers_that_are_no_arrays(answer: object) -> None:
     """A pair (z, flag), as many solvers return it, and anything else is a wrong answer and no crash of the judge."""
-    report = verdict_on(lambda *data: answer(exact_diagonal(*data)), matrices=h_plus_matrices(density=0))
+    report = verdict_on(
+        lambda *data: answer(exact_diagonal(*data)), matrices=h_plus_matrices(density=0)
+    )
     assert "z must be 1 real numbers in an array of shape (1,), got" in report
     assert "problem = LCP([[1.0]]" in report
 
@@ -415,7 +486,10 @@ def test_the_judge_names_answers_that_are_no_arrays(answer: object) -> None:
 def test_the_judge_refuses_wrong_options() -> None:
     """Options out of range are refused before anything is drawn."""
     for options, message in (
-        ({"matrices": np.eye(2)}, r"matrices must be a strategy such as p_matrices\(4\), got ndarray"),
+        (
+            {"matrices": np.eye(2)},
+            r"matrices must be a strategy such as p_matrices\(4\), got ndarray",
+        ),
         ({"max_examples": 0}, "max_examples must be a whole number ≥ 1, got 0"),
         ({"tolerance": -1.0}, "tolerance must be a number ≥ 0, got -1.0"),
     ):
@@ -428,7 +502,9 @@ def test_the_judge_refuses_wrong_options() -> None:
 # --- Everything occurs ------------------------------------------------------------------------------------
 
 
-def counted(strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examples: int = 150) -> Counter[str]:
+def counted(
+    strategy: st.SearchStrategy[tuple[LCP, tuple[Fraction, ...]]], examples: int = 150
+) -> Counter[str]:
     """How often each kind of row occurs in that many drawn problems."""
     counts: Counter[str] = Counter()
 
@@ -453,7 +529,15 @@ def test_active_inactive_and_degenerate_rows_occur() -> None:
 def test_every_kind_of_bound_occurs() -> None:
     """Free rows, rows inside boxes and half lines, at each bound with w = 0 or not, and fixed rows all occur often."""
     counts = counted(solved_lcps(bounds=True), 300)
-    sides = ["lower", "lower, w > 0", "upper", "upper, w < 0", "fixed", "fixed, w > 0", "fixed, w < 0"]
+    sides = [
+        "lower",
+        "lower, w > 0",
+        "upper",
+        "upper, w < 0",
+        "fixed",
+        "fixed, w > 0",
+        "fixed, w < 0",
+    ]
     assert set(counts) == {"free", "half bounded", "boxed", *sides}
     assert min(counts.values()) > counts.total() / 100
 
@@ -462,7 +546,11 @@ def test_options_do_what_they_say() -> None:
     """Density thins out, and a size is obeyed."""
     nonzeros = {0.25: [], 1.0: []}
 
-    @given(st.sampled_from(list(nonzeros)).flatmap(lambda p: st.tuples(st.just(p), h_plus_matrices(7, density=p))))
+    @given(
+        st.sampled_from(list(nonzeros)).flatmap(
+            lambda p: st.tuples(st.just(p), h_plus_matrices(7, density=p))
+        )
+    )
     def collect_density(drawn: tuple[float, np.ndarray]) -> None:
         density, matrix = drawn
         assert matrix.shape == (7, 7)
@@ -504,10 +592,14 @@ def test_positive_definite_matrices_shrink_to_the_identity(name: str) -> None:
 @pytest.mark.full
 def test_counterexamples_are_small() -> None:
     """What is found for a claim that breaks at an off-diagonal entry or at a slack has only small integers."""
-    matrix = find(h_plus_matrices(st.integers(1, 4)), lambda M: np.count_nonzero(M) > len(M), settings=SEARCH)
+    matrix = find(
+        h_plus_matrices(st.integers(1, 4)), lambda M: np.count_nonzero(M) > len(M), settings=SEARCH
+    )
     assert sorted(abs(matrix).ravel().tolist()) == [0.0, 1.0, 1.0, 2.0]
     small = solved_lcps(h_plus_matrices(st.integers(1, 3)))
-    problem, z = find(small, lambda drawn: drawn[0].n == 2 and exact_slack(*drawn)[0] > 0, settings=SEARCH)
+    problem, z = find(
+        small, lambda drawn: drawn[0].n == 2 and exact_slack(*drawn)[0] > 0, settings=SEARCH
+    )
     assert np.array_equal(problem.M.toarray() if sp.issparse(problem.M) else problem.M, np.eye(2))
     assert exact_slack(problem, z)[0] == 1
     assert max(z) <= 1
@@ -519,13 +611,25 @@ def test_counterexamples_are_small() -> None:
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: h_plus_matrices(-1), "size must be a whole number ≥ 0 or a strategy of such, got -1"),
-        (lambda: h_plus_matrices(2.0), "size must be a whole number ≥ 0 or a strategy of such, got 2.0"),
-        (lambda: h_plus_matrices(True), "size must be a whole number ≥ 0 or a strategy of such, got True"),
+        (
+            lambda: h_plus_matrices(-1),
+            "size must be a whole number ≥ 0 or a strategy of such, got -1",
+        ),
+        (
+            lambda: h_plus_matrices(2.0),
+            "size must be a whole number ≥ 0 or a strategy of such, got 2.0",
+        ),
+        (
+            lambda: h_plus_matrices(True),
+            "size must be a whole number ≥ 0 or a strategy of such, got True",
+        ),
         (lambda: h_plus_matrices(density=1.5), r"density must lie in \[0, 1\], got 1.5"),
         (lambda: h_plus_matrices(density=float("nan")), r"density must lie in \[0, 1\], got nan"),
         (lambda: not_h_matrices(0), "size must be a whole number ≥ 1 or a strategy of such, got 0"),
-        (lambda: indefinite_matrices(1), "size must be a whole number ≥ 2 or a strategy of such, got 1"),
+        (
+            lambda: indefinite_matrices(1),
+            "size must be a whole number ≥ 2 or a strategy of such, got 1",
+        ),
     ],
 )
 def test_wrong_options_are_refused_at_once(build: object, message: str) -> None:
@@ -535,7 +639,9 @@ def test_wrong_options_are_refused_at_once(build: object, message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "matrix", [np.array([[2.0**60, 1.0], [1.0, 2.0**60]]), np.full((1, 1), np.finfo(float).max)], ids=["wide", "huge"]
+    "matrix",
+    [np.array([[2.0**60, 1.0], [1.0, 2.0**60]]), np.full((1, 1), np.finfo(float).max)],
+    ids=["wide", "huge"],
 )
 def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
     """Where a double cannot hold q = w − M z the problem is refused, not drawn with a wrong answer."""
@@ -547,7 +653,9 @@ def test_nothing_is_drawn_in_vain() -> None:
     """Valid by construction: the module neither filters nor assumes."""
     for file in Path(strategies.__file__).parent.glob("*.py"):
         source = file.read_text(encoding="utf-8")
-        assert not [word for word in (".filter(", "assume(", "reject(") if word in source], file.name
+        assert not [word for word in (".filter(", "assume(", "reject(") if word in source], (
+            file.name
+        )
 
 
 def test_a_counterexample_can_be_copied() -> None:

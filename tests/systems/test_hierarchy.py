@@ -19,14 +19,22 @@ from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
 
 SCENES = [
-    "obstacle_2d:size=20", "obstacle_3d:size=8", "coefficient_jumps:size=21", "convection_diffusion:size=20",
-    "rotated_anisotropy:size=20", "journal_bearing:size=20,eccentricity=0.95", "american_put:size=300",
+    "obstacle_2d:size=20",
+    "obstacle_3d:size=8",
+    "coefficient_jumps:size=21",
+    "convection_diffusion:size=20",
+    "rotated_anisotropy:size=20",
+    "journal_bearing:size=20,eccentricity=0.95",
+    "american_put:size=300",
     "optimal_stopping:size=17,swirl=-7",
 ]
 
 
 def as_scipy(operator: Operator, columns: int) -> sp.csr_array:
-    return sp.csr_array((operator.data, operator.indices, operator.indptr), shape=(operator.indptr.size - 1, columns))
+    return sp.csr_array(
+        (operator.data, operator.indices, operator.indptr),
+        shape=(operator.indptr.size - 1, columns),
+    )
 
 
 def random_matrix(seed: int, n: int, density: float) -> sp.csr_array:
@@ -47,14 +55,18 @@ def hierarchy(request: pytest.FixtureRequest) -> Hierarchy:
 
 def test_interpolation_is_nonnegative_and_injects(hierarchy: Hierarchy) -> None:
     """No weight is negative, and a coarse unknown takes the value of itself."""
-    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+    for grid, coarser, transfer in zip(
+        hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False
+    ):
         P = as_scipy(transfer.prolongation, coarser.n)
         assert P.data.min() > 0.0
         assert np.array_equal(P[np.flatnonzero(transfer.is_coarse)].toarray(), np.eye(coarser.n))
         assert (as_scipy(transfer.restriction, grid.n) != P.T).nnz == 0
 
 
-@pytest.mark.parametrize("text", ["obstacle_2d:size=20", "coefficient_jumps:size=21", "rotated_anisotropy:size=12"])
+@pytest.mark.parametrize(
+    "text", ["obstacle_2d:size=20", "coefficient_jumps:size=21", "rotated_anisotropy:size=12"]
+)
 def test_constants_are_reproduced_where_rows_sum_to_zero(text: str) -> None:
     """A row of M that sums to zero and interpolates at all has weights that sum to one, on every grid."""
     M = gallery.parse(text).problem.csr
@@ -73,7 +85,9 @@ def test_constants_are_reproduced_where_rows_sum_to_zero(text: str) -> None:
 
 def test_coarse_matrices_are_galerkin_products(hierarchy: Hierarchy) -> None:
     """Every coarse matrix is PᵀMP by scipy, with sorted rows, every diagonal entry stored, and read-only."""
-    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+    for grid, coarser, transfer in zip(
+        hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False
+    ):
         P, fine = as_scipy(transfer.prolongation, coarser.n), as_scipy(grid.matrix, grid.n)
         coarse = as_scipy(coarser.matrix, coarser.n)
         expected = P.T @ fine @ P
@@ -95,8 +109,12 @@ def test_products_and_transposes_of_any_matrices(seed: int, n: int, density: flo
     assert (as_scipy(Operator(*r), n) != P.T).nnz == 0
     c = galerkin.galerkin_product(arrays, p, r, r[0].size - 1)
     expected = (P.T @ M @ P).toarray()
-    np.testing.assert_allclose(as_scipy(Operator(*c), columns).toarray(), expected, rtol=0, atol=1e-12 * (1 + n))
-    assert galerkin.count_products(M.indptr, M.indices, P.indptr) == (P != 0).sum(axis=1) @ ((M != 0) @ (P != 0).sum(1))
+    np.testing.assert_allclose(
+        as_scipy(Operator(*c), columns).toarray(), expected, rtol=0, atol=1e-12 * (1 + n)
+    )
+    assert galerkin.count_products(M.indptr, M.indices, P.indptr) == (P != 0).sum(axis=1) @ (
+        (M != 0) @ (P != 0).sum(1)
+    )
 
 
 def test_a_product_that_outgrows_its_capacity() -> None:
@@ -105,11 +123,18 @@ def test_a_product_that_outgrows_its_capacity() -> None:
     M = sp.csr_array(sp.eye_array(n, format="csr"))
     P = sp.csr_array(np.random.default_rng(0).random((n, 200)))
     p = P.indptr, P.indices, P.data
-    c = galerkin.galerkin_product((M.indptr, M.indices, M.data), p, galerkin.transposed(200, *p), 200)
+    c = galerkin.galerkin_product(
+        (M.indptr, M.indices, M.data), p, galerkin.transposed(200, *p), 200
+    )
     np.testing.assert_allclose(as_scipy(Operator(*c), 200).toarray(), P.T @ P.toarray(), rtol=1e-12)
 
 
-@given(st.integers(0, 10**6), st.integers(1, 12), st.floats(0.05, 1.0), st.sampled_from(["as is", "mirrored", "bent"]))
+@given(
+    st.integers(0, 10**6),
+    st.integers(1, 12),
+    st.floats(0.05, 1.0),
+    st.sampled_from(["as is", "mirrored", "bent"]),
+)
 def test_symmetry_is_found_exactly(seed: int, n: int, density: float, kind: str) -> None:
     """`is_symmetric_entrywise` says what the dense matrix says, for any pattern."""
     dense = random_matrix(seed, n, density).toarray()
@@ -176,7 +201,9 @@ def test_units_are_found(is_symmetric: bool) -> None:
     """Of D M D and M D, M with rows that sum to zero, the units are 1/D but for a factor that varies slowly."""
     M = gallery.build("obstacle_2d", size=30).problem.csr
     d = 10.0 ** np.random.default_rng(0).uniform(-4, 4, M.shape[0])
-    scaled = sp.csr_array((sp.diags_array(d) if is_symmetric else sp.eye_array(d.size)) @ M @ sp.diags_array(d))
+    scaled = sp.csr_array(
+        (sp.diags_array(d) if is_symmetric else sp.eye_array(d.size)) @ M @ sp.diags_array(d)
+    )
     _, _, lacking = coarsening.couplings_by_sign(scaled.indptr, scaled.indices, scaled.data)
     v, work = vectors.scaling_of_unknowns(scaled, lacking)
     assert v is not None
@@ -191,7 +218,11 @@ def test_units_are_found(is_symmetric: bool) -> None:
 def test_positive_couplings_raise_the_strength() -> None:
     """A rotated anisotropy counts only couplings above half the largest; the rule is the documented one."""
     M = gallery.build("rotated_anisotropy", size=30).problem.csr
-    chosen, stronger, usual = build_hierarchy(M), build_hierarchy(M, strength=0.5), build_hierarchy(M, strength=0.25)
+    chosen, stronger, usual = (
+        build_hierarchy(M),
+        build_hierarchy(M, strength=0.5),
+        build_hierarchy(M, strength=0.25),
+    )
     sizes = [[grid.n for grid in h.grids] for h in (chosen, stronger, usual)]
     assert sizes[0] == sizes[1] != sizes[2]
 
@@ -203,7 +234,10 @@ def test_a_matrix_without_geometry_is_noticed_early(entries: int) -> None:
     n = 20_000
     generator = np.random.default_rng(entries)
     B = sp.csr_array(
-        (generator.random(n * entries), (np.repeat(np.arange(n), entries), generator.integers(0, n, n * entries))),
+        (
+            generator.random(n * entries),
+            (np.repeat(np.arange(n), entries), generator.integers(0, n, n * entries)),
+        ),
         shape=(n, n),
     )
     M = LCP(sp.diags_array(B.sum(axis=1) + 1e-3) - B, np.zeros(n)).csr
@@ -234,7 +268,9 @@ def test_extreme_entries_do_not_break_the_set_up() -> None:
     for scale in (1e-305, 1e-290, 1e300):
         hierarchy = build_hierarchy(sp.csr_array(M * scale), coarsest=5)
         assert all(np.isfinite(grid.inverse).all() for grid in hierarchy.grids)
-        assert all(np.isfinite(transfer.prolongation.data).all() for transfer in hierarchy.transfers)
+        assert all(
+            np.isfinite(transfer.prolongation.data).all() for transfer in hierarchy.transfers
+        )
 
 
 # --- Truncation ---------------------------------------------------------------------------------------------
@@ -244,9 +280,13 @@ def from_scratch(hierarchy: Hierarchy, is_free: np.ndarray) -> list[tuple[np.nda
     """Return (matrix, free) of every coarser grid by products of whole truncated matrices."""
     found = []
     matrix, free = as_scipy(hierarchy.grids[0].matrix, is_free.size).toarray(), is_free
-    for grid, coarser, transfer in zip(hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False):
+    for grid, coarser, transfer in zip(
+        hierarchy.grids, hierarchy.grids[1:], hierarchy.transfers, strict=False
+    ):
         left = coupling(np.where(free, matrix, 0.0)) / diagonal_and_positive(matrix)
-        before = coupling(whole := as_scipy(grid.matrix, free.size).toarray()) / diagonal_and_positive(whole)
+        before = coupling(
+            whole := as_scipy(grid.matrix, free.size).toarray()
+        ) / diagonal_and_positive(whole)
         is_held = (left < vectors.HELD * before) & ~transfer.is_coarse
         P = as_scipy(transfer.prolongation, coarser.n).toarray() * (free & ~is_held)[:, None]
         matrix = P.T @ matrix @ P
@@ -275,10 +315,17 @@ def test_an_update_equals_a_computation_from_scratch(text: str) -> None:
         top.free_changed[:] = flips
         top.is_free ^= flips
         truncation.update()
-        for level, (matrix, free) in zip(truncation.grids[1:], from_scratch(hierarchy, top.is_free), strict=True):
+        for level, (matrix, free) in zip(
+            truncation.grids[1:], from_scratch(hierarchy, top.is_free), strict=True
+        ):
             np.testing.assert_allclose(
-                as_scipy(Operator(level.grid.matrix.indptr, level.grid.matrix.indices, level.values), free.size)
-                .toarray(), matrix, rtol=0, atol=1e-12 * max(abs(level.grid.matrix.data).max(), 1.0),
+                as_scipy(
+                    Operator(level.grid.matrix.indptr, level.grid.matrix.indices, level.values),
+                    free.size,
+                ).toarray(),
+                matrix,
+                rtol=0,
+                atol=1e-12 * max(abs(level.grid.matrix.data).max(), 1.0),
             )
             assert np.array_equal(level.is_free, free)
             assert np.array_equal(level.inverse > 0.0, free)
@@ -352,7 +399,9 @@ def test_the_coarsest_grid_is_solved(text: str) -> None:
             np.testing.assert_allclose(top.x, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_a_coarsest_grid_without_unknowns_is_solved_in_silence(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_coarsest_grid_without_unknowns_is_solved_in_silence(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     """A rank may have no unknowns left there: LAPACK is not asked, and does not print."""
     truncation = Truncation(build_hierarchy(sp.csr_array((0, 0))))
     truncation.correct(0)
@@ -370,7 +419,9 @@ def test_sweeps_agree_with_triangular_solves() -> None:
     b = np.random.default_rng(0).normal(size=M.shape[0])
     x, residual = np.empty_like(b), np.empty_like(b)
     sweeps.first_sweep(grid.rows, grid.blocks, grid.inverse, b, x)
-    sweeps.residual_after_first_sweep(grid.rows, grid.blocks, grid.inverse, np.zeros(0), b, x, residual)
+    sweeps.residual_after_first_sweep(
+        grid.rows, grid.blocks, grid.inverse, np.zeros(0), b, x, residual
+    )
     dense = M.toarray()
     np.testing.assert_allclose(x, np.linalg.solve(np.tril(dense), b), rtol=1e-11)
     np.testing.assert_allclose(residual, b - dense @ x, rtol=0, atol=1e-12)
@@ -378,9 +429,13 @@ def test_sweeps_agree_with_triangular_solves() -> None:
     np.testing.assert_allclose((b - dense @ x)[0], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("text", ["obstacle_2d:size=12", "rotated_anisotropy:size=12", "obstacle_3d:size=6"])
+@pytest.mark.parametrize(
+    "text", ["obstacle_2d:size=12", "rotated_anisotropy:size=12", "obstacle_3d:size=6"]
+)
 @pytest.mark.parametrize("share_free", [1.0, 0.7])
-def test_sweeps_in_blocks_are_gauss_seidel_in_the_order_of_the_blocks(text: str, share_free: float) -> None:
+def test_sweeps_in_blocks_are_gauss_seidel_in_the_order_of_the_blocks(
+    text: str, share_free: float
+) -> None:
     """Even blocks first and then odd ones, backward the other way round; the first sweep tells the residual it left."""
     M = gallery.parse(text).problem.csr
     n, generator = M.shape[0], np.random.default_rng(0)
@@ -389,7 +444,11 @@ def test_sweeps_in_blocks_are_gauss_seidel_in_the_order_of_the_blocks(text: str,
     edges = np.linspace(0, n, 5).astype(np.int64)
     assert np.diff(edges).min() >= reach
     blocks = RowBlocks(read_only(edges), reach)
-    b, start, free = generator.normal(size=n), generator.normal(size=n), generator.random(n) < share_free
+    b, start, free = (
+        generator.normal(size=n),
+        generator.normal(size=n),
+        generator.random(n) < share_free,
+    )
     inverse = grid.inverse * free
     order = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in (0, 2, 1, 3)])
     kept = order[free[order]]
@@ -428,8 +487,13 @@ def test_blocks_of_one_kind_do_not_meet() -> None:
         assert np.abs(block[rows] - block[indices]).max() == 1
         assert grid.blocks.count(0) == grid.blocks.count(1) >= 2
     wind = gallery.parse("convection_diffusion:size=300").problem.csr
-    for matrix, scales_rows in ((wind, True), (gallery.parse("obstacle_2d:size=100").problem.csr, False)):
-        assert levels.build_hierarchy(matrix, scales_rows=scales_rows).grids[0].blocks.edges.size == 2
+    for matrix, scales_rows in (
+        (wind, True),
+        (gallery.parse("obstacle_2d:size=100").problem.csr, False),
+    ):
+        assert (
+            levels.build_hierarchy(matrix, scales_rows=scales_rows).grids[0].blocks.edges.size == 2
+        )
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -446,8 +510,14 @@ def test_pieces_see_symmetry_as_one_does(threads: int) -> None:
             assert not is_symmetric_entrywise(other)
             keep = np.arange(M.nnz) != k
             indptr = np.append(0, np.cumsum(keep))[M.indptr]
-            without = sp.csr_array((M.data[keep], M.indices[keep], indptr.astype(M.indptr.dtype)), shape=M.shape)
+            without = sp.csr_array(
+                (M.data[keep], M.indices[keep], indptr.astype(M.indptr.dtype)), shape=M.shape
+            )
             assert not is_symmetric_entrywise(without)
-            transposed = galerkin.transposed(M.shape[0], without.indptr, without.indices, without.data)
+            transposed = galerkin.transposed(
+                M.shape[0], without.indptr, without.indices, without.data
+            )
             expected = without.T.tocsr()
-            assert all(map(np.array_equal, transposed, (expected.indptr, expected.indices, expected.data)))
+            assert all(
+                map(np.array_equal, transposed, (expected.indptr, expected.indices, expected.data))
+            )

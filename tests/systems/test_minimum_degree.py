@@ -53,10 +53,16 @@ def arrow(n: int) -> Any:
 
 
 MATRICES = {
-    "grid 30²": lambda: grid(30, 2), "grid 100²": lambda: grid(100, 2), "cube 15³": lambda: grid(15, 3),
-    "strip of squares": lambda: elastic(201, 14), "block of squares": lambda: elastic(50, 50),
-    "random graph": lambda: scattered(1500), "arrow": lambda: arrow(800), "line": lambda: sp.csc_array(line(3000)),
-    "full rows": with_full_rows, "parts": lambda: sp.csc_array(sp.block_diag([grid(20, 2)] * 5)),
+    "grid 30²": lambda: grid(30, 2),
+    "grid 100²": lambda: grid(100, 2),
+    "cube 15³": lambda: grid(15, 3),
+    "strip of squares": lambda: elastic(201, 14),
+    "block of squares": lambda: elastic(50, 50),
+    "random graph": lambda: scattered(1500),
+    "arrow": lambda: arrow(800),
+    "line": lambda: sp.csc_array(line(3000)),
+    "full rows": with_full_rows,
+    "parts": lambda: sp.csc_array(sp.block_diag([grid(20, 2)] * 5)),
     "one": lambda: sp.csc_array([[2.0]]),
 }
 
@@ -74,7 +80,9 @@ def test_the_counts_are_nearly_those_of_the_factor(name: str) -> None:
 
 
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.floats(0.0, 0.5))
-def test_no_factor_of_a_random_pattern_has_fewer_entries_than_the_pattern(n: int, seed: int, density: float) -> None:
+def test_no_factor_of_a_random_pattern_has_fewer_entries_than_the_pattern(
+    n: int, seed: int, density: float
+) -> None:
     """Nor more than a full one; operations are those of that many entries at least."""
     rng = np.random.default_rng(seed)
     pattern = (rng.random((n, n)) < density).astype(float)
@@ -82,13 +90,20 @@ def test_no_factor_of_a_random_pattern_has_fewer_entries_than_the_pattern(n: int
     entries, operations = factor_sizes(sp.csr_array(pattern))
     least = (np.count_nonzero(pattern + pattern.T) - n) // 2 + n
     assert least <= entries <= n * (n + 1) / 2
-    assert entries**2 / n <= operations * (1.0 + 1e-12) <= n * (n + 1) * (2 * n + 1) / 6 * (1.0 + 1e-12)
+    assert (
+        entries**2 / n
+        <= operations * (1.0 + 1e-12)
+        <= n * (n + 1) * (2 * n + 1) / 6 * (1.0 + 1e-12)
+    )
 
 
 @pytest.mark.parametrize("n", [2, 9, 30])
 def test_a_full_matrix_and_a_diagonal_one_are_counted_exactly(n: int) -> None:
     """Columns of n, n − 1, … 1 entries, and of one each."""
-    assert factor_sizes(sp.csr_array(np.ones((n, n)))) == (n * (n + 1) / 2, n * (n + 1) * (2 * n + 1) / 6)
+    assert factor_sizes(sp.csr_array(np.ones((n, n)))) == (
+        n * (n + 1) / 2,
+        n * (n + 1) * (2 * n + 1) / 6,
+    )
     assert factor_sizes(sp.csr_array(sp.eye_array(n))) == (n, n)
 
 
@@ -103,4 +118,7 @@ def test_the_pattern_is_left_as_it_is() -> None:
     A = sp.csr_array(grid(20, 2))
     before = A.indptr.copy(), A.indices.copy(), A.data.copy()
     factor_sizes(A)
-    assert all(np.array_equal(one, two) for one, two in zip(before, (A.indptr, A.indices, A.data), strict=True))
+    assert all(
+        np.array_equal(one, two)
+        for one, two in zip(before, (A.indptr, A.indices, A.data), strict=True)
+    )

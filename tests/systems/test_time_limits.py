@@ -21,7 +21,9 @@ def random_graph(n: int) -> LCP:
     """A problem whose factor fills in."""
     random = np.random.default_rng(0)
     rows, columns = random.integers(0, n, (2, 4 * n))
-    M = sp.csr_array((random.standard_normal(4 * n), (rows, columns)), shape=(n, n)) + 20.0 * sp.eye_array(n)
+    M = sp.csr_array(
+        (random.standard_normal(4 * n), (rows, columns)), shape=(n, n)
+    ) + 20.0 * sp.eye_array(n)
     return LCP(M, -random.random(n))
 
 
@@ -30,7 +32,9 @@ def no_factor(*_: Any, **__: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["newton", "interior_point"])
-def test_no_sparse_factor_is_begun_that_would_end_after_the_limit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_sparse_factor_is_begun_that_would_end_after_the_limit(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """On a graph of 20 000 nodes with max_seconds=1 the run ends with MAX_SECONDS and a point, and no factor begins."""
     monkeypatch.setattr("scipy.sparse.linalg.splu", no_factor)
     monkeypatch.setattr("qdldl.Solver", no_factor)
@@ -60,12 +64,16 @@ def test_a_program_ends_where_its_factor_would_end_after_the_limit() -> None:
     random = np.random.default_rng(0)
     n = 1000
     G = random.standard_normal((n, n))
-    result = solve(QuadraticProgram(np.eye(n), random.standard_normal(n), G=G, h=np.ones(n)), max_seconds=1e-3)
+    result = solve(
+        QuadraticProgram(np.eye(n), random.standard_normal(n), G=G, h=np.ones(n)), max_seconds=1e-3
+    )
     assert result.status is Status.MAX_SECONDS
     assert np.isfinite(result.x).all()
 
 
-@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no way to send Ctrl-C to one thread")
+@pytest.mark.skipif(
+    not hasattr(signal, "pthread_kill"), reason="no way to send Ctrl-C to one thread"
+)
 def test_ctrl_c_acts_after_the_factorisation_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """SIGINT in the middle of a factorisation gives INTERRUPTED, with the best iterate, after its end."""
     main, ended = threading.main_thread().ident, []
@@ -74,7 +82,9 @@ def test_ctrl_c_acts_after_the_factorisation_under_way(monkeypatch: pytest.Monke
     def interrupted(*arguments: Any, **options: Any) -> Any:
         factor = splu(*arguments, **options)
         ended.append(factor)
-        signal.pthread_kill(main, signal.SIGINT)  # Python hears it after the call, whenever it comes
+        signal.pthread_kill(
+            main, signal.SIGINT
+        )  # Python hears it after the call, whenever it comes
         return factor
 
     monkeypatch.setattr("scipy.sparse.linalg.splu", interrupted)

@@ -79,7 +79,11 @@ class RowScaling(NamedTuple):
     @classmethod
     def of(cls, problem: LCP) -> RowScaling | None:
         """Return that of a problem; None where it needs none, or where its origin has a criterion of its own."""
-        return None if problem.criterion is not None or scaling_of(problem.matrix) is None else _row_scaling(problem)
+        return (
+            None
+            if problem.criterion is not None or scaling_of(problem.matrix) is None
+            else _row_scaling(problem)
+        )
 
     def upwards(self, residuals: FloatVector) -> FloatVector:
         """Return residuals ≥ 0 in the scaling of the criterion, no smaller, shape (own,)."""
@@ -106,7 +110,9 @@ def _row_scaling(problem: LCP) -> RowScaling:
     shift = np.where(largest > 0.0, -np.frexp(largest)[1], 0).astype(np.int64)
     has_scaling = np.maximum(np.abs(scaling.row), np.abs(scaling.column)).astype(np.float64)
     is_open = for_each_row(problem, largest_of_components(problem, has_scaling)) > 0.0
-    of_row, of_column = (np.where(is_open, shift[side], 0) for side in (scaling.of_row, scaling.of_column))
+    of_row, of_column = (
+        np.where(is_open, shift[side], 0) for side in (scaling.of_row, scaling.of_column)
+    )
     shifted = times_power(scale, of_column - of_row)
     if is_representable(shifted):
         row, column, scale = row + of_row, column - of_column, read_only(shifted)
@@ -175,7 +181,9 @@ def _references(problem: LCP, is_scaled: bool) -> VectorEnds:
     z, matrix = problem.nearest_to_zero, problem.matrix
 
     def of_components(ends: VectorEnds) -> tuple[FloatVector, ...]:
-        weighted = ends if scaling is None else (scaling.downwards(ends[0]), scaling.upwards(ends[1]))
+        weighted = (
+            ends if scaling is None else (scaling.downwards(ends[0]), scaling.upwards(ends[1]))
+        )
         return tuple(largest_of_components(problem, end) for end in weighted)
 
     whole = matrix.whole(z)
@@ -294,8 +302,19 @@ class CommonScaling:
         answered = is_answered[several.labels]
         has_scaling, has_answers = (problem.matrix.any_row(side) for side in (exponents, answered))
         if has_scaling and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
-            run, columns, rows = alike, *(exponents if side is None else side + exponents for side in (columns, rows))
-        return cls(problem, run, columns, rows, read_only(answered) if has_answers else None, least, is_scaled)
+            run, columns, rows = (
+                alike,
+                *(exponents if side is None else side + exponents for side in (columns, rows)),
+            )
+        return cls(
+            problem,
+            run,
+            columns,
+            rows,
+            read_only(answered) if has_answers else None,
+            least,
+            is_scaled,
+        )
 
     @cached_property
     def references(self) -> VectorEnds:
@@ -348,7 +367,9 @@ class CommonScaling:
             return
         for step in choice.iterates(here.problem, here.inward(self.outward(z))):
             at, is_measured = self.inward(here.outward(step.z)), step.residual is not None
-            residual = measured_residual(self.problem, at) if is_measured else None  # the criterion's own
+            residual = (
+                measured_residual(self.problem, at) if is_measured else None
+            )  # the criterion's own
             yield replace(step, z=at, residual=residual, work=step.work + is_measured)
 
     @property
@@ -356,7 +377,9 @@ class CommonScaling:
         """What the rows' multipliers of a proof in this scaling are multiplied by in the caller's; None where by 1."""
         if self.row_exponents is None and self.signs is None:
             return None
-        exponents = [0] * self.stated.n if self.row_exponents is None else self.row_exponents.tolist()
+        exponents = (
+            [0] * self.stated.n if self.row_exponents is None else self.row_exponents.tolist()
+        )
         signs = [1] * self.stated.n if self.signs is None else self.signs.astype(int).tolist()
         return [sign * Fraction(2) ** k for sign, k in zip(signs, exponents, strict=True)]
 
@@ -385,7 +408,11 @@ class CommonScaling:
         if self.is_identity:
             return z
         back = times_power(z, None if self.exponents is None else -self.exponents)
-        return back if self.answered is None else np.where(self.answered, self.stated.nearest_to_zero, back)
+        return (
+            back
+            if self.answered is None
+            else np.where(self.answered, self.stated.nearest_to_zero, back)
+        )
 
 
 def hold_at_zero(problem: LCP) -> BoolVector:
@@ -407,7 +434,11 @@ def hold_at_zero(problem: LCP) -> BoolVector:
 
 def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LCP | None:
     """Return the problem with 2^row q and bounds 2^of_z times theirs; None where one of them overflows."""
-    q, lower, upper = times_power(problem.q, row), times_power(problem.lower, of_z), times_power(problem.upper, of_z)
+    q, lower, upper = (
+        times_power(problem.q, row),
+        times_power(problem.lower, of_z),
+        times_power(problem.upper, of_z),
+    )
     is_whole = bool(np.isfinite(q).all())
     for new, old in ((lower, problem.lower), (upper, problem.upper)):
         is_whole &= bool(np.array_equal(np.isinf(new), np.isinf(old)))
@@ -442,17 +473,29 @@ def _exponents(problem: LCP, several: Components, most: FloatVector) -> IntVecto
     larger than a double is.
     """
     with np.errstate(all="ignore"):
-        sizes = [np.abs(problem.nearest_to_zero), np.abs(problem.q / problem.residual_scale), np.abs(problem.q)]
-        sizes += [np.where(np.isinf(bound), 0.0, np.abs(bound)) for bound in (problem.lower, problem.upper)]
+        sizes = [
+            np.abs(problem.nearest_to_zero),
+            np.abs(problem.q / problem.residual_scale),
+            np.abs(problem.q),
+        ]
+        sizes += [
+            np.where(np.isinf(bound), 0.0, np.abs(bound))
+            for bound in (problem.lower, problem.upper)
+        ]
         size = several.largest(np.nan_to_num(np.maximum(*sizes[:2]), posinf=np.finfo(float).max))
         largest = several.largest(np.maximum.reduce(sizes[2:]))
     is_open = (most > 0.0) & np.isfinite(most)
     wanted = 1 - np.frexp(most)[1].astype(np.int64)
-    ends = np.max(wanted, initial=-(10**6), where=is_open), np.max(-wanted, initial=-(10**6), where=is_open)
+    ends = (
+        np.max(wanted, initial=-(10**6), where=is_open),
+        np.max(-wanted, initial=-(10**6), where=is_open),
+    )
     highest, minus_lowest = problem.matrix.each_largest(*map(float, ends))
     if highest == -minus_lowest:  # they are alike
         wanted -= int(highest)
     unit = 1 - int(highest) if highest == -minus_lowest else 1
     smaller = np.minimum(unit - np.frexp(size)[1], 0)
     wanted = np.where(is_open, wanted, np.where(most == 0.0, smaller, 0))
-    return np.minimum(wanted, LARGEST_EXPONENT - np.frexp(largest)[1].astype(np.int64))[several.labels]
+    return np.minimum(wanted, LARGEST_EXPONENT - np.frexp(largest)[1].astype(np.int64))[
+        several.labels
+    ]

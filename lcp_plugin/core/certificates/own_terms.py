@@ -61,7 +61,9 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
     if not problem.matrix.any_row(here):
         return here
     with np.errstate(all="ignore"):
-        moves = for_each_row(problem, largest_of_components(problem, np.abs(z - problem.nearest_to_zero)))
+        moves = for_each_row(
+            problem, largest_of_components(problem, np.abs(z - problem.nearest_to_zero))
+        )
         moved = _at_bounds(problem, z, w, np.where(here > NEAR, NEAR * moves, 0.0))
         there = _beside_own_terms(problem, moved, problem.slack(moved))
         there = np.fmax(there, np.where(moved == z, 0.0, ((moved - z) / moves) ** 2))
@@ -89,7 +91,10 @@ def _beside_own_terms(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVect
         whole = problem.matrix.whole(z)
         terms = magnitude(problem, whole)
         acts = np.where(is_wrong | ~(is_low | is_high), terms, 0.0)
-        of_z, of_w = (for_each_row(problem, largest_of_components(problem, side)) for side in (np.abs(z), acts))
+        of_z, of_w = (
+            for_each_row(problem, largest_of_components(problem, side))
+            for side in (np.abs(z), acts)
+        )
         unit = np.where(problem.diagonal != 0.0, np.abs(problem.diagonal), problem.residual_scale)
         counts = (problem.q != 0.0) | ~(terms <= NEGLIGIBLE * np.minimum(unit * of_z, of_w))
         counts &= ~(wrong <= _underflow(problem, whole))

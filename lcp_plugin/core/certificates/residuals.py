@@ -42,13 +42,28 @@ if TYPE_CHECKING:
     from ..settings import Settings
 
 MEASURED = (
-    "w", "worst_index", "relative_residual", "term_residuals", "term_residual", "natural_residual",
-    "euclidean_residual", "backward_error", "bound_violation", "slack_violation", "complementarity",
-    "relative_complementarity", "scale_spread", "is_at_rounding_level", "is_limited_by_rounding",
+    "w",
+    "worst_index",
+    "relative_residual",
+    "term_residuals",
+    "term_residual",
+    "natural_residual",
+    "euclidean_residual",
+    "backward_error",
+    "bound_violation",
+    "slack_violation",
+    "complementarity",
+    "relative_complementarity",
+    "scale_spread",
+    "is_at_rounding_level",
+    "is_limited_by_rounding",
 )
 GAINED = 1e-2  # of the reference
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem that a program was made into, too
-LARGE_PRODUCT, LARGE_BESIDE = 1e-2, 1e4  # of ‖r(z°)‖², and of that times the relative residual: worth a word
+LARGE_PRODUCT, LARGE_BESIDE = (
+    1e-2,
+    1e4,
+)  # of ‖r(z°)‖², and of that times the relative residual: worth a word
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +119,9 @@ class Certificate:
     problem: LCP = field(repr=False)
     z: FloatVector = field(repr=False)
 
-    is_linearised: ClassVar[bool] = False  # whether `problem` is only what a nonlinear one looks like near z
+    is_linearised: ClassVar[bool] = (
+        False  # whether `problem` is only what a nonlinear one looks like near z
+    )
 
     __setstate__ = restored
 
@@ -119,7 +136,12 @@ class Certificate:
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(refusal("Certificate.of", problem))
-        if problem.is_distributed or type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
+        if (
+            problem.is_distributed
+            or type(z) is not np.ndarray
+            or z.dtype != np.float64
+            or z.shape != (problem.n,)
+        ):
             z = problem.own_part(z)
         else:
             z = read_only(z.copy())
@@ -137,7 +159,9 @@ class Certificate:
         Of a problem whose matrix needs no scaling: kernels know of none.
         """
         certificate = cls(problem, read_only(z))
-        certificate.__dict__.update(relative_residual=relative_residual, term_residual=term_residual, _scaling=None)
+        certificate.__dict__.update(
+            relative_residual=relative_residual, term_residual=term_residual, _scaling=None
+        )
         return certificate
 
     def _measure_at_once(self) -> None:
@@ -171,13 +195,17 @@ class Certificate:
         with np.errstate(all="ignore"):
             residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
             relative = self._scaled(residual)
-            if several is not None:  # as the relative residual is proved: its component is the one that is named
+            if (
+                several is not None
+            ):  # as the relative residual is proved: its component is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         matrix, is_empty = self.problem.matrix, not relative.size
         row = matrix.row_of_largest(0.0 if is_empty else float(relative[worst]), worst)
         is_here = not is_empty and row == self.problem.own_rows.start + worst
-        shown = float(residual[worst] if self._scaling is None else residual.max()) if is_here else 0.0
+        shown = (
+            float(residual[worst] if self._scaling is None else residual.max()) if is_here else 0.0
+        )
         return matrix.largest_of(shown), row
 
     @property
@@ -223,7 +251,9 @@ class Certificate:
     def meets(self, settings: Settings, answered: BoolVector | None = None) -> bool:
         """Return whether z is SOLVED as settings ask for it; the `answered` rows, shape (own,), do not count."""
         goal, least = settings.goal, settings.least_reference
-        return bool(within(self.relative_above(least, answered), self.term_above(goal * least), goal))
+        return bool(
+            within(self.relative_above(least, answered), self.term_above(goal * least), goal)
+        )
 
     def answers_program(self, settings: Settings) -> bool | None:
         """Return whether z answers the program that the problem was made from, as that says; None without one."""
@@ -366,13 +396,17 @@ class Certificate:
         reference = for_each_row(self.problem, self.references[1])
         with np.errstate(all="ignore"):
             products = self._products / self._scale
-        products = times_power(products, None if self._scaling is None else -2 * self._scaling.column)
+        products = times_power(
+            products, None if self._scaling is None else -2 * self._scaling.column
+        )
         return self._largest(over(over(products, reference), reference))
 
     @property
     def large_product(self) -> str:
         """Which (z_i − bound_i) w_i is large though the residual is small, in words; empty where none is."""
-        if not self.relative_complementarity > max(LARGE_PRODUCT, LARGE_BESIDE * self.relative_residual):
+        if not self.relative_complementarity > max(
+            LARGE_PRODUCT, LARGE_BESIDE * self.relative_residual
+        ):
             return ""
         if self.problem.is_distributed:
             return "a z_i far from its bound has a w_i that is not 0: large beside the residual"
@@ -435,7 +469,9 @@ class Certificate:
     def _worst_component(self) -> str:
         """Which of several components is the worst, in words; empty where there is one."""
         count = self.components
-        return f"the worst of {count} components: that of row {self.worst_index}" if count > 1 else ""
+        return (
+            f"the worst of {count} components: that of row {self.worst_index}" if count > 1 else ""
+        )
 
     def __str__(self) -> str:
         lines = [
@@ -447,8 +483,12 @@ class Certificate:
             ("backward error", self.backward_error, ""),
             ("term residual", self.term_residual, ""),
         ]
-        return "\n".join(f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines)
+        return "\n".join(
+            f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines
+        )
 
 
 def _largest(values: FloatVector) -> float:
-    return float(values.max()) if values.size else 0.0  # NaN is the maximum of anything with NaN in it
+    return (
+        float(values.max()) if values.size else 0.0
+    )  # NaN is the maximum of anything with NaN in it

@@ -16,7 +16,9 @@ from ..matrix.matrix import Matrix
 from ..matrix.row_sums import row_blocks
 from ..rounding import compensated_product, lower_end, read_only_views, upper_end
 
-FEWEST = 2**13  # rows a thread: on five-point rows some 0.15 ms, several times what a hand-over takes
+FEWEST = (
+    2**13
+)  # rows a thread: on five-point rows some 0.15 ms, several times what a hand-over takes
 
 
 def scaled_residual(
@@ -46,7 +48,13 @@ def measured_residual(problem: LCP, z: FloatVector) -> float:
 
 
 def residual_ends_of(
-    M: Any, x: FloatVector, rows: LCP, z: FloatVector, scale: FloatVector, *, q: FloatVector | None = None
+    M: Any,
+    x: FloatVector,
+    rows: LCP,
+    z: FloatVector,
+    scale: FloatVector,
+    *,
+    q: FloatVector | None = None,
 ) -> tuple[FloatVector, FloatVector]:
     """Return bounds of every |z_i − mid(lower_i, upper_i, z_i − w_i/scale_i)|, w = M x + q: 0 and ∞ for no number.
 
@@ -70,31 +78,49 @@ def residual_ends_of(
 
     smallest, largest = np.empty(z.size), np.empty(z.size)
     if not x.any():  # as z° is, most often
-        indptr, indices, data, stride = np.zeros(z.size + 1, np.int32), np.empty(0, np.int32), np.empty(0), 0
+        indptr, indices, data, stride = (
+            np.zeros(z.size + 1, np.int32),
+            np.empty(0, np.int32),
+            np.empty(0),
+            0,
+        )
     elif sp.issparse(M):
         indptr, indices, data, stride = M.indptr, M.indices, M.data, 0
     else:
         m, stride = M.shape
-        indptr, indices = np.arange(m + 1, dtype=np.int32) * np.int32(stride), np.arange(stride, dtype=np.int32)
+        indptr, indices = (
+            np.arange(m + 1, dtype=np.int32) * np.int32(stride),
+            np.arange(stride, dtype=np.int32),
+        )
         data = np.ascontiguousarray(M).reshape(-1)
     vectors = rows.q if q is None else q, z, rows.lower, rows.upper, scale
 
     def enclose(first: int, end: int) -> None:
-        begin = first * stride  # in a dense M, whose columns stand there once; places in a sparse one stay
-        starts, entries = (indptr[: end - first + 1], data[begin:]) if stride else (indptr[first : end + 1], data)
-        arrays = read_only_views(starts, indices, entries, x, *(vector[first:end] for vector in vectors))
+        begin = (
+            first * stride
+        )  # in a dense M, whose columns stand there once; places in a sparse one stay
+        starts, entries = (
+            (indptr[: end - first + 1], data[begin:]) if stride else (indptr[first : end + 1], data)
+        )
+        arrays = read_only_views(
+            starts, indices, entries, x, *(vector[first:end] for vector in vectors)
+        )
         residual_ends(*arrays[:3], stride, *arrays[3:], smallest[first:end], largest[first:end])
 
     share(enclose, z.size, FEWEST)
     return smallest, largest
 
 
-def sharp_residual_ends(problem: LCP, z: FloatVector, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
+def sharp_residual_ends(
+    problem: LCP, z: FloatVector, scale: FloatVector
+) -> tuple[FloatVector, FloatVector]:
     """Return bounds of every |r_i(z)| for a few times the price: both 0 where w is known to be exactly 0."""
     matrix = problem.matrix
     value, radius = compensated_product(matrix.csr_rows, matrix.whole(z), problem.q)
     low, high = lower_end(value, radius), upper_end(value, radius)
-    below, above = (residual_ends_of(None, np.zeros(1), problem, z, scale, q=w) for w in (low, high))
+    below, above = (
+        residual_ends_of(None, np.zeros(1), problem, z, scale, q=w) for w in (low, high)
+    )
     smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
     return smallest, np.maximum(below[1], above[1])
 
@@ -151,7 +177,9 @@ def ratio_upwards(numerator: float, denominator: float) -> float:
     quotient = ratio(numerator, denominator)
     if not quotient < np.inf:
         return quotient
-    (a, b), (c, d), (e, f) = (x.as_integer_ratio() for x in (quotient, float(denominator), float(numerator)))
+    (a, b), (c, d), (e, f) = (
+        x.as_integer_ratio() for x in (quotient, float(denominator), float(numerator))
+    )
     return quotient if a * c * f >= e * b * d else math.nextafter(quotient, math.inf)
 
 
@@ -169,7 +197,9 @@ def largest_ratio(numerators: FloatVector, denominators: FloatVector) -> float:
     largest = float(quotients.max(initial=0.0))
     if not 0.0 < largest < np.inf:
         return largest
-    near = np.flatnonzero(quotients >= largest * (1.0 - 4.0 * EPSILON))  # what rounding may have put in another order
+    near = np.flatnonzero(
+        quotients >= largest * (1.0 - 4.0 * EPSILON)
+    )  # what rounding may have put in another order
     return max(ratio_upwards(float(numerators[k]), float(denominators[k])) for k in near)
 
 

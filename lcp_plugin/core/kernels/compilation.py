@@ -26,9 +26,16 @@ from platformdirs import user_cache_path
 from ..deadline import NEW_KERNELS, Lock, compiling
 from .compiler import config, event, njit
 
-OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # C calls none of them
+OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}  # C calls none of them
 OF_HELPERS: dict[str, Any] = OPTIONS | {"no_cpython_wrapper": True}  # nor Python these
-IN_ANY_ORDER = {"fastmath": {"reassoc", "contract", "nnan", "nsz"}, "forceinline": True}  # sums of terms, none NaN
+IN_ANY_ORDER = {
+    "fastmath": {"reassoc", "contract", "nnan", "nsz"},
+    "forceinline": True,
+}  # sums of terms, none NaN
 ROOM = 2**20  # bytes that a folder must take
 _lock = Lock()
 
@@ -63,7 +70,10 @@ def cache_folder() -> Path:
 
 def kernel(function: Any) -> Any:
     """Compile a function that Python calls; what it writes to is named in its docstring."""
-    with _kept_on_disk() as is_kept, suppress(RuntimeError):  # the function stands in no file, as in a frozen program
+    with (
+        _kept_on_disk() as is_kept,
+        suppress(RuntimeError),
+    ):  # the function stands in no file, as in a frozen program
         return njit(cache=is_kept, **OPTIONS)(function)
     return njit(**OPTIONS)(function)
 
@@ -123,5 +133,11 @@ def _state_of_sources() -> str:
         if b"compilation import" in text:
             found.add(path)
             for dots, module in re.findall(rb"^from (\.+)([\w.]*) import", text, re.MULTILINE):
-                found.add(path.parents[len(dots) - 1].joinpath(*module.decode().split(".")).with_suffix(".py"))
-    return sha256(b"".join(path.read_bytes() for path in sorted(found) if path.is_file())).hexdigest()[:12]
+                found.add(
+                    path.parents[len(dots) - 1]
+                    .joinpath(*module.decode().split("."))
+                    .with_suffix(".py")
+                )
+    return sha256(
+        b"".join(path.read_bytes() for path in sorted(found) if path.is_file())
+    ).hexdigest()[:12]

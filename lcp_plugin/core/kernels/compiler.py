@@ -37,7 +37,9 @@ def to_its_end(action: Callable[[], object]) -> None:
     is_done, waiter, raised = list[bool](), _thread.allocate_lock(), list[BaseException]()
     waiter.acquire()
     with suppress(RuntimeError):  # it is another thread's, which lets it go
-        while _imp.lock_held():  # by this thread, interrupted as it looked up a module: the other would never go on
+        while (
+            _imp.lock_held()
+        ):  # by this thread, interrupted as it looked up a module: the other would never go on
             _imp.release_lock()
 
     def run() -> None:
@@ -77,5 +79,13 @@ with compiling():  # which takes most of a second
     to_its_end(partial(njit("void()"), _nothing))
 
 __all__ = [
-    "config", "event", "float64", "lower_builtin", "njit", "overload", "type_callable", "types", "uintp",
+    "config",
+    "event",
+    "float64",
+    "lower_builtin",
+    "njit",
+    "overload",
+    "type_callable",
+    "types",
+    "uintp",
 ]

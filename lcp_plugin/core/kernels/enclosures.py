@@ -93,7 +93,11 @@ def _underflow(indices, data, x, first, end, shift):  # type: ignore[no-untyped-
             small, other = (a, b) if abs(a) < abs(b) else (b, a)
             small *= 2.0**960  # exactly, and large enough to show an error
             scaled = small * other
-            is_exact = scaled == h * 2.0**960 and abs(scaled) > MAY_UNDERFLOW and fused(small, other, -scaled) == 0.0
+            is_exact = (
+                scaled == h * 2.0**960
+                and abs(scaled) > MAY_UNDERFLOW
+                and fused(small, other, -scaled) == 0.0
+            )
             lost += 0.0 if is_exact else 4.0 * TINY
     return lost
 
@@ -141,8 +145,16 @@ def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-de
     never underflow: they are right to one rounding, for which mid, monotone in each, is widened. What is exact stays
     so. A quotient beyond the doubles is ±∞: no bound of a row is larger.
     """
-    step, (below, lost_below), (above, lost_above) = slack / scale, split_sum(z, -upper), split_sum(z, -lower)
-    is_exact = (slip == 0.0) & (fused(step, scale, -slack) == 0.0) & ((abs(slack) > MAY_UNDERFLOW) | (slack == 0.0))
+    step, (below, lost_below), (above, lost_above) = (
+        slack / scale,
+        split_sum(z, -upper),
+        split_sum(z, -lower),
+    )
+    is_exact = (
+        (slip == 0.0)
+        & (fused(step, scale, -slack) == 0.0)
+        & ((abs(slack) > MAY_UNDERFLOW) | (slack == 0.0))
+    )
     size = abs(step) if abs(step) < LARGEST else LARGEST
     slip = 0.0 if is_exact else (slip / scale + size * UNIT) * (1.0 + ROUNDINGS) + 4.0 * TINY
     bottom, top = clamp(step - slip, below, above), clamp(step + slip, below, above)
@@ -182,4 +194,6 @@ def residual_ends(  # type: ignore[no-untyped-def]
             if is_small:
                 smallest[i] += _underflow(indices, data, x, first, end, shift)
         for i in range(begin, begin + here):
-            smallest[i], largest[i] = row_ends(largest[i], smallest[i], scale[i], z[i], lower[i], upper[i])
+            smallest[i], largest[i] = row_ends(
+                largest[i], smallest[i], scale[i], z[i], lower[i], upper[i]
+            )

@@ -56,7 +56,9 @@ def unmirrored(begin, last, indices, data, tolerance, first_row, end_row):  # ty
                 p += one
             if p == end or uintp(indices[p]) != i:
                 return -begin.size * begin.size
-            if has_data and not abs(data[m] - data[p]) <= tolerance * max(abs(data[m]), abs(data[p])):
+            if has_data and not abs(data[m] - data[p]) <= tolerance * max(
+                abs(data[m]), abs(data[p])
+            ):
                 return -begin.size * begin.size
             balance += 1
     return balance

@@ -41,7 +41,16 @@ def shortest(indptr, indices, length, component, is_cut, distance, queue, is_wai
 
 @kernel
 def balance_within(  # type: ignore[no-untyped-def]
-    indptr, indices, size, mirror_indptr, mirror_indices, mirror_size, lower, upper, position, sweeps
+    indptr,
+    indices,
+    size,
+    mirror_indptr,
+    mirror_indices,
+    mirror_size,
+    lower,
+    upper,
+    position,
+    sweeps,
 ):
     """Overwrite s by sweeps that minimise Σ (size_k + s_j − s_i)² over the entries k = (i, j), lower ≤ s ≤ upper."""
     n = position.size

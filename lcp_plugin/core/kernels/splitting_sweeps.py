@@ -88,7 +88,9 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         if r > largest or r != r or zi != zi:
             largest = r + zi if zi != zi else r
         drive = 2.0 * residual_of_row(w * s, zi, low, high) if projected else w * s
-        value = clamp((zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change, low, high)
+        value = clamp(
+            (zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change, low, high
+        )
         new[i] = value
         near = value - zi
     return largest
@@ -106,7 +108,9 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
     one = uintp(1)
     largest = 0.0
     total = 0.0
-    near = z[n] if uintp(z.size) > n else 0.0  # behind the own unknowns stand those of other processes, if any
+    near = (
+        z[n] if uintp(z.size) > n else 0.0
+    )  # behind the own unknowns stand those of other processes, if any
     i = n if backward else uintp(0) - one
     for _ in range(n):
         if backward:
@@ -149,7 +153,9 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
 def row_splits(matrix: Any, *, backward: bool) -> Any:
     """Return the read-only positions in each row of a CSR array of the first column ≥ i (backward: > i), shape (n,)."""
     n, indptr = matrix.shape[0], matrix.indptr
-    first = np.repeat(np.arange(int(backward), n + int(backward), dtype=matrix.indices.dtype), np.diff(indptr))
+    first = np.repeat(
+        np.arange(int(backward), n + int(backward), dtype=matrix.indices.dtype), np.diff(indptr)
+    )
     before = np.zeros(first.size + 1, indptr.dtype)
     np.cumsum(matrix.indices[: first.size] < first, out=before[1:])
     split = indptr[:-1] + before[indptr[1:]] - before[indptr[:-1]]

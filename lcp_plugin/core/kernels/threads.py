@@ -153,7 +153,9 @@ class _Job:
                         with self.at_work[k]:
                             pass
                 break
-            except BaseException as error:  # Ctrl-C, or no memory: first those at work must have ended
+            except (
+                BaseException
+            ) as error:  # Ctrl-C, or no memory: first those at work must have ended
                 interruption = error
         del self.work  # nothing is left to do; the job may lie where no thread takes it up
         if interruption is not None:

@@ -37,8 +37,12 @@ def pivot_weight(rows: Any, fetch: Callable[[FloatVector], None], relaxation: fl
     whole = np.ones(width)
     whole[:own] = diagonal = rows.diagonal()
     fetch(whole)
-    coupling = np.sqrt(np.abs(diagonal)) * (abs(rows[:, own:]) @ (1.0 / np.sqrt(np.abs(whole[own:]))))
-    weight: FloatVector = np.maximum(0.0, 0.5 * relaxation * coupling - 0.25 * (2.0 - relaxation) * diagonal)
+    coupling = np.sqrt(np.abs(diagonal)) * (
+        abs(rows[:, own:]) @ (1.0 / np.sqrt(np.abs(whole[own:])))
+    )
+    weight: FloatVector = np.maximum(
+        0.0, 0.5 * relaxation * coupling - 0.25 * (2.0 - relaxation) * diagonal
+    )
     return np.where(np.isfinite(weight), weight, 0.0)
 
 
@@ -50,12 +54,19 @@ def has_symmetric_products(matrix: Matrix) -> bool:
     x_product, y_product = (matrix.rows @ matrix.whole(vector) for vector in (x, y))
     sums = float(y @ x_product), float(x @ y_product), float(np.sum((unit * x_product) ** 2))
     forward, backward, size = map(matrix.total_of, sums)
-    return bool(abs(forward - backward) <= UNLIKELY * np.sqrt(size * matrix.n)) and bool(np.isfinite(size))
+    return bool(abs(forward - backward) <= UNLIKELY * np.sqrt(size * matrix.n)) and bool(
+        np.isfinite(size)
+    )
 
 
 def _arbitrary(first: int, count: int, seed: int) -> FloatVector:
     """Return numbers in (−1, 1) that depend on the index, from `first` on, and the seed only, shape (count,)."""
-    bits = np.arange(first, first + count, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed << 32)
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # the mixing steps of SplitMix64
+    bits = np.arange(first, first + count, dtype=np.uint64) * np.uint64(
+        0x9E3779B97F4A7C15
+    ) + np.uint64(seed << 32)
+    for shift, factor in (
+        (30, 0xBF58476D1CE4E5B9),
+        (27, 0x94D049BB133111EB),
+    ):  # the mixing steps of SplitMix64
         bits = (bits ^ (bits >> np.uint64(shift))) * np.uint64(factor)
     return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1.0

@@ -106,7 +106,12 @@ class Matrix(SharedRows):
     def of_own_rows(cls, rows: sp.csr_array, communicator: Communicator = ALONE) -> Matrix:
         """Return the matrix of which these are the own rows, canonical, shape (own, width); all ranks call."""
         matrix = object.__new__(cls)
-        matrix._csr, matrix._dense, matrix.communicator, matrix.own = rows, None, communicator, rows.shape[0]
+        matrix._csr, matrix._dense, matrix.communicator, matrix.own = (
+            rows,
+            None,
+            communicator,
+            rows.shape[0],
+        )
         matrix.n = int(communicator.total(matrix.own))
         matrix._begin()
         matrix.nonzeros  # noqa: B018 - known from now on, without asking anybody
@@ -120,7 +125,9 @@ class Matrix(SharedRows):
     @property
     def columns(self) -> NDArray[Any]:
         """The unknowns that the own rows may meet, counted over all processes, shape (width,)."""
-        return np.concatenate([np.arange(self.first, self.first + self.own), self.communicator.ghosts])
+        return np.concatenate(
+            [np.arange(self.first, self.first + self.own), self.communicator.ghosts]
+        )
 
     @property
     def rows(self) -> Any:
@@ -215,7 +222,13 @@ class Matrix(SharedRows):
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again, and the lock."""
         csr = None if self.is_dense else self.csr
-        return {"n": self.n, "own": self.n, "communicator": ALONE, "_dense": self._dense, "_csr": csr}
+        return {
+            "n": self.n,
+            "own": self.n,
+            "communicator": ALONE,
+            "_dense": self._dense,
+            "_csr": csr,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         restored(self, state)
@@ -243,7 +256,9 @@ def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
         return np.asarray(np.abs(M).max(axis=1, initial=0.0), dtype=np.float64)
     largest, filled = np.zeros(M.shape[0]), np.flatnonzero(np.diff(M.indptr))
     if filled.size:
-        largest[filled] = np.maximum.reduceat(np.abs(M.data) if sizes is None else sizes, M.indptr[filled])
+        largest[filled] = np.maximum.reduceat(
+            np.abs(M.data) if sizes is None else sizes, M.indptr[filled]
+        )
     return largest
 
 

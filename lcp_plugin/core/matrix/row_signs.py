@@ -46,7 +46,11 @@ def monotone_signs(matrix: Matrix, free: bytes) -> FloatVector | None:
     _spread(pairs, signs)
     signs[signs == 0.0] = 1.0
     given = np.ones(signs.size)
-    if (signs == given).all() or not _has_minors(pairs, diagonal, signs) or _has_minors(pairs, diagonal, given):
+    if (
+        (signs == given).all()
+        or not _has_minors(pairs, diagonal, signs)
+        or _has_minors(pairs, diagonal, given)
+    ):
         return None
     return signs
 
@@ -66,7 +70,9 @@ def with_row_signs(matrix: Matrix, free: bytes) -> tuple[Matrix, FloatVector] | 
         return None
     M = matrix.array
     if sp.issparse(M):
-        turned = Matrix(sp.csr_array((M.data * signs[row_numbers(M)], M.indices, M.indptr), shape=M.shape))
+        turned = Matrix(
+            sp.csr_array((M.data * signs[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
+        )
     else:
         turned = Matrix(M * signs[:, np.newaxis])
     Matrix.residual_scale.fget.keep(turned, matrix.residual_scale)  # type: ignore[attr-defined]
@@ -101,7 +107,9 @@ def why_not_monotone(matrix: Matrix) -> str:
 def _pairs(matrix: Matrix) -> sp.csr_array:
     """Return m_ij m_ji beside the rows' largest entries, i ≠ j, as CSR."""
     M = matrix.csr
-    M = sp.csr_array((M.data / matrix.row_largest[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
+    M = sp.csr_array(
+        (M.data / matrix.row_largest[row_numbers(M)], M.indices, M.indptr), shape=M.shape
+    )
     both = sp.coo_array(M.multiply(sp.csr_array(M.T)))
     is_off = (both.row != both.col) & (both.data != 0.0)
     return sp.csr_array((both.data[is_off], (both.row[is_off], both.col[is_off])), shape=M.shape)
@@ -109,7 +117,10 @@ def _pairs(matrix: Matrix) -> sp.csr_array:
 
 def _spread(pairs: sp.csr_array, signs: FloatVector) -> None:
     """Fill in signs that are 0 by what most of their neighbours ask for, from those that are known outwards."""
-    wanted, is_open = sp.csr_array((-np.sign(pairs.data), pairs.indices, pairs.indptr), shape=pairs.shape), signs == 0.0
+    wanted, is_open = (
+        sp.csr_array((-np.sign(pairs.data), pairs.indices, pairs.indptr), shape=pairs.shape),
+        signs == 0.0,
+    )
     while is_open.any():
         votes = np.sign(wanted @ signs)
         now = is_open & (votes != 0.0)
@@ -129,5 +140,7 @@ def _has_minors(pairs: sp.csr_array, diagonal: FloatVector, signs: FloatVector) 
 def _exceed(pairs: sp.csr_array, diagonal: FloatVector, signs: FloatVector) -> BoolVector:
     """Return where s_i m_ij s_j m_ji > |m_ii m_jj|, shape (nonzeros,)."""
     rows, own = row_numbers(pairs), np.abs(diagonal)
-    exceed: BoolVector = pairs.data * signs[rows] * signs[pairs.indices] > ALMOST * own[rows] * own[pairs.indices]
+    exceed: BoolVector = (
+        pairs.data * signs[rows] * signs[pairs.indices] > ALMOST * own[rows] * own[pairs.indices]
+    )
     return exceed

@@ -44,7 +44,9 @@ def row_splits(matrix: Matrix, backward: bool) -> Any:
     return kernels.row_splits(matrix.csr_rows, backward=backward)
 
 
-def triangle_sums(matrix: Matrix, v: FloatVector, part: Any = None) -> tuple[FloatVector, FloatVector]:
+def triangle_sums(
+    matrix: Matrix, v: FloatVector, part: Any = None
+) -> tuple[FloatVector, FloatVector]:
     """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (own,); one pass over M.
 
     On several ranks v has shape (width,), and what others hold is part of U: no sweep has updated it. With a CSR array
@@ -54,7 +56,11 @@ def triangle_sums(matrix: Matrix, v: FloatVector, part: Any = None) -> tuple[Flo
 
     lower, upper = np.empty(matrix.own), np.empty(matrix.own)
     M = matrix.csr_rows if part is None else part
-    compiled(*read_only_views(M.indptr, M.indices, M.data, inverse_residual_scale(matrix), v), lower, upper)
+    compiled(
+        *read_only_views(M.indptr, M.indices, M.data, inverse_residual_scale(matrix), v),
+        lower,
+        upper,
+    )
     return lower, upper
 
 
@@ -94,7 +100,9 @@ def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVecto
     for θ = 1/(1 − ℓ − u). On the gallery larger θ than 2 lost again where the rows are far from equal.
     """
     lower, upper = unit_triangle_sums(matrix)
-    updated = lower if sweep == "forward" else upper if sweep == "backward" else np.maximum(lower, upper)
+    updated = (
+        lower if sweep == "forward" else upper if sweep == "backward" else np.maximum(lower, upper)
+    )
     return balanced_factors(matrix, abs(coupling), updated, (lower, upper))
 
 
@@ -103,10 +111,14 @@ def balanced_factors(
 ) -> FloatVector:
     """Return θ, read-only, shape (n,), from g, the sums ℓ that it couples to, and (ℓ, u) of v = 1."""
     factors = np.empty(matrix.own)
-    is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(matrix.residual_scale, matrix.diagonal)
+    is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(
+        matrix.residual_scale, matrix.diagonal
+    )
     for rows in row_blocks(matrix.own):
         total = sums[0][rows] + sums[1][rows]
-        is_dominant = is_dominant and bool(total.max() <= 1.0 + ROUNDED)  # False where it is not a number
+        is_dominant = is_dominant and bool(
+            total.max() <= 1.0 + ROUNDED
+        )  # False where it is not a number
         if not is_dominant:
             break
         with np.errstate(divide="ignore", over="ignore"):

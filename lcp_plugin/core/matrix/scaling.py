@@ -45,14 +45,27 @@ from .structure import IntVector, connected_components, row_numbers
 SPREAD = 10  # log2 of what entries in one unit differ by
 ALIKE = 8  # log2 of what unknowns in one unit differ by
 BESIDE_DIAGONAL = 4  # log2 of what an entry in one unit may exceed the diagonal entry of its row by
-WIDER = (BESIDE_DIAGONAL, 6, 8, 10)  # where units would have to fall for ever around a cycle of large entries
-BALANCED_BEYOND, BALANCING_SWEEPS = 4.0, 8  # log2, of the bounds; more sweeps would carry balance along a flow
+WIDER = (
+    BESIDE_DIAGONAL,
+    6,
+    8,
+    10,
+)  # where units would have to fall for ever around a cycle of large entries
+BALANCED_BEYOND, BALANCING_SWEEPS = (
+    4.0,
+    8,
+)  # log2, of the bounds; more sweeps would carry balance along a flow
 SYMMETRIC_WITHIN = 16  # log2: how far rows may leave the diagonal's units to make |M̂| symmetric
 NOISE = -30.0  # log2: smaller entries of M̂ distort the fit
 ROUNDED = 2.0**-20  # log2: what a symmetric matrix may have lost in rounding
 LARGEST_UNIT = 300  # log2
-FITTED, MOST_STEPS = 1e-6, 300  # what is left of a fit beside its right-hand side; steps of conjugate gradients
-LARGEST_OFF = 2.0**SPREAD  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
+FITTED, MOST_STEPS = (
+    1e-6,
+    300,
+)  # what is left of a fit beside its right-hand side; steps of conjugate gradients
+LARGEST_OFF = (
+    2.0**SPREAD
+)  # beside a diagonal of 1; where an entry is larger, the diagonal is none to go by
 
 
 Fit = tuple[Any, Any]
@@ -108,7 +121,11 @@ def scaling_of(matrix: Matrix) -> Scaling | None:
         return None
     several = connected_components(matrix)
     labels = np.zeros(matrix.n, np.int64) if several is None else several.labels
-    if several is None and matrix.is_dense and (found := _of_symmetric(matrix.array, matrix.diagonal)) is not None:
+    if (
+        several is None
+        and matrix.is_dense
+        and (found := _of_symmetric(matrix.array, matrix.diagonal)) is not None
+    ):
         return _scaling(matrix, labels, *found)  # as below, for a tenth of the price
     M = matrix.csr
     badly_scaled = _badly_scaled_components(M, labels, pivots)
@@ -116,7 +133,9 @@ def scaling_of(matrix: Matrix) -> Scaling | None:
         return None
     row, column = np.zeros((2, matrix.n), np.int64)
     some = np.flatnonzero(badly_scaled[labels])
-    row[some], column[some] = _balanced(M[some][:, some] if some.size < matrix.n else M, labels[some])
+    row[some], column[some] = _balanced(
+        M[some][:, some] if some.size < matrix.n else M, labels[some]
+    )
     return _scaling(matrix, labels, row, column)
 
 
@@ -131,7 +150,9 @@ def are_well_scaled(matrices: Any) -> BoolVector:
         rows, columns = left.max(axis=2), left.max(axis=1)
         shows_none = (rows * 2.0**-BESIDE_DIAGONAL <= pivots[rest]).all(axis=1)
         sides = np.concatenate([rows, columns], axis=1)
-        are[rest] = shows_none | (most[rest] <= sides.min(axis=1, initial=np.inf, where=sides > 0.0))
+        are[rest] = shows_none | (
+            most[rest] <= sides.min(axis=1, initial=np.inf, where=sides > 0.0)
+        )
     return are
 
 
@@ -147,15 +168,21 @@ def _of_symmetric(M: FloatVector, diagonal: FloatVector) -> Exponents | None:
     return found if np.abs(scaled(M, found)).max() <= LARGEST_OFF else None
 
 
-def _scaling(matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector) -> Scaling | None:
+def _scaling(
+    matrix: Matrix, labels: IntVector, row: IntVector, column: IntVector
+) -> Scaling | None:
     """Return the scaling by these exponents, centred, but 0 in components whose unknowns they leave alike.
 
     None where all are alike, and where an entry or what w is divided by is beyond the range of doubles.
     """
-    of_row, of_column = (labels, labels) if matrix.diagonal.all() else _components_of_both(matrix.csr)
+    of_row, of_column = (
+        (labels, labels) if matrix.diagonal.all() else _components_of_both(matrix.csr)
+    )
     most, least = (_extremes(column, labels, side) for side in (np.maximum, np.minimum))
     middle, are_alike = ((most + least) // 2)[labels], most - least <= ALIKE
-    np.logical_and.at(are_alike, labels, of_row == of_column)  # what M leaves open between components may be anything
+    np.logical_and.at(
+        are_alike, labels, of_row == of_column
+    )  # what M leaves open between components may be anything
     is_alike = are_alike[labels]
     if is_alike.all():
         return None
@@ -208,12 +235,16 @@ def _balanced(M: sp.csr_array, labels: IntVector) -> Exponents:
     most, least = (_extremes(apart, labels, side) for side in (np.maximum, np.minimum))
     near = _all_of_components(is_symmetric, labels, count) & (most - least <= 2 * SYMMETRIC_WITHIN)
     row = np.where(near[labels], column + ratio - ((most + least) // 2)[labels], row)
-    row, column = (np.where(is_given[labels], one, two) for one, two in zip(given, (row, column), strict=True))
+    row, column = (
+        np.where(is_given[labels], one, two) for one, two in zip(given, (row, column), strict=True)
+    )
     is_found = (is_served | is_given)[labels]
     if is_found.all():
         return Exponents(row, column)
     other = _together(M, labels, ratio, is_symmetric)
-    return Exponents(*(np.where(is_found, one, two) for one, two in zip((row, column), other, strict=True)))
+    return Exponents(
+        *(np.where(is_found, one, two) for one, two in zip((row, column), other, strict=True))
+    )
 
 
 def _all_of_components(claim: BoolVector, labels: IntVector, count: int) -> BoolVector:
@@ -223,7 +254,9 @@ def _all_of_components(claim: BoolVector, labels: IntVector, count: int) -> Bool
     return are
 
 
-def _between_paths(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> tuple[IntVector, BoolVector]:
+def _between_paths(
+    M: sp.csr_array, labels: IntVector, pivots: FloatVector
+) -> tuple[IntVector, BoolVector]:
     """Return c of the module's head, and which components have one, shape (components,)."""
     from ..kernels import scaling
 
@@ -236,7 +269,9 @@ def _between_paths(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> t
     of_entry, entry = np.frexp(np.abs(pattern.data))
     here = row_numbers(pattern)
     whole = (entry - pivot[here]).astype(np.int64)
-    sizes = whole + np.log2(of_entry) - np.log2(of_pivot)[here]  # log₂ |m_ij| / |m_ii|, and rounded up
+    sizes = (
+        whole + np.log2(of_entry) - np.log2(of_pivot)[here]
+    )  # log₂ |m_ij| / |m_ii|, and rounded up
     pattern.data = whole + (of_entry > of_pivot[here]).astype(np.float64)
     mirror = sp.csr_array(pattern.T)
     below, above = np.zeros((2, n), np.int64)
@@ -254,12 +289,18 @@ def _between_paths(M: sp.csr_array, labels: IntVector, pivots: FloatVector) -> t
     position = 0.5 * (below + above)
     pattern.data = sizes
     mirror = sp.csr_array(pattern.T)
-    arrays = [array for graph in (pattern, mirror) for array in (graph.indptr, graph.indices, graph.data)]
-    scaling.balance_within(*arrays, below - BALANCED_BEYOND, above + BALANCED_BEYOND, position, BALANCING_SWEEPS)
+    arrays = [
+        array for graph in (pattern, mirror) for array in (graph.indptr, graph.indices, graph.data)
+    ]
+    scaling.balance_within(
+        *arrays, below - BALANCED_BEYOND, above + BALANCED_BEYOND, position, BALANCING_SWEEPS
+    )
     return np.rint(position).astype(np.int64), serves & ~is_open
 
 
-def _together(M: sp.csr_array, labels: IntVector, ratio: IntVector, is_symmetric: BoolVector) -> Exponents:
+def _together(
+    M: sp.csr_array, labels: IntVector, ratio: IntVector, is_symmetric: BoolVector
+) -> Exponents:
     """Return the exponents of rows and columns fitted together, |M̂| symmetric where some D₁ M D₂ is."""
     whole, part = map(np.stack, _fitted_together(M.data, row_numbers(M), M.indices, M.shape))
     row, column = whole + np.rint(part).astype(np.int64)
@@ -270,24 +311,32 @@ def _together(M: sp.csr_array, labels: IntVector, ratio: IntVector, is_symmetric
     first[roots[0]] = total[roots[1]] % 2
     ratio, total = ratio + first[labels], total - first[labels]
     middle = total // 2 + np.rint(0.5 * (total % 2 + (part[0] + part[1]))).astype(np.int64)
-    return Exponents(np.where(is_symmetric, middle + ratio, row), np.where(is_symmetric, middle, column))
+    return Exponents(
+        np.where(is_symmetric, middle + ratio, row), np.where(is_symmetric, middle, column)
+    )
 
 
 def _symmetrising(M: sp.csr_array, labels: IntVector) -> tuple[IntVector, BoolVector]:
     """Return t with 2^t_i |m_ij| = 2^t_j |m_ji|, but for rounding, and the rows of components that have such a t."""
     n, mirror = M.shape[0], sp.csr_array(M.T)
     mirror.sort_indices()
-    has_mirror = np.array_equal(M.indptr, mirror.indptr) and np.array_equal(M.indices, mirror.indices)
+    has_mirror = np.array_equal(M.indptr, mirror.indptr) and np.array_equal(
+        M.indices, mirror.indices
+    )
     if not has_mirror:
         return np.zeros(n, np.int64), np.zeros(n, np.bool_)
-    if np.array_equal(np.abs(M.data), np.abs(mirror.data)):  # most are so: t = 0, without a look at the graph
+    if np.array_equal(
+        np.abs(M.data), np.abs(mirror.data)
+    ):  # most are so: t = 0, without a look at the graph
         return np.zeros(n, np.int64), np.ones(n, np.bool_)
     rows, columns = row_numbers(M), M.indices.astype(np.int64)
     here, there = np.frexp(np.abs(M.data)), np.frexp(np.abs(mirror.data))
     difference = np.log2(there[0]) - np.log2(here[0])
     whole = (there[1] - here[1]).astype(np.int64) + np.rint(difference).astype(np.int64)
     ratio = _potentials(whole, rows, columns, n)
-    fits = (whole + ratio[columns] == ratio[rows]) & (np.abs(difference - np.rint(difference)) <= ROUNDED)
+    fits = (whole + ratio[columns] == ratio[rows]) & (
+        np.abs(difference - np.rint(difference)) <= ROUNDED
+    )
     are = np.ones(labels.max() + 1, np.bool_)
     np.logical_and.at(are, labels[rows], fits)
     return ratio, are[labels]
@@ -308,10 +357,14 @@ def fitted_units(M: sp.csr_array, right: FloatVector) -> FloatVector:
     rows, columns = np.append(row_numbers(M), np.arange(m)), np.append(M.indices, np.full(m, n))
     whole, part = _fitted_together(data, rows, columns, (m, n + 1))
     exponents = whole[1] + np.rint(part[1]).astype(np.int64)
-    return np.asarray(np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_UNIT, LARGEST_UNIT)))
+    return np.asarray(
+        np.ldexp(1.0, np.clip(exponents[:-1] - exponents[-1], -LARGEST_UNIT, LARGEST_UNIT))
+    )
 
 
-def _fitted_together(data: FloatVector, rows: IntVector, columns: IntVector, shape: tuple[int, int]) -> tuple[Any, Any]:
+def _fitted_together(
+    data: FloatVector, rows: IntVector, columns: IntVector, shape: tuple[int, int]
+) -> tuple[Any, Any]:
     """Return the exponents of rows and of columns that make all entries even."""
     m, kept = shape[0], data != 0.0
     mantissas, exponents = np.frexp(np.abs(data[kept]))
@@ -320,7 +373,9 @@ def _fitted_together(data: FloatVector, rows: IntVector, columns: IntVector, sha
     return (-whole[:m], whole[m:]), (-part[:m], part[m:])
 
 
-def _fit(whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector, nodes: int) -> Fit:
+def _fit(
+    whole: IntVector, part: FloatVector, tails: IntVector, heads: IntVector, nodes: int
+) -> Fit:
     """Return s, integers and the rest of it, for which whole_k + part_k + s_head − s_tail is about 0: least squares.
 
     Potentials that make `whole` vanish along a spanning forest come first: whatever powers of two multiplied rows and
@@ -344,12 +399,16 @@ def symmetrising_rows(M: sp.csr_array) -> FloatVector:
     >>> symmetrising_rows(sp.csr_array([[2.0, -1.0], [-64.0, 128.0]])).tolist()
     [0.0, -6.0]
     """
-    here = sp.csr_array(M.multiply(sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape).T))
+    here = sp.csr_array(
+        M.multiply(sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape).T)
+    )
     there = sp.csr_array(here.T)
     for side in (here, there):
         side.sort_indices()
     ratio = np.log2(np.abs(there.data)) - np.log2(np.abs(here.data))
-    found: FloatVector = _potentials(ratio, row_numbers(here), here.indices.astype(np.int64), M.shape[0])
+    found: FloatVector = _potentials(
+        ratio, row_numbers(here), here.indices.astype(np.int64), M.shape[0]
+    )
     return found
 
 
@@ -364,7 +423,9 @@ def _potentials(whole: Any, tails: IntVector, heads: IntVector, nodes: int) -> A
     before = breadth_first_order(tied, nodes, directed=False)[1][:nodes]
     step = np.zeros(nodes + 1, whole.dtype)
     parents, children = np.append(tails, heads), np.append(heads, tails)
-    is_tree = np.flatnonzero(before[children] == parents)[::-1]  # of two entries between a pair the first counts
+    is_tree = np.flatnonzero(before[children] == parents)[
+        ::-1
+    ]  # of two entries between a pair the first counts
     step[children[is_tree]] = np.append(-whole, whole)[is_tree]
     parent, potential = np.append(np.where(before < 0, nodes, before), nodes), step
     while (parent != nodes).any():  # each jump doubles how far back a node has looked
@@ -388,7 +449,10 @@ def _graph(tails: IntVector, heads: IntVector, nodes: int) -> sp.csr_array:
 
 
 def _extremes(values: IntVector, places: IntVector, of: Any) -> IntVector:
-    found = np.full(int(places.max()) + 1, np.iinfo(np.int64).min if of is np.maximum else np.iinfo(np.int64).max)
+    found = np.full(
+        int(places.max()) + 1,
+        np.iinfo(np.int64).min if of is np.maximum else np.iinfo(np.int64).max,
+    )
     of.at(found, places, values)
     return found
 

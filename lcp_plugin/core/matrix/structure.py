@@ -24,7 +24,7 @@ def row_numbers(M: Any) -> IntVector:
 
 @fact
 def triangular_form(matrix: Matrix) -> str | None:
-    """"diagonal", "lower", "upper", or None."""
+    """Return "diagonal", "lower", "upper", or None."""
     M = matrix.csr
     rows = row_numbers(M)
     if (rows == M.indices).all():
@@ -82,7 +82,9 @@ def connected_components(matrix: Matrix) -> Components | None:
     if _is_seen_connected(matrix):
         return None
     labels, count = local_components(matrix)
-    return Components(read_only(labels), count, count, 0, matrix.communicator) if count > 1 else None
+    return (
+        Components(read_only(labels), count, count, 0, matrix.communicator) if count > 1 else None
+    )
 
 
 def _is_seen_connected(matrix: Matrix) -> bool:
@@ -96,7 +98,9 @@ def _is_seen_connected(matrix: Matrix) -> bool:
         return bool(np.tril(nonzero | nonzero.T, -1).any(axis=1)[1:].all())
     starts, indices = matrix.csr_rows.indptr, matrix.csr_rows.indices
     is_filled = bool((starts[2:] > starts[1:-1]).all())
-    return is_filled and bool((indices[starts[1:-1]] < np.arange(1, matrix.n, dtype=indices.dtype)).all())
+    return is_filled and bool(
+        (indices[starts[1:-1]] < np.arange(1, matrix.n, dtype=indices.dtype)).all()
+    )
 
 
 def local_components(matrix: Matrix) -> tuple[IntVector, int]:
@@ -132,4 +136,6 @@ def _joined_components(matrix: Matrix) -> Components | None:
     order = np.concatenate([shared, np.setdiff1d(mine, shared)])
     number = np.full(joined_count, -1)
     number[order] = np.arange(order.size)
-    return Components(read_only(number[mine]), order.size, int(joined_count), shared.size, communicator)
+    return Components(
+        read_only(number[mine]), order.size, int(joined_count), shared.size, communicator
+    )

@@ -18,7 +18,10 @@ from .joint_facts import has_symmetric_products
 from .matrix import Matrix, fact
 
 UNNOTICED = 1e-12  # relative asymmetry of an entry that conjugate gradients do not notice
-DENSE_FROM, LARGEST_DENSE = 0.05, 2000  # share of the entries, and rows: a difference of sparse matrices takes longer
+DENSE_FROM, LARGEST_DENSE = (
+    0.05,
+    2000,
+)  # share of the entries, and rows: a difference of sparse matrices takes longer
 ROUNDED = 1e-13  # asymmetry beside the size of the rows that rounding explains
 TILE = 256
 SHARED_ROWS = 16_384  # rows that are worth a hand-over

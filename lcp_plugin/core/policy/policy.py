@@ -32,7 +32,9 @@ class Policy:
         """Return the algorithm to begin with."""
         raise NotImplementedError
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+    def next_step(
+        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
+    ) -> Choice | None:
         """Return the algorithm that takes over, or None to go on (where the present one failed: to end)."""
         return None
 
@@ -61,15 +63,21 @@ def with_reasons(
     ----------
     parts : sequence of (name, iterations, work)
     """
+
     def reason(k: int, name: str) -> str:
         if name != algorithm.name and name in PARTS_IN_WORDS:
             return PARTS_IN_WORDS[name]
         return "" if k else because
 
-    return [(name, reason(k, name), iterations, work) for k, (name, iterations, work) in enumerate(parts)]
+    return [
+        (name, reason(k, name), iterations, work)
+        for k, (name, iterations, work) in enumerate(parts)
+    ]
 
 
 def name_of(policy: Policy, stages: Sequence[Any]) -> str:
     """Return what ran: the policy, and the chain of what it chose, as records of stages, where that says more."""
     chain = [stage.name for stage in stages]
-    return policy.name if "".join(chain) in ("", policy.name) else f"{policy.name}: {', '.join(chain)}"
+    return (
+        policy.name if "".join(chain) in ("", policy.name) else f"{policy.name}: {', '.join(chain)}"
+    )

@@ -17,7 +17,9 @@ from .stages import Stage
 
 TRIAL_SWEEPS, TRIAL_SWEEPS_DENSE, SHORTEST_TRIAL, TRIAL_SWEEPS_PSOR = 10, 1, 3, 40
 ASKED_EVERY = 20  # sweeps
-PATIENCE = 1.5  # what sweeps have cost and still need stays below this multiple of what the rival predicts
+PATIENCE = (
+    1.5  # what sweeps have cost and still need stays below this multiple of what the rival predicts
+)
 BROKEN_PROMISE = 3.0  # multigrid that has cost this multiple of what it takes on grids is asked what it still needs
 NEAR = 1e-2  # of the largest unknown: so near to a bound is none that is free
 
@@ -50,25 +52,38 @@ class Remaining:
         """Return what a stage still needs, None where it is too early to ask."""
         if now.algorithm.name == "multigrid":
             now.watch_bounds(problem, ASKED_EVERY)
-        failed = failed or (isinstance(now.algorithm, PGS) and now.iterations > 1)  # it should have been exact
+        failed = failed or (
+            isinstance(now.algorithm, PGS) and now.iterations > 1
+        )  # it should have been exact
         if failed:
             return cls(now.algorithm.name, now.work, math.inf, True, False)
-        is_asked, is_large = _is_asked(problem, now), problem.n > DIRECT_UP_TO and not problem.is_dense
-        may_guess = isinstance(now.algorithm, NPSOR) and is_large and (is_asked or now.iterations == 1)
+        is_asked, is_large = (
+            _is_asked(problem, now),
+            problem.n > DIRECT_UP_TO and not problem.is_dense,
+        )
+        may_guess = (
+            isinstance(now.algorithm, NPSOR) and is_large and (is_asked or now.iterations == 1)
+        )
         sweeps = _least_sweeps(problem, now, goal) if may_guess else 0.0
         if is_asked and now.algorithm.name == "multigrid":
             passes = now.steps_to_go(goal) * now.work / now.iterations
             return cls("multigrid", now.work, passes, False, False)
         if is_asked:
-            return cls(now.algorithm.name, now.work, max(sweeps, now.steps_to_go(goal)), False, False)
+            return cls(
+                now.algorithm.name, now.work, max(sweeps, now.steps_to_go(goal)), False, False
+            )
         # After one sweep multigrid has to be clearly less than psor, which takes the root.
-        return cls(now.algorithm.name, now.work, sweeps / PATIENCE**2, False, True) if sweeps else None
+        return (
+            cls(now.algorithm.name, now.work, sweeps / PATIENCE**2, False, True) if sweeps else None
+        )
 
     def loses_to(self, rival: Algorithm, passes: float) -> bool:
         """Return whether the rival is predicted to need less, or this method's own prediction came true too late."""
         if self.is_guess and rival.name != "multigrid":
             return False
-        return self.has_failed or self.sweeps > passes or self.work + self.sweeps > PATIENCE * passes
+        return (
+            self.has_failed or self.sweeps > passes or self.work + self.sweeps > PATIENCE * passes
+        )
 
     def __str__(self) -> str:
         if self.has_failed:
@@ -102,11 +117,16 @@ def _least_sweeps(problem: LCP, now: Stage, goal: float) -> float:
         return 0.0
     gain = now.residuals[-1][1] / goal
     with np.errstate(all="ignore"):
-        margin = NEAR * max(now.z.max(), -now.z.min())  # npsor approaches a bound without reaching it
+        margin = NEAR * max(
+            now.z.max(), -now.z.min()
+        )  # npsor approaches a bound without reaching it
         is_free = (problem.lower + margin < now.z) & (now.z < problem.upper - margin)
         free = is_free.astype(np.float64)
         sums, diagonal = problem.csr @ free, problem.diagonal
-        share, least = free @ sums / (free @ diagonal), (sums / diagonal).min(initial=1.0, where=is_free)
+        share, least = (
+            free @ sums / (free @ diagonal),
+            (sums / diagonal).min(initial=1.0, where=is_free),
+        )
         slowest = max(0.5 * (math.pi * share) ** 2, least)
     is_far = gain > 1.0 and 0.0 < slowest < 1.0
     if not (is_far and has_symmetric_entries(problem.matrix)):

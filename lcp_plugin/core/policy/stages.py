@@ -107,7 +107,9 @@ class Stage:
             return 1.0
         last_step, last = self.residuals[-1]
         since = 0 if self.settles else last_step // 2
-        first_step, first = next((entry for entry in self.residuals if entry[0] >= since), self.residuals[0])
+        first_step, first = next(
+            (entry for entry in self.residuals if entry[0] >= since), self.residuals[0]
+        )
         if last_step == first_step or not first > 0.0 or not math.isfinite(last):
             return 1.0
         return float((last / first) ** (1.0 / (last_step - first_step)))
@@ -126,7 +128,11 @@ class Stage:
         residual, rate = self.residuals[-1][1], self.rate()
         if residual <= goal:
             return 0.0
-        return math.log(goal / residual) / math.log(rate) if 0.0 < rate < 1.0 and goal > 0.0 else math.inf
+        return (
+            math.log(goal / residual) / math.log(rate)
+            if 0.0 < rate < 1.0 and goal > 0.0
+            else math.inf
+        )
 
 
 class CheckSchedule:
@@ -155,7 +161,9 @@ class Progress:
 
     def __init__(self, n: int, max_iterations: int) -> None:
         # A front that crosses the unknowns one a sweep leaves the largest residual as it is until it has passed.
-        self.shortest_window = max(200, 5 * math.ceil(math.log2(max(n, 2))), min(n, 2000))  # no longer
+        self.shortest_window = max(
+            200, 5 * math.ceil(math.log2(max(n, 2))), min(n, 2000)
+        )  # no longer
         self.max_iterations = max_iterations
         self.window_start: tuple[int, float] | None = None
         self.last_residual, self.rises = math.inf, 0

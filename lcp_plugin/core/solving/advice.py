@@ -29,7 +29,11 @@ ELSEWHERE = "another start z0 may lead elsewhere"
 
 
 def advice_of_run(
-    problem: LCP, chosen: Any, stages: Sequence[Stage], goal: float, words: Mapping[Status, str],
+    problem: LCP,
+    chosen: Any,
+    stages: Sequence[Stage],
+    goal: float,
+    words: Mapping[Status, str],
     left_out: Sequence[str] = (),
 ) -> dict[Status, str]:
     """Return the advice of each status with which a run may have ended, what happened and what to do.
@@ -65,10 +69,14 @@ def advice_of_run(
     goes_on = reached is None or chosen.uses_start(problem, reached)
     for status in LIMITS:
         said[status] += ", or go on from z0=result.z" * goes_on
-        said[status] = said[status].replace("; next: ", f"; next: try {other}, or ") if other else said[status]
+        said[status] = (
+            said[status].replace("; next: ", f"; next: try {other}, or ") if other else said[status]
+        )
     is_far_out = any(stage.has_no_solution_nearby for stage in stages)
     end = FAR_OUT if is_far_out else f"next: try {other}" if other else _elsewhere(left_out)
-    end = beyond_doubles(problem) or "; ".join(filter(None, (why_not_monotone(problem.matrix), end)))
+    end = beyond_doubles(problem) or "; ".join(
+        filter(None, (why_not_monotone(problem.matrix), end))
+    )
     for status in WITHOUT_END:
         said[status] = EXCLUDED if is_excluded else f"{said[status]}; {end}"
     return {**words, **said}
@@ -112,7 +120,9 @@ def beyond_doubles(problem: LCP) -> str:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         w = problem.slack(problem.nearest_to_zero)
         wrong = ((w < 0.0) & (problem.upper == np.inf)) | ((w > 0.0) & (problem.lower == -np.inf))
-        exponents = np.where(wrong, np.log10(np.abs(problem.q)) - np.log10(largest * problem.n), -np.inf)
+        exponents = np.where(
+            wrong, np.log10(np.abs(problem.q)) - np.log10(largest * problem.n), -np.inf
+        )
     i = int(np.argmax(exponents)) if exponents.size else 0
     if not exponents.size or not exponents[i] > MOST_DIGITS or not exponents[i] < np.inf:
         return "" if np.isfinite(w).all() else OVERFLOWS
@@ -144,14 +154,22 @@ def advice_on_given_rows(problem: LCP, z: FloatVector, w: FloatVector) -> str:
     """
     if problem.is_distributed:
         return ""
-    counts = np.count_nonzero(problem.M, axis=1) if problem.is_dense else np.diff(problem.csr.indptr)
-    rows = np.flatnonzero((counts == 1) & (problem.diagonal != 0.0) & (problem.lower < problem.upper))
+    counts = (
+        np.count_nonzero(problem.M, axis=1) if problem.is_dense else np.diff(problem.csr.indptr)
+    )
+    rows = np.flatnonzero(
+        (counts == 1) & (problem.diagonal != 0.0) & (problem.lower < problem.upper)
+    )
     near = ROUNDING * np.abs(z[rows])
     is_held = (z[rows] <= problem.lower[rows] + near) | (z[rows] >= problem.upper[rows] - near)
     rows = rows[is_held & (np.abs(w[rows]) <= ROUNDING * np.abs(problem.q[rows]))]
     if not rows.size:
         return ""
-    named = " and ".join(map(str, rows)) if rows.size <= 2 else f"{rows[0]}, {rows[1]} and {rows.size - 2} more"
+    named = (
+        " and ".join(map(str, rows))
+        if rows.size <= 2
+        else f"{rows[0]}, {rows[1]} and {rows.size - 2} more"
+    )
     return (
         f"M has nothing but a diagonal entry in row{'s' * (rows.size > 1)} {named}, where z is at a bound with w = 0: "
         "if such a row only gives z, as a boundary value does, leave its bounds out (lower = -inf, upper = inf), and "
@@ -161,12 +179,16 @@ def advice_on_given_rows(problem: LCP, z: FloatVector, w: FloatVector) -> str:
 
 def _other_call(problem: LCP, chosen: Algorithm) -> str:
     """Return another call than the one that has failed: what its options lack, or auto."""
-    is_unscaled = getattr(chosen, "scaling", "auto") is None and bool(has_positive_diagonal(problem.matrix).all())
+    is_unscaled = getattr(chosen, "scaling", "auto") is None and bool(
+        has_positive_diagonal(problem.matrix).all()
+    )
     scaled = 'scaling="auto", which is enough where M is an H₊-matrix, or ' if is_unscaled else ""
     return f'{scaled}algorithm="auto"'
 
 
-NOTHING_TO_DO = "where it begins the residual is within the tolerance already, and nothing was left to do"
+NOTHING_TO_DO = (
+    "where it begins the residual is within the tolerance already, and nothing was left to do"
+)
 
 
 def unused_start(problem: LCP, chosen: Any, start: Any) -> str:

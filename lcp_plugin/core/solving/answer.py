@@ -86,7 +86,9 @@ class Answer:
 
     def _of_which(self, what: str) -> list[str]:
         """Return of which points a proof speaks that there is no answer, where it is not of all."""
-        words = within(getattr(self.proof, "radius", math.inf), what) if self.has_no_solution else ""
+        words = (
+            within(getattr(self.proof, "radius", math.inf), what) if self.has_no_solution else ""
+        )
         return [f"{words[2:]}: a larger one is not excluded"] if words else []
 
     def reached(self) -> str:
@@ -103,7 +105,13 @@ class Answer:
         happened, _, to_do = self.advice.partition(NEXT)
         what, *why = happened.split("; ")
         sure, *more = self.reached().splitlines()
-        return [f"{self.status.name}: {what}", sure, *([f"next: {to_do}"] if to_do else []), *why, *more]
+        return [
+            f"{self.status.name}: {what}",
+            sure,
+            *([f"next: {to_do}"] if to_do else []),
+            *why,
+            *more,
+        ]
 
     def _course(self) -> list[str]:
         """Return what ran, what it took, and where it began if somebody else chose that."""
@@ -136,8 +144,11 @@ class Answer:
         """Return what :meth:`to_json` writes, as a dictionary."""
         numbers = self._numbers() | {"seconds": self.seconds}
         return {
-            "status": self.status.name, "advice": self.advice, "algorithm": self.algorithm,
-            "n": None if self.x is None else len(self.x), "iterations": self.iterations,
+            "status": self.status.name,
+            "advice": self.advice,
+            "algorithm": self.algorithm,
+            "n": None if self.x is None else len(self.x),
+            "iterations": self.iterations,
             **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
         }
 

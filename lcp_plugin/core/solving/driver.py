@@ -22,8 +22,15 @@ from .run_log import Header
 
 
 def solved_by(
-    policy: Policy, problem: LCP, settings: Settings, start: FloatVector, clock: Clock, callback: Callback | None,
-    *, judge: Callable[[CommonScaling, Settings], Judge] = Judge, header: Header | None = None,
+    policy: Policy,
+    problem: LCP,
+    settings: Settings,
+    start: FloatVector,
+    clock: Clock,
+    callback: Callback | None,
+    *,
+    judge: Callable[[CommonScaling, Settings], Judge] = Judge,
+    header: Header | None = None,
 ) -> Result:
     """Return the result of what a policy chooses.
 
@@ -47,11 +54,16 @@ def solved_by(
     def run_in(scaling: CommonScaling) -> Run:
         return Run(scaling, policy, settings, callback, clock, judge(scaling, settings), header)
 
-    with threads_for(1 if settings.threads is None and problem.is_distributed else settings.threads):  # ranks: cores
+    with threads_for(
+        1 if settings.threads is None and problem.is_distributed else settings.threads
+    ):  # ranks: cores
         try:
             scaling = CommonScaling.of(problem, settings.least_reference)
             start, first = scaling.inward(start), policy.first(scaling.problem)
-            if callback is None and (result := fused(scaling, policy, first, settings, start, clock)) is not None:
+            if (
+                callback is None
+                and (result := fused(scaling, policy, first, settings, start, clock)) is not None
+            ):
                 return result
             run = run_in(scaling)
             return run.judged(start, run.drive(start, first))
@@ -63,7 +75,12 @@ def solved_by(
 
 
 def fused(
-    scaling: CommonScaling, policy: Policy, first: Choice, settings: Settings, start: FloatVector, clock: Clock
+    scaling: CommonScaling,
+    policy: Policy,
+    first: Choice,
+    settings: Settings,
+    start: FloatVector,
+    clock: Clock,
 ) -> Result | None:
     """Return the result of the first algorithm's steps taken in one compiled call; None where they have to be driven.
 
@@ -82,24 +99,46 @@ def fused(
         return None
     is_as_stated = scaling.is_connected and scaling.is_identity and scaling.signs is None
     if is_as_stated:  # the kernel has enclosed the residual of the whole
-        certificate = Certificate.enclosed(scaling.stated, found.z, found.residual, found.term_residual)
+        certificate = Certificate.enclosed(
+            scaling.stated, found.z, found.residual, found.term_residual
+        )
     else:
         certificate = Certificate.of(scaling.stated, scaling.outward(found.z))
     is_solved = certificate.ends_a_run(settings)
-    return fused_result(certificate, policy, first, found, settings, clock.read()) if is_solved else None
+    return (
+        fused_result(certificate, policy, first, found, settings, clock.read())
+        if is_solved
+        else None
+    )
 
 
 def fused_result(
-    certificate: Certificate, policy: Policy, first: Choice, found: FusedSolve, settings: Settings, seconds: float
+    certificate: Certificate,
+    policy: Policy,
+    first: Choice,
+    found: FusedSolve,
+    settings: Settings,
+    seconds: float,
 ) -> Result:
     """Return the result of a fused solve that converged at the z of a certificate, after these seconds."""
-    stages = [StageRecord(*part) for part in with_reasons(found.parts, first.algorithm, first.because)]
+    stages = [
+        StageRecord(*part) for part in with_reasons(found.parts, first.algorithm, first.because)
+    ]
     iterations = sum(stage.iterations for stage in stages)
     if not iterations:  # the first step is the start
         stages = [stage._replace(because=NOTHING_TO_DO) for stage in stages]
     return Result(
-        z=certificate.z, w=certificate.w, status=Status.SOLVED, certificate=certificate,
-        tolerance=settings.tolerance, algorithm=name_of(policy, stages),
-        iterations=iterations, work=found.work, absolute_tolerance=settings.absolute_tolerance, seconds=seconds,
-        setup_seconds=0.0, stages=tuple(stages), _asked=policy.chosen,
+        z=certificate.z,
+        w=certificate.w,
+        status=Status.SOLVED,
+        certificate=certificate,
+        tolerance=settings.tolerance,
+        algorithm=name_of(policy, stages),
+        iterations=iterations,
+        work=found.work,
+        absolute_tolerance=settings.absolute_tolerance,
+        seconds=seconds,
+        setup_seconds=0.0,
+        stages=tuple(stages),
+        _asked=policy.chosen,
     )

@@ -38,7 +38,9 @@ class End(Enum):
 
 FAILED = (End.STALLED, End.DIVERGED, End.NOTHING_LEFT)  # another algorithm may do better
 STATUS_OF = {
-    End.STEP_LIMIT: Status.MAX_ITERATIONS, End.TIME_LIMIT: Status.MAX_SECONDS, End.INTERRUPTED: Status.INTERRUPTED,
+    End.STEP_LIMIT: Status.MAX_ITERATIONS,
+    End.TIME_LIMIT: Status.MAX_SECONDS,
+    End.INTERRUPTED: Status.INTERRUPTED,
     End.DIVERGED: Status.DIVERGED,
 }  # of a z that nothing is shown of; of any other end it is STALLED
 
@@ -133,7 +135,9 @@ class Judge:
         """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
         return None
 
-    def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
+    def bound_at_the_end(
+        self, certificate: Certificate
+    ) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return the bound of the answer's error where the caller wants one, or how it is computed once looked at."""
         return BoundOrReason()
 
@@ -150,7 +154,10 @@ class Judge:
             return False
         certificate, problem = self.certificate_of(z), self.problem
         in_its_unit = DATA_ROUNDING * problem.matrix.largest_of(np.abs(problem.q))
-        if certificate.natural_residual > in_its_unit and certificate.term_residual > self.settings.goal:
+        if (
+            certificate.natural_residual > in_its_unit
+            and certificate.term_residual > self.settings.goal
+        ):
             return False  # small beside a coefficient that need not act
         return measured_scaled_residual(problem, certificate.z) <= rounding_of_data(problem)
 
@@ -170,7 +177,9 @@ class Judge:
         criterion = self.problem.criterion
         if criterion is None and getattr(proof, "radius", math.inf) < math.inf:
             return False  # a near-singular M has solutions that large
-        if not proof.excludes(settings.tolerance, settings.tolerance_on, settings.absolute_tolerance):
+        if not proof.excludes(
+            settings.tolerance, settings.tolerance_on, settings.absolute_tolerance
+        ):
             return False
         return criterion is None or criterion.has_no_solution(settings.tolerance)
 
@@ -181,14 +190,22 @@ class Judge:
         if last is None or is_cut_short or not self.problem.matrix.all_rows(np.isfinite(z)):
             return certificate
         finished = last.finish(self.scaling.problem, z)
-        return certificate if finished is z else self.better_of(certificate, self.certificate_of(finished))
+        return (
+            certificate
+            if finished is z
+            else self.better_of(certificate, self.certificate_of(finished))
+        )
 
     def better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
         """Return the cleaned one unless its residual is larger or a row wrong, or it answers the program no more."""
         before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
         meets = [one.meets(self.settings, self.scaling.answered) for one in (certificate, cleaned)]
         is_no_worse = after <= before < math.inf if meets[0] == meets[1] else meets[1]
-        return cleaned if is_no_worse and cleaned.answers_program(self.settings) is not False else certificate
+        return (
+            cleaned
+            if is_no_worse and cleaned.answers_program(self.settings) is not False
+            else certificate
+        )
 
     def is_solved_by(self, certificate: Certificate) -> bool:
         """Return whether the certificate shows what was asked for; a program, if there is one, is answered as well."""
@@ -207,6 +224,12 @@ class Judge:
             return Status.SOLVED
         if end is End.NO_SOLUTION:
             return self.proof.status  # type: ignore[no-any-return]
-        if certificate.is_limited_by_rounding or self.misses_by_rounding(self.scaling.inward(certificate.z)):
+        if certificate.is_limited_by_rounding or self.misses_by_rounding(
+            self.scaling.inward(certificate.z)
+        ):
             return Status.PRECISION_LIMIT
-        return Status.STALLED if end is End.DIVERGED and is_chain else STATUS_OF.get(end, Status.STALLED)
+        return (
+            Status.STALLED
+            if end is End.DIVERGED and is_chain
+            else STATUS_OF.get(end, Status.STALLED)
+        )

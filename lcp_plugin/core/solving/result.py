@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ...proofs.bounds.error_bounds import ErrorBound
     from ...proofs.guarantees.theorems import Guarantee
 
+
 class BoundOrReason(NamedTuple):
     """A bound of the error, or none and the reason."""
 
@@ -126,7 +127,9 @@ class Result(Answer):
     _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
     # The error bound, or how it is computed once somebody looks at it.
     _bound: BoundOrReason | Callable[[], BoundOrReason] = field(default=BoundOrReason(), repr=False)
-    _advice: Mapping[Status, str] = field(default_factory=dict, repr=False)  # of a status, in place of its own
+    _advice: Mapping[Status, str] = field(
+        default_factory=dict, repr=False
+    )  # of a status, in place of its own
 
     __setstate__ = restored
 
@@ -178,29 +181,45 @@ class Result(Answer):
         advice = self._advice.get(self.status, self.status.value)
         if self.is_solved or self.has_no_solution:
             happened, begins, to_do = advice.partition(NEXT)
-            known = [happened, *self._of_which("z"), *(self._sign() if self.has_no_solution else [])]
+            known = [
+                happened,
+                *self._of_which("z"),
+                *(self._sign() if self.has_no_solution else []),
+            ]
             return "; ".join(known) + begins + to_do
         remarks = [stage.remark for stage in self.stages if stage.remark]
         happened, begins, to_do = advice.partition(NEXT)
-        return "; ".join([*self._small_contradiction(), happened, *remarks, *self._sign()]) + begins + to_do
+        return (
+            "; ".join([*self._small_contradiction(), happened, *remarks, *self._sign()])
+            + begins
+            + to_do
+        )
 
     def _sign(self) -> list[str]:
         """Return what the diagonal of M says where it is negative throughout; of an LCP."""
         from ...proofs.verdicts.report import sign_remark
 
-        remark = "" if self.certificate.is_linearised else sign_remark(self.certificate.problem.matrix)
+        remark = (
+            "" if self.certificate.is_linearised else sign_remark(self.certificate.problem.matrix)
+        )
         return [remark] if remark else []
 
     def _small_contradiction(self) -> list[str]:
         """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
         if self.infeasibility is None or self.has_no_solution:
             return []
-        return [self.infeasibility.how_small(self.tolerance, self.absolute_tolerance, self.certificate.scaled_residual)]
+        return [
+            self.infeasibility.how_small(
+                self.tolerance, self.absolute_tolerance, self.certificate.scaled_residual
+            )
+        ]
 
     def _given_rows(self) -> list[str]:
         """Return what to do with rows that give z and are kinks of it, of an LCP."""
         problem = self.certificate.problem
-        said = "" if self.certificate.is_linearised else advice_on_given_rows(problem, self.z, self.w)
+        said = (
+            "" if self.certificate.is_linearised else advice_on_given_rows(problem, self.z, self.w)
+        )
         return [said] if said else []
 
     def explain(self) -> str:
@@ -210,7 +229,10 @@ class Result(Answer):
         lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
         if self.is_solved:
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
-            lines += [*(f"the stored doubles are {small}" for small in self._small_contradiction()), *self._sign()]
+            lines += [
+                *(f"the stored doubles are {small}" for small in self._small_contradiction()),
+                *self._sign(),
+            ]
             lines += self._given_rows()
         if self.infeasibility is not None and not self.has_no_solution:
             lines.append(str(self.infeasibility))
@@ -258,11 +280,20 @@ class Result(Answer):
 
     def _complementarity(self) -> list[str]:
         """Return a line where z was accepted and a product of z and w is large."""
-        if self.status not in (Status.SOLVED, Status.PRECISION_LIMIT) or not self.certificate.large_product:
+        if (
+            self.status not in (Status.SOLVED, Status.PRECISION_LIMIT)
+            or not self.certificate.large_product
+        ):
             return []
-        other = "" if "lemke" in self.algorithm else 'try another algorithm ("lemke" for a small problem) or '
-        return [f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
-                f"product counts, {other}begin from a z0 near a smaller z"]
+        other = (
+            ""
+            if "lemke" in self.algorithm
+            else 'try another algorithm ("lemke" for a small problem) or '
+        )
+        return [
+            f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
+            f"product counts, {other}begin from a z0 near a smaller z"
+        ]
 
     def to_content(self) -> dict[str, Any]:
         """Return what :meth:`to_json` writes, as a dictionary."""
@@ -271,7 +302,11 @@ class Result(Answer):
 
     def _numbers(self) -> dict[str, float]:
         certificate, bound = self.certificate, self.error_bound
-        bounds = {} if bound is None else {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
+        bounds = (
+            {}
+            if bound is None
+            else {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
+        )
         return {
             "n": certificate.problem.n,  # x is the own part where rows are spread over ranks
             "relative_residual": certificate.relative_residual,
@@ -280,7 +315,8 @@ class Result(Answer):
             "bound_violation": certificate.bound_violation,
             "slack_violation": certificate.slack_violation,
             "complementarity": certificate.complementarity,
-            "work": self.work, "setup_seconds": self.setup_seconds,
+            "work": self.work,
+            "setup_seconds": self.setup_seconds,
             "tolerance": self.tolerance,
             **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
             **bounds,

@@ -42,18 +42,36 @@ class Run:
     """
 
     def __init__(
-        self, scaling: CommonScaling, policy: Policy, settings: Settings, callback: Callback | None, clock: Clock,
-        judge: Judge | None = None, header: Header | None = None,
+        self,
+        scaling: CommonScaling,
+        policy: Policy,
+        settings: Settings,
+        callback: Callback | None,
+        clock: Clock,
+        judge: Judge | None = None,
+        header: Header | None = None,
     ) -> None:
-        self.scaling, self.policy, self.settings, self.callback, self.clock = scaling, policy, settings, callback, clock
-        self.judge, self.incumbent, self.state = judge or Judge(scaling, settings), Incumbent(), RunState()
+        self.scaling, self.policy, self.settings, self.callback, self.clock = (
+            scaling,
+            policy,
+            settings,
+            callback,
+            clock,
+        )
+        self.judge, self.incumbent, self.state = (
+            judge or Judge(scaling, settings),
+            Incumbent(),
+            RunState(),
+        )
         self.problem = problem = scaling.problem
         self.progress = Progress(problem.n, settings.max_iterations)
         self.checks = CheckSchedule(ratio(1.0, self.judge.reference), settings.goal)
         self.start_residual = math.inf
         with clock.paused():
             self.log = RunLog(self.judge.asked, header) if settings.verbose else None
-        self._is_watched = settings.record or settings.verbose or not problem.matrix.all_rows(callback is None)
+        self._is_watched = (
+            settings.record or settings.verbose or not problem.matrix.all_rows(callback is None)
+        )
         self._next_sample = 0
 
     def drive(self, start: FloatVector, first: Choice) -> End:
@@ -61,18 +79,28 @@ class Run:
         self.judge.require_rigorous_bounds()
         following: Choice | None = first
         left = self.settings.max_seconds - self.clock.read()
-        if self.judge.reference == 0.0:  # z° solves the problem, and no other point can be measured against it
+        if (
+            self.judge.reference == 0.0
+        ):  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         try:
             with (
-                nullcontext() if left == math.inf else time_limit(left, is_enforced=not self.problem.is_distributed),
-                nullcontext() if self.log is None else NEW_KERNELS.watched_by(self.log.hear_of_compilation),
+                nullcontext()
+                if left == math.inf
+                else time_limit(left, is_enforced=not self.problem.is_distributed),
+                nullcontext()
+                if self.log is None
+                else NEW_KERNELS.watched_by(self.log.hear_of_compilation),
             ):
                 while following is not None:
                     if self.log is not None:
                         self.log.begin(following)
                     self.state.open(Stage(following.algorithm, following.because))
-                    z = (start if following.from_start or self.incumbent.z is None else self.incumbent.z).copy()
+                    z = (
+                        start
+                        if following.from_start or self.incumbent.z is None
+                        else self.incumbent.z
+                    ).copy()
                     end, following = self._follow(self.scaling.steps(following, z))
         except OutOfTimeError:
             return End.TIME_LIMIT
@@ -104,13 +132,17 @@ class Run:
             return NO_STEP
 
     def _next(self, *, has_failed: bool) -> Choice | None:
-        return self.policy.next_step(self.problem, self.state.stages, self.settings.goal, has_failed)
+        return self.policy.next_step(
+            self.problem, self.state.stages, self.settings.goal, has_failed
+        )
 
     def _observe(self, step: Any) -> End | None:
         """Take note of one step; return why the run ends with it, if it does."""
         if not isinstance(step, Step):  # as an algorithm of somebody else's may yield
             name = self.state.stages[-1].algorithm.name
-            raise InvalidOption(f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`")
+            raise InvalidOption(
+                f"{name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"
+            )
         is_first = self.state.enter(step, self.clock.read())
         if self.settings.absolute_tolerance:
             self.state.stages[-1].least_residual = 0.0  # it speaks of the relative one alone
@@ -134,7 +166,9 @@ class Run:
             if not (is_first or self.checks.is_due(state.iteration, step.increment)):
                 return None
             residual = judge.measure(step.z)
-            state.work += 1.0 if state.iteration > 0 else 0.0  # the start is measured for every problem
+            state.work += (
+                1.0 if state.iteration > 0 else 0.0
+            )  # the start is measured for every problem
         if judge.may_meet_tolerance(residual):
             residual = judge.certified(step.z)
         if known is None and step.increment is not None:
@@ -149,7 +183,9 @@ class Run:
         """Return why the run ends with a proof that there is no solution, or none nearby, if it does."""
         if self.judge.accept_proof(proof):
             return End.NO_SOLUTION
-        self.state.stages[-1].has_no_solution_nearby = getattr(self.judge.proof, "radius", math.inf) < math.inf
+        self.state.stages[-1].has_no_solution_nearby = (
+            getattr(self.judge.proof, "radius", math.inf) < math.inf
+        )
         return End.AT_FLOOR if self.judge.misses_by_rounding(self.incumbent.z) else None
 
     def _end_with(self, step: Step, residual: float | None) -> End | None:
@@ -178,7 +214,9 @@ class Run:
             return None
         if progress.is_flat(iteration, best) and self.judge.is_at_floor(self.incumbent.z):
             return End.AT_FLOOR
-        is_stalled = (is_monotone or algorithm.is_watched) and progress.is_stalled(iteration, best, settings.goal)
+        is_stalled = (is_monotone or algorithm.is_watched) and progress.is_stalled(
+            iteration, best, settings.goal
+        )
         return End.STALLED if is_stalled else None
 
     # --- telling ----------------------------------------------------------------------------------------
@@ -188,16 +226,22 @@ class Run:
         state, stage, log = self.state, self.state.stages[-1], self.log
         is_due = self.settings.record and (is_last or state.iteration >= self._next_sample)
         with self.clock.paused():
-            sample = Sample(state.iteration, state.work, state.seconds, residual, stage.algorithm.name)
+            sample = Sample(
+                state.iteration, state.work, state.seconds, residual, stage.algorithm.name
+            )
             wants_to_stop = self._called_back(sample, step.z)
             is_due |= self.settings.record and wants_to_stop
             is_printed = log is not None and log.is_due(stage)
             if is_due or is_printed:
-                sample = replace(sample, residual=self.judge.measure(step.z) if residual is None else residual)
+                sample = replace(
+                    sample, residual=self.judge.measure(step.z) if residual is None else residual
+                )
             if log is not None and is_printed:
                 log.step(stage, sample)
             if is_due:
-                self._next_sample = max(state.iteration + 1, math.ceil(state.iteration * 1.05))  # geometric
+                self._next_sample = max(
+                    state.iteration + 1, math.ceil(state.iteration * 1.05)
+                )  # geometric
                 bound = self.judge.bound_along_the_run(step.z, state.work)
                 state.samples.append(replace(sample, error_bound=bound))
         return wants_to_stop
@@ -206,7 +250,9 @@ class Run:
         """Return whether a callback, of any rank, wants to stop."""
         callback, matrix = self.callback, self.problem.matrix
         shown = z if callback is None else self.scaling.outward(z)
-        wants_to_stop = matrix.together(lambda: callback is not None and bool(callback(sample, read_only(shown))))
+        wants_to_stop = matrix.together(
+            lambda: callback is not None and bool(callback(sample, read_only(shown)))
+        )
         return matrix.any_row(wants_to_stop)
 
     def ended(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
@@ -216,11 +262,17 @@ class Run:
             incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
         last = state.stages[-1] if state.stages else None
         # Where no z is near a solution, what is given back is the start, as in a batch.
-        is_excluded = last is not None and last.least_residual > self.settings.goal and end is not End.CONVERGED
+        is_excluded = (
+            last is not None
+            and last.least_residual > self.settings.goal
+            and end is not End.CONVERGED
+        )
         best = start if incumbent.z is None or is_excluded else incumbent.z
         certificate = self.judge.final(best, end, None if last is None else last.algorithm)
         is_open = not is_excluded and isinstance(self.judge.asked, LCP)
-        has_case = is_open and (end in WITH_A_CASE or self.judge.is_solved_by(certificate))  # or a limit came first
+        has_case = is_open and (
+            end in WITH_A_CASE or self.judge.is_solved_by(certificate)
+        )  # or a limit came first
         if last is not None and has_case and not last.algorithm.ends_with_a_case:
             certificate = self._with_last_system(certificate, last)
         return certificate, self.judge.verdict(certificate, end, is_chain=len(state.stages) > 1)
@@ -228,13 +280,17 @@ class Run:
     def _with_last_system(self, certificate: Certificate, last: Stage) -> Certificate:
         """Return the certificate of the solution of the linear system of the case that was found, if it is no worse."""
         judge, state, z = self.judge, self.state, self.scaling.inward(certificate.z)
-        found = self.policy.last_system(self.problem, z, state.work, judge.is_solved_by(certificate))
+        found = self.policy.last_system(
+            self.problem, z, state.work, judge.is_solved_by(certificate)
+        )
         if found is None:
             return certificate
         z, work = found
         state.work += work
         last.take("", 0, work)
-        return judge.better_of(certificate, judge.certificate_of(np.clip(z, self.problem.lower, self.problem.upper)))
+        return judge.better_of(
+            certificate, judge.certificate_of(np.clip(z, self.problem.lower, self.problem.upper))
+        )
 
     def judged(self, start: FloatVector, end: End) -> Result:
         """Return the result, whose status the certificate names."""
@@ -243,15 +299,27 @@ class Run:
         stages = state.records()
         if status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None:
             stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-        elif isinstance(self.judge.asked, LCP) and (unused := unused_start(self.problem, self.policy.chosen, start)):
+        elif isinstance(self.judge.asked, LCP) and (
+            unused := unused_start(self.problem, self.policy.chosen, start)
+        ):
             stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
         result = Result(
-            z=certificate.z, w=certificate.w, status=status, certificate=certificate,
-            tolerance=settings.tolerance, tolerance_on=settings.tolerance_on,
+            z=certificate.z,
+            w=certificate.w,
+            status=status,
+            certificate=certificate,
+            tolerance=settings.tolerance,
+            tolerance_on=settings.tolerance_on,
             absolute_tolerance=settings.absolute_tolerance,
-            algorithm=name_of(self.policy, stages), iterations=max(state.iteration, 0), work=state.work,
-            seconds=self.clock.read(), setup_seconds=state.setup_seconds, history=tuple(state.samples),
-            stages=stages, infeasibility=self.judge.proof, _asked=self.policy.chosen,
+            algorithm=name_of(self.policy, stages),
+            iterations=max(state.iteration, 0),
+            work=state.work,
+            seconds=self.clock.read(),
+            setup_seconds=state.setup_seconds,
+            history=tuple(state.samples),
+            stages=stages,
+            infeasibility=self.judge.proof,
+            _asked=self.policy.chosen,
             _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
             _advice={**self._advice(certificate, status), **self.judge.advice},
         )
@@ -264,7 +332,12 @@ class Run:
         words, policy, settings = dict(self.judge.words), self.policy, self.settings
         if isinstance(self.judge.asked, LCP) and status is not Status.SOLVED:
             words = advice_of_run(
-                self.problem, policy.chosen, self.state.stages, settings.goal, words, policy.left_out
+                self.problem,
+                policy.chosen,
+                self.state.stages,
+                settings.goal,
+                words,
+                policy.left_out,
             )
             goal, least = settings.goal, settings.least_reference
             if certificate.relative_above(least) <= goal < certificate.term_above(goal * least):

@@ -17,7 +17,9 @@ GROWTH = 1.5  # of a stage's iterations from one line to the next
 NOTICEABLE = 0.5  # seconds of compilation
 QUIET = 1.0  # seconds of it before a line says why nothing happens
 
-Header = Callable[[Matrix], tuple[str, str]]  # the classes of M, and a remark on it, '' where there is none
+Header = Callable[
+    [Matrix], tuple[str, str]
+]  # the classes of M, and a remark on it, '' where there is none
 
 
 class RunLog:
@@ -36,7 +38,9 @@ class RunLog:
         self._compilation, self._compiled = compilation(), compilation().seconds
         self._silent_until = NEW_KERNELS.seconds + QUIET
         self._next = 0
-        classes, remark = ("", "") if header is None or not isinstance(problem, LCP) else header(problem.matrix)
+        classes, remark = (
+            ("", "") if header is None or not isinstance(problem, LCP) else header(problem.matrix)
+        )
         self._say(f"{problem}{classes and f'; M {classes}'}")
         if remark:
             self._say(remark)
@@ -61,7 +65,9 @@ class RunLog:
         """Print the line of an iteration."""
         self._next = max(stage.iterations + 1, math.ceil(stage.iterations * GROWTH))
         residual = math.nan if sample.residual is None else sample.residual
-        self._say(f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}")
+        self._say(
+            f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}"
+        )
 
     def end(self, result: Result) -> None:
         """Print what came out."""
@@ -74,7 +80,9 @@ class RunLog:
     def _say(self, line: str) -> None:
         compiled = self._compilation.seconds
         if compiled - self._compiled > NOTICEABLE:
-            self._write(f"(compiling or loading kernels took {compiled - self._compiled:.1f} s, which are not counted)")
+            self._write(
+                f"(compiling or loading kernels took {compiled - self._compiled:.1f} s, which are not counted)"
+            )
             self._compiled = compiled
         self._write(line)
 

@@ -23,7 +23,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..algorithm import SWEEPS, Algorithm, Step, check_choice, check_number, check_positive, directions
+from ..algorithm import (
+    SWEEPS,
+    Algorithm,
+    Step,
+    check_choice,
+    check_number,
+    check_positive,
+    directions,
+)
 from ..checks import FloatVector
 from ..lcp import LCP
 from ..matrix.row_sums import row_splits
@@ -58,7 +66,13 @@ class Splitting(Algorithm):
         return alpha, float(getattr(self, "acceleration", alpha if self.is_coupled else 0.0))
 
     def swept(
-        self, problem: LCP, kernel: Callable[..., Any], rows: FloatVector, weights: tuple[Any, ...], x: FloatVector, *,
+        self,
+        problem: LCP,
+        kernel: Callable[..., Any],
+        rows: FloatVector,
+        weights: tuple[Any, ...],
+        x: FloatVector,
+        *,
         z: FloatVector | None = None,
     ) -> Iterator[Step]:
         """Yield a step for x₀, x₁, …, with the residual that the pass to the next one measures anyway.
@@ -78,7 +92,10 @@ class Splitting(Algorithm):
         matrix, M, own = problem.matrix, problem.matrix.csr_rows, problem.q.size
         passes, is_coupled = directions(self.sweep), matrix.is_coupled
         splits = {backward: row_splits(matrix, backward) for backward in passes}
-        new, unwanted = np.empty_like(x), np.empty_like(x) if z is not None and len(passes) > 1 else z
+        new, unwanted = (
+            np.empty_like(x),
+            np.empty_like(x) if z is not None and len(passes) > 1 else z,
+        )
         work = 1.0
         while True:
             for k, backward in enumerate(passes):
@@ -87,7 +104,16 @@ class Splitting(Algorithm):
                     new[own:] = x[own:]  # what others hold is as it was
                 others = () if z is None else (unwanted if k else z,)
                 residual = kernel(
-                    M.indptr, splits[backward], M.indices, M.data, rows, *weights, backward, x, new, *others
+                    M.indptr,
+                    splits[backward],
+                    M.indices,
+                    M.data,
+                    rows,
+                    *weights,
+                    backward,
+                    x,
+                    new,
+                    *others,
                 )
                 if k == 0:
                     shown = x[:own] if is_coupled else x

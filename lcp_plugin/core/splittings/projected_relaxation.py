@@ -26,7 +26,9 @@ LARGEST = 1.998
 WORTHWHILE = 0.05  # smallest step towards 2, as a share of 2 − ω, that pays for a new transient
 RECORD = 0.9
 LONGEST_TRIAL = 4  # periods
-HUMP = 40.0  # times 1/(2 − ω): how far increments may rise during a trial that is still worth its end
+HUMP = (
+    40.0  # times 1/(2 − ω): how far increments may rise during a trial that is still worth its end
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +37,9 @@ class _Relaxation(Splitting):
 
     needs: ClassVar[str] = "positive diagonal"
     solves: ClassVar[str] = "H₊"
-    reference: ClassVar[str] = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
+    reference: ClassVar[str] = (
+        "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
+    )
 
     sweep: str = "forward"
 
@@ -43,7 +47,9 @@ class _Relaxation(Splitting):
         """Return ω and β, None where they are found during the run, and the sweep."""
         require_positive_diagonal(problem, self.name)
         omega, beta = self.weights()
-        return IterationFacts(family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep)
+        return IterationFacts(
+            family=PROJECTED_RELAXATION, relaxation=omega, acceleration=beta, sweep=self.sweep
+        )
 
     def weights(self) -> tuple[float, float] | tuple[None, None]:
         """Return (ω, β), or None for each where they are to be found during the run."""
@@ -97,7 +103,10 @@ class _InPlace(_Relaxation):
                 reported = adaptive.wanted
                 learned = ContinuedPSOR(sweep=self.sweep, first_relaxation=reported)
             yield Step(
-                own, increment=matrix.largest_of(largest), work=float(len(passes)), is_settling=is_settling,
+                own,
+                increment=matrix.largest_of(largest),
+                work=float(len(passes)),
+                is_settling=is_settling,
                 successor=learned,
             )
             if adaptive:
@@ -132,7 +141,9 @@ class PSOR(_InPlace):
         if not isinstance(self.relaxation, str):
             check_positive(self, "relaxation", below=2.0)
         elif self.relaxation != "auto":
-            raise InvalidOption(f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"')
+            raise InvalidOption(
+                f'psor: relaxation={self.relaxation!r} is neither a number in (0, 2) nor "auto"'
+            )
 
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
         """Return a multiple of the root of npsor's, as relaxation has it at best, and some in any case."""
@@ -185,7 +196,12 @@ class _Simultaneous(_Relaxation):
         with np.errstate(over="ignore"):  # a step that overflows ends in DIVERGED
             step = omega / require_positive_diagonal(problem, self.name)
         rows = packed(
-            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step, np.ones(problem.n)
+            problem.q,
+            problem.lower,
+            problem.upper,
+            inverse_residual_scale(problem.matrix),
+            step,
+            np.ones(problem.n),
         )
         yield from self.swept(problem, splitting_sweep, rows, (beta / omega, False), z0)
 
@@ -311,7 +327,9 @@ class AdaptiveRelaxation:
         """Return whether the trial has had its time, or three times as long where its increments are still large."""
         period = math.ceil(4.0 / (2.0 - self._omega)) + 8
         sweeps = len(self._sizes)
-        return sweeps >= period and (size <= RECORD * self._record or sweeps >= LONGEST_TRIAL * period)
+        return sweeps >= period and (
+            size <= RECORD * self._record or sweeps >= LONGEST_TRIAL * period
+        )
 
     def _end_phase(self, z: FloatVector) -> None:
         """Begin a trial where Gauss–Seidel contracts and a larger ω could do better; else another phase."""

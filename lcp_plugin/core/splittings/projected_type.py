@@ -23,7 +23,12 @@ from ..checks import FloatVector
 from ..errors import InvalidOption, UnsuitableMatrix
 from ..lcp import LCP
 from ..matrix.iteration_facts import PROJECTED_TYPE, IterationFacts
-from ..matrix.row_sums import automatic_factors, has_positive_diagonal, inverse_residual_scale, row_splits
+from ..matrix.row_sums import (
+    automatic_factors,
+    has_positive_diagonal,
+    inverse_residual_scale,
+    row_splits,
+)
 from . import Splitting
 
 SCALINGS = ("auto", "diagonal", None)
@@ -53,7 +58,9 @@ class ScaledByRows(Algorithm):
         """Whether a row scaling takes the units of rows out; without one the iteration depends on them."""
         return self.scaling is not None
 
-    def row_scaling(self, problem: LCP, automatic: Callable[[], FloatVector | float]) -> FloatVector:
+    def row_scaling(
+        self, problem: LCP, automatic: Callable[[], FloatVector | float]
+    ) -> FloatVector:
         """Return the diagonal of S, shape (n,): ones, factor/m_ii, or θ/m_ii with automatic θ; finite.
 
         The scale of the residual stands for m_ii where that is no use. A diagonal that is small beside its row is of
@@ -65,7 +72,9 @@ class ScaledByRows(Algorithm):
         inverse = inverse_residual_scale(problem.matrix)
         with np.errstate(over="ignore", divide="ignore"):
             if problem.residual_scale is not problem.diagonal:
-                inverse = np.where(has_positive_diagonal(problem.matrix), 1.0 / problem.diagonal, inverse)
+                inverse = np.where(
+                    has_positive_diagonal(problem.matrix), 1.0 / problem.diagonal, inverse
+                )
             return np.minimum(factors * inverse, np.finfo(np.float64).max)
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
@@ -73,9 +82,20 @@ class ScaledByRows(Algorithm):
         from ..kernels.splitting_sweeps import packed, relaxation_sweep
 
         M = problem.matrix.csr_rows
-        rows = packed(problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix))
+        rows = packed(
+            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix)
+        )
         cleaned = problem.matrix.whole(z.copy())
-        relaxation_sweep(M.indptr, row_splits(problem.matrix, False), M.indices, M.data, rows, 1.0, False, cleaned)
+        relaxation_sweep(
+            M.indptr,
+            row_splits(problem.matrix, False),
+            M.indices,
+            M.data,
+            rows,
+            1.0,
+            False,
+            cleaned,
+        )
         return cleaned[: problem.q.size]
 
 
@@ -119,10 +139,18 @@ class ProjectedType(ScaledByRows, Splitting):
         alpha, beta = self.splitting()
         step = self._step(problem)
         rows = packed(
-            problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix), step,
-            problem.matrix.together(lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)),
+            problem.q,
+            problem.lower,
+            problem.upper,
+            inverse_residual_scale(problem.matrix),
+            step,
+            problem.matrix.together(
+                lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)
+            ),
         )
-        yield from self.swept(problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0))
+        yield from self.swept(
+            problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0)
+        )
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise where a pivot is not positive."""
@@ -130,15 +158,23 @@ class ProjectedType(ScaledByRows, Splitting):
         step = self._step(problem)
         self._inverse_pivot(problem, step * problem.diagonal, alpha)
         return IterationFacts(
-            family=PROJECTED_TYPE, relaxation=alpha, acceleration=beta, sweep=self.sweep, scaling=step,
+            family=PROJECTED_TYPE,
+            relaxation=alpha,
+            acceleration=beta,
+            sweep=self.sweep,
+            scaling=step,
             is_scaled=self.scaling is not None,
         )
 
     def _step(self, problem: LCP) -> FloatVector:
         alpha, beta = self.splitting()
-        return self.row_scaling(problem, lambda: automatic_factors(problem.matrix, beta / alpha, self.sweep))
+        return self.row_scaling(
+            problem, lambda: automatic_factors(problem.matrix, beta / alpha, self.sweep)
+        )
 
-    def _inverse_pivot(self, problem: LCP, scaled_diagonal: FloatVector, alpha: float) -> FloatVector:
+    def _inverse_pivot(
+        self, problem: LCP, scaled_diagonal: FloatVector, alpha: float
+    ) -> FloatVector:
         with np.errstate(over="ignore", divide="ignore"):
             pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
             inverse: FloatVector = 1.0 / pivot
@@ -184,7 +220,9 @@ class NPAOR(ProjectedType):
     """
 
     name: ClassVar[str] = "npaor"
-    solves: ClassVar[str] = 'H₊ for 0 ≤ β ≤ α (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
+    solves: ClassVar[str] = (
+        'H₊ for 0 ≤ β ≤ α (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
+    )
     relaxation: float = 1.7
     acceleration: float = 1.0
 

@@ -57,6 +57,7 @@ QUICK_SCENES = (
     "market_equilibrium",
 )
 
+
 @dataclass(frozen=True)
 class ReportEffort:
     """How much a report spends: entries of M that a run may touch, and its seconds."""
@@ -120,22 +121,35 @@ def write_report(collected: Collected, folder: Path, *, is_quick: bool) -> Path:
     """
     facts, reports, jinja2 = machine(), collected.of("scene"), require_jinja()
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader(__package__, ""), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
+        loader=jinja2.PackageLoader(__package__, ""),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters |= {"brief": brief, "passes": passes, "time": time}
     page = environment.get_template("page.html").render(
-        machine=facts, scenes=[_article(*one) for one in reports.items()], families=_families([*reports.values()]),
-        colour=lambda curve: COLOURS.get(curve.family, OWN[0]), reference_colour=COLOURS["reference"],
-        missing=collected.missing, is_quick=is_quick,
+        machine=facts,
+        scenes=[_article(*one) for one in reports.items()],
+        families=_families([*reports.values()]),
+        colour=lambda curve: COLOURS.get(curve.family, OWN[0]),
+        reference_colour=COLOURS["reference"],
+        missing=collected.missing,
+        is_quick=is_quick,
     )
     content = {
-        "machine": facts, "missing": collected.missing,
-        "parts": [{"kind": "scene", "name": name} | report.to_content() for name, report in reports.items()],
+        "machine": facts,
+        "missing": collected.missing,
+        "parts": [
+            {"kind": "scene", "name": name} | report.to_content()
+            for name, report in reports.items()
+        ],
     }
     left_out = [(report.title, *entry) for report in reports.values() for entry in report.left_out]
     for name, text in {
-        "curves.csv": csv_text(Report.columns, (row for report in reports.values() for row in report.rows())),
+        "curves.csv": csv_text(
+            Report.columns, (row for report in reports.values() for row in report.rows())
+        ),
         "left_out.csv": csv_text(("scene", "what", "reason"), left_out),
         "report.json": json.dumps(finite_content(content), ensure_ascii=False, indent=1),
         "index.html": page,
@@ -149,7 +163,9 @@ def require_jinja() -> Any:
     try:
         import jinja2
     except ImportError as error:
-        raise LCPError("the report needs jinja2; install it with: pip install 'lcp_plugin[report]'") from error
+        raise LCPError(
+            "the report needs jinja2; install it with: pip install 'lcp_plugin[report]'"
+        ) from error
     return jinja2
 
 
@@ -159,8 +175,13 @@ def _article(text: str, report: Report) -> dict[str, Any]:
 
     name = re.sub(r"\W+", "-", text)
     figures = {
-        against: Markup(svg(report.plot(against=against, width=PAGE_WIDTH), f"{name}-{against}",
-                            f"{report.error_kind} against {against}, {text}"))
+        against: Markup(
+            svg(
+                report.plot(against=against, width=PAGE_WIDTH),
+                f"{name}-{against}",
+                f"{report.error_kind} against {against}, {text}",
+            )
+        )
         for against in ("seconds", "work")
     }
     ranking = sorted(report.curves, key=lambda curve: (not curve.is_solved, curve.seconds))

@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
 VECTORS = ("q", "lower", "upper")
-MATLAB_BOUNDS = {"lower": ("lower", "lb", "l"), "upper": ("upper", "ub", "u")}  # the names that each may have there
+MATLAB_BOUNDS = {
+    "lower": ("lower", "lb", "l"),
+    "upper": ("upper", "ub", "u"),
+}  # the names that each may have there
 MATLAB_LAYOUT = 'it must hold M, q and, if wanted, lower and upper (or lb and ub): in MATLAB save("file.mat", "M", "q")'
 LAYOUT = "an LCP file holds M (or its CSR arrays data, indices, indptr, shape), q and, if wanted, lower and upper"
 
@@ -46,7 +49,9 @@ def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str)
     """Write the arrays that state a problem of another kind, in words, to a ``.npz`` file."""
     target = checked_path(path)
     if target.suffix.lower() != ".npz":
-        raise UnreadableFile(f"cannot write {target}: {what} is saved in one .npz file; write {target.stem}.npz")
+        raise UnreadableFile(
+            f"cannot write {target}: {what} is saved in one .npz file; write {target.stem}.npz"
+        )
     write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
 
 
@@ -125,7 +130,9 @@ def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
         for target, temporary in finished.items():
             temporary.replace(target)
     except OSError as error:
-        raise UnreadableFile(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+        raise UnreadableFile(
+            f"cannot write {target}: {error.strerror or error}; choose another place"
+        ) from error
     finally:
         for temporary in finished.values():
             temporary.unlink(missing_ok=True)
@@ -137,15 +144,24 @@ def _save_folder(problem: LCP, folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UnreadableFile(f"cannot make the folder {folder}: {error.strerror or error}") from error
+        raise UnreadableFile(
+            f"cannot make the folder {folder}: {error.strerror or error}"
+        ) from error
 
     def writer(content: Any) -> Callable[[Any], object]:
         if 0 in content.shape:  # scipy divides by the number of columns
-            kind = "coordinate real general\n0 0 0" if sp.issparse(content) else "array real general\n0 1"
+            kind = (
+                "coordinate real general\n0 0 0"
+                if sp.issparse(content)
+                else "array real general\n0 1"
+            )
             return lambda file: file.write(f"%%MatrixMarket matrix {kind}\n".encode())
         return lambda file: mmwrite(file, content, precision=17, symmetry="general")
 
-    contents = {folder / "M.mtx": writer(sp.coo_array(problem.csr)), folder / "q.mtx": writer(problem.q.reshape(-1, 1))}
+    contents = {
+        folder / "M.mtx": writer(sp.coo_array(problem.csr)),
+        folder / "q.mtx": writer(problem.q.reshape(-1, 1)),
+    }
     for name in ("lower", "upper"):
         bound = np.nan_to_num(getattr(problem, name), posinf=1e20, neginf=-1e20)  # which is none
         contents[folder / f"{name}.mtx"] = writer(bound.reshape(-1, 1))
@@ -167,8 +183,10 @@ def _refuse_other_kinds(source: Path) -> None:
     """Raise UnreadableFile in the words of what the names in the file state."""
     found = names_in(source)
     for what, names in (
-        ("a contact problem with friction", ("mu", "friction")), ("a problem over cones", ("cone_kinds",)),
-        ("a quadratic program", ("P", "P_data", "c", "H")), ("a least squares problem", ("b",)),
+        ("a contact problem with friction", ("mu", "friction")),
+        ("a problem over cones", ("cone_kinds",)),
+        ("a quadratic program", ("P", "P_data", "c", "H")),
+        ("a least squares problem", ("b",)),
     ):
         if key := next((name for name in names if name in found), None):
             raise UnreadableFile(
@@ -178,7 +196,9 @@ def _refuse_other_kinds(source: Path) -> None:
 
 
 def _load_mat(kind: type[LCP], source: Path) -> LCP:
-    content, names = read_mat(source, {"M", "q", *(name for pair in MATLAB_BOUNDS.values() for name in pair)})
+    content, names = read_mat(
+        source, {"M", "q", *(name for pair in MATLAB_BOUNDS.values() for name in pair)}
+    )
     there = f"it holds {', '.join(names) or 'nothing'}"
     if missing := [name for name in ("M", "q") if name not in content]:
         if "M" in missing:
@@ -189,13 +209,17 @@ def _load_mat(kind: type[LCP], source: Path) -> LCP:
         raise UnreadableFile(f"M of {source} must be square, got {rows} × {columns}")
     for name in content.keys() - {"M"}:
         if max(content[name].shape) > max(rows, 1):  # before a sparse one becomes dense
-            raise UnreadableFile(f"{name} of {source} has the shape {content[name].shape}, but M has {rows} rows")
+            raise UnreadableFile(
+                f"{name} of {source} has the shape {content[name].shape}, but M has {rows} rows"
+            )
     q, bounds = flat(content["q"]), {}
     _require_a_number_a_row(content["M"], q, f"M of {source}", "q")
     for name, others in MATLAB_BOUNDS.items():
         given = [other for other in others if other in content]
         if len(given) > 1:
-            raise UnreadableFile(f"{source} holds {' and '.join(given)}, which say the same; leave one of them out")
+            raise UnreadableFile(
+                f"{source} holds {' and '.join(given)}, which say the same; leave one of them out"
+            )
         for other in given:
             bound = flat(content[other])
             bounds[name] = bound[0] if bound.size == 1 else bound
@@ -211,7 +235,9 @@ def _require_a_number_a_row(M: Any, q: Any, matrix: str, vector: str) -> None:
         )
 
 
-def require_keys(source: Path, content: Mapping[str, Any], keys: Collection[str], remedy: str) -> None:
+def require_keys(
+    source: Path, content: Mapping[str, Any], keys: Collection[str], remedy: str
+) -> None:
     """Raise UnreadableFile where one of the arrays is missing."""
     missing = [key for key in keys if key not in content]
     if missing:
@@ -222,14 +248,18 @@ def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -
     """Return the matrix of a file's CSR arrays, or of its CSC arrays, or raise UnreadableFile where they are none."""
     for key in ("indices", "indptr", "shape"):
         if content[key].dtype.kind not in "iu":
-            raise UnreadableFile(f"{source}: {key} must hold whole numbers, got dtype {content[key].dtype}")
+            raise UnreadableFile(
+                f"{source}: {key} must hold whole numbers, got dtype {content[key].dtype}"
+            )
     try:
         shape = tuple(int(k) for k in content["shape"])
         matrix = kind((content["data"], content["indices"], content["indptr"]), shape=shape)
         matrix.check_format(full_check=True)
         return sp.csr_array(matrix)
     except (ValueError, IndexError, TypeError, OverflowError, MemoryError) as error:
-        raise UnreadableFile(f"{source} holds no valid {kind.__name__[:3].upper()} matrix: {error}") from error
+        raise UnreadableFile(
+            f"{source} holds no valid {kind.__name__[:3].upper()} matrix: {error}"
+        ) from error
 
 
 def names_in(source: Path) -> list[str]:
@@ -251,7 +281,9 @@ def _archive(source: Path) -> Iterator[Any]:
     """Open a ``.npz`` file; whatever is found wrong with it is an UnreadableFile."""
     with opened(source, ".npz archive") as file:
         if file.read(2) != b"PK":
-            raise UnreadableFile(f"cannot read {source}: it is damaged or no .npz archive; write it with LCP.save")
+            raise UnreadableFile(
+                f"cannot read {source}: it is damaged or no .npz archive; write it with LCP.save"
+            )
         file.seek(0)
         try:
             with np.load(file, allow_pickle=False) as archive:
@@ -300,6 +332,10 @@ def _problem(kind: type[LCP], source: str, M: Any, q: Any, bounds: Mapping[str, 
     try:
         return kind(M, q, **bounds)
     except InvalidProblem as error:
-        raise UnreadableFile(f"{source} states no linear complementarity problem: {error}") from error
+        raise UnreadableFile(
+            f"{source} states no linear complementarity problem: {error}"
+        ) from error
     except MemoryError as error:
-        raise UnreadableFile(f"{source} states a problem too large for the memory ({error})") from error
+        raise UnreadableFile(
+            f"{source} states a problem too large for the memory ({error})"
+        ) from error

@@ -25,7 +25,13 @@ SIGN_OF_MIRROR = {"symmetric": 1.0, "skew-symmetric": -1.0}
 MOST_UNSEEN = 10_000_000  # rows or columns that a file may announce with less than a byte for each
 WHOLE = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 NUMERIC = {"sparse", "double", "single", "logical", *WHOLE}
-WORDS = {"char": "text", "cell": "a cell array", "struct": "a struct", "object": "an object", "function": "a function"}
+WORDS = {
+    "char": "text",
+    "cell": "a cell array",
+    "struct": "a struct",
+    "object": "an object",
+    "function": "a function",
+}
 
 
 @contextmanager
@@ -39,7 +45,9 @@ def opened(source: Path, kind: str) -> Iterator[Any]:
     except LCPError:
         raise
     except Exception as error:
-        raise UnreadableFile(f"cannot read {source}: it is damaged or no {kind} ({error})") from error
+        raise UnreadableFile(
+            f"cannot read {source}: it is damaged or no {kind} ({error})"
+        ) from error
 
 
 def read_matrix_market(source: Path) -> Any:
@@ -58,7 +66,11 @@ def read_matrix_market(source: Path) -> Any:
         size = _size(line, 3 if form == "coordinate" else 2)
         _refuse_what_cannot_follow(size, os.fstat(file.fileno()).st_size)
         body = _numbers(file)
-        return _from_entries(size, body, symmetry) if form == "coordinate" else _from_columns(size, body, symmetry)
+        return (
+            _from_entries(size, body, symmetry)
+            if form == "coordinate"
+            else _from_columns(size, body, symmetry)
+        )
 
 
 def _header(line: bytes) -> tuple[str, str]:
@@ -68,7 +80,9 @@ def _header(line: bytes) -> tuple[str, str]:
         raise ValueError("its first line is no Matrix Market header")
     form, number, symmetry = words[2:]
     if form not in ("coordinate", "array") or number not in NUMBERS:
-        raise ValueError(f"a {form} matrix of {number} numbers is not supported; write real numbers")
+        raise ValueError(
+            f"a {form} matrix of {number} numbers is not supported; write real numbers"
+        )
     if symmetry != "general" and symmetry not in SIGN_OF_MIRROR:
         raise ValueError(f"the symmetry {symmetry!r} is not supported; write the matrix as general")
     return form, symmetry
@@ -77,14 +91,18 @@ def _header(line: bytes) -> tuple[str, str]:
 def _size(line: bytes, count: int) -> list[int]:
     words = line.split()
     if len(words) != count or not all(word.isdigit() for word in words):
-        raise ValueError(f"its size line must hold {count} whole numbers, got {line[:60].decode(errors='replace')!r}")
+        raise ValueError(
+            f"its size line must hold {count} whole numbers, got {line[:60].decode(errors='replace')!r}"
+        )
     return [int(word) for word in words]
 
 
 def _refuse_what_cannot_follow(size: list[int], length: int) -> None:
     """Raise where a file of that many bytes announces so much that its matrix would fill the memory with zeros."""
     if max(size) > max(MOST_UNSEEN, length):
-        raise ValueError(f"its size line announces {' '.join(map(str, size))}, and it has {length} bytes")
+        raise ValueError(
+            f"its size line announces {' '.join(map(str, size))}, and it has {length} bytes"
+        )
 
 
 def _numbers(file: Any) -> NDArray[np.float64]:
@@ -98,7 +116,9 @@ def _from_entries(size: list[int], body: NDArray[np.float64], symmetry: str) -> 
     rows, columns, count = size
     body = body.reshape(0, 3) if body.size == 0 else body
     if body.shape != (count, 3):
-        raise ValueError(f"it announces {count} entries of 3 numbers and holds an array of shape {body.shape}")
+        raise ValueError(
+            f"it announces {count} entries of 3 numbers and holds an array of shape {body.shape}"
+        )
     index = body[:, :2]
     if (index != np.floor(index)).any() or (index < 1).any() or (index > [rows, columns]).any():
         raise ValueError(f"an index lies outside 1 … {rows} × 1 … {columns}")
@@ -153,12 +173,18 @@ def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], lis
                 f"cannot read {source}: it is of version 7.3 (HDF5); in MATLAB write "
                 f'save("{source.name}", "M", "q", "-v7")'
             ) from error
-        if other := next((name for name in wanted if kinds.get(name, "double") not in NUMERIC), None):
+        if other := next(
+            (name for name in wanted if kinds.get(name, "double") not in NUMERIC), None
+        ):
             what = WORDS.get(kinds[other], "no array")
-            raise UnreadableFile(f"cannot read {source}: {other} is {what}; save a matrix of numbers")
+            raise UnreadableFile(
+                f"cannot read {source}: {other} is {what}; save a matrix of numbers"
+            )
         names = [name for name in kinds if name in wanted]
         file.seek(0)
-        arrays = {"spmatrix": False} if "spmatrix" in signature(loadmat).parameters else {}  # an older scipy has none
+        arrays = (
+            {"spmatrix": False} if "spmatrix" in signature(loadmat).parameters else {}
+        )  # an older scipy has none
         found = loadmat(file, variable_names=names, **arrays) if names else {}
     return {name: _checked(found[name], name, source) for name in names}, list(kinds)
 
@@ -167,7 +193,9 @@ def _checked(matrix: Any, name: str, source: Path) -> Any:
     if np.iscomplexobj(matrix):
         raise UnreadableFile(f"cannot read {source}: {name} is complex; save real numbers")
     if len(matrix.shape) != 2:
-        raise UnreadableFile(f"cannot read {source}: {name} has the shape {matrix.shape}; save a matrix or a vector")
+        raise UnreadableFile(
+            f"cannot read {source}: {name} has the shape {matrix.shape}; save a matrix or a vector"
+        )
     if not sp.issparse(matrix):
         return matrix.astype(matrix.dtype.newbyteorder("="))
     try:
@@ -175,4 +203,6 @@ def _checked(matrix: Any, name: str, source: Path) -> Any:
         columns.check_format(full_check=True)
         return columns
     except (ValueError, IndexError, OverflowError) as error:
-        raise UnreadableFile(f"cannot read {source}: {name} is no sparse matrix ({error}); write it again") from error
+        raise UnreadableFile(
+            f"cannot read {source}: {name} is no sparse matrix ({error}); write it again"
+        ) from error

@@ -56,7 +56,9 @@ def common_axes(
         raise InvalidProblem("q must have shape (…, n), got a number")
     for name, shape in (("lower", lower), ("upper", upper)):
         if shape[-1:] not in ((), (1,), q[-1:]):
-            raise InvalidProblem(f"{name} must be a number or have the length of q, {q[-1]}, got shape {shape}")
+            raise InvalidProblem(
+                f"{name} must be a number or have the length of q, {q[-1]}, got shape {shape}"
+            )
     try:
         return np.broadcast_shapes(M[:-2], q[:-1], lower[:-1], upper[:-1])
     except ValueError:
@@ -70,7 +72,9 @@ def is_one(M: Any) -> bool:
     return bool(math.prod(M.shape[:-2]) == 1)
 
 
-def solved(wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z0: Any = None) -> tuple[BatchDerivative, Any]:
+def solved(
+    wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z0: Any = None
+) -> tuple[BatchDerivative, Any]:
     """Return the derivative of all solutions, and the axes of the batch.
 
     Parameters
@@ -86,15 +90,23 @@ def solved(wishes: Wishes, M: Any, q: Any, lower: Any, upper: Any, z0: Any = Non
     NotConverged
         Where one is not solved.
     """
-    axes = common_axes(() if M is None else M.shape, *(vector.shape for vector in (q, lower, upper)))
+    axes = common_axes(
+        () if M is None else M.shape, *(vector.shape for vector in (q, lower, upper))
+    )
 
     def stacked(array: Any, own: tuple[int, ...]) -> Any:
         return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
 
-    q, lower, upper, z0 = (None if one is None else stacked(one, q.shape[-1:]) for one in (q, lower, upper, z0))
+    q, lower, upper, z0 = (
+        None if one is None else stacked(one, q.shape[-1:]) for one in (q, lower, upper, z0)
+    )
     if M is not None:
         M = M.reshape(M.shape[-2:]) if is_one(M) else stacked(M, M.shape[-2:])
-    found = derivative(solve_batch(wishes.M if M is None else M, q, lower=lower, upper=upper, z0=z0, **wishes.options))
+    found = derivative(
+        solve_batch(
+            wishes.M if M is None else M, q, lower=lower, upper=upper, z0=z0, **wishes.options
+        )
+    )
     if found.errors:
         is_none = any(isinstance(error, InvalidProblem) for error in found.errors.values())
         raise _first(found.errors, axes, InvalidProblem if is_none else NotConverged)
@@ -127,13 +139,16 @@ def tangents(found: BatchDerivative, axes: tuple[int, ...], *moved: Any) -> tupl
     UnsuitableProblem
         Where a problem whose data move has no derivative.
     """
+
     def ask(change: Any, lower: Any, upper: Any) -> tuple[Any]:
         return (found.jvp(dq=change, dlower=lower, dupper=upper),)
 
     return _derived(ask, 1, found, axes, *moved)
 
 
-def contacts_solved(wishes: Wishes, W: Any, b: Any, friction: Any, z0: Any = None) -> ContactBatchDerivative:
+def contacts_solved(
+    wishes: Wishes, W: Any, b: Any, friction: Any, z0: Any = None
+) -> ContactBatchDerivative:
     """Return the derivative of all worlds with contact.
 
     Parameters
@@ -165,7 +180,9 @@ def contact_gradients(found: ContactBatchDerivative, _: tuple[int, ...], g: Any)
     return gradient.M, gradient.q, gradient.friction
 
 
-def contact_tangents(found: ContactBatchDerivative, _: tuple[int, ...], dW: Any, db: Any, dfriction: Any) -> tuple[Any]:
+def contact_tangents(
+    found: ContactBatchDerivative, _: tuple[int, ...], dW: Any, db: Any, dfriction: Any
+) -> tuple[Any]:
     """Return (dz,), the change of the impulses."""
     return (found.jvp(dM=dW, dq=db, dfriction=dfriction),)
 
@@ -179,14 +196,22 @@ def no_second_derivative(remedy: str) -> UnsupportedModel:
 
 
 def _derived(
-    ask: Callable[..., tuple[Any, ...]], count: int, found: BatchDerivative, axes: tuple[int, ...], *given: Any
+    ask: Callable[..., tuple[Any, ...]],
+    count: int,
+    found: BatchDerivative,
+    axes: tuple[int, ...],
+    *given: Any,
 ) -> tuple[Any, ...]:
     """Return the so many arrays that are asked of all problems; axes that `found` does not have are taken in turn."""
     *every, n = given[0].shape
     tables = tuple(np.empty((*every, n)) for _ in range(count))
     own = [mine == whole for mine, whole in zip(axes, every, strict=True)]
-    for place in np.ndindex(*(1 if is_own else whole for is_own, whole in zip(own, every, strict=True))):
-        at = tuple(slice(None) if is_own else slice(k, k + 1) for is_own, k in zip(own, place, strict=True))
+    for place in np.ndindex(
+        *(1 if is_own else whole for is_own, whole in zip(own, every, strict=True))
+    ):
+        at = tuple(
+            slice(None) if is_own else slice(k, k + 1) for is_own, k in zip(own, place, strict=True)
+        )
         rows = [array[at].reshape(len(found), n) for array in given]
         answers = ask(*rows)
         wrong = {k: error for k, error in found.errors.items() if any(row[k].any() for row in rows)}
@@ -202,6 +227,10 @@ def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPErr
     """Return an error of that kind, which says what is wrong with the first problem, and where others are."""
     places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
     first, *others = places
-    also = f" (nor do {', '.join(str(places[k]) for k in others[:5])}{' …' if others[5:] else ''})" if others else ""
+    also = (
+        f" (nor do {', '.join(str(places[k]) for k in others[:5])}{' …' if others[5:] else ''})"
+        if others
+        else ""
+    )
     where = f"problem {places[first]} of the batch" if axes else "the problem"
     return kind(f"{where} gives the layer no solution to go on with{also}: {errors[first]}")

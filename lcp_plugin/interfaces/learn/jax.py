@@ -38,8 +38,15 @@ __all__ = ["contact_layer", "lcp_layer"]
 
 
 def lcp_layer(
-    M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, *, algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8, max_iterations: int | None = None, max_seconds: float | None = None,
+    M: Any,
+    q: Any,
+    lower: Any = 0.0,
+    upper: Any = np.inf,
+    *,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
     threads: int | None = None,
 ) -> jax.Array:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
@@ -88,7 +95,10 @@ def lcp_layer(
             'lcp_layer works in double precision; begin the program with jax.config.update("jax_enable_x64", True)'
         )
     options = {
-        "algorithm": algorithm, "tolerance": tolerance, "max_iterations": max_iterations, "max_seconds": max_seconds,
+        "algorithm": algorithm,
+        "tolerance": tolerance,
+        "max_iterations": max_iterations,
+        "max_seconds": max_seconds,
         "threads": threads,
     }
     q, lower, upper = _array(q, "q"), _array(lower, "lower"), _array(upper, "upper")
@@ -102,8 +112,14 @@ def lcp_layer(
 
 
 def contact_layer(
-    W: Any, b: Any, friction: Any, *, dimension: int | None = None, tolerance: float = 1e-8,
-    max_seconds: float | None = None, threads: int | None = None,
+    W: Any,
+    b: Any,
+    friction: Any,
+    *,
+    dimension: int | None = None,
+    tolerance: float = 1e-8,
+    max_seconds: float | None = None,
+    threads: int | None = None,
 ) -> jax.Array:
     """Return the impulses z of worlds with contact and friction, differentiable by W, b and friction.
 
@@ -147,18 +163,24 @@ def contact_layer(
     axes = np.broadcast_shapes(W.shape[:-2], b.shape[:-1], friction.shape[:-1])
     own = (W, W.shape[-2:]), (b, b.shape[-1:]), (friction, friction.shape[-1:])
     options = {
-        "contacts": None, "dimension": dimension, "tolerance": tolerance, "max_seconds": max_seconds,
+        "contacts": None,
+        "dimension": dimension,
+        "tolerance": tolerance,
+        "max_seconds": max_seconds,
         "threads": threads,
     }
-    z: jax.Array = _impulses(*(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own), Wishes(options))
+    z: jax.Array = _impulses(
+        *(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own), Wishes(options)
+    )
     return z
 
 
 def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:
     """Call a function of arrays with one axis for all worlds, whatever axes stand in front of b's last."""
+
     def call(*data: Any) -> Any:
         axes = data[1].shape[:-1]
-        stacked = [np.asarray(one).reshape(-1, *one.shape[len(axes):]) for one in data]
+        stacked = [np.asarray(one).reshape(-1, *one.shape[len(axes) :]) for one in data]
         return jax.tree.map(lambda one: one.reshape(*axes, *one.shape[1:]), function(*stacked))
 
     return jax.pure_callback(call, like, *data, vmap_method="broadcast_all")
@@ -167,7 +189,9 @@ def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:
 @partial(jax.custom_vjp, nondiff_argnums=(3,))
 def _impulses(W: Any, b: Any, friction: Any, wishes: Wishes) -> Any:
     like = jax.ShapeDtypeStruct(b.shape, np.float64)
-    return _called(lambda *data: np.array(contacts_solved(wishes, *data).batch.z), like, W, b, friction)
+    return _called(
+        lambda *data: np.array(contacts_solved(wishes, *data).batch.z), like, W, b, friction
+    )
 
 
 def _impulses_forward(W: Any, b: Any, friction: Any, wishes: Wishes) -> tuple[Any, Any]:
@@ -177,7 +201,9 @@ def _impulses_forward(W: Any, b: Any, friction: Any, wishes: Wishes) -> tuple[An
 
 def _impulses_backward(wishes: Wishes, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
     def differentiate(W: Any, b: Any, friction: Any, z: Any, g: Any) -> tuple[Any, ...]:
-        return contact_gradients(contacts_solved(wishes, W, b, friction, z), (), g)  # it begins at its solution
+        return contact_gradients(
+            contacts_solved(wishes, W, b, friction, z), (), g
+        )  # it begins at its solution
 
     like = tuple(jax.ShapeDtypeStruct(one.shape, np.float64) for one in kept[:3])
     by: tuple[Any, ...] = _called(differentiate, like, *kept, g)
@@ -197,14 +223,20 @@ def _array(values: Any, name: str) -> Any:
     if values.dtype == np.float64:
         return values
     if jnp.issubdtype(values.dtype, jnp.floating):
-        raise InvalidProblem(f"{name} must be an array of float64, got {values.dtype}; write {name}.astype(float)")
+        raise InvalidProblem(
+            f"{name} must be an array of float64, got {values.dtype}; write {name}.astype(float)"
+        )
     check_kind(values.dtype, need)
     return values.astype(np.float64)
 
 
 def _with_axes(array: Any, count: int) -> Any:
     """Return the array with so many axes: what vmap puts in front must be the same one for all."""
-    return array if array.ndim >= count else array.reshape((*(1 for _ in range(count - array.ndim)), *array.shape))
+    return (
+        array
+        if array.ndim >= count
+        else array.reshape((*(1 for _ in range(count - array.ndim)), *array.shape))
+    )
 
 
 # --- three primitives: z, and its derivative forwards and backwards -------------------------------------------------
@@ -216,11 +248,19 @@ def _solve(M: Any, q: Any, lower: Any, upper: Any, *, wishes: Wishes) -> tuple[A
 
 
 def _differentiate(
-    function: Callable[..., tuple[Any, ...]], M: Any, q: Any, lower: Any, upper: Any, z: Any, *given: Any,
+    function: Callable[..., tuple[Any, ...]],
+    M: Any,
+    q: Any,
+    lower: Any,
+    upper: Any,
+    z: Any,
+    *given: Any,
     wishes: Wishes,
 ) -> tuple[Any, ...]:
     """Return what a function of batches.py, linear in what is given, says at a solution."""
-    return function(*solved(wishes, M, q, lower, upper, z), *given)  # it begins at its solution: one look says so
+    return function(
+        *solved(wishes, M, q, lower, upper, z), *given
+    )  # it begins at its solution: one look says so
 
 
 def _primitive(function: Callable[..., tuple[Any, ...]], count: int, linear: int) -> Primitive:
@@ -242,7 +282,9 @@ def _primitive(function: Callable[..., tuple[Any, ...]], count: int, linear: int
         return function(*_with_matrix(wishes, map(np.asarray, data)), wishes=wishes)
 
     def shape(data: Sequence[Any], wishes: Wishes) -> Any:
-        M, q, *bounds = (() if array is None else array.shape for array in _with_matrix(wishes, data)[:4])
+        M, q, *bounds = (
+            () if array is None else array.shape for array in _with_matrix(wishes, data)[:4]
+        )
         return data[-1].shape if linear else common_axes(M, q, *bounds) + q[-1:]
 
     def compiled(*data: Any, wishes: Wishes) -> Any:
@@ -253,11 +295,16 @@ def _primitive(function: Callable[..., tuple[Any, ...]], count: int, linear: int
         pairs = list(zip(data, dims, strict=True))
         size = next(array.shape[k] for array, k in pairs if k is not None)
         data = [array[None] if k is None else jnp.moveaxis(array, k, 0) for array, k in pairs]
-        whole = [jnp.broadcast_to(array, (size, *array.shape[1:])) for array in data[len(data) - linear:]]
+        whole = [
+            jnp.broadcast_to(array, (size, *array.shape[1:]))
+            for array in data[len(data) - linear :]
+        ]
         return primitive.bind(*data[: len(data) - linear], *whole, wishes=wishes), [0] * count
 
     primitive.def_impl(lambda *data, wishes: [jnp.asarray(array) for array in call(wishes, *data)])
-    primitive.def_abstract_eval(lambda *data, wishes: [data[0].update(shape=shape(data, wishes))] * count)
+    primitive.def_abstract_eval(
+        lambda *data, wishes: [data[0].update(shape=shape(data, wishes))] * count
+    )
     batching.primitive_batchers[primitive] = mapped
     mlir.register_lowering(primitive, mlir.lower_fun(compiled, multiple_results=True))
     return primitive
@@ -277,25 +324,40 @@ def _solution_jvp(data: Sequence[Any], moved: Sequence[Any], *, wishes: Wishes) 
     """Return z, and dz by dM z + dq and the changes of the bounds."""
     (z,) = _solution.bind(*data, wishes=wishes)
     by_M, *by = _with_matrix(wishes, moved)
-    by = [np.broadcast_to(0.0, z.shape) if isinstance(one, ad.Zero) else jnp.broadcast_to(one, z.shape) for one in by]
+    by = [
+        np.broadcast_to(0.0, z.shape)
+        if isinstance(one, ad.Zero)
+        else jnp.broadcast_to(one, z.shape)
+        for one in by
+    ]
     if by_M is not None and not isinstance(by_M, ad.Zero):
         by[0] = by[0] + jnp.matmul(by_M, z[..., None])[..., 0]
     return [z], _tangent.bind(*data, z, *by, wishes=wishes)
 
 
-def _linear_jvp(primitive: Primitive, linear: int, data: Any, moved: Any, *, wishes: Wishes) -> tuple[Any, Any]:
+def _linear_jvp(
+    primitive: Primitive, linear: int, data: Any, moved: Any, *, wishes: Wishes
+) -> tuple[Any, Any]:
     """Return the values, and their changes where only what they are linear in moves."""
     point, moved = data[:-linear], [*moved[:-linear], *map(ad.instantiate_zeros, moved[-linear:])]
     if not all(isinstance(one, ad.Zero) for one in moved[:-linear]):
-        raise no_second_derivative("put jax.lax.stop_gradient around the first, or take differences of it")
-    return primitive.bind(*data, wishes=wishes), primitive.bind(*point, *moved[-linear:], wishes=wishes)
+        raise no_second_derivative(
+            "put jax.lax.stop_gradient around the first, or take differences of it"
+        )
+    return primitive.bind(*data, wishes=wishes), primitive.bind(
+        *point, *moved[-linear:], wishes=wishes
+    )
 
 
-def _transposed(other: Primitive, linear: int, g: Sequence[Any], *data: Any, wishes: Wishes) -> list[Any]:
+def _transposed(
+    other: Primitive, linear: int, g: Sequence[Any], *data: Any, wishes: Wishes
+) -> list[Any]:
     """Return the gradients of a derivative by what it is linear in: the derivative the other way."""
     by = other.bind(*data[:-linear], *map(ad.instantiate_zeros, g), wishes=wishes)
     asked = [ad.is_undefined_primal(one) for one in data[-linear:]]
-    return [None] * len(data[:-linear]) + [one if is_asked else None for one, is_asked in zip(by, asked, strict=True)]
+    return [None] * len(data[:-linear]) + [
+        one if is_asked else None for one, is_asked in zip(by, asked, strict=True)
+    ]
 
 
 ad.primitive_jvps[_solution] = _solution_jvp

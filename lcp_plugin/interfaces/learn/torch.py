@@ -37,8 +37,15 @@ __all__ = ["contact_layer", "lcp_layer"]
 
 
 def lcp_layer(
-    M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, *, algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8, max_iterations: int | None = None, max_seconds: float | None = None,
+    M: Any,
+    q: Any,
+    lower: Any = 0.0,
+    upper: Any = np.inf,
+    *,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
     threads: int | None = None,
 ) -> torch.Tensor:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
@@ -84,11 +91,16 @@ def lcp_layer(
     [[-0.5, 0.0], [0.0, -0.5]]
     """
     options = {
-        "algorithm": algorithm, "tolerance": tolerance, "max_iterations": max_iterations, "max_seconds": max_seconds,
+        "algorithm": algorithm,
+        "tolerance": tolerance,
+        "max_iterations": max_iterations,
+        "max_seconds": max_seconds,
         "threads": threads,
     }
     if torch.compiler.is_compiling():  # torch shows the next line to whoever forbids graph breaks
-        return torch.compiler.disable(_layer)(M, q, lower, upper, options)  # a graph break: leave out fullgraph=True
+        return torch.compiler.disable(_layer)(
+            M, q, lower, upper, options
+        )  # a graph break: leave out fullgraph=True
     return _layer(M, q, lower, upper, options)
 
 
@@ -96,7 +108,9 @@ def _layer(M: Any, q: Any, lower: Any, upper: Any, options: dict[str, Any]) -> A
     q, lower, upper = _tensor(q, "q"), _tensor(lower, "lower"), _tensor(upper, "upper")
     wishes, M = (Wishes(options, M), None) if sp.issparse(M) else (Wishes(options), _tensor(M, "M"))
     is_stack = M is not None and M.layout is torch.strided
-    axes = common_axes(*(() if tensor is None else tuple(tensor.shape) for tensor in (M, q, lower, upper)))
+    axes = common_axes(
+        *(() if tensor is None else tuple(tensor.shape) for tensor in (M, q, lower, upper))
+    )
     q, lower, upper = (vector.expand(*axes, q.shape[-1]) for vector in (q, lower, upper))
     if is_stack:
         M = M.reshape(M.shape[-2:]) if is_one(M) else M.expand(*axes, *M.shape[-2:])
@@ -104,8 +118,16 @@ def _layer(M: Any, q: Any, lower: Any, upper: Any, options: dict[str, Any]) -> A
 
 
 def contact_layer(
-    W: Any, b: Any, friction: Any, *, contacts: Any = None, dimension: int | None = None, z0: Any = None,
-    tolerance: float = 1e-8, max_seconds: float | None = None, threads: int | None = None,
+    W: Any,
+    b: Any,
+    friction: Any,
+    *,
+    contacts: Any = None,
+    dimension: int | None = None,
+    z0: Any = None,
+    tolerance: float = 1e-8,
+    max_seconds: float | None = None,
+    threads: int | None = None,
 ) -> torch.Tensor:
     """Return the impulses z of many worlds with contact and friction, differentiable by W, b and friction.
 
@@ -155,7 +177,10 @@ def contact_layer(
             f"W must have shape (B, n, n) or (n, n), and b (B, n), got {tuple(W.shape)} and {tuple(b.shape)}"
         )
     options = {
-        "contacts": contacts, "dimension": dimension, "tolerance": tolerance, "max_seconds": max_seconds,
+        "contacts": contacts,
+        "dimension": dimension,
+        "tolerance": tolerance,
+        "max_seconds": max_seconds,
         "threads": threads,
     }
     if W.ndim == 2:
@@ -216,10 +241,14 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
         ctx.save_for_forward(z)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple[Any, ...], M: Any, q: Any, lower: Any, upper: Any, run: Wishes) -> Any:
+    def vmap(
+        info: Any, in_dims: tuple[Any, ...], M: Any, q: Any, lower: Any, upper: Any, run: Wishes
+    ) -> Any:
         """Solve with one axis more in front."""
         of_M, *dims, _ = in_dims
-        vectors = [_in_front(*pair, info.batch_size) for pair in zip((q, lower, upper), dims, strict=True)]
+        vectors = [
+            _in_front(*pair, info.batch_size) for pair in zip((q, lower, upper), dims, strict=True)
+        ]
         if of_M is not None:
             M = M.movedim(of_M, 0)
             axes = (1,) * (vectors[0].ndim + 1 - M.ndim)
@@ -229,7 +258,9 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def backward(ctx: Any, g: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
-        M, *_, z = ctx.saved_tensors  # torch refuses where one was changed in place: the solver reads M as it lies
+        M, *_, z = (
+            ctx.saved_tensors
+        )  # torch refuses where one was changed in place: the solver reads M as it lies
         entries = _entries(M, z) if ctx.needs_input_grad[0] else None
         by_q, by_lower, by_upper, *by_M = _Derivative.apply(gradients, ctx.run, entries, z, g)
         if by_M and _is_csr(M):
@@ -240,7 +271,9 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
     def jvp(ctx: Any, dM: Any, dq: Any, dlower: Any, dupper: Any, _: Any) -> Any:
         """Return the change of z."""
         (z,) = ctx.saved_tensors
-        change, *moved = (torch.zeros_like(z) if vector is None else vector for vector in (dq, dlower, dupper))
+        change, *moved = (
+            torch.zeros_like(z) if vector is None else vector for vector in (dq, dlower, dupper)
+        )
         if dM is not None:
             change = change + (dM @ z.unsqueeze(-1)).squeeze(-1)
         return _Derivative.apply(tangents, ctx.run, None, z, change, *moved)[0]
@@ -251,7 +284,11 @@ class _Derivative(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def forward(
-        function: Callable[..., Any], run: Wishes, entries: Callable[..., Any] | None, z: Any, *given: Any
+        function: Callable[..., Any],
+        run: Wishes,
+        entries: Callable[..., Any] | None,
+        z: Any,
+        *given: Any,
     ) -> tuple[Any, ...]:
         """Return the gradients by q, lower, upper and, where `entries` computes that, M; or the change of z, alone.
 
@@ -266,12 +303,24 @@ class _Derivative(torch.autograd.Function):  # type: ignore[misc]
         """Keep nothing."""
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple[Any, ...], function: Any, run: Wishes, entries: Any, z: Any, *given: Any) -> Any:
+    def vmap(
+        info: Any,
+        in_dims: tuple[Any, ...],
+        function: Any,
+        run: Wishes,
+        entries: Any,
+        z: Any,
+        *given: Any,
+    ) -> Any:
         """Return them with one axis more in front."""
         _, _, _, of_z, *dims = in_dims
         z = z.unsqueeze(0) if of_z is None else z.movedim(of_z, 0)  # one z may have many gradients
         answers = _Derivative.apply(
-            function, run, entries, z, *(_in_front(*pair, info.batch_size) for pair in zip(given, dims, strict=True))
+            function,
+            run,
+            entries,
+            z,
+            *(_in_front(*pair, info.batch_size) for pair in zip(given, dims, strict=True)),
         )
         return answers, (0,) * len(answers)
 
@@ -293,14 +342,19 @@ def _entries(M: Any, z: Any) -> Callable[[Any, Any], Any]:
     if not _is_csr(M):
         return partial(_by_entries, tuple(M.shape), z.ndim - 1)
     pattern = _scipy(M)
-    return partial(_by_pattern, np.repeat(np.arange(z.shape[-1]), np.diff(pattern.indptr)), pattern.indices)
+    return partial(
+        _by_pattern, np.repeat(np.arange(z.shape[-1]), np.diff(pattern.indptr)), pattern.indices
+    )
 
 
 def _by_entries(shape: tuple[int, ...], own: int, by_q: Any, z: Any) -> Any:
     """Return it for a dense M of that shape and so many axes of a batch; vmap may have put more in front."""
     mapped, n = by_q.ndim - 1 - own, z.shape[-1]
     if len(shape) == 2:
-        left, right = (rows.reshape(*rows.shape[:mapped], math.prod(rows.shape[mapped:-1]), n) for rows in (by_q, z))
+        left, right = (
+            rows.reshape(*rows.shape[:mapped], math.prod(rows.shape[mapped:-1]), n)
+            for rows in (by_q, z)
+        )
         return left.swapaxes(-1, -2) @ right
     products = by_q[..., :, np.newaxis] * z[..., np.newaxis, :]
     same = tuple(mapped + k for k, size in enumerate(shape[:-2]) if size == 1)
@@ -318,9 +372,13 @@ def _by_pattern(rows: Any, columns: Any, by_q: Any, z: Any) -> Any:
 def _tensor(values: Any, name: str) -> Any:
     """Return the values as a tensor of doubles on the CPU; what is a tensor of another kind is refused."""
     if not isinstance(values, torch.Tensor):
-        return torch.from_numpy(real_array(values, f"{name} must be an array of real numbers").copy())
+        return torch.from_numpy(
+            real_array(values, f"{name} must be an array of real numbers").copy()
+        )
     if values.dtype is not torch.float64:
-        raise InvalidProblem(f"{name} must be a tensor of float64, got {values.dtype}; write {name}.double()")
+        raise InvalidProblem(
+            f"{name} must be a tensor of float64, got {values.dtype}; write {name}.double()"
+        )
     if values.device.type != "cpu":
         raise InvalidProblem(f"{name} must be on the CPU, got {values.device}; write {name}.cpu()")
     if values.layout is torch.strided:
@@ -352,7 +410,10 @@ def _is_csr(M: Any) -> bool:
 
 def _scipy(M: Any) -> Any:
     M = M.detach()
-    return sp.csr_array((M.values().numpy(), M.col_indices().numpy(), M.crow_indices().numpy()), shape=tuple(M.shape))
+    return sp.csr_array(
+        (M.values().numpy(), M.col_indices().numpy(), M.crow_indices().numpy()),
+        shape=tuple(M.shape),
+    )
 
 
 def _numpy(tensor: Any) -> Any:

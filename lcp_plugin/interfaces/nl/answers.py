@@ -27,14 +27,29 @@ from .content import Indices, NLContent
 
 #: AMPL's numbers for the ways a run may end.
 CODES = {
-    Status.SOLVED: 0, Status.PRECISION_LIMIT: 100, Status.INFEASIBLE: 200, Status.NO_SOLUTION: 200,
-    Status.UNBOUNDED: 300, Status.MAX_ITERATIONS: 400, Status.MAX_SECONDS: 401, Status.INTERRUPTED: 402,
-    Status.STALLED: 500, Status.DIVERGED: 501,
+    Status.SOLVED: 0,
+    Status.PRECISION_LIMIT: 100,
+    Status.INFEASIBLE: 200,
+    Status.NO_SOLUTION: 200,
+    Status.UNBOUNDED: 300,
+    Status.MAX_ITERATIONS: 400,
+    Status.MAX_SECONDS: 401,
+    Status.INTERRUPTED: 402,
+    Status.STALLED: 500,
+    Status.DIVERGED: 501,
 }
 OUTSIDE = 1e-8  # of 1 + |x|
 ROUNDINGS = 100.0  # times what rounding alone leaves open
 OBJECTIVE = 1e-3  # of what the objective may differ by: one that is expanded has lost digits
-TAKEN = ("tolerance", "max_iterations", "max_seconds", "callback", "verbose", "threads", "prove")  # beside an objective
+TAKEN = (
+    "tolerance",
+    "max_iterations",
+    "max_seconds",
+    "callback",
+    "verbose",
+    "threads",
+    "prove",
+)  # beside an objective
 STUCK = "stalled at bounds of variables where equations do not hold, which only a complementarity would allow"
 
 
@@ -160,7 +175,10 @@ class ComplementarityModel(NLModel):
         found = self._without_bounds(result, {"algorithm": algorithm, **options})
         x, duals = self.values(found.z, found.w)
         x = self.beside.settled(x)
-        status, words = found.status, STUCK if result.is_solved and not found.is_solved else found.status.name.lower()
+        status, words = (
+            found.status,
+            STUCK if result.is_solved and not found.is_solved else found.status.name.lower(),
+        )
         if status is Status.SOLVED and (wrong := self._wrong(x, duals, found, options)):
             status, words = Status.STALLED, wrong
         elif status is Status.SOLVED and (bound := self.beside.at_bounds_of_their_own(x)):
@@ -168,11 +186,15 @@ class ComplementarityModel(NLModel):
         message = self._message(words, found.residual, found.iterations)
         return NLAnswer(x, duals, status, message, found, None, CODES[status])
 
-    def _wrong(self, x: FloatVector, duals: FloatVector, result: Result, options: dict[str, Any]) -> str:
+    def _wrong(
+        self, x: FloatVector, duals: FloatVector, result: Result, options: dict[str, Any]
+    ) -> str:
         """Return what the rows of the file, evaluated as they stand, say against the answer; else nothing."""
         values = evaluated(self.content, x)
         tolerance = options.get("tolerance", Settings.tolerance)
-        return self._contradiction(duals, values, result) or self.beside.violated(x, values.rows, tolerance)
+        return self._contradiction(duals, values, result) or self.beside.violated(
+            x, values.rows, tolerance
+        )
 
     def _contradiction(self, duals: FloatVector, values: Evaluation, result: Result) -> str:
         """Return what the values of the rows say against those computed; else nothing."""
@@ -183,7 +205,9 @@ class ComplementarityModel(NLModel):
         is_pair = content.partners >= 0
         is_equation = ~is_pair & (content.row_lower == content.row_upper)
         at_equations = np.abs(np.delete(result.w, np.flatnonzero(self._is_of_pair)))
-        allowed = np.full(duals.size, ROUNDINGS * widths.max(initial=0.0) + at_equations.max(initial=0.0))
+        allowed = np.full(
+            duals.size, ROUNDINGS * widths.max(initial=0.0) + at_equations.max(initial=0.0)
+        )
         allowed[is_pair] = ROUNDINGS * widths[content.partners[is_pair]]
         expected = np.where(is_pair, duals, content.row_lower)
         expected = np.where(is_pair | is_equation, expected, np.nan)
@@ -206,7 +230,9 @@ class ComplementarityModel(NLModel):
     @cached_property
     def _is_of_pair(self) -> BoolVector:
         """Which rows of the problem are complementarity rows of the file, shape (n,)."""
-        return np.isin(self.unknowns[self.arrangement.elimination.kept], self.content.partners[self.pairs])
+        return np.isin(
+            self.unknowns[self.arrangement.elimination.kept], self.content.partners[self.pairs]
+        )
 
     def _without_bounds(self, result: Result, options: dict[str, Any]) -> Result:
         """Return the result, of equations whose unknowns have bounds gone on without these: they excuse no equation."""
@@ -215,7 +241,9 @@ class ComplementarityModel(NLModel):
         if not isinstance(problem, NonlinearProblem) or not kept.any() or not result.is_solved:
             return result
         lower, upper = np.where(kept, -np.inf, problem.lower), np.where(kept, np.inf, problem.upper)
-        free = NonlinearProblem(problem.F, problem.jacobian, lower, upper, enclosure=problem.enclosure)
+        free = NonlinearProblem(
+            problem.F, problem.jacobian, lower, upper, enclosure=problem.enclosure
+        )
         found = solve_from(free, None, {**options, "z0": result.z})
         beyond = np.maximum(problem.lower - found.z, found.z - problem.upper)[kept]
         is_inside = bool((beyond <= OUTSIDE * (1.0 + np.abs(found.z[kept]))).all())
@@ -262,7 +290,9 @@ class ProgramModel(NLModel):
         # The program's own residuals, which the status is made of, not those of its optimality conditions.
         message = self._message(words, found.solution.error, found.iterations)
         duals = -self.sign * found.solution.row_multipliers + 0.0
-        return NLAnswer(x, duals, status, message, found, objective if has_objective else None, code)
+        return NLAnswer(
+            x, duals, status, message, found, objective if has_objective else None, code
+        )
 
     def _contradiction(self, values: Evaluation, found: QuadraticProgramResult) -> str:
         """Return which row, or the objective, is another in the file than in the program; else nothing."""
@@ -294,7 +324,9 @@ class EquilibriumModel(NLModel):
         """Return the start in the unknowns of the problem; None where the file names none, or a row has no value."""
         x = np.zeros(self.problem.program.n)
         x[: self.unknowns.size] = self.content.start[self.unknowns]
-        x[self.columns] = evaluated(self.content, self.variables(x[: self.unknowns.size])).rows[self.pairs]
+        x[self.columns] = evaluated(self.content, self.variables(x[: self.unknowns.size])).rows[
+            self.pairs
+        ]
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
@@ -313,18 +345,29 @@ class EquilibriumModel(NLModel):
         InvalidOption
             For any other.
         """
-        from ...problems.equilibria.branch_and_bound import minimize_over_solutions  # which loads more
+        from ...problems.equilibria.branch_and_bound import (
+            minimize_over_solutions,
+        )  # which loads more
 
         wishes = _of_search({**options, "algorithm": algorithm})
         result = minimize_over_solutions(self.problem, **{"x0": self.start_or_none(), **wishes})
         x, duals, objective, status, wrong = None, None, None, result.status, ""
         if result.x is not None:
-            x, duals = self.variables(result.x[: self.unknowns.size]), np.zeros(self.content.row_lower.size)
+            x, duals = (
+                self.variables(result.x[: self.unknowns.size]),
+                np.zeros(self.content.row_lower.size),
+            )
             duals[self.pairs] = result.x[self.columns]
             objective, wrong = self._as_stated(x, duals, result.value)
         if wrong and result.is_solved:
             status = Status.STALLED
-        words = wrong if wrong and result.is_solved else "optimal" if result.is_solved else status.name.lower()
+        words = (
+            wrong
+            if wrong and result.is_solved
+            else "optimal"
+            if result.is_solved
+            else status.name.lower()
+        )
         of = "" if self.sign > 0.0 else " (of minus the objective)"
         reached = "" if result.has_no_solution else f"{result.reached()}{of}, "
         nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
@@ -338,8 +381,13 @@ class EquilibriumModel(NLModel):
         within = np.clip(values.rows, content.row_lower, content.row_upper)
         within[self.pairs] = duals[self.pairs]
         objective = float(values.objectives[0]) if values.objectives.size else 0.0
-        bound = self.sign * value + 0.0, (abs(value) + float(values.objective_sizes[:1].sum())) / OBJECTIVE
-        return objective, contradiction(content, values, within, FEASIBLE, objective=bound, relative=FEASIBLE)
+        bound = (
+            self.sign * value + 0.0,
+            (abs(value) + float(values.objective_sizes[:1].sum())) / OBJECTIVE,
+        )
+        return objective, contradiction(
+            content, values, within, FEASIBLE, objective=bound, relative=FEASIBLE
+        )
 
 
 def _of_search(options: dict[str, Any]) -> dict[str, Any]:

@@ -27,7 +27,10 @@ DISAGREEMENT = 1e-9  # of the terms of a row
 FEASIBLE = 1e-6  # by which they may be violated, or by ten times the tolerance
 #: Σ |term| of what is multiplied out, from operands and their sizes; the value of any other function is one term.
 SIZES: dict[Any, Callable[[list[float], list[float]], float]] = {
-    **dict.fromkeys((Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION), lambda operands, sizes: sum(sizes)),
+    **dict.fromkeys(
+        (Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION),
+        lambda operands, sizes: sum(sizes),
+    ),
     Arithmetic.PRODUCT: lambda operands, sizes: sizes[0] * sizes[1],
     Arithmetic.SQUARE: lambda operands, sizes: sizes[0] * sizes[0],
     Arithmetic.QUOTIENT: lambda operands, sizes: sizes[0] / abs(operands[1]),
@@ -50,18 +53,25 @@ def evaluated(content: NLContent, x: FloatVector) -> Evaluation:
     values, sizes = x.tolist(), np.abs(x).tolist()  # type: list[float], list[float]
 
     def leaf(kind: int, value: float) -> tuple[float, float]:
-        return (value, abs(value)) if kind == Token.NUMBER else (values[int(value)], sizes[int(value)])
+        return (
+            (value, abs(value)) if kind == Token.NUMBER else (values[int(value)], sizes[int(value)])
+        )
 
     linear, trees = content.defined_linear, content.defined_trees
     for k in range(trees.size):
         value, size = evaluated_tree(trees, k, leaf, _operation)
         entries = slice(linear.indptr[k], linear.indptr[k + 1])
-        for column, factor in zip(linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True):
+        for column, factor in zip(
+            linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True
+        ):
             value, size = value + factor * values[column], size + abs(factor) * sizes[column]
         values.append(value)
         sizes.append(size)
     found = []
-    for matrix, own in ((content.linear, content.trees), (content.objective_linear, content.objective_trees)):
+    for matrix, own in (
+        (content.linear, content.trees),
+        (content.objective_linear, content.objective_trees),
+    ):
         of_trees = [evaluated_tree(own, k, leaf, _operation) for k in range(own.size)]
         terms = np.array(of_trees, dtype=np.float64).reshape(-1, 2).T
         found.append((matrix @ x + terms[0], abs(matrix) @ np.abs(x) + terms[1]))
@@ -84,8 +94,12 @@ def _operation(number: int, operands: list[tuple[float, float]]) -> tuple[float,
 
 
 def contradiction(
-    content: NLContent, found: Evaluation, expected: FloatVector, allowed: Any = 0.0,
-    objective: tuple[float, float] | None = None, relative: float = 0.0,
+    content: NLContent,
+    found: Evaluation,
+    expected: FloatVector,
+    allowed: Any = 0.0,
+    objective: tuple[float, float] | None = None,
+    relative: float = 0.0,
 ) -> str:
     """Return which row, or the objective, is something else at the answer than was computed; nothing where all agree.
 
@@ -108,7 +122,9 @@ def contradiction(
     wrong = np.flatnonzero(~np.isnan(expected) & ~(np.abs(rows - expected) <= allowed))
     if wrong.size:
         k = int(wrong[0])
-        return f"{content.row(k)} is {rows[k]:.9g} at the answer, where {expected[k]:.9g} was computed"
+        return (
+            f"{content.row(k)} is {rows[k]:.9g} at the answer, where {expected[k]:.9g} was computed"
+        )
     if objective is not None and objectives.size:
         computed, terms = objective
         if not abs(objectives[0] - computed) <= DISAGREEMENT * (terms + found.objective_sizes[0]):
@@ -130,7 +146,9 @@ def pair_bounds(content: NLContent, rows: Indices) -> PairBounds:
     """Return the bounds that complementarity rows speak of."""
     columns, bound_bits = content.partners[rows], content.partner_bounds[rows]
     lower, upper = content.lower[columns], content.upper[columns]
-    return PairBounds(np.where(bound_bits & 1, lower, -np.inf), np.where(bound_bits & 2, upper, np.inf))
+    return PairBounds(
+        np.where(bound_bits & 1, lower, -np.inf), np.where(bound_bits & 2, upper, np.inf)
+    )
 
 
 def jacobian(content: NLContent, x: FloatVector, rows: Indices) -> sp.csr_array:
@@ -157,10 +175,23 @@ class SideConditions:
     """
 
     def __init__(
-        self, content: NLContent, pairs: Indices, inequalities: Indices, spare: Indices, lone: Indices
+        self,
+        content: NLContent,
+        pairs: Indices,
+        inequalities: Indices,
+        spare: Indices,
+        lone: Indices,
     ) -> None:
-        self.content, self.pairs, self.inequalities, self.spare, self.lone = content, pairs, inequalities, spare, lone
-        self.bounded: BoolVector = (np.isfinite(content.lower) | np.isfinite(content.upper)) & bool(pairs.size)
+        self.content, self.pairs, self.inequalities, self.spare, self.lone = (
+            content,
+            pairs,
+            inequalities,
+            spare,
+            lone,
+        )
+        self.bounded: BoolVector = (np.isfinite(content.lower) | np.isfinite(content.upper)) & bool(
+            pairs.size
+        )
         self.bounded[content.partners[pairs]] = False
 
     def names(self) -> list[str]:
@@ -178,11 +209,20 @@ class SideConditions:
             A = jacobian(content, x, rows)[:, self.lone]
             rest = evaluated(content, x).rows[rows] - A @ x[self.lone]
             holds = (np.diff(A.indptr) > 0) & np.isfinite(rest)
-            least, most = ((limit[rows] - rest)[holds] for limit in (content.row_lower, content.row_upper))
-            near = solve_program(QuadraticProgram.from_ranges(
-                sp.eye_array(start.size), -start, A[holds], least, most, content.lower[self.lone],
-                content.upper[self.lone],
-            ))
+            least, most = (
+                (limit[rows] - rest)[holds] for limit in (content.row_lower, content.row_upper)
+            )
+            near = solve_program(
+                QuadraticProgram.from_ranges(
+                    sp.eye_array(start.size),
+                    -start,
+                    A[holds],
+                    least,
+                    most,
+                    content.lower[self.lone],
+                    content.upper[self.lone],
+                )
+            )
             if not near.is_solved or np.allclose(near.x, x[self.lone], rtol=FEASIBLE, atol=0.0):
                 break
             x = x.copy()
@@ -204,12 +244,28 @@ class SideConditions:
             return ""
         # How much a row changes where all its variables do.
         units = abs(jacobian(content, x, np.append(inner, self.spare))) @ (1.0 + np.abs(x))
-        excesses = np.concatenate([
-            excess(rows[inner], content.row_lower[inner], content.row_upper[inner], units[: inner.size]),
-            pair_excess(x[content.partners[self.spare]], rows[self.spare], *pair_bounds(content, self.spare),
-                        units[inner.size:]),
-            excess(*(part[self.bounded] for part in (x, content.lower, content.upper, 1.0 + np.abs(x)))),
-        ])
+        excesses = np.concatenate(
+            [
+                excess(
+                    rows[inner],
+                    content.row_lower[inner],
+                    content.row_upper[inner],
+                    units[: inner.size],
+                ),
+                pair_excess(
+                    x[content.partners[self.spare]],
+                    rows[self.spare],
+                    *pair_bounds(content, self.spare),
+                    units[inner.size :],
+                ),
+                excess(
+                    *(
+                        part[self.bounded]
+                        for part in (x, content.lower, content.upper, 1.0 + np.abs(x))
+                    )
+                ),
+            ]
+        )
         what = worst_violation(names, excesses, tolerance)
         return what and (
             f"solved, but {what}: it stands beside the complementarities, and no unknown gives way to it; with an "
@@ -222,7 +278,9 @@ class SideConditions:
         columns, bound_bits = content.partners[rows], content.partner_bounds[rows]
         for bit, word, bounds in ((1, "lower", content.lower), (2, "upper", content.upper)):
             bound = bounds[columns]
-            is_there = np.isfinite(bound) & (np.abs(x[columns] - bound) <= FEASIBLE * np.maximum(1.0, np.abs(bound)))
+            is_there = np.isfinite(bound) & (
+                np.abs(x[columns] - bound) <= FEASIBLE * np.maximum(1.0, np.abs(bound))
+            )
             for k in np.flatnonzero(is_there & (bound_bits & bit == 0)).tolist():
                 return (
                     f"{content.variable(columns[k])} stops at its own {word} bound {bound[k]:g}, which counts although "
@@ -233,14 +291,20 @@ class SideConditions:
 
 def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:
     """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's where that is less."""
-    sizes = np.maximum(*(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)))
+    sizes = np.maximum(
+        *(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper))
+    )
     scales = np.minimum(np.maximum(1.0, sizes), np.where(units > 0.0, units, np.abs(body)) + sizes)
-    return np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(scales > 0.0, scales, 1.0)
+    return np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(
+        scales > 0.0, scales, 1.0
+    )
 
 
 def pair_excess(body: Any, row: Any, lower: Any, upper: Any, units: Any) -> Any:
     """Return |body − mid(lower, upper, body − row/unit)| of pairs, of the body's size, at least 1; else NaN."""
-    moved = np.where(np.isfinite(row), body - row / np.where(units > 0.0, np.minimum(units, 1.0), 1.0), np.nan)
+    moved = np.where(
+        np.isfinite(row), body - row / np.where(units > 0.0, np.minimum(units, 1.0), 1.0), np.nan
+    )
     return np.abs(body - np.clip(moved, lower, upper)) / np.maximum(1.0, np.abs(body))
 
 

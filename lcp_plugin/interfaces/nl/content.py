@@ -17,20 +17,72 @@ NARY, PIECEWISE = -1, -2  # instead of a number of operands: that follows; a num
 #: AMPL's operators by how many operands they have.
 OPERATOR_NAMES: dict[int, dict[int, str]] = {
     1: {
-        13: "floor", 14: "ceil", 15: "abs", 16: "unary -", 34: "not", 37: "tanh", 38: "tan", 39: "sqrt", 40: "sinh",
-        41: "sin", 42: "log10", 43: "log", 44: "exp", 45: "cosh", 46: "cos", 47: "atanh", 49: "atan", 50: "asinh",
-        51: "asin", 52: "acosh", 53: "acos", 77: "square",
+        13: "floor",
+        14: "ceil",
+        15: "abs",
+        16: "unary -",
+        34: "not",
+        37: "tanh",
+        38: "tan",
+        39: "sqrt",
+        40: "sinh",
+        41: "sin",
+        42: "log10",
+        43: "log",
+        44: "exp",
+        45: "cosh",
+        46: "cos",
+        47: "atanh",
+        49: "atan",
+        50: "asinh",
+        51: "asin",
+        52: "acosh",
+        53: "acos",
+        77: "square",
     },
     2: {
-        0: "+", 1: "-", 2: "*", 3: "/", 4: "mod", 5: "^", 6: "less", 20: "or", 21: "and", 22: "<", 23: "<=", 24: "=",
-        28: ">=", 29: ">", 30: "<>", 48: "atan2", 55: "div", 56: "precision", 57: "round", 58: "trunc", 62: "atleast",
-        63: "atmost", 66: "exactly", 67: "not atleast", 68: "not atmost", 69: "not exactly", 73: "<==>", 76: "^",
+        0: "+",
+        1: "-",
+        2: "*",
+        3: "/",
+        4: "mod",
+        5: "^",
+        6: "less",
+        20: "or",
+        21: "and",
+        22: "<",
+        23: "<=",
+        24: "=",
+        28: ">=",
+        29: ">",
+        30: "<>",
+        48: "atan2",
+        55: "div",
+        56: "precision",
+        57: "round",
+        58: "trunc",
+        62: "atleast",
+        63: "atmost",
+        66: "exactly",
+        67: "not atleast",
+        68: "not atmost",
+        69: "not exactly",
+        73: "<==>",
+        76: "^",
         78: "^",
     },
     3: {35: "if", 65: "if", 72: "==>"},
     NARY: {
-        11: "min", 12: "max", 54: "+", 59: "count", 60: "numberof", 61: "numberof", 70: "forall", 71: "exists",
-        74: "alldiff", 75: "not alldiff",
+        11: "min",
+        12: "max",
+        54: "+",
+        59: "count",
+        60: "numberof",
+        61: "numberof",
+        70: "forall",
+        71: "exists",
+        74: "alldiff",
+        75: "not alldiff",
     },
     PIECEWISE: {64: "piecewise-linear term"},
 }
@@ -79,7 +131,12 @@ class Trees:
     def of_numbers(cls, values: FloatVector) -> Trees:
         """Return a tree a number."""
         k = values.size
-        return cls(np.full(k, Token.NUMBER, np.uint8), values, np.zeros(k, dtype=np.int64), np.arange(k + 1))
+        return cls(
+            np.full(k, Token.NUMBER, np.uint8),
+            values,
+            np.zeros(k, dtype=np.int64),
+            np.arange(k + 1),
+        )
 
     @property
     def size(self) -> int:
@@ -167,20 +224,43 @@ class NLContent:
 
     @classmethod
     def of_rows(
-        cls, lower: FloatVector, upper: FloatVector, linear: sp.csr_array, trees: Trees,
-        limits: tuple[FloatVector, FloatVector], partners: Indices, partner_bounds: Indices,
-        objective: Trees | None = None, objective_linear: sp.csr_array | None = None,
+        cls,
+        lower: FloatVector,
+        upper: FloatVector,
+        linear: sp.csr_array,
+        trees: Trees,
+        limits: tuple[FloatVector, FloatVector],
+        partners: Indices,
+        partner_bounds: Indices,
+        objective: Trees | None = None,
+        objective_linear: sp.csr_array | None = None,
     ) -> NLContent:
         """Return the content with these rows between limits, and an objective to be minimised where there is one."""
         n, m, count = lower.size, trees.size, 0 if objective is None else 1
         none = Trees.of_numbers(np.zeros(0))
         return cls(
-            lower=lower, upper=upper, row_lower=limits[0], row_upper=limits[1], partners=partners,
-            partner_bounds=partner_bounds, linear=linear, trees=trees, is_maximized=np.zeros(count, dtype=bool),
-            objective_linear=sp.csr_array((count, n)) if objective_linear is None else objective_linear,
-            objective_trees=objective or none, defined_linear=sp.csr_array((0, n)), defined_trees=none,
-            is_integer=np.zeros(n, dtype=bool), logical_rows=0, functions=(), start=np.zeros(n),
-            dual_start=np.zeros(m), has_start=np.zeros(n, dtype=bool), suffixes=[],
+            lower=lower,
+            upper=upper,
+            row_lower=limits[0],
+            row_upper=limits[1],
+            partners=partners,
+            partner_bounds=partner_bounds,
+            linear=linear,
+            trees=trees,
+            is_maximized=np.zeros(count, dtype=bool),
+            objective_linear=sp.csr_array((count, n))
+            if objective_linear is None
+            else objective_linear,
+            objective_trees=objective or none,
+            defined_linear=sp.csr_array((0, n)),
+            defined_trees=none,
+            is_integer=np.zeros(n, dtype=bool),
+            logical_rows=0,
+            functions=(),
+            start=np.zeros(n),
+            dual_start=np.zeros(m),
+            has_start=np.zeros(n, dtype=bool),
+            suffixes=[],
         )
 
     def variable(self, column: int) -> str:

@@ -22,7 +22,15 @@ from ...modeling.expressions import functions
 from ...modeling.expressions.functions import Function
 from ...modeling.expressions.rows import Compiler, Rows
 from .content import Indices, NLContent, Token, Trees
-from .operators import NUMBER, OPERATORS, VARIABLE, Arithmetic, check_operators, evaluated_tree, value_of
+from .operators import (
+    NUMBER,
+    OPERATORS,
+    VARIABLE,
+    Arithmetic,
+    check_operators,
+    evaluated_tree,
+    value_of,
+)
 
 UNKNOWNS = 0  # the key of the only source that is no function
 MOST_FILL = 4  # how much of what there is may be put in for defined variables
@@ -43,7 +51,9 @@ class Sum:
         """Whether it has no terms."""
         return not self.terms
 
-    def scaled(self, factor: float, operation: Callable[[float, float], float] = operator.mul) -> Sum:
+    def scaled(
+        self, factor: float, operation: Callable[[float, float], float] = operator.mul
+    ) -> Sum:
         """Return it times, or divided by, a number."""
         if factor == 1.0:
             return self
@@ -95,9 +105,12 @@ class _Reader:
         self._capacity = MOST_FILL * (size + content.defined_linear.nnz + content.linear.nnz) + 1000
         for k in range(content.defined_trees.size):
             self._define(k)
-        self.results = [self._sum(content.trees, i, content.row(i)) for i in range(content.trees.size)]
+        self.results = [
+            self._sum(content.trees, i, content.row(i)) for i in range(content.trees.size)
+        ]
         self.results += [
-            self._sum(content.objective_trees, k, f"objective {k}") for k in range(content.objective_trees.size)
+            self._sum(content.objective_trees, k, f"objective {k}")
+            for k in range(content.objective_trees.size)
         ]
 
     def _sum(self, trees: Trees, k: int, name: str) -> Sum:
@@ -116,7 +129,9 @@ class _Reader:
         found = self._sum(self.content.defined_trees, number, f"defined variable {number}")
         linear, n = self.content.defined_linear, self.n
         entries = slice(linear.indptr[number], linear.indptr[number + 1])
-        for column, value in zip(linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True):
+        for column, value in zip(
+            linear.indices[entries].tolist(), linear.data[entries].tolist(), strict=True
+        ):
             if value:
                 found = found.add(self._leaf(VARIABLE, column).scaled(value))
         added = (self._uses[number] - 1) * len(found.terms)
@@ -223,7 +238,9 @@ def _counted_uses(content: NLContent) -> list[int]:
     for trees in (content.trees, content.objective_trees, content.defined_trees):
         used.append(trees.values[trees.kinds == Token.VARIABLE].astype(np.int64))
     columns = np.concatenate(used)
-    uses: list[int] = np.bincount(columns[columns >= n] - n, minlength=content.defined_trees.size).tolist()
+    uses: list[int] = np.bincount(
+        columns[columns >= n] - n, minlength=content.defined_trees.size
+    ).tolist()
     return uses
 
 
@@ -249,7 +266,9 @@ class Expressions:
 
     def __init__(self, content: NLContent, known: FloatVector) -> None:
         is_known = ~np.isnan(known)
-        values = [value if one else None for value, one in zip(known.tolist(), is_known, strict=True)]
+        values = [
+            value if one else None for value, one in zip(known.tolist(), is_known, strict=True)
+        ]
         found = _Reader(content, values)
         n, d, count = content.lower.size, content.defined_trees.size, len(found.functions)
         keys = list(zip(found.levels, (one.name for one in found.functions), strict=True))
@@ -261,7 +280,12 @@ class Expressions:
         first = len(found.results) + defined.size + np.arange(count)
         self._arguments = first, first + count
         pairs = [(*found.arguments[k], Sum({}, 0.0))[:2] for k in order]
-        sums = [*found.results, *found.definitions.values(), *(one for one, _ in pairs), *(one for _, one in pairs)]
+        sums = [
+            *found.results,
+            *found.definitions.values(),
+            *(one for one, _ in pairs),
+            *(one for _, one in pairs),
+        ]
         place = np.full(n + d + count, -1)
         place[self.unknowns] = np.arange(self.unknowns.size)
         place[n + d + order] = self.unknowns.size + np.arange(count)
@@ -274,7 +298,9 @@ class Expressions:
         self.matrix.eliminate_zeros()
         # Where each source begins: the unknowns, then each group of one function on one level.
         begins = [k for k in range(count) if k == 0 or keys[order[k]] != keys[order[k - 1]]]
-        self._starts = np.array([0, *(self.unknowns.size + k for k in (*begins, count))], dtype=np.int64)
+        self._starts = np.array(
+            [0, *(self.unknowns.size + k for k in (*begins, count))], dtype=np.int64
+        )
         self._levels = [0, *(keys[order[k]][0] for k in begins)]
         self._begins = begins
 
@@ -284,7 +310,9 @@ class Expressions:
         compiler = Compiler()
         for begin, end in pairwise([*self._begins, len(self._functions)]):
             function = self._functions[begin]
-            own = [self.rows(numbers[begin:end]) for numbers in self._arguments[: function.arguments]]
+            own = [
+                self.rows(numbers[begin:end]) for numbers in self._arguments[: function.arguments]
+            ]
             compiler.emit(function, *own)
         return compiler
 
@@ -318,7 +346,11 @@ class Expressions:
         present, begins = np.unique(source[order], return_index=True)
         blocks: dict[int, Any] = {}
         for one, own in zip(present, np.split(order, begins[1:]), strict=False):
-            entries = part.data[own], part.indices[own] - self._starts[one], np.searchsorted(own, part.indptr)
+            entries = (
+                part.data[own],
+                part.indices[own] - self._starts[one],
+                np.searchsorted(own, part.indptr),
+            )
             shape = (numbers.size, int(self._starts[one + 1] - self._starts[one]))
             blocks[UNKNOWNS if one == 0 else -int(one)] = sp.csr_array(entries, shape=shape)
         level = max([self._levels[one] for one in present], default=0)
@@ -335,7 +367,9 @@ class Expressions:
         is_product = np.array([self._functions[k] is functions.PRODUCT for k in used], dtype=bool)
         first, second = (numbers[used] for numbers in self._arguments)
         second = np.where(is_product, second, first)
-        (A, a), (B, b) = (self._without_copies(self.matrix[k], self.offset[k]) for k in (first, second))
+        (A, a), (B, b) = (
+            self._without_copies(self.matrix[k], self.offset[k]) for k in (first, second)
+        )
         if (A.indices >= n).any() or (B.indices >= n).any():
             return None
         A, B, linear = A[:, :n], B[:, :n], np.asarray(row[:, :n].todense()).ravel()
@@ -343,7 +377,9 @@ class Expressions:
         c = linear + A.T @ (weights * b) + B.T @ (weights * a)
         return sp.csr_array(half + half.T), c, float(offset[0] + weights @ (a * b))
 
-    def _without_copies(self, matrix: sp.csr_array, offset: FloatVector) -> tuple[sp.csr_array, FloatVector]:
+    def _without_copies(
+        self, matrix: sp.csr_array, offset: FloatVector
+    ) -> tuple[sp.csr_array, FloatVector]:
         """Return combinations in which the quantities that only stand for others are put in."""
         n = self.unknowns.size
         is_copy = np.array([function is functions.SAME for function in self._functions], dtype=bool)
@@ -351,7 +387,10 @@ class Expressions:
             copies = np.flatnonzero(is_copy)
             share, own = matrix[:, n + copies], self._arguments[0][copies]
             left = matrix @ sp.diags_array(np.concatenate([np.ones(n), ~is_copy]))
-            matrix, offset = sp.csr_array(left + share @ self.matrix[own]), offset + share @ self.offset[own]
+            matrix, offset = (
+                sp.csr_array(left + share @ self.matrix[own]),
+                offset + share @ self.offset[own],
+            )
             matrix.eliminate_zeros()
         return matrix, offset
 
@@ -359,6 +398,12 @@ class Expressions:
 def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
     """Return the terms of sums, a row each, their columns put in these places."""
     counts = [len(one.terms) for one in sums]
-    columns = place[np.fromiter(chain.from_iterable(one.terms for one in sums), dtype=np.int64, count=sum(counts))]
-    values = np.fromiter(chain.from_iterable(one.terms.values() for one in sums), dtype=np.float64, count=sum(counts))
+    columns = place[
+        np.fromiter(
+            chain.from_iterable(one.terms for one in sums), dtype=np.int64, count=sum(counts)
+        )
+    ]
+    values = np.fromiter(
+        chain.from_iterable(one.terms.values() for one in sums), dtype=np.float64, count=sum(counts)
+    )
     return sp.csr_array((values, columns, np.cumsum([0, *counts])), shape=shape)

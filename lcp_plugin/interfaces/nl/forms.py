@@ -16,10 +16,13 @@ STRING = re.compile(rb"h(\d{1,9}):")
 BOUNDS = ("dd", "d", "d", "", "d", "ii")  # the numbers behind the kind of a bound
 #: What makes words numbers, whole ones (i) or not (d).
 CONVERTERS: dict[str, list[type]] = {
-    form: [int if kind == "i" else float for kind in form] for form in ("", "i", "ii", "iii", "id", "d", "dd")
+    form: [int if kind == "i" else float for kind in form]
+    for form in ("", "i", "ii", "iii", "id", "d", "dd")
 }
 NUMBERS = {"n": "d", "l": "i", "s": "h"}  # the letters of numbers, and their forms in bytes
-NO_NUMBERS = "this is neither a number nor a letter of the format, or there are not as many as are needed"
+NO_NUMBERS = (
+    "this is neither a number nor a letter of the format, or there are not as many as are needed"
+)
 WRONG_KIND = f"a bound's kind is 0 to {PARTNER}"
 
 
@@ -74,7 +77,7 @@ class Text:
     def bound(self) -> list[Any]:
         """Return the kind of a bound and what stands behind it."""
         kind, *words = self._line().split() or [b""]
-        number, = self._numbers("i", [kind])
+        (number,) = self._numbers("i", [kind])
         if not 0 <= number < len(BOUNDS):
             self.fail(WRONG_KIND)
         return [number, *self._numbers(BOUNDS[number], words)]
@@ -87,7 +90,7 @@ class Text:
         if not match or stop < 0 or self.data[end:stop].strip():
             self.fail("a string begins with its length, as h5:, and ends with its line")
         self._next = self._file.seek(stop + 1)
-        return self.data[match.end():end]
+        return self.data[match.end() : end]
 
     def fail(self, what: str) -> NoReturn:
         """Raise a Fault of what has been read last."""
@@ -154,9 +157,9 @@ class Binary:
 
     def text(self) -> bytes:
         """Return a string, whose length stands before it."""
-        length, = self._numbers("i")
+        (length,) = self._numbers("i")
         begin = self._take(length)
-        return self.data[begin:self._next]
+        return self.data[begin : self._next]
 
     def fail(self, what: str) -> NoReturn:
         """Raise a Fault of what has been read last."""

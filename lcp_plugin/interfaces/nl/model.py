@@ -26,7 +26,10 @@ from .expressions import UNKNOWNS, Expressions
 from .reading import read_content
 
 MOST_NAMES = 5
-KINDS = {"QuadraticProgram": "a quadratic program", "EquilibriumProgram": "an objective beside complementarities"}
+KINDS = {
+    "QuadraticProgram": "a quadratic program",
+    "EquilibriumProgram": "an objective beside complementarities",
+}
 ROUNDING = 2.0**-40  # of the terms of a row without unknowns
 
 
@@ -58,7 +61,11 @@ def model_of(content: NLContent) -> NLModel:
     statement = FileStatement(content)
     if statement.pairs.size and (statement.has_objective() or content.is_integer.any()):
         return statement.equilibrium_program()
-    return statement.complementarities() if statement.is_complementarity_problem() else statement.program()
+    return (
+        statement.complementarities()
+        if statement.is_complementarity_problem()
+        else statement.program()
+    )
 
 
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
@@ -84,7 +91,9 @@ def program_in_nl(path: str | PathLike[str]) -> tuple[QuadraticProgram, float]:
     model = read_nl(path)
     if isinstance(model, ProgramModel):
         return model.problem, model.sign * model.constant
-    raise UnsupportedModel(f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it")
+    raise UnsupportedModel(
+        f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it"
+    )
 
 
 class FileStatement:
@@ -124,9 +133,13 @@ class FileStatement:
                 'SolverFactory("scip"), or give it a continuous domain'
             )
         if content.logical_rows:
-            raise UnsupportedModel(f"the model has {content.logical_rows} logical constraints; none are taken")
+            raise UnsupportedModel(
+                f"the model has {content.logical_rows} logical constraints; none are taken"
+            )
 
-    def _check_crossed(self, call: Callable[[int], str], low: FloatVector, high: FloatVector) -> None:
+    def _check_crossed(
+        self, call: Callable[[int], str], low: FloatVector, high: FloatVector
+    ) -> None:
         """Raise where a lower bound is above an upper one."""
         crossed = np.flatnonzero(low > high)
         if crossed.size:
@@ -162,13 +175,25 @@ class FileStatement:
         content, occurs = self.content, self.is_paired.copy()
         parts = (
             (content.trees, content.linear, leaves_out),
-            (content.objective_trees, content.objective_linear, np.zeros(content.is_maximized.size, dtype=bool)),
-            (content.defined_trees, content.defined_linear, np.zeros(content.defined_trees.size, dtype=bool)),
+            (
+                content.objective_trees,
+                content.objective_linear,
+                np.zeros(content.is_maximized.size, dtype=bool),
+            ),
+            (
+                content.defined_trees,
+                content.defined_linear,
+                np.zeros(content.defined_trees.size, dtype=bool),
+            ),
         )
         for trees, linear, is_left_out in parts:
-            is_used = (trees.kinds == Token.VARIABLE) & ~np.repeat(is_left_out, np.diff(trees.starts))
+            is_used = (trees.kinds == Token.VARIABLE) & ~np.repeat(
+                is_left_out, np.diff(trees.starts)
+            )
             used = trees.values[is_used].astype(np.int64)
-            columns = linear.indices[(linear.data != 0.0) & ~np.repeat(is_left_out, np.diff(linear.indptr))]
+            columns = linear.indices[
+                (linear.data != 0.0) & ~np.repeat(is_left_out, np.diff(linear.indptr))
+            ]
             occurs[used[used < self.n]] = occurs[columns[columns < self.n]] = True
         is_known = ~self.is_paired & ((content.lower == content.upper) | ~occurs)
         return np.where(is_known, np.clip(content.start, content.lower, content.upper), np.nan)
@@ -184,7 +209,9 @@ class FileStatement:
         if self.inequalities.size:
             return False
         unknowns = np.flatnonzero(np.isnan(self.known))
-        is_free = np.isneginf(self.content.lower[unknowns]) & np.isposinf(self.content.upper[unknowns])
+        is_free = np.isneginf(self.content.lower[unknowns]) & np.isposinf(
+            self.content.upper[unknowns]
+        )
         return bool(is_free.all()) and unknowns.size == self.equations.size > 0
 
     def has_objective(self) -> bool:
@@ -199,7 +226,10 @@ class FileStatement:
         own, place = found.unknowns, np.full(self.n, -1)
         place[own] = np.arange(own.size)
         stated = EquilibriumRows(
-            found.compiler, {UNKNOWNS: 0}, content.lower[own], content.upper[own],
+            found.compiler,
+            {UNKNOWNS: 0},
+            content.lower[own],
+            content.upper[own],
             np.flatnonzero(content.is_integer[own]),
         )
         others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
@@ -210,8 +240,10 @@ class FileStatement:
         rows, columns = self.pairs[np.argsort(~is_affine[self.pairs], kind="stable")], []
         for part in (rows[is_affine[rows]], rows[~is_affine[rows]]):
             if part.size:
-                z = sp.csr_array((np.ones(part.size), place[content.partners[part]], np.arange(part.size + 1)),
-                                 shape=(part.size, own.size))
+                z = sp.csr_array(
+                    (np.ones(part.size), place[content.partners[part]], np.arange(part.size + 1)),
+                    shape=(part.size, own.size),
+                )
                 sides = Rows({UNKNOWNS: z}, np.zeros(part.size), (part.size,)), found.rows(part)
                 columns.append(stated.pair(*sides, *pair_bounds(content, part))[1])
         has_objective = bool(content.is_maximized.size)
@@ -219,7 +251,9 @@ class FileStatement:
         goal = found.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
         problem = stated.program(goal, sign, found.quadratic(m) if has_objective else None)
         problem = replace(problem, names=[content.variable(j) for j in own])
-        return EquilibriumModel(content, problem, own, self.known, sign, rows, np.concatenate(columns))
+        return EquilibriumModel(
+            content, problem, own, self.known, sign, rows, np.concatenate(columns)
+        )
 
     def _put_in_definitions(self) -> None:
         """Let no defined variable be an unknown."""
@@ -245,12 +279,18 @@ class FileStatement:
             sign = -1.0 if content.is_maximized[0] else 1.0
             quadratic = found.quadratic(m)
             if quadratic is None:
-                raise UnsupportedModel("the objective is neither linear nor quadratic; convex quadratic ones are taken")
+                raise UnsupportedModel(
+                    "the objective is neither linear nor quadratic; convex quadratic ones are taken"
+                )
             P, c, constant = quadratic
         A, shift = sp.csr_array(found.matrix[:m, : unknowns.size]), found.offset[:m]
         limits, bounds = (content.row_lower, content.row_upper), (content.lower, content.upper)
         program = QuadraticProgram.from_ranges(
-            sign * P, sign * c, A, *(limit - shift for limit in limits), *(bound[unknowns] for bound in bounds)
+            sign * P,
+            sign * c,
+            A,
+            *(limit - shift for limit in limits),
+            *(bound[unknowns] for bound in bounds),
         )
         rows = A, np.where(self.says_nothing, np.nan, shift)
         return ProgramModel(content, program, unknowns, self.known, sign, constant, *rows)
@@ -259,7 +299,9 @@ class FileStatement:
         """Return the complementarity problem."""
         held, before = np.isnan(self.known), self.known
         if self.inequalities.size:
-            self.known = self._known(self.says_nothing | np.isin(np.arange(self.m), self.inequalities))
+            self.known = self._known(
+                self.says_nothing | np.isin(np.arange(self.m), self.inequalities)
+            )
         self._free_what_equations_define()
         if not np.array_equal(self.known, before, equal_nan=True):
             self.expressions = Expressions(self.content, self.known)
@@ -285,7 +327,14 @@ class FileStatement:
         constants = np.zeros(self.m)
         constants[spare] = found.offset[spare]
         return ComplementarityModel(
-            content, arrangement.problem, found.unknowns, self.known, arrangement, pairs, constants, beside
+            content,
+            arrangement.problem,
+            found.unknowns,
+            self.known,
+            arrangement,
+            pairs,
+            constants,
+            beside,
         )
 
     def _free_what_equations_define(self) -> None:
@@ -329,11 +378,15 @@ class FileStatement:
 class _Assembly(Assembly):
     """The model of a file."""
 
-    def __init__(self, content: NLContent, found: Expressions, is_free: BoolVector, *, keeps_bounds: bool) -> None:
+    def __init__(
+        self, content: NLContent, found: Expressions, is_free: BoolVector, *, keeps_bounds: bool
+    ) -> None:
         free = np.full(content.defined_trees.size, np.inf)
         lower = np.append(np.where(is_free, -np.inf, content.lower), -free)
         upper = np.append(np.where(is_free, np.inf, content.upper), free)
-        super().__init__(found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns])
+        super().__init__(
+            found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns]
+        )
         self.content, self.found, self.keeps_bounds = content, found, keeps_bounds
 
     def take_pairs(self, rows: Indices, place: Indices) -> None:

@@ -41,11 +41,26 @@ class Arithmetic(Enum):
 RULES: dict[str, Arithmetic | Function] = {
     **{one.value: one for one in Arithmetic},
     "sqrt": functions.power(0.5),
-    **{one.name: one for one in (
-        functions.ACOS, functions.ACOSH, functions.ASIN, functions.ASINH, functions.ATAN, functions.ATANH,
-        functions.COS, functions.COSH, functions.EXP, functions.LOG, functions.LOG10, functions.SIN, functions.SINH,
-        functions.TAN, functions.TANH,
-    )},
+    **{
+        one.name: one
+        for one in (
+            functions.ACOS,
+            functions.ACOSH,
+            functions.ASIN,
+            functions.ASINH,
+            functions.ATAN,
+            functions.ATANH,
+            functions.COS,
+            functions.COSH,
+            functions.EXP,
+            functions.LOG,
+            functions.LOG10,
+            functions.SIN,
+            functions.SINH,
+            functions.TAN,
+            functions.TANH,
+        )
+    },
 }
 NAMES = {number: name for names in OPERATOR_NAMES.values() for number, name in names.items()}
 OPERATORS = {number: RULES[name] for number, name in NAMES.items() if name in RULES}
@@ -80,12 +95,15 @@ def evaluated_tree(
 def check_operators(content: NLContent) -> None:
     """Raise UnsupportedModel where an expression holds what no rule is for, naming the row and the operator."""
     for trees, called in (
-        (content.trees, content.row), (content.objective_trees, "objective {}".format),
+        (content.trees, content.row),
+        (content.objective_trees, "objective {}".format),
         (content.defined_trees, "defined variable {}".format),
     ):
         is_operator = trees.kinds == OPERATOR
         is_known = np.isin(trees.values, list(OPERATORS))
-        is_taken = np.where(is_operator, is_known, (trees.kinds < OPERATOR) & np.isfinite(trees.values))
+        is_taken = np.where(
+            is_operator, is_known, (trees.kinds < OPERATOR) & np.isfinite(trees.values)
+        )
         for place in np.flatnonzero(~is_taken)[:1]:
             tree = int(np.searchsorted(trees.starts, place, side="right")) - 1
             reason = _refusal(content, Token(trees.kinds[place]), trees.values[place])
@@ -107,4 +125,8 @@ def _refusal(content: NLContent, kind: Token, value: float) -> str:
 
 def value_of(rule: Arithmetic | Function, operands: list[Any]) -> Any:
     """Return what an operator makes of numbers; not finite, with numpy's warning, where it has no value."""
-    return rule.value(*map(np.float64, operands)) if isinstance(rule, Function) else FOLDED[rule](*operands)
+    return (
+        rule.value(*map(np.float64, operands))
+        if isinstance(rule, Function)
+        else FOLDED[rule](*operands)
+    )

@@ -39,10 +39,30 @@ from .forms import NO_NUMBERS, Binary, Fault, Text
 ENDING = ".nl"
 SHOWN = 40  # bytes of a line that a message quotes
 #: How many numbers stand behind the letter of a segment; a name follows in F and S.
-HEADS = {"C": 1, "L": 1, "O": 2, "V": 3, "G": 2, "J": 2, "b": 0, "r": 0, "k": 1, "K": 1, "x": 1, "d": 1, "F": 3, "S": 2}
+HEADS = {
+    "C": 1,
+    "L": 1,
+    "O": 2,
+    "V": 3,
+    "G": 2,
+    "J": 2,
+    "b": 0,
+    "r": 0,
+    "k": 1,
+    "K": 1,
+    "x": 1,
+    "d": 1,
+    "F": 3,
+    "S": 2,
+}
 NAMED = "FS"
 TOKENS = {
-    "n": Token.NUMBER, "l": Token.NUMBER, "s": Token.NUMBER, "v": Token.VARIABLE, "o": Token.OPERATOR, "f": Token.CALL,
+    "n": Token.NUMBER,
+    "l": Token.NUMBER,
+    "s": Token.NUMBER,
+    "v": Token.VARIABLE,
+    "o": Token.OPERATOR,
+    "f": Token.CALL,
     "h": Token.STRING,
 }
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
@@ -53,18 +73,38 @@ LINES = 10  # of the head, which are text in binary files too
 MOST_LINE_BYTES = 4096  # a line of the head is never longer
 #: Of the lines of the head behind the first: how many numbers must stand there, what they are, and what each is called.
 HEAD = {
-    2: (3, "variables, rows, objectives", "variables rows objectives ranges equations logical_rows"),
-    3: (2, "nonlinear rows and objectives", "nonlinear_rows nonlinear_objectives linear_pairs nonlinear_pairs _ _"),
+    2: (
+        3,
+        "variables, rows, objectives",
+        "variables rows objectives ranges equations logical_rows",
+    ),
+    3: (
+        2,
+        "nonlinear rows and objectives",
+        "nonlinear_rows nonlinear_objectives linear_pairs nonlinear_pairs _ _",
+    ),
     4: (2, "network rows", "_ _"),
     5: (2, "nonlinear variables", "in_rows in_objectives in_both"),
     6: (2, "network variables, functions", "_ functions arithmetic _"),
-    7: (2, "integer variables", "binaries integers integers_in_both integers_in_rows integers_in_objectives"),
+    7: (
+        2,
+        "integer variables",
+        "binaries integers integers_in_both integers_in_rows integers_in_objectives",
+    ),
     8: (2, "nonzeros", "nonzeros objective_nonzeros"),
     9: (2, "lengths of names", "row_name_length name_length"),
     10: (5, "defined variables", "defined defined1 defined2 defined3 defined4"),
 }
 #: What stands in a file, each in a byte at least.
-STORED = {"variables", "rows", "objectives", "logical_rows", "functions", *HEAD[8][2].split(), *HEAD[10][2].split()}
+STORED = {
+    "variables",
+    "rows",
+    "objectives",
+    "logical_rows",
+    "functions",
+    *HEAD[8][2].split(),
+    *HEAD[10][2].split(),
+}
 
 
 class HeadFault(Fault):
@@ -110,12 +150,12 @@ def _place(data: bytes, fault: Fault) -> str:
     """Return where a fault is: the line and what it says, or the byte."""
     line, begin = fault.place, fault.place
     if isinstance(fault, HeadFault):
-        begin = sum(len(one) + 1 for one in data.split(b"\n", LINES)[:line - 1])
+        begin = sum(len(one) + 1 for one in data.split(b"\n", LINES)[: line - 1])
     elif data[:1] == b"b":
         return f"byte {begin}"
     else:
         line = data.count(b"\n", 0, begin) + 1
-    text = data[begin:begin + SHOWN].split(b"\n")[0].decode("ascii", errors="replace")
+    text = data[begin : begin + SHOWN].split(b"\n")[0].decode("ascii", errors="replace")
     return f"line {line} ({text!r})"
 
 
@@ -129,8 +169,12 @@ def _header(data: bytes) -> tuple[SimpleNamespace, int]:
         end = data.find(b"\n", begin, begin + MOST_LINE_BYTES)
         if end < 0:
             is_short = len(data) - begin < MOST_LINE_BYTES
-            raise HeadFault(number, f"the head of an .nl file has {LINES} lines, and the file ends here"
-                            if is_short else "this is no line of the head of an .nl file")
+            raise HeadFault(
+                number,
+                f"the head of an .nl file has {LINES} lines, and the file ends here"
+                if is_short
+                else "this is no line of the head of an .nl file",
+            )
         lines.append(data[begin:end])
         begin = end + 1
         if number == 1 and lines[0][:1] not in (b"g", b"b"):
@@ -140,8 +184,11 @@ def _header(data: bytes) -> tuple[SimpleNamespace, int]:
     for number in HEAD:
         _read_head_line(header, number, lines[number - 1], len(data) - begin)
     if header.is_binary and header.arithmetic not in (0, LITTLE_ENDIAN, BIG_ENDIAN):
-        raise HeadFault(6, f"its numbers are of the arithmetic {header.arithmetic}, and 1 (IEEE, little-endian) "
-                        "or 2 (big-endian) is needed; write the file as text")
+        raise HeadFault(
+            6,
+            f"its numbers are of the arithmetic {header.arithmetic}, and 1 (IEEE, little-endian) "
+            "or 2 (big-endian) is needed; write the file as text",
+        )
     header.defined = sum(getattr(header, name) for name in HEAD[10][2].split())
     return header, begin
 
@@ -151,7 +198,7 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
     words = text.split(b"#")[0].split()
     try:
         count = int(words[0]) if words else 0
-        given = [int(word) for word in words[1:max(count, 0) + 1]]
+        given = [int(word) for word in words[1 : max(count, 0) + 1]]
         has_tolerance = count >= 2 and given[1:2] == [WITH_TOLERANCE] and len(words) > count + 1
         tolerance = float(words[count + 1]) if has_tolerance else None
     except ValueError:
@@ -165,7 +212,7 @@ def _read_head_line(header: SimpleNamespace, number: int, line: bytes, length: i
     """Take in the numbers of a line, zeros for those that may be missing; so many bytes follow the head."""
     needed, meaning, names = HEAD[number]
     called = names.split()
-    words = line.split(b"#")[0].split()[:len(called)]
+    words = line.split(b"#")[0].split()[: len(called)]
     if len(words) < needed or not b"".join(words).isdigit():
         count = needed if needed == len(called) else f"{needed} to {len(called)}"
         raise HeadFault(number, f"{count} whole numbers are needed ({meaning})")
@@ -192,7 +239,11 @@ class _Rows:
         """Return them as CSR."""
         items, starts = _gathered(self.spans, height, (0, 0))
         kind = np.int32 if max(items.size, width) < 2**31 else np.int64
-        parts = np.array(self.values)[items], np.array(self.indices)[items].astype(kind), starts.astype(kind)
+        parts = (
+            np.array(self.values)[items],
+            np.array(self.indices)[items].astype(kind),
+            starts.astype(kind),
+        )
         return sp.csr_array(parts, shape=(height, width))
 
 
@@ -202,10 +253,17 @@ class _Reader:
     def __init__(self, data: bytes) -> None:
         self.header, begin = _header(data)
         order = ">" if self.header.arithmetic == BIG_ENDIAN else "<"
-        self.source: Text | Binary = Binary(data, begin, order) if self.header.is_binary else Text(data, begin)
+        self.source: Text | Binary = (
+            Binary(data, begin, order) if self.header.is_binary else Text(data, begin)
+        )
         rows, objectives, defined = self.header.rows, self.header.objectives, self.header.defined
         self.owners = {  # how many there are of what a segment belongs to
-            "C": rows, "J": rows, "L": self.header.logical_rows, "O": objectives, "G": objectives, "V": defined,
+            "C": rows,
+            "J": rows,
+            "L": self.header.logical_rows,
+            "O": objectives,
+            "G": objectives,
+            "V": defined,
             "F": self.header.functions,
         }
         self.heads: dict[tuple[str, int], int] = {}  # letter and owner of each segment: its place
@@ -258,12 +316,18 @@ class _Reader:
         else:
             owner = numbers[0] - first
             if not count:
-                self.source.fail(f"the head announces nothing that a segment {letter} could belong to")
+                self.source.fail(
+                    f"the head announces nothing that a segment {letter} could belong to"
+                )
             if not 0 <= owner < count:
-                self.source.fail(f"a segment {letter} has a number from {first} to {first + count - 1}")
+                self.source.fail(
+                    f"a segment {letter} has a number from {first} to {first + count - 1}"
+                )
         head = letter.lower() if letter == "K" else letter, owner
         if head in self.heads:
-            self.source.fail(f"a second segment {letter}{'' if count is None else owner + first}; a file has one")
+            self.source.fail(
+                f"a second segment {letter}{'' if count is None else owner + first}; a file has one"
+            )
         self.heads[head] = self.source.at
         return owner
 
@@ -293,7 +357,7 @@ class _Reader:
             self.strings.append(source.text())
             return kind, len(self.strings) - 1, 0
         if kind is Token.VARIABLE:
-            number, = source.integers(1)
+            (number,) = source.integers(1)
             if not 0 <= number < variables:
                 source.fail(f"there are {variables} variables that may stand here, numbered from 0")
             return kind, number, 0
@@ -303,12 +367,12 @@ class _Reader:
                 source.fail(f"there are {self.header.functions} functions here, numbered from 0")
             self._require_operands(count, 0)
             return kind, number, count
-        number, = source.integers(1)
+        (number,) = source.integers(1)
         if number not in ARITY:
             source.fail("there is no operator of this number")
         count = ARITY[number]
         if count in (NARY, PIECEWISE):
-            given, = source.row("i")
+            (given,) = source.row("i")
             factor = 1 if count == NARY else 2
             self._require_operands(given, factor)
             count = factor * given
@@ -374,7 +438,9 @@ class _Reader:
         if not 1 <= variable <= n:
             source.fail(f"a row is complementary to a variable from 1 to {n}")
         if variable in earlier:
-            source.fail(f"variable {variable} is complementary to an earlier row as well; one is possible")
+            source.fail(
+                f"variable {variable} is complementary to an earlier row as well; one is possible"
+            )
         earlier.add(variable)
 
     def _read_column_counts(self, letter: str, count: int) -> None:
@@ -413,17 +479,30 @@ class _Reader:
         row_lower, row_upper, partners, partner_bounds = _columns(self.bounds["r"])
         start, has_start = self._start("x", n)
         return NLContent(
-            lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, partners=partners.astype(np.int64),
-            partner_bounds=partner_bounds.astype(np.int64), linear=linear, trees=self._trees("C", m),
+            lower=lower,
+            upper=upper,
+            row_lower=row_lower,
+            row_upper=row_upper,
+            partners=partners.astype(np.int64),
+            partner_bounds=partner_bounds.astype(np.int64),
+            linear=linear,
+            trees=self._trees("C", m),
             is_maximized=np.array([self.is_maximized[k] for k in range(o)], dtype=bool),
-            objective_linear=self.rows["G"].matrix(o, n), objective_trees=self._trees("O", o),
-            defined_linear=self.rows["V"].matrix(d, n + d), defined_trees=self._trees("V", d),
-            is_integer=self._integers(), logical_rows=header.logical_rows,
-            functions=tuple(self.functions[k] or "?" for k in range(header.functions)), start=start,
-            dual_start=self._start("d", m)[0], has_start=has_start, suffixes=self.suffixes,
+            objective_linear=self.rows["G"].matrix(o, n),
+            objective_trees=self._trees("O", o),
+            defined_linear=self.rows["V"].matrix(d, n + d),
+            defined_trees=self._trees("V", d),
+            is_integer=self._integers(),
+            logical_rows=header.logical_rows,
+            functions=tuple(self.functions[k] or "?" for k in range(header.functions)),
+            start=start,
+            dual_start=self._start("d", m)[0],
+            has_start=has_start,
+            suffixes=self.suffixes,
             names=_names(path.with_suffix(".col"), n, header.name_length),
             row_names=_names(path.with_suffix(".row"), m, header.row_name_length),
-            options=header.options, tolerance=header.tolerance,
+            options=header.options,
+            tolerance=header.tolerance,
         )
 
     def _check_announced(self) -> None:
@@ -433,7 +512,12 @@ class _Reader:
             (2, header.objectives, "objectives", len(self.is_maximized)),
             (6, header.functions, "functions", len(self.functions)),
             (10, header.defined, "defined variables", len(self.trees["V"])),
-            (2, header.logical_rows, "logical constraints", len(self.trees["L"]) or header.logical_rows),
+            (
+                2,
+                header.logical_rows,
+                "logical constraints",
+                len(self.trees["L"]) or header.logical_rows,
+            ),
         ):
             if announced != given:
                 raise HeadFault(line, f"{announced} {what} are announced, {given} are there")
@@ -444,8 +528,14 @@ class _Reader:
             given = len(self.rows[letter].values)
             may_lack = letter == "G" and given  # AMPL counts what simplifications removed later
             if given > needed or (given < needed and not may_lack):
-                raise HeadFault(8, f"{needed} nonzeros are announced for the segments {letter}, {given} are there")
-        announced, given = header.linear_pairs + header.nonlinear_pairs, sum(row[2] >= 0 for row in self.bounds["r"])
+                raise HeadFault(
+                    8,
+                    f"{needed} nonzeros are announced for the segments {letter}, {given} are there",
+                )
+        announced, given = (
+            header.linear_pairs + header.nonlinear_pairs,
+            sum(row[2] >= 0 for row in self.bounds["r"]),
+        )
         if announced != given:
             raise HeadFault(3, f"{announced} complementarity rows are announced, {given} are there")
 
@@ -464,8 +554,11 @@ class _Reader:
         end = len(self.kinds)
         items, starts = _gathered(self.trees[letter], count, (end, end + 1))
         return Trees(
-            np.frombuffer(self.kinds + b"\0", dtype=np.uint8)[items], np.append(self.values, 0.0)[items],
-            np.append(np.array(self.counts), 0)[items], starts, tuple(self.strings),
+            np.frombuffer(self.kinds + b"\0", dtype=np.uint8)[items],
+            np.append(self.values, 0.0)[items],
+            np.append(np.array(self.counts), 0)[items],
+            starts,
+            tuple(self.strings),
         )
 
     def _start(self, letter: str, count: int) -> tuple[Any, Any]:
@@ -479,19 +572,26 @@ class _Reader:
         header, n = self.header, self.header.variables
         is_integer = np.zeros(n, dtype=bool)
         for end, count in (
-            (n, header.binaries + header.integers), (header.in_both, header.integers_in_both),
+            (n, header.binaries + header.integers),
+            (header.in_both, header.integers_in_both),
             (header.in_rows, header.integers_in_rows),
             (max(header.in_rows, header.in_objectives), header.integers_in_objectives),
         ):
             if count > end or end > n:
-                raise HeadFault(7, f"{count} integer variables are announced where there are {min(end, n)}")
-            is_integer[end - count:end] = True
+                raise HeadFault(
+                    7, f"{count} integer variables are announced where there are {min(end, n)}"
+                )
+            is_integer[end - count : end] = True
         return is_integer
 
 
-def _gathered(spans: dict[int, tuple[int, int]], count: int, none: tuple[int, int]) -> tuple[Indices, Indices]:
+def _gathered(
+    spans: dict[int, tuple[int, int]], count: int, none: tuple[int, int]
+) -> tuple[Indices, Indices]:
     """Return the items of each owner in their order, and where those of each start; `none` are those of the others."""
-    begins, ends = np.array([spans.get(k, none) for k in range(count)], dtype=np.int64).reshape(-1, 2).T
+    begins, ends = (
+        np.array([spans.get(k, none) for k in range(count)], dtype=np.int64).reshape(-1, 2).T
+    )
     lengths = ends - begins
     starts = np.append(0, np.cumsum(lengths))
     return np.repeat(begins - starts[:-1], lengths) + np.arange(starts[-1]), starts

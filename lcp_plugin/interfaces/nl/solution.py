@@ -20,8 +20,15 @@ OPTIONS = "Options"
 
 
 def write_sol(
-    path: str | PathLike[str], message: str, x: Any, y: Any, options: Sequence[int], code: int, *,
-    tolerance: float | None = None, sizes: tuple[int, int] | None = None,
+    path: str | PathLike[str],
+    message: str,
+    x: Any,
+    y: Any,
+    options: Sequence[int],
+    code: int,
+    *,
+    tolerance: float | None = None,
+    sizes: tuple[int, int] | None = None,
 ) -> None:
     """Write the answer to an ``.nl`` file.
 
@@ -43,7 +50,9 @@ def write_sol(
     target = checked_path(path)
     duals, values = _given(y), _given(x)
     if sizes is None and (x is None or y is None):
-        raise InvalidProblem("without x or y the file still says how many there are; give sizes=(m, n)")
+        raise InvalidProblem(
+            "without x or y the file still says how many there are; give sizes=(m, n)"
+        )
     m, n = sizes or (np.size(y), np.size(x))
     for given, size, what in ((duals, m, "y"), (values, n, "x")):
         if given is not None and given.shape != (size,):
@@ -54,7 +63,11 @@ def write_sol(
     lines.append("")
     if options and options[0]:
         has_tolerance = len(options) > 2 and options[2] == WITH_TOLERANCE
-        lines += [OPTIONS, str(options[0] + 2 * has_tolerance), *map(str, options[1:options[0] + 1])]
+        lines += [
+            OPTIONS,
+            str(options[0] + 2 * has_tolerance),
+            *map(str, options[1 : options[0] + 1]),
+        ]
         lines += map(str, (m, 0 if duals is None else m, n, 0 if values is None else n))
         lines += [repr(float(tolerance or 0.0))] * has_tolerance
     for given in (duals, values):

@@ -15,7 +15,13 @@ from ...problems.programs.program import QuadraticProgram
 from ..files.files import checked_path, write_whole
 from .content import ARITY, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL, NLContent, Token, Trees
 
-LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o", Token.CALL: b"f", Token.STRING: b"h"}
+LETTERS = {
+    Token.NUMBER: b"n",
+    Token.VARIABLE: b"v",
+    Token.OPERATOR: b"o",
+    Token.CALL: b"f",
+    Token.STRING: b"h",
+}
 ANY_COUNT = -1  # of the operands of an external function, which the content does not keep
 PLUS, TIMES, SUM = 0, 2, 54  # numbers of operators
 ALSO_STRINGS = 1  # its type: it takes texts as well
@@ -69,7 +75,9 @@ def _content_of(problem: Any) -> NLContent:
         return _content_of_program(problem)
     content = getattr(problem, "content", problem)
     if not isinstance(content, NLContent):
-        why = ", whose F is written in Python" if type(problem).__name__ == "NonlinearProblem" else ""
+        why = (
+            ", whose F is written in Python" if type(problem).__name__ == "NonlinearProblem" else ""
+        )
         raise InvalidProblem(
             "an .nl file is written of an LCP, a QuadraticProgram, a Pyomo model, or of what read_content and read_nl "
             f"return, got {type(problem).__name__}{why}"
@@ -83,7 +91,13 @@ def _content_of_lcp(problem: LCP) -> NLContent:
     free = np.full(n, np.inf)
     bits = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
     return NLContent.of_rows(
-        problem.lower, problem.upper, problem.csr, Trees.of_numbers(problem.q), (-free, free), np.arange(n), bits
+        problem.lower,
+        problem.upper,
+        problem.csr,
+        Trees.of_numbers(problem.q),
+        (-free, free),
+        np.arange(n),
+        bits,
     )
 
 
@@ -96,9 +110,15 @@ def _content_of_program(program: QuadraticProgram) -> NLContent:
     limits = np.append(np.full(program.h.size, -np.inf), program.b), np.append(program.h, program.b)
     rows = sp.csr_array(sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)]))
     return NLContent.of_rows(
-        program.lower, program.upper, rows, Trees.of_numbers(np.zeros(m)), limits, np.full(m, -1),
+        program.lower,
+        program.upper,
+        rows,
+        Trees.of_numbers(np.zeros(m)),
+        limits,
+        np.full(m, -1),
         np.zeros(m, dtype=np.int64),
-        _sum_of_products(np.where(P.row == P.col, 0.5, 1.0) * P.data, P.row, P.col), slopes,
+        _sum_of_products(np.where(P.row == P.col, 0.5, 1.0) * P.data, P.row, P.col),
+        slopes,
     )
 
 
@@ -113,7 +133,8 @@ def _sum_of_products(factors: Any, first: Any, second: Any) -> Trees:
     return Trees(
         np.array([Token.OPERATOR] * len(heads) + kinds * k, dtype=np.uint8),
         np.append([SUM if k > 2 else PLUS] * len(heads), products),
-        np.array(heads + [2, 0, 2, 0, 0] * k, dtype=np.int64), np.array([0, len(heads) + 5 * k]),
+        np.array(heads + [2, 0, 2, 0, 0] * k, dtype=np.int64),
+        np.array([0, len(heads) + 5 * k]),
     )
 
 
@@ -149,7 +170,8 @@ class TextWriter:
             self._line("O", (k, int(content.is_maximized[k])))
             self._tree(content.objective_trees, k)
         for letter, is_given, values in (
-            ("d", content.dual_start != 0.0, content.dual_start), ("x", content.has_start, content.start)
+            ("d", content.dual_start != 0.0, content.dual_start),
+            ("x", content.has_start, content.start),
         ):
             if is_given.any():
                 indices = np.flatnonzero(is_given)
@@ -172,37 +194,50 @@ class TextWriter:
         n, m, o = content.lower.size, content.row_lower.size, content.objective_trees.size
         is_pair = content.partners >= 0
         is_equation = ~is_pair & (content.row_lower == content.row_upper)
-        is_range = ~is_pair & ~is_equation & np.isfinite(content.row_lower) & np.isfinite(content.row_upper)
+        is_range = (
+            ~is_pair
+            & ~is_equation
+            & np.isfinite(content.row_lower)
+            & np.isfinite(content.row_upper)
+        )
         is_nonlinear = _has_variables(content.trees)
         in_rows, in_objectives, integers = _groups(content)
         both = min(in_rows, in_objectives)
         tolerance = "" if content.tolerance is None else f" {content.tolerance!r}"
-        return "".join(f"{line}\n" for line in (
-            f"{self.format}{' '.join(map(str, content.options))}{tolerance}\t# written by lcp_plugin",
-            f" {n} {m} {o} {is_range.sum()} {is_equation.sum()} {content.logical_rows}"
-            "\t# vars, constraints, objectives, ranges, eqns, logical",
-            f" {is_nonlinear.sum()} {_has_variables(content.objective_trees).sum()} {(is_pair & ~is_nonlinear).sum()} "
-            f"{(is_pair & is_nonlinear).sum()} 0 0\t# nonlinear constraints, objectives; ccons: lin, nonlin, nd, nzlb",
-            " 0 0\t# network constraints: nonlinear, linear",
-            f" {in_rows} {in_objectives} {both}\t# nonlinear vars in constraints, objectives, both",
-            f" 0 {len(content.functions)} {self.arithmetic} 1\t# linear network variables; functions; arith, flags",
-            f" 0 {' '.join(map(str, integers))}\t# discrete variables: binary, integer, nonlinear (b,c,o)",
-            f" {content.linear.nnz} {content.objective_linear.nnz}\t# nonzeros in Jacobian, gradients",
-            f" {_longest(content.row_names)} {_longest(content.names)}\t# max name lengths: constraints, variables",
-            f" {content.defined_trees.size} 0 0 0 0\t# common exprs: b,c,o,c1,o1",
-        ))
+        return "".join(
+            f"{line}\n"
+            for line in (
+                f"{self.format}{' '.join(map(str, content.options))}{tolerance}\t# written by lcp_plugin",
+                f" {n} {m} {o} {is_range.sum()} {is_equation.sum()} {content.logical_rows}"
+                "\t# vars, constraints, objectives, ranges, eqns, logical",
+                f" {is_nonlinear.sum()} {_has_variables(content.objective_trees).sum()} "
+                f"{(is_pair & ~is_nonlinear).sum()} {(is_pair & is_nonlinear).sum()} 0 0"
+                "\t# nonlinear constraints, objectives; ccons: lin, nonlin, nd, nzlb",
+                " 0 0\t# network constraints: nonlinear, linear",
+                f" {in_rows} {in_objectives} {both}\t# nonlinear vars in constraints, objectives, both",
+                f" 0 {len(content.functions)} {self.arithmetic} 1\t# linear network variables; functions; arith, flags",
+                f" 0 {' '.join(map(str, integers))}\t# discrete variables: binary, integer, nonlinear (b,c,o)",
+                f" {content.linear.nnz} {content.objective_linear.nnz}\t# nonzeros in Jacobian, gradients",
+                f" {_longest(content.row_names)} {_longest(content.names)}\t# max name lengths: constraints, variables",
+                f" {content.defined_trees.size} 0 0 0 0\t# common exprs: b,c,o,c1,o1",
+            )
+        )
 
     def _line(self, letter: str, numbers: Iterable[int], text: bytes | None = None) -> None:
         """Write a letter with the numbers behind it, and a name."""
         words = [str(number).encode() for number in numbers]
-        self.out.append(letter.encode() + b" ".join(words if text is None else [*words, text]) + b"\n")
+        self.out.append(
+            letter.encode() + b" ".join(words if text is None else [*words, text]) + b"\n"
+        )
 
     def _pairs(self, indices: Any, values: Any, is_real: bool = True) -> None:
         lines = zip(indices.tolist(), values.tolist(), strict=True)
         self.out.append("".join(f"{index} {value!r}\n" for index, value in lines).encode())
 
     def _columns(self, counts: Any) -> None:
-        self.out.append("\n".join(["k" + str(counts.size), *map(str, counts.tolist()), ""]).encode())
+        self.out.append(
+            "\n".join(["k" + str(counts.size), *map(str, counts.tolist()), ""]).encode()
+        )
 
     def _bounds(self, letter: str, lower: Any, upper: Any) -> None:
         self._line(letter, ())
@@ -231,7 +266,12 @@ def _row(matrix: sp.csr_array, i: int) -> tuple[Any, Any]:
 def tokens_of(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
     """Return kind, value and number of operands of each token of tree k."""
     part = slice(trees.starts[k], trees.starts[k + 1])
-    return zip(trees.kinds[part].tolist(), trees.values[part].tolist(), trees.counts[part].tolist(), strict=True)
+    return zip(
+        trees.kinds[part].tolist(),
+        trees.values[part].tolist(),
+        trees.counts[part].tolist(),
+        strict=True,
+    )
 
 
 def count_behind(operator: int, count: int) -> int:
@@ -239,12 +279,16 @@ def count_behind(operator: int, count: int) -> int:
     return {NARY: count, PIECEWISE: count // 2}.get(ARITY[operator], 0)
 
 
-def stated_bounds(content: NLContent, lower: Any, upper: Any, *, is_rows: bool) -> Iterable[tuple[Any, ...]]:
+def stated_bounds(
+    content: NLContent, lower: Any, upper: Any, *, is_rows: bool
+) -> Iterable[tuple[Any, ...]]:
     """Yield the kind of each bound with the numbers behind it."""
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
         if is_rows and content.partners[i] >= 0:
             yield PARTNER, int(content.partner_bounds[i]), int(content.partners[i]) + 1
-        elif low == high and (low or repr(low) == repr(high)):  # −0 and 0 are two numbers to be read again
+        elif low == high and (
+            low or repr(low) == repr(high)
+        ):  # −0 and 0 are two numbers to be read again
             yield 4, low
         elif low == -np.inf:
             yield (3,) if high == np.inf else (1, high)
@@ -278,11 +322,15 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     ends = np.flatnonzero(content.is_integer & ~np.append(content.is_integer[1:], False)) + 1
     first = int(ends[0])
     if ends.size <= 2 and int(ends[-1]) in (first, n) and max(in_rows, in_objectives) <= first < n:
-        own = int(content.is_integer[:first].sum())  # the last ones of those that are nonlinear, and of the others
+        own = int(
+            content.is_integer[:first].sum()
+        )  # the last ones of those that are nonlinear, and of the others
         return first, first, (integers.size - own, own, 0, 0)
     if integers[0] != n - integers.size:
-        raise InvalidProblem(f"variable {integers[0]} is integer and one behind it is not; the integer variables of an "
-                             ".nl file must come last, or last of those that are nonlinear; order the variables so")
+        raise InvalidProblem(
+            f"variable {integers[0]} is integer and one behind it is not; the integer variables of an "
+            ".nl file must come last, or last of those that are nonlinear; order the variables so"
+        )
     if integers[0] >= max(in_rows, in_objectives):
         return in_rows, in_objectives, (integers.size, 0, 0, 0)
     return n, n, (0, integers.size, 0, 0)

@@ -92,7 +92,9 @@ class PyomoAnswer:
             return ComponentMap()
         found = {j: float(self.found.duals[i]) for i, j in enumerate(partners) if j >= 0}
         if isinstance(self.problem, ProgramModel):
-            found = dict(enumerate(_slopes(self.statement.content, self.found.x, self.found.duals).tolist()))
+            found = dict(
+                enumerate(_slopes(self.statement.content, self.found.x, self.found.duals).tolist())
+            )
         own = [j for j in found if j not in self.statement.added and math.isfinite(found[j])]
         return ComponentMap((variables[j], found[j]) for j in own)
 
@@ -138,12 +140,19 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
     found = problem.solve(**options)
     values, duals = ComponentMap(), ComponentMap()
     if found.x is not None and found.duals is not None:
-        own = [(j, variable) for j, variable in enumerate(statement.variables) if j not in statement.added]
+        own = [
+            (j, variable)
+            for j, variable in enumerate(statement.variables)
+            if j not in statement.added
+        ]
         values.update((variable, float(found.x[j])) for j, variable in own)
-        values.update((variable, _nearest_to_zero(variable)) for variable in _without_weight(model, values))
+        values.update(
+            (variable, _nearest_to_zero(variable)) for variable in _without_weight(model, values)
+        )
         duals.update(
             (row.stated if isinstance(row, Pair) else row, float(dual))
-            for row, dual in zip(statement.rows, found.duals, strict=True) if row is not None
+            for row, dual in zip(statement.rows, found.duals, strict=True)
+            if row is not None
         )
     return PyomoAnswer(statement, found, problem, values, duals)
 
@@ -151,22 +160,32 @@ def answered(model: Any, options: dict[str, Any], path: Path) -> PyomoAnswer:
 def _without_weight(model: Any, values: ComponentMap) -> list[Any]:
     """Return the variables that the model mentions and its file does not: all that they stand in is 0."""
     found = ComponentMap()
-    for stated_one in model.component_data_objects((Objective, Constraint), active=True, descend_into=True):
+    for stated_one in model.component_data_objects(
+        (Objective, Constraint), active=True, descend_into=True
+    ):
         if stated_one.expr is not None:
-            found.update((one, None) for one in identify_variables(stated_one.expr, include_fixed=False))
+            found.update(
+                (one, None) for one in identify_variables(stated_one.expr, include_fixed=False)
+            )
     return [one for one in found if one not in values and one.value is None]
 
 
 def _nearest_to_zero(variable: Any) -> float:
     lower, upper = variable.bounds
-    return float(max(0.0 if lower is None else lower, min(0.0, math.inf if upper is None else upper)))
+    return float(
+        max(0.0 if lower is None else lower, min(0.0, math.inf if upper is None else upper))
+    )
 
 
 def _problem(statement: Statement) -> NLModel:
     try:
         return model_of(statement.content)
     except UnsupportedModel as error:
-        added = [statement.content.names[j] for j in sorted(statement.added)] if statement.content.names else []
+        added = (
+            [statement.content.names[j] for j in sorted(statement.added)]
+            if statement.content.names
+            else []
+        )
         if not added or statement.content.row_lower.size <= statement.content.lower.size:
             raise
         others = ", …" if len(added) > SOME else ""
@@ -188,8 +207,13 @@ def _slopes(content: NLContent, x: FloatVector, duals: FloatVector) -> FloatVect
 
 def imported(model: Any, name: str) -> Any:
     """Return the suffix of that name that wants values from solvers, the nearest to the root, or None."""
-    suffixes = model.component_objects(Suffix, active=True, descend_into=True, sort=SortComponents.deterministic)
-    return next((suffix for suffix in suffixes if suffix.local_name == name and suffix.import_enabled()), None)
+    suffixes = model.component_objects(
+        Suffix, active=True, descend_into=True, sort=SortComponents.deterministic
+    )
+    return next(
+        (suffix for suffix in suffixes if suffix.local_name == name and suffix.import_enabled()),
+        None,
+    )
 
 
 class Loader(LOADER):  # type: ignore[misc, valid-type]
@@ -229,7 +253,11 @@ class Loader(LOADER):  # type: ignore[misc, valid-type]
         """Return those that are wanted; raise where the model has no solution that they could belong to."""
         if not self.answer.has_point:
             raise _error_with(NoFeasibleSolutionError, self.answer.found.message)
-        return values if wanted is None else ComponentMap((component, values[component]) for component in wanted)
+        return (
+            values
+            if wanted is None
+            else ComponentMap((component, values[component]) for component in wanted)
+        )
 
 
 def _error_with(kind: type[Exception], message: str) -> Exception:
@@ -260,15 +288,26 @@ class LCPPluginV2(SolverBase):  # type: ignore[misc]
         for name, value in (("max_seconds", config.time_limit), ("threads", config.threads)):
             if value is not None:
                 options[name] = value
-        with TemporaryDirectory() as temporary, TeeStream(*(config.tee or [])) as tee, redirect_stdout(tee.STDOUT):
+        with (
+            TemporaryDirectory() as temporary,
+            TeeStream(*(config.tee or [])) as tee,
+            redirect_stdout(tee.STDOUT),
+        ):
             folder = Path(config.working_dir or temporary)
             folder.mkdir(parents=True, exist_ok=True)
             answer = answered(model, options, folder / "model.nl")
             if config.working_dir:
                 answer.keep(folder / "model.nl", config.symbolic_solver_labels)
         results = _results_of(answer, model)
-        results.solver_name, results.solver_version, results.solver_config = self.name, self.version(), config
-        results.timing_info.start_timestamp, results.timing_info.wall_time = begin, perf_counter() - start
+        results.solver_name, results.solver_version, results.solver_config = (
+            self.name,
+            self.version(),
+            config,
+        )
+        results.timing_info.start_timestamp, results.timing_info.wall_time = (
+            begin,
+            perf_counter() - start,
+        )
         is_optimal = results.solution_status == SolutionStatus.optimal
         if config.raise_exception_on_nonoptimal_result and not is_optimal:
             raise _error_with(NoOptimalSolutionError, answer.found.message)
@@ -294,4 +333,6 @@ def _results_of(answer: PyomoAnswer, model: Any) -> Any:
 
 def register(name: str) -> None:
     """Register it with the newer interface; the older one knows this class by a name of its own."""
-    SolverFactory.register(name, legacy_name=f"{name}_v2", doc="Complementarity problems, by lcp_plugin")(LCPPluginV2)
+    SolverFactory.register(
+        name, legacy_name=f"{name}_v2", doc="Complementarity problems, by lcp_plugin"
+    )(LCPPluginV2)

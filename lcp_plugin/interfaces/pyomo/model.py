@@ -42,19 +42,37 @@ from ..nl.reading import read_content
 from .pairs import Pair, PairSide, cannot_vary, difference, number, paired, sides_of
 
 KNOWN = {
-    Block, Complementarity, Constraint, Expression, ExternalFunction, Objective, Param, Port, RangeSet, Set, Suffix,
+    Block,
+    Complementarity,
+    Constraint,
+    Expression,
+    ExternalFunction,
+    Objective,
+    Param,
+    Port,
+    RangeSet,
+    Set,
+    Suffix,
     Var,
 }
-INTEGERS = "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as complementarities"
+INTEGERS = (
+    "apply gdp.bigm or gdp.hull and a solver for integers, or state the cases as complementarities"
+)
 INSTEAD = {
-    "Disjunct": INTEGERS, "Disjunction": INTEGERS, "SOSConstraint": INTEGERS, "LogicalConstraint": INTEGERS,
-    "BooleanVar": INTEGERS, "Arc": "expand it: TransformationFactory('network.expand_arcs')",
+    "Disjunct": INTEGERS,
+    "Disjunction": INTEGERS,
+    "SOSConstraint": INTEGERS,
+    "LogicalConstraint": INTEGERS,
+    "BooleanVar": INTEGERS,
+    "Arc": "expand it: TransformationFactory('network.expand_arcs')",
     "DerivativeVar": "discretise it, TransformationFactory('dae.collocation'), and add complementarities afterwards",
 }
 DISCRETISED = ("DerivativeVar",)
 PLUS = 0  # the number of the operator
 SOME = 5  # names that a message lists
-TINY = sys.float_info.min  # limits of what would be an equation, were they 0: it is looked at afterwards
+TINY = (
+    sys.float_info.min
+)  # limits of what would be an equation, were they 0: it is looked at afterwards
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +103,9 @@ class Statement:
         if content.is_maximized.size:
             return content
         bound_bits = np.isfinite(content.lower) + 2 * np.isfinite(content.upper)
-        bound_bits = np.where(content.partners >= 0, bound_bits[content.partners], content.partner_bounds)
+        bound_bits = np.where(
+            content.partners >= 0, bound_bits[content.partners], content.partner_bounds
+        )
         return replace(content, partner_bounds=bound_bits)
 
 
@@ -104,22 +124,37 @@ def stated(model: Any, path: Path) -> Statement:
         Naming the component that is not taken.
     """
     if not hasattr(model, "component_data_objects"):
-        raise UnsupportedModel(f"a Pyomo model or block is needed, got {type(model).__name__}; solve a model")
+        raise UnsupportedModel(
+            f"a Pyomo model or block is needed, got {type(model).__name__}; solve a model"
+        )
     if not getattr(model, "is_constructed", lambda: True)():  # pyomo.kernel has no abstract models
-        raise UnsupportedModel("the model is abstract and holds no data yet; solve model.create_instance(…)")
+        raise UnsupportedModel(
+            "the model is abstract and holds no data yet; solve model.create_instance(…)"
+        )
     _require_known(model)
     in_order = SortComponents.deterministic
-    conditions = list(model.component_data_objects(Complementarity, active=True, descend_into=True, sort=in_order))
-    constraints = list(model.component_data_objects(Constraint, active=True, descend_into=True, sort=in_order))
-    objectives = list(model.component_data_objects(Objective, active=True, descend_into=True, sort=in_order))
+    conditions = list(
+        model.component_data_objects(Complementarity, active=True, descend_into=True, sort=in_order)
+    )
+    constraints = list(
+        model.component_data_objects(Constraint, active=True, descend_into=True, sort=in_order)
+    )
+    objectives = list(
+        model.component_data_objects(Objective, active=True, descend_into=True, sort=in_order)
+    )
     sides = [sides_of(condition) for condition in conditions]
     has_pairs = any(not any(side.is_equation for side in pair) for pair in sides)
     has_pairs |= any(hasattr(row, "_complementarity") for row in constraints)
     if has_pairs:
         objectives = [one for one in objectives if not cannot_vary(one.expr)]
     if len(objectives) > 1:
-        raise UnsupportedModel(f"the model has {len(objectives)} active objectives; deactivate all but one")
-    is_whole = any(not one.is_continuous() for one in model.component_data_objects(Var, active=True, descend_into=True))
+        raise UnsupportedModel(
+            f"the model has {len(objectives)} active objectives; deactivate all but one"
+        )
+    is_whole = any(
+        not one.is_continuous()
+        for one in model.component_data_objects(Var, active=True, descend_into=True)
+    )
     draft = _Draft(is_search=bool(objectives) or is_whole)
     for row in constraints:
         draft.constrain(row)
@@ -128,14 +163,20 @@ def stated(model: Any, path: Path) -> Statement:
 
 
 def _require_known(model: Any) -> None:
-    unknown = categorize_valid_components(model, active=True, sort=SortComponents.deterministic, valid=KNOWN)[1]
+    unknown = categorize_valid_components(
+        model, active=True, sort=SortComponents.deterministic, valid=KNOWN
+    )[1]
     for kind in model.collect_ctypes(active=True):
         if kind.__name__ in DISCRETISED:  # these never report as active
             unknown[kind] = list(model.component_objects(kind))
     for kind, components in sorted(unknown.items(), key=lambda each: each[0].__name__):
         names = ", ".join(component.name for component in components[:SOME])
-        instead = INSTEAD.get(kind.__name__, "deactivate it, or state it as constraints and complementarities")
-        raise UnsupportedModel(f"{kind.__name__} is not taken, and the model has {names}; {instead}")
+        instead = INSTEAD.get(
+            kind.__name__, "deactivate it, or state it as constraints and complementarities"
+        )
+        raise UnsupportedModel(
+            f"{kind.__name__} is not taken, and the model has {names}; {instead}"
+        )
 
 
 class _Draft:
@@ -170,10 +211,14 @@ class _Draft:
     def pair(self, conditions: Sequence[Any], sides: Sequence[tuple[PairSide, PairSide]]) -> None:
         """Take the complementarities, first those that leave no choice of a partner."""
         choices = [sum(side.variable is not None for side in pair) for pair in sides]
-        for condition, pair, _ in sorted(zip(conditions, sides, choices, strict=True), key=lambda each: each[2] != 1):
+        for condition, pair, _ in sorted(
+            zip(conditions, sides, choices, strict=True), key=lambda each: each[2] != 1
+        ):
             equation = next((side for side in pair if side.is_equation), None)
             if equation is not None:
-                body = difference(equation.body, equation.lower) if equation.lower else equation.body
+                body = (
+                    difference(equation.body, equation.lower) if equation.lower else equation.body
+                )
                 self.state(body, condition, 0.0, 0.0)
             else:
                 self.hold(paired(condition, pair, lambda variable: id(variable) in self.partners))
@@ -210,8 +255,11 @@ class _Draft:
     def _has_too_many_equations(self) -> bool:
         """Return whether there are more equations and pairs than unknowns in them, as with a price that is the unit."""
         rows = [
-            row.body for row in (*self.model.rows.values(), *self.given)
-            if row.equality or isinstance(self.states[id(row)], Pair) or hasattr(row, "_complementarity")
+            row.body
+            for row in (*self.model.rows.values(), *self.given)
+            if row.equality
+            or isinstance(self.states[id(row)], Pair)
+            or hasattr(row, "_complementarity")
         ]
         rows += [pair.row for pair in self.spare]
         unknowns = {id(one) for row in rows for one in identify_variables(row, include_fixed=False)}
@@ -232,7 +280,9 @@ class _Draft:
             self.model.objective = Reference(list(objectives), ctype=Objective)
         content, variables, rows = self._through(path)
         if not variables:
-            raise UnsupportedModel("no active constraint, objective or complementarity has a free variable")
+            raise UnsupportedModel(
+                "no active constraint, objective or complementarity has a free variable"
+            )
         if has_pairs:
             content = self._paired(content, variables, rows)
         added = {id(variable) for variable in self.model.added.values()}
@@ -252,7 +302,9 @@ class _Draft:
                     f"the variable {variable.name} is integer, and integers are taken beside complementarities only; "
                     "give it a continuous domain"
                 )
-        names = [self.named.get(id(variable)) or variable.name for variable in information.variables]
+        names = [
+            self.named.get(id(variable)) or variable.name for variable in information.variables
+        ]
         rows = [self.states.get(id(row), row) for row in information.constraints]
         content = replace(read_content(path), names=names, row_names=[_name(row) for row in rows])
         return content, list(information.variables), rows
@@ -261,11 +313,17 @@ class _Draft:
         with path.open("w", newline="", encoding="utf-8") as file:
             try:
                 return NLWriter().write(
-                    self.model, file, linear_presolve=False, scale_model=False, skip_trivial_constraints=False,
+                    self.model,
+                    file,
+                    linear_presolve=False,
+                    scale_model=False,
+                    skip_trivial_constraints=False,
                     export_nonlinear_variables=exported or None,
                 )
             except InvalidValueError as error:
-                raise InvalidProblem(f"numbers of a model must be finite: {' '.join(str(error).split())}") from error
+                raise InvalidProblem(
+                    f"numbers of a model must be finite: {' '.join(str(error).split())}"
+                ) from error
 
     def _paired(self, content: NLContent, variables: list[Any], rows: list[Any]) -> NLContent:
         """Return the content with the pairs, and their bounds of variables."""
@@ -274,7 +332,9 @@ class _Draft:
         row_lower, row_upper = content.row_lower.copy(), content.row_upper.copy()
         constants = np.zeros(len(rows))
         lower, upper = content.lower.copy(), content.upper.copy()
-        if self.is_search:  # where a pair of Pyomo's own transformation has no other bounds than it states
+        if (
+            self.is_search
+        ):  # where a pair of Pyomo's own transformation has no other bounds than it states
             transformed = np.flatnonzero(partners >= 0)
             own, stated_bits = partners[transformed], partner_bounds[transformed]
             lower[own[stated_bits & 1 == 0]], upper[own[stated_bits & 2 == 0]] = -np.inf, np.inf
@@ -283,7 +343,11 @@ class _Draft:
         for i, pair in enumerate(rows):
             variable = held_by.get(id(pair))
             if id(pair) in spare:
-                constants[i], row_lower[i], row_upper[i] = -row_lower[i], -self.spare_limit, self.spare_limit
+                constants[i], row_lower[i], row_upper[i] = (
+                    -row_lower[i],
+                    -self.spare_limit,
+                    self.spare_limit,
+                )
             if variable is None:
                 continue
             j = number_of[id(variable)]
@@ -294,10 +358,18 @@ class _Draft:
                 own_lower, own_upper = _own_bounds(variable)
                 lower[j], upper[j] = max(lower[j], own_lower), min(upper[j], own_upper)
             is_same = lower[j] == pair.held.lower, upper[j] == pair.held.upper
-            partner_bounds[i] = (is_same[0] & np.isfinite(lower[j])) + 2 * (is_same[1] & np.isfinite(upper[j]))
+            partner_bounds[i] = (is_same[0] & np.isfinite(lower[j])) + 2 * (
+                is_same[1] & np.isfinite(upper[j])
+            )
         return replace(
-            content, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, partners=partners,
-            partner_bounds=partner_bounds, trees=with_constants(content.trees, constants),
+            content,
+            lower=lower,
+            upper=upper,
+            row_lower=row_lower,
+            row_upper=row_upper,
+            partners=partners,
+            partner_bounds=partner_bounds,
+            trees=with_constants(content.trees, constants),
         )
 
     def _own_bounds_count(self, variable: Any, pair: Pair) -> bool:
@@ -346,6 +418,9 @@ def with_constants(trees: Trees, constants: FloatVector) -> Trees:
     added[others] = 2
     counts = np.insert(trees.counts, at, 2 * (1 - pairs))
     return Trees(
-        np.insert(trees.kinds, at, operators), np.insert(values, at, sums), counts,
-        trees.starts + np.concatenate([[0], np.cumsum(added)]), trees.strings,
+        np.insert(trees.kinds, at, operators),
+        np.insert(values, at, sums),
+        counts,
+        trees.starts + np.concatenate([[0], np.cumsum(added)]),
+        trees.strings,
     )

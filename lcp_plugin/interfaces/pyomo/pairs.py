@@ -8,7 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from pyomo.core import value
-from pyomo.core.expr import EqualityExpression, InequalityExpression, RangedExpression, SumExpression
+from pyomo.core.expr import (
+    EqualityExpression,
+    InequalityExpression,
+    RangedExpression,
+    SumExpression,
+)
 from pyomo.core.expr.numvalue import is_potentially_variable
 
 from ...core.errors import UnsupportedModel
@@ -78,7 +83,9 @@ def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
         Where they have not two finite bounds together, or a bound that is not constant.
     """
     if getattr(stated, "_args", None) is None:
-        raise UnsupportedModel(f"{stated.name} has no sides; give it complements(x >= 0, F >= 0), or deactivate it")
+        raise UnsupportedModel(
+            f"{stated.name} has no sides; give it complements(x >= 0, F >= 0), or deactivate it"
+        )
     first, second = (_side(argument, stated) for argument in stated._args)
     if first.is_equation or second.is_equation:
         other = second if first.is_equation else first
@@ -98,7 +105,9 @@ def sides_of(stated: Any) -> tuple[PairSide, PairSide]:
 
 def _side(argument: Any, stated: Any) -> PairSide:
     if argument is None or isinstance(argument, (bool, str)):
-        raise UnsupportedModel(f"a side of {stated.name} is {argument!r}; it needs an expression of variables")
+        raise UnsupportedModel(
+            f"a side of {stated.name} is {argument!r}; it needs an expression of variables"
+        )
     if isinstance(argument, EqualityExpression):
         left, right = argument.args
         return PairSide(0.0, difference(left, right) if _counts(right) else left, 0.0)
@@ -109,7 +118,9 @@ def _side(argument: Any, stated: Any) -> PairSide:
         return PairSide(_bound(lower, stated), body, _bound(upper, stated))
     if isinstance(argument, InequalityExpression):
         smaller, larger = argument.args
-        if not is_potentially_variable(smaller) or (is_potentially_variable(larger) and cannot_vary(smaller)):
+        if not is_potentially_variable(smaller) or (
+            is_potentially_variable(larger) and cannot_vary(smaller)
+        ):
             return PairSide(_bound(smaller, stated), larger, math.inf)
         if cannot_vary(larger):
             return PairSide(-math.inf, smaller, _bound(larger, stated))
@@ -175,7 +186,9 @@ def paired(stated: Any, sides: tuple[PairSide, PairSide], is_taken: Callable[[An
     if first.bounds == 0 or second.bounds == 0:
         held, free = (second, first) if first.bounds == 0 else (first, second)
         return Pair(stated, held, free.body)
-    free_sides = [side for side in sides if side.variable is not None and not is_taken(side.variable)]
+    free_sides = [
+        side for side in sides if side.variable is not None and not is_taken(side.variable)
+    ]
     held = free_sides[0] if free_sides else second if second.is_fixed else first
     slack = (second if held is first else first).slack
     return Pair(stated, held, slack if math.isfinite(held.lower) else -slack)

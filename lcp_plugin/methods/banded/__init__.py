@@ -121,24 +121,48 @@ class Banded(Algorithm):
             yield Step(z0, 0.0)
             return
         costs = *_costs(band, problem), 1.0
-        vectors, sets, memory = np.empty((4, n)), np.empty((4, n), np.int8), np.empty(kernels.SLOTS, np.int64)
+        vectors, sets, memory = (
+            np.empty((4, n)),
+            np.empty((4, n), np.int8),
+            np.empty(kernels.SLOTS, np.int64),
+        )
         memory[kernels.WAY], goes_on = kernels.BEGINNING, True
         given = (
-            band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, problem.q,
-            problem.lower, problem.upper, z0, vectors, sets, memory, np.empty((n, band.entries.shape[0])),
+            band.entries,
+            band.below,
+            band.is_tridiagonal_z,
+            band.weights,
+            problem.residual_scale,
+            problem.q,
+            problem.lower,
+            problem.upper,
+            z0,
+            vectors,
+            sets,
+            memory,
+            np.empty((n, band.entries.shape[0])),
             self._halves(),
         )
         while goes_on:
             residual, goes_on = kernels.step(*given)
             yield Step(z0, residual, work=costs[memory[kernels.LAST_WAY]])
 
-    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+    def solve_fused(
+        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
+    ) -> FusedSolve | None:
         """Return the answer of the same rounds in one call."""
-        return self.fused_solves(problem, problem.q[None].copy(), z0[None].copy(), tolerance, max_iterations)[0]
+        return self.fused_solves(
+            problem, problem.q[None].copy(), z0[None].copy(), tolerance, max_iterations
+        )[0]
 
     def fused_solves(
-        self, problem: LCP, Q: FloatVector, Z: FloatVector, tolerance: float, max_iterations: int,
-        propagator: Any = None
+        self,
+        problem: LCP,
+        Q: FloatVector,
+        Z: FloatVector,
+        tolerance: float,
+        max_iterations: int,
+        propagator: Any = None,
     ) -> list[FusedSolve | None]:
         """Return the fused solve of each row of Q, one after the other in one compiled loop.
 
@@ -155,7 +179,9 @@ class Banded(Algorithm):
             does not converge, the next ones have to wait, None.
         """
         k, n = Q.shape
-        if n == 0 or (problem.is_dense and n > 1):  # the products of an ndarray are BLAS's, summed in its own order
+        if n == 0 or (
+            problem.is_dense and n > 1
+        ):  # the products of an ndarray are BLAS's, summed in its own order
             return [None] * k
         from .kernels import run_all
 
@@ -164,17 +190,41 @@ class Banded(Algorithm):
         arrays = [M.indptr[:0], M.indices[:0], M.data[:0]]
         if propagator is not None:
             index = M.indptr.dtype
-            arrays = [propagator.indptr.astype(index), propagator.indices.astype(index), propagator.data]
-        arrays = [read_only(array) for array in arrays]  # one signature with a propagator and without
+            arrays = [
+                propagator.indptr.astype(index),
+                propagator.indices.astype(index),
+                propagator.data,
+            ]
+        arrays = [
+            read_only(array) for array in arrays
+        ]  # one signature with a propagator and without
         run_all(
-            band.entries, band.below, band.is_tridiagonal_z, band.weights, problem.residual_scale, M.indptr, M.indices,
-            M.data, *arrays, Q, problem.lower, problem.upper, problem.nearest_to_zero, tolerance, max_iterations,
-            self._halves(), Z, rounds, ends,
+            band.entries,
+            band.below,
+            band.is_tridiagonal_z,
+            band.weights,
+            problem.residual_scale,
+            M.indptr,
+            M.indices,
+            M.data,
+            *arrays,
+            Q,
+            problem.lower,
+            problem.upper,
+            problem.nearest_to_zero,
+            tolerance,
+            max_iterations,
+            self._halves(),
+            Z,
+            rounds,
+            ends,
         )
         costs = _costs(band, problem)
         Z.flags.writeable = False  # they are judged
         found: list[FusedSolve | None] = []
-        for z, (largest, least, terms), (direct, blocks) in zip(Z, ends.tolist(), rounds.tolist(), strict=True):
+        for z, (largest, least, terms), (direct, blocks) in zip(
+            Z, ends.tolist(), rounds.tolist(), strict=True
+        ):
             residual, work = ratio_upwards(largest, least), _work(costs, direct, blocks)
             part = self.name, direct + blocks, work
             is_solved = within(residual, terms, tolerance)
@@ -182,8 +232,16 @@ class Banded(Algorithm):
         return found
 
     def fused_marches(
-        self, problems: Sequence[LCP], forcing: FloatVector, propagators: Sequence[Any], lower: FloatVector,
-        upper: FloatVector, z: FloatVector, kept: IntVector, tolerance: float, max_iterations: int,
+        self,
+        problems: Sequence[LCP],
+        forcing: FloatVector,
+        propagators: Sequence[Any],
+        lower: FloatVector,
+        upper: FloatVector,
+        z: FloatVector,
+        kept: IntVector,
+        tolerance: float,
+        max_iterations: int,
     ) -> FusedMarches:
         """Return the first steps of some marches, as many as have converged in all of them.
 
@@ -204,7 +262,9 @@ class Banded(Algorithm):
         from .march_kernels import MARCHES, march_all
 
         def filled(rows: FloatVector) -> FloatVector:
-            return np.ascontiguousarray(rows[..., np.minimum(np.arange(MARCHES), rows.shape[-1] - 1)])
+            return np.ascontiguousarray(
+                rows[..., np.minimum(np.arange(MARCHES), rows.shape[-1] - 1)]
+            )
 
         first, C, (n, m) = problems[0], propagators[0], z.shape
         are_one = len(problems) == len(propagators) == 1
@@ -212,16 +272,34 @@ class Banded(Algorithm):
         def values(each: Iterable[FloatVector]) -> FloatVector:
             return next(iter(each)) if are_one else filled(np.stack(list(each), axis=-1))
 
-        answers, rounds = np.empty((m, kept.max(initial=-1) + 1, n)), np.empty((len(kept), MARCHES), np.int64)
+        answers, rounds = (
+            np.empty((m, kept.max(initial=-1) + 1, n)),
+            np.empty((len(kept), MARCHES), np.int64),
+        )
         ends, states = np.empty((*rounds.shape, 2)), np.empty((3, n, MARCHES))
         lower, upper = filled(lower), filled(upper)
         states[0] = filled(z)
-        whole = [A.astype(np.int64) for A in (first.csr.indptr, first.csr.indices, C.indptr, C.indices)]
+        whole = [
+            A.astype(np.int64) for A in (first.csr.indptr, first.csr.indices, C.indptr, C.indices)
+        ]
         steps = march_all(
-            *values(self._bands(one).entries for one in problems), values(one.residual_scale for one in problems),
-            *whole[:2], values(one.csr.data for one in problems), *whole[2:], values(one.data for one in propagators),
-            np.ascontiguousarray(forcing) if forcing.shape[-1] == 1 else filled(forcing), lower, upper,
-            np.clip(0.0, lower, upper), tolerance, max_iterations, kept, states, answers, rounds, ends,
+            *values(self._bands(one).entries for one in problems),
+            values(one.residual_scale for one in problems),
+            *whole[:2],
+            values(one.csr.data for one in problems),
+            *whole[2:],
+            values(one.data for one in propagators),
+            np.ascontiguousarray(forcing) if forcing.shape[-1] == 1 else filled(forcing),
+            lower,
+            upper,
+            np.clip(0.0, lower, upper),
+            tolerance,
+            max_iterations,
+            kept,
+            states,
+            answers,
+            rounds,
+            ends,
         )
         answers.flags.writeable = False  # they are judged
         costs = _costs(self._bands(first), first)
@@ -230,7 +308,9 @@ class Banded(Algorithm):
             count, (largest, least) = int(rounds[step, march]), ends[step, march].tolist()
             work = _work(costs, count, 0)
             part = self.name, count, work
-            return FusedSolve(z, ratio_upwards(largest, least), 0.0, work, (part,))  # rows are right to rounding
+            return FusedSolve(
+                z, ratio_upwards(largest, least), 0.0, work, (part,)
+            )  # rows are right to rounding
 
         before, last = (states[k % 3].T[:m] for k in (steps - 1, steps))
         return FusedMarches(steps, answers, before, last, solve_of)
@@ -257,7 +337,7 @@ def _is_one_sided(problem: LCP) -> bool:
 @fact
 def _predicted_passes(matrix: Matrix) -> float:
     M, middle = matrix.csr, matrix.n // 2
-    columns = M.indices[M.indptr[middle]:M.indptr[middle + 1]] if matrix.n else np.zeros(0)
+    columns = M.indices[M.indptr[middle] : M.indptr[middle + 1]] if matrix.n else np.zeros(0)
     if abs(columns - middle).max(initial=0) * BANDED_ROUNDS > BANDED_PASSES:
         return math.inf  # a look at one row spares most matrices the look at all
     below, above = bandwidth(matrix) or (0, 0)

@@ -14,10 +14,24 @@ from ...core.kernels.rows import clamp, residual_of_row, wrong_part
 from .march_kernels import NEGLIGIBLE_PIVOT, find_contacts, substitute
 
 # What `memory` holds: how rounds go on, and for how long.
-WAY, LAST_WAY, SIDE, TURNS_LEFT, LEFT, FEWEST_WRONG, FEWEST_HELD, PATIENCE, HALVES_LEFT, IS_SETTLED, SLOTS = range(11)
+(
+    WAY,
+    LAST_WAY,
+    SIDE,
+    TURNS_LEFT,
+    LEFT,
+    FEWEST_WRONG,
+    FEWEST_HELD,
+    PATIENCE,
+    HALVES_LEFT,
+    IS_SETTLED,
+    SLOTS,
+) = range(11)
 DIRECT, BLOCKS, BEGINNING = 0, 1, 2
 RIDGE = 1e-8  # of a row of size 1: stands for a negligible pivot, so that no z gets too large to tell its residual
-TURNS = 30  # direct rounds that take the sides in turn, before one side is found directly to the end
+TURNS = (
+    30  # direct rounds that take the sides in turn, before one side is found directly to the end
+)
 TRIES = 10  # changes of all wrong rows in which neither they nor the rows at bounds get fewer, then of half of them
 HALVES = 200  # changes of every other wrong row, by lot, before the end; what converges needed less than 100
 FEW_HALVES = 0  # the same where others are to have their turn: what converges soon needs none
@@ -170,7 +184,9 @@ def step(  # type: ignore[no-untyped-def]
         memory[LAST_WAY] = BEGINNING
         return _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), True
     stops, joined = np.empty(z.size + 1, np.int64), np.empty((z.size + 1, 7))
-    return _advanced(bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, stops, joined)
+    return _advanced(
+        bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, stops, joined
+    )
 
 
 @helper
@@ -262,8 +278,27 @@ def _largest(values):  # type: ignore[no-untyped-def]
 
 @kernel
 def run_all(  # type: ignore[no-untyped-def]
-    bands, below, is_direct, weights, scale, indptr, indices, data, propagator_indptr, propagator_indices,
-    propagator_data, Q, lower, upper, nearest, tolerance, most_rounds, halves, Z, rounds, ends
+    bands,
+    below,
+    is_direct,
+    weights,
+    scale,
+    indptr,
+    indices,
+    data,
+    propagator_indptr,
+    propagator_indices,
+    propagator_data,
+    Q,
+    lower,
+    upper,
+    nearest,
+    tolerance,
+    most_rounds,
+    halves,
+    Z,
+    rounds,
+    ends,
 ):
     """Run rounds for one q after the other, each from its row of Z to its answer there.
 
@@ -290,7 +325,11 @@ def run_all(  # type: ignore[no-untyped-def]
     """
     n = Q.shape[1]
     vectors, sets, memory = np.empty((6, n)), np.empty((4, n), np.int8), np.empty(SLOTS, np.int64)
-    rows, stops, joined = np.empty((n, bands.shape[0])), np.empty(n + 1, np.int64), np.empty((n + 1, 7))
+    rows, stops, joined = (
+        np.empty((n, bands.shape[0])),
+        np.empty(n + 1, np.int64),
+        np.empty((n + 1, 7)),
+    )
     smallest, largest = vectors[4], vectors[5]
     for k in range(Q.shape[0]):
         rounds[k, 0] = rounds[k, 1] = 0
@@ -305,19 +344,53 @@ def run_all(  # type: ignore[no-untyped-def]
                 z[i] = clamp(z[i], lower[i], upper[i])
         for i in range(n):  # a start that may be written to, as z: one signature of what follows
             vectors[1, i] = nearest[i]
-        residual_ends(indptr, indices, data, 0, vectors[1], q, vectors[1], lower, upper, scale, smallest, largest)
+        residual_ends(
+            indptr,
+            indices,
+            data,
+            0,
+            vectors[1],
+            q,
+            vectors[1],
+            lower,
+            upper,
+            scale,
+            smallest,
+            largest,
+        )
         least, most = _largest(smallest), _largest(largest)
         _begin(is_direct, lower, upper, memory, halves)
-        residual, goes_on = _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]), least > 0.0
+        residual, goes_on = (
+            _measured(bands, below, q, lower, upper, scale, z, vectors[0], sets[1]),
+            least > 0.0,
+        )
         while goes_on and direct + blocks < most_rounds and not residual / most <= tolerance:
             residual, goes_on = _advanced(
-                bands, below, weights, scale, q, lower, upper, z, vectors, sets, memory, rows, stops, joined
+                bands,
+                below,
+                weights,
+                scale,
+                q,
+                lower,
+                upper,
+                z,
+                vectors,
+                sets,
+                memory,
+                rows,
+                stops,
+                joined,
             )
-            direct, blocks = direct + (memory[LAST_WAY] == DIRECT), blocks + (memory[LAST_WAY] == BLOCKS)
+            direct, blocks = (
+                direct + (memory[LAST_WAY] == DIRECT),
+                blocks + (memory[LAST_WAY] == BLOCKS),
+            )
         if least > 0.0 and residual / most <= tolerance:
             residual_ends(indptr, indices, data, 0, z, q, z, lower, upper, scale, smallest, largest)
             ends[k, 0], ends[k, 1] = _largest(largest), least
             ends[k, 2] = _beside_terms(indptr, indices, data, q, lower, upper, z, vectors[0])
         rounds[k, 0], rounds[k, 1] = direct, blocks
-        if propagator_indptr.size > 0 and not (ends[k, 0] / ends[k, 1] < tolerance and ends[k, 2] <= tolerance):
+        if propagator_indptr.size > 0 and not (
+            ends[k, 0] / ends[k, 1] < tolerance and ends[k, 2] <= tolerance
+        ):
             return

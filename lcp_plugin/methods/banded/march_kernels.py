@@ -25,19 +25,37 @@ import numpy as np
 
 from ...core.kernels.compilation import helper, inlined, kernel
 from ...core.kernels.compiler import overload, types
-from ...core.kernels.enclosures import MAY_UNDERFLOW, fused, of_terms, row_ends, split_sum, with_term
+from ...core.kernels.enclosures import (
+    MAY_UNDERFLOW,
+    fused,
+    of_terms,
+    row_ends,
+    split_sum,
+    with_term,
+)
 from ...core.kernels.floats import TINY, UNIT
 from ...core.kernels.rows import residual_of_row
 
 MARCHES = 16  # in one compiled loop: LLVM takes four registers of four numbers at a time
 ROUNDS = 10  # beyond, the contacts of a march are rather found directly
-UNDERFLOW = 4.0 * TINY / UNIT  # stands among the magnitudes of a sum for what it takes from a product and its error
-SURELY = 1.0 - 2.0**-40  # so that the certificate, whose bounds are sharper but rounded as well, agrees
+UNDERFLOW = (
+    4.0 * TINY / UNIT
+)  # stands among the magnitudes of a sum for what it takes from a product and its error
+SURELY = (
+    1.0 - 2.0**-40
+)  # so that the certificate, whose bounds are sharper but rounded as well, agrees
 ORDINARY = 2.0**1000  # a scale below it has a reciprocal that is rounded once
 LOST = UNIT * (1.0 + 2.0**-50)  # covers the roundings of the sum that it multiplies
 WIDER = 1.0 + 2.0**-50  # covers seven roundings
 NEGLIGIBLE_PIVOT = 1e-14  # of the diagonal entry: below, the block is singular to double precision
-EMPTY = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0)  # the row right of no row is the first one, the row left of it the last
+EMPTY = (
+    0.0,
+    0.0,
+    1.0,
+    0.0,
+    1.0,
+    0.0,
+)  # the row right of no row is the first one, the row left of it the last
 
 
 def of_march(value: Any, m: int) -> Any:
@@ -47,7 +65,9 @@ def of_march(value: Any, m: int) -> Any:
 
 @overload(of_march, inline="always")
 def _of_march(value, m):  # type: ignore[no-untyped-def]
-    return (lambda value, m: value[m]) if isinstance(value, types.Array) else (lambda value, m: value)
+    return (
+        (lambda value, m: value[m]) if isinstance(value, types.Array) else (lambda value, m: value)
+    )
 
 
 @helper
@@ -70,7 +90,9 @@ def _largest_reference(indptr, indices, data, nearest, q, lower, upper, scale, r
         total, errors, size = _row_sum(indptr, indices, data, i, nearest, m)
         s, f = split_sum(total, q[i, m])
         w, slip = of_terms(s, errors + f, size + abs(f), indptr[i + 1] - indptr[i] + 1)
-        least[m], _ = row_ends(w, slip, of_march(scale[i], m), nearest[i, m], lower[i, m], upper[i, m])
+        least[m], _ = row_ends(
+            w, slip, of_march(scale[i], m), nearest[i, m], lower[i, m], upper[i, m]
+        )
 
 
 @helper
@@ -81,7 +103,9 @@ def _factor(below, centre, above, ratios, inverse_pivots):  # type: ignore[no-un
         pivot = 1.0
         for i in range(n - 1, -1, -1):
             ratios[i, m] = -above[i, m] / pivot
-            pivot = centre[i, m] + ratios[i, m] * below[min(i + 1, n - 1), m]  # the last row has no entry on its right
+            pivot = (
+                centre[i, m] + ratios[i, m] * below[min(i + 1, n - 1), m]
+            )  # the last row has no entry on its right
             inverse_pivots[i, m] = 1.0 / pivot
 
 
@@ -92,11 +116,17 @@ def _multiply(below, centre, above, x, y):  # type: ignore[no-untyped-def]
     for i in range(n):
         a, d, c, before, after = below[i], centre[i], above[i], max(i - 1, 0), min(i + 1, n - 1)
         for m in range(marches):
-            y[i, m] = of_march(a, m) * x[before, m] + of_march(d, m) * x[i, m] + of_march(c, m) * x[after, m]
+            y[i, m] = (
+                of_march(a, m) * x[before, m]
+                + of_march(d, m) * x[i, m]
+                + of_march(c, m) * x[after, m]
+            )
 
 
 @helper
-def _next_offset(propagator_indptr, propagator_indices, propagator_data, forcing, z, ratios, q, y, total):  # type: ignore[no-untyped-def]
+def _next_offset(
+    propagator_indptr, propagator_indices, propagator_data, forcing, z, ratios, q, y, total
+):  # type: ignore[no-untyped-def]
     """Fill q = forcing + C z, and y with what is right of the rows that are eliminated from the last to the first."""
     n, marches = z.shape
     is_common = forcing.shape[1] == 1
@@ -128,14 +158,32 @@ def _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, larges
         unit, row = inverse_scale[i], float(i)
         for m in range(marches):
             x = nearest[i, m]
-            r = abs(residual_of_row((of_nearest[i, m] + q[i, m]) * of_march(unit, m), x, lower[i, m], upper[i, m]))
+            r = abs(
+                residual_of_row(
+                    (of_nearest[i, m] + q[i, m]) * of_march(unit, m), x, lower[i, m], upper[i, m]
+                )
+            )
             rows[m] = row if r > largest[m] else rows[m]
             largest[m] = r if r > largest[m] else largest[m]
 
 
 @helper
 def _eliminate(  # type: ignore[no-untyped-def]
-    below, centre, above, inverse_pivots, y, q, lower, upper, trust, state, x, slope, guess, here, factor
+    below,
+    centre,
+    above,
+    inverse_pivots,
+    y,
+    q,
+    lower,
+    upper,
+    trust,
+    state,
+    x,
+    slope,
+    guess,
+    here,
+    factor,
 ):
     """Fill x with the bounds that state says and, elsewhere, with what the rows from the first on make of w = 0.
 
@@ -147,7 +195,11 @@ def _eliminate(  # type: ignore[no-untyped-def]
     for i in range(n):
         a, d, c, inverse = below[i], centre[i], above[i], inverse_pivots[i]
         for m in range(marches):
-            value, low, high = (y[i, m] - of_march(a, m) * guess[m]) * of_march(inverse, m), lower[i, m], upper[i, m]
+            value, low, high = (
+                (y[i, m] - of_march(a, m) * guess[m]) * of_march(inverse, m),
+                lower[i, m],
+                upper[i, m],
+            )
             guess[m] = min(max(value, low), high)
             side = 1.0 if value >= high else 0.0
             side = -1.0 if value <= low else side
@@ -163,7 +215,22 @@ def _eliminate(  # type: ignore[no-untyped-def]
 
 @helper
 def _substitute_and_measure(  # type: ignore[no-untyped-def]
-    below, centre, above, q, lower, upper, inverse_scale, largest_unit, slope, x, z, state, here, sizes, wrong, most
+    below,
+    centre,
+    above,
+    q,
+    lower,
+    upper,
+    inverse_scale,
+    largest_unit,
+    slope,
+    x,
+    z,
+    state,
+    here,
+    sizes,
+    wrong,
+    most,
 ):
     """Fill x with the solution, z with x taken into bounds, and measure: each row once its neighbours are known.
 
@@ -203,7 +270,9 @@ def _substitute_and_measure(  # type: ignore[no-untyped-def]
             state[row, m] = side
     for m in range(marches):
         whole = (most[m] + (8.0 * TINY * largest_unit + 2.0 * TINY)) * WIDER
-        most[m] = whole if sizes[m] < np.inf else np.inf  # a number that is none is the largest of nothing
+        most[m] = (
+            whole if sizes[m] < np.inf else np.inf
+        )  # a number that is none is the largest of nothing
 
 
 @helper
@@ -218,8 +287,27 @@ def _are_small(most, least, tolerance, ends):  # type: ignore[no-untyped-def]
 
 @kernel
 def march_all(  # type: ignore[no-untyped-def]
-    below, centre, above, scale, indptr, indices, data, propagator_indptr, propagator_indices, propagator_data, forcing,
-    lower, upper, nearest, tolerance, most_rounds, kept, states, Z, rounds, ends
+    below,
+    centre,
+    above,
+    scale,
+    indptr,
+    indices,
+    data,
+    propagator_indptr,
+    propagator_indices,
+    propagator_data,
+    forcing,
+    lower,
+    upper,
+    nearest,
+    tolerance,
+    most_rounds,
+    kept,
+    states,
+    Z,
+    rounds,
+    ends,
 ):
     """March all along together; return how many steps converged for each of them.
 
@@ -245,23 +333,46 @@ def march_all(  # type: ignore[no-untyped-def]
         An upper bound of ‖r(z)‖∞ and a lower one of ‖r(z°)‖∞.
     """
     n, marches = nearest.shape
-    q, y, slope, x = np.empty((n, marches)), np.zeros((n, marches)), np.empty((n, marches)), np.empty((n, marches))
-    state, of_nearest, workspace = np.zeros((n, marches)), np.empty((n, marches)), np.empty((3, marches))
+    q, y, slope, x = (
+        np.empty((n, marches)),
+        np.zeros((n, marches)),
+        np.empty((n, marches)),
+        np.empty((n, marches)),
+    )
+    state, of_nearest, workspace = (
+        np.zeros((n, marches)),
+        np.empty((n, marches)),
+        np.empty((3, marches)),
+    )
     rows, no_trust = np.zeros(marches), np.zeros(marches)
-    least, most, wrong, inverse_scale = np.empty(marches), np.empty(marches), np.empty(marches), 1.0 / scale
+    least, most, wrong, inverse_scale = (
+        np.empty(marches),
+        np.empty(marches),
+        np.empty(marches),
+        1.0 / scale,
+    )
     trust, largest_unit = np.ones(marches), inverse_scale.max() * WIDER
     if not 1.0 / ORDINARY < scale.min() <= scale.max() < ORDINARY:
         return 0
     by_row = n, centre.size // n
     factor, inverse_pivot = np.empty(by_row), np.empty(by_row)
-    _factor(below.reshape(by_row), centre.reshape(by_row), above.reshape(by_row), factor, inverse_pivot)
+    _factor(
+        below.reshape(by_row), centre.reshape(by_row), above.reshape(by_row), factor, inverse_pivot
+    )
     ratios, inverse_pivots = factor.reshape(centre.shape), inverse_pivot.reshape(centre.shape)
     _multiply(below, centre, above, nearest, of_nearest)
     for k in range(kept.size):
         z, answer = states[k % 3], states[(k + 1) % 3]
         _next_offset(
-            propagator_indptr, propagator_indices, propagator_data, forcing[min(k, forcing.shape[0] - 1)], z, ratios, q,
-            y, workspace[0],
+            propagator_indptr,
+            propagator_indices,
+            propagator_data,
+            forcing[min(k, forcing.shape[0] - 1)],
+            z,
+            ratios,
+            q,
+            y,
+            workspace[0],
         )
         for m in range(marches):
             wrong[m], rounds[k, m] = 1.0, 0
@@ -269,12 +380,39 @@ def march_all(  # type: ignore[no-untyped-def]
             for m in range(marches):
                 rounds[k, m] += 1 if wrong[m] > 0.0 else 0
             _eliminate(
-                below, centre, above, inverse_pivots, y, q, lower, upper, no_trust if round_ else trust, state, x,
-                slope, workspace[0], workspace[1], workspace[2],
+                below,
+                centre,
+                above,
+                inverse_pivots,
+                y,
+                q,
+                lower,
+                upper,
+                no_trust if round_ else trust,
+                state,
+                x,
+                slope,
+                workspace[0],
+                workspace[1],
+                workspace[2],
             )
             _substitute_and_measure(
-                below, centre, above, q, lower, upper, inverse_scale, largest_unit, slope, x, answer, state,
-                workspace[0], workspace[1], wrong, most,
+                below,
+                centre,
+                above,
+                q,
+                lower,
+                upper,
+                inverse_scale,
+                largest_unit,
+                slope,
+                x,
+                answer,
+                state,
+                workspace[0],
+                workspace[1],
+                wrong,
+                most,
             )
             if not wrong.any():
                 break
@@ -285,10 +423,14 @@ def march_all(  # type: ignore[no-untyped-def]
         _largest_reference(*of_rows)
         is_within = _are_small(most, least, tolerance, ends[k])
         if not is_within:
-            _find_references(of_nearest, q, nearest, lower, upper, inverse_scale, workspace[0], rows)
+            _find_references(
+                of_nearest, q, nearest, lower, upper, inverse_scale, workspace[0], rows
+            )
             _largest_reference(*of_rows)
             is_within = _are_small(most, least, tolerance, ends[k])
-        if not is_within or wrong.any():  # where sides agree, elimination leaves each row right in its own terms
+        if (
+            not is_within or wrong.any()
+        ):  # where sides agree, elimination leaves each row right in its own terms
             return k
         if kept[k] >= 0:
             for i in range(n):
@@ -304,7 +446,11 @@ def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     A block is the z of its first and of its last row, each as constant, factor of the z left, and of the z right of it.
     """
     pivot = d - a * before[5] - c * after[1]
-    own, left, right = (a * before[3] + c * after[0] - q) / pivot, a * before[4] / pivot, c * after[2] / pivot
+    own, left, right = (
+        (a * before[3] + c * after[0] - q) / pivot,
+        a * before[4] / pivot,
+        c * after[2] / pivot,
+    )
     first = before[0] + before[2] * own, before[1] + before[2] * left, before[2] * right
     last = after[3] + after[4] * own, after[4] * left, after[5] + after[4] * right
     return (first[0], first[1], first[2], last[0], last[1], last[2]), pivot
@@ -335,7 +481,11 @@ def find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # ty
         False where a pivot is not positive, or negligible: M is no M-matrix, or singular.
     """
     n = is_free.size
-    top, left, block = 0, 0.0, EMPTY  # rows at their bounds, the z of the last one, and the free rows behind it
+    top, left, block = (
+        0,
+        0.0,
+        EMPTY,
+    )  # rows at their bounds, the z of the last one, and the free rows behind it
     for i in range(n):
         a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
         here, after = value[i], value[i + 1] if i + 1 < n else 0.0
@@ -352,14 +502,20 @@ def find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # ty
         block, pivot = _join(block, EMPTY, a, d, c, sign * q[i])
         if not pivot > NEGLIGIBLE_PIVOT * d:
             return False
-        while top > 0 and after > -np.inf:  # a row without bound becomes free next, and then they are looked at
+        while (
+            top > 0 and after > -np.inf
+        ):  # a row without bound becomes free next, and then they are looked at
             k = stops[top]
             a, d, c = -bands[0, k], bands[1, k], -bands[2, k]
-            if is_held[k] or not blocks[top, 6] < c * (block[0] + block[1] * left + block[2] * after):
+            if is_held[k] or not blocks[top, 6] < c * (
+                block[0] + block[1] * left + block[2] * after
+            ):
                 break
             is_free[k] = True
             kept = blocks[top]
-            block, pivot = _join((kept[0], kept[1], kept[2], kept[3], kept[4], kept[5]), block, a, d, c, sign * q[k])
+            block, pivot = _join(
+                (kept[0], kept[1], kept[2], kept[3], kept[4], kept[5]), block, a, d, c, sign * q[k]
+            )
             if not pivot > NEGLIGIBLE_PIVOT * d:
                 return False
             top -= 1

@@ -95,7 +95,9 @@ class Lemke(Algorithm):
 
     def __post_init__(self) -> None:
         for option, value in (("max_pivots", self.max_pivots), ("restarts", self.restarts)):
-            is_count = isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0
+            is_count = (
+                isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0
+            )
             if not is_count and value is not None:
                 raise InvalidOption(f"lemke: {option} must be a whole number ≥ 0, got {value!r}")
 
@@ -113,7 +115,9 @@ class Lemke(Algorithm):
         """
         return without_warnings(self._steps(problem, z0))
 
-    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+    def solve_fused(
+        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
+    ) -> FusedSolve | None:
         """Return where a first compiled path converges on a small dense problem."""
         if not self._may_be_fused(problem, z0):
             return None
@@ -138,7 +142,9 @@ class Lemke(Algorithm):
             component = problem
             if rows.size < problem.n:
                 M = sp.csr_array(problem.csr[rows][:, rows])
-                component = LCP(M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows])
+                component = LCP(
+                    M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows]
+                )
             for found, touched, ray in self._paths(component, z[rows]):
                 z[rows] = np.clip(found, component.lower, component.upper)
                 step = PivotStep(z, work=touched / entries, is_settling=True)
@@ -159,11 +165,15 @@ class Lemke(Algorithm):
         limit = "100 (n + 10)" if self.max_pivots is None else str(self.max_pivots)
         return f"{reason}: no path ends on a ray (Lemke 1965), if {limit} pivots suffice"
 
-    def _paths(self, component: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float, FloatVector | None]]:
+    def _paths(
+        self, component: LCP, guess: FloatVector
+    ) -> Iterator[tuple[FloatVector, float, FloatVector | None]]:
         """Yield (z, entries touched, ray) along one path after the other until one ends in a solution."""
         from .pivoting_path import Path, starts
 
-        if not np.array_equal(guess, component.nearest_to_zero):  # its active set first: a factor and a check
+        if not np.array_equal(
+            guess, component.nearest_to_zero
+        ):  # its active set first: a factor and a check
             at_lower, at_upper = guess <= component.lower, guess >= component.upper
             if is_near(component, guess):  # and may be off its bounds by rounding
                 at_lower, at_upper = classify(component, guess, component.slack(guess))
@@ -173,7 +183,9 @@ class Lemke(Algorithm):
                 if _is_good(component, np.clip(found.z, component.lower, component.upper)):
                     return
         box = canonical_box(component)
-        if not box.is_finite:  # a solution, if there is one, is out of the reach of a tableau of doubles
+        if (
+            not box.is_finite
+        ):  # a solution, if there is one, is out of the reach of a tableau of doubles
             return
         path = Path(box.M, box.q, box.upper)
         path.entries += box.work
@@ -204,7 +216,10 @@ class Lemke(Algorithm):
         from ..small.kernels.tableau import GOING_ON, LOST, RAY, SOLVED
 
         usual = path.fresh_for
-        for block in (min(usual, int(np.clip(WORK_A_BLOCK / max(path.n, 1) ** 2, 32, 200))), CAREFUL_BLOCK):
+        for block in (
+            min(usual, int(np.clip(WORK_A_BLOCK / max(path.n, 1) ** 2, 32, 200))),
+            CAREFUL_BLOCK,
+        ):
             path.fresh_for = min(usual, block) if block == CAREFUL_BLOCK else usual
             outcome = GOING_ON if start(path) else RAY
             while outcome == GOING_ON and path.pivots < limit:
@@ -215,7 +230,11 @@ class Lemke(Algorithm):
                     outcome = LOST
                     break
                 tells = outcome == RAY and bool(np.all(path.covering > 0.0))
-                yield box.recover(path.z), path.touched(), box.direction(path.ray) if tells else None
+                yield (
+                    box.recover(path.z),
+                    path.touched(),
+                    box.direction(path.ray) if tells else None,
+                )
             if outcome != LOST:
                 break
         path.fresh_for = usual
@@ -233,7 +252,9 @@ class Lemke(Algorithm):
         at_upper[box.rows] |= path.side == np.where(box.step < 0.0, AT_LOWER, AT_UPPER)
         refined = solve_active_set(component, at_lower & bounded, at_upper & bounded & ~at_lower)
         work = 0.0 if refined is None else refined.work * max(component.nonzeros, 1)
-        if refined is not None and _is_good(component, np.clip(refined.z, component.lower, component.upper)):
+        if refined is not None and _is_good(
+            component, np.clip(refined.z, component.lower, component.upper)
+        ):
             yield refined.z, path.touched() + work, None
             return True
         yield z, path.touched() + work, None
@@ -241,7 +262,9 @@ class Lemke(Algorithm):
 
 
 @np.errstate(all="ignore")
-def lemke_path(problem: LCP, covering: FloatVector, max_pivots: int) -> tuple[FloatVector, str, int]:
+def lemke_path(
+    problem: LCP, covering: FloatVector, max_pivots: int
+) -> tuple[FloatVector, str, int]:
     """Follow w = M z + q + t r from z = 0 and the least t to t = 0, and return z, where it ended, and its pivots.
 
     Parameters
@@ -266,7 +289,9 @@ def lemke_path(problem: LCP, covering: FloatVector, max_pivots: int) -> tuple[Fl
     if not (box.is_finite and np.isfinite(covering).all() and covering.min(initial=1.0) > 0.0):
         return np.zeros(problem.n), "rounding", 0
     path, z, ray = Path(box.M, box.q, box.upper), np.zeros(problem.n), None
-    following = Lemke()._follow(problem, box, path, lambda one: one.start_along(covering), max_pivots)
+    following = Lemke()._follow(
+        problem, box, path, lambda one: one.start_along(covering), max_pivots
+    )
     while True:
         try:
             z, _, ray = next(following)
@@ -275,7 +300,11 @@ def lemke_path(problem: LCP, covering: FloatVector, max_pivots: int) -> tuple[Fl
             break
     if is_solved:
         return z, "solved", path.pivots
-    return z, "ray" if ray is not None else "limit" if path.pivots >= max_pivots else "rounding", path.pivots
+    return (
+        z,
+        "ray" if ray is not None else "limit" if path.pivots >= max_pivots else "rounding",
+        path.pivots,
+    )
 
 
 def _components_that_fit(problem: LCP) -> list[NDArray[np.intp]]:

@@ -64,7 +64,10 @@ class CanonicalBox:
     @property
     def is_finite(self) -> bool:
         """Whether nothing in it has left the range of doubles."""
-        return all(bool(np.isfinite(part).all()) for part in (self.M, self.q, self.step, self.elimination, self.offset))
+        return all(
+            bool(np.isfinite(part).all())
+            for part in (self.M, self.q, self.step, self.elimination, self.offset)
+        )
 
     def recover(self, z: FloatVector) -> FloatVector:
         """Return the z of the problem, shape (n,), for one of the canonical problem, shape (k,)."""
@@ -111,8 +114,14 @@ def covered_box(problem: LCP, covering: FloatVector) -> tuple[CanonicalBox, Floa
     q, r = np.ldexp(problem.q, row_scale), np.ldexp(covering, row_scale)
     size, none = power_of_two(np.abs(q).max(initial=0.0)), np.empty(0, dtype=np.intp)
     box = CanonicalBox(
-        scaled(M, Exponents(row_scale, column_scale)), q / size, problem.upper, np.zeros(problem.n),
-        np.arange(problem.n), np.ldexp(1.0, column_scale) * size, none, np.empty((0, problem.n)),
+        scaled(M, Exponents(row_scale, column_scale)),
+        q / size,
+        problem.upper,
+        np.zeros(problem.n),
+        np.arange(problem.n),
+        np.ldexp(1.0, column_scale) * size,
+        none,
+        np.empty((0, problem.n)),
     )
     return box, r / power_of_two(r.max(initial=0.0))
 
@@ -122,13 +131,20 @@ def _equilibrated(matrix: Matrix) -> tuple[FloatMatrix, IntVector, IntVector]:
     scaling = scaling_of(matrix)
     M: FloatMatrix = matrix.array if matrix.is_dense else matrix.csr.toarray()
     none = np.zeros(matrix.n, np.int64)
-    row, column, rows = (none, none, matrix) if scaling is None else (scaling.row, scaling.column, scaling.matrix)
+    row, column, rows = (
+        (none, none, matrix) if scaling is None else (scaling.row, scaling.column, scaling.matrix)
+    )
     return M, row + 1 - np.frexp(rows.row_largest)[1], column
 
 
 def _without_free_rows(
-    M: FloatMatrix, q: FloatVector, upper: FloatVector, unit: FloatVector, base: FloatVector,
-    keep: IndexVector, is_free: NDArray[np.bool_],
+    M: FloatMatrix,
+    q: FloatVector,
+    upper: FloatVector,
+    unit: FloatVector,
+    base: FloatVector,
+    keep: IndexVector,
+    is_free: NDArray[np.bool_],
 ) -> CanonicalBox:
     free = np.flatnonzero(is_free)
     if not free.size:
@@ -151,7 +167,9 @@ def _without_free_rows(
         reduced = reduced + M[np.ix_(stays_rows, gone)] @ elimination
         constant = constant - M[np.ix_(stays_rows, gone)] @ solved[:, -1]
     if split.size:
-        reduced = np.block([[reduced, -reduced[:, split]], [-reduced[split], reduced[np.ix_(split, split)]]])
+        reduced = np.block(
+            [[reduced, -reduced[:, split]], [-reduced[split], reduced[np.ix_(split, split)]]]
+        )
         constant = np.concatenate([constant, -constant[split]])
         elimination = np.hstack([elimination, -elimination[:, split]])
         upper = np.concatenate([upper, np.full(split.size, np.inf)])
@@ -160,7 +178,9 @@ def _without_free_rows(
     step = unit[rows] * size
     step[stays.size :] *= -1.0
     elimination = elimination * (unit[keep[gone]] * size)[:, None]
-    return CanonicalBox(reduced, constant / size, upper / size, offset, rows, step, keep[gone], elimination)
+    return CanonicalBox(
+        reduced, constant / size, upper / size, offset, rows, step, keep[gone], elimination
+    )
 
 
 def is_well_conditioned(block: FloatMatrix) -> bool:
@@ -200,7 +220,9 @@ def _pivot_rows_and_columns(M: FloatMatrix, free: IndexVector) -> tuple[IndexVec
         remainder = np.delete(np.delete(remainder, i, axis=0), j, axis=1)
         rows, columns = np.delete(rows, i), np.delete(columns, j)
     picked = [*chosen.tolist()]
-    return free[np.array(picked + more_rows, dtype=np.intp)], free[np.array(picked + more_columns, dtype=np.intp)]
+    return free[np.array(picked + more_rows, dtype=np.intp)], free[
+        np.array(picked + more_columns, dtype=np.intp)
+    ]
 
 
 def _principal_pivots(block: FloatMatrix) -> tuple[IndexVector, FloatMatrix]:

@@ -57,9 +57,17 @@ class Path:
         self.n = n = q.size
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
         real, whole, matrix = shapes(n)  # type: ignore[no-untyped-call]
-        self.real, self.whole, self.matrix = np.zeros(real), np.zeros(whole, dtype=np.int64), np.zeros(matrix)
+        self.real, self.whole, self.matrix = (
+            np.zeros(real),
+            np.zeros(whole, dtype=np.int64),
+            np.zeros(matrix),
+        )
         self.real[WIDTH, :n] = upper
-        self.basis, self.others, self.side = self.whole[BASIC, :n], self.whole[OTHER, :n + 1], self.whole[SIDE, :n]
+        self.basis, self.others, self.side = (
+            self.whole[BASIC, :n],
+            self.whole[OTHER, : n + 1],
+            self.whole[SIDE, :n],
+        )
         self.start_side = self.whole[START, :n]
         self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
         self.entries = self._reported = 0.0  # touched so far, and up to when that was asked last
@@ -79,7 +87,9 @@ class Path:
             return False
         level = np.where(covering > 0.0, -q / covering, -np.inf)
         basis, side = n + np.arange(n), np.full(n, AT_LOWER)
-        return self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max())))
+        return self.start_at_vertex(
+            covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max()))
+        )
 
     def start_in_cell(self, side: Any, z: FloatVector, w: FloatVector) -> bool:
         """Start at t = 1 from a complementary pair with the vector r that makes it exact; False if that is singular.
@@ -88,12 +98,21 @@ class Path:
         """
         n = self.n
         basis = np.where(side == BETWEEN, np.arange(n), n + np.arange(n))
-        is_started = self.start_at_vertex(w - self.M @ z - self.q, basis, side, 2 * n, -1.0, level=1.0)
+        is_started = self.start_at_vertex(
+            w - self.M @ z - self.q, basis, side, 2 * n, -1.0, level=1.0
+        )
         self.start_side[:] = self.side
         return is_started
 
     def start_at_vertex(
-        self, covering: FloatVector, basis: Any, side: Any, driven: int, direction: float, *, level: float = 0.0
+        self,
+        covering: FloatVector,
+        basis: Any,
+        side: Any,
+        driven: int,
+        direction: float,
+        *,
+        level: float = 0.0,
     ) -> bool:
         """Start at a given basis with variable `driven` moving in the direction; t, if driven, stands at the level."""
         self.covering = self.columns[:, self.n] = covering
@@ -127,7 +146,15 @@ class Path:
 
     def _run(self, limit: int) -> int:
         outcome, driven, value, direction, made = tableau.pivots(
-            self.real, self.whole, self.matrix, self.n, self.driven, self.value, self.direction, self.age == 0, limit,
+            self.real,
+            self.whole,
+            self.matrix,
+            self.n,
+            self.driven,
+            self.value,
+            self.direction,
+            self.age == 0,
+            limit,
         )
         self.driven, self.value, self.direction = int(driven), float(value), float(direction)
         self.pivots += int(made)
@@ -144,8 +171,12 @@ class Path:
             wrong = self._correct()
         if not wrong <= np.sqrt(ACCURATE):
             return False
-        outside = np.maximum(self.real[LOW, :self.n] - self.values, self.values - self.real[HIGH, :self.n])
-        return bool(np.all(outside <= FEASIBLE * max(1.0, float(np.abs(self.values).max(initial=0.0)))))
+        outside = np.maximum(
+            self.real[LOW, : self.n] - self.values, self.values - self.real[HIGH, : self.n]
+        )
+        return bool(
+            np.all(outside <= FEASIBLE * max(1.0, float(np.abs(self.values).max(initial=0.0))))
+        )
 
     def _renew(self) -> bool:
         """Compute tableau and basic values from the data; False where the basis is singular to working precision."""
@@ -173,7 +204,10 @@ class Path:
         beyond = D[np.ix_(slack_rows, columns)]
         if inner.size:
             top, below = np.empty((inner.size, n + 1)), np.zeros((outer.size, n + 1))
-            top[:, is_slack], top[:, ~is_slack] = inverse, _product(-inverse, D[np.ix_(rows, other_columns)])
+            top[:, is_slack], top[:, ~is_slack] = (
+                inverse,
+                _product(-inverse, D[np.ix_(rows, other_columns)]),
+            )
             below[:, ~is_slack] = D[np.ix_(slack_rows, other_columns)]
             self.tableau[inner], self.tableau[outer] = top, _product(beyond, top, below)
         else:
@@ -216,7 +250,9 @@ class Path:
         w[slack_rows] = self.values[outer]
         t = self.value if self.driven == 2 * n else float(self.values[self.basis == 2 * n].sum())
         error = w - self.M @ z - t * self.covering - self.q
-        size = np.abs(w) + self.absolute @ np.abs(z) + abs(t) * np.abs(self.covering) + np.abs(self.q)
+        size = (
+            np.abs(w) + self.absolute @ np.abs(z) + abs(t) * np.abs(self.covering) + np.abs(self.q)
+        )
         self.entries += 3.0 * n * n
         of_others = np.zeros(n + 1)
         of_others[is_slack] = error[rows]
@@ -302,7 +338,10 @@ def _random_cell(path: Path, generator: np.random.Generator) -> Start:
     side = np.where(is_between, BETWEEN, AT_LOWER)
     inside = np.where(path.upper < np.inf, share * path.upper, size)
     return partial(
-        Path.start_in_cell, side=side, z=np.where(is_between, inside, 0.0), w=np.where(is_between, 0.0, size)
+        Path.start_in_cell,
+        side=side,
+        z=np.where(is_between, inside, 0.0),
+        w=np.where(is_between, 0.0, size),
     )
 
 

@@ -64,7 +64,11 @@ class ModulusBased(Splitting):
         diagonal = require_positive_diagonal(problem, self.name)
         alpha, beta = self.splitting()
         return IterationFacts(
-            family=MODULUS, relaxation=alpha, acceleration=beta, sweep=self.sweep, omega=self._omega(problem, diagonal)
+            family=MODULUS,
+            relaxation=alpha,
+            acceleration=beta,
+            sweep=self.sweep,
+            omega=self._omega(problem, diagonal),
         )
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
@@ -79,7 +83,9 @@ class ModulusBased(Splitting):
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is seen in the residual
             inverse_pivot = 1.0 / (weights[0] * omega + diagonal)
             q = problem.slack(problem.lower)
-        rows = packed(q, problem.lower, inverse_residual_scale(problem.matrix), omega, inverse_pivot)
+        rows = packed(
+            q, problem.lower, inverse_residual_scale(problem.matrix), omega, inverse_pivot
+        )
         yield from self.swept(problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0)
 
     def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
@@ -89,11 +95,15 @@ class ModulusBased(Splitting):
         try:
             omega = real_vector(self.omega, "omega", problem.n)
         except InvalidProblem as error:
-            raise InvalidOption(f"{self.name}: {error}, or a positive multiple of the diagonal") from error
+            raise InvalidOption(
+                f"{self.name}: {error}, or a positive multiple of the diagonal"
+            ) from error
         wrong = ~(np.isfinite(omega) & (omega > 0.0))
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])
-            raise InvalidOption(f"{self.name}: omega must be positive and finite, but omega[{i}] = {omega[i]}")
+            raise InvalidOption(
+                f"{self.name}: omega must be positive and finite, but omega[{i}] = {omega[i]}"
+            )
         return omega
 
     @property

@@ -13,7 +13,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.algorithm import Algorithm, Step, check_choice, check_flag, check_positive, require_positive_diagonal
+from ...core.algorithm import (
+    Algorithm,
+    Step,
+    check_choice,
+    check_flag,
+    check_positive,
+    require_positive_diagonal,
+)
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption
 from ...core.lcp import LCP
@@ -101,9 +108,13 @@ class Multigrid(Algorithm):
         check_positive(self, "relaxation")
         for option in ("nested", "hands_over"):
             check_flag(self, option)
-        is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(self.coarsest, bool)
+        is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(
+            self.coarsest, bool
+        )
         if not is_count or self.coarsest < 1:
-            raise InvalidOption(f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}")
+            raise InvalidOption(
+                f"multigrid: coarsest must be a whole number ≥ 1, got {self.coarsest!r}"
+            )
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on symmetric positive definite matrices; nothing where the run may hand over."""

@@ -23,18 +23,27 @@ if TYPE_CHECKING:
     from . import Multigrid
 
 COARSE_CYCLES, MOST_COARSE_CYCLES = 2, 10
-COARSE_CHANGES = 5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
+COARSE_CHANGES = (
+    5e-4  # share of a coarse grid's unknowns that may still change sides when its answer is taken
+)
 COARSEST_SWEEPS = 50
 SHORT_KRYLOV, LONG_KRYLOV = 2, 8
 LONG_CONJUGATE = 24  # where M is symmetric: conjugate gradients keep no directions
 KRYLOV_GAIN = 1e-2
 MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before has left
-MOST_IDLE = 2  # such rounds without fewer changes: the free set creeps, or comes back to where it was
+MOST_IDLE = (
+    2  # such rounds without fewer changes: the free set creeps, or comes back to where it was
+)
 ROUND_GAIN = 0.1
-JUMPS, ROUND_GAIN_AT_JUMPS = 1e6, 1e-5  # of couplings: w of what is not quite solved has wrong signs
+JUMPS, ROUND_GAIN_AT_JUMPS = (
+    1e6,
+    1e-5,
+)  # of couplings: w of what is not quite solved has wrong signs
 TIGHTER, LEAST_GAIN = 1e-2, 1e-9  # times that, where such rounds have failed
 FALL_BACK_SWEEPS = 20
-NOTEWORTHY_CUT = 1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
+NOTEWORTHY_CUT = (
+    1e-4  # share of the unknowns cut off at a bound from which on the energy is looked at
+)
 HALVINGS = 4
 
 
@@ -97,7 +106,9 @@ class MultigridRun:
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
         self.grid.fetch(z)
         residual = fine.residual[: fine.q.size]
-        largest, _ = sweeps.free_rows(fine.grid.rows, fine.vectors, z, False, free, changed, residual)
+        largest, _ = sweeps.free_rows(
+            fine.grid.rows, fine.vectors, z, False, free, changed, residual
+        )
         self.work += fine.entries
         return self.grid.largest_of(float(largest))
 
@@ -132,7 +143,9 @@ class MultigridRun:
         del self.problems[1:]
 
     def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
-        for coarser, transfer in zip(self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True):
+        for coarser, transfer in zip(
+            self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True
+        ):
             finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n)
             vectors.restrict(transfer, finer, q)
             self.work += transfer.restriction.data.size
@@ -169,7 +182,9 @@ class MultigridRun:
             self._correct(k, z)
             fine.sweep(z, backward=True)
             self.work += 2.0 * fine.entries
-            if cycle >= COARSE_CYCLES and changed <= few:  # what is left to move is dearer one grid up
+            if (
+                cycle >= COARSE_CYCLES and changed <= few
+            ):  # what is left to move is dearer one grid up
                 break
 
     # --- the finest grid --------------------------------------------------------------------------------
@@ -226,7 +241,12 @@ class MultigridRun:
         top, fine = self.truncation.grids[k], self.problems[k]
         fine.grid.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
-            fine.grid.rows, fine.vectors, z, fine.is_projected_type, top.is_free, top.free_changed,
+            fine.grid.rows,
+            fine.vectors,
+            z,
+            fine.is_projected_type,
+            top.is_free,
+            top.free_changed,
             fine.residual[: fine.q.size],
         )
         self.work += fine.entries
@@ -291,13 +311,22 @@ class MultigridRun:
         In rounds: that cut off at the bounds gives the next free rows, until none changes; the method of primal-dual
         active sets, which no single V-cycle can stand in for where few contacts hold much.
         """
-        fine, part, origin = self.problems[0], z[: self.problems[0].q.size], self.truncation.vector()
-        most, gain = (LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV) if is_settled else SHORT_KRYLOV, KRYLOV_GAIN
+        fine, part, origin = (
+            self.problems[0],
+            z[: self.problems[0].q.size],
+            self.truncation.vector(),
+        )
+        most, gain = (
+            (LONG_CONJUGATE if self.is_symmetric else LONG_KRYLOV) if is_settled else SHORT_KRYLOV,
+            KRYLOV_GAIN,
+        )
         if self.rounds > 1:
             most, gain = LONG_CONJUGATE, self.gain
         fewest, idle = np.inf, 0
         for rounds_left in range(self.rounds - 1, -1, -1):
-            correction = KrylovCorrection(self.truncation, fine.residual[: fine.q.size], self.is_symmetric)
+            correction = KrylovCorrection(
+                self.truncation, fine.residual[: fine.q.size], self.is_symmetric
+            )
             left = begun = correction.largest()
             np.copyto(origin, part)
             for step in range(most):

@@ -101,7 +101,9 @@ class Safeguard:
             change, noise, slack = self._energy_change(z)
             if change > noise:
                 return False
-            if change < -max(noise, SUFFICIENT * self._least_diagonal * self.residual * self.residual):
+            if change < -max(
+                noise, SUFFICIENT * self._least_diagonal * self.residual * self.residual
+            ):
                 self._accept(z, residual, slack)
         return self.idle < PATIENCE
 
@@ -134,7 +136,12 @@ class Safeguard:
 
     def _accept(self, z: FloatVector, residual: float, slack: FloatVector | None = None) -> None:
         np.copyto(self.z, z)
-        self.residual, self.least, self.idle, self._slack = residual, min(self.least, residual), 0, slack
+        self.residual, self.least, self.idle, self._slack = (
+            residual,
+            min(self.least, residual),
+            0,
+            slack,
+        )
 
     @property
     def _least_diagonal(self) -> float:
@@ -153,7 +160,9 @@ class Safeguard:
         step = own - accepted
         terms = problem.diagonal * np.maximum(np.abs(own), np.abs(accepted)) + np.abs(problem.q)
         return (
-            0.5 * total(dot(step, slack + self._slack)), 8.0 * EPSILON * total(dot(np.abs(step), terms)), slack,
+            0.5 * total(dot(step, slack + self._slack)),
+            8.0 * EPSILON * total(dot(np.abs(step), terms)),
+            slack,
         )
 
 
@@ -165,32 +174,54 @@ class GridProblem:
     """The complementarity problem of one grid, with its projected sweep."""
 
     def __init__(
-        self, algorithm: Multigrid, grid: Grid, q: FloatVector, lower: FloatVector, upper: FloatVector
+        self,
+        algorithm: Multigrid,
+        grid: Grid,
+        q: FloatVector,
+        lower: FloatVector,
+        upper: FloatVector,
     ) -> None:
         self.grid, self.entries = grid, grid.matrix.data.size
         # All read-only, so that every kernel is compiled once.
-        self.vectors = tuple(read_only(np.ascontiguousarray(vector)) for vector in (grid.inverse, q, lower, upper))
+        self.vectors = tuple(
+            read_only(np.ascontiguousarray(vector)) for vector in (grid.inverse, q, lower, upper)
+        )
         _, self.q, self.lower, self.upper = self.vectors
         self.residual = np.zeros(grid.width)
         self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
         self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
         if self.is_projected_type:
-            pivots = np.full(q.size, 1.0 / (1.0 / self.relaxation + 3.0))  # of the matrix scaled to unit diagonal
+            pivots = np.full(
+                q.size, 1.0 / (1.0 / self.relaxation + 3.0)
+            )  # of the matrix scaled to unit diagonal
             # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
             self.splits = {False: grid.split, True: read_only(grid.split + 1)}
-            self.projected_type_rows = kernels.packed(q, lower, upper, grid.inverse, grid.inverse, pivots)
+            self.projected_type_rows = kernels.packed(
+                q, lower, upper, grid.inverse, grid.inverse, pivots
+            )
             self.new = np.empty_like(self.residual)
 
     def sweep(self, z: FloatVector, backward: bool) -> None:
         """Overwrite z by one projected sweep."""
         self.grid.fetch(z)
         if not self.is_projected_type:
-            sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z)
+            sweeps.projected_sweep(
+                self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z
+            )
             return
         indptr, _, indices, data = self.grid.rows
-        self.new[self.q.size:] = z[self.q.size:]
+        self.new[self.q.size :] = z[self.q.size :]
         kernels.splitting_sweep(
-            indptr, self.splits[backward], indices, data, self.projected_type_rows, 1.0, True, backward, z, self.new
+            indptr,
+            self.splits[backward],
+            indices,
+            data,
+            self.projected_type_rows,
+            1.0,
+            True,
+            backward,
+            z,
+            self.new,
         )
         np.copyto(z, self.new)
 

@@ -68,7 +68,9 @@ def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, 
 
 def is_near(problem: LCP, z: FloatVector) -> bool:
     """Return whether the residual of z is at most a tenth of that of the point of the bounds nearest to 0."""
-    return bool(measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero))
+    return bool(
+        measured_residual(problem, z) <= NEAR * measured_residual(problem, problem.nearest_to_zero)
+    )
 
 
 def signature(at_lower: BoolVector, at_upper: BoolVector) -> bytes:
@@ -78,7 +80,11 @@ def signature(at_lower: BoolVector, at_upper: BoolVector) -> bytes:
 
 
 def solve_active_set(
-    problem: LCP, at_lower: BoolVector, at_upper: BoolVector, *, near: FloatVector | None = None,
+    problem: LCP,
+    at_lower: BoolVector,
+    at_upper: BoolVector,
+    *,
+    near: FloatVector | None = None,
     system: FreeSystem | None = None,
 ) -> ActiveSetSolution | None:
     """Return z with z at its bounds on the active rows and w = 0 on the free ones, or None where none is finite.
@@ -197,7 +203,9 @@ class NewtonState:
     def solve(self, at_lower: BoolVector, at_upper: BoolVector) -> ActiveSetSolution | None:
         """Return the solution that belongs to an active set; z says which one where its block is singular."""
         self._solved.add(signature(at_lower, at_upper))
-        solution = solve_active_set(self.problem, at_lower, at_upper, near=self.z, system=self._system)
+        solution = solve_active_set(
+            self.problem, at_lower, at_upper, near=self.z, system=self._system
+        )
         if solution is not None:
             self._system = solution.system
             self.work += solution.work

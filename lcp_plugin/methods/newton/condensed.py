@@ -43,7 +43,10 @@ class Condensation:
     solve_work = 0.0
 
     def __init__(self, matrix: Matrix, bounded: BoolVector) -> None:
-        self.others, self.rows = FreeSystem(matrix, ~bounded, by_factor=True), np.flatnonzero(bounded)
+        self.others, self.rows = (
+            FreeSystem(matrix, ~bounded, by_factor=True),
+            np.flatnonzero(bounded),
+        )
         self.work = self.others.work
         if self.others.is_singular:
             return
@@ -56,7 +59,10 @@ class Condensation:
             whole = -self.free(part)
             whole[self.rows[held], held - first] = 1.0
             complement[:, held] = self.coupling @ whole
-        self.solve_work, self.work = (self.others.work - self.work) / max(count, 1), self.others.work
+        self.solve_work, self.work = (
+            (self.others.work - self.work) / max(count, 1),
+            self.others.work,
+        )
         if np.isfinite(complement).all():
             self.problem = LCP(complement, np.zeros(count))
 
@@ -70,7 +76,9 @@ class Condensation:
 @fact
 def condensation(matrix: Matrix, packed: bytes) -> Condensation:
     """Return that of the rows whose bits are set: it serves all steps, and all marches of the same M."""
-    return Condensation(matrix, np.unpackbits(np.frombuffer(packed, np.uint8), count=matrix.n).astype(np.bool_))
+    return Condensation(
+        matrix, np.unpackbits(np.frombuffer(packed, np.uint8), count=matrix.n).astype(np.bool_)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +102,9 @@ class Condensed(Algorithm):
         while known.problem is not None:
             change, rows = -known.free(w), known.rows
             offset = w[rows] + known.coupling @ change - known.problem.matrix.array @ z[rows]
-            smaller = known.problem.with_q(offset, lower=problem.lower[rows], upper=problem.upper[rows])
+            smaller = known.problem.with_q(
+                offset, lower=problem.lower[rows], upper=problem.upper[rows]
+            )
             held, spent = z[rows], 0.0
             for step in Newton().iterates(smaller, held.copy()):
                 held, spent = step.z, spent + step.work * smaller.nonzeros

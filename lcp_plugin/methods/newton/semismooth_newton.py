@@ -10,7 +10,14 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, in_driven_sweeps, without_warnings
+from ...core.algorithm import (
+    Algorithm,
+    FusedSolve,
+    Phases,
+    Step,
+    in_driven_sweeps,
+    without_warnings,
+)
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal
@@ -21,7 +28,9 @@ from ...systems.graph import bandwidth
 from ..small.small_dense import ROUNDS_ONLY, is_short, solve_fused, steps
 from .active_set import LARGE_PATIENCE, NewtonState, classify
 
-PATIENCE = 30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
+PATIENCE = (
+    30  # full steps without a smaller residual or fewer changes, plus one a row up to PATIENT_ROWS
+)
 PATIENT_ROWS = 250
 ROUNDS = 3
 BEGUN_AGAIN_UP_TO = 500  # rows: from the point of the box nearest to 0, too
@@ -32,7 +41,9 @@ SUFFICIENT = 1e-4
 FULL_STEP_GAIN = 0.5  # a full active-set step must reduce ‖Φ‖ to this share
 HALVINGS = 25
 MEMORY = 5  # the line search compares with the worst of so many merits
-STAGNANT = 25  # steps without a fall of ‖Φ‖ by one per cent; by thirty within LARGE_PATIENCE on large ones
+STAGNANT = (
+    25  # steps without a fall of ‖Φ‖ by one per cent; by thirty within LARGE_PATIENCE on large ones
+)
 SHIFT = 1e-3  # keeps the Jacobian regular where M is only P₀
 
 
@@ -92,15 +103,23 @@ class Newton(Algorithm):
         """Return full steps only."""
         return ROUNDS_ONLY
 
-    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+    def solve_fused(
+        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
+    ) -> FusedSolve | None:
         """Return where compiled full steps converge on a small dense problem."""
-        return solve_fused(problem, z0, tolerance, max_iterations, ROUNDS_ONLY) if is_short(problem) else None
+        return (
+            solve_fused(problem, z0, tolerance, max_iterations, ROUNDS_ONLY)
+            if is_short(problem)
+            else None
+        )
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         if is_short(problem):
             yield from steps(problem, z0, ROUNDS_ONLY)
         start = np.clip(z0, problem.lower, problem.upper)
-        is_elsewhere = problem.n <= BEGUN_AGAIN_UP_TO and not np.array_equal(start, problem.nearest_to_zero)
+        is_elsewhere = problem.n <= BEGUN_AGAIN_UP_TO and not np.array_equal(
+            start, problem.nearest_to_zero
+        )
         state = NewtonState(problem, start)
         yield state.step()
         if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
@@ -190,7 +209,9 @@ def fischer_burmeister(
     by_s = np.where(has_lower, by_b * p_by_s, p_by_s)
     is_fixed = problem.lower == problem.upper
     return Linearised(
-        np.where(is_fixed, z - problem.lower, value), np.where(is_fixed, 1.0, by_z), np.where(is_fixed, 0.0, by_s)
+        np.where(is_fixed, z - problem.lower, value),
+        np.where(is_fixed, 1.0, by_z),
+        np.where(is_fixed, 0.0, by_s),
     )
 
 
@@ -285,10 +306,15 @@ def _newton_direction(state: NewtonState, phi: Linearised) -> FloatVector | None
     return direction if np.isfinite(direction).all() else None
 
 
-def phi_jacobian(problem: LCP, phi: Linearised, shift: float, scale: FloatVector | None = None) -> Any:
+def phi_jacobian(
+    problem: LCP, phi: Linearised, shift: float, scale: FloatVector | None = None
+) -> Any:
     """Return the Jacobian of Φ in that scale plus shift times the identity, dense or CSR as M is."""
     M = problem.M
-    rows, diagonal = phi.by_w / (problem.residual_scale if scale is None else scale), phi.by_z + shift
+    rows, diagonal = (
+        phi.by_w / (problem.residual_scale if scale is None else scale),
+        phi.by_z + shift,
+    )
     if sp.issparse(M):
         return sp.csr_array(sp.diags_array(rows) @ M + sp.diags_array(diagonal))
     jacobian = M * rows[:, None]
@@ -298,7 +324,9 @@ def phi_jacobian(problem: LCP, phi: Linearised, shift: float, scale: FloatVector
 
 def direct_passes(problem: LCP) -> float:
     """Return about how many passes over M an answer by factors costs; ∞ where other ways are better."""
-    if not has_positive_diagonal(problem.matrix).all() or (problem.is_dense and is_nearly_symmetric(problem.matrix)):
+    if not has_positive_diagonal(problem.matrix).all() or (
+        problem.is_dense and is_nearly_symmetric(problem.matrix)
+    ):
         return DIRECT_PASSES
     if problem.is_dense:
         return max(DIRECT_PASSES, DIRECT_ROWS * problem.n)

@@ -16,11 +16,18 @@ from ...core.kernels.floats import EPSILON, TINY
 from ...core.matrix.structure import IntVector
 from ...systems.equilibration import power_of_two
 
-SWEEPS, MOST_SWEEPS, SETTLED = 10, 60, 0.005  # so many at once, until fewer of the rows change sides
+SWEEPS, MOST_SWEEPS, SETTLED = (
+    10,
+    60,
+    0.005,
+)  # so many at once, until fewer of the rows change sides
 SWEEPS_BETWEEN = 8
 FACTORS = 40  # 2 to 20 as a rule
 AT_ONCE = 5e7  # entries of a factor touched, about, before a run may end
-FIRST_SHIFT, LARGEST_SHIFT = 1e-13, 1e-4  # of the largest diagonal entry, where a block is singular to rounding
+FIRST_SHIFT, LARGEST_SHIFT = (
+    1e-13,
+    1e-4,
+)  # of the largest diagonal entry, where a block is singular to rounding
 SMALLEST_PIVOT = 1e-14  # of the largest: below, a factor says nothing
 FEW = 0.25  # of the rows of a factor may join it
 ROUNDING = 4.0 * EPSILON
@@ -45,7 +52,9 @@ class Descent:
     array([2.5, 0. ])
     """
 
-    def __init__(self, P: FloatVector, c: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
+    def __init__(
+        self, P: FloatVector, c: FloatVector, lower: FloatVector, upper: FloatVector
+    ) -> None:
         self._unit = 1.0 / power_of_two(np.sqrt(np.maximum(P.diagonal(), 0.0)))
         self.P, self.c = self._unit[:, np.newaxis] * P * self._unit, c * self._unit
         self.lower, self.upper = lower / self._unit, upper / self._unit
@@ -90,15 +99,18 @@ class Descent:
 
     def _rounding(self) -> FloatVector:
         # |P||x| ≤ √p_ii Σ √p_jj |x_j| for a semidefinite matrix.
-        rounding: FloatVector = ROUNDING * (self._root * float(self._root @ np.abs(self.x)) + np.abs(self.c))
+        rounding: FloatVector = ROUNDING * (
+            self._root * float(self._root @ np.abs(self.x)) + np.abs(self.c)
+        )
         return rounding
 
     def _inwards(self) -> BoolVector:
         """Return the rows at a bound whose slope points inwards by more than rounding."""
         at_lower, at_upper, rounding = self.x == self.lower, self.x == self.upper, self._rounding()
-        return np.asarray((at_lower & ~at_upper & (self.slope < -rounding)) | (
-            at_upper & ~at_lower & (self.slope > rounding)
-        ))
+        return np.asarray(
+            (at_lower & ~at_upper & (self.slope < -rounding))
+            | (at_upper & ~at_lower & (self.slope > rounding))
+        )
 
     def _factorised(self, rows: IntVector) -> bool:
         """Factorise these rows of P, with a small shift if need be; return False where none is enough."""
@@ -116,7 +128,9 @@ class Descent:
         """Let rows join the factor; return False where it is too near to a singular one."""
         from scipy.linalg import solve_triangular
 
-        of_both = solve_triangular(self._L, self.P[np.ix_(self._order, rows)], lower=True, check_finite=False)
+        of_both = solve_triangular(
+            self._L, self.P[np.ix_(self._order, rows)], lower=True, check_finite=False
+        )
         self.work += 0.5 * rows.size * self._order.size**2
         L = _cholesky(self.P[np.ix_(rows, rows)] - of_both.T @ of_both, self._shift)
         if L is not None:
@@ -131,7 +145,9 @@ class Descent:
         residual = np.inf
         while (size := self._order.size) > 0:
             least = size - 2 - int(AT_ONCE / size**2)
-            left = descend(self._L, self._order, least, self.lower, self.upper, self.x, self.slope, free)
+            left = descend(
+                self._L, self._order, least, self.lower, self.upper, self.x, self.slope, free
+            )
             self.work += (1.5 * (size - left) + 1.0) * size**2
             if left < 0:
                 return None
@@ -140,7 +156,10 @@ class Descent:
             if left <= least:
                 return False
             before, residual = residual, float(np.abs(self.slope[self._order]).max(initial=0.0))
-            if not (residual < 0.5 * before and (np.abs(self.slope) > self._rounding())[self._order].any()):
+            if not (
+                residual < 0.5 * before
+                and (np.abs(self.slope) > self._rounding())[self._order].any()
+            ):
                 break
         return True
 
@@ -154,5 +173,7 @@ def _cholesky(block: FloatVector, shift: float) -> FloatVector | None:
     # The transpose of a symmetric array in C's order is what LAPACK takes without a copy.
     upper, failed = dpotrf(shifted.T, lower=0, overwrite_a=1, clean=1)
     pivots = upper.diagonal() ** 2
-    is_clear = not failed and pivots.min(initial=np.inf) >= SMALLEST_PIVOT * block.diagonal().max(initial=0.0)
+    is_clear = not failed and pivots.min(initial=np.inf) >= SMALLEST_PIVOT * block.diagonal().max(
+        initial=0.0
+    )
     return np.ascontiguousarray(upper.T) if is_clear else None

@@ -40,7 +40,12 @@ def descend(L, order, least, lower, upper, x, slope, is_free):  # type: ignore[n
     Return how many rows are still free: more than `least` after a whole step, which leaves `slope` behind; −1 where a
     step is not finite. L, lower triangular, is the Cholesky factor of the free rows of P, and follows them.
     """
-    size, step, cosines, sines = order.size, np.empty(order.size), np.empty(order.size), np.empty(order.size)
+    size, step, cosines, sines = (
+        order.size,
+        np.empty(order.size),
+        np.empty(order.size),
+        np.empty(order.size),
+    )
     while size > least:
         for a in range(size):
             step[a] = (-slope[order[a]] - product(L[a], step, a)) / L[a, a]
@@ -66,14 +71,17 @@ def descend(L, order, least, lower, upper, x, slope, is_free):  # type: ignore[n
             return size
         i = order[met]
         x[i], is_free[i] = upper[i] if step[met] > 0.0 else lower[i], False
-        for a in range(met, size - 1):  # the rows below move up; rotations make them triangular again
+        for a in range(
+            met, size - 1
+        ):  # the rows below move up; rotations make them triangular again
             order[a], row, below = order[a + 1], L[a], L[a + 1]
             for b in range(met):
                 row[b] = below[b]
             carried = below[met]
             for b in range(met, a):
-                row[b], carried = cosines[b] * carried + sines[b] * below[b + 1], (
-                    cosines[b] * below[b + 1] - sines[b] * carried
+                row[b], carried = (
+                    cosines[b] * carried + sines[b] * below[b + 1],
+                    (cosines[b] * below[b + 1] - sines[b] * carried),
                 )
             row[a] = np.hypot(carried, below[a + 1])
             cosines[a], sines[a] = carried / row[a], below[a + 1] / row[a]

@@ -21,7 +21,15 @@ from .explorer import Explorer, Face, Point, extreme_points
 from .outlines import whole_tree
 
 __all__ = [
-    "Effort", "GaveUp", "NoSolution", "Solution", "Solutions", "all_solutions", "explore", "is_searchable", "search",
+    "Effort",
+    "GaveUp",
+    "NoSolution",
+    "Solution",
+    "Solutions",
+    "all_solutions",
+    "explore",
+    "is_searchable",
+    "search",
 ]
 
 LARGEST_CHOICES = 24  # rows with more than one choice
@@ -87,8 +95,14 @@ class Solution:
         if self.is_isolated:
             return f"z = {_in_fractions(self.exact_z)}, isolated"
         some = list(islice(extreme_points(self.problem, self.pattern), SHOWN + 2))
-        others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z][: SHOWN + 1]
-        rest = f"; others: {', '.join([*others[:SHOWN], *(['…'] if len(others) > SHOWN else [])])}" if others else ""
+        others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z][
+            : SHOWN + 1
+        ]
+        rest = (
+            f"; others: {', '.join([*others[:SHOWN], *(['…'] if len(others) > SHOWN else [])])}"
+            if others
+            else ""
+        )
         return f"z = {_in_fractions(self.exact_z)}, a vertex of a face of dimension {self.dimension}{rest}"
 
 
@@ -107,7 +121,9 @@ class GaveUp:
     nodes: int
 
 
-def search(problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES) -> Solutions | NoSolution | GaveUp:
+def search(
+    problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES
+) -> Solutions | NoSolution | GaveUp:
     """Return a solution (or all), the proof that there is none, or that the limit was too low.
 
     Parameters
@@ -156,7 +172,9 @@ def explore(
     for _ in explorer.run():
         yield None
     if explorer.faces:
-        yield Solutions(tuple(_solution(problem, face) for face in _maximal(explorer.faces)), explorer.nodes)
+        yield Solutions(
+            tuple(_solution(problem, face) for face in _maximal(explorer.faces)), explorer.nodes
+        )
     elif not first_only:
         # A search for all leaves out cases that lie in others; the proof must not.
         yield from explore(problem, effort)
@@ -229,7 +247,13 @@ def _maximal(faces: Sequence[Face]) -> list[Face]:
 
 
 def _solution(problem: LCP, face: Face) -> Solution:
-    return Solution(tuple(face.point), tuple(exact_slack(problem, face.point)), face.pattern, face.dimension, problem)
+    return Solution(
+        tuple(face.point),
+        tuple(exact_slack(problem, face.point)),
+        face.pattern,
+        face.dimension,
+        problem,
+    )
 
 
 def _in_fractions(point: Sequence[Fraction]) -> str:

@@ -39,13 +39,19 @@ class Face:
 class Explorer:
     """A depth-first search that ends with the faces found and, where there are none, the tree that proves it."""
 
-    def __init__(self, problem: LCP, effort: Effort, *, first_only: bool, tree: Case | None = None) -> None:
+    def __init__(
+        self, problem: LCP, effort: Effort, *, first_only: bool, tree: Case | None = None
+    ) -> None:
         self.problem, self.effort = problem, effort
         self.first_only = first_only
         self.n = problem.n
         self.choices = list(map(row_choices, problem.lower.tolist(), problem.upper.tolist()))
         self.simplex = ExactSimplex(
-            integer_matrix(problem.matrix), problem.q, (problem.lower, problem.upper), slack_bounds(problem), effort
+            integer_matrix(problem.matrix),
+            problem.q,
+            (problem.lower, problem.upper),
+            slack_bounds(problem),
+            effort,
         )
         self.root_bounds = [self.simplex.bounds(x) for x in range(2 * self.n)]
         self.weights = [max(map(abs, row[:-1]), default=0) or 1 for row in self.simplex.rows]
@@ -67,7 +73,10 @@ class Explorer:
             if row >= 0:
                 self.choose(row, choice)
             branches = yield from self._examined(case)
-            stack.extend((len(self.path), case.row, branch, case.branches[branch]) for branch in reversed(branches))
+            stack.extend(
+                (len(self.path), case.row, branch, case.branches[branch])
+                for branch in reversed(branches)
+            )
             self.nodes += 1
             self.effort.cases += 1
             yield
@@ -78,7 +87,9 @@ class Explorer:
         """Close the case, record its face, or split it, unless that is done; return the branches to look at."""
         if case.branches:
             return list(case.branches)
-        if case.y is not None and Choices(self.problem, dict(self.path)).excluded_by(dict(enumerate(case.y))):
+        if case.y is not None and Choices(self.problem, dict(self.path)).excluded_by(
+            dict(enumerate(case.y))
+        ):
             return []
         case.y = yield from self.simplex.infeasibility_proof()
         if case.y is not None:
@@ -107,7 +118,11 @@ class Explorer:
             if low is None and high is None:
                 continue
             i = x % n
-            targets: list[tuple[str, Bound, Bound]] = [(LOWER, 0, None), (SLACKLESS, 0, 0), (UPPER, None, 0)]
+            targets: list[tuple[str, Bound, Bound]] = [
+                (LOWER, 0, None),
+                (SLACKLESS, 0, 0),
+                (UPPER, None, 0),
+            ]
             if x < n:
                 (bottom, top) = self.root_bounds[x]
                 targets = [(LOWER, bottom, bottom), (UPPER, top, top)]
@@ -116,9 +131,15 @@ class Explorer:
                     continue
                 if lowest is not None and high is not None and high < lowest * simplex.denominator:
                     closed.setdefault((i, choice), simplex.farkas(row, 1))
-                elif highest is not None and low is not None and low > highest * simplex.denominator:
+                elif (
+                    highest is not None and low is not None and low > highest * simplex.denominator
+                ):
                     closed.setdefault((i, choice), simplex.farkas(row, -1))
-                elif lowest is not None and lowest == highest and self._is_stuck(x, lowest, low, high):
+                elif (
+                    lowest is not None
+                    and lowest == highest
+                    and self._is_stuck(x, lowest, low, high)
+                ):
                     implied.setdefault(i, choice)
         return closed, implied
 
@@ -129,7 +150,10 @@ class Explorer:
         return (low == target or bottom == at) and (high == target or top == at)
 
     def _row_to_split(
-        self, undecided: list[int], closed: dict[tuple[int, str], list[Fraction]], implied: dict[int, str]
+        self,
+        undecided: list[int],
+        closed: dict[tuple[int, str], list[Fraction]],
+        implied: dict[int, str],
     ) -> tuple[int, bool]:
         """Return the row to split (−1: none is left), and whether the point solves the problem as it is."""
         values = self.simplex.numerators()
@@ -213,7 +237,9 @@ class Explorer:
                 found.append(other)
         return frozenset(found)
 
-    def _stays(self, x: int, at: Bound, direction: int, is_point: bool) -> Generator[None, None, bool]:
+    def _stays(
+        self, x: int, at: Bound, direction: int, is_point: bool
+    ) -> Generator[None, None, bool]:
         if at is None or self.simplex.position(x) != at:
             return False
         if not is_point and (yield from self.simplex.can_leave(x, direction)):
@@ -243,7 +269,9 @@ def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
         if len(explorer.choices[i]) > 1:
             explorer.choose(i, choice)
     if _finish(simplex.infeasibility_proof()) is None:
-        bounds = [(x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)) if at is not None]
+        bounds = [
+            (x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)) if at is not None
+        ]
         found = set()
         for point in _corners(simplex, sorted(bounds), 0):
             if point not in found:
@@ -263,7 +291,10 @@ def _corners(simplex: ExactSimplex, bounds: list[tuple[int, int]], first: int) -
         if before == (at, at):
             continue
         simplex.set_bounds(x, at, at)
-        if _finish(simplex.infeasibility_proof()) is None and _finish(simplex.release_fixed()) < dimension:
+        if (
+            _finish(simplex.infeasibility_proof()) is None
+            and _finish(simplex.release_fixed()) < dimension
+        ):
             yield from _corners(simplex, bounds, k + 1)
         simplex.set_bounds(x, *before)
         _finish(simplex.infeasibility_proof())

@@ -54,10 +54,16 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
     """
     n = q.size
     unit, scale, table, origin = np.ones(n), np.ones(n), np.empty((n, n + 1)), np.empty((n, n + 1))
-    basic, other, stack = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(2 * n + 2, np.int64)
+    basic, other, stack = (
+        np.empty(n, np.int64),
+        np.empty(n, np.int64),
+        np.empty(2 * n + 2, np.int64),
+    )
     root, bounds, reach = np.empty((2, 2 * n)), np.empty((2, 2 * n)), np.empty((2, 2 * n))
     value, is_decided = np.zeros(2 * n), np.empty(n, np.bool_)
-    size, reference = _begin(M, q, lower, upper, unit, scale, table, origin, basic, other, root, value)
+    size, reference = _begin(
+        M, q, lower, upper, unit, scale, table, origin, basic, other, root, value
+    )
     allowed, least = FEASIBLE * size, np.inf
     tree[0, ROW] = tree[0, PARENT] = tree[0, CHOICE] = -1
     tree[0, IS_CLOSED] = stack[0] = 0
@@ -78,9 +84,13 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
         if outcome == EXCLUDED:
             _close(M, table, basic, other, bounds, value, row, sign, unit, y[case])
             tree[case, IS_CLOSED] = 1
-            least = min(least, y[case, n] / (reference * _weight(M, lower, upper, bounds, scale, y[case])))
+            least = min(
+                least, y[case, n] / (reference * _weight(M, lower, upper, bounds, scale, y[case]))
+            )
             continue
-        i = _row_to_split(table, basic, other, bounds, root, value, reach, is_decided, allowed, first)
+        i = _row_to_split(
+            table, basic, other, bounds, root, value, reach, is_decided, allowed, first
+        )
         spent += n * n
         if i < 0 and not first:
             continue
@@ -94,9 +104,16 @@ def look_at(M, q, lower, upper, limit, first, tree, y, z):  # type: ignore[no-un
             return GAVE_UP, seen, spent, 0.0
         tree[case, ROW] = i
         for choice in (AT_UPPER, AT_ZERO, AT_LOWER):  # the last is looked at first
-            if (choice == AT_UPPER and upper[i] == np.inf) or (choice == AT_LOWER and lower[i] == -np.inf):
+            if (choice == AT_UPPER and upper[i] == np.inf) or (
+                choice == AT_LOWER and lower[i] == -np.inf
+            ):
                 continue
-            tree[count, ROW], tree[count, PARENT], tree[count, CHOICE], tree[count, IS_CLOSED] = -1, case, choice, 0
+            tree[count, ROW], tree[count, PARENT], tree[count, CHOICE], tree[count, IS_CLOSED] = (
+                -1,
+                case,
+                choice,
+                0,
+            )
             stack[top] = count
             top, count = top + 1, count + 1
     return EXCLUDED, seen, spent, least
@@ -183,7 +200,11 @@ def _move_within(table, origin, basic, other, bounds, value, allowed, pivots):  
         for j in range(n):
             x, entry = other[j], table[row, j]
             end = bounds[1, x] if entry * sign > 0.0 else bounds[0, x]
-            if abs(entry) > best and value[x] != end and (not is_last or column < 0 or x < other[column]):
+            if (
+                abs(entry) > best
+                and value[x] != end
+                and (not is_last or column < 0 or x < other[column])
+            ):
                 column, best = j, SMALLEST_PIVOT if is_last else abs(entry)
         if column < 0:
             return EXCLUDED, row, sign, pivots, spent

@@ -68,10 +68,15 @@ def outline(problem: LCP, most_entries: float) -> Outline:
     """
     from . import kernels  # numba, which a program that engines solve does without
 
-    (found, cases, entries, least), nodes, y, z = _looked_at(problem, most_entries, MOST_CASES, first=True)
+    (found, cases, entries, least), nodes, y, z = _looked_at(
+        problem, most_entries, MOST_CASES, first=True
+    )
     if found == kernels.FOUND and np.isfinite(z).all():
         return Outline(z, 0.0, cases, entries, nodes[:0], y[:0])
-    if found != kernels.EXCLUDED or not np.isfinite(y[:cases][nodes[:cases, kernels.ROW] < 0]).all():
+    if (
+        found != kernels.EXCLUDED
+        or not np.isfinite(y[:cases][nodes[:cases, kernels.ROW] < 0]).all()
+    ):
         return Outline(None, 0.0, cases, entries, nodes[:0], y[:0])
     return Outline(None, least, cases, entries, nodes[:cases], y[:cases])
 
@@ -94,7 +99,9 @@ def whole_tree(problem: LCP) -> Case:
     return _tree(nodes[:count].tolist(), y)
 
 
-def _looked_at(problem: LCP, most_entries: float, most_cases: int, *, first: bool) -> tuple[Any, ...]:
+def _looked_at(
+    problem: LCP, most_entries: float, most_cases: int, *, first: bool
+) -> tuple[Any, ...]:
     from . import kernels
 
     n = problem.n

@@ -29,7 +29,10 @@ SLIGHTLY = 1e-2  # of a contradiction, spent on the rounding of its proof
 CASES_A_STEP = 50
 MOST_EXACT = 20_000
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds
-FIRST_ENTRIES, FIRST_PRODUCTS = 1e7, QUANTUM  # some ten milliseconds: no more than the methods after it take
+FIRST_ENTRIES, FIRST_PRODUCTS = (
+    1e7,
+    QUANTUM,
+)  # some ten milliseconds: no more than the methods after it take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +53,9 @@ class FeasibilityCheck(Algorithm):
         if proof is not None:
             yield Step(z0, proof=proof)
         if proof is not None and proof.is_free_motion and problem.criterion is None:
-            yield Step(z0, least_residual=proof.margin)  # of all z within its radius: no method goes on beyond
+            yield Step(
+                z0, least_residual=proof.margin
+            )  # of all z within its radius: no method goes on beyond
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,9 +145,14 @@ class ExhaustiveSearch(Algorithm):
             proof = NoSolution(problem, seen.tree, seen.cases)
             step.proof = proof.infeasibility or proof
         elif seen.tree is not None:
-            step.least_residual, step.remark = seen.least_residual, "in double precision every case contradicts"
+            step.least_residual, step.remark = (
+                seen.least_residual,
+                "in double precision every case contradicts",
+            )
         yield step
-        is_proved = step.proof is not None and step.proof.exact  # but the contradiction is too small for the run
+        is_proved = (
+            step.proof is not None and step.proof.exact
+        )  # but the contradiction is too small for the run
         if self.prove_infeasibility and not is_proved and is_searchable(problem):
             yield from self._exactly(problem, z0, seen.tree)
 
@@ -150,7 +160,10 @@ class ExhaustiveSearch(Algorithm):
         """Yield z0 while exact arithmetic looks at all cases, or at those of a tree that are not closed."""
         effort, reported = Effort(), Effort()
         for outcome in explore(problem, effort, tree=tree):
-            is_due = effort.cases - reported.cases >= CASES_A_STEP or effort.products - reported.products >= QUANTUM
+            is_due = (
+                effort.cases - reported.cases >= CASES_A_STEP
+                or effort.products - reported.products >= QUANTUM
+            )
             if outcome is None and not is_due:
                 continue
             step = Step(z0, work=(effort.entries - reported.entries) / max(problem.nonzeros, 1))
@@ -162,10 +175,14 @@ class ExhaustiveSearch(Algorithm):
                     step.remark = f"a search of all cases found a solution, but {error}"
             elif isinstance(outcome, NoSolution):
                 step.proof = outcome.infeasibility or outcome
-            elif effort.cases >= MOST_EXACT or effort.products >= (FIRST_PRODUCTS if self.is_first else MOST_PRODUCTS):
+            elif effort.cases >= MOST_EXACT or effort.products >= (
+                FIRST_PRODUCTS if self.is_first else MOST_PRODUCTS
+            ):
                 if self.is_first:
                     return
-                step.remark = f"not decided in {effort.cases} cases of an exact search; all_solutions goes on"
+                step.remark = (
+                    f"not decided in {effort.cases} cases of an exact search; all_solutions goes on"
+                )
             yield step
             if step.remark:
                 return

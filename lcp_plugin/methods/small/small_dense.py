@@ -19,7 +19,11 @@ from ...core.tuning import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO, PIVOTS_FIRST_U
 
 # the phases of `methods.small.kernels.small_problems`, by the methods that they are
 PARTS = ("npsor", "newton", "lemke")
-EVERYTHING, ROUNDS_ONLY, PIVOTS_ONLY = (True, True, True), (False, True, False), (False, False, True)
+EVERYTHING, ROUNDS_ONLY, PIVOTS_ONLY = (
+    (True, True, True),
+    (False, True, False),
+    (False, False, True),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +45,9 @@ class SmallDenseSolver(Algorithm):
     def takes(problem: LCP) -> bool:
         """Return whether the problem is small enough, and all of it is here; larger where pivots come first anyway."""
         pivots_first = problem.n <= PIVOTS_FIRST_UP_TO and not problem.is_distributed
-        return is_short(problem) or (pivots_first and not has_positive_diagonal(problem.matrix).all())
+        return is_short(problem) or (
+            pivots_first and not has_positive_diagonal(problem.matrix).all()
+        )
 
     def phases_of_small(self) -> Phases:
         """Return all phases."""
@@ -51,7 +57,9 @@ class SmallDenseSolver(Algorithm):
         """Yield the start, then a step a sweep, a round and a path; end where nothing is left to be tried."""
         return without_warnings(steps(problem, z0, EVERYTHING))
 
-    def solve_fused(self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int) -> FusedSolve | None:
+    def solve_fused(
+        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
+    ) -> FusedSolve | None:
         """Return where these steps converge."""
         return solve_fused(problem, z0, tolerance, max_iterations, EVERYTHING)
 
@@ -78,13 +86,21 @@ def steps(problem: LCP, z0: FloatVector, phases: Phases) -> Iterator[Step]:
     from .kernels.workspace import STATE
 
     workspace, answers = new_workspace(problem.n), Answers(1, problem.n)
-    arrays: tuple[Any, ...] = as_dense(problem.matrix), *map(as_batch, (problem.q, problem.lower, problem.upper, z0))
-    limits, state = (-1.0, 1, 0, 1), workspace[1][STATE]  # tolerance (nothing is judged), iterations, first and end
+    arrays: tuple[Any, ...] = (
+        as_dense(problem.matrix),
+        *map(as_batch, (problem.q, problem.lower, problem.upper, z0)),
+    )
+    limits, state = (
+        (-1.0, 1, 0, 1),
+        workspace[1][STATE],
+    )  # tolerance (nothing is judged), iterations, first and end
     kernels.run_all(*arrays, *phases, *limits, kernels.NONE_YET, *workspace, *answers.arrays)
     unit = 0
     if state[kernels.PHASE] == kernels.UNUSUAL:
         unit = int(np.frexp(np.abs(arrays[0]).max())[1])
-        in_unit = (read_only(np.ldexp(vector, unit)) for vector in arrays[2:])  # bounds and start; w = M z + q stays
+        in_unit = (
+            read_only(np.ldexp(vector, unit)) for vector in arrays[2:]
+        )  # bounds and start; w = M z + q stays
         arrays = read_only(np.ldexp(arrays[0], -unit)), arrays[1], *in_unit
         answers.forget(0, 1)
         kernels.run_all(*arrays, *phases, *limits, kernels.NONE_YET, *workspace, *answers.arrays)
@@ -92,7 +108,11 @@ def steps(problem: LCP, z0: FloatVector, phases: Phases) -> Iterator[Step]:
         return
     phase = int(answers.work[0].argmax())
     while True:
-        z = np.clip(np.ldexp(answers.z[0], -unit), problem.lower, problem.upper) if unit else answers.z[0]
+        z = (
+            np.clip(np.ldexp(answers.z[0], -unit), problem.lower, problem.upper)
+            if unit
+            else answers.z[0]
+        )
         if np.isfinite(z).all():
             residual, work = np.ldexp(answers.residual[0], -unit), answers.work[0].sum()
             yield Step(z, residual=float(residual), work=float(work), label=PARTS[phase])
@@ -108,8 +128,19 @@ def solve_fused(
 ) -> FusedSolve | None:
     """Return where `steps` converge within the tolerance, None where they do not."""
     start = NO_START if z0 is problem.nearest_to_zero else as_batch(z0)
-    vectors, answers = map(as_batch, (problem.q, problem.lower, problem.upper)), Answers(1, problem.n)
-    run_phases((as_dense(problem.matrix), *vectors, start), phases, tolerance, max_iterations, 0, 1, answers)
+    vectors, answers = (
+        map(as_batch, (problem.q, problem.lower, problem.upper)),
+        Answers(1, problem.n),
+    )
+    run_phases(
+        (as_dense(problem.matrix), *vectors, start),
+        phases,
+        tolerance,
+        max_iterations,
+        0,
+        1,
+        answers,
+    )
     return answers.solve_fused(0)
 
 
@@ -133,8 +164,13 @@ def run_phases(
     """Write the answers to problems first ≤ k < end of a batch, as far as the planned phases converge."""
     from .kernels.small_problems import ALL, follow_all, run_all
 
-    arrays = tuple(read_only(array) if array.flags.writeable else array for array in arrays)  # one signature for all
-    workspace, steps = workspace or new_workspace(arrays[0].shape[1]), ALL if steps is None else steps
+    arrays = tuple(
+        read_only(array) if array.flags.writeable else array for array in arrays
+    )  # one signature for all
+    workspace, steps = (
+        workspace or new_workspace(arrays[0].shape[1]),
+        ALL if steps is None else steps,
+    )
     limits = tolerance, max_iterations, first, end
     if run_all(*arrays, *phases, *limits, steps, *workspace, *answers.arrays):
         follow_all(*arrays[:4], tolerance, first, end, *workspace, *answers.arrays)
@@ -177,7 +213,9 @@ class Answers:
 
     def judge(self, first: int, end: int, tolerance: float) -> None:
         """Judge the problems first ≤ k < end, each of one component in its own units."""
-        self.has_converged[first:end] = within(self.residual[first:end], self.terms[first:end], tolerance)
+        self.has_converged[first:end] = within(
+            self.residual[first:end], self.terms[first:end], tolerance
+        )
 
     def solve_fused(self, k: int) -> FusedSolve | None:
         """Return the answer of problem k, None where there is none."""
@@ -186,7 +224,9 @@ class Answers:
         work = self.work[k].tolist()
         phases = zip(PARTS, self.made[k].tolist(), work, strict=False)
         parts = tuple((label, count, spent) for label, count, spent in phases if spent > 0.0)
-        return FusedSolve(self.z[k], self.residual[k].item(), self.terms[k].item(), sum(work), parts)
+        return FusedSolve(
+            self.z[k], self.residual[k].item(), self.terms[k].item(), sum(work), parts
+        )
 
 
 def as_batch(array: Any) -> Any:

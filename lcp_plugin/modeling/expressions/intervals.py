@@ -98,8 +98,14 @@ def logarithm(a: Interval) -> Interval:
 
 def logarithm_of_quotient(a: Interval, b: Interval) -> Interval:
     """Return log(a/b); nothing is known where a or b reaches zero."""
-    of_quotient, of_difference = logarithm(divided(a, b)), added(logarithm(a), negated(logarithm(b)))
-    known = np.maximum(of_quotient[0], of_difference[0]), np.minimum(of_quotient[1], of_difference[1])
+    of_quotient, of_difference = (
+        logarithm(divided(a, b)),
+        added(logarithm(a), negated(logarithm(b))),
+    )
+    known = (
+        np.maximum(of_quotient[0], of_difference[0]),
+        np.minimum(of_quotient[1], of_difference[1]),
+    )
     return nothing_known(known, ~(a[0] > 0.0) | ~(b[0] > 0.0))
 
 
@@ -108,7 +114,9 @@ def logarithm_of_one_more(a: Interval) -> Interval:
     return nothing_known(widened(np.log1p(a[0]), np.log1p(a[1])), ~(a[0] > -1.0))
 
 
-def increasing(f: Callable[..., Any], a: Interval, least: float = -np.inf, most: float = np.inf) -> Interval:
+def increasing(
+    f: Callable[..., Any], a: Interval, least: float = -np.inf, most: float = np.inf
+) -> Interval:
     """Return f(a) for an elementary f that grows between least and most; nothing is known where a reaches beyond."""
     return nothing_known(widened(f(a[0]), f(a[1])), ~((a[0] >= least) & (a[1] <= most)))
 
@@ -200,7 +208,9 @@ def power(a: Interval, exponent: float) -> Interval:
         a = _magnitudes(a)
     lower, upper = widened(np.power(a[0], exponent), np.power(a[1], exponent))
     lower = np.where(a[0] >= 0.0, np.maximum(lower, 0.0), lower)
-    return (lower, upper) if exponent % 1.0 == 0.0 else nothing_known((lower, upper), ~(a[0] >= 0.0))
+    return (
+        (lower, upper) if exponent % 1.0 == 0.0 else nothing_known((lower, upper), ~(a[0] >= 0.0))
+    )
 
 
 def _magnitudes(a: Interval) -> Interval:
@@ -218,22 +228,39 @@ class Enclosure(NDArrayOperatorsMixin):
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any) -> Enclosure:
         """Return the interval of a function; a number is an interval of one point."""
-        return Enclosure(ENCLOSED[ufunc.__name__](*(
-            one.ends if isinstance(one, Enclosure) else (one, one) for one in inputs
-        )))
+        return Enclosure(
+            ENCLOSED[ufunc.__name__](
+                *(one.ends if isinstance(one, Enclosure) else (one, one) for one in inputs)
+            )
+        )
 
 
 ENCLOSED: dict[str, Callable[..., Interval]] = {
-    "add": added, "subtract": lambda a, b: added(a, negated(b)), "multiply": multiplied, "divide": divided,
-    "negative": negated, "power": lambda a, b: power_of(a, b) if np.ndim(b[0]) else power(a, b[0]), "sqrt": root,
+    "add": added,
+    "subtract": lambda a, b: added(a, negated(b)),
+    "multiply": multiplied,
+    "divide": divided,
+    "negative": negated,
+    "power": lambda a, b: power_of(a, b) if np.ndim(b[0]) else power(a, b[0]),
+    "sqrt": root,
     "hypot": lambda a, b: root(added(squared(a), squared(b))),
-    "exp": exponential, "log": logarithm, "log1p": logarithm_of_one_more, "logaddexp": log_add_exp, "expit": sigmoid,
+    "exp": exponential,
+    "log": logarithm,
+    "log1p": logarithm_of_one_more,
+    "logaddexp": log_add_exp,
+    "expit": sigmoid,
     "log10": lambda a: increasing(np.log10, a, 0.0),
-    "sin": lambda a: wave(np.sin, a, 0.5 * np.pi), "cos": lambda a: wave(np.cos, a, 0.0), "tan": tangent,
-    "sinh": lambda a: increasing(np.sinh, a), "cosh": hyperbolic_cosine, "tanh": lambda a: increasing(np.tanh, a),
-    "arcsin": lambda a: increasing(np.arcsin, a, -1.0, 1.0), "arctan": lambda a: increasing(np.arctan, a),
+    "sin": lambda a: wave(np.sin, a, 0.5 * np.pi),
+    "cos": lambda a: wave(np.cos, a, 0.0),
+    "tan": tangent,
+    "sinh": lambda a: increasing(np.sinh, a),
+    "cosh": hyperbolic_cosine,
+    "tanh": lambda a: increasing(np.tanh, a),
+    "arcsin": lambda a: increasing(np.arcsin, a, -1.0, 1.0),
+    "arctan": lambda a: increasing(np.arctan, a),
     "arccos": lambda a: negated(increasing(lambda v: -np.arccos(v), a, -1.0, 1.0)),
-    "arcsinh": lambda a: increasing(np.arcsinh, a), "arccosh": lambda a: increasing(np.arccosh, a, 1.0),
+    "arcsinh": lambda a: increasing(np.arcsinh, a),
+    "arccosh": lambda a: increasing(np.arccosh, a, 1.0),
     "arctanh": lambda a: increasing(np.arctanh, a, -1.0, 1.0),
 }
 
@@ -254,7 +281,10 @@ class EnclosedProduct:
 
     def __init__(self, matrix: Any) -> None:
         self._positive, self._negative = matrix.copy(), matrix.copy()
-        self._positive.data, self._negative.data = np.maximum(matrix.data, 0.0), np.minimum(matrix.data, 0.0)
+        self._positive.data, self._negative.data = (
+            np.maximum(matrix.data, 0.0),
+            np.minimum(matrix.data, 0.0),
+        )
         for part in (self._positive, self._negative):
             part.eliminate_zeros()
         self._size = abs(matrix)
@@ -269,4 +299,6 @@ class EnclosedProduct:
         size = self._size @ np.maximum(np.abs(v[0]), np.abs(v[1])) + np.abs(offset)
         margin = self._error * size + self._underflow
         lower, upper = outward(lower - margin, upper + margin)
-        return np.where(self._is_constant, offset, lower), np.where(self._is_constant, offset, upper)
+        return np.where(self._is_constant, offset, lower), np.where(
+            self._is_constant, offset, upper
+        )

@@ -113,7 +113,9 @@ class Program:
         self._spans = [slice(*pair) for pair in pairwise(ends)]
 
     @classmethod
-    def of(cls, compiler: Compiler, results: Sequence[Rows], first: Mapping[int, int], n: int) -> Program:
+    def of(
+        cls, compiler: Compiler, results: Sequence[Rows], first: Mapping[int, int], n: int
+    ) -> Program:
         """Return the program whose results are these rows, one below the other.
 
         Parameters
@@ -127,14 +129,18 @@ class Program:
             The number of unknowns.
         """
         # Those of two arguments first.
-        groups = sorted(compiler.groups, key=lambda group: (group[0], len(group[2]) == 1, group[1].name))
+        groups = sorted(
+            compiler.groups, key=lambda group: (group[0], len(group[2]) == 1, group[1].name)
+        )
         numbers, count = dict(first), n
         for _, _, arguments, key in groups:
             numbers[key], count = count, count + arguments[0].size
         levels = []
         for level in sorted({group[0] for group in groups}):
             own = [group for group in groups if group[0] == level]
-            both = [[arguments[k] for _, _, arguments, _ in own if len(arguments) > k] for k in (0, 1)]
+            both = [
+                [arguments[k] for _, _, arguments, _ in own if len(arguments) > k] for k in (0, 1)
+            ]
             first_of_two, second = (_combination(rows, numbers, count) for rows in both)
             levels.append(Level((first_of_two, second), _spans(own)))
         return cls(n, levels, _combination(results, numbers, count))
@@ -168,7 +174,9 @@ class Program:
         """Return F′(x) as CSR, shape (m, n), its pattern the same for every x; its indices are not to be changed."""
         return self._patterns[-1].matrix(self._derivative(x[None])[0])
 
-    def interval_jacobian(self, lower: FloatVector, upper: FloatVector) -> tuple[sp.csr_array, sp.csr_array]:
+    def interval_jacobian(
+        self, lower: FloatVector, upper: FloatVector
+    ) -> tuple[sp.csr_array, sp.csr_array]:
         """Return lower and upper ends of F′(x) for every x in [lower, upper], on the pattern of the Jacobian."""
         lowest, highest = map(self._patterns[-1].matrix, self._derivative(np.array([lower, upper])))
         return lowest, highest
@@ -181,7 +189,9 @@ class Program:
             for level, span, values in zip(self.levels, self._spans, arguments, strict=True):
                 first, second = (
                     slope[0] * (argument.matrix @ moved)
-                    for slope, argument in zip(level.derivatives(values), level.arguments, strict=True)
+                    for slope, argument in zip(
+                        level.derivatives(values), level.arguments, strict=True
+                    )
                 )
                 first[: second.size] += second
                 moved[span] = first
@@ -193,7 +203,9 @@ class Program:
         with np.errstate(all="ignore"):
             arguments, total = self._swept(x[None])[1], np.zeros(self._count)
             total += self.result.matrix.T @ by_result
-            for level, span, values in zip(self.levels[::-1], self._spans[::-1], arguments[::-1], strict=True):
+            for level, span, values in zip(
+                self.levels[::-1], self._spans[::-1], arguments[::-1], strict=True
+            ):
                 for slope, argument in zip(level.derivatives(values), level.arguments, strict=True):
                     total += argument.matrix.T @ (slope[0] * total[span][: slope.shape[1]])
             return total[: self.n]
@@ -208,7 +220,10 @@ class Program:
 
     def _swept(self, x: Ends) -> tuple[Ends, list[list[Ends]]]:
         """Return all quantities, and the arguments of each level."""
-        quantities, arguments = np.zeros((len(x), self._count)), []  # a level takes none of those that come after it
+        quantities, arguments = (
+            np.zeros((len(x), self._count)),
+            [],
+        )  # a level takes none of those that come after it
         quantities[:, : self.n] = x
         for level, span in zip(self.levels, self._spans, strict=True):
             arguments.append([argument(quantities) for argument in level.arguments])
@@ -222,7 +237,9 @@ class Program:
             for level, pattern, values in zip(self.levels, self._patterns, arguments, strict=False):
                 first, second = (
                     _product(pattern.repeated(slope), combined(entries[:, : pattern.start]))
-                    for slope, combined in zip(level.derivatives(values), pattern.combined, strict=True)
+                    for slope, combined in zip(
+                        level.derivatives(values), pattern.combined, strict=True
+                    )
                 )
                 count = second.shape[1]
                 first[:, :count] = _sum(first[:, :count], second)
@@ -233,7 +250,9 @@ class Program:
     @cached_property
     def _patterns(self) -> list[_Pattern]:
         """The patterns of the levels' Jacobians, and that of the result's."""
-        rows = sp.csr_array((np.arange(self.n), np.arange(self.n), np.arange(self.n + 1)), shape=(self.n, self.n))
+        rows = sp.csr_array(
+            (np.arange(self.n), np.arange(self.n), np.arange(self.n + 1)), shape=(self.n, self.n)
+        )
         known = _Places(rows.indptr.astype(np.int64), rows.indices.astype(np.int64))
         patterns = []
         for level in self.levels:
@@ -345,6 +364,8 @@ def _constant_apart(
     """Return the map of entries to entries; those of the unknowns themselves are 1, so that theirs are constants."""
     is_constant = sources < n
     offset = np.zeros(count)
-    offset[places[is_constant]] = factors[is_constant]  # one term an entry: the combinations hold no unknown twice
+    offset[places[is_constant]] = factors[
+        is_constant
+    ]  # one term an entry: the combinations hold no unknown twice
     entries = (factors[~is_constant], (places[~is_constant], sources[~is_constant]))
     return Combination(sp.csr_array(sp.coo_array(entries, shape=(count, before))), offset)

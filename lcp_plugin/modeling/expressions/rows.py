@@ -60,7 +60,12 @@ class Rows:
             matrix = matrix.copy()
             matrix.sum_duplicates()
         columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
-        return cls({}, matrix.data.astype(np.float64), matrix.shape, columns * matrix.shape[0] + matrix.indices)
+        return cls(
+            {},
+            matrix.data.astype(np.float64),
+            matrix.shape,
+            columns * matrix.shape[0] + matrix.indices,
+        )
 
     @property
     def size(self) -> int:
@@ -70,13 +75,20 @@ class Rows:
     @property
     def terms(self) -> int:
         """The number of entries of the blocks."""
-        return sum(self.size if isinstance(block, float) else block.nnz for block in self.blocks.values())
+        return sum(
+            self.size if isinstance(block, float) else block.nnz for block in self.blocks.values()
+        )
 
     @property
     def is_source(self) -> bool:
         """Whether the rows are the entries of one source and nothing else."""
         blocks = list(self.blocks.values())
-        return len(blocks) == 1 and isinstance(blocks[0], float) and blocks[0] == 1.0 and not self.offset.any()
+        return (
+            len(blocks) == 1
+            and isinstance(blocks[0], float)
+            and blocks[0] == 1.0
+            and not self.offset.any()
+        )
 
     def array(self, entries: FloatVector) -> Any:
         """Return the array that has these entries in the places of the rows, sparse where they are not all."""
@@ -85,24 +97,34 @@ class Rows:
         columns, rows = np.divmod(self.places, max(self.shape[0], 1))
         return sp.csc_array((entries, (rows, columns)), shape=self.shape)
 
-    def taken(self, numbers: Indices, shape: tuple[int, ...] | None = None, places: Indices | None = None) -> Rows:
+    def taken(
+        self, numbers: Indices, shape: tuple[int, ...] | None = None, places: Indices | None = None
+    ) -> Rows:
         """Return the rows with these numbers, −1 for one that is zero, as an array of that shape."""
         shape = numbers.shape if shape is None else shape
         if numbers.size == self.size and np.array_equal(numbers, np.arange(self.size)):
             return replace(self, shape=shape, places=places)
         is_taken, offset = numbers >= 0, np.zeros(numbers.size)
         offset[is_taken] = self.offset[numbers[is_taken]]
-        blocks = {key: _rows_of(block, numbers, is_taken, self.size) for key, block in self.blocks.items()}
+        blocks = {
+            key: _rows_of(block, numbers, is_taken, self.size) for key, block in self.blocks.items()
+        }
         return Rows(blocks, offset, shape, places, self.level)
 
     def spread(self, shape: tuple[int, ...], places: Indices | None = None) -> Rows:
         """Return the array broadcast to a shape, with the entries in these places; with all of them for None."""
         if self.shape == shape and self.places is places:
             return self
-        numbers = entries_behind(np.arange(math.prod(shape)) if places is None else places, shape, self.shape)
+        numbers = entries_behind(
+            np.arange(math.prod(shape)) if places is None else places, shape, self.shape
+        )
         if self.places is not None:
             near = np.minimum(np.searchsorted(self.places, numbers), max(self.size - 1, 0))
-            numbers = np.where(self.places[near] == numbers, near, -1) if self.size else np.full(numbers.size, -1)
+            numbers = (
+                np.where(self.places[near] == numbers, near, -1)
+                if self.size
+                else np.full(numbers.size, -1)
+            )
         return self.taken(numbers, shape, places)
 
     def full(self) -> Rows:
@@ -117,23 +139,33 @@ class Rows:
             blocks = {key: _changed(block, operation, factor) for key, block in self.blocks.items()}
         else:
             matrices = {key: as_matrix(block, self.size) for key, block in self.blocks.items()}
-            blocks = {key: _changed(matrix, operation, np.repeat(factor, np.diff(matrix.indptr)))
-                      for key, matrix in matrices.items()}
+            blocks = {
+                key: _changed(matrix, operation, np.repeat(factor, np.diff(matrix.indptr)))
+                for key, matrix in matrices.items()
+            }
         return replace(self, blocks=blocks, offset=operation(self.offset, factor))
 
-    def applied(self, operator: sp.csr_array, shape: tuple[int, ...], places: Indices | None = None) -> Rows:
+    def applied(
+        self, operator: sp.csr_array, shape: tuple[int, ...], places: Indices | None = None
+    ) -> Rows:
         """Return operator · rows as an array of that shape; the operator itself where a block is the identity."""
         blocks = {
-            key: (operator if block == 1.0 else operator * block) if isinstance(block, float) else operator @ block
+            key: (operator if block == 1.0 else operator * block)
+            if isinstance(block, float)
+            else operator @ block
             for key, block in self.blocks.items()
         }
         offset = operator @ self.offset if self.offset.any() else np.zeros(operator.shape[0])
         return Rows(blocks, offset, shape, places, self.level)
 
-    def summed(self, targets: Indices, shape: tuple[int, ...] = (), places: Indices | None = None) -> Rows:
+    def summed(
+        self, targets: Indices, shape: tuple[int, ...] = (), places: Indices | None = None
+    ) -> Rows:
         """Return sums: row k belongs to the one with the number targets[k]."""
         size = math.prod(shape) if places is None else places.size
-        by_columns = sp.csc_array((np.ones(self.size), targets, np.arange(self.size + 1)), shape=(size, self.size))
+        by_columns = sp.csc_array(
+            (np.ones(self.size), targets, np.arange(self.size + 1)), shape=(size, self.size)
+        )
         return self.applied(by_columns.tocsr(), shape, places)
 
 
@@ -144,7 +176,10 @@ def entries_behind(places: Indices, shape: tuple[int, ...], source: tuple[int, .
     if math.prod(source) == 1:
         return np.zeros(places.size, dtype=np.int64)
     index = np.unravel_index(places, shape, order="F")[len(shape) - len(source) :]
-    own = tuple(np.zeros_like(one) if length == 1 else one for one, length in zip(index, source, strict=True))
+    own = tuple(
+        np.zeros_like(one) if length == 1 else one
+        for one, length in zip(index, source, strict=True)
+    )
     behind: Indices = np.ravel_multi_index(own, source, order="F")
     return behind
 
@@ -179,13 +214,17 @@ def stacked(parts: Sequence[Rows]) -> Rows:
         counts = np.zeros(size + 1, dtype=np.int64)
         for start, matrix in matrices:
             counts[start + 1 : start + 1 + matrix.shape[0]] = np.diff(matrix.indptr)
-        data, columns = (np.concatenate([getattr(m, part) for _, m in matrices]) for part in ("data", "indices"))
+        data, columns = (
+            np.concatenate([getattr(m, part) for _, m in matrices]) for part in ("data", "indices")
+        )
         blocks[key] = _csr(data, columns, np.cumsum(counts), (size, matrices[0][1].shape[1]))
     offset = np.concatenate([part.offset for part in parts])
     return Rows(blocks, offset, (size,), None, max(part.level for part in parts))
 
 
-def assembled(parts: Sequence[Rows], first: Mapping[int, int], count: int) -> tuple[sp.csr_array, FloatVector]:
+def assembled(
+    parts: Sequence[Rows], first: Mapping[int, int], count: int
+) -> tuple[sp.csr_array, FloatVector]:
     """Return matrix and offset of rows one below the other, over numbered entries of the sources.
 
     Parameters
@@ -198,11 +237,13 @@ def assembled(parts: Sequence[Rows], first: Mapping[int, int], count: int) -> tu
     """
     offset = np.concatenate([*(part.offset for part in parts), np.zeros(0)])
     if len(parts) == len(parts[0].blocks if parts else ()) == 1:
-        (key, block), = parts[0].blocks.items()
+        ((key, block),) = parts[0].blocks.items()
         matrix = as_matrix(block, parts[0].size)
         if matrix.shape[1] == count and first[key] == 0:
             return matrix, offset
-    if all(len(part.blocks) <= 1 for part in parts):  # one below the other as they are, without sorting
+    if all(
+        len(part.blocks) <= 1 for part in parts
+    ):  # one below the other as they are, without sorting
         stored = [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64))]
         for part in parts:
             if not part.blocks:
@@ -221,7 +262,9 @@ def assembled(parts: Sequence[Rows], first: Mapping[int, int], count: int) -> tu
             if isinstance(block, float):
                 entries.append((np.full(part.size, block), rows, rows - start + first[key]))
             else:
-                entries.append((block.data, np.repeat(rows, np.diff(block.indptr)), block.indices + first[key]))
+                entries.append(
+                    (block.data, np.repeat(rows, np.diff(block.indptr)), block.indices + first[key])
+                )
         start += part.size
     data, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
     return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(start, count))), offset
@@ -257,7 +300,9 @@ def _total(terms: list[Block], size: int) -> Block:
         matrices.append(as_matrix(float(multiple), size))
     if len(matrices) <= 2:
         return matrices[0] if len(matrices) == 1 else matrices[0] + matrices[1]
-    data, columns = (np.concatenate([getattr(m, part) for m in matrices]) for part in ("data", "indices"))
+    data, columns = (
+        np.concatenate([getattr(m, part) for m in matrices]) for part in ("data", "indices")
+    )
     rows = np.concatenate([np.repeat(np.arange(size), np.diff(m.indptr)) for m in matrices])
     return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=matrices[0].shape))
 
@@ -294,17 +339,25 @@ class Compiler:
 
     def emit(self, function: Function, *arguments: Rows) -> Rows:
         """Return a function of the arguments, row by row."""
-        first, level, key = arguments[0], 1 + max(rows.level for rows in arguments), -1 - len(self.groups)
+        first, level, key = (
+            arguments[0],
+            1 + max(rows.level for rows in arguments),
+            -1 - len(self.groups),
+        )
         self.groups.append((level, function, arguments, key))
         return Rows({key: 1.0}, np.zeros(first.size), first.shape, first.places, level)
 
-    def elementwise(self, function: Function, left: Any, right: Any, shape: tuple[int, ...]) -> Rows:
+    def elementwise(
+        self, function: Function, left: Any, right: Any, shape: tuple[int, ...]
+    ) -> Rows:
         """Return the product or the quotient of two operands, one of them `Rows`, broadcast to a shape."""
         is_product = function is functions.PRODUCT
         if left is right and is_product:
             return self.emit(functions.SQUARE, left)
         # What multiplies a sparse array, or divides it, leaves its zeros.
-        sparse = [Rows.of(one) for one in ((left, right) if is_product else (left,)) if _is_sparse(one)]
+        sparse = [
+            Rows.of(one) for one in ((left, right) if is_product else (left,)) if _is_sparse(one)
+        ]
         places = next((one.places for one in sparse if one.shape == shape), None)
         if is_product and not isinstance(left, Rows):
             left, right = right, left
@@ -329,10 +382,14 @@ class Compiler:
             if copies > 1 and not is_left and operator.shape[0] == 1:  # vᵀ ⊗ I
                 columns = operator.indices * copies + np.arange(copies)[:, None]
                 starts = np.arange(copies + 1) * operator.nnz
-                operator = _csr(np.tile(operator.data, copies), columns.ravel(), starts, (copies, rows.size))
+                operator = _csr(
+                    np.tile(operator.data, copies), columns.ravel(), starts, (copies, rows.size)
+                )
             elif copies > 1:
                 identity = sp.eye_array(copies)
-                operator = sp.kron(*((identity, operator) if is_left else (operator, identity)), format="csr")
+                operator = sp.kron(
+                    *((identity, operator) if is_left else (operator, identity)), format="csr"
+                )
             return rows.applied(operator, shape)
         first, second = Rows.of(left), Rows.of(right)
         if not are_matrices:
@@ -343,12 +400,18 @@ class Compiler:
         if isinstance(constant, Rows):
             # Rows of many terms, of which each product would hold a copy, become quantities of their own.
             both = (first, second)
-            first, second = (one if one.terms <= one.size else self.emit(functions.SAME, one) for one in both)
+            first, second = (
+                one if one.terms <= one.size else self.emit(functions.SAME, one) for one in both
+            )
             terms = self.emit(functions.PRODUCT, first.taken(at_first), second.taken(at_second))
             return terms.summed(targets, shape, places)
-        factors, numbers = (first.offset[at_first], at_second) if is_left else (second.offset[at_second], at_first)
+        factors, numbers = (
+            (first.offset[at_first], at_second) if is_left else (second.offset[at_second], at_first)
+        )
         size = math.prod(shape) if places is None else places.size
-        operator = sp.csr_array(sp.coo_array((factors, (targets, numbers)), shape=(size, rows.size)))
+        operator = sp.csr_array(
+            sp.coo_array((factors, (targets, numbers)), shape=(size, rows.size))
+        )
         operator.eliminate_zeros()
         return (second if is_left else first).applied(operator, shape, places)
 
@@ -365,11 +428,15 @@ def _factors(constant: Any, shape: tuple[int, ...], places: Indices | None) -> A
 
 def _meeting(left: Rows, right: Rows) -> tuple[Indices, Indices, Indices]:
     """Return what a matrix product multiplies: rows of the left, rows of the right, and the entry that they add to."""
-    shapes = [(1, *left.shape) if len(left.shape) == 1 else left.shape,
-              (*right.shape, 1) if len(right.shape) == 1 else right.shape]
+    shapes = [
+        (1, *left.shape) if len(left.shape) == 1 else left.shape,
+        (*right.shape, 1) if len(right.shape) == 1 else right.shape,
+    ]
     batch = np.broadcast_shapes(shapes[0][:-2], shapes[1][:-2])
     count, depth = math.prod(batch), shapes[0][-1]
-    if not batch and left.places is None and right.places is None:  # two full matrices: nothing to look up
+    if (
+        not batch and left.places is None and right.places is None
+    ):  # two full matrices: nothing to look up
         height, width = shapes[0][0], shapes[1][1]
         at_left = np.repeat(np.arange(height * depth), width)
         column, row = np.divmod(at_left, max(height, 1))
@@ -379,7 +446,9 @@ def _meeting(left: Rows, right: Rows) -> tuple[Indices, Indices, Indices]:
     for rows, shape in zip((left, right), shapes, strict=True):
         whole = batch + shape[-2:]
         places = np.arange(math.prod(whole)) if rows.places is None else rows.places
-        numbers = entries_behind(places, whole, shape) if rows.places is None else np.arange(places.size)
+        numbers = (
+            entries_behind(places, whole, shape) if rows.places is None else np.arange(places.size)
+        )
         entry, stack = np.divmod(places, max(count, 1))
         found.append((numbers, stack, *np.divmod(entry, max(shape[-2], 1))))  # column, row
     (number, stack, column, row), (other, other_stack, other_column, other_row) = found
@@ -388,6 +457,8 @@ def _meeting(left: Rows, right: Rows) -> tuple[Indices, Indices, Indices]:
     begin, end = (np.searchsorted(held[order], wanted, side=side) for side in ("left", "right"))
     counts = end - begin
     at_left = np.repeat(np.arange(number.size), counts)
-    at_right = order[np.repeat(begin - (np.cumsum(counts) - counts), counts) + np.arange(at_left.size)]
+    at_right = order[
+        np.repeat(begin - (np.cumsum(counts) - counts), counts) + np.arange(at_left.size)
+    ]
     place = (row[at_left] + shapes[0][-2] * other_column[at_right]) * count + stack[at_left]
     return number[at_left], other[at_right], place

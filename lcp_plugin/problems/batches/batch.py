@@ -86,40 +86,79 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
 
 @overload
 def solve_batch(
-    M: QuadraticProgramBatch, *, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
-    max_iterations: int | None = None, max_seconds: float | None = None, prove_infeasibility: bool = True,
+    M: QuadraticProgramBatch,
+    *,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    prove_infeasibility: bool = True,
     threads: int | None = None,
 ) -> ProgramBatchResult: ...
 @overload
 def solve_batch(
-    M: FrictionalContact | FrictionalContactBatch, *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8, max_iterations: int | None = None, max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0, prove_infeasibility: bool = True, threads: int | None = None,
+    M: FrictionalContact | FrictionalContactBatch,
+    *,
+    z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    prove_infeasibility: bool = True,
+    threads: int | None = None,
 ) -> ContactBatchResult: ...
 @overload
 def solve_batch(
-    M: QuadraticProgram, q: Sequence[Mapping[str, ArrayLike]], *, algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8, max_iterations: int | None = None, max_seconds: float | None = None,
-    prove_infeasibility: bool = True, threads: int | None = None,
+    M: QuadraticProgram,
+    q: Sequence[Mapping[str, ArrayLike]],
+    *,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    prove_infeasibility: bool = True,
+    threads: int | None = None,
 ) -> ProgramBatchResult: ...
 @overload
 def solve_batch(  # type: ignore[overload-overlap]  # a list of LCPs is one of problems, too
-    M: Sequence[LCP], *, z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
-    max_iterations: int | None = None, max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0, prove_infeasibility: bool = True, threads: int | None = None,
+    M: Sequence[LCP],
+    *,
+    z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    prove_infeasibility: bool = True,
+    threads: int | None = None,
 ) -> BatchResult: ...
 @overload
 def solve_batch(
-    M: Sequence[LCP | QuadraticProgram | EquilibriumProgram | BoundedLeastSquares], *,
-    algorithm: str | Algorithm = "auto", tolerance: float = 1e-8, max_iterations: int | None = None,
-    max_seconds: float | None = None, prove_infeasibility: bool = True, threads: int | None = None,
+    M: Sequence[LCP | QuadraticProgram | EquilibriumProgram | BoundedLeastSquares],
+    *,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    prove_infeasibility: bool = True,
+    threads: int | None = None,
 ) -> AnswerList: ...
 @overload
 def solve_batch(
-    M: Any, q: ArrayLike | None = None, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None,
-    z0: ArrayLike | None = None, algorithm: str | Algorithm = "auto", tolerance: float = 1e-8,
-    max_iterations: int | None = None, max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0, prove_infeasibility: bool = True, threads: int | None = None,
+    M: Any,
+    q: ArrayLike | None = None,
+    *,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto",
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    absolute_tolerance: float = 0.0,
+    prove_infeasibility: bool = True,
+    threads: int | None = None,
 ) -> BatchResult: ...
 def solve_batch(
     M: Any,
@@ -204,15 +243,22 @@ def solve_batch(
     checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
     programs = _programs_of(M, q, lower, upper, z0)
     asked: dict[str, Any] = {
-        "tolerance": tolerance, "max_iterations": max_iterations, "prove_infeasibility": prove_infeasibility,
+        "tolerance": tolerance,
+        "max_iterations": max_iterations,
+        "prove_infeasibility": prove_infeasibility,
         "threads": 1,
     }
     if programs is not None:
         if z0 is not None or absolute_tolerance != 0.0:
-            raise InvalidOption("a batch of programs takes no z0 or absolute_tolerance; leave them out")
+            raise InvalidOption(
+                "a batch of programs takes no z0 or absolute_tolerance; leave them out"
+            )
         return ProgramBatchRun(programs, algorithm, asked, threads=checked, limit=limit).run()
     asked["absolute_tolerance"] = absolute_tolerance
-    every, defaults = {**asked, "algorithm": algorithm, "z0": z0}, {**(solve_batch.__kwdefaults__ or {}), "threads": 1}
+    every, defaults = (
+        {**asked, "algorithm": algorithm, "z0": z0},
+        {**(solve_batch.__kwdefaults__ or {}), "threads": 1},
+    )
     wishes = {name: wish for name, wish in every.items() if wish is not defaults[name]}
     if isinstance(M, FrictionalContactBatch):
         _refuse_data("contacts", "FrictionalContact(W, b, friction)", q, lower, upper)
@@ -220,9 +266,17 @@ def solve_batch(
         return ContactBatchRun(M, wishes, z0, threads=checked, limit=limit).run()
     items: Items
     if (kind := kind_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
-        write = {LCP: "problem, Q", QuadraticProgram: 'program, [{"b": b}, …]'}.get(type(M), "[problem]")
-        raise InvalidProblem(f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})")
-    others = {one: kind for one in M if (kind := kind_of(one)) is not None} if isinstance(M, Sequence) else {}
+        write = {LCP: "problem, Q", QuadraticProgram: 'program, [{"b": b}, …]'}.get(
+            type(M), "[problem]"
+        )
+        raise InvalidProblem(
+            f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})"
+        )
+    others = (
+        {one: kind for one in M if (kind := kind_of(one)) is not None}
+        if isinstance(M, Sequence)
+        else {}
+    )
     for one, kind in others.items():
         if "solve_batch" not in kind.ways:
             raise InvalidProblem(refusal("solve_batch", one))
@@ -250,7 +304,12 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
     if isinstance(M, QuadraticProgram) and q is not None:
         _refuse_data("the mappings", '[{"lower": …, "upper": …}]', None, lower, upper)
         return QuadraticProgramBatch.of(programs_for(M, q), M)
-    if z0 is None and isinstance(M, Sequence) and M and all(isinstance(one, QuadraticProgram) for one in M):
+    if (
+        z0 is None
+        and isinstance(M, Sequence)
+        and M
+        and all(isinstance(one, QuadraticProgram) for one in M)
+    ):
         _refuse_data("these problems", "new ones", q, lower, upper)
         return QuadraticProgramBatch.of(M, M[0])
     return None
@@ -259,25 +318,34 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> QuadraticPr
 def _checked_list(problems: Sequence[Any], q: Any, lower: Any, upper: Any) -> Sequence[LCP]:
     for k, problem in enumerate(problems):
         if not isinstance(problem, LCP):
-            raise InvalidProblem(f"a list of LCPs holds {type(problem).__name__} as item {k}; write LCP(M, q)")
+            raise InvalidProblem(
+                f"a list of LCPs holds {type(problem).__name__} as item {k}; write LCP(M, q)"
+            )
     _refuse_data("LCPs", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
     return problems
 
 
 def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
     if isinstance(q, str):
-        raise InvalidOption(f"an algorithm is named by algorithm={q!r}; what stands second are vectors")
+        raise InvalidOption(
+            f"an algorithm is named by algorithm={q!r}; what stands second are vectors"
+        )
     if not (q is None and lower is None and upper is None):
         raise InvalidOption(f"{what} bring q and their bounds; write {remedy} for others")
 
 
 @overload
 def solve_many(
-    problem: LCP, Q: ArrayLike | Sequence[ArrayLike], algorithm: str | Algorithm = "auto", **options: Any
+    problem: LCP,
+    Q: ArrayLike | Sequence[ArrayLike],
+    algorithm: str | Algorithm = "auto",
+    **options: Any,
 ) -> list[Result | LCPError]: ...
 @overload
 def solve_many(
-    problem: QuadraticProgram, Q: Sequence[Mapping[str, ArrayLike]], algorithm: str | Algorithm = "auto",
+    problem: QuadraticProgram,
+    Q: Sequence[Mapping[str, ArrayLike]],
+    algorithm: str | Algorithm = "auto",
     **options: Any,
 ) -> list[QuadraticProgramResult | LCPError]: ...
 def solve_many(problem: Any, Q: Any, algorithm: str | Algorithm = "auto", **options: Any) -> Any:

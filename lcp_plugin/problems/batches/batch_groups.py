@@ -47,7 +47,9 @@ class Group(NamedTuple):
         """Return the problems in these rows."""
         if rows.size == self.items.size:
             return self
-        return Group(self.items[rows], *(array if len(array) == 1 else array[rows] for array in self[1:]))
+        return Group(
+            self.items[rows], *(array if len(array) == 1 else array[rows] for array in self[1:])
+        )
 
     def vectors(self, *names: str) -> list[Any]:
         """Return these vectors of all problems, each of shape (k, n)."""
@@ -67,13 +69,19 @@ class Group(NamedTuple):
 def well_scaled(group: Group) -> Group:
     """Return the problems that the criterion does not scale; a compiled loop knows of no others."""
     are = are_well_scaled(group.M)
-    return group if are.all() else group.chosen(np.flatnonzero(are & np.ones(group.items.size, np.bool_)))
+    return (
+        group
+        if are.all()
+        else group.chosen(np.flatnonzero(are & np.ones(group.items.size, np.bool_)))
+    )
 
 
 def by_components(group: Group) -> tuple[Group, Group]:
     """Return the problems of one component, and those that may have several."""
     is_open = _may_have_components(group.M) & np.ones(group.items.size, np.bool_)
-    return group.chosen(np.flatnonzero(~is_open)) if is_open.any() else group, group.chosen(np.flatnonzero(is_open))
+    return group.chosen(np.flatnonzero(~is_open)) if is_open.any() else group, group.chosen(
+        np.flatnonzero(is_open)
+    )
 
 
 def _may_have_components(M: Any) -> BoolVector:
@@ -94,8 +102,13 @@ def answers_in_common_scaling(group: Group, phases: Phases, settings: Settings) 
     scaling = CommonScaling.of(problem)
     several = connected_components(problem.matrix)
     labels = np.zeros(count * n, np.int64) if several is None else several.labels
-    ends = np.append(labels[::n], labels.max() + 1)  # components are numbered in the order of their first rows
-    vectors = [read_only(getattr(scaling.problem, name).reshape(count, n)) for name in ("q", "lower", "upper")]
+    ends = np.append(
+        labels[::n], labels.max() + 1
+    )  # components are numbered in the order of their first rows
+    vectors = [
+        read_only(getattr(scaling.problem, name).reshape(count, n))
+        for name in ("q", "lower", "upper")
+    ]
     M, starts = group.M, group.starts
     if scaling.signs is not None:
         M = M * scaling.signs.reshape(count, n, 1)
@@ -105,12 +118,16 @@ def answers_in_common_scaling(group: Group, phases: Phases, settings: Settings) 
     for k in range(count):
         own = slice(ends[k], ends[k + 1])
         tolerance = beside_the_largest(least[own], most[own], settings.tolerance)
-        run_phases((M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers)
+        run_phases(
+            (M, *vectors, starts), phases, tolerance, settings.max_iterations, k, k + 1, answers
+        )
     certificate = Certificate.of(scaling.stated, scaling.outward(answers.z.reshape(-1)))
     answers.z[:] = certificate.z.reshape(count, n)
     largest, least = certificate.residuals_of_components
     for k in np.flatnonzero(answers.has_converged).tolist():
-        answers.residual[k] = largest_ratio(largest[ends[k]:ends[k + 1]], least[ends[k]:ends[k + 1]])
+        answers.residual[k] = largest_ratio(
+            largest[ends[k] : ends[k + 1]], least[ends[k] : ends[k + 1]]
+        )
     answers.terms[:] = certificate.term_residuals.reshape(count, n).max(axis=1)
     answers.has_converged &= within(answers.residual, answers.terms, settings.tolerance)
     return answers

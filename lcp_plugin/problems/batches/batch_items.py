@@ -73,8 +73,12 @@ class Listed(Items):
 
     def __init__(self, problems: Sequence[LCP], z0: Any) -> None:
         super().__init__(len(problems))
-        if z0 is not None and (isinstance(z0, str) or not hasattr(z0, "__len__") or len(z0) != len(problems)):
-            raise InvalidOption(f"z0 must be a list of {len(problems)} starts, one a problem, or None")
+        if z0 is not None and (
+            isinstance(z0, str) or not hasattr(z0, "__len__") or len(z0) != len(problems)
+        ):
+            raise InvalidOption(
+                f"z0 must be a list of {len(problems)} starts, one a problem, or None"
+            )
         self._problems, self._starts = problems, z0
         self.sizes = {problem.n for problem in problems}
 
@@ -89,7 +93,9 @@ class Listed(Items):
     def outer(self, left: Any, right: Any) -> Any:
         """Return a list of CSR arrays, on the pattern of each M; None where no z was found."""
         triples = zip(self._problems, left, right, strict=True)
-        return [outer_on_pattern(one.matrix, a, b) if a.size == one.n else None for one, a, b in triples]
+        return [
+            outer_on_pattern(one.matrix, a, b) if a.size == one.n else None for one, a, b in triples
+        ]
 
     def groups(self, *, every: bool = False) -> Iterator[Group]:
         """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
@@ -100,9 +106,16 @@ class Listed(Items):
             if not chosen:
                 continue
             matrices = {id(problem.matrix): as_dense(problem.matrix) for problem in chosen}
-            each = [matrices[id(problem.matrix)] for problem in chosen[: 1 if len(matrices) == 1 else None]]
-            vectors = (np.array([getattr(p, name) for p in chosen]) for name in ("q", "lower", "upper"))
-            yield Group(np.array(items), *map(read_only, (np.concatenate(each), *vectors, np.empty((1, 0)))))
+            each = [
+                matrices[id(problem.matrix)]
+                for problem in chosen[: 1 if len(matrices) == 1 else None]
+            ]
+            vectors = (
+                np.array([getattr(p, name) for p in chosen]) for name in ("q", "lower", "upper")
+            )
+            yield Group(
+                np.array(items), *map(read_only, (np.concatenate(each), *vectors, np.empty((1, 0))))
+            )
 
 
 class Stacked(Items):
@@ -115,14 +128,20 @@ class Stacked(Items):
         self._shared = self._M.ndim == 2
         n = self._M.shape[-1] if self._M.ndim else 0
         if self._M.ndim not in (2, 3) or self._M.shape[-2] != n:
-            raise InvalidProblem(f"M must have shape (B, n, n), or (n, n) for all, got {self._M.shape}")
+            raise InvalidProblem(
+                f"M must have shape (B, n, n), or (n, n) for all, got {self._M.shape}"
+            )
         if q is None:
-            raise InvalidProblem("q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none")
+            raise InvalidProblem(
+                "q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none"
+            )
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
         self._vectors = {name: rows_of_a_batch(values, name, n) for name, values in named.items()}
         bounds = without_huge(self._vectors["lower"], self._vectors["upper"])
         self._vectors["lower"], self._vectors["upper"] = bounds
-        counts = {name: rows.shape[0] for name, rows in self._vectors.items() if np.ndim(named[name]) == 2}
+        counts = {
+            name: rows.shape[0] for name, rows in self._vectors.items() if np.ndim(named[name]) == 2
+        }
         counts |= {} if self._shared else {"M": self._M.shape[0]}
         super().__init__(length_of_all(counts))
         self.sizes = {n}
@@ -133,7 +152,9 @@ class Stacked(Items):
         """Return what may not be a problem: numbers that are not finite, bounds that are none."""
         q, lower, upper = (self._vectors[name] for name in ("q", "lower", "upper"))
         with np.errstate(all="ignore"):
-            is_good = np.isfinite(q).all(1) & ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(1)
+            is_good = np.isfinite(q).all(1) & (
+                (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
+            ).all(1)
             if not self._shared:
                 is_good = is_good & np.isfinite(self._M.sum(axis=(1, 2)))
             if "z0" in self._vectors and not np.isfinite(self._vectors["z0"]).all():
@@ -195,9 +216,15 @@ class Stacked(Items):
             return
         M = np.ascontiguousarray(self._M) if self._base is None else as_dense(self._base.matrix)
         q, lower, upper = (self._vectors[name] for name in ("q", "lower", "upper"))
-        starts = np.clip(self._vectors["z0"], lower, upper) if "z0" in self._vectors else np.empty((1, 0))
+        starts = (
+            np.clip(self._vectors["z0"], lower, upper)
+            if "z0" in self._vectors
+            else np.empty((1, 0))
+        )
         is_whole = items.size == self.count
-        chosen = (a if a.shape[0] == 1 or is_whole else a[items] for a in (M, q, lower, upper, starts))
+        chosen = (
+            a if a.shape[0] == 1 or is_whole else a[items] for a in (M, q, lower, upper, starts)
+        )
         yield Group(items, *map(read_only, chosen))
 
 
@@ -206,7 +233,11 @@ def _tridiagonal(M: Any) -> list[int]:
     n = M.shape[-1]
     outside = abs(np.subtract.outer(np.arange(n), np.arange(n))) > 1
     suspects = np.flatnonzero(~M[:, 0, 2:].any(axis=1)).tolist()
-    return [k for k in suspects if not M[k][outside].any() and np.count_nonzero(M[k]) <= DENSE_ABOVE_DENSITY * n * n]
+    return [
+        k
+        for k in suspects
+        if not M[k][outside].any() and np.count_nonzero(M[k]) <= DENSE_ABOVE_DENSITY * n * n
+    ]
 
 
 def put(table: Any, items: Any, rows: Any) -> None:

@@ -43,10 +43,22 @@ class BatchLoop:
     """
 
     def __init__(
-        self, count: int, algorithm: str | Algorithm, wishes: dict[str, Any], errors: dict[int, LCPError], *,
-        threads: int, limit: float,
+        self,
+        count: int,
+        algorithm: str | Algorithm,
+        wishes: dict[str, Any],
+        errors: dict[int, LCPError],
+        *,
+        threads: int,
+        limit: float,
     ) -> None:
-        self.algorithm, self.wishes, self.errors, self.threads, self.limit = algorithm, wishes, errors, threads, limit
+        self.algorithm, self.wishes, self.errors, self.threads, self.limit = (
+            algorithm,
+            wishes,
+            errors,
+            threads,
+            limit,
+        )
         self.policy, self.settings = asked_of_solve(algorithm, wishes)
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
         self.is_open = np.ones(count, np.bool_)
@@ -60,7 +72,11 @@ class BatchLoop:
 
     def _in_chunks(self, solve_chunk: Callable[[int, int], None], count: int) -> None:
         """Call ``solve_chunk(first, end)`` for all items of a compiled loop, on the threads, while there is time."""
-        in_chunks(lambda first, end: solve_chunk(first, end) if self.has_time else None, count, self.threads)
+        in_chunks(
+            lambda first, end: solve_chunk(first, end) if self.has_time else None,
+            count,
+            self.threads,
+        )
 
     def run(self) -> Any:
         """Solve all, and gather what was found."""
@@ -126,7 +142,12 @@ class BatchAnswers(AnswerSequence[T]):
     status: Any
 
     def __init__(self, run: BatchLoop, answer_of: Callable[[int], T], *tables: Any) -> None:
-        self.status, self.seconds, self.errors, self._answer_of = run.status, run.seconds, run.errors, answer_of
+        self.status, self.seconds, self.errors, self._answer_of = (
+            run.status,
+            run.seconds,
+            run.errors,
+            answer_of,
+        )
         for table in (run.status, run.residual, *tables):
             if isinstance(table, np.ndarray):
                 table.flags.writeable = False
@@ -155,7 +176,9 @@ class BatchAnswers(AnswerSequence[T]):
     @cached_property
     def iterations(self) -> Any:
         """How many steps each took, shape (B,)."""
-        return np.array([0 if one is None else one.iterations for one in self._each], dtype=np.int64)
+        return np.array(
+            [0 if one is None else one.iterations for one in self._each], dtype=np.int64
+        )
 
     @property
     def _each(self) -> list[Any]:
@@ -211,7 +234,13 @@ class BatchRun(BatchLoop):
     """
 
     def __init__(
-        self, items: Items, algorithm: str | Algorithm, wishes: dict[str, Any], *, threads: int, limit: float
+        self,
+        items: Items,
+        algorithm: str | Algorithm,
+        wishes: dict[str, Any],
+        *,
+        threads: int,
+        limit: float,
     ) -> None:
         super().__init__(items.count, algorithm, wishes, items.errors, threads=threads, limit=limit)
         self.items, self.first = items, self.policy.first(_tiny())
@@ -238,7 +267,9 @@ class BatchRun(BatchLoop):
             if whole.items.size:
                 self._run_compiled(whole, phases)
             if in_components.items.size and self.has_time:
-                self._keep(in_components, answers_in_common_scaling(in_components, phases, self.settings))
+                self._keep(
+                    in_components, answers_in_common_scaling(in_components, phases, self.settings)
+                )
 
     def _phases(self) -> Phases | None:
         """Return the phases of the compiled loop that the caller's choice takes; None where it takes none."""
@@ -248,7 +279,15 @@ class BatchRun(BatchLoop):
         answers = Answers(*group.shape)
 
         def solve_chunk(first: int, end: int) -> None:
-            run_phases(group[1:], phases, self.settings.tolerance, self.settings.max_iterations, first, end, answers)
+            run_phases(
+                group[1:],
+                phases,
+                self.settings.tolerance,
+                self.settings.max_iterations,
+                first,
+                end,
+                answers,
+            )
 
         try:
             self._in_chunks(solve_chunk, group.items.size)
@@ -266,14 +305,20 @@ class BatchRun(BatchLoop):
 
     def _write(self, items: Any, z: Any, status: Status, residual: Any, iterations: Any) -> None:
         put(self.z, items, z if isinstance(z, list) else read_only(z))
-        self.status[items], self.residual[items], self.iterations[items] = status, residual, iterations
+        self.status[items], self.residual[items], self.iterations[items] = (
+            status,
+            residual,
+            iterations,
+        )
         self.is_open[items] = False
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         found = solve_lcp(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
         self.results[k] = found
         self.is_interrupted |= found.status is Status.INTERRUPTED
-        self._write([k], [found.z], found.status, found.certificate.relative_residual, found.iterations)
+        self._write(
+            [k], [found.z], found.status, found.certificate.relative_residual, found.iterations
+        )
 
     def result_of(self, k: int) -> Result:
         """Return the result of problem k, which has no error."""
@@ -282,11 +327,15 @@ class BatchRun(BatchLoop):
         which, at = self.place[:, k].tolist()
         if which < 0:  # not begun
             wishes = self.wishes | {"max_iterations": 0}
-            found = solve_lcp(self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes)
+            found = solve_lcp(
+                self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes
+            )
             return found if found.is_solved else replace(found, status=self.status[k])
         answer = self.compiled[which].solve_fused(at)
         assert answer is not None
-        certificate = Certificate.enclosed(self.items.problem(k), answer.z, answer.residual, answer.term_residual)
+        certificate = Certificate.enclosed(
+            self.items.problem(k), answer.z, answer.residual, answer.term_residual
+        )
         share = self.seconds / self.items.count
         return fused_result(certificate, self.policy, self.first, answer, self.settings, share)
 
@@ -330,5 +379,8 @@ class BatchResult(ComplementarityAnswers[Result]):
     @cached_property
     def w(self) -> Any:
         """M z + q of each problem, like z; computed when it is looked at."""
-        rows = [np.full(len(z), np.nan) if k in self.errors else self.items.slack(k, z) for k, z in enumerate(self.z)]
+        rows = [
+            np.full(len(z), np.nan) if k in self.errors else self.items.slack(k, z)
+            for k, z in enumerate(self.z)
+        ]
         return np.array(rows).reshape(self.z.shape) if isinstance(self.z, np.ndarray) else rows

@@ -33,7 +33,12 @@ class ContactBatchRun(MixedRun):
     """
 
     def __init__(
-        self, worlds: FrictionalContactBatch, wishes: dict[str, Any], z0: ArrayLike | None, *, threads: int,
+        self,
+        worlds: FrictionalContactBatch,
+        wishes: dict[str, Any],
+        z0: ArrayLike | None,
+        *,
+        threads: int,
         limit: float,
     ) -> None:
         super().__init__(worlds, wishes, worlds.errors, threads=threads, limit=limit)  # type: ignore[arg-type]
@@ -53,7 +58,13 @@ class ContactBatchRun(MixedRun):
         none, origins = np.full(worlds.b.shape, np.inf), np.zeros(worlds.b.shape)
         arrays = (worlds.W, worlds.b, *map(read_only, (-none, none, origins)), worlds.friction)
         found = run_loop(
-            starts, arrays, self.start.copy(), self.settings, self._in_chunks, has_friction=True, is_warm=self.is_warm
+            starts,
+            arrays,
+            self.start.copy(),
+            self.settings,
+            self._in_chunks,
+            has_friction=True,
+            is_warm=self.is_warm,
         )
         items = np.flatnonzero(found.is_proved & self.is_open)
         self.z[items], self.residual[items] = found.z[items], found.residual[items]
@@ -61,12 +72,12 @@ class ContactBatchRun(MixedRun):
         yield np.arange(len(worlds)), found
 
     def _start(self, k: int) -> dict[str, Any]:
-        return {"z0": self.start[k, :self.problems[k].n]} if self.is_warm else {}
+        return {"z0": self.start[k, : self.problems[k].n]} if self.is_warm else {}
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         super()._solve(k, wishes)
         found: Any = self.results[k]
-        self.z[k], self.z[k, :found.z.size] = 0.0, found.z
+        self.z[k], self.z[k, : found.z.size] = 0.0, found.z
         self.residual[k], self.iterations[k] = found.certificate.relative_residual, found.iterations
 
 

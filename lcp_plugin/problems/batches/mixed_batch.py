@@ -28,15 +28,22 @@ class MixedRun(BatchLoop):
     """
 
     def __init__(
-        self, problems: Sequence[Any], wishes: dict[str, Any], errors: dict[int, LCPError] | None = None, *,
-        threads: int, limit: float,
+        self,
+        problems: Sequence[Any],
+        wishes: dict[str, Any],
+        errors: dict[int, LCPError] | None = None,
+        *,
+        threads: int,
+        limit: float,
     ) -> None:
         self.named = {name: wish for name, wish in wishes.items() if name == "algorithm"}
         others = {name: wish for name, wish in wishes.items() if name != "algorithm"}
         super().__init__(len(problems), "auto", others, errors or {}, threads=threads, limit=limit)
         self.problems = problems
         self.results: dict[int, Answer] = {}
-        self.compiled: dict[int, tuple[LoopAnswers, int]] = {}  # what was found of its group, and its place
+        self.compiled: dict[
+            int, tuple[LoopAnswers, int]
+        ] = {}  # what was found of its group, and its place
 
     def _answers(self) -> Any:
         return AnswerList(self, self.result_of)
@@ -47,13 +54,21 @@ class MixedRun(BatchLoop):
         for group, found in self._loops():
             places = np.flatnonzero(found.is_proved & self.is_open[group])
             items = group[places]
-            self.compiled.update((k, (found, place)) for k, place in zip(items.tolist(), places.tolist(), strict=True))
+            self.compiled.update(
+                (k, (found, place))
+                for k, place in zip(items.tolist(), places.tolist(), strict=True)
+            )
             self.status[items], self.is_open[items] = Status.SOLVED, False
 
     def _loops(self) -> Iterator[tuple[Any, LoopAnswers]]:
         """Yield what the compiled loop makes of the items of each group."""
         for group in groups_of(self.problems):
-            yield group, solve_small([self.problems[k] for k in group.tolist()], self.settings, self._in_chunks)
+            yield (
+                group,
+                solve_small(
+                    [self.problems[k] for k in group.tolist()], self.settings, self._in_chunks
+                ),
+            )
 
     def _start(self, k: int) -> dict[str, Any]:
         """Return z0=, where there is one."""
@@ -67,10 +82,18 @@ class MixedRun(BatchLoop):
     def result_of(self, k: int) -> Any:
         """Return the answer to problem k, which has no error; one that was not begun has what its start has."""
         if k in self.compiled:
-            problem, (found, place), share = self.problems[k], self.compiled[k], self.seconds / len(self.problems)
-            return result_of_small(problem, found._replace(z=found.z[:, :problem.n]), place, self.settings, share)
+            problem, (found, place), share = (
+                self.problems[k],
+                self.compiled[k],
+                self.seconds / len(self.problems),
+            )
+            return result_of_small(
+                problem, found._replace(z=found.z[:, : problem.n]), place, self.settings, share
+            )
         if k not in self.results:
-            found = solve(self.problems[k], **self._start(k), **self.named, **self.wishes, max_seconds=0.0)
+            found = solve(
+                self.problems[k], **self._start(k), **self.named, **self.wishes, max_seconds=0.0
+            )
             self.results[k] = replace(found, status=self.status[k])
         return self.results[k]
 

@@ -37,11 +37,22 @@ class ProgramBatchRun(BatchLoop):
     """
 
     def __init__(
-        self, programs: QuadraticProgramBatch, algorithm: Any, wishes: dict[str, Any], *, threads: int, limit: float
+        self,
+        programs: QuadraticProgramBatch,
+        algorithm: Any,
+        wishes: dict[str, Any],
+        *,
+        threads: int,
+        limit: float,
     ) -> None:
         is_engine = isinstance(algorithm, str) and algorithm in ENGINES
         super().__init__(
-            len(programs), "auto" if is_engine else algorithm, wishes, {}, threads=threads, limit=limit
+            len(programs),
+            "auto" if is_engine else algorithm,
+            wishes,
+            {},
+            threads=threads,
+            limit=limit,
         )
         self.algorithm = algorithm
         programs.refuse_nonconvex()
@@ -56,7 +67,10 @@ class ProgramBatchRun(BatchLoop):
 
     def _leave(self, items: Any) -> None:
         self._forget(items)
-        lower, upper = (np.broadcast_to(self.programs.vectors[name], self.x.shape) for name in ("lower", "upper"))
+        lower, upper = (
+            np.broadcast_to(self.programs.vectors[name], self.x.shape)
+            for name in ("lower", "upper")
+        )
         self.x[items] = np.clip(0.0, lower[items], upper[items])
 
     def _solve_compiled(self) -> None:
@@ -70,7 +84,9 @@ class ProgramBatchRun(BatchLoop):
         def solve_chunk(first: int, end: int) -> None:
             for begin in range(first, end, at_once):
                 if self.has_time:
-                    self._answer_together(data, engine, may, slice(begin, min(begin + at_once, end)))
+                    self._answer_together(
+                        data, engine, may, slice(begin, min(begin + at_once, end))
+                    )
 
         self._in_chunks(solve_chunk, len(self.status))
 
@@ -78,7 +94,11 @@ class ProgramBatchRun(BatchLoop):
         """Ask the engine for each of these programs, and judge what it says of all."""
         P, c, C, d, lower, upper = (one[items] if len(one) > 1 else one for one in data)
         m, n, wanted = self.programs.sizes[0], c.shape[1], np.flatnonzero(may[items])
-        x, signed, steps = self.x[items], np.full((len(c), n + d.shape[1]), np.nan), self.steps[items]
+        x, signed, steps = (
+            self.x[items],
+            np.full((len(c), n + d.shape[1]), np.nan),
+            self.steps[items],
+        )
         points = engine.points(P, c, C, d, m, lower, upper, wanted.tolist())
         says = np.zeros(len(c), np.int64)
         for k, (at, multipliers, says[k], count) in zip(wanted.tolist(), points, strict=True):
@@ -86,12 +106,26 @@ class ProgramBatchRun(BatchLoop):
         y = signed[:, n:]
         y[:, :m] = np.maximum(y[:, :m], 0.0)
         of_bounds = beside_bounds(signed[:, :n], lower, upper)
-        self.x[items], self.y[items], self.at_bounds[:, items] = np.clip(x, lower, upper), y, of_bounds
+        self.x[items], self.y[items], self.at_bounds[:, items] = (
+            np.clip(x, lower, upper),
+            y,
+            of_bounds,
+        )
         with np.errstate(all="ignore"):
             errors = measured(
-                Terms.of_dense(P, C, self.x[items], y), c, d, m, lower, upper, self.x[items], y, *of_bounds
+                Terms.of_dense(P, C, self.x[items], y),
+                c,
+                d,
+                m,
+                lower,
+                upper,
+                self.x[items],
+                y,
+                *of_bounds,
             )
-            is_solved = np.isfinite(x).all(axis=1) & errors.decide(program_goal(self.settings.tolerance))
+            is_solved = np.isfinite(x).all(axis=1) & errors.decide(
+                program_goal(self.settings.tolerance)
+            )
         self.is_open[items] = ~is_solved
         self.status[np.flatnonzero(is_solved) + items.start] = Status.SOLVED
         self.residual[items] = np.where(is_solved, errors.largest, np.nan)
@@ -99,14 +133,21 @@ class ProgramBatchRun(BatchLoop):
             return
         goal = program_goal(self.settings.tolerance)
         for k in np.flatnonzero(~is_solved & (says == INFEASIBLE)).tolist():
-            if contradicting_multipliers(C[k if len(C) > 1 else 0], d[k], m, lower[k], upper[k], goal) is not None:
+            if (
+                contradicting_multipliers(
+                    C[k if len(C) > 1 else 0], d[k], m, lower[k], upper[k], goal
+                )
+                is not None
+            ):
                 at = items.start + k
                 self.is_open[at], self.status[at] = False, Status.STALLED
                 self._leave(np.array([at]))
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         self._forget(k)
-        result = self.results[k] = solve_program(self.programs[k], self.algorithm, z0=self.start, **wishes)
+        result = self.results[k] = solve_program(
+            self.programs[k], self.algorithm, z0=self.start, **wishes
+        )
         found = result.solution
         if result.is_solved and not result.is_compiled and self.programs.has_one_matrix:
             self.start = result.z  # a run goes on from the last one
@@ -124,12 +165,21 @@ class ProgramBatchRun(BatchLoop):
     def result_of(self, k: int) -> QuadraticProgramResult:
         """Return the result of program k, which has no error."""
         if k not in self.results:
-            goal, share = program_goal(self.settings.tolerance), self.clock.read() / max(len(self.status), 1)
+            goal, share = (
+                program_goal(self.settings.tolerance),
+                self.clock.read() / max(len(self.status), 1),
+            )
             multipliers = np.concatenate([self.y[k], *self.at_bounds[:, k]])
             solution = QPSolution.of_rows(self.programs[k], self.x[k], multipliers)
             by = f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE
             self.results[k] = QuadraticProgramResult(
-                self.status[k], solution, goal, by, int(self.steps[k]), share, self.settings.tolerance
+                self.status[k],
+                solution,
+                goal,
+                by,
+                int(self.steps[k]),
+                share,
+                self.settings.tolerance,
             )
         return self.results[k]
 
@@ -170,7 +220,12 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
     def __init__(self, run: ProgramBatchRun) -> None:
         m = run.programs.sizes[0]
         super().__init__(run, run.result_of, run.x, run.y, run.steps, run.at_bounds)
-        self.x, self.residual, self.iterations, self.programs = run.x, run.residual, run.steps, run.programs
+        self.x, self.residual, self.iterations, self.programs = (
+            run.x,
+            run.residual,
+            run.steps,
+            run.programs,
+        )
         self.inequality, self.equality = run.y[:, :m], run.y[:, m:]
         self.lower, self.upper = run.at_bounds
 

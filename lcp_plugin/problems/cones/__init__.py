@@ -32,8 +32,20 @@ _REFUSED: dict[str, str] = {
 
 def _kind(name: str, word: str) -> Kind:
     return Kind(
-        name, word, ("solve", "solve_batch", "march", "derivative", "save", "pickle", "cvxpy", "lcp-plugin solve"),
-        "solve(problem) solves it", _REFUSED,
+        name,
+        word,
+        (
+            "solve",
+            "solve_batch",
+            "march",
+            "derivative",
+            "save",
+            "pickle",
+            "cvxpy",
+            "lcp-plugin solve",
+        ),
+        "solve(problem) solves it",
+        _REFUSED,
     )
 
 

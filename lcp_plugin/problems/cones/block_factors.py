@@ -131,16 +131,23 @@ def _subtract(first, width, size, left, column, rows, right, targets, panel, wid
     begin, is_run = targets[first], targets[width - 1] - targets[first] == width - 1 - first
     for a in range(0, size, 3):  # three products at once
         b, c = min(a + 1, size - 1), min(a + 2, size - 1)
-        x, y = right[a * width + first:(a + 1) * width], right[b * width + first:(b + 1) * width]
-        z = right[c * width + first:(c + 1) * width]
+        x, y = (
+            right[a * width + first : (a + 1) * width],
+            right[b * width + first : (b + 1) * width],
+        )
+        z = right[c * width + first : (c + 1) * width]
         for r in range(rows):
-            one, two, three = left[a * width + column + r], left[b * width + column + r], left[c * width + column + r]
+            one, two, three = (
+                left[a * width + column + r],
+                left[b * width + column + r],
+                left[c * width + column + r],
+            )
             if c == b:
                 three = 0.0
             if b == a:
                 two = 0.0
             if is_run:
-                row = panel[r * wide + begin:r * wide + begin + x.size]
+                row = panel[r * wide + begin : r * wide + begin + x.size]
                 for i in range(x.size):
                     row[i] -= one * x[i] + two * y[i] + three * z[i]
             else:
@@ -152,17 +159,17 @@ def _subtract(first, width, size, left, column, rows, right, targets, panel, wid
 def _factor_own(size, width, own, lower):  # type: ignore[no-untyped-def]
     """Eliminate within the panels of a node; return whether no pivot was 0 or not a number."""
     for a in range(size):
-        pivot, above = own[a * width + a], own[a * width + a + 1:(a + 1) * width]
+        pivot, above = own[a * width + a], own[a * width + a + 1 : (a + 1) * width]
         if not abs(pivot) > 0.0:
             return False
         for b in range(a + 1, size):
-            factor, row = own[b * width + a] / pivot, own[b * width + a + 1:(b + 1) * width]
+            factor, row = own[b * width + a] / pivot, own[b * width + a + 1 : (b + 1) * width]
             own[b * width + a] = factor
             for c in range(row.size):
                 row[c] -= factor * above[c]
-        row = lower[a * width + size:(a + 1) * width]
+        row = lower[a * width + size : (a + 1) * width]
         for b in range(a):
-            factor, above = own[b * width + a], lower[b * width + size:(b + 1) * width]
+            factor, above = own[b * width + a], lower[b * width + size : (b + 1) * width]
             for c in range(row.size):
                 row[c] -= factor * above[c]
         for c in range(row.size):
@@ -177,7 +184,7 @@ def factor_blocks(  # type: ignore[no-untyped-def]
     """Factor in place; return whether no pivot was 0 or not a number."""
     for p in range(nodes):
         size, width = sizes[p], widths[p]
-        own, lower = U[panels[p]:panels[p + 1]], L[panels[p]:panels[p + 1]]
+        own, lower = U[panels[p] : panels[p + 1]], L[panels[p] : panels[p + 1]]
         if not _factor_own(size, width, own, lower):
             return False
         for at in range(begins[p], begins[p + 1]):
@@ -190,9 +197,20 @@ def factor_blocks(  # type: ignore[no-untyped-def]
                     theirs += 1
                 for c in range(sizes[later[other]]):
                     targets[columns[other] + c] = columns[theirs] + c
-            theirs_U, theirs_L = U[panels[q]:panels[q + 1]], L[panels[q]:panels[q + 1]]
+            theirs_U, theirs_L = U[panels[q] : panels[q + 1]], L[panels[q] : panels[q + 1]]
             _subtract(first, width, size, lower, first, sizes[q], own, targets, theirs_U, widths[q])
-            _subtract(first + sizes[q], width, size, own, first, sizes[q], lower, targets, theirs_L, widths[q])
+            _subtract(
+                first + sizes[q],
+                width,
+                size,
+                own,
+                first,
+                sizes[q],
+                lower,
+                targets,
+                theirs_L,
+                widths[q],
+            )
     return True
 
 
@@ -201,7 +219,11 @@ def solve_blocks(nodes, sizes, begins, later, columns, widths, panels, firsts, U
     """Overwrite the right-hand side, in the order of places, with the solution."""
     for p in range(nodes):
         size, width = sizes[p], widths[p]
-        own, lower, mine = U[panels[p]:panels[p + 1]], L[panels[p]:panels[p + 1]], x[firsts[p]:firsts[p + 1]]
+        own, lower, mine = (
+            U[panels[p] : panels[p + 1]],
+            L[panels[p] : panels[p + 1]],
+            x[firsts[p] : firsts[p + 1]],
+        )
         for a in range(size):
             for b in range(a):
                 mine[a] -= own[a * width + b] * mine[b]
@@ -212,7 +234,7 @@ def solve_blocks(nodes, sizes, begins, later, columns, widths, panels, firsts, U
                     x[firsts[q] + r] -= lower[a * width + columns[at] + r] * mine[a]
     for p in range(nodes - 1, -1, -1):
         size, width = sizes[p], widths[p]
-        own, mine = U[panels[p]:panels[p + 1]], x[firsts[p]:firsts[p + 1]]
+        own, mine = U[panels[p] : panels[p + 1]], x[firsts[p] : firsts[p + 1]]
         for a in range(size - 1, -1, -1):
             total = mine[a]
             for b in range(a + 1, size):

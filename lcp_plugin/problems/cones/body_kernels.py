@@ -53,7 +53,12 @@ def gather_arms(starts, mass_indptr, mass_indices, indptr, indices, data):  # ty
     inside, place = np.empty(v, np.int64), np.empty(v, np.int64)
     sizes = np.zeros(v, np.int64)
     label_components(mass_indptr, mass_indices, labels)
-    contacts, seen, met, shared = starts.size - 1, np.full(v, -1), np.zeros(v + 1, np.int64), np.zeros(v, np.int64)
+    contacts, seen, met, shared = (
+        starts.size - 1,
+        np.full(v, -1),
+        np.zeros(v + 1, np.int64),
+        np.zeros(v, np.int64),
+    )
     for k in range(contacts):
         for p in range(indptr[starts[k]], indptr[starts[k + 1]]):
             i = indices[p]
@@ -104,10 +109,22 @@ def gather_arms(starts, mass_indptr, mass_indices, indptr, indices, data):  # ty
 @helper
 def structure_of(links, nodes, sizes):  # type: ignore[no-untyped-def]
     """Return the place of each node in the elimination, and the panels' structure."""
-    place, degrees, near = np.empty(nodes, np.int64), np.empty(nodes, np.int64), np.empty(nodes + 64, np.int64)
+    place, degrees, near = (
+        np.empty(nodes, np.int64),
+        np.empty(nodes, np.int64),
+        np.empty(nodes + 64, np.int64),
+    )
     total = eliminate_in_order(links, nodes, place, degrees, near)
-    begins, later, columns = np.empty(nodes + 1, np.int64), np.empty(total, np.int64), np.empty(total, np.int64)
-    widths, panels, firsts = np.empty(nodes, np.int64), np.empty(nodes + 1, np.int64), np.empty(nodes + 1, np.int64)
+    begins, later, columns = (
+        np.empty(nodes + 1, np.int64),
+        np.empty(total, np.int64),
+        np.empty(total, np.int64),
+    )
+    widths, panels, firsts = (
+        np.empty(nodes, np.int64),
+        np.empty(nodes + 1, np.int64),
+        np.empty(nodes + 1, np.int64),
+    )
     lay_out(links, nodes, place, sizes, begins, later, columns, widths, panels, firsts, near)
     return place, begins, later, columns, widths, panels, firsts
 
@@ -163,7 +180,12 @@ def factor_of_bodies(  # type: ignore[no-untyped-def]
                         value += arms[arm + j * width + r] * by_speed[k, j, i]
                     total[r * m + i] = value
             for other in range(touched[k], touched[k + 1]):
-                p, q, long, reach = place[at_body[one]], place[at_body[other]], sizes[at_body[other]], at_arm[other]
+                p, q, long, reach = (
+                    place[at_body[one]],
+                    place[at_body[other]],
+                    sizes[at_body[other]],
+                    at_arm[other],
+                )
                 if p <= q:
                     first = panels[p] + column_of(p, q, begins, later, columns)
                     panel, down, along = U, widths[p], 1
@@ -176,7 +198,9 @@ def factor_of_bodies(  # type: ignore[no-untyped-def]
                         for i in range(m):
                             value += total[r * m + i] * arms[reach + i * long + c]
                         panel[first + r * down + c * along] += value
-    return factor_blocks(sizes.size, own, begins, later, columns, widths, panels, U, L, targets, total)
+    return factor_blocks(
+        sizes.size, own, begins, later, columns, widths, panels, U, L, targets, total
+    )
 
 
 @helper
@@ -197,7 +221,9 @@ def step_of_bodies(starts, bodies, structure, room, inverse, by_speed, R, x, ste
             for i in range(m):
                 for r in range(width):
                     x[here + r] += arms[at_arm[at] + i * width + r] * step[first + i]
-    solve_blocks(sizes.size, own, begins, later, columns, widths, panels, firsts, room[0], room[1], x)
+    solve_blocks(
+        sizes.size, own, begins, later, columns, widths, panels, firsts, room[0], room[1], x
+    )
     for k in range(starts.size - 1):
         first, m = starts[k], starts[k + 1] - starts[k]
         for at in range(touched[k], touched[k + 1]):

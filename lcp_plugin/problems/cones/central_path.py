@@ -23,7 +23,10 @@ Cones = NDArray[np.float64]  # shape (k, d)
 
 LEAST_SLOPE = 1e-3  # of the cones that the path is in: Newton's steps have the caller's
 TO_THE_BOUNDARY = 0.9
-SHORT, CENTRED = 0.1, (0.5, 0.9)  # a step that is no longer goes to the path instead, to these parts of σ
+SHORT, CENTRED = (
+    0.1,
+    (0.5, 0.9),
+)  # a step that is no longer goes to the path instead, to these parts of σ
 
 
 class CentralPath:
@@ -39,7 +42,10 @@ class CentralPath:
         speed = float(np.abs(problem.q.reshape(k, d) / self.scale).max(initial=0.0)) or 1.0
         self.x, self.y = np.zeros((k, d)), np.zeros((k, d))
         self.x[:, 0], self.y[:, 0] = speed / np.median(problem.scale), speed
-        self.identity, self.entries = np.broadcast_to(np.eye(d), (k, d, d)).copy(), np.empty(self.M.nnz)
+        self.identity, self.entries = (
+            np.broadcast_to(np.eye(d), (k, d, d)).copy(),
+            np.empty(self.M.nnz),
+        )
 
     @property
     def point(self) -> FloatVector:
@@ -53,7 +59,9 @@ class CentralPath:
 
         x, y, scale, M = self.x, self.y, self.scale, self.M
         H, root = scaling(x, y)
-        slip = y[:, 1:] / np.maximum(np.linalg.norm(y[:, 1:], axis=1), np.finfo(float).tiny)[:, None]
+        slip = (
+            y[:, 1:] / np.maximum(np.linalg.norm(y[:, 1:], axis=1), np.finfo(float).tiny)[:, None]
+        )
         G = self.identity.copy()
         G[:, 0, 1:] -= self.slope[:, None] * slip
         left = apply(G, scale * y).ravel() - M @ (x / scale).ravel() - self.problem.q
@@ -62,8 +70,17 @@ class CentralPath:
             return None
         indptr, indices = np.empty_like(M.indptr), np.empty_like(M.indices)
         newton_rows(
-            self.problem.starts, by_z, self.identity, M.indptr, M.indices, M.data, np.zeros(len(x)),
-            np.arange(x.size), indptr, indices, self.entries,
+            self.problem.starts,
+            by_z,
+            self.identity,
+            M.indptr,
+            M.indices,
+            M.data,
+            np.zeros(len(x)),
+            np.arange(x.size),
+            indptr,
+            indices,
+            self.entries,
         )
         J = sp.csr_array((self.entries, indices, indptr), shape=M.shape)
         factor = factorise(J, has_symmetric_pattern=True) if factor_fits(J) else None
@@ -81,7 +98,9 @@ class CentralPath:
         mean = float((x * y).sum()) / len(x)
         after = float(((x + length * dx) * (y + length * dy)).sum()) / len(x)
         at, moved = apply(root, x), apply(root, dx)
-        right = product(moved, at + moved) - product(at, at)  # root⁻¹ y = at, and root⁻¹ dy = −at − moved
+        right = product(moved, at + moved) - product(
+            at, at
+        )  # root⁻¹ y = at, and root⁻¹ dy = −at − moved
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
         dx, dy = direction(apply(root, quotient(right, at)))
         length = TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy))

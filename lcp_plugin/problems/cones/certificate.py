@@ -104,8 +104,12 @@ class ConeCertificate(Certificate):
         least, most = np.empty((2, cones.slope.size))
         bounds(*cones.arrays, *fresh_copies(self.point, w, slip, scale), least, most)
         if not cones.has_friction:  # 0 and a slack on the boundary of the dual cone, exactly
-            for k in np.flatnonzero((most > 0.0) & (self.z == 0.0) & (cones.sizes > 1) & (cones.norms(slip) == 0.0)):
-                own = [Fraction(value) for value in w[cones.starts[k]:cones.starts[k + 1]].tolist()]
+            for k in np.flatnonzero(
+                (most > 0.0) & (self.z == 0.0) & (cones.sizes > 1) & (cones.norms(slip) == 0.0)
+            ):
+                own = [
+                    Fraction(value) for value in w[cones.starts[k] : cones.starts[k + 1]].tolist()
+                ]
                 most[k] *= own[0] < 0 or own[0] ** 2 < sum(value**2 for value in own[1:])
         return least, most
 
@@ -165,8 +169,10 @@ class ConeCertificate(Certificate):
 
     def __str__(self) -> str:
         lines: list[tuple[str, Any]] = [
-            ("relative residual", self.relative_residual), ("natural residual", self.natural_residual),
-            ("term residual", self.term_residual), ("z · w", -self.dissipation),
+            ("relative residual", self.relative_residual),
+            ("natural residual", self.natural_residual),
+            ("term residual", self.term_residual),
+            ("z · w", -self.dissipation),
         ]
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
 
@@ -212,7 +218,10 @@ def _criterion(cones: Blocks) -> Criterion:
         weights = (1.0 if scaling is None else np.ldexp(1.0, -scaling.column)) / reference
     is_answered = (reference == 0.0)[cones.block_of_row]
     return Criterion(
-        references, scale, np.where(reference == 0.0, 0.0, weights), is_answered if is_answered.any() else None
+        references,
+        scale,
+        np.where(reference == 0.0, 0.0, weights),
+        is_answered if is_answered.any() else None,
     )
 
 

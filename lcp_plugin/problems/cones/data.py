@@ -63,7 +63,12 @@ class Blocks:
     is_distributed = False
 
     def __init__(self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: int) -> None:
-        self.rows, self.starts, self.slope, self.has_friction = rows, read_only(starts), read_only(slope), has_friction
+        self.rows, self.starts, self.slope, self.has_friction = (
+            rows,
+            read_only(starts),
+            read_only(slope),
+            has_friction,
+        )
         self._facts: dict[Any, Any] = {}  # of M alone: problems that differ in q share them
         self._lock = Lock()
 
@@ -119,11 +124,17 @@ class Blocks:
     def norms(self, values: FloatVector) -> FloatVector:
         """Return the Euclidean norm of each block, rounded upwards, shape (k,)."""
         with np.errstate(all="ignore"):
-            largest = np.maximum.reduceat(np.abs(values), self.starts[:-1]) if values.size else np.zeros(0)
+            largest = (
+                np.maximum.reduceat(np.abs(values), self.starts[:-1])
+                if values.size
+                else np.zeros(0)
+            )
             shares = values / np.where(largest > 0.0, largest, 1.0)[self.block_of_row]
             sums = np.add.reduceat(shares**2, self.starts[:-1]) if values.size else np.zeros(0)
             norms: FloatVector = np.where(
-                (self.sizes > 1) & (largest < np.inf), largest * np.sqrt(sums) * (1.0 + self.sizes * 2.0**-51), largest
+                (self.sizes > 1) & (largest < np.inf),
+                largest * np.sqrt(sums) * (1.0 + self.sizes * 2.0**-51),
+                largest,
             )
         return norms
 
@@ -157,7 +168,9 @@ class Blocks:
     @property
     def arrays(self) -> tuple[Any, ...]:
         """What kernels need to know of the blocks, read-only: one signature for unpickled ones, too."""
-        starts, slope, lower, upper = read_only_views(self.starts, self.slope, self.lower, self.upper)
+        starts, slope, lower, upper = read_only_views(
+            self.starts, self.slope, self.lower, self.upper
+        )
         return starts, slope, float(self.has_friction), lower, upper
 
     def projected(self, z: FloatVector) -> FloatVector:
@@ -167,7 +180,12 @@ class Blocks:
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:
         """Return the problem of some blocks alone, shape (k,): whole components, which no other block meets."""
         rows = blocks[self.block_of_row]
-        own = LCP(self.rows.csr[rows][:, rows], self.q[rows], lower=self.lower[rows], upper=self.upper[rows])
+        own = LCP(
+            self.rows.csr[rows][:, rows],
+            self.q[rows],
+            lower=self.lower[rows],
+            upper=self.upper[rows],
+        )
         starts = np.concatenate([[0], np.cumsum(self.sizes[blocks])])
         return Blocks(own, starts, self.slope[blocks], has_friction=self.has_friction)
 
@@ -184,7 +202,12 @@ class Blocks:
         from ...interfaces.files.files import save_arrays
 
         M = self.rows.csr
-        matrix = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
+        matrix = {
+            "data": M.data,
+            "indices": M.indices,
+            "indptr": M.indptr,
+            "shape": np.array(M.shape),
+        }
         save_arrays(path, {**matrix, "q": self.q, **self._shape()}, "a problem over cones")
 
     def _shape(self) -> dict[str, Any]:
@@ -238,7 +261,9 @@ class ConeProblem(Blocks):
         sizes, lower, upper, self.cones = _blocks(cones, rows.n)
         rows = rows.with_q(rows.q, lower=lower, upper=upper)
         starts = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]).astype(np.int64)
-        super().__init__(rows, starts, np.where(np.asarray(sizes) > 1, 1.0, 0.0), has_friction=False)
+        super().__init__(
+            rows, starts, np.where(np.asarray(sizes) > 1, 1.0, 0.0), has_friction=False
+        )
 
     @property
     def M(self) -> Any:
@@ -252,10 +277,15 @@ class ConeProblem(Blocks):
 
     def _shape(self) -> dict[str, Any]:
         kinds = [CONES.index(cone[0]) for cone in self.cones]
-        rows = [np.broadcast(*cone[1:]).size if cone[0] == "box" else int(cone[1]) for cone in self.cones]
+        rows = [
+            np.broadcast(*cone[1:]).size if cone[0] == "box" else int(cone[1])
+            for cone in self.cones
+        ]
         return {
-            "cone_kinds": np.array(kinds, np.int64), "cone_rows": np.array(rows, np.int64),
-            "lower": self.lower, "upper": self.upper,
+            "cone_kinds": np.array(kinds, np.int64),
+            "cone_rows": np.array(rows, np.int64),
+            "lower": self.lower,
+            "upper": self.upper,
         }
 
     def _words(self) -> str:
@@ -268,7 +298,9 @@ def with_other_q(problem: Any, q: ArrayLike, name: str) -> Any:
     other.__dict__.update(problem.__dict__)
     for computed in ("_criterion", "block_norms"):
         other.__dict__.pop(computed, None)
-    other.rows = problem.rows.with_q(checked_vector(q, name, problem.n), lower=problem.lower, upper=problem.upper)
+    other.rows = problem.rows.with_q(
+        checked_vector(q, name, problem.n), lower=problem.lower, upper=problem.upper
+    )
     return other
 
 
@@ -291,7 +323,19 @@ def _closed(problem: Blocks) -> tuple[Any, Matrix]:
     count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
     others, norms = np.empty(begins[-1], index), np.empty(begins[-1])
     closed_indices, closed = np.empty(closed_indptr[-1], index), np.empty(closed_indptr[-1])
-    fill_blocks(starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed)
+    fill_blocks(
+        starts,
+        of_row,
+        indptr,
+        indices,
+        data,
+        begins,
+        others,
+        norms,
+        closed_indptr,
+        closed_indices,
+        closed,
+    )
     return (
         sp.csr_array((closed, closed_indices, closed_indptr), shape=(n, n)),
         Matrix(sp.csr_array((norms, others, begins), shape=(k, k))),
@@ -304,11 +348,17 @@ def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:
     low, high = (np.atleast_1d(real_array(bound, need)) for bound in bounds)
     lengths = {bound.size for bound in (low, high)} - {1} or {1}
     if low.ndim > 1 or high.ndim > 1 or len(lengths) > 1:
-        remedy = "write np.ravel(lower), np.ravel(upper)" if low.size == high.size else "give both one length"
+        remedy = (
+            "write np.ravel(lower), np.ravel(upper)"
+            if low.size == high.size
+            else "give both one length"
+        )
         raise InvalidProblem(f"{need}, got shapes {low.shape} and {high.shape}; {remedy}")
     (rows,) = lengths
     low, high = (np.broadcast_to(bound, rows) for bound in (low, high))
-    return checked_limit(low, f"lower of {name}", rows), checked_limit(high, f"upper of {name}", rows)
+    return checked_limit(low, f"lower of {name}", rows), checked_limit(
+        high, f"upper of {name}", rows
+    )
 
 
 def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tuple[Any, ...]]:
@@ -320,7 +370,9 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
     for number, cone in enumerate(cones):
         kind = cone[0] if isinstance(cone, (tuple, list)) and cone else cone
         if not isinstance(kind, str) or kind not in CONES:
-            raise InvalidProblem(f"cones[{number}] = {cone!r} is no cone{did_you_mean(kind, CONES)}; {NEED_CONES}")
+            raise InvalidProblem(
+                f"cones[{number}] = {cone!r} is no cone{did_you_mean(kind, CONES)}; {NEED_CONES}"
+            )
         if len(cone) != (3 if kind == "box" else 2):
             raise InvalidProblem(
                 f"cones[{number}] = {cone!r} has {len(cone) - 1} numbers behind its name; {NEED_CONES}"
@@ -331,7 +383,9 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
         else:
             rows = cone[1]
             if not is_number(rows) or not 0 <= rows < np.inf or rows != int(rows):
-                raise InvalidProblem(f"cones[{number}] = {cone!r} must name a whole number of rows ≥ 0; {NEED_CONES}")
+                raise InvalidProblem(
+                    f"cones[{number}] = {cone!r} must name a whole number of rows ≥ 0; {NEED_CONES}"
+                )
             rows = int(rows)
             is_half = kind == "nonnegative" or (kind == "second_order" and rows == 1)
             low, high = np.full(rows, 0.0 if is_half else -np.inf), np.full(rows, np.inf)

@@ -33,7 +33,10 @@ REFINING = 1e-8  # of d, their proximal term: rounding moves no impulses that th
 BY_HAND = "; of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du"
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
 ROUNDING = 1e-12  # of a block's terms: z and w/d that are smaller are both 0
-PIECES, ALIKE = 20, 1e-12  # most that are tried for a direction, and the change of dz that tells that one is right
+PIECES, ALIKE = (
+    20,
+    1e-12,
+)  # most that are tried for a direction, and the change of dz that tells that one is right
 
 
 class ConeGradient(NamedTuple):
@@ -84,7 +87,11 @@ class ConeDerivative(Linearised):
         R = problem.residual(z, problem.slack(z))[0]
         largest = weighted(problem, R).max(initial=0.0)
         for _ in range(REFINEMENTS):
-            _, step = self._system.step(z, problem.slack(z), R, REFINING) if largest > EXACT else (0.0, None)
+            _, step = (
+                self._system.step(z, problem.slack(z), R, REFINING)
+                if largest > EXACT
+                else (0.0, None)
+            )
             if step is None:
                 break
             R, before = problem.residual(z + step, problem.slack(z + step))[0], largest
@@ -149,8 +156,14 @@ class ConeDerivative(Linearised):
         return piece
 
     def jvp(
-        self, *, dq: ArrayLike | None = None, dM: Any = None, dfriction: ArrayLike | None = None,
-        dlower: ArrayLike | None = None, dupper: ArrayLike | None = None, **named: Any,
+        self,
+        *,
+        dq: ArrayLike | None = None,
+        dM: Any = None,
+        dfriction: ArrayLike | None = None,
+        dlower: ArrayLike | None = None,
+        dupper: ArrayLike | None = None,
+        **named: Any,
     ) -> FloatVector:
         """Return the change dz, shape (n,), that changes of the data make; one-sided where blocks are degenerate.
 
@@ -174,7 +187,10 @@ class ConeDerivative(Linearised):
         dz = self._change(*changes)
         for _ in range(PIECES if self.degenerate.size else 0):
             of_bound = np.zeros(dz.size)
-            for change, is_there in ((dlower, self.z <= self.problem.lower), (dupper, self.z >= self.problem.upper)):
+            for change, is_there in (
+                (dlower, self.z <= self.problem.lower),
+                (dupper, self.z >= self.problem.upper),
+            ):
                 if change is not None:
                     of_bound[is_there] = np.asarray(change)[is_there]
             last, dz = dz, self._towards(dz - of_bound, self.dw(dz, dq=dq, dM=dM))._change(*changes)
@@ -191,8 +207,12 @@ class ConeDerivative(Linearised):
                 held[holds] = checked_vector(change, "dlower or dupper", n)[holds]
         if dfriction is not None:
             if not problem.has_friction:
-                raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper")
-            dfriction = np.full(problem.slope.size, dfriction) if is_number(dfriction) else dfriction
+                raise InvalidOption(
+                    "dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper"
+                )
+            dfriction = (
+                np.full(problem.slope.size, dfriction) if is_number(dfriction) else dfriction
+            )
             slopes = checked_vector(dfriction, "dfriction", problem.slope.size)
             more = self.by_friction * slopes[problem.block_of_row]
         dz: FloatVector = self.tangent(self._moved(dq, dM), held, more)
@@ -213,14 +233,22 @@ class ConeDerivative(Linearised):
         n, M = self.problem.n, self.problem.rows.csr
         by_w = np.zeros(n) if gw is None else checked_vector(gw, "gw", n)
         by_q, by_bound, by_friction = self.gradients(checked_vector(g, "g", n), by_w)
-        by_M = sp.csr_array((by_q[row_numbers(M)] * self.z[M.indices], M.indices, M.indptr), shape=M.shape)
+        by_M = sp.csr_array(
+            (by_q[row_numbers(M)] * self.z[M.indices], M.indices, M.indptr), shape=M.shape
+        )
         lower, upper = (np.where(holds, by_bound, 0.0) for holds in self._holds)
         return ConeGradient(by_q, by_M, by_friction, lower, upper)
 
-    def gradients(self, g: FloatVector, by_w: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:
+    def gradients(
+        self, g: FloatVector, by_w: FloatVector
+    ) -> tuple[FloatVector, FloatVector, FloatVector]:
         """Return the gradients by q, by the bounds that hold, and by friction, (k,)."""
         by_q, by_bound, multiplier = self.adjoint(g, by_w)
-        sums = np.add.reduceat(self.by_friction * multiplier, self.problem.starts[:-1]) if g.size else np.zeros(0)
+        sums = (
+            np.add.reduceat(self.by_friction * multiplier, self.problem.starts[:-1])
+            if g.size
+            else np.zeros(0)
+        )
         return by_q, by_bound, -sums
 
     def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
@@ -239,7 +267,10 @@ class ConeDerivative(Linearised):
     @cached_property
     def _holds(self) -> tuple[Any, Any]:
         """Which rows are at their lower bound, and which at the upper one."""
-        problem, at_bound = self.problem, ~self._is_free & (self.problem.sizes == 1)[self.problem.block_of_row]
+        problem, at_bound = (
+            self.problem,
+            ~self._is_free & (self.problem.sizes == 1)[self.problem.block_of_row],
+        )
         z, w = self._point
         is_lower = (z <= problem.lower) & ((z < problem.upper) | (w > 0.0))
         return at_bound & is_lower, at_bound & ~is_lower

@@ -39,22 +39,32 @@ def problem_of(content: Mapping[str, Any], source: str | PathLike[str]) -> Any:
         M, first, cones = content["M"], 0, []
         kinds, sizes = (_whole_numbers(content[name], name) for name in ("cone_kinds", "cone_rows"))
         if kinds.shape != sizes.shape:
-            raise InvalidProblem(f"cone_kinds names {kinds.size} cones, and cone_rows has the rows of {sizes.size}")
+            raise InvalidProblem(
+                f"cone_kinds names {kinds.size} cones, and cone_rows has the rows of {sizes.size}"
+            )
         if kinds.size and not 0 <= kinds.min() <= kinds.max() < len(CONES):
             raise InvalidProblem(f"cone_kinds must be 0 to {len(CONES) - 1}, got {kinds.tolist()}")
         for name in ("lower", "upper") if CONES.index("box") in kinds else ():
             if content[name].shape != (sizes.sum(),):
-                raise InvalidProblem(f"{name} must have shape ({sizes.sum()},), got {content[name].shape}")
+                raise InvalidProblem(
+                    f"{name} must have shape ({sizes.sum()},), got {content[name].shape}"
+                )
         for kind, rows in zip(kinds.tolist(), sizes.tolist(), strict=True):
             own = slice(first, first + rows)
             word = CONES[kind]
-            cones.append((word, content["lower"][own], content["upper"][own]) if word == "box" else (word, rows))
+            cones.append(
+                (word, content["lower"][own], content["upper"][own])
+                if word == "box"
+                else (word, rows)
+            )
             first += rows
         return ConeProblem(M, content["q"], cones)
     except KeyError as error:
         raise UnreadableFile(f"{Path(source)} lacks the key {error}; {LAYOUT}") from error
     except (InvalidProblem, ValueError, IndexError, TypeError) as error:
-        raise UnreadableFile(f"{Path(source)} states no problem over cones: {error}; {LAYOUT}") from error
+        raise UnreadableFile(
+            f"{Path(source)} states no problem over cones: {error}; {LAYOUT}"
+        ) from error
 
 
 def _whole_numbers(values: Any, name: str) -> Any:

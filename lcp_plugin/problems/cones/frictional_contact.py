@@ -10,7 +10,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, checked_vector, read_only, real_array, rectangular_matrix, restored
+from ...core.checks import (
+    FloatVector,
+    checked_vector,
+    read_only,
+    real_array,
+    rectangular_matrix,
+    restored,
+)
 from ...core.errors import InvalidProblem, LCPError
 from ...core.kind import Kind
 from ...core.lcp import LCP
@@ -97,8 +104,15 @@ class FrictionalContact(Blocks):
     bodies: Bodies | None = None
 
     def __new__(
-        cls, W: Any = None, b: Any = None, friction: Any = 0.0, *, gaps: Any = None, time_step: float | None = None,
-        contacts: ArrayLike | None = None, dimension: int | None = None,
+        cls,
+        W: Any = None,
+        b: Any = None,
+        friction: Any = 0.0,
+        *,
+        gaps: Any = None,
+        time_step: float | None = None,
+        contacts: ArrayLike | None = None,
+        dimension: int | None = None,
     ) -> Any:
         """Return a FrictionalContactBatch where there are worlds, an object to be initialised where there are none."""
         if contacts is None and not _has_worlds(W, b, friction, gaps):
@@ -108,11 +122,20 @@ class FrictionalContact(Blocks):
         )
 
     def __init__(
-        self, W: Any, b: ArrayLike, friction: ArrayLike, *, gaps: ArrayLike | None = None,
-        time_step: float | None = None, contacts: None = None, dimension: int | None = None,
+        self,
+        W: Any,
+        b: ArrayLike,
+        friction: ArrayLike,
+        *,
+        gaps: ArrayLike | None = None,
+        time_step: float | None = None,
+        contacts: None = None,
+        dimension: int | None = None,
     ) -> None:
         W, b, friction, self.bodies = _stated(W, b, friction, gaps, time_step, keeps_sparse=True)
-        need = "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
+        need = (
+            "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
+        )
         velocities = real_array(b, need)
         if velocities.ndim not in (1, 2):
             raise InvalidProblem(f"{need}, got shape {velocities.shape}")
@@ -121,17 +144,26 @@ class FrictionalContact(Blocks):
         offset = checked_vector(velocities.ravel(), "b", None)
         d = dimension_of(dimension, _shape_of(friction), offset.size)
         k = offset.size // d
-        mu = np.broadcast_to(checked_friction(friction, k, f"one a contact of {d} rows"), (k,)).copy()
+        mu = np.broadcast_to(
+            checked_friction(friction, k, f"one a contact of {d} rows"), (k,)
+        ).copy()
         warn_of_much_friction(mu, 3)
         W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         check_symmetric(W, "W", NEARLY_SYMMETRIC)
         rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
-        super().__init__(rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True)
+        super().__init__(
+            rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True
+        )
         self.dimension = d
 
     @classmethod
     def from_contacts(
-        cls, contacts: Any, friction: ArrayLike, velocities: ArrayLike, *, gaps: ArrayLike | None = None,
+        cls,
+        contacts: Any,
+        friction: ArrayLike,
+        velocities: ArrayLike,
+        *,
+        gaps: ArrayLike | None = None,
         time_step: float | None = None,
     ) -> FrictionalContact:
         """Return contacts as :meth:`lcp_plugin.LCP.from_contacts` takes them, with cones for pyramids.
@@ -166,9 +198,13 @@ class FrictionalContact(Blocks):
 
     def with_q(self, b: ArrayLike) -> FrictionalContact:
         """Return the problem with other velocities, shape (d k,); what depends on W alone is shared."""
-        other: FrictionalContact = with_other_q(self, np.ravel(real_array(b, "b must be a vector")), "b")
+        other: FrictionalContact = with_other_q(
+            self, np.ravel(real_array(b, "b must be a vector")), "b"
+        )
         if self.bodies is not None:
-            other.bodies = self.bodies._replace(velocities=None)  # b does not tell those of the bodies
+            other.bodies = self.bodies._replace(
+                velocities=None
+            )  # b does not tell those of the bodies
         return other
 
     def _shape(self) -> dict[str, Any]:
@@ -196,8 +232,15 @@ class FrictionalContactBatch:
     """
 
     def __init__(
-        self, W: Any, b: ArrayLike, friction: ArrayLike, *, gaps: ArrayLike | None = None,
-        time_step: float | None = None, contacts: ArrayLike | None = None, dimension: int | None = None,
+        self,
+        W: Any,
+        b: ArrayLike,
+        friction: ArrayLike,
+        *,
+        gaps: ArrayLike | None = None,
+        time_step: float | None = None,
+        contacts: ArrayLike | None = None,
+        dimension: int | None = None,
     ) -> None:
         W, b, friction, _ = _stated(W, b, friction, gaps, time_step, keeps_sparse=False)
         need = "b must have shape (B, d k) or (B, k, d), d = 3 in space and 2 in the plane"
@@ -206,26 +249,37 @@ class FrictionalContactBatch:
             raise InvalidProblem(f"{need}, got shape {offsets.shape}")
         if offsets.ndim == 3:
             dimension, offsets = offsets.shape[2], offsets.reshape(len(offsets), -1)
-        n, mu = offsets.shape[-1], real_array(friction, "friction must be a number, or have shape (k,) or (B, k)")
+        n, mu = (
+            offsets.shape[-1],
+            real_array(friction, "friction must be a number, or have shape (k,) or (B, k)"),
+        )
         self.dimension = d = dimension_of(dimension, mu.shape[-1:], n)
         k = n // d
         matrices = real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
         if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (n, n):
-            raise InvalidProblem(f"W must have shape (B, {n}, {n}), {n} as b has, got {matrices.shape}")
+            raise InvalidProblem(
+                f"W must have shape (B, {n}, {n}), {n} as b has, got {matrices.shape}"
+            )
         if mu.ndim > 2 or (mu.ndim and mu.shape[-1] != k):
-            raise InvalidProblem(f"friction must be a number, or have shape ({k},) or (B, {k}), got {mu.shape}")
+            raise InvalidProblem(
+                f"friction must be a number, or have shape ({k},) or (B, {k}), got {mu.shape}"
+            )
         stacks = {"W": (matrices, 3), "b": (offsets, 2), "friction": (mu, 2)}
         lengths = {name: len(array) for name, (array, ndim) in stacks.items() if array.ndim == ndim}
         if contacts is not None and np.ndim(contacts) == 1:
             lengths["contacts"] = len(np.asarray(contacts))
         if len({*lengths.values()}) > 1:
             given = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise InvalidProblem(f"all arrays with an axis for the worlds must be equally long, got {given}")
+            raise InvalidProblem(
+                f"all arrays with an axis for the worlds must be equally long, got {given}"
+            )
         count = next(iter(lengths.values()), 1)
         self.contacts = _checked_counts(contacts, count, k)
         shapes = (count, n, n), (count, n), (count, k)
-        own: Any = tuple(np.ascontiguousarray(np.broadcast_to(array, shape), np.float64)
-                         for array, shape in zip((matrices, offsets, mu), shapes, strict=True))
+        own: Any = tuple(
+            np.ascontiguousarray(np.broadcast_to(array, shape), np.float64)
+            for array, shape in zip((matrices, offsets, mu), shapes, strict=True)
+        )
         is_there = np.arange(k) < self.contacts[:, np.newaxis]
         if not is_there.all():
             own = _padded(own[0], own[1], own[2], is_there, d)
@@ -233,10 +287,15 @@ class FrictionalContactBatch:
         warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 4)
         with np.errstate(invalid="ignore", over="ignore"):
             difference = np.abs(self.W - self.W.swapaxes(1, 2)).max(axis=(1, 2), initial=0.0)
-            largest = np.maximum(self.W.max(axis=(1, 2), initial=0.0), -self.W.min(axis=(1, 2), initial=0.0))
+            largest = np.maximum(
+                self.W.max(axis=(1, 2), initial=0.0), -self.W.min(axis=(1, 2), initial=0.0)
+            )
             self._is_stated = (
-                (difference <= NEARLY_SYMMETRIC * largest) & (largest < np.inf) & np.isfinite(self.b).all(axis=1)
-                & (self.friction >= 0.0).all(axis=1) & (self.friction < np.inf).all(axis=1)
+                (difference <= NEARLY_SYMMETRIC * largest)
+                & (largest < np.inf)
+                & np.isfinite(self.b).all(axis=1)
+                & (self.friction >= 0.0).all(axis=1)
+                & (self.friction < np.inf).all(axis=1)
             )
 
     @property
@@ -266,7 +325,9 @@ class FrictionalContactBatch:
         from ...interfaces.files.files import save_arrays
 
         arrays = {"W": self.W, "b": self.b, "mu": self.friction, "contacts": self.contacts}
-        save_arrays(path, {**arrays, "dimension": np.array(self.dimension)}, "a batch of contact problems")
+        save_arrays(
+            path, {**arrays, "dimension": np.array(self.dimension)}, "a batch of contact problems"
+        )
 
     __setstate__ = restored
 
@@ -275,13 +336,18 @@ class FrictionalContactBatch:
 
     def __getitem__(self, i: int) -> FrictionalContact:
         if not isinstance(i, int | np.integer):
-            raise TypeError(f"a world is worlds[i], i a whole number, got {i!r}; several are a problem of W[…], b[…]")
+            raise TypeError(
+                f"a world is worlds[i], i a whole number, got {i!r}; several are a problem of W[…], b[…]"
+            )
         if not -len(self) <= i < len(self):
             raise IndexError(f"there are {len(self)} worlds, and none has the number {i}")
         count = int(self.contacts[i])
         rows = self.dimension * count
         return FrictionalContact(
-            self.W[i, :rows, :rows], self.b[i, :rows], self.friction[i, :count], dimension=self.dimension
+            self.W[i, :rows, :rows],
+            self.b[i, :rows],
+            self.friction[i, :count],
+            dimension=self.dimension,
         )
 
     def __iter__(self) -> Iterator[FrictionalContact]:
@@ -299,10 +365,14 @@ def _has_worlds(W: Any, b: Any, friction: Any, gaps: Any) -> bool:
         return True
     if not isinstance(W, tuple):
         matrix = _shape_of(W)
-        return len(matrix) > 2 or (len(given) == 2 and (given[1] > 3 or (given[0] != 1 and given[1:] == matrix[-1:])))
+        return len(matrix) > 2 or (
+            len(given) == 2 and (given[1] > 3 or (given[0] != 1 and given[1:] == matrix[-1:]))
+        )
     mass, normals, tangents = map(_shape_of, W) if len(W) == 3 else ((), (), ())
     d = 1 + math.prod(tangents) // max(math.prod(normals), 1)
-    return max(len(mass), len(normals)) > 2 or (len(given) == 2 and are_of_bodies(given, normals, d))
+    return max(len(mass), len(normals)) > 2 or (
+        len(given) == 2 and are_of_bodies(given, normals, d)
+    )
 
 
 def _shape_of(given: Any) -> tuple[int, ...]:
@@ -314,12 +384,20 @@ def _shape_of(given: Any) -> tuple[int, ...]:
 
 
 def _stated(
-    W: Any, b: Any, friction: Any, gaps: ArrayLike | None, time_step: float | None, *, keeps_sparse: bool
+    W: Any,
+    b: Any,
+    friction: Any,
+    gaps: ArrayLike | None,
+    time_step: float | None,
+    *,
+    keeps_sparse: bool,
 ) -> tuple[Any, Any, Any, Bodies | None]:
     """Return W, b, gaps included, friction, and the bodies, of one problem or of many."""
     if not isinstance(W, tuple) and gaps is None and time_step is None:
         return W, b, friction, None
-    data = checked_contacts(W, friction, b, gaps=gaps, time_step=time_step, keeps_sparse=keeps_sparse)
+    data = checked_contacts(
+        W, friction, b, gaps=gaps, time_step=time_step, keeps_sparse=keeps_sparse
+    )
     return data.W, data.until_contact(data.velocities, data.gaps), data.friction, data.bodies
 
 
@@ -327,8 +405,14 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
     if contacts is None:
         return np.full(count, k)
     counts = np.asarray(contacts)
-    if counts.shape != (count,) or counts.dtype.kind not in "iu" or ((counts < 0) | (counts > k)).any():
-        raise InvalidProblem(f"contacts must be {count} whole numbers from 0 to {k}, one a world, got {contacts!r}")
+    if (
+        counts.shape != (count,)
+        or counts.dtype.kind not in "iu"
+        or ((counts < 0) | (counts > k)).any()
+    ):
+        raise InvalidProblem(
+            f"contacts must be {count} whole numbers from 0 to {k}, one a world, got {contacts!r}"
+        )
     return counts.astype(np.int64)
 
 
@@ -355,5 +439,7 @@ def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int
         )
     if rows % d:
         need = "3, nor, in the plane, of 2" if given is None else d
-        raise InvalidProblem(f"{rows} rows are no multiple of {need}, the rows of a contact: normal, then tangents")
+        raise InvalidProblem(
+            f"{rows} rows are no multiple of {need}, the rows of a contact: normal, then tangents"
+        )
     return int(d)

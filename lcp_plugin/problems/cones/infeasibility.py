@@ -27,7 +27,9 @@ from .certificate import criterion_of
 from .data import Blocks
 from .methods import ConeAlgorithm, ConvexProgram
 
-DIGITS = 2.0**-20  # of the largest |y_i|, to which y is rounded: sums that cancel do so exactly then
+DIGITS = (
+    2.0**-20
+)  # of the largest |y_i|, to which y is rounded: sums that cancel do so exactly then
 MARGIN = 1e-3  # what is taken off the margin for the rounding of the sums in it
 
 
@@ -55,19 +57,26 @@ class NoImpulse:
         for i in np.flatnonzero(self.y):
             for p in range(M.indptr[i], M.indptr[i + 1]):
                 v[M.indices[p]] -= Fraction(float(M.data[p])) * y[i]
-        for k, (first, end) in enumerate(zip(problem.starts[:-1].tolist(), problem.starts[1:].tolist(), strict=True)):
+        for k, (first, end) in enumerate(
+            zip(problem.starts[:-1].tolist(), problem.starts[1:].tolist(), strict=True)
+        ):
             if end - first == 1:
                 is_free = problem.lower[first] == -np.inf and problem.upper[first] == np.inf
                 is_half = problem.lower[first] == 0.0 and problem.upper[first] == np.inf
-                if not (v[first] == 0 if is_free else (v[first] >= 0 and y[first] >= 0) if is_half
-                        else y[first] == 0 and v[first] == 0):
+                if not (
+                    v[first] == 0
+                    if is_free
+                    else (v[first] >= 0 and y[first] >= 0)
+                    if is_half
+                    else y[first] == 0 and v[first] == 0
+                ):
                     return False
                 continue
             mu = Fraction(float(problem.slope[k]))
-            tangents = sum(one**2 for one in v[first + 1:end])
+            tangents = sum(one**2 for one in v[first + 1 : end])
             if v[first] < 0 or v[first] ** 2 < mu**2 * tangents or y[first] < 0:
                 return False
-            own = sum(one**2 for one in y[first + 1:end])
+            own = sum(one**2 for one in y[first + 1 : end])
             if own > (0 if problem.has_friction else mu**2 * y[first] ** 2):
                 return False
         return sum(Fraction(q) * one for q, one in zip(problem.q.tolist(), y, strict=True)) < 0
@@ -76,7 +85,11 @@ class NoImpulse:
     def margin(self) -> float:
         """What no residual beside the reference of its component is smaller than, as the criterion measures it."""
         problem, criterion = self.problem, criterion_of(self.problem)
-        total = sum(Fraction(q) * Fraction(y) for q, y in zip(problem.q.tolist(), self.y.tolist(), strict=True) if y)
+        total = sum(
+            Fraction(q) * Fraction(y)
+            for q, y in zip(problem.q.tolist(), self.y.tolist(), strict=True)
+            if y
+        )
         with np.errstate(all="ignore"):
             mu = np.where(problem.sizes > 1, problem.slope, 0.0)
             of_y = np.sqrt(1.0 + mu**2) * criterion.scale * problem.norms(self.y)
@@ -94,7 +107,9 @@ class NoImpulse:
 
     def __str__(self) -> str:
         blocks = np.unique(self.problem.block_of_row[self.y != 0.0])
-        named = ", ".join(map(str, blocks[:5])) + ("" if blocks.size <= 5 else f" and {blocks.size - 5} more")
+        named = ", ".join(map(str, blocks[:5])) + (
+            "" if blocks.size <= 5 else f" and {blocks.size - 5} more"
+        )
         return (
             f"blocks {named}: a sum of their slacks with weights of the dual cone is negative whatever z is, by "
             f"{self.margin:.1e} of the reference at the least"
@@ -123,7 +138,11 @@ def infeasibility_proof(problem: Blocks) -> NoImpulse | None:
     for first, end in zip(problem.starts[:-1].tolist(), problem.starts[1:].tolist(), strict=True):
         is_half = problem.lower[first] == 0.0 and problem.upper[first] == np.inf
         is_free = problem.lower[first] == -np.inf and problem.upper[first] == np.inf
-        own = slice(first, first + 1) if end - first == 1 or problem.has_friction else slice(first, end)
+        own = (
+            slice(first, first + 1)
+            if end - first == 1 or problem.has_friction
+            else slice(first, end)
+        )
         if end - first == 1 and not (is_half or is_free):
             continue
         rows.append(-(identity[own] @ M))
@@ -138,7 +157,7 @@ def infeasibility_proof(problem: Blocks) -> NoImpulse | None:
     found = program.solve(nothing, np.zeros(n), sp.vstack(rows), np.concatenate(limits), cones)
     if "PrimalInfeasible" not in str(found.status):
         return None
-    dual, where = np.asarray(found.z)[program.limits.size:], np.concatenate(places)
+    dual, where = np.asarray(found.z)[program.limits.size :], np.concatenate(places)
     y = np.zeros(n)
     y[where] = dual
     size = np.abs(y).max(initial=0.0)

@@ -15,7 +15,11 @@ from ...core.kernels.enclosures import row_ends
 from ...core.kernels.floats import NEGLIGIBLE, TINY, UNIT
 
 OUTWARD = 1.0 + 2.0**-48  # of a handful of roundings
-OUT, WITHIN, ON = 0, 1, 2  # where a projection lies: at the apex or a bound, inside, on the boundary
+OUT, WITHIN, ON = (
+    0,
+    1,
+    2,
+)  # where a projection lies: at the apex or a bound, inside, on the boundary
 LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for one block
 TURN = 0.5  # radians a step of Newton turns at the most
 ACCURATE = 1e-14
@@ -61,7 +65,11 @@ def _face(x, first, mu, edges):  # type: ignore[no-untyped-def]
     normal, a, b = x[first], x[first + 1], x[first + 2]
     number, c, s, turn = _edge_at(a, b, edges)
     half = 0.5 * turn if c * b >= s * a else -0.5 * turn
-    way_x, way_y, slope = np.cos(turn * number + half), np.sin(turn * number + half), mu * np.cos(half)
+    way_x, way_y, slope = (
+        np.cos(turn * number + half),
+        np.sin(turn * number + half),
+        mu * np.cos(half),
+    )
     pull = way_x * a + way_y * b
     if pull <= slope * normal and normal >= 0.0:
         return WITHIN, way_x, way_y, slope
@@ -192,10 +200,17 @@ def block_bounds(  # type: ignore[no-untyped-def]
     wide = tangent_of(slip, first - 1, end)
     stretch = 1.0 + mu if friction else 1.0
     inner = mu * np.cos(np.pi / friction) if friction > 1.0 else mu
-    is_inner = case == WITHIN and own < 0.5 * (inner * z[first] - tangent_of(z, first, end)) / (1.0 + mu)
-    pushed = abs(w[first]) if friction and case != WITHIN else stretch * tangent_of(w, first - 1, end)
+    is_inner = case == WITHIN and own < 0.5 * (inner * z[first] - tangent_of(z, first, end)) / (
+        1.0 + mu
+    )
+    pushed = (
+        abs(w[first]) if friction and case != WITHIN else stretch * tangent_of(w, first - 1, end)
+    )
     terms = (0.0 if is_inner else here) + (pushed + stretch * wide) / scale[k]
-    off = OUTWARD * (stretch * wide / scale[k] + 4.0 * (size + 8.0) * UNIT * (1.0 + mu) * terms) + 4.0 * TINY
+    off = (
+        OUTWARD * (stretch * wide / scale[k] + 4.0 * (size + 8.0) * UNIT * (1.0 + mu) * terms)
+        + 4.0 * TINY
+    )
     if not (own < np.inf and off < np.inf):
         return 0.0, np.inf
     needed = 0.0 if friction else OUTWARD * (tangent_of(w, first, end) + wide)
@@ -215,8 +230,26 @@ def bounds(starts, slope, friction, lower, upper, z, w, slip, scale, least, most
 
 @helper
 def own_terms(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, near, slack, R, terms,
-    longest, most, wrong
+    starts,
+    slope,
+    friction,
+    lower,
+    upper,
+    indptr,
+    indices,
+    data,
+    q,
+    scale,
+    labels,
+    z,
+    w,
+    near,
+    slack,
+    R,
+    terms,
+    longest,
+    most,
+    wrong,
 ):
     """Write into `wrong` how wrong each block is beside its own terms, squared: the guard of the criterion.
 
@@ -234,7 +267,9 @@ def own_terms(  # type: ignore[no-untyped-def]
             elif case == ON:
                 near[i] += R[i] - w[i] / scale[k]
         if case == ON:
-            near[first] -= min(friction, 1.0) * slope[k] * slip_of(w, first, end, friction)[0] / scale[k]
+            near[first] -= (
+                min(friction, 1.0) * slope[k] * slip_of(w, first, end, friction)[0] / scale[k]
+            )
             _project(near, first, end, slope[k], friction)
     for i in range(q.size):
         slack[i], terms[i] = q[i], abs(q[i])
@@ -266,8 +301,26 @@ def term_residuals(  # type: ignore[no-untyped-def]
     """Write into `wrong` how wrong each block is beside its own terms, squared; see own_terms."""
     n = q.size
     own_terms(
-        starts, slope, friction, lower, upper, indptr, indices, data, q, scale, labels, z, w, np.empty(n), np.empty(n),
-        np.empty(n), np.empty(n), np.empty(wrong.size), np.empty(wrong.size), wrong,
+        starts,
+        slope,
+        friction,
+        lower,
+        upper,
+        indptr,
+        indices,
+        data,
+        q,
+        scale,
+        labels,
+        z,
+        w,
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(wrong.size),
+        np.empty(wrong.size),
+        wrong,
     )
 
 
@@ -294,14 +347,19 @@ def block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, w
         if case == OUT:
             return
         is_edge, share = case == EDGE, 0.0 if case == WITHIN else 1.0 / (1.0 + leans * leans)
-        way[0], way[1], way[2] = (1.0, leans * way_x, leans * way_y) if is_edge else (-leans, way_x, way_y)
+        way[0], way[1], way[2] = (
+            (1.0, leans * way_x, leans * way_y) if is_edge else (-leans, way_x, way_y)
+        )
         for i in range(size):
             for j in range(size):
                 outer = share * way[i] * way[j]
                 outer = outer if is_edge else (1.0 if i == j else 0.0) - outer
                 by_z[i, j] -= outer
                 by_w[i, j] = outer / scale[k]
-            by_w[i, 1], by_w[i, 2] = by_w[i, 1] + by_w[i, 0] * mu * slip_x, by_w[i, 2] + by_w[i, 0] * mu * slip_y
+            by_w[i, 1], by_w[i, 2] = (
+                by_w[i, 1] + by_w[i, 0] * mu * slip_x,
+                by_w[i, 2] + by_w[i, 0] * mu * slip_y,
+            )
         return
     if mu * tangent <= -x[0] and not tangent <= mu * x[0]:
         return
@@ -336,7 +394,9 @@ def derivatives(starts, slope, friction, lower, upper, z, w, scale, by_z, by_w):
     """Write an element of the generalised derivative of R by z and by w, blocks of shape (k, m, m)."""
     x, way = np.empty(by_z.shape[1]), np.empty(by_z.shape[1])
     for k in range(slope.size):
-        block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
+        block_derivative(
+            k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k]
+        )
 
 
 @kernel
@@ -352,7 +412,12 @@ def newton_rows(  # type: ignore[no-untyped-def]
         first, end = starts[k], starts[k + 1]
         if place[first] < 0:
             continue
-        size, begin, length, filled = end - first, found_indptr[place[first]], indptr[first + 1] - indptr[first], 0
+        size, begin, length, filled = (
+            end - first,
+            found_indptr[place[first]],
+            indptr[first + 1] - indptr[first],
+            0,
+        )
         for p in range(length):
             filled += place[indices[indptr[first] + p]] >= 0
         for i in range(size):
@@ -381,7 +446,9 @@ def block_products(starts, blocks, is_transposed, v, found):  # type: ignore[no-
         for i in range(size):
             found[first + i] = 0.0
             for j in range(size):
-                found[first + i] += (blocks[k, j, i] if is_transposed else blocks[k, i, j]) * v[first + j]
+                found[first + i] += (blocks[k, j, i] if is_transposed else blocks[k, i, j]) * v[
+                    first + j
+                ]
 
 
 @kernel
@@ -394,7 +461,11 @@ def count_blocks(starts, of_row, indptr, indices, begins, closed_indptr):  # typ
         for p in range(indptr[starts[k]], indptr[starts[k + 1]]):
             other = of_row[indices[p]]
             if seen[other] != k:
-                seen[other], count, length = k, count + 1, length + starts[other + 1] - starts[other]
+                seen[other], count, length = (
+                    k,
+                    count + 1,
+                    length + starts[other + 1] - starts[other],
+                )
         begins[k + 1] = begins[k] + count
         for i in range(starts[k], starts[k + 1]):
             closed_indptr[i + 1] = closed_indptr[i] + length
@@ -402,7 +473,17 @@ def count_blocks(starts, of_row, indptr, indices, begins, closed_indptr):  # typ
 
 @kernel
 def fill_blocks(  # type: ignore[no-untyped-def]
-    starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed
+    starts,
+    of_row,
+    indptr,
+    indices,
+    data,
+    begins,
+    others,
+    norms,
+    closed_indptr,
+    closed_indices,
+    closed,
 ):
     """Write M with all entries of its blocks, zeros where it has none, as CSR; and which `others`, and their norms.
 
@@ -440,12 +521,16 @@ def fill_blocks(  # type: ignore[no-untyped-def]
             other, largest, total = others[at], 0.0, 0.0
             width = starts[other + 1] - starts[other]
             for i in range(first, end):
-                for p in range(closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width):
+                for p in range(
+                    closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width
+                ):
                     largest = max(largest, abs(closed[p]))
             unit = max(largest, LEAST)
             share = 1.0 / unit
             for i in range(first, end):
-                for p in range(closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width):
+                for p in range(
+                    closed_indptr[i] + offset[other], closed_indptr[i] + offset[other] + width
+                ):
                     total += (closed[p] * share) ** 2
             norms[at] = min(unit * np.sqrt(total), LARGEST)
             if other == k:
@@ -464,9 +549,21 @@ def _solve_three(A, b, x):  # type: ignore[no-untyped-def]
     if not abs(det) > ACCURATE * abs(A[0, 0]) * max(abs(A[1, 1] * A[2, 2]), abs(A[1, 2] * A[2, 1])):
         return False
     det = -det
-    x[0] = (b[0] * a + A[0, 1] * (A[1, 2] * b[2] - b[1] * A[2, 2]) + A[0, 2] * (b[1] * A[2, 1] - A[1, 1] * b[2])) / det
-    x[1] = (A[0, 0] * (b[1] * A[2, 2] - A[1, 2] * b[2]) + b[0] * c + A[0, 2] * (A[1, 0] * b[2] - b[1] * A[2, 0])) / det
-    x[2] = (A[0, 0] * (A[1, 1] * b[2] - b[1] * A[2, 1]) + A[0, 1] * (b[1] * A[2, 0] - A[1, 0] * b[2]) + b[0] * e) / det
+    x[0] = (
+        b[0] * a
+        + A[0, 1] * (A[1, 2] * b[2] - b[1] * A[2, 2])
+        + A[0, 2] * (b[1] * A[2, 1] - A[1, 1] * b[2])
+    ) / det
+    x[1] = (
+        A[0, 0] * (b[1] * A[2, 2] - A[1, 2] * b[2])
+        + b[0] * c
+        + A[0, 2] * (A[1, 0] * b[2] - b[1] * A[2, 0])
+    ) / det
+    x[2] = (
+        A[0, 0] * (A[1, 1] * b[2] - b[1] * A[2, 1])
+        + A[0, 1] * (b[1] * A[2, 0] - A[1, 0] * b[2])
+        + b[0] * e
+    ) / det
     return True
 
 
@@ -489,7 +586,11 @@ def _slide_on_pyramid(A, b, mu, edges, x):  # type: ignore[no-untyped-def]
         if ahead * last < 0.0:
             before = was_u * (c - was_c) + was_v * (s - was_s)
             share = before / (before - u * (c - was_c) - v * (s - was_s))
-            push, c, s = was_push + share * (push - was_push), was_c + share * (c - was_c), was_s + share * (s - was_s)
+            push, c, s = (
+                was_push + share * (push - was_push),
+                was_c + share * (c - was_c),
+                was_s + share * (s - was_s),
+            )
         if ahead * last < 0.0 or ahead == 0.0:
             x[0] = -b[0] / push
             x[1], x[2] = mu * x[0] * c, mu * x[0] * s
@@ -511,7 +612,9 @@ def _one_contact(A, b, mu, friction, x):  # type: ignore[no-untyped-def]
         x[:] = 0.0
         return True
     was_x, was_y = x[1], x[2]
-    is_solved = _solve_three(A, b, x) and x[1] * x[1] + x[2] * x[2] <= mu * mu * x[0] * x[0] and x[0] >= 0.0
+    is_solved = (
+        _solve_three(A, b, x) and x[1] * x[1] + x[2] * x[2] <= mu * mu * x[0] * x[0] and x[0] >= 0.0
+    )
     if is_solved and (not friction > 1.0 or _face(x, FIRST, mu, friction)[0] == WITHIN):
         return True
     if mu == 0.0:
@@ -530,7 +633,10 @@ def _one_contact(A, b, mu, friction, x):  # type: ignore[no-untyped-def]
             return False
         x[0] = -b[0] / push
         change = -x[0] / push * mu * (A[0, 2] * c - A[0, 1] * s)
-        row_x, row_y = A[1, 0] + mu * (A[1, 1] * c + A[1, 2] * s), A[2, 0] + mu * (A[2, 1] * c + A[2, 2] * s)
+        row_x, row_y = (
+            A[1, 0] + mu * (A[1, 1] * c + A[1, 2] * s),
+            A[2, 0] + mu * (A[2, 1] * c + A[2, 2] * s),
+        )
         u, v = row_x * x[0] + b[1], row_y * x[0] + b[2]
         du = row_x * change + mu * x[0] * (A[1, 2] * c - A[1, 1] * s)
         dv = row_y * change + mu * x[0] * (A[2, 2] * c - A[2, 1] * s)
@@ -568,7 +674,22 @@ def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-un
 
 @helper
 def sweep_once(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, w, before
+    starts,
+    slope,
+    friction,
+    lower,
+    upper,
+    indptr,
+    indices,
+    data,
+    q,
+    diagonal,
+    steps,
+    z,
+    b,
+    x,
+    w,
+    before,
 ):
     """Solve each block with the others as they are; return the largest change, in the unit of z."""
     moved = 0.0
@@ -621,7 +742,22 @@ def sweep(  # type: ignore[no-untyped-def]
     b, x, w, before, moved = np.empty(m), np.empty(m), np.empty(m), np.empty(m), 0.0
     for _ in range(sweeps):
         moved = sweep_once(
-            starts, slope, friction, lower, upper, indptr, indices, data, q, diagonal, steps, z, b, x, w, before
+            starts,
+            slope,
+            friction,
+            lower,
+            upper,
+            indptr,
+            indices,
+            data,
+            q,
+            diagonal,
+            steps,
+            z,
+            b,
+            x,
+            w,
+            before,
         )
     return moved
 
@@ -663,4 +799,6 @@ def measured(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
 ):
     """Write w and R; return the largest ‖R_k‖ times weights, and their norm."""
-    return measure(starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R)
+    return measure(
+        starts, slope, friction, lower, upper, indptr, indices, data, q, scale, weights, z, w, R
+    )

@@ -27,17 +27,28 @@ SHORTEST = 14  # halvings of a step
 DECREASE = 1e-4  # of the residual, times the length of the step
 PATIENCE = 60  # steps of Newton without a residual that is so much smaller than the best before
 GAIN = 0.9
-FIRST_SHARE, LEAST_FRICTION = 0.25, 1e-4  # of friction that continuation adds: at first, and at the least
+FIRST_SHARE, LEAST_FRICTION = (
+    0.25,
+    1e-4,
+)  # of friction that continuation adds: at first, and at the least
 STEPS_A_SHARE = 60  # of Newton's method for one share of friction
 NEAR_THE_PATH, AT_ITS_END = 1e-6, 1e-10  # the residuals that end them
 PROGRAMS = 5  # convex ones without
-NEAR, LAST_STEPS = 1e-5, 30  # the residual from where Newton's steps follow the central path, and how many do
+NEAR, LAST_STEPS = (
+    1e-5,
+    30,
+)  # the residual from where Newton's steps follow the central path, and how many do
 MOST_STEPS, NO_GAIN = 80, 12  # of the central path, and those without a new best
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d, in the systems of Newton's steps
 SPREAD = 1.0
-ACCURATE = 1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
+ACCURATE = (
+    1e-4  # what a factor may leave of the right-hand side: a system that leaves more is singular
+)
 EXACT = 2.0**-46  # the relative residual that a last linear system hardly makes smaller
-HARDER, EASIER = 100.0, 0.01  # times the proximal term: of a singular system, and after a full step with no GAIN
+HARDER, EASIER = (
+    100.0,
+    0.01,
+)  # times the proximal term: of a singular system, and after a full step with no GAIN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +60,9 @@ class ConeAlgorithm(Algorithm):
 
 def _check_sweeps(method: Any) -> None:
     if isinstance(method.sweeps, bool) or not isinstance(method.sweeps, int) or method.sweeps < 1:
-        raise InvalidOption(f"{method.name}: sweeps must be a whole number ≥ 1, got {method.sweeps!r}")
+        raise InvalidOption(
+            f"{method.name}: sweeps must be a whole number ≥ 1, got {method.sweeps!r}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +79,9 @@ class NPGS(ConeAlgorithm):
 
     name = "npgs"
     needs = "blocks on the diagonal that are positive definite"
-    solves = "cones without friction, M symmetric positive definite (descent by blocks); else observed"
+    solves = (
+        "cones without friction, M symmetric positive definite (descent by blocks); else observed"
+    )
     cost = "one product with M a sweep"
     reference = "Jourdan, Alart, Jean 1998, doi:10.1016/S0045-7825(97)00137-1"
     is_monotone = False
@@ -85,8 +100,23 @@ class NPGS(ConeAlgorithm):
         diagonal, steps = diagonal_blocks(problem)
         yield Step(z, residual=relative_residual(problem, z))
         while True:
-            moved = sweep(*problem.arrays, M.indptr, M.indices, M.data, problem.q, diagonal, steps, z, self.sweeps)
-            yield Step(z, residual=relative_residual(problem, z), increment=float(moved), work=self.sweeps + 1.0)
+            moved = sweep(
+                *problem.arrays,
+                M.indptr,
+                M.indices,
+                M.data,
+                problem.q,
+                diagonal,
+                steps,
+                z,
+                self.sweeps,
+            )
+            yield Step(
+                z,
+                residual=relative_residual(problem, z),
+                increment=float(moved),
+                work=self.sweeps + 1.0,
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +154,9 @@ class Newton(ConeAlgorithm):
         z = z0
         if self.seed:
             spread = SPREAD * float(np.abs(z).mean())
-            z = problem.projected(z + spread * np.random.default_rng(self.seed).standard_normal(z.size))
+            z = problem.projected(
+                z + spread * np.random.default_rng(self.seed).standard_normal(z.size)
+            )
         system = NewtonSystem(problem)
         w, R, largest, size = system.measured(z)
         sizes, best, since, most = [size], size, 0, self.proximal
@@ -169,7 +201,9 @@ class Continuation(ConeAlgorithm):
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step an answer on the way; end where the steps in t get too short."""
         if not problem.has_friction:
-            raise UnsuitableProblem('continuation takes contacts with friction; try algorithm="fixed_point"')
+            raise UnsuitableProblem(
+                'continuation takes contacts with friction; try algorithm="fixed_point"'
+            )
         reached, length, z = -1.0, 1.0, problem.nearest_to_zero  # −1: nothing yet
         yield Step(z0, residual=relative_residual(problem, z0))
         while reached < 1.0 and length > LEAST_FRICTION:
@@ -195,9 +229,16 @@ class NewtonSystem:
         self.problem, self.M = problem, closed_matrix(problem)
         m, k = int(problem.sizes.max(initial=1)), problem.slope.size
         self.by_z, self.by_w = np.empty((k, m, m)), np.empty((k, m, m))
-        self.entries, self.indices = np.empty(self.M.nnz), np.empty(self.M.nnz, self.M.indices.dtype)
+        self.entries, self.indices = (
+            np.empty(self.M.nnz),
+            np.empty(self.M.nnz, self.M.indices.dtype),
+        )
         self.known = (
-            *problem.arrays, self.M.indptr, self.M.indices, self.M.data, *read_only_views(problem.q),
+            *problem.arrays,
+            self.M.indptr,
+            self.M.indices,
+            self.M.data,
+            *read_only_views(problem.q),
             *fresh_copies(problem.scale, criterion_of(problem).weights),
         )
 
@@ -243,10 +284,17 @@ class NewtonSystem:
         place, indptr = np.full(problem.n, -1), np.empty(rows.size + 1, M.indptr.dtype)
         place[rows] = np.arange(rows.size)
         newton_rows(
-            problem.starts, self.by_z, self.by_w, *self.known[5:8], proximal * problem.scale, place, indptr,
-            self.indices, self.entries,
+            problem.starts,
+            self.by_z,
+            self.by_w,
+            *self.known[5:8],
+            proximal * problem.scale,
+            place,
+            indptr,
+            self.indices,
+            self.entries,
         )
-        entries, indices = self.entries[:indptr[-1]], self.indices[:indptr[-1]]
+        entries, indices = self.entries[: indptr[-1]], self.indices[: indptr[-1]]
         return sp.csr_array((entries, indices, indptr), shape=(rows.size, rows.size)), rows
 
     def times(self, v: FloatVector, *, transposed: bool = False) -> FloatVector:
@@ -280,7 +328,9 @@ class FixedPoint(ConeAlgorithm):
         yield Step(z, residual=least)
         while since < PROGRAMS and (found := engine.minimised(z)) is not None:
             z, residual = found, relative_residual(problem, found)
-            best, least, since = (z, residual, 0) if residual < GAIN * least else (best, least, since + 1)
+            best, least, since = (
+                (z, residual, 0) if residual < GAIN * least else (best, least, since + 1)
+            )
             yield Step(z, residual=residual, work=20.0)
             if engine.is_final:
                 return
@@ -294,7 +344,9 @@ class ConvexProgram:
         try:
             import clarabel
         except ImportError as error:  # pragma: no cover - cvxpy installs it
-            raise UnsuitableProblem("fixed_point needs Clarabel; install it with: pip install clarabel") from error
+            raise UnsuitableProblem(
+                "fixed_point needs Clarabel; install it with: pip install clarabel"
+            ) from error
         self.problem, self.clarabel = problem, clarabel
         M = sp.csc_array(problem.rows.csr)
         self.symmetric = sp.csc_array(0.5 * (M + M.T))
@@ -325,7 +377,9 @@ class ConvexProgram:
         settings = self.clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
-        return self.clarabel.DefaultSolver(sp.csc_matrix(P), c, sp.csc_matrix(A), b, cones, settings).solve()
+        return self.clarabel.DefaultSolver(
+            sp.csc_matrix(P), c, sp.csc_matrix(A), b, cones, settings
+        ).solve()
 
 
 def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[Any]]:
@@ -372,7 +426,9 @@ class InteriorPoint(ConeAlgorithm):
     def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then a step a factor, then Newton's steps from the best point."""
         if not problem.has_friction:
-            raise UnsuitableProblem('interior_point takes contacts with friction; try algorithm="fixed_point"')
+            raise UnsuitableProblem(
+                'interior_point takes contacts with friction; try algorithm="fixed_point"'
+            )
         best, residual, since = z0, math.inf, 0
         yield Step(z0, residual=relative_residual(problem, z0))
         path = CentralPath(problem, closed_matrix(problem))

@@ -37,7 +37,12 @@ def begin_path(starts, slope, q, scale, share, z, w, x, y):  # type: ignore[no-u
 @helper
 def _scale(x, y, H, root):  # type: ignore[no-untyped-def]
     """Write the symmetric H with H x = y, a quadratic representation, and its root."""
-    m, x_tangent, y_tangent, total = x.size, tangent_of(x, FIRST, x.size), tangent_of(y, FIRST, x.size), 1.0
+    m, x_tangent, y_tangent, total = (
+        x.size,
+        tangent_of(x, FIRST, x.size),
+        tangent_of(y, FIRST, x.size),
+        1.0,
+    )
     of_x = np.sqrt((x[0] - x_tangent) * (x[0] + x_tangent))
     of_y = np.sqrt((y[0] - y_tangent) * (y[0] + y_tangent))
     for i in range(m):
@@ -82,11 +87,26 @@ def follow_path(known, mass, bodies, weights, near, most_steps, x, y, z, w, R): 
     """Take steps to a point z near the end of the path, or until they jam; return the largest residual and how many."""
     starts, slope, friction, lower, upper, indptr, indices, data, q, scale = known
     blocks, m = x.shape
-    by_contact, of_rows, of_one = np.empty((6, blocks, m)), np.empty((2, q.size)), np.empty((2, m, m))
-    dx, dy, c, at, moved, slip = (
-        by_contact[0], by_contact[1], by_contact[2], by_contact[3], by_contact[4], by_contact[5]
+    by_contact, of_rows, of_one = (
+        np.empty((6, blocks, m)),
+        np.empty((2, q.size)),
+        np.empty((2, m, m)),
     )
-    left, step, D, right, speeds = of_rows[0], of_rows[1], of_one[0], of_one[1, 0], np.empty(bodies[0].size)
+    dx, dy, c, at, moved, slip = (
+        by_contact[0],
+        by_contact[1],
+        by_contact[2],
+        by_contact[3],
+        by_contact[4],
+        by_contact[5],
+    )
+    left, step, D, right, speeds = (
+        of_rows[0],
+        of_rows[1],
+        of_one[0],
+        of_one[1, 0],
+        np.empty(bodies[0].size),
+    )
     scalings = np.empty((3, blocks, m, m))
     H, root, inverse, is_closed = scalings[0], scalings[1], scalings[2], np.ones(blocks, np.bool_)
     structure, room = structure_of_bodies(bodies, is_closed, m)
@@ -122,7 +142,9 @@ def follow_path(known, mass, bodies, weights, near, most_steps, x, y, z, w, R): 
             invert(D, m, inverse[k])
         if made == 0:
             first_mean, first_left = mean, most_left
-        if not (mean < np.inf and factor_of_bodies(mass, bodies, is_closed, inverse, structure, room)):
+        if not (
+            mean < np.inf and factor_of_bodies(mass, bodies, is_closed, inverse, structure, room)
+        ):
             return largest, made
         length = after = 0.0
         for phase in range(2):
@@ -140,7 +162,10 @@ def follow_path(known, mass, bodies, weights, near, most_steps, x, y, z, w, R): 
                         right[0] += moved[k, i] * (at[k, i] + moved[k, i]) - at[k, i] ** 2
                     normal = at[k, 0] * right[0]
                     for i in range(1, m):
-                        right[i] = moved[k, 0] * (at[k, i] + moved[k, i]) + (at[k, 0] + moved[k, 0]) * moved[k, i]
+                        right[i] = (
+                            moved[k, 0] * (at[k, i] + moved[k, i])
+                            + (at[k, 0] + moved[k, 0]) * moved[k, i]
+                        )
                         right[i] -= 2.0 * at[k, 0] * at[k, i]
                         normal -= at[k, i] * right[i]
                     tangent = tangent_of(at[k], FIRST, m)
@@ -171,5 +196,7 @@ def follow_path(known, mass, bodies, weights, near, most_steps, x, y, z, w, R): 
                     if phase:
                         x[k, i], y[k, i] = x[k, i] + length * dx[k, i], y[k, i] + length * dy[k, i]
                     else:
-                        after += (x[k, i] + length * dx[k, i]) * (y[k, i] + length * dy[k, i]) / blocks
+                        after += (
+                            (x[k, i] + length * dx[k, i]) * (y[k, i] + length * dy[k, i]) / blocks
+                        )
         made, jammed = made + 1, jammed + 1 if length < SHORT else 0

@@ -25,7 +25,10 @@ from .small import LARGEST, run_loop
 
 ACCURATE = Settings(tolerance=1e-9)  # the last steps of Newton's method make exact what is so near
 ROUNDING = 2.0**-40  # of the largest impulse of friction, between it and one that slides
-SWEEPS, NEWTON_STEPS = (3, 3, 10), 40  # steps of npgs, and of Newton's method after each, of larger problems
+SWEEPS, NEWTON_STEPS = (
+    (3, 3, 10),
+    40,
+)  # steps of npgs, and of Newton's method after each, of larger problems
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,24 +48,41 @@ class Pyramids(Algorithm):
         """Yield the start, then what the compiled loop proves; of more contacts each step of Newton's method."""
         contacts, k, m = problem.origin, problem.origin.count, len(problem.origin.edges)
         yield Step(z0)
-        r, free = (np.column_stack([x[:k], x[k:-k].reshape(k, m) @ contacts.edges]) for x in (z0, problem.q))
+        r, free = (
+            np.column_stack([x[:k], x[k:-k].reshape(k, m) @ contacts.edges])
+            for x in (z0, problem.q)
+        )
         free[:, 1:] *= 2.0 / m  # Σ d dᵀ = m/2 I
         W, starts, mu = contacts.W, np.arange(0, 3 * k + 1, 3), np.array(contacts.friction)
         if W.shape[0] <= LARGEST:
             ends = np.full((1, W.shape[0]), np.inf)
-            arrays = *read_only_views(W[None], free.reshape(1, -1), -ends, ends, np.zeros_like(ends), mu[None]),
-            found = run_loop(starts, arrays, r.reshape(1, -1), ACCURATE, has_friction=m, is_warm=bool(r.any()))
+            arrays = (
+                *read_only_views(
+                    W[None], free.reshape(1, -1), -ends, ends, np.zeros_like(ends), mu[None]
+                ),
+            )
+            found = run_loop(
+                starts, arrays, r.reshape(1, -1), ACCURATE, has_friction=m, is_warm=bool(r.any())
+            )
             if found.is_proved[0]:
                 (sweeps, steps), r = found.made[0].tolist(), found.z[0]
-                work = (sweeps + sweeps / SWEEPS_A_STEP + steps * k) * W.size / max(problem.nonzeros, 1)
+                work = (
+                    (sweeps + sweeps / SWEEPS_A_STEP + steps * k)
+                    * W.size
+                    / max(problem.nonzeros, 1)
+                )
                 yield Step(_whole(contacts.edges, mu, r, W @ r + free.ravel()), work=work)
             return
-        cones = Blocks(LCP(W, free.ravel(), lower=-np.inf, upper=np.inf), starts, mu, has_friction=m)
+        cones = Blocks(
+            LCP(W, free.ravel(), lower=-np.inf, upper=np.inf), starts, mu, has_friction=m
+        )
         swept = r.ravel()
         for turn, sweeps in enumerate(SWEEPS):
             *_, step = islice(NPGS().iterates(cones, cones.projected(swept)), 1 + sweeps)
             swept = step.z
-            for step in islice(Newton(seed=turn % 2).iterates(cones, swept.copy()), 1, 1 + NEWTON_STEPS):
+            for step in islice(
+                Newton(seed=turn % 2).iterates(cones, swept.copy()), 1, 1 + NEWTON_STEPS
+            ):
                 r = cones.projected(step.z)
                 work = step.work * cones.nonzeros / max(problem.nonzeros, 1)
                 yield Step(_whole(contacts.edges, mu, r, cones.slack(r)), work=work)
@@ -81,4 +101,6 @@ def _whole(edges: Any, mu: FloatVector, r: FloatVector, u: FloatVector) -> Float
         share = sign * (x * way[:, 1] - y * way[:, 0]) / np.sin(turn)
         beta[contact, one % m] = np.where(share > ROUNDING * mu * p, share, 0.0)
     slides = beta.sum(axis=1) >= (1.0 - ROUNDING) * mu * p
-    return np.concatenate([p, beta.ravel(), np.where(slides, (u.reshape(-1, 3)[:, 1:] @ edges.T).max(axis=1), 0.0)])
+    return np.concatenate(
+        [p, beta.ravel(), np.where(slides, (u.reshape(-1, 3)[:, 1:] @ edges.T).max(axis=1), 0.0)]
+    )

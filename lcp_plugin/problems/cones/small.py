@@ -23,11 +23,16 @@ from .methods import DECREASE, EASIER, HARDER, LEAST_PROXIMAL, MEMORY, PROXIMAL,
 LARGEST, ALL_ROUNDS_UP_TO = 400, 100  # unknowns: beyond, Newton's system is worth its sparsity
 SMALLEST_STEP = 60  # unknowns: below, a dense system costs as little
 LARGEST_STEP = 1500  # rows: the steps on velocities watch no clock, and are to be over in some tenths of a second
-ROUNDS = np.array([10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0])  # sweeps before each run of Newton's method
+ROUNDS = np.array(
+    [10, 10, 50, 0, 100, 0, 0, 0, 200, 0, 0, 0]
+)  # sweeps before each run of Newton's method
 FIRST_ROUNDS = 3
 NEWTON_STEPS, LONG_STEPS = 20, 50  # of a run: where all rounds follow, and where the first do
 CONSTANTS = (PROXIMAL, SHORTEST, DECREASE, LEAST_PROXIMAL, HARDER, EASIER)
-STEP_ROUNDS, STEP_NEWTON = np.array([10, 30, 0, 0, 300, 0]), 40  # the same of bodies; see solve_step
+STEP_ROUNDS, STEP_NEWTON = (
+    np.array([10, 30, 0, 0, 300, 0]),
+    40,
+)  # the same of bodies; see solve_step
 STEP_PROXIMAL = 1e-8  # at the least: of bodies, 1 / that is in the system
 SPREAD = 0.3  # of the mean of |z_i|: as far as starts are moved at random
 CLOSER = 0.9  # of the tolerance: that of the loop, whose residuals are not enclosed
@@ -63,8 +68,11 @@ def groups_of(problems: Sequence[object]) -> list[NDArray[np.int64]]:
 
 
 def solve_small(
-    problems: Sequence[Blocks], settings: Settings,
-    in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None, *, start: FloatVector | None = None,
+    problems: Sequence[Blocks],
+    settings: Settings,
+    in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None,
+    *,
+    start: FloatVector | None = None,
 ) -> LoopAnswers:
     """Return what the loop makes of problems of one group.
 
@@ -81,12 +89,26 @@ def solve_small(
     arrays = tuple(_stacked([getter(problem) for problem in problems]) for getter in _ARRAYS)
     z = np.array(arrays[-2] if start is None else start[np.newaxis])
     (starts,) = read_only_views(first.starts)
-    return run_loop(starts, arrays, z, settings, in_chunks, has_friction=first.has_friction, is_warm=start is not None)
+    return run_loop(
+        starts,
+        arrays,
+        z,
+        settings,
+        in_chunks,
+        has_friction=first.has_friction,
+        is_warm=start is not None,
+    )
 
 
 def run_loop(
-    starts: Starts, arrays: tuple[Any, ...], z: NDArray[np.float64], settings: Settings,
-    in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None, *, has_friction: int, is_warm: bool,
+    starts: Starts,
+    arrays: tuple[Any, ...],
+    z: NDArray[np.float64],
+    settings: Settings,
+    in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None,
+    *,
+    has_friction: int,
+    is_warm: bool,
 ) -> LoopAnswers:
     """Return what the loop makes of problems of the same blocks, from the rows of z, shape (B, n), which it overwrites.
 
@@ -107,14 +129,33 @@ def run_loop(
 
     M, q, lower, upper, origins, slopes = arrays
     count, n = z.shape
-    rounds, steps = (ROUNDS, NEWTON_STEPS) if n <= ALL_ROUNDS_UP_TO else (ROUNDS[:FIRST_ROUNDS], LONG_STEPS)
+    rounds, steps = (
+        (ROUNDS, NEWTON_STEPS) if n <= ALL_ROUNDS_UP_TO else (ROUNDS[:FIRST_ROUNDS], LONG_STEPS)
+    )
     rounds = np.concatenate([[0], rounds]) if is_warm else rounds
     made, proved = np.zeros((count, 2), np.int64), np.zeros((count, 2)) + np.inf
 
     def solve_chunk(begin: int, end: int) -> None:
         solve_each(
-            begin, end, starts, float(has_friction), slopes, lower, upper, M, q, origins, CLOSER * settings.tolerance,
-            read_only(rounds), steps, MEMORY, CONSTANTS, SPREAD, z, made, proved,
+            begin,
+            end,
+            starts,
+            float(has_friction),
+            slopes,
+            lower,
+            upper,
+            M,
+            q,
+            origins,
+            CLOSER * settings.tolerance,
+            read_only(rounds),
+            steps,
+            MEMORY,
+            CONSTANTS,
+            SPREAD,
+            z,
+            made,
+            proved,
         )
 
     if in_chunks is None:
@@ -128,20 +169,36 @@ def run_loop(
 def has_few_bodies(problem: Blocks) -> bool:
     """Return whether the velocities of bodies are fewer than the rows of their contacts, neither very few nor many."""
     bodies = problem.bodies
-    return bodies is not None and max(SMALLEST_STEP, bodies.mass.shape[-1]) < problem.n <= LARGEST_STEP
+    return (
+        bodies is not None and max(SMALLEST_STEP, bodies.mass.shape[-1]) < problem.n <= LARGEST_STEP
+    )
 
 
 def solve_contacts(problem: Blocks, settings: Settings, *, start: FloatVector) -> LoopAnswers:
     """Return what the loop over the velocities of bodies makes of their contacts, from a start in the cones."""
     from .step_kernels import solve_step
 
-    z, made, proved, M = np.array(start), np.zeros(3, np.int64), np.full(2, np.inf), problem.rows.csr
+    z, made, proved, M = (
+        np.array(start),
+        np.zeros(3, np.int64),
+        np.full(2, np.inf),
+        problem.rows.csr,
+    )
     starts, *others = problem.arrays
     constants = (PROXIMAL, SHORTEST, DECREASE, STEP_PROXIMAL, HARDER, EASIER)
     solve_step(
-        starts, *others, *read_only_views(M.indptr, M.indices, M.data, problem.q, problem.nearest_to_zero),
-        *_rows_of_bodies(problem), CLOSER * settings.tolerance, read_only(STEP_ROUNDS), STEP_NEWTON, MEMORY, constants,
-        z, made, proved,
+        starts,
+        *others,
+        *read_only_views(M.indptr, M.indices, M.data, problem.q, problem.nearest_to_zero),
+        *_rows_of_bodies(problem),
+        CLOSER * settings.tolerance,
+        read_only(STEP_ROUNDS),
+        STEP_NEWTON,
+        MEMORY,
+        constants,
+        z,
+        made,
+        proved,
     )
     is_proved = within(proved[:1], proved[1:], settings.tolerance)
     return LoopAnswers(z[np.newaxis], made[np.newaxis], proved[:1], is_proved)
@@ -150,15 +207,34 @@ def solve_contacts(problem: Blocks, settings: Settings, *, start: FloatVector) -
 @fact
 def _rows_of_bodies(problem: Any) -> tuple[Any, ...]:
     """Return the mass matrix and the rows of the bodies, checked where they were stated, as arrays of CSR."""
-    parts, index = map(sp.csr_array, (problem.bodies.mass, problem.bodies.rows)), problem.rows.csr.indices.dtype
-    return tuple(read_only_views(*(array for part in parts for array in (
-        part.indptr.astype(index, copy=False), part.indices.astype(index, copy=False), part.data))))
+    parts, index = (
+        map(sp.csr_array, (problem.bodies.mass, problem.bodies.rows)),
+        problem.rows.csr.indices.dtype,
+    )
+    return tuple(
+        read_only_views(
+            *(
+                array
+                for part in parts
+                for array in (
+                    part.indptr.astype(index, copy=False),
+                    part.indices.astype(index, copy=False),
+                    part.data,
+                )
+            )
+        )
+    )
 
 
 _ARRAYS: tuple[Callable[[Blocks], Any], ...] = (
-    lambda problem: problem.rows.M if isinstance(problem.rows.M, np.ndarray) else problem.rows.M.toarray(),
-    lambda problem: problem.q, lambda problem: problem.lower, lambda problem: problem.upper,
-    lambda problem: problem.nearest_to_zero, lambda problem: problem.slope,
+    lambda problem: (
+        problem.rows.M if isinstance(problem.rows.M, np.ndarray) else problem.rows.M.toarray()
+    ),
+    lambda problem: problem.q,
+    lambda problem: problem.lower,
+    lambda problem: problem.upper,
+    lambda problem: problem.nearest_to_zero,
+    lambda problem: problem.slope,
 )
 
 

@@ -8,7 +8,15 @@ from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.scaling import BESIDE_DIAGONAL, SPREAD
 from ...methods.small.kernels.small_systems import eliminate, substitute
-from .kernels import OUTWARD, block_bounds, block_derivative, measure, own_terms, project, sweep_once
+from .kernels import (
+    OUTWARD,
+    block_bounds,
+    block_derivative,
+    measure,
+    own_terms,
+    project,
+    sweep_once,
+)
 from .methods import EXACT, GAIN, LEAST_PROXIMAL
 
 LAST_STEPS = 2  # where the system is singular and a proximal term left in it
@@ -64,7 +72,9 @@ def gather(M, starts, indptr, indices, data, diagonal, norms, steps, scale):  # 
             for j in range(first, end):
                 diagonal[k, i - first, j - first] = M[i, j]
         own = norms[k, k]
-        serves = own >= SMALLEST_SCALE * row and own > 0.0 and (end - first > 1 or M[first, first] > 0.0)
+        serves = (
+            own >= SMALLEST_SCALE * row and own > 0.0 and (end - first > 1 or M[first, first] > 0.0)
+        )
         scale[k] = own if serves else row if row > 0.0 else 1.0
         largest, least = max(largest, row), min(least, own)
         shows_none = shows_none and row * 2.0**-BESIDE_DIAGONAL <= own
@@ -102,14 +112,30 @@ def product(indptr, indices, data, q, z, w, slip):  # type: ignore[no-untyped-de
 
 @helper
 def references(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, z, w, slip, scale, labels, R, least, most, reference, weights
+    starts,
+    slope,
+    friction,
+    lower,
+    upper,
+    z,
+    w,
+    slip,
+    scale,
+    labels,
+    R,
+    least,
+    most,
+    reference,
+    weights,
 ):
     """Write the lower bound of each block's reference ‖R_P(z°)‖, and 1 over the upper one; return whether it is known.
 
     It is not where double precision does not tell whether z° answers a component.
     """
     for k in range(slope.size):
-        least[k], most[k] = block_bounds(k, starts, slope, friction, lower, upper, z, w, slip, scale, R)
+        least[k], most[k] = block_bounds(
+            k, starts, slope, friction, lower, upper, z, w, slip, scale, R
+        )
     for k in range(slope.size):
         low, high = 0.0, 0.0
         for j in range(slope.size):
@@ -130,7 +156,21 @@ def refer(known, origin, labels, of_blocks, of_rows, z):  # type: ignore[no-unty
     copy(origin, swept)
     product(indptr, indices, data, q, swept, w, slip)
     if not references(
-        starts, slope, friction, lower, upper, swept, w, slip, scale, labels, R, least, most, reference, weights
+        starts,
+        slope,
+        friction,
+        lower,
+        upper,
+        swept,
+        w,
+        slip,
+        scale,
+        labels,
+        R,
+        least,
+        most,
+        reference,
+        weights,
     ):
         return False
     put_back(starts, weights, origin, z)
@@ -142,7 +182,14 @@ def settle(known, origin, labels, of_blocks, of_rows, z, proved):  # type: ignor
     """Take the answer into the cones; write bounds of its relative residual and of its term residual into `proved`."""
     starts, slope, friction, lower, upper, indptr, indices, data, q, scale = known
     reference, weights, least, most = of_blocks[2], of_blocks[3], of_blocks[4], of_blocks[5]
-    w, R, slip, start, swept, terms = of_rows[0], of_rows[1], of_rows[2], of_rows[3], of_rows[4], of_rows[5]
+    w, R, slip, start, swept, terms = (
+        of_rows[0],
+        of_rows[1],
+        of_rows[2],
+        of_rows[3],
+        of_rows[4],
+        of_rows[5],
+    )
     put_back(starts, weights, origin, z)
     project(starts, slope, friction, lower, upper, z)
     product(indptr, indices, data, q, z, w, slip)
@@ -165,7 +212,9 @@ def newton_step(known, z, w, R, epsilon, room, step):  # type: ignore[no-untyped
     by_z, by_w, J, place, x, way = room
     n = np.int64(0)  # numpy's: one signature of `eliminate`
     for k in range(slope.size):
-        block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
+        block_derivative(
+            k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k]
+        )
         is_free = False
         for i in range(by_w.shape[1]):
             is_free = is_free or by_w[k, 0, i] != 0.0
@@ -236,8 +285,25 @@ def _newton(known, weights, goal, most_steps, memory, constants, z, w, R, start,
 
 @kernel
 def solve_each(  # type: ignore[no-untyped-def]
-    item, end_item, starts, friction, slopes, lowers, uppers, matrices, offsets, origins, goal, rounds, most_steps,
-    memory, constants, away, points, made, proved
+    item,
+    end_item,
+    starts,
+    friction,
+    slopes,
+    lowers,
+    uppers,
+    matrices,
+    offsets,
+    origins,
+    goal,
+    rounds,
+    most_steps,
+    memory,
+    constants,
+    away,
+    points,
+    made,
+    proved,
 ):
     """Solve problems of the same blocks: sweeps, then steps of Newton's method, from `points`, which get the answers.
 
@@ -256,18 +322,32 @@ def solve_each(  # type: ignore[no-untyped-def]
     by_z, by_w, of_one = np.empty((blocks, m, m)), np.empty((blocks, m, m)), np.empty((4, m))
     b, x, y, before = of_one[0], of_one[1], of_one[2], of_one[3]
     room = by_z, by_w, np.empty((n + 4, n + 1)), np.empty(n, np.int64), x, y
-    diagonal, norms, labels = np.empty((blocks, m, m)), np.empty((blocks, blocks)), np.empty(blocks, np.int64)
+    diagonal, norms, labels = (
+        np.empty((blocks, m, m)),
+        np.empty((blocks, blocks)),
+        np.empty(blocks, np.int64),
+    )
     of_blocks, of_rows = np.empty((6, blocks)), np.empty((6, n))
     steps, scale, weights = of_blocks[0], of_blocks[1], of_blocks[3]
     w, R, start, swept, step = of_rows[0], of_rows[1], of_rows[3], of_rows[4], of_rows[5]
     for number in range(item, end_item):
         made[number], proved[number] = 0, np.inf
         z, origin = points[number], origins[number]
-        if not gather(matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale):
+        if not gather(
+            matrices[number], starts, indptr, indices, data, diagonal, norms, steps, scale
+        ):
             continue
         label(norms, labels)
         known = (
-            starts, slopes[number], friction, lowers[number], uppers[number], indptr, indices, data, offsets[number],
+            starts,
+            slopes[number],
+            friction,
+            lowers[number],
+            uppers[number],
+            indptr,
+            indices,
+            data,
+            offsets[number],
             scale,
         )
         if not refer(known, origin, labels, of_blocks, of_rows, z):
@@ -298,13 +378,17 @@ def solve_each(  # type: ignore[no-untyped-def]
         made[number, 1] = newton_steps
         if not largest <= goal:
             continue
-        pays = newton_steps > 0 or 3 * made[number, 0] >= n  # a last system costs less than the run did
+        pays = (
+            newton_steps > 0 or 3 * made[number, 0] >= n
+        )  # a last system costs less than the run did
         for _ in range(LAST_STEPS):
             if largest <= EXACT or not pays:
                 break
             copy(z, start)
             epsilon = 0.0
-            while epsilon <= LEAST_PROXIMAL and not newton_step(known, z, w, R, epsilon, room, step):
+            while epsilon <= LEAST_PROXIMAL and not newton_step(
+                known, z, w, R, epsilon, room, step
+            ):
                 epsilon = max(2.0 * epsilon, LEAST_PROXIMAL)
             if epsilon > LEAST_PROXIMAL:
                 break

@@ -56,14 +56,22 @@ from .small import LARGEST, LoopAnswers, has_few_bodies, solve_contacts, solve_s
 TRIAL = 2  # steps of npgs before its rate is believed
 NEWTON_STEPS = 15  # that an answer is predicted to take
 STEP_OPERATIONS = 5e5  # that the calls of one of its steps take as long as
-BEFORE_THE_PATH = 40  # steps of Newton before an interior point, which costs about as much as so many
+BEFORE_THE_PATH = (
+    40  # steps of Newton before an interior point, which costs about as much as so many
+)
 SHARED = 10  # steps of sweeps that components share, before each gets its own run
 LAST_STEPS = 2  # the linear system of the cases that were found, and of those that it finds
 STARTS = 17  # of Newton's method, moved at random but for the first
 LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
 WORST = (
-    Status.SOLVED, Status.PRECISION_LIMIT, Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS, Status.MAX_SECONDS,
-    Status.INFEASIBLE, Status.INTERRUPTED,
+    Status.SOLVED,
+    Status.PRECISION_LIMIT,
+    Status.STALLED,
+    Status.DIVERGED,
+    Status.MAX_ITERATIONS,
+    Status.MAX_SECONDS,
+    Status.INFEASIBLE,
+    Status.INTERRUPTED,
 )  # the last of these that a component has is that of all
 MUCH_FRICTION = 1.0  # beyond, sliding may jam even where W is definite
 NEARBY = "from a point nearby"
@@ -113,32 +121,64 @@ def solve_cones(
         For a wrong option.
     """
     settings = Settings(
-        tolerance, "residual", max_iterations, max_seconds, absolute_tolerance, record, False, threads, verbose,
-        prove_infeasibility
+        tolerance,
+        "residual",
+        max_iterations,
+        max_seconds,
+        absolute_tolerance,
+        record,
+        False,
+        threads,
+        verbose,
+        prove_infeasibility,
     )
     checked_callback(callback)
     clock = Clock()
-    result = _solved(problem, algorithm, settings, callback, clock, None if z0 is None else _start(problem, z0))
-    is_cut_short = result.status is Status.MAX_ITERATIONS and result.iterations < settings.max_iterations
-    is_open = is_cut_short or result.status in (Status.STALLED, Status.PRECISION_LIMIT, Status.DIVERGED)
+    result = _solved(
+        problem, algorithm, settings, callback, clock, None if z0 is None else _start(problem, z0)
+    )
+    is_cut_short = (
+        result.status is Status.MAX_ITERATIONS and result.iterations < settings.max_iterations
+    )
+    is_open = is_cut_short or result.status in (
+        Status.STALLED,
+        Status.PRECISION_LIMIT,
+        Status.DIVERGED,
+    )
     several = connected_components(problem.block_norms.matrix) if is_open else None
-    return result if several is None else _solved_apart(result, several, algorithm, settings, clock, z0)
+    return (
+        result
+        if several is None
+        else _solved_apart(result, several, algorithm, settings, clock, z0)
+    )
 
 
 def _solved(
-    problem: Blocks, algorithm: str | Algorithm, settings: Settings, callback: Callback | None, clock: Clock,
+    problem: Blocks,
+    algorithm: str | Algorithm,
+    settings: Settings,
+    callback: Callback | None,
+    clock: Clock,
     z0: FloatVector | None,
 ) -> ConeResult:
     """Return the answer where all components share a run; by auto sweeps only, where there are several."""
     start = problem.nearest_to_zero if z0 is None else z0
     was_tried = is_ended = False
-    is_step = z0 is not None and has_few_bodies(problem)  # one alone does not pay for what is compiled for many
-    if algorithm == "auto" and callback is None and _is_for_the_loop(problem, settings, clock, is_step=is_step):
+    is_step = z0 is not None and has_few_bodies(
+        problem
+    )  # one alone does not pay for what is compiled for many
+    if (
+        algorithm == "auto"
+        and callback is None
+        and _is_for_the_loop(problem, settings, clock, is_step=is_step)
+    ):
         try:
             found = solve_contacts(problem, settings, start=start) if is_step else None
             if found is None or not (found.is_proved[0] or problem.n > LARGEST):
                 found = solve_small([problem], settings, start=None if is_step else z0)
-            known = None if found.is_proved[0] else _at_rounding_level(problem, found.z[0], settings)
+            known = (
+                None if found.is_proved[0] else _at_rounding_level(problem, found.z[0], settings)
+            )
             was_tried = not found.is_proved[0] and known is None
             if not was_tried:
                 result = result_of(problem, found, 0, settings, clock.read(), known)
@@ -161,7 +201,11 @@ def _solved(
 
 
 def _solved_apart(
-    together: ConeResult, several: Components, algorithm: str | Algorithm, settings: Settings, clock: Clock,
+    together: ConeResult,
+    several: Components,
+    algorithm: str | Algorithm,
+    settings: Settings,
+    clock: Clock,
     z0: ArrayLike | None,
 ) -> ConeResult:
     """Return the answer with each component solved alone that the common run has left open."""
@@ -176,7 +220,9 @@ def _solved_apart(
         part, rows = problem.part(blocks), blocks[problem.block_of_row]
         steps = settings.max_iterations - together.iterations
         plain = _within(settings, left, steps, record=False, verbose=False)
-        found = _solved(part, algorithm, plain, None, Clock(), None if z0 is None else _start(problem, z0)[rows])
+        found = _solved(
+            part, algorithm, plain, None, Clock(), None if z0 is None else _start(problem, z0)[rows]
+        )
         z[rows], share = found.z, part.nonzeros / max(problem.nonzeros, 1)
         stages += [stage._replace(work=stage.work * share) for stage in found.stages]
         iterations, work = max(iterations, found.iterations), work + found.work * share
@@ -189,9 +235,17 @@ def _solved_apart(
     certificate = ConeCertificate.at(problem, z)
     names = ", ".join(dict.fromkeys(stage.name for stage in stages))
     return replace(
-        together, z=certificate.point, w=certificate.velocity, certificate=certificate, stages=_merged(stages),
-        status=max(statuses, key=WORST.index), infeasibility=next(iter(proofs), None), _advice=advice, work=work,
-        iterations=together.iterations + iterations, seconds=clock.read(),
+        together,
+        z=certificate.point,
+        w=certificate.velocity,
+        certificate=certificate,
+        stages=_merged(stages),
+        status=max(statuses, key=WORST.index),
+        infeasibility=next(iter(proofs), None),
+        _advice=advice,
+        work=work,
+        iterations=together.iterations + iterations,
+        seconds=clock.read(),
         algorithm=f"auto: {names}" if algorithm == "auto" else together.algorithm,
     )
 
@@ -202,10 +256,14 @@ def _within(settings: Settings, seconds: float, iterations: int, **others: bool)
     return replace(settings, max_seconds=limit, max_iterations=iterations, **others)
 
 
-def _open_components(certificate: Certificate, several: Components, tolerance: float) -> Iterator[NDArray[np.bool_]]:
+def _open_components(
+    certificate: Certificate, several: Components, tolerance: float
+) -> Iterator[NDArray[np.bool_]]:
     """Yield the blocks of each component that is not SOLVED, as an array of bool, shape (k,)."""
     relative = over(*certificate.residuals_of_components)
-    for label in np.flatnonzero(~within(relative, several.largest(certificate.term_residuals), tolerance)):
+    for label in np.flatnonzero(
+        ~within(relative, several.largest(certificate.term_residuals), tolerance)
+    ):
         yield several.labels == label
 
 
@@ -214,15 +272,21 @@ def _merged(stages: Sequence[StageRecord]) -> tuple[StageRecord, ...]:
     merged: dict[tuple[str, str], StageRecord] = {}
     for stage in stages:
         known = merged.get(key := stage[:2])
-        merged[key] = stage if known is None else known._replace(
-            iterations=known.iterations + stage.iterations, work=known.work + stage.work
+        merged[key] = (
+            stage
+            if known is None
+            else known._replace(
+                iterations=known.iterations + stage.iterations, work=known.work + stage.work
+            )
         )
     return tuple(merged.values())
 
 
 def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock, *, is_step: bool) -> bool:
     """Return whether the problem is small, and nobody wants to see the steps or a measure that the loop lacks."""
-    is_plain = settings.is_unobserved and settings.max_iterations > 0 and not settings.absolute_tolerance
+    is_plain = (
+        settings.is_unobserved and settings.max_iterations > 0 and not settings.absolute_tolerance
+    )
     is_small = 0 < problem.n <= LARGEST
     return (is_small or is_step) and is_plain and clock.read() < settings.max_seconds
 
@@ -239,7 +303,11 @@ def _at_rounding_level(
 
 
 def result_of(
-    problem: Blocks, found: LoopAnswers, k: int, settings: Settings, seconds: float,
+    problem: Blocks,
+    found: LoopAnswers,
+    k: int,
+    settings: Settings,
+    seconds: float,
     known: tuple[ConeCertificate, Status] | None = None,
 ) -> ConeResult:
     """Return the result of a problem, the k-th of those that the compiled loop has run, after these seconds."""
@@ -247,19 +315,33 @@ def result_of(
     stages = []
     if sweeps or not newton:
         rounds = sweeps // SWEEPS_A_STEP
-        stages.append(StageRecord("npgs", SWEEPS if sweeps else NOTHING_TO_DO, rounds, sweeps + rounds + 1.0))
+        stages.append(
+            StageRecord("npgs", SWEEPS if sweeps else NOTHING_TO_DO, rounds, sweeps + rounds + 1.0)
+        )
     if newton or path:
-        unknowns = problem.n if problem.bodies is None else min(problem.n, problem.bodies.mass.shape[-1])
+        unknowns = (
+            problem.n if problem.bodies is None else min(problem.n, problem.bodies.mass.shape[-1])
+        )
         passes = unknowns**3 / (3.0 * max(problem.nonzeros, 1)) + 2.0
-        stages += [StageRecord("interior_point", MIDDLE, steps, steps * passes) for steps in path if steps]
+        stages += [
+            StageRecord("interior_point", MIDDLE, steps, steps * passes) for steps in path if steps
+        ]
         stages += [StageRecord("newton", FOLLOWS, newton, newton * passes)] * (newton > 0)
     proved = ConeCertificate.proved(problem, found.z[k], float(found.residual[k])), Status.SOLVED
     certificate, status = known or proved
     return ConeResult(
-        z=certificate.point, w=read_only(problem.slack(certificate.point)), status=status, certificate=certificate,
-        tolerance=settings.tolerance, algorithm=f"auto: {', '.join(stage.name for stage in stages)}",
-        iterations=sum(stage.iterations for stage in stages), work=sum(stage.work for stage in stages),
-        seconds=seconds, setup_seconds=0.0, stages=tuple(stages), problem=problem,
+        z=certificate.point,
+        w=read_only(problem.slack(certificate.point)),
+        status=status,
+        certificate=certificate,
+        tolerance=settings.tolerance,
+        algorithm=f"auto: {', '.join(stage.name for stage in stages)}",
+        iterations=sum(stage.iterations for stage in stages),
+        work=sum(stage.work for stage in stages),
+        seconds=seconds,
+        setup_seconds=0.0,
+        stages=tuple(stages),
+        problem=problem,
     )
 
 
@@ -307,19 +389,25 @@ class ConeAuto(Policy):
 
     name = chosen = "auto"
 
-    def __init__(self, problem: Blocks, *, is_warm: bool, was_tried: bool, prove_infeasibility: bool) -> None:
+    def __init__(
+        self, problem: Blocks, *, is_warm: bool, was_tried: bool, prove_infeasibility: bool
+    ) -> None:
         self._prove_infeasibility = prove_infeasibility
         self._problem = problem
         self._newton_steps = BEFORE_THE_PATH if problem.has_friction else LONG
         is_connected = connected_components(problem.block_norms.matrix) is None
-        shared = iter([Choice(NPGS(), SWEEPS)])  # what is left open, each component gets a run of its own for
+        shared = iter(
+            [Choice(NPGS(), SWEEPS)]
+        )  # what is left open, each component gets a run of its own for
         self._left = self._stages(is_warm=is_warm, was_tried=was_tried) if is_connected else shared
 
     def first(self, problem: Any) -> Choice:
         """Return the first stage."""
         return next(self._left)
 
-    def next_step(self, problem: Any, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+    def next_step(
+        self, problem: Any, stages: Sequence[Stage], goal: float, failed: bool
+    ) -> Choice | None:
         """Return the next stage where one has come to its end, or where sweeps need more work than Newton."""
         stage = stages[-1]
         if not failed:
@@ -344,7 +432,9 @@ class ConeAuto(Policy):
         """Yield what comes in turn; where the compiled loop `was_tried`, what it did not do."""
         middle = Choice(InteriorPoint(), MIDDLE)
         if is_warm and not was_tried:
-            yield Choice(Newton(), "a start that is given is near: Newton's steps from there come first")
+            yield Choice(
+                Newton(), "a start that is given is near: Newton's steps from there come first"
+            )
         if is_warm and self._problem.has_friction:
             yield middle
         if not was_tried:
@@ -356,8 +446,14 @@ class ConeAuto(Policy):
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
         if self._problem.has_friction:
-            yield Choice(Continuation(), "what holds without friction is followed as friction grows")
-        yield Choice(FixedPoint(), "convex programs, each with friction as after the one before", from_start=True)
+            yield Choice(
+                Continuation(), "what holds without friction is followed as friction grows"
+            )
+        yield Choice(
+            FixedPoint(),
+            "convex programs, each with friction as after the one before",
+            from_start=True,
+        )
         yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still", from_start=True)
         yield from (Choice(Newton(seed=seed), NEARBY) for seed in range(STARTS))
 
@@ -386,7 +482,9 @@ class ConeJudge(Judge):
         self.asked, self.settings = problem, settings
         self.reference = 1.0  # residuals are relative to those of the components already
         self.proof = self._certificate = None
-        self.products: Callable[[], float] = lambda: np.inf  # products with M that the run has taken
+        self.products: Callable[[], float] = lambda: (
+            np.inf
+        )  # products with M that the run has taken
         if problem.has_friction:
             self.words = self.words_of_contacts
 
@@ -404,7 +502,9 @@ class ConeJudge(Judge):
 
     def is_at_floor(self, z: FloatVector | None) -> bool:
         """Return whether rounding explains the residual of z, or the system of its cases makes an answer of it."""
-        return super().is_at_floor(z) or (z is not None and self.final(z, End.AT_FLOOR, None).meets(self.settings))
+        return super().is_at_floor(z) or (
+            z is not None and self.final(z, End.AT_FLOOR, None).meets(self.settings)
+        )
 
     def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
         """Return the certificate of the answer, or of what the system of its cases and that of the next make of it."""
@@ -430,17 +530,25 @@ class ConeJudge(Judge):
         if status is Status.STALLED and (far := self._beyond_doubles()):
             self.words = {**self.words, status: f"no method reduces the residual further; {far}"}
         elif status is Status.STALLED and self._may_lack_an_answer(certificate.worst_index):
-            self.words = {**self.words, status: (
-                "no method reduces the residual further; with that much friction, or where W is singular, a solution "
-                "need not exist, nor be found where it does; next: try another start z0, or less friction"
-            )}
+            self.words = {
+                **self.words,
+                status: (
+                    "no method reduces the residual further; with that much friction, "
+                    "or where W is singular, a solution "
+                    "need not exist, nor be found where it does; next: try another start z0, or less friction"
+                ),
+            }
         return status
 
     def _beyond_doubles(self) -> str:
         """Return what to do where a contact that closes asks for an impulse beyond the largest double, or ''."""
         problem, upper = self.problem, np.zeros(self.problem.n)
         upper[problem.starts[:-1]] = np.inf
-        return beyond_doubles(LCP(problem.rows.csr, problem.q, upper=upper)) if problem.has_friction else ""
+        return (
+            beyond_doubles(LCP(problem.rows.csr, problem.q, upper=upper))
+            if problem.has_friction
+            else ""
+        )
 
     def _may_lack_an_answer(self, block: int) -> bool:
         """Return whether contacts of that block's component have much friction, or a W that is not definite."""
@@ -485,14 +593,18 @@ class ConeResult(Result):
         """Return a run's result in the problem's own unknowns."""
         given = {one.name: getattr(result, one.name) for one in fields(Result)}
         certificate: Any = result.certificate
-        return cls(**{**given, "z": certificate.point, "w": certificate.velocity, "problem": problem})
+        return cls(
+            **{**given, "z": certificate.point, "w": certificate.velocity, "problem": problem}
+        )
 
     @cached_property
     def motion(self) -> ContactMotion:
         """Impulses and velocities contact by contact, and which press and stick; of a FrictionalContact."""
         problem = self.problem
         if not isinstance(problem, FrictionalContact):
-            raise InvalidOption(f"motion is of a FrictionalContact, got {type(problem).__name__}; read z and w")
+            raise InvalidOption(
+                f"motion is of a FrictionalContact, got {type(problem).__name__}; read z and w"
+            )
         r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
         bodies, after = problem.bodies, None
         if bodies is not None and bodies.velocities is not None:
@@ -527,20 +639,28 @@ class ConeResult(Result):
             pulls = np.hypot.reduce(np.abs(motion.tangential), axis=1)[motion.touches]
             angle = np.degrees(np.arctan2(pulls, motion.normal[motion.touches])).max()
             edge = np.degrees(np.arctan(problem.friction.max()))
-            limit = ", the limit of friction" if slides.any() and abs(angle - edge) <= 1e-6 * edge else ""
+            limit = (
+                ", the limit of friction"
+                if slides.any() and abs(angle - edge) <= 1e-6 * edge
+                else ""
+            )
             lines.append(f"the steepest impulse leans {angle:.3g}° from its normal{limit}")
         if not is_symmetric_to_rounding(problem.W):
             asymmetry = float(abs(problem.W - problem.W.T).max())
-            lines.append(f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given")
+            lines.append(
+                f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given"
+            )
         return lines
 
     def _numbers(self) -> dict[str, float]:
         certificate = self.certificate
         return {
-            "n": self.problem.n, "relative_residual": certificate.relative_residual,
-            "natural_residual": certificate.natural_residual, "term_residual": certificate.term_residual,
-            "work": self.work, "setup_seconds": self.setup_seconds, "tolerance": self.tolerance,
+            "n": self.problem.n,
+            "relative_residual": certificate.relative_residual,
+            "natural_residual": certificate.natural_residual,
+            "term_residual": certificate.term_residual,
+            "work": self.work,
+            "setup_seconds": self.setup_seconds,
+            "tolerance": self.tolerance,
             **({"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}),
         }
-
-

@@ -20,16 +20,36 @@ from .body_kernels import (
     step_of_bodies,
     structure_of_bodies,
 )
-from .kernels import block_derivative, count_blocks, fill_blocks, measure, measure_at, project, sweep
+from .kernels import (
+    block_derivative,
+    count_blocks,
+    fill_blocks,
+    measure,
+    measure_at,
+    project,
+    sweep,
+)
 from .methods import EXACT, GAIN
 from .path_kernels import begin_path, follow_path
 from .small_kernels import SMALLEST_SCALE, copy, refer, settle
 
 WORTH = 0.1  # of the residual: what a step leaves at the most where its factor serves another one
 HALVES = 4  # steps of Newton's method that halve the residual, or are its last
-NEAR, NEARER = 1e-3, 0.01  # the residual from where Newton's steps follow a path; times that where these fail
-NEWTON_NEAR, PATH_STEPS = np.int64(8), np.int64(30)  # steps of both; numba compiles once more for a plain 8 or 30
-SHARES = (0.01, 0.1, 0.001, 0.01, 1.0)  # of a start from nothing, added to what each path begins near
+NEAR, NEARER = (
+    1e-3,
+    0.01,
+)  # the residual from where Newton's steps follow a path; times that where these fail
+NEWTON_NEAR, PATH_STEPS = (
+    np.int64(8),
+    np.int64(30),
+)  # steps of both; numba compiles once more for a plain 8 or 30
+SHARES = (
+    0.01,
+    0.1,
+    0.001,
+    0.01,
+    1.0,
+)  # of a start from nothing, added to what each path begins near
 FROM_NOTHING = 1  # which of them begins near no impulse, not near what sweeps have left
 AGAIN = 3  # steps more by one factor
 
@@ -76,13 +96,36 @@ def begin(starts, slope, friction, lower, upper, indptr, indices, data, q, origi
     count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
     others, norms = np.empty(begins[blocks], indices.dtype), np.empty(begins[blocks])
     closed_indices, closed = np.empty(closed_indptr[n], indices.dtype), np.empty(closed_indptr[n])
-    fill_blocks(starts, of_row, indptr, indices, data, begins, others, norms, closed_indptr, closed_indices, closed)
+    fill_blocks(
+        starts,
+        of_row,
+        indptr,
+        indices,
+        data,
+        begins,
+        others,
+        norms,
+        closed_indptr,
+        closed_indices,
+        closed,
+    )
     diagonal, labels = np.empty((blocks, m, m)), np.empty(blocks, np.int64)
     of_blocks, of_rows = np.empty((6, blocks)), np.empty((6, n))
     is_known = scale_blocks(
         starts, begins, others, norms, closed_indptr, closed, diagonal, of_blocks[0], of_blocks[1]
     )
-    known = starts, slope, friction, lower, upper, closed_indptr, closed_indices, closed, q, of_blocks[1]
+    known = (
+        starts,
+        slope,
+        friction,
+        lower,
+        upper,
+        closed_indptr,
+        closed_indices,
+        closed,
+        q,
+        of_blocks[1],
+    )
     if is_known:
         label_components(begins, others, labels)
         is_known = refer(known, origin, labels, of_blocks, of_rows, z)
@@ -97,7 +140,9 @@ def prepare_step(  # type: ignore[no-untyped-def]
     starts, slope, friction, lower, upper, _, _, _, _, scale = known
     m, is_finite = by_z.shape[1], True
     for k in range(slope.size):
-        block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k])
+        block_derivative(
+            k, starts, slope, friction, lower, upper, z, w, scale, x, way, by_z[k], by_w[k]
+        )
         is_free[k] = False
         for i in range(m):
             for j in range(m):
@@ -126,7 +171,12 @@ def _newton(known, mass, bodies, weights, goal, most_steps, constants, z, w, R, 
     for k in range(blocks):
         m = max(m, starts[k + 1] - starts[k])
     room_of_blocks = np.empty((4, blocks, m, m))
-    by_z, by_w, inverse, by_speed = room_of_blocks[0], room_of_blocks[1], room_of_blocks[2], room_of_blocks[3]
+    by_z, by_w, inverse, by_speed = (
+        room_of_blocks[0],
+        room_of_blocks[1],
+        room_of_blocks[2],
+        room_of_blocks[3],
+    )
     is_free, was_free = np.empty(blocks, np.bool_), np.zeros(blocks, np.bool_)
     x, way, speeds = np.empty(m), np.empty(m), np.empty(bodies[0].size)
     room = np.empty((4, n))
@@ -138,14 +188,18 @@ def _newton(known, mass, bodies, weights, goal, most_steps, constants, z, w, R, 
     while made < most_steps and largest > goal and size < np.inf:
         epsilon, is_found = max(min(widest, 0.1 * largest), least_proximal), False
         while epsilon <= 1.0 and not is_found:
-            is_found = prepare_step(known, bodies, z, w, epsilon, x, way, by_z, by_w, inverse, by_speed, is_free)
+            is_found = prepare_step(
+                known, bodies, z, w, epsilon, x, way, by_z, by_w, inverse, by_speed, is_free
+            )
             for k in range(blocks):
                 is_new = is_new or is_free[k] != was_free[k]
                 was_free[k] = is_free[k]
             if is_new:
                 structure, factor = structure_of_bodies(bodies, is_free, m)
                 is_new = False
-            is_found = is_found and factor_of_bodies(mass, bodies, is_free, by_speed, structure, factor)
+            is_found = is_found and factor_of_bodies(
+                mass, bodies, is_free, by_speed, structure, factor
+            )
             if not is_found:
                 epsilon = harder * epsilon
         if not is_found:
@@ -165,7 +219,9 @@ def _newton(known, mass, bodies, weights, goal, most_steps, constants, z, w, R, 
             for _ in range(1 if again else halvings):
                 for i in range(n):
                     z[i], w[i] = start[i] + length * step[i], at_start[i] + length * along[i]
-                largest, size = measure_at(starts, slope, friction, lower, upper, scale, weights, z, w, R)
+                largest, size = measure_at(
+                    starts, slope, friction, lower, upper, scale, weights, z, w, R
+                )
                 if size <= (1.0 - decrease * length) * allowed:
                     break
                 length *= 0.5
@@ -189,8 +245,30 @@ def _newton(known, mass, bodies, weights, goal, most_steps, constants, z, w, R, 
 
 @kernel
 def solve_step(  # type: ignore[no-untyped-def]
-    starts, slope, friction, lower, upper, indptr, indices, data, q, origin, mass_indptr, mass_indices,
-    mass_data, J_indptr, J_indices, J_data, goal, rounds, most_steps, memory, constants, z, made, proved
+    starts,
+    slope,
+    friction,
+    lower,
+    upper,
+    indptr,
+    indices,
+    data,
+    q,
+    origin,
+    mass_indptr,
+    mass_indices,
+    mass_data,
+    J_indptr,
+    J_indices,
+    J_data,
+    goal,
+    rounds,
+    most_steps,
+    memory,
+    constants,
+    z,
+    made,
+    proved,
 ):
     """Solve the contacts of bodies from z, which gets the answer: sweeps and Newton's method, sweeps and central paths.
 
@@ -214,7 +292,9 @@ def solve_step(  # type: ignore[no-untyped-def]
     if largest > goal:
         project(starts, slope, friction, lower, upper, z)
         sweep(*known[:9], diagonal, steps, z, rounds[0])
-        largest, made[1] = _newton(known, mass, bodies, weights, goal, most_steps, constants, z, w, R, memory)
+        largest, made[1] = _newton(
+            known, mass, bodies, weights, goal, most_steps, constants, z, w, R, memory
+        )
         made[0] = rounds[0]
     if largest > goal:
         project(starts, slope, friction, lower, upper, z)
@@ -237,7 +317,9 @@ def solve_step(  # type: ignore[no-untyped-def]
             left, made[2] = left - taken, made[2] + taken
             if not largest <= near:
                 break
-            largest, taken = _newton(known, mass, bodies, weights, goal, NEWTON_NEAR, constants, z, w, R, memory)
+            largest, taken = _newton(
+                known, mass, bodies, weights, goal, NEWTON_NEAR, constants, z, w, R, memory
+            )
             near, made[1] = NEARER * near, made[1] + taken
     if largest <= goal:
         settle(known, origin, labels, of_blocks, of_rows, z, proved)

@@ -3,7 +3,8 @@
 from ...core.kind import Kind
 
 EQUILIBRIUM_PROGRAM = Kind(
-    "objective over equilibria", "EquilibriumProgram",
+    "objective over equilibria",
+    "EquilibriumProgram",
     ("solve", "solve_batch", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     "solve(problem) takes it; its pairs alone are an LCP where they determine their unknowns",
     {
@@ -17,7 +18,9 @@ EQUILIBRIUM_PROGRAM = Kind(
         "error_bound": "solve(problem).gap is what is left, bound_by says whose bound",
         "save": "state it in AMPL's .nl, which lcp-plugin solve reads",
         "qpsolvers": "its program has no place for pairs: write solve(problem)",
-        **{f"lcp-plugin {name}": "lcp-plugin solve --option prove=true proves its bound"
-           for name in ("check", "certify", "analyze", "study")},
+        **{
+            f"lcp-plugin {name}": "lcp-plugin solve --option prove=true proves its bound"
+            for name in ("check", "certify", "analyze", "study")
+        },
     },
 )

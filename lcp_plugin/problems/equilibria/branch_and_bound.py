@@ -42,15 +42,23 @@ FIRST = 300  # nodes · pairs before SCIP is asked: 9 nodes of 30 pairs close le
 MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
 LOOK = 0.1  # seconds, in which followers are solved before SCIP is asked
 ENDS = {
-    "timelimit": Status.MAX_SECONDS, "nodelimit": Status.MAX_ITERATIONS, "totalnodelimit": Status.MAX_ITERATIONS,
+    "timelimit": Status.MAX_SECONDS,
+    "nodelimit": Status.MAX_ITERATIONS,
+    "totalnodelimit": Status.MAX_ITERATIONS,
     "userinterrupt": Status.INTERRUPTED,
 }
 
 
 def minimize_over_solutions(
-    problem: EquilibriumProgram, *, tolerance: float = 1e-6, max_nodes: int | None = None,
-    max_seconds: float | None = None, callback: Callable[[BranchAndBound], Any] | None = None, verbose: bool = False,
-    x0: ArrayLike | None = None, prove: bool = False,
+    problem: EquilibriumProgram,
+    *,
+    tolerance: float = 1e-6,
+    max_nodes: int | None = None,
+    max_seconds: float | None = None,
+    callback: Callable[[BranchAndBound], Any] | None = None,
+    verbose: bool = False,
+    x0: ArrayLike | None = None,
+    prove: bool = False,
 ) -> EquilibriumResult:
     """Return the best solution of a program with complementarity constraints, and a bound of what any can reach.
 
@@ -105,7 +113,9 @@ def minimize_over_solutions(
             f"minimize_over_solutions needs an EquilibriumProgram, got {type(problem).__name__}; solve takes every kind"
         )
     if not (is_number(tolerance) and 0.0 < tolerance < 1.0):
-        raise InvalidOption(f"tolerance must be a number > 0 and < 1, as it is relative, got {tolerance!r}")
+        raise InvalidOption(
+            f"tolerance must be a number > 0 and < 1, as it is relative, got {tolerance!r}"
+        )
     for name, limit in {"max_nodes": max_nodes, "max_seconds": max_seconds}.items():
         if limit is not None and not (is_number(limit) and limit >= 0):
             raise InvalidOption(f"{name} must be a number ≥ 0, got {limit!r}")
@@ -116,7 +126,9 @@ def minimize_over_solutions(
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
-        search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)
+        search = BranchAndBound(
+            problem, float(tolerance), math.inf if max_nodes is None else max_nodes
+        )
         log = _Log() if verbose else None
         watchers = [one for one in (log, callback) if one is not None]
         return search.run(lambda: any([bool(one(search)) for one in watchers]), start, prove)
@@ -168,7 +180,9 @@ class BranchAndBound:
     @property
     def lower_bound(self) -> float:
         """What no solution is below."""
-        waiting = [bound for bound, _, _ in self._open[:1]] + ([] if self._current is None else [self._current.bound])
+        waiting = [bound for bound, _, _ in self._open[:1]] + (
+            [] if self._current is None else [self._current.bound]
+        )
         own = min([self._closed_at, *waiting]) if self.tree else -math.inf
         return min(self.value, max(own, -math.inf if self.outside is None else self.outside.bound))
 
@@ -184,7 +198,9 @@ class BranchAndBound:
         point = None if self.local.best is None else self.local.best.point
         return 0.0 if point is None else self.tolerance * self.original.objective_size(point)
 
-    def run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> EquilibriumResult:
+    def run(
+        self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool
+    ) -> EquilibriumResult:
         """Return the result, once the gap is closed, or something ends the search."""
         ended: Status | None = None
         try:
@@ -206,13 +222,21 @@ class BranchAndBound:
         if is_provable and self._next() is None:
             return None
         if is_provable:
-            ended = self._search(ends, math.inf if engine is None else FIRST // max(1, self.problem.pairs))
-            if ended is not None or self.descent is not None or (self._next() is None and not self._is_stuck):
+            ended = self._search(
+                ends, math.inf if engine is None else FIRST // max(1, self.problem.pairs)
+            )
+            if (
+                ended is not None
+                or self.descent is not None
+                or (self._next() is None and not self._is_stuck)
+            ):
                 return ended
         if engine is None:
             return None
         ended = self._ask(engine, ends)
-        if self.local.best is None and (self.outside is None or self.outside.status != "infeasible"):
+        if self.local.best is None and (
+            self.outside is None or self.outside.status != "infeasible"
+        ):
             self.local.from_leaders(x0)
         if ended is not None or not is_provable or (self._is_closed() and not prove):
             return ended
@@ -232,16 +256,26 @@ class BranchAndBound:
         before = self.nodes
 
         def watched(value: float, bound: float, nodes: int) -> bool:
-            self.nodes, self._outside_value, self.outside = before + nodes, value, Outside("", bound)
+            self.nodes, self._outside_value, self.outside = (
+                before + nodes,
+                value,
+                Outside("", bound),
+            )
             return ends()
 
         found = engine(
-            self._tighter, tolerance=self.tolerance, max_nodes=self.max_nodes, below=self.cutoff, ends=watched,
+            self._tighter,
+            tolerance=self.tolerance,
+            max_nodes=self.max_nodes,
+            below=self.cutoff,
+            ends=watched,
         )
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = Outside(found.status, found.bound)
         if found.x is not None:
-            self.local.confirm(found.x, found.value + self.tolerance * self.original.objective_size(found.x))
+            self.local.confirm(
+                found.x, found.value + self.tolerance * self.original.objective_size(found.x)
+            )
         if self.local.value < found.bound - self.allowed:
             self.outside = Outside(CONTRADICTED, -math.inf)
         return ENDS.get(found.status)
@@ -344,13 +378,23 @@ class BranchAndBound:
     def _result(self, ended: Status | None) -> EquilibriumResult:
         best, value = self.local.best, self.local.value
         # of the leaves: of what is open Ctrl-C may have lost a node that was being moved
-        lower = min([value, *(node.bound for node in self.tree if node.pair < 0)]) if self.tree else -math.inf
+        lower = (
+            min([value, *(node.bound for node in self.tree if node.pair < 0)])
+            if self.tree
+            else -math.inf
+        )
         bound_by = "proof" if lower > -math.inf else None
         is_open = best is not None and value - lower > self.allowed
         if self.outside is not None and is_open and self.outside.bound > lower:
             lower, bound_by = min(self.outside.bound, value), "SCIP"
         if self.descent is not None:
-            status, lower, value, best, bound_by = Status.UNBOUNDED, -math.inf, -math.inf, None, None
+            status, lower, value, best, bound_by = (
+                Status.UNBOUNDED,
+                -math.inf,
+                -math.inf,
+                None,
+                None,
+            )
         elif best is not None and (value == lower or value - lower <= self.allowed):
             status = Status.SOLVED
         elif ended is not None:
@@ -363,9 +407,21 @@ class BranchAndBound:
         is_proved = status is Status.SOLVED and bound_by == "proof"
         is_stationary = None if best is None else True if is_proved else self.local.is_stationary()
         return EquilibriumResult(
-            self.original, self.problem, status, None if best is None else best.point, value, lower, bound_by,
-            is_stationary, self.nodes, self.relaxations.solved + self.local.relaxations.solved, self.clock.read(),
-            self.tolerance, tuple(self.tree), self.descent, self.outside,
+            self.original,
+            self.problem,
+            status,
+            None if best is None else best.point,
+            value,
+            lower,
+            bound_by,
+            is_stationary,
+            self.nodes,
+            self.relaxations.solved + self.local.relaxations.solved,
+            self.clock.read(),
+            self.tolerance,
+            tuple(self.tree),
+            self.descent,
+            self.outside,
         )
 
 
@@ -380,6 +436,9 @@ class _Log:
         if search.nodes >= self._next:
             self._next = max(search.nodes + 1, search.nodes * GROWTH)
             gap = search.value - search.lower_bound if math.isfinite(search.value) else math.inf
-            print(f"{search.nodes:>8} {search.value:>17.9g} {search.lower_bound:>17.9g} "
-                  f"{gap:>9.1e} {search.clock.read():>9.2f}", flush=True)
+            print(
+                f"{search.nodes:>8} {search.value:>17.9g} {search.lower_bound:>17.9g} "
+                f"{gap:>9.1e} {search.clock.read():>9.2f}",
+                flush=True,
+            )
         return False

@@ -13,7 +13,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, check_order, checked_limit, checked_vector, rectangular_matrix
+from ...core.checks import (
+    FloatVector,
+    check_order,
+    checked_limit,
+    checked_vector,
+    rectangular_matrix,
+)
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
@@ -26,7 +32,11 @@ Indices = NDArray[np.int64]
 #: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
 Cases = NDArray[np.uint8]
 
-LOWER, BETWEEN, UPPER = 1, 2, 4  # z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
+LOWER, BETWEEN, UPPER = (
+    1,
+    2,
+    4,
+)  # z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
 CASES = (LOWER, BETWEEN, UPPER)
 _COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
 
@@ -109,7 +119,9 @@ class EquilibriumProgram:
 
     def __post_init__(self) -> None:
         if not isinstance(self.program, QuadraticProgram):
-            raise InvalidProblem(f"program must be a QuadraticProgram, got {type(self.program).__name__}")
+            raise InvalidProblem(
+                f"program must be a QuadraticProgram, got {type(self.program).__name__}"
+            )
         for name in ("first", "second", "integers"):
             given = np.asarray(getattr(self, name))
             n, k = self.program.n, np.size(given if name == "integers" else self.first)
@@ -119,11 +131,17 @@ class EquilibriumProgram:
                     "of each pair the number of z in first, that of w in second, and those of whole numbers in integers"
                 )
             if given.size and not (given.min() >= 0 and given.max() < n):
-                raise InvalidProblem(f"{name} must number variables from 0 to {n - 1}, got {given.min()}…{given.max()}")
+                raise InvalidProblem(
+                    f"{name} must number variables from 0 to {n - 1}, got {given.min()}…{given.max()}"
+                )
             object.__setattr__(self, name, given.astype(np.int64))
         for name in ("lower", "upper"):
             own = getattr(self.program, name)[self.first]
-            given = own if getattr(self, name) is None else checked_limit(getattr(self, name), name, own.size)
+            given = (
+                own
+                if getattr(self, name) is None
+                else checked_limit(getattr(self, name), name, own.size)
+            )
             object.__setattr__(self, name, given)
         check_order(self.lower, self.upper)
 
@@ -152,11 +170,16 @@ class EquilibriumProgram:
         right = -checked_vector(q, "q", k)
         nothing = sp.csr_array((k, k))
         wider = QuadraticProgram(
-            sp.block_diag([sp.csr_array(program.P), nothing], format="csr"), np.append(program.c, np.zeros(k)),
-            sp.hstack([sp.csr_array(program.G), sp.csr_array((program.h.size, k))], format="csr"), program.h,
-            sp.block_array([[sp.csr_array(program.A), None], [rows, -sp.eye_array(k)]], format="csr"),
+            sp.block_diag([sp.csr_array(program.P), nothing], format="csr"),
+            np.append(program.c, np.zeros(k)),
+            sp.hstack([sp.csr_array(program.G), sp.csr_array((program.h.size, k))], format="csr"),
+            program.h,
+            sp.block_array(
+                [[sp.csr_array(program.A), None], [rows, -sp.eye_array(k)]], format="csr"
+            ),
             np.append(program.b, right),
-            np.append(program.lower, np.full(k, -np.inf)), np.append(program.upper, np.full(k, np.inf)),
+            np.append(program.lower, np.full(k, -np.inf)),
+            np.append(program.upper, np.full(k, np.inf)),
         )
         return cls(wider, np.asarray(columns), np.arange(n, n + k), offset=offset)
 
@@ -168,7 +191,9 @@ class EquilibriumProgram:
     @cached_property
     def all_cases(self) -> Cases:
         """The cases that each pair has, shape (k,), without those that another one holds."""
-        lower, upper = (np.isfinite(end) & ~self._implies_no_w(end) for end in (self.lower, self.upper))
+        lower, upper = (
+            np.isfinite(end) & ~self._implies_no_w(end) for end in (self.lower, self.upper)
+        )
         cases: Cases = (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
         return cases
 
@@ -176,7 +201,10 @@ class EquilibriumProgram:
         """Return for each pair whether a row a z + b w = d says w = 0 where z = end: that is the case between, too."""
         A = sp.csr_array(self.program.A)
         found: NDArray[np.bool_] = (self.first == self.second) & (end == 0.0)
-        pair_of = {(z, w): i for i, (z, w) in enumerate(zip(self.first.tolist(), self.second.tolist(), strict=True))}
+        pair_of = {
+            (z, w): i
+            for i, (z, w) in enumerate(zip(self.first.tolist(), self.second.tolist(), strict=True))
+        }
         for row in np.flatnonzero(np.diff(A.indptr) == 2):
             entries = slice(A.indptr[row], A.indptr[row + 1])
             (j, k), (a, b) = A.indices[entries].tolist(), A.data[entries].tolist()
@@ -227,20 +255,29 @@ class EquilibriumProgram:
         if not self.has_convex_objective:
             columns.append(np.unique(sp.csr_array(program.P).indices))
         if self.smooth is not None:
-            columns.append(np.unique(sp.csr_array(self.smooth.map.jacobian(np.zeros(program.n))).indices))
+            columns.append(
+                np.unique(sp.csr_array(self.smooth.map.jacobian(np.zeros(program.n))).indices)
+            )
         of_pairs = np.isin(np.arange(program.n), np.concatenate(columns[:2]))
         stated = FoldedRows.of(program).reduced  # bounds are rows, too
         lacks = np.isposinf(stated.upper) & ~(of_pairs & np.isneginf(stated.lower))
         names = self.names or [f"x[{j}]" for j in range(program.n)]
-        return [names[j] for j in np.unique(np.concatenate(columns)) if lacks[j] and j < len(names) and names[j]]
+        return [
+            names[j]
+            for j in np.unique(np.concatenate(columns))
+            if lacks[j] and j < len(names) and names[j]
+        ]
 
     def distances(self, x: FloatVector) -> FloatVector:
         """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""
         z, w = x[self.first], x[self.second]
-        found: FloatVector = np.array([
-            np.maximum(np.abs(z - self.lower), -w), np.maximum(np.abs(w), np.maximum(self.lower - z, z - self.upper)),
-            np.maximum(np.abs(self.upper - z), w),
-        ])
+        found: FloatVector = np.array(
+            [
+                np.maximum(np.abs(z - self.lower), -w),
+                np.maximum(np.abs(w), np.maximum(self.lower - z, z - self.upper)),
+                np.maximum(np.abs(self.upper - z), w),
+            ]
+        )
         return found
 
     def violations(self, x: FloatVector) -> FloatVector:
@@ -270,10 +307,16 @@ class EquilibriumProgram:
         found = [self.excess_of_rows(x), self.violations(x), np.abs(x - np.rint(x))[self.integers]]
         if self.smooth is not None:
             value, slopes = self.smooth.map.value(x), abs(self.smooth.map.jacobian(x))
-            ends = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in (self.smooth.lower, self.smooth.upper)]
+            ends = [
+                np.where(np.isfinite(end), np.abs(end), 0.0)
+                for end in (self.smooth.lower, self.smooth.upper)
+            ]
             terms = np.maximum(*ends) + np.abs(value[1:]) + (slopes @ np.abs(x))[1:]
             missed = np.maximum(self.smooth.lower - value[1:], value[1:] - self.smooth.upper)
-            found += [missed / np.where(terms > 0.0, terms, 1.0), np.where(np.isfinite(value), 0.0, np.inf)]
+            found += [
+                missed / np.where(terms > 0.0, terms, 1.0),
+                np.where(np.isfinite(value), 0.0, np.inf),
+            ]
         worst = max(float(one.max(initial=0.0)) for one in found)
         return math.inf if math.isnan(worst) else worst
 
@@ -282,7 +325,9 @@ class EquilibriumProgram:
         rows = self.program.constraints
         own, missed = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))), rows.excess(x)
         terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), own)
-        excess: FloatVector = np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)
+        excess: FloatVector = np.where(
+            missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0
+        )
         return excess
 
     def __repr__(self) -> str:

@@ -26,10 +26,16 @@ from .relaxations import Node, Relaxations
 MEETS = 1e-7  # beside 1 + ‖x‖∞: a case that x belongs to
 DESCENT = 1e-9  # of 1 + |f|
 MOST_BIACTIVE = 12
-NEAR, MOST_DOUBTFUL = 1e-5, 6  # beside 1 + ‖x‖∞: pairs of another solver's point whose case is in doubt
+NEAR, MOST_DOUBTFUL = (
+    1e-5,
+    6,
+)  # beside 1 + ‖x‖∞: pairs of another solver's point whose case is in doubt
 MOST_NEIGHBOURS = 50
 MOST_CORNERS = 4  # leaders of whose bounds all combinations are tried
-FOLLOWING = "interior_point", "lemke"  # the program that followers solve, where there is one; else one path of pivots
+FOLLOWING = (
+    "interior_point",
+    "lemke",
+)  # the program that followers solve, where there is one; else one path of pivots
 UNBOUNDED = 1.0  # from the one bound that a leader has: where a start lies
 
 
@@ -107,7 +113,10 @@ class LocalSearch:
         near = self.problem.distances(x) <= NEAR * (1.0 + float(np.abs(x).max(initial=0.0)))
         chosen = self.problem.nearest(x, self.problem.all_cases)
         doubtful = np.flatnonzero(near.sum(axis=0) > 1)[:MOST_DOUBTFUL]
-        choices = [[case for case, is_near in zip(CASES, near[:, i], strict=True) if is_near] for i in doubtful]
+        choices = [
+            [case for case, is_near in zip(CASES, near[:, i], strict=True) if is_near]
+            for i in doubtful
+        ]
         for cases in itertools.product(*choices):
             if self.value <= value or is_over():
                 return
@@ -118,7 +127,9 @@ class LocalSearch:
         if piece.value == math.inf:
             return None
         promising = self._promising(piece)
-        for chosen in ([promising] if len(promising) > 1 else []) + [[one] for one in promising[:MOST_NEIGHBOURS]]:
+        for chosen in ([promising] if len(promising) > 1 else []) + [
+            [one] for one in promising[:MOST_NEIGHBOURS]
+        ]:
             if is_over():
                 return None
             cases = piece.cases.copy()
@@ -155,8 +166,11 @@ class LocalSearch:
         """Return (pair, case) of the cases that x belongs to as well."""
         meets = self.problem.distances(x) <= MEETS * (1.0 + float(np.abs(x).max(initial=0.0)))
         rows, pairs = np.nonzero(meets)
-        return [(int(i), CASES[k]) for k, i in zip(rows, pairs, strict=True)
-                if CASES[k] != cases[i] and CASES[k] & self.problem.all_cases[i]]
+        return [
+            (int(i), CASES[k])
+            for k, i in zip(rows, pairs, strict=True)
+            if CASES[k] != cases[i] and CASES[k] & self.problem.all_cases[i]
+        ]
 
     def is_stationary(self) -> bool | None:
         """Return whether the best point is B-stationary: least on every piece that holds it; None where these are many.
@@ -180,7 +194,9 @@ class LocalSearch:
         return True
 
 
-def followers_solved(problem: EquilibriumProgram, guess: FloatVector | None) -> Iterator[FloatVector | None]:
+def followers_solved(
+    problem: EquilibriumProgram, guess: FloatVector | None
+) -> Iterator[FloatVector | None]:
     """Yield equilibria of the followers: leaders at the guess, in the middle of their bounds, at corners.
 
     None where none was found. Followers are what rows and pairs determine; nothing is yielded where smooth rows are
@@ -199,7 +215,10 @@ def followers_solved(problem: EquilibriumProgram, guess: FloatVector | None) -> 
     if guess is not None:
         wishes.insert(0, np.clip(guess[is_leader], lower, upper))
     if 1 < low.size <= MOST_CORNERS:
-        wishes += [np.where(high_ones, high, low) for high_ones in itertools.product((False, True), repeat=low.size)]
+        wishes += [
+            np.where(high_ones, high, low)
+            for high_ones in itertools.product((False, True), repeat=low.size)
+        ]
     is_whole = np.zeros(is_leader.size, dtype=bool)
     is_whole[problem.integers] = True
     for wish in wishes:
@@ -236,7 +255,9 @@ def leaders(problem: EquilibriumProgram) -> BoolVector | None:
     return is_leader if not is_leader[is_paired].any() else None
 
 
-def _followed(problem: EquilibriumProgram, is_leader: BoolVector, values: FloatVector) -> FloatVector | None:
+def _followed(
+    problem: EquilibriumProgram, is_leader: BoolVector, values: FloatVector
+) -> FloatVector | None:
     """Return x with the followers' complementarity problem solved for these values of the leaders."""
     program, k, n = problem.program, problem.pairs, problem.program.n
     own = np.flatnonzero(~is_leader)
@@ -249,8 +270,13 @@ def _followed(problem: EquilibriumProgram, is_leader: BoolVector, values: FloatV
     z, w = place[problem.first], place[problem.second]
     others = np.setdiff1d(np.arange(own.size), z)
     pairs = sp.csr_array((np.ones(k), (z, w)), shape=(own.size, own.size))
-    M = sp.csr_array(pairs + sp.csr_array((np.ones(others.size), (others, np.arange(others.size))),
-                                          shape=(own.size, A.shape[0])) @ A[:, own])
+    M = sp.csr_array(
+        pairs
+        + sp.csr_array(
+            (np.ones(others.size), (others, np.arange(others.size))), shape=(own.size, A.shape[0])
+        )
+        @ A[:, own]
+    )
     q, lower, upper = np.zeros(own.size), np.full(own.size, -np.inf), np.full(own.size, np.inf)
     q[others], lower[z], upper[z] = A @ x - program.b, problem.lower, problem.upper
     followers = LCP(M, q, lower=lower, upper=upper)

@@ -45,7 +45,9 @@ def tightened(problem: EquilibriumProgram) -> EquilibriumProgram:
         return problem
     columns, S, r, weights = found
     upper = np.array(problem.program.upper)
-    upper[columns] = np.minimum(upper[columns], np.maximum(_largest(S, r, weights), problem.program.lower[columns]))
+    upper[columns] = np.minimum(
+        upper[columns], np.maximum(_largest(S, r, weights), problem.program.lower[columns])
+    )
     return replace(problem, program=problem.program.with_vectors(upper=upper))
 
 
@@ -69,11 +71,17 @@ def _largest(S: FloatVector, r: FloatVector, weights: FloatVector) -> FloatVecto
     np.fill_diagonal(others, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         total = heights + most @ others
-        alone = np.where(own > 0.0, (total + error * (np.abs(heights) + most @ others)) / own * (1.0 + error), np.inf)
+        alone = np.where(
+            own > 0.0,
+            (total + error * (np.abs(heights) + most @ others)) / own * (1.0 + error),
+            np.inf,
+        )
     return np.minimum(most, np.maximum(alone, 0.0))
 
 
-def _ellipsoid(problem: EquilibriumProgram) -> tuple[Indices, FloatVector, FloatVector, FloatVector] | None:
+def _ellipsoid(
+    problem: EquilibriumProgram,
+) -> tuple[Indices, FloatVector, FloatVector, FloatVector] | None:
     """Return z's columns, S, r and weights with S ⪰ diag(weights) > 0; None where there is no such S.
 
     Of the pairs whose w is one row of equations in bounded x.
@@ -86,7 +94,9 @@ def _ellipsoid(problem: EquilibriumProgram) -> tuple[Indices, FloatVector, Float
     plain = (problem.all_cases == LOWER + BETWEEN) & (problem.lower == 0.0)
     for i in np.flatnonzero(plain).tolist():
         own = slice(by_column.indptr[problem.second[i]], by_column.indptr[problem.second[i] + 1])
-        for row, factor in zip(by_column.indices[own].tolist(), by_column.data[own].tolist(), strict=True):
+        for row, factor in zip(
+            by_column.indices[own].tolist(), by_column.data[own].tolist(), strict=True
+        ):
             if abs(math.frexp(factor)[0]) == 0.5 and row not in {one for one, _ in rows.values()}:
                 rows[i] = row, factor
                 break

@@ -115,7 +115,11 @@ class Relaxations:
         """Return the node of some cases, solved, and bounded or proved infeasible."""
         node = self.solved_node(cases)
         node.parent = parent
-        if node.dual is not None and node.point is not None and (program := self.program(cases)) is not None:
+        if (
+            node.dual is not None
+            and node.point is not None
+            and (program := self.program(cases)) is not None
+        ):
             enough = node.value - ENOUGH * self.tolerance * self.problem.objective_size(node.point)
             node.bound = self.bound(program, node.dual, enough)
             if node.bound == -math.inf:  # a vertex has more zeros than multipliers to mend them by
@@ -142,7 +146,9 @@ class Relaxations:
             solution = self._within_a_box(program)
         node.point = self._rounded(np.clip(solution.x, program.lower, program.upper), program)
         misses = self.problem.excess_of_rows(node.point)
-        if solution.program is program and (misses <= FEASIBLE).all():  # or it falls without end, or nothing is known
+        if (
+            solution.program is program and (misses <= FEASIBLE).all()
+        ):  # or it falls without end, or nothing is known
             node.value = self.problem.objective(node.point)
             node.dual = solution.x, np.concatenate([solution.inequality, solution.equality])
         return node
@@ -153,10 +159,14 @@ class Relaxations:
         other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
         if np.array_equal(other, x):
             return x
-        misses, misses_less = (self.problem.excess_of_rows(one).max(initial=0.0) for one in (x, other))
+        misses, misses_less = (
+            self.problem.excess_of_rows(one).max(initial=0.0) for one in (x, other)
+        )
         return other if misses_less < misses else x
 
-    def bound(self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float) -> float:
+    def bound(
+        self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float
+    ) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""
         box = np.maximum(self._box[0], program.lower), np.minimum(self._box[1], program.upper)
         if (box[0] > box[1]).any():
@@ -172,7 +182,9 @@ class Relaxations:
         Its value is ∞ where no solution was found.
         """
         node, (lower, upper), whole = Node(cases), self.problem.bounds(cases), self.problem.integers
-        lower[whole] = upper[whole] = np.clip(np.rint(near[whole]), np.ceil(lower[whole]), np.floor(upper[whole]))
+        lower[whole] = upper[whole] = np.clip(
+            np.rint(near[whole]), np.ceil(lower[whole]), np.floor(upper[whole])
+        )
         if (lower > upper).any():
             return node
         around, last = _Around(self.problem, np.clip(near, lower, upper)), None
@@ -206,7 +218,9 @@ class Relaxations:
                 sigma = max(STEEPER * sigma, size * FLATTER**3)
         if around.is_defined and self.problem.excess(around.x) <= FEASIBLE:
             node.point, node.value = around.x, self.problem.objective(around.x)
-            if last is not None and self.problem.smooth is None:  # rows are the program's, in their order
+            if (
+                last is not None and self.problem.smooth is None
+            ):  # rows are the program's, in their order
                 node.dual = around.x, np.concatenate([last.inequality, last.equality])
         return node
 
@@ -229,10 +243,15 @@ class Relaxations:
         rows = program.constraints
         limits = np.abs(rows.limit) / program.matrices.row_sizes
         far = FAR * (1.0 + float(limits[rows.finite].max(initial=0.0)))
-        within = program.with_vectors(lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far))
+        within = program.with_vectors(
+            lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far)
+        )
         found = solved_at_once(within, TOLERANCE)
         solution = _by_steps(within) if found is None else found.solution
-        is_inside = bool(np.abs(solution.x).max(initial=0.0) < far * (1.0 - INSIDE)) and solution.is_stationary()
+        is_inside = (
+            bool(np.abs(solution.x).max(initial=0.0) < far * (1.0 - INSIDE))
+            and solution.is_stationary()
+        )
         return replace(solution, program=program) if is_inside else solution
 
 
@@ -242,7 +261,10 @@ class _Around:
     def __init__(self, problem: EquilibriumProgram, x: FloatVector) -> None:
         self.problem, self.x, program, smooth = problem, x, problem.program, problem.smooth
         self.value, self.slope = problem.objective(x), program.P @ x + program.c
-        parts = [(program.G, np.full(program.h.size, -np.inf), program.h), (program.A, program.b, program.b)]
+        parts = [
+            (program.G, np.full(program.h.size, -np.inf), program.h),
+            (program.A, program.b, program.b),
+        ]
         missed = [program.G @ x - program.h, np.abs(program.A @ x - program.b)]
         if smooth is not None:
             found, slopes = smooth.map.value(x), sp.csr_array(smooth.map.jacobian(x))
@@ -252,8 +274,13 @@ class _Around:
             missed.append(np.maximum(smooth.lower - found[1:], found[1:] - smooth.upper))
         self.violation = sum(float(np.maximum(one, 0.0).sum()) for one in missed)
         self._rows = parts
-        numbers = [self.slope, *(np.asarray(one.data) for one in map(sp.csr_array, (part[0] for part in parts)))]
-        self.is_defined = math.isfinite(self.value + self.violation) and all(np.isfinite(one).all() for one in numbers)
+        numbers = [
+            self.slope,
+            *(np.asarray(one.data) for one in map(sp.csr_array, (part[0] for part in parts))),
+        ]
+        self.is_defined = math.isfinite(self.value + self.violation) and all(
+            np.isfinite(one).all() for one in numbers
+        )
 
     def merit(self, penalty: float) -> float:
         """Return what a step has to lower."""
@@ -266,7 +293,9 @@ class _Around:
         H = sp.csr_array(P + sigma * sp.eye_array(n)) if sigma else P
         rows = sp.vstack([sp.csr_array(matrix) for matrix, _, _ in self._rows], format="csr")
         low, high = (np.concatenate([part[k] for part in self._rows]) for k in (1, 2))
-        return QuadraticProgram.from_ranges(H, self.slope - H @ self.x, rows, low, high, lower, upper)
+        return QuadraticProgram.from_ranges(
+            H, self.slope - H @ self.x, rows, low, high, lower, upper
+        )
 
 
 def _by_steps(program: QuadraticProgram, **options: Any) -> QPSolution:

@@ -42,11 +42,11 @@ ADVICE = {
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
 SAID = {
     "infeasible": "SCIP, in floating point, finds no solution, and nothing proves that there is none, which INFEASIBLE "
-                  "would say; next: check the data",
+    "would say; next: check the data",
     "unbounded": "SCIP, in floating point, says that the objective falls without end, and nothing proves it; next: "
-                 "bound the variables",
+    "bound the variables",
     "inforunbd": "SCIP, in floating point, says that there is no solution, or none that is least; next: bound "
-                 "the variables",
+    "the variables",
     CONTRADICTED: "x is better than SCIP's bound, which is not believed therefore; next: rescale the data",
 }
 FALLS = ("unbounded", "inforunbd")
@@ -154,9 +154,12 @@ class EquilibriumResult(Answer):
         is_excluded = self.x is None and self.lower_bound == math.inf
         is_proved = {
             Status.SOLVED: self.x is not None and self.gap <= self.tolerance,
-            Status.INFEASIBLE: is_excluded, Status.NO_SOLUTION: is_excluded,
+            Status.INFEASIBLE: is_excluded,
+            Status.NO_SOLUTION: is_excluded,
         }
-        if not is_proved.get(self.status, True) or self.lower_bound == -math.inf:  # which says nothing
+        if (
+            not is_proved.get(self.status, True) or self.lower_bound == -math.inf
+        ):  # which says nothing
             return is_proved.get(self.status, True)
         return self._tree_covers() and all(
             self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0
@@ -172,16 +175,24 @@ class EquilibriumResult(Answer):
         if self.x is None:
             return self.value == (-math.inf if self.status is Status.UNBOUNDED else math.inf)
         is_exact = bool((self.problem.violations(self.x) == 0.0).all())
-        return is_exact and self.problem.excess(self.x) <= FEASIBLE and self.problem.objective(self.x) <= self.value
+        return (
+            is_exact
+            and self.problem.excess(self.x) <= FEASIBLE
+            and self.problem.objective(self.x) <= self.value
+        )
 
     def _falls(self, relaxations: Relaxations) -> bool:
         """Return whether the proof of descent is one, of a piece of this problem."""
         if self.descent is None:
             return False
         cases, proof = self.descent
-        is_piece = bool(((case_counts(cases) == 1) & (cases & self.problem.all_cases == cases)).all())
+        is_piece = bool(
+            ((case_counts(cases) == 1) & (cases & self.problem.all_cases == cases)).all()
+        )
         program = relaxations.program(cases)
-        return is_piece and program is not None and _is_same(proof.program, program) and proof.verify()
+        return (
+            is_piece and program is not None and _is_same(proof.program, program) and proof.verify()
+        )
 
     def _tree_covers(self) -> bool:
         """Return whether the root has all cases, and the children of every node all that it has."""
@@ -213,7 +224,11 @@ class EquilibriumResult(Answer):
             return True
         # what holds of more cases than its own holds of them
         parent = leaf.parent
-        return parent is not None and parent.dual is leaf.dual and self._leaf_holds(parent, relaxations)
+        return (
+            parent is not None
+            and parent.dual is leaf.dual
+            and self._leaf_holds(parent, relaxations)
+        )
 
     @property
     def objective(self) -> float | None:
@@ -223,12 +238,20 @@ class EquilibriumResult(Answer):
     @property
     def algorithm(self) -> str:
         """What ran."""
-        return "branch and bound" if self.outside is None else "SCIP, branch and bound" if self.tree else "SCIP"
+        return (
+            "branch and bound"
+            if self.outside is None
+            else "SCIP, branch and bound"
+            if self.tree
+            else "SCIP"
+        )
 
     @property
     def proof(self) -> EquilibriumResult | None:
         """The result itself, which can ``verify()``, where a status is proved."""
-        return self if (self.is_solved or self.has_no_solution) and self.bound_by != "SCIP" else None
+        return (
+            self if (self.is_solved or self.has_no_solution) and self.bound_by != "SCIP" else None
+        )
 
     @property
     def advice(self) -> str:
@@ -238,10 +261,16 @@ class EquilibriumResult(Answer):
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
         if self.status is Status.STALLED and self.outside is not None:
-            what = "SCIP's point could not be confirmed" if self.x is None else "the value exceeds SCIP's bound"
+            what = (
+                "SCIP's point could not be confirmed"
+                if self.x is None
+                else "the value exceeds SCIP's bound"
+            )
             if self.outside.bound == -math.inf:
                 what = f"SCIP ended without an answer, with the words {self.outside.status!r}"
-            advice = SAID.get(self.outside.status, f"{what}; next: bound the unknowns, or rescale the data")
+            advice = SAID.get(
+                self.outside.status, f"{what}; next: bound the unknowns, or rescale the data"
+            )
         elif self.status is Status.STALLED and not self.problem.is_provable:
             advice = (
                 "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
@@ -250,7 +279,11 @@ class EquilibriumResult(Answer):
             )
         elif self.status not in LIMITS:
             return advice
-        found = "no solution was found so far" if self.x is None else "x is the best solution found so far"
+        found = (
+            "no solution was found so far"
+            if self.x is None
+            else "x is the best solution found so far"
+        )
         if self.status in LIMITS and self.lower_bound > -math.inf:
             found += ", lower_bound holds" if self.bound_by == "proof" else ""
         happened, begins, to_do = advice.partition(NEXT)
@@ -267,12 +300,24 @@ class EquilibriumResult(Answer):
             return ""
         some, has = ", ".join(names[:MOST_NAMES]), "has" if len(names) == 1 else "have"
         some += ", …" * (len(names) > MOST_NAMES)
-        why, it = "" if said in FALLS else "the lower bound barely moves: ", "it" if len(names) == 1 else "them"
-        how = "" if self.problem.names else f", as a row of G x <= h: in `upper` it bounds the pairs of {it}, too"
+        why, it = (
+            "" if said in FALLS else "the lower bound barely moves: ",
+            "it" if len(names) == 1 else "them",
+        )
+        how = (
+            ""
+            if self.problem.names
+            else f", as a row of G x <= h: in `upper` it bounds the pairs of {it}, too"
+        )
         return f"; {why}{some} {has} no upper bound; give {it} one{how}"
 
     def _numbers(self) -> dict[str, float]:
-        own = {"lower_bound": self.lower_bound, "gap": self.gap, "programs": self.programs, "tolerance": self.tolerance}
+        own = {
+            "lower_bound": self.lower_bound,
+            "gap": self.gap,
+            "programs": self.programs,
+            "tolerance": self.tolerance,
+        }
         return {**super()._numbers(), **own}
 
     def reached(self) -> str:
@@ -283,15 +328,20 @@ class EquilibriumResult(Answer):
         bound += f" ({BY_SCIP})" if self.bound_by == "SCIP" else ""
         if self.x is None:
             return f"no solution found, {bound}"
-        gap = f", gap {self.gap:.1e}" if self.gap < math.inf else ""  # beside an objective without terms
+        gap = (
+            f", gap {self.gap:.1e}" if self.gap < math.inf else ""
+        )  # beside an objective without terms
         return f"objective {self.value:.9g}, {bound}{gap}"
 
     def _effort(self) -> str:
-        return f"{self.algorithm}: {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
+        return (
+            f"{self.algorithm}: {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
+        )
 
 
 def _is_same(one: QuadraticProgram, other: QuadraticProgram) -> bool:
     """Return whether two programs have one matrix and the same vectors."""
     return one.matrices is other.matrices and all(
-        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("c", "lower", "upper", "h", "b")
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("c", "lower", "upper", "h", "b")
     )

@@ -3,7 +3,8 @@
 from ...core.kind import LANGUAGES, Kind
 
 BOUNDED_LEAST_SQUARES = Kind(
-    "bounded least squares problem", "BoundedLeastSquares",
+    "bounded least squares problem",
+    "BoundedLeastSquares",
     ("solve", "solve_batch", "trace", "pickle", *LANGUAGES, "lcp-plugin solve"),
     "LCP(AᵀA, −Aᵀb, lower=…, upper=…) states it as an LCP",
     {
@@ -14,7 +15,9 @@ BOUNDED_LEAST_SQUARES = Kind(
         "error_bound=": "result.gap is proved",
         "Certificate.of": "solve(problem, x0=x, max_iterations=0) judges x",
         "save": "numpy.savez(path, A=A, b=b) saves it, and load_problem(path) reads it",
-        **{f"lcp-plugin {name}": "lcp-plugin solve proves a gap"
-           for name in ("check", "certify", "analyze", "study", "report")},
+        **{
+            f"lcp-plugin {name}": "lcp-plugin solve proves a gap"
+            for name in ("check", "certify", "analyze", "study", "report")
+        },
     },
 )

@@ -54,14 +54,20 @@ from .refined_steps import refined_steps
 from .steps import FacePoint, through_orthants
 
 UNAVOIDABLE = 1e4  # times what rounding costs at an answer near 0: that is no cost which is hidden
-INDEPENDENT = 2.0**-40  # of the longest column: what is left of one that depends on others is shorter
+INDEPENDENT = (
+    2.0**-40
+)  # of the longest column: what is left of one that depends on others is shorter
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
 NEARLY = 1e-9  # of a cost that rounding may be
 IS_NEAR = 1  # what LSMR says then
 ENOUGH = 0.8  # of the 1 that (AᵀWp)_j is to be, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
 PUSHES = 4  # times that δ may be doubled
-ACCURACIES = (1e-3, 1e-6, 1e-8)  # with which a dual point is made orthogonal to the free columns, one after the other
+ACCURACIES = (
+    1e-3,
+    1e-6,
+    1e-8,
+)  # with which a dual point is made orthogonal to the free columns, one after the other
 
 
 @dataclass(eq=False)
@@ -89,7 +95,12 @@ class Optimality:
 
     @classmethod
     def of(
-        cls, enclosures: Enclosures, x: FloatVector, dual: FloatVector | None = None, *, tolerance: float = np.inf
+        cls,
+        enclosures: Enclosures,
+        x: FloatVector,
+        dual: FloatVector | None = None,
+        *,
+        tolerance: float = np.inf,
     ) -> Optimality:
         """Return the optimality of x on the caller's own data.
 
@@ -131,7 +142,9 @@ class Optimality:
 
         def is_avoided_at(point: FloatVector) -> bool:
             slip = enclosures.residual(point)[1]
-            return not hidden[is_much].sum() <= UNAVOIDABLE * float((problem.weighted(slip) * slip)[is_much].sum())
+            return not hidden[is_much].sum() <= UNAVOIDABLE * float(
+                (problem.weighted(slip) * slip)[is_much].sum()
+            )
 
         return is_avoided_at(_basic(enclosures)) and is_avoided_at(_near_answer(enclosures))
 
@@ -161,7 +174,9 @@ class Optimality:
     def sharp_residual(self) -> FloatVector:
         """A x − b, computed without rounding where that is more than 1e-9 of the cost."""
         problem, (r, slip) = self.enclosures.problem, self.residual
-        if not problem.has_entries or not problem.weighted(slip) @ np.abs(r) > NEARLY * problem.cost(self.x, r):
+        if not problem.has_entries or not problem.weighted(slip) @ np.abs(
+            r
+        ) > NEARLY * problem.cost(self.x, r):
             return r
         return compensated_product(sp.csr_array(problem.A), self.x, -problem.b)[0]
 
@@ -172,7 +187,13 @@ class Optimality:
         if not problem.has_entries:
             gradient = gradient[0], typical_rounding(problem, self.x, self.residual[0])
         return largest_residuals(
-            *gradient, self.x, problem.lower, problem.upper, problem.l1, problem.column_scales, problem.has_entries
+            *gradient,
+            self.x,
+            problem.lower,
+            problem.upper,
+            problem.l1,
+            problem.column_scales,
+            problem.has_entries,
         )
 
 
@@ -183,10 +204,15 @@ def _basic(enclosures: Enclosures) -> FloatVector:
 
         problem, scaled = enclosures.problem, enclosures.problem.scaled
         Q, R, columns = qr(scaled.dense(), mode="economic", pivoting=True, check_finite=False)
-        rank = int(np.count_nonzero(np.abs(R.diagonal()) > INDEPENDENT * np.abs(R).max(initial=0.0)))
+        rank = int(
+            np.count_nonzero(np.abs(R.diagonal()) > INDEPENDENT * np.abs(R).max(initial=0.0))
+        )
         chosen, x = columns[:rank], np.zeros(scaled.n)
         for _ in range(2):  # beside one large b the others are rounding at first
-            left = problem.root_weights * compensated_product(sp.csr_array(problem.A), x, -problem.b)[0]
+            left = (
+                problem.root_weights
+                * compensated_product(sp.csr_array(problem.A), x, -problem.b)[0]
+            )
             step = solve_triangular(R[:rank, :rank], Q[:, :rank].T @ left, check_finite=False)
             x[chosen] -= step / scaled.columns[chosen]
         enclosures.basic = x
@@ -204,8 +230,11 @@ def _near_answer(enclosures: Enclosures) -> FloatVector:
 
 
 def _beside_cost(
-    problem: BoundedLeastSquares, x: FloatVector, residual: Ball,
-    duals: Iterator[tuple[FloatVector, Ball, FloatVector]], tolerance: float,
+    problem: BoundedLeastSquares,
+    x: FloatVector,
+    residual: Ball,
+    duals: Iterator[tuple[FloatVector, Ball, FloatVector]],
+    tolerance: float,
 ) -> tuple[float, FloatVector]:
     """Return what SOLVED compares with the tolerance (the module's docstring), 1 at the most, and its y."""
     least, best = np.inf, residual[0]
@@ -234,7 +263,11 @@ def _dual_points(
         yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
     if dual is not None:  # whoever has one knows better than what follows
         return
-    free, y, at_y = (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0)), r, slope
+    free, y, at_y = (
+        (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0)),
+        r,
+        slope,
+    )
     if judged.is_at_rounding_level:
         yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
     for accuracy in ACCURACIES:
@@ -242,7 +275,9 @@ def _dual_points(
         y = y - _push(problem, np.where(free, wrong / problem.column_scales, 0.0), free, accuracy)
         at_y = enclosures.gradient_at(x, y)
         yield y, at_y, NOTHING
-        if (np.abs(y) <= slip).any():  # the only entry of a column without bounds wants a y_i of 0, not of rounding
+        if (
+            np.abs(y) <= slip
+        ).any():  # the only entry of a column without bounds wants a y_i of 0, not of rounding
             zeroed = np.where(np.abs(y) > slip, y, 0.0)
             yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
         yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
@@ -260,13 +295,19 @@ def _with_shrunk(
             yield (*shrunk, NOTHING)
 
 
-def _shrunk(enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball) -> tuple[FloatVector, Ball] | None:
+def _shrunk(
+    enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball
+) -> tuple[FloatVector, Ball] | None:
     """Return θ y, θ ≤ 1, with |s_j| ≤ l1_j where there is a penalty and no bound, and its s; None where y has that."""
     problem = enclosures.problem
     of_y, margin = slope[0] - problem.ridge * x, 2.0 * slope[1]
     shares = [
-        np.divide(problem.l1 - margin - sign * problem.ridge * x, sign * of_y,
-                  out=np.ones(x.size), where=(sign * of_y > 0.0) & (bound == sign * -np.inf) & (problem.l1 > 0.0))
+        np.divide(
+            problem.l1 - margin - sign * problem.ridge * x,
+            sign * of_y,
+            out=np.ones(x.size),
+            where=(sign * of_y > 0.0) & (bound == sign * -np.inf) & (problem.l1 > 0.0),
+        )
         for sign, bound in ((1.0, problem.lower), (-1.0, problem.upper))
     ]
     share = float(np.min(shares, initial=1.0)) * (1.0 - 2.0**-50)
@@ -298,7 +339,11 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
     exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
     slopes = [(y, enclosures.gradient_at(x, y)) for y in duals or (residual[0],)]
     if problem.l1.any():
-        slopes += [shrunk for y, slope in slopes if (shrunk := _shrunk(enclosures, x, y, slope)) is not None]
+        slopes += [
+            shrunk
+            for y, slope in slopes
+            if (shrunk := _shrunk(enclosures, x, y, slope)) is not None
+        ]
 
     def above(*given: Any) -> float:
         gap, _, size = _gap(problem, x, *given)
@@ -306,7 +351,11 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
 
     found = [above(exactly, residual[0], at_x), *(above(residual, *slope) for slope in slopes)]
     if not np.nanmin(found) < np.inf:
-        found += [above(residual, *repair) for slope in slopes for repair in _repaired(enclosures, x, *slope)]
+        found += [
+            above(residual, *repair)
+            for slope in slopes
+            for repair in _repaired(enclosures, x, *slope)
+        ]
     if not np.nanmin(found) < np.inf and (convexity := enclosures.convexity) is not None:
         found.append(above(exactly, residual[0], at_x, convexity))
     cost = float(OUTWARD**3 * (problem.cost(x, np.abs(residual[0]) + residual[1]) + TINY))
@@ -314,8 +363,14 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
 
 
 def _gap(
-    problem: BoundedLeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball,
-    convexity: FloatVector = NOTHING, *, rounding: float = 1.0,
+    problem: BoundedLeastSquares,
+    x: FloatVector,
+    residual: Ball,
+    y: FloatVector,
+    slope: Ball,
+    convexity: FloatVector = NOTHING,
+    *,
+    rounding: float = 1.0,
 ) -> tuple[float, float, float]:
     """Return gap(x, y) for s in `slope`, the cost of y, and the size whose square is the unit of both.
 
@@ -325,7 +380,9 @@ def _gap(
     off, distance = np.maximum(np.abs(residual[0] - y) + rounding * residual[1], 0.0), np.abs(x)
     bent, penalty = math.sqrt(problem.ridge) * distance, np.sqrt(l1) * np.sqrt(distance)
     parts = root * np.abs(y), root * off, bent, penalty
-    size = float(power_of_two(max(float(np.max(part, initial=0.0)) for part in parts), LARGEST_SCALE))
+    size = float(
+        power_of_two(max(float(np.max(part, initial=0.0)) for part in parts), LARGEST_SCALE)
+    )
     unit, share = scales * size, scales / size
     of_y, of_rows, of_ridge, _ = (part / size for part in parts)
     cost = 0.5 * float(of_y @ of_y + of_ridge @ of_ridge) + float((l1 / unit) @ (distance * share))
@@ -335,7 +392,10 @@ def _gap(
     least = np.abs(s)
     if l1.any():  # x and z split at 0
         both = np.zeros(x.size)
-        for sign, low, high in ((1.0, problem.lower, problem.upper), (-1.0, -problem.upper, -problem.lower)):
+        for sign, low, high in (
+            (1.0, problem.lower, problem.upper),
+            (-1.0, -problem.upper, -problem.lower),
+        ):
             slant, at = s * sign + l1, np.maximum(sign * x, 0.0)
             both += _fall(slant, at - np.maximum(low, 0.0), margin, unit, share)
             both += _fall(-slant, np.maximum(high, 0.0) - at, margin, unit, share)
@@ -345,11 +405,15 @@ def _gap(
     if np.any(curved > 0.0):
         steepest = np.square((least + margin) / unit) / (2.0 * curved) + TINY
         linear = np.where((linear > 0.0) & (curved > 0.0), np.minimum(linear, steepest), linear)
-    gap = 0.5 * float(of_rows @ of_rows) + float(np.sum(linear + 0.0 * (s + radius)))  # NaN where one is not finite
+    gap = 0.5 * float(of_rows @ of_rows) + float(
+        np.sum(linear + 0.0 * (s + radius))
+    )  # NaN where one is not finite
     return (OUTWARD * OUTWARD * gap if gap < np.inf else np.inf), cost, size
 
 
-def _fall(slant: FloatVector, slack: FloatVector, off: Any, unit: FloatVector, share: FloatVector) -> FloatVector:
+def _fall(
+    slant: FloatVector, slack: FloatVector, off: Any, unit: FloatVector, share: FloatVector
+) -> FloatVector:
     """Return by how much the cost falls at the most over the slack, in units, at a slant known up to `off`."""
     steep = (slant + off) / unit
     falls = (steep > 0.0) & (slack > 0.0)
@@ -366,7 +430,9 @@ def _repaired(
     p is to push the columns whose sign is in doubt, or else all of them.
     """
     problem = enclosures.problem
-    wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(problem.lower == -np.inf, 1.0, 0.0)
+    wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(
+        problem.lower == -np.inf, 1.0, 0.0
+    )
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
     sizes = (wanted * slope[0] + problem.l1) / problem.column_scales
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
@@ -389,10 +455,14 @@ def _pushes(problem: BoundedLeastSquares, *wanted: FloatVector) -> Iterator[Floa
     """Yield what p may be: A times the first that is wanted, which serves where entries are ≥ 0; then the shortest."""
     yield problem.product(wanted[0] / problem.column_scales)
     for signs in wanted:
-        yield _push(problem, signs, signs != 0.0, ENOUGH / math.sqrt(max(int(np.count_nonzero(signs)), 1)))
+        yield _push(
+            problem, signs, signs != 0.0, ENOUGH / math.sqrt(max(int(np.count_nonzero(signs)), 1))
+        )
 
 
-def _push(problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector, accuracy: float) -> FloatVector:
+def _push(
+    problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector, accuracy: float
+) -> FloatVector:
     """Return the shortest p with (AᵀWp)_j about wanted_j times the length of column j, for the chosen j.
 
     Its signs are looked at where it is used.
@@ -412,9 +482,13 @@ def _push(problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector,
         return np.asarray(scaled.product(full))
 
     shape = (columns.size, root.size)
-    across = LinearOperator(shape, lambda push: scaled.transposed(push)[columns], back, dtype=np.float64)
+    across = LinearOperator(
+        shape, lambda push: scaled.transposed(push)[columns], back, dtype=np.float64
+    )
     steps = min(REPAIR_STEPS, 2 * columns.size + 1)
-    push, reason, *_ = lsmr(across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)
+    push, reason, *_ = lsmr(
+        across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps
+    )
     if reason != IS_NEAR and problem.is_cheap_to_copy:  # however ill-conditioned A is
         push = least_squares(sp.csr_array(scaled.entries()[:, columns]).T, wanted[columns])
     return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))

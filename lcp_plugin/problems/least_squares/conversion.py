@@ -70,13 +70,24 @@ class LeastSquaresOrigin:
             Where it is no finite vector of that length.
         """
         m, n = self.problem.shape
-        z = checked_answer(answer, (n + m if self.form == "mixed" else n) + kinks(self.problem).size)
-        return LeastSquaresSolution(self.problem, np.clip(z[:n], self.problem.lower, self.problem.upper))
+        z = checked_answer(
+            answer, (n + m if self.form == "mixed" else n) + kinks(self.problem).size
+        )
+        return LeastSquaresSolution(
+            self.problem, np.clip(z[:n], self.problem.lower, self.problem.upper)
+        )
 
 
 def lcp_from_least_squares(
-    A: Any, b: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *, weights: ArrayLike | None = None,
-    ridge: float = 0.0, l1: ArrayLike = 0.0, form: str = "auto",
+    A: Any,
+    b: ArrayLike,
+    lower: ArrayLike = 0.0,
+    upper: ArrayLike = np.inf,
+    *,
+    weights: ArrayLike | None = None,
+    ridge: float = 0.0,
+    l1: ArrayLike = 0.0,
+    form: str = "auto",
 ) -> LCP:
     """Return least squares with bounds, weights, a ridge and an l1 penalty as a complementarity problem.
 
@@ -133,7 +144,9 @@ def lcp_from_least_squares(
         raise InvalidOption(f"form={form!r} is not offered{did_you_mean(form, FORMS)}")
     stated = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge, l1=l1)
     if not stated.has_entries:
-        raise UnsuitableProblem("an LCP has entries, a LinearOperator has none; use bounded_least_squares(A, b)")
+        raise UnsuitableProblem(
+            "an LCP has entries, a LinearOperator has none; use bounded_least_squares(A, b)"
+        )
     m, n = stated.shape
     root, rows = stated.root_weights, sp.csr_array(stated.A)
     scaled = sp.csr_array(sp.diags_array(root, shape=(m, m)) @ rows)
@@ -143,11 +156,15 @@ def lcp_from_least_squares(
         most = int(min(n**2, per_row @ per_row))  # entries of AᵀA
         form = "normal" if has_squares and most <= 2 * rows.nnz + m + n else "mixed"
     if form == "normal" and not has_squares:
-        raise UnsuitableProblem('squares of entries of A overflow, or vanish; use form="mixed", or rescale A and b')
+        raise UnsuitableProblem(
+            'squares of entries of A overflow, or vanish; use form="mixed", or rescale A and b'
+        )
     if form == "normal":
         dense = stated.A * root[:, None] if stated.is_dense else scaled
         ridges = np.full(n, stated.ridge)
-        M = dense.T @ dense + (np.diag(ridges) if stated.is_dense else sp.diags_array(ridges, shape=(n, n)))
+        M = dense.T @ dense + (
+            np.diag(ridges) if stated.is_dense else sp.diags_array(ridges, shape=(n, n))
+        )
         q, below, above = -stated.transposed(stated.weighted(stated.b)), stated.lower, stated.upper
     else:
         ridges, ones = sp.eye_array(n) * stated.ridge, sp.eye_array(m)
@@ -180,7 +197,9 @@ def _with_penalty(problem: BoundedLeastSquares, M: Any, q: FloatVector) -> tuple
     return M, np.concatenate([q, np.zeros(k)])
 
 
-def _bounds_with_penalty(problem: BoundedLeastSquares, below: FloatVector, above: FloatVector) -> dict[str, Any]:
+def _bounds_with_penalty(
+    problem: BoundedLeastSquares, below: FloatVector, above: FloatVector
+) -> dict[str, Any]:
     l1 = problem.l1[kinks(problem)]
     return {"lower": np.concatenate([below, -l1]), "upper": np.concatenate([above, l1])}
 

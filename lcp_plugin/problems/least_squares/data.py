@@ -32,7 +32,9 @@ from ...systems.equilibration import power_of_two
 from . import BOUNDED_LEAST_SQUARES
 
 COPIED_UP_TO = 10**6  # places of A
-PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
+PROBES = (
+    8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
+)
 ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
 LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
@@ -83,16 +85,32 @@ class BoundedLeastSquares:
     problem_kind: ClassVar[Kind] = BOUNDED_LEAST_SQUARES
 
     def __init__(
-        self, A: Any, b: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, *,
-        weights: ArrayLike | None = None, ridge: float = 0.0, l1: ArrayLike = 0.0,
+        self,
+        A: Any,
+        b: ArrayLike,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
+        *,
+        weights: ArrayLike | None = None,
+        ridge: float = 0.0,
+        l1: ArrayLike = 0.0,
     ) -> None:
         self.A, self.has_entries = _checked(A)
         self.is_sparse = self.has_entries and not isinstance(self.A, np.ndarray)
         self.is_dense = self.has_entries and not self.is_sparse
         m, n = self.shape = self.A.shape
         self._transpose = self.A.T if self.has_entries else self.A.H
-        if isinstance(lower, tuple) and len(lower) == 2 != n and np.ndim(upper) == 0 and upper == np.inf:
-            pair = f"lower={lower[0]}, upper={lower[1]}" if all(map(is_number, lower)) else "lower=…, upper=…"
+        if (
+            isinstance(lower, tuple)
+            and len(lower) == 2 != n
+            and np.ndim(upper) == 0
+            and upper == np.inf
+        ):
+            pair = (
+                f"lower={lower[0]}, upper={lower[1]}"
+                if all(map(is_number, lower))
+                else "lower=…, upper=…"
+            )
             raise InvalidProblem(f"lower and upper are two arguments, not a pair: write {pair}")
         try:
             self.b = checked_vector(b, "b", m)
@@ -105,7 +123,9 @@ class BoundedLeastSquares:
         self.weights = None if weights is None else checked_vector(weights, "weights", m)
         if self.weights is not None and (self.weights < 0.0).any():
             i = int(np.flatnonzero(self.weights < 0.0)[0])
-            raise InvalidProblem(f"weights must be ≥ 0, but weights[{i}] = {self.weights[i]}; 0 leaves a row out")
+            raise InvalidProblem(
+                f"weights must be ≥ 0, but weights[{i}] = {self.weights[i]}; 0 leaves a row out"
+            )
         if not is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
@@ -114,7 +134,9 @@ class BoundedLeastSquares:
     def __repr__(self) -> str:
         kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
         penalty = ", l1" if self.l1.any() else ""
-        return f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind}{penalty})"
+        return (
+            f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind}{penalty})"
+        )
 
     @cached_property
     def far_units(self) -> tuple[int, int] | None:
@@ -125,8 +147,15 @@ class BoundedLeastSquares:
         if not self.has_entries or 0 in self.shape:
             return None
         of_A, of_b, of_weights, of_x = (
-            int(np.frexp(max(part.max(initial=0.0), -part.min(initial=0.0)))[1]) if part.any() else -MOST
-            for part in (self.A.data if self.is_sparse else self.A, self.b, self.root_weights, self.nearest_to_zero)
+            int(np.frexp(max(part.max(initial=0.0), -part.min(initial=0.0)))[1])
+            if part.any()
+            else -MOST
+            for part in (
+                self.A.data if self.is_sparse else self.A,
+                self.b,
+                self.root_weights,
+                self.nearest_to_zero,
+            )
         )
         if min(of_A, of_weights) == -MOST:
             return None
@@ -145,21 +174,35 @@ class BoundedLeastSquares:
         """Return A or its entries, b, the bounds, ridge and l1 with the exponents that :meth:`in_units` gives each."""
         of_x = of_b - of_A
         return [
-            (self.A.data if self.is_sparse else self.A, of_A), (self.b, of_b), (self.lower, of_x), (self.upper, of_x),
-            (self.ridge, 2 * of_A), (self.l1, of_A + of_b),
+            (self.A.data if self.is_sparse else self.A, of_A),
+            (self.b, of_b),
+            (self.lower, of_x),
+            (self.upper, of_x),
+            (self.ridge, 2 * of_A),
+            (self.l1, of_A + of_b),
         ]
 
     def in_units(self, of_A: int, of_b: int) -> BoundedLeastSquares:
         """Return the same problem of 2^of_A A and 2^of_b b, in x times 2^(of_b − of_A)."""
-        A, b, lower, upper, ridge, l1 = (np.ldexp(part, exponent) for part, exponent in self._powers(of_A, of_b))
+        A, b, lower, upper, ridge, l1 = (
+            np.ldexp(part, exponent) for part, exponent in self._powers(of_A, of_b)
+        )
         if self.is_sparse:
             A = assembled(A, self.A.indices, self.A.indptr, self.shape)
-        made = BoundedLeastSquares(A, b, -np.inf, np.inf, weights=self.weights, ridge=float(ridge), l1=l1)
-        made.lower, made.upper = read_only(lower), read_only(upper)  # 1e20 in these units is a bound
+        made = BoundedLeastSquares(
+            A, b, -np.inf, np.inf, weights=self.weights, ridge=float(ridge), l1=l1
+        )
+        made.lower, made.upper = (
+            read_only(lower),
+            read_only(upper),
+        )  # 1e20 in these units is a bound
         return made
 
     def with_vectors(
-        self, b: ArrayLike | None = None, lower: ArrayLike | None = None, upper: ArrayLike | None = None,
+        self,
+        b: ArrayLike | None = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
         l1: ArrayLike | None = None,
     ) -> BoundedLeastSquares:
         """Return the problem with other vectors, which shares all that depends on A, weights and ridge alone.
@@ -195,11 +238,21 @@ class BoundedLeastSquares:
     def is_nonnegative_alone(self) -> bool:
         """Whether x ≥ 0 is all that is asked beside a small dense A x ≈ b."""
         n = self.shape[1]
-        if not (n and self.is_dense and self.is_cheap_to_copy and self.weights is None and self.ridge == 0.0):
+        if not (
+            n
+            and self.is_dense
+            and self.is_cheap_to_copy
+            and self.weights is None
+            and self.ridge == 0.0
+        ):
             return False
         zeros, none = same_for_all(0.0, n), same_for_all(np.inf, n)
         is_nonnegative = self.lower is zeros or not self.lower.any()
-        return is_nonnegative and (self.upper is none or bool((self.upper == np.inf).all())) and not self.l1.any()
+        return (
+            is_nonnegative
+            and (self.upper is none or bool((self.upper == np.inf).all()))
+            and not self.l1.any()
+        )
 
     @property
     def is_cheap_to_copy(self) -> bool:
@@ -214,7 +267,9 @@ class BoundedLeastSquares:
     def checked_start(self, x0: ArrayLike) -> FloatVector:
         """Return the start within the bounds, shape (n,); raise InvalidOption where x0 is no finite vector of n."""
         try:
-            return np.clip(checked_vector(x0, "x0", self.shape[1], may_be_number=True), self.lower, self.upper)
+            return np.clip(
+                checked_vector(x0, "x0", self.shape[1], may_be_number=True), self.lower, self.upper
+            )
         except InvalidProblem as error:
             raise InvalidOption(str(error)) from error
 
@@ -233,7 +288,9 @@ class BoundedLeastSquares:
     def cost(self, x: FloatVector, residual: FloatVector) -> float:
         """Return what is minimised, at x with its residual A x − b."""
         with np.errstate(over="ignore", invalid="ignore"):
-            penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0  # of an x too large to be squared
+            penalty = (
+                self.ridge * (x @ x) if self.ridge > 0.0 else 0.0
+            )  # of an x too large to be squared
             return float(0.5 * (self.weighted(residual) @ residual + penalty) + self.l1 @ np.abs(x))
 
     def _blocks(self) -> Iterator[tuple[FloatVector, FloatVector]]:
@@ -318,7 +375,9 @@ class ScaledLeastSquares:
         self.problem, self.n = problem, problem.shape[1]
         self._root, self.columns = problem.root_weights, problem.column_scales
         sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
-        self.size = float(power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes), LARGEST_SCALE))
+        self.size = float(
+            power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes), LARGEST_SCALE)
+        )
         self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
         self.b = self._root * problem.b / self.size
         self.ridge = problem.ridge / self.columns / self.columns
@@ -355,7 +414,9 @@ class ScaledLeastSquares:
         if self.whole is self and not self.has_kink.any():
             return lower, upper
         kink = self.has_kink
-        return np.where(kink & (self.lower == 0.0), 0.0, lower), np.where(kink & (self.upper == 0.0), 0.0, upper)
+        return np.where(kink & (self.lower == 0.0), 0.0, lower), np.where(
+            kink & (self.upper == 0.0), 0.0, upper
+        )
 
     def to_caller(self, x: FloatVector) -> FloatVector:
         """Return x in the caller's units, at a bound where it is at one here."""
@@ -370,7 +431,10 @@ class ScaledLeastSquares:
 
     def transposed(self, y: FloatVector) -> FloatVector:
         """Return Aᵀy."""
-        return self.problem.transposed(y if self.problem.weights is None else self._root * y) / self.columns
+        return (
+            self.problem.transposed(y if self.problem.weights is None else self._root * y)
+            / self.columns
+        )
 
     def gram(self) -> Any:
         """Return AᵀA: a CSR array where A is sparse and large, else an ndarray, NaN where time ended before."""
@@ -395,7 +459,11 @@ class ScaledLeastSquares:
         if self.problem.is_dense:
             return self.problem.A[rows] * self._root[rows, None] / self.columns
         scaled = self.problem.A[rows].copy()
-        scaled.data = scaled.data * np.repeat(self._root[rows], np.diff(scaled.indptr)) / self.columns[scaled.indices]
+        scaled.data = (
+            scaled.data
+            * np.repeat(self._root[rows], np.diff(scaled.indptr))
+            / self.columns[scaled.indices]
+        )
         return scaled
 
 
@@ -404,7 +472,9 @@ def _checked_penalty(l1: ArrayLike, n: int) -> FloatVector:
     is_one = (penalty >= 0.0) & (penalty < np.inf)
     if not is_one.all():
         j = int(np.argmin(is_one))
-        raise InvalidProblem(f"l1 must be finite and ≥ 0, but l1[{j}] = {penalty[j]}; 0 leaves a column out")
+        raise InvalidProblem(
+            f"l1 must be finite and ≥ 0, but l1[{j}] = {penalty[j]}; 0 leaves a column out"
+        )
     return penalty
 
 
@@ -414,7 +484,11 @@ def _hint(shape: tuple[int, ...], m: int, n: int) -> str | None:
         return "; write b.ravel()"
     if len(shape) == 2 and shape[0] == m:
         return "; for many right-hand sides: solve_batch([BoundedLeastSquares(A, column) for column in b.T])"
-    return f", and A has {m} rows and {n} columns; did you mean A.T?" if m != n and shape == (n,) else None
+    return (
+        f", and A has {m} rows and {n} columns; did you mean A.T?"
+        if m != n and shape == (n,)
+        else None
+    )
 
 
 def _checked(A: Any) -> tuple[Any, bool]:
@@ -436,7 +510,9 @@ def _checked_operator(A: Any) -> Any:
     try:
         zeros = operator.rmatvec(np.zeros(operator.shape[0]))
     except NotImplementedError as error:
-        raise InvalidProblem(f"{need}; a LinearOperator needs rmatvec, which gives Aᵀy, too") from error
+        raise InvalidProblem(
+            f"{need}; a LinearOperator needs rmatvec, which gives Aᵀy, too"
+        ) from error
     if not np.isfinite(zeros).all():
         raise InvalidProblem(f"{need}, but Aᵀ0 is not finite; repair rmatvec")
     return operator

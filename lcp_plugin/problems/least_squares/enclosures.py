@@ -20,7 +20,9 @@ from .data import ROWS_AT_ONCE, BoundedLeastSquares
 Ball = tuple[FloatVector, FloatVector]
 """Value and radius: what is meant lies within."""
 
-OUTWARD = 1.0 + 2.0**-30  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
+OUTWARD = (
+    1.0 + 2.0**-30
+)  # more than what rounds in a sum of 2²⁰ terms of one sign, or a few operations
 NOTHING = np.empty(0)
 SMALLEST_NORMAL = 2.0**-1022  # smaller products may vanish
 MOST_HIDDEN, NOTHING_BESIDE = 1e-4, 1e-12  # of what stands at the start, and of the whole cost
@@ -72,7 +74,9 @@ class Enclosures:
             return problem.transposed(weighted), np.zeros(problem.shape[1])
         return self._product(weighted, slip, 0.0, by_rows=False)
 
-    def _product(self, v: FloatVector, slip: FloatVector, less: FloatVector | float, *, by_rows: bool) -> Ball:
+    def _product(
+        self, v: FloatVector, slip: FloatVector, less: FloatVector | float, *, by_rows: bool
+    ) -> Ball:
         """Return B v − less for a v known up to slip; B is A, or else Aᵀ."""
         sums = self._sums(v, slip, by_rows=by_rows)
         sums[0] -= less
@@ -86,7 +90,14 @@ class Enclosures:
         for rows, part, sizes in self._blocks():
             B, at = (part, rows) if by_rows else (part.T, slice(None))
             along = slice(None) if by_rows else rows
-            _add_products(sums[:, at], B, sizes if by_rows else sizes.T, v[along], of_terms[along], slip[along])
+            _add_products(
+                sums[:, at],
+                B,
+                sizes if by_rows else sizes.T,
+                v[along],
+                of_terms[along],
+                slip[along],
+            )
         return sums
 
     def _blocks(self) -> Iterator[tuple[slice, Any, Any]]:
@@ -112,7 +123,9 @@ class Enclosures:
             return value, radius
         added = self.problem.ridge * x
         value = value + added
-        return value, OUTWARD * (radius + 4.0 * EPSILON * (np.abs(value) + np.abs(added)) + TINY * (x != 0.0))
+        return value, OUTWARD * (
+            radius + 4.0 * EPSILON * (np.abs(value) + np.abs(added)) + TINY * (x != 0.0)
+        )
 
     @np.errstate(over="ignore", invalid="ignore")
     def hidden_costs(self, residual: Ball) -> tuple[FloatVector, BoolVector]:
@@ -127,8 +140,12 @@ class Enclosures:
     @np.errstate(over="ignore", invalid="ignore")
     def hides_beside_components(self, hidden: FloatVector, residual: Ball) -> bool:
         """Return whether it is much beside all such terms of a connected component of A, whose rows share columns."""
-        of_hidden, of_start = (np.bincount(self._components, terms) for terms in (hidden, self._terms_at_start))
-        return not bool((of_hidden <= np.maximum(MOST_HIDDEN * of_start, self._nothing_beside(residual))).all())
+        of_hidden, of_start = (
+            np.bincount(self._components, terms) for terms in (hidden, self._terms_at_start)
+        )
+        return not bool(
+            (of_hidden <= np.maximum(MOST_HIDDEN * of_start, self._nothing_beside(residual))).all()
+        )
 
     def _nothing_beside(self, residual: Ball) -> float:
         """Return what is nothing beside the whole cost."""
@@ -187,7 +204,11 @@ class Enclosures:
         if bound is None or not bound.is_rigorous:
             return None
         least = bound.value - slip * float(bound.scale.max()) ** 2
-        return least * (1.0 - 2.0**-40) * (problem.column_scales / bound.scale) ** 2 if least > 0.0 else None
+        return (
+            least * (1.0 - 2.0**-40) * (problem.column_scales / bound.scale) ** 2
+            if least > 0.0
+            else None
+        )
 
     @cached_property
     def _sizes(self) -> Any:
@@ -202,11 +223,17 @@ class Enclosures:
         """The most terms that a sum along a row, and one down a column, may have."""
         A, (m, n) = self.problem.A, self.problem.shape
         if self.problem.is_sparse:
-            return int(np.diff(A.indptr).max(initial=0)), int(np.bincount(A.indices, minlength=1).max())
-        return n, m if self.problem.is_cheap_to_copy else min(m, ROWS_AT_ONCE) + m // ROWS_AT_ONCE + 1
+            return int(np.diff(A.indptr).max(initial=0)), int(
+                np.bincount(A.indices, minlength=1).max()
+            )
+        return n, m if self.problem.is_cheap_to_copy else min(
+            m, ROWS_AT_ONCE
+        ) + m // ROWS_AT_ONCE + 1
 
 
-def _add_products(sums: Any, B: Any, sizes: Any, v: FloatVector, of_terms: FloatVector, slip: FloatVector) -> None:
+def _add_products(
+    sums: Any, B: Any, sizes: Any, v: FloatVector, of_terms: FloatVector, slip: FloatVector
+) -> None:
     """Add B v, |B||v|, |B| slip, and 1 where a row has a term that is not 0, whatever underflows."""
     sums[0] += B @ v
     sums[1] += sizes @ of_terms
@@ -214,7 +241,10 @@ def _add_products(sums: Any, B: Any, sizes: Any, v: FloatVector, of_terms: Float
         sums[2] += sizes @ slip
     is_filled = (sums[1] > 0.0) | (sums[2] > 0.0)
     sums[3] += is_filled
-    if not is_filled.all() and _least(sizes) * min(_least(of_terms), _least(slip)) < SMALLEST_NORMAL:
+    if (
+        not is_filled.all()
+        and _least(sizes) * min(_least(of_terms), _least(slip)) < SMALLEST_NORMAL
+    ):
         has_term = (v != 0.0) | (slip != 0.0 if slip.size else False)
         sums[3] += (sizes != 0.0).astype(np.float64) @ has_term.astype(np.float64)
 
@@ -225,16 +255,28 @@ def _least(sizes: Any) -> float:
     return float(np.min(data, initial=np.inf, where=data > 0.0))
 
 
-def typical_rounding(problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector) -> FloatVector:
+def typical_rounding(
+    problem: BoundedLeastSquares, x: FloatVector, residual: FloatVector
+) -> FloatVector:
     """Return about what rounding does to a gradient of which no magnitudes are known."""
     root, scales = problem.root_weights, problem.column_scales
-    size = np.linalg.norm(root * residual) + np.linalg.norm(root * problem.b) + np.linalg.norm(scales * x)
+    size = (
+        np.linalg.norm(root * residual)
+        + np.linalg.norm(root * problem.b)
+        + np.linalg.norm(scales * x)
+    )
     return 4.0 * EPSILON * (scales * size)
 
 
 def largest_residuals(
-    gradient: FloatVector, radius: FloatVector, x: FloatVector, lower: FloatVector, upper: FloatVector,
-    l1: FloatVector, scales: FloatVector, is_enclosed: bool,
+    gradient: FloatVector,
+    radius: FloatVector,
+    x: FloatVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    l1: FloatVector,
+    scales: FloatVector,
+    is_enclosed: bool,
 ) -> tuple[float, float, bool]:
     """Return ‖x − mid(lower, upper, prox(x − g))‖∞, that in units of columns, and if all are at most twice the radius.
 
@@ -243,7 +285,9 @@ def largest_residuals(
     """
     below, above, left, right = x - upper, x - lower, gradient - l1, gradient + l1
     one = np.abs(clipped(clipped(x, left, right), below, above))
-    two = np.abs(clipped(clipped(x * scales, left / scales, right / scales), below * scales, above * scales))
+    two = np.abs(
+        clipped(clipped(x * scales, left / scales, right / scales), below * scales, above * scales)
+    )
     off = np.where(np.isfinite(gradient), radius if is_enclosed else 0.0, np.nan)
     sizes = [float(np.max(size, initial=0.0)) for size in (one + off, two + off / scales)]
     plain, scaled = (OUTWARD * size if size < np.inf else np.inf for size in sizes)

@@ -63,23 +63,36 @@ class Parts(NamedTuple):
     @classmethod
     def of(cls, whole: ScaledLeastSquares, A: Any) -> Parts:
         """Return those of a problem; fixed and empty columns have none."""
-        is_empty = ~A.any(axis=0) if isinstance(A, np.ndarray) else np.bincount(A.indices, minlength=whole.n) == 0
-        lower, upper = (np.where(is_empty, whole.nearest_to_zero, bound) for bound in (whole.lower, whole.upper))
+        is_empty = (
+            ~A.any(axis=0)
+            if isinstance(A, np.ndarray)
+            else np.bincount(A.indices, minlength=whole.n) == 0
+        )
+        lower, upper = (
+            np.where(is_empty, whole.nearest_to_zero, bound) for bound in (whole.lower, whole.upper)
+        )
         is_split = whole.has_kink & ~is_empty | ((lower == -np.inf) & (upper == np.inf))
         start = np.where(is_split, 0.0, np.where(np.isfinite(lower), lower, upper))
         up = np.flatnonzero((upper > start) & (is_split | np.isfinite(lower)))
         down = np.flatnonzero((lower < start) & (is_split | ~np.isfinite(lower)))
         falling = np.where(whole.has_kink, whole.l1, -whole.linear)
         return cls(
-            np.concatenate([up, down]), np.repeat([1.0, -1.0], [up.size, down.size]),
+            np.concatenate([up, down]),
+            np.repeat([1.0, -1.0], [up.size, down.size]),
             np.concatenate([(upper - start)[up], (start - lower)[down]]),
-            np.concatenate([whole.linear[up], falling[down]]), np.concatenate([upper[up], lower[down]]), start,
+            np.concatenate([whole.linear[up], falling[down]]),
+            np.concatenate([upper[up], lower[down]]),
+            start,
         )
 
     def entries(self, A: Any) -> Any:
         """Return Ã."""
         chosen = A[:, self.columns]
-        return chosen * self.signs if isinstance(A, np.ndarray) else chosen @ sp.diags_array(self.signs)
+        return (
+            chosen * self.signs
+            if isinstance(A, np.ndarray)
+            else chosen @ sp.diags_array(self.signs)
+        )
 
     def of_dual(self, dual: Statement, point: Point) -> FloatVector:
         """Return the multipliers z of a point of the dual, 0 or w where the slacks say so."""
@@ -93,7 +106,10 @@ class Parts(NamedTuple):
     def point(self, z: FloatVector, problem: ScaledLeastSquares) -> FacePoint:
         """Return the point that is made of parts z, which has nothing but its residual to show."""
         z = clipped(z, np.zeros(z.size), self.widths)
-        x, is_full = self.start + np.bincount(self.columns, self.signs * z, self.start.size), z == self.widths
+        x, is_full = (
+            self.start + np.bincount(self.columns, self.signs * z, self.start.size),
+            z == self.widths,
+        )
         x[self.columns[is_full]] = self.ends[is_full]
         return FacePoint(problem, clipped(x, problem.lower, problem.upper), dual=NOTHING)
 
@@ -115,7 +131,11 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[FacePoint]:
     is_open = not (parts.widths < np.inf).any()
     if is_dense and not is_over():
         is_asked = min(m, n) <= NNLS_UP_TO and not parts.slopes.any()
-        z = _by_nnls(entries, right, is_asked=is_asked) if is_open else _by_bounds(parts, entries, right)
+        z = (
+            _by_nnls(entries, right, is_asked=is_asked)
+            if is_open
+            else _by_bounds(parts, entries, right)
+        )
         if np.isfinite(z).all():
             point = parts.point(z, problem)
             if is_open:  # nnls ends with a face solved by an orthogonal factor
@@ -151,7 +171,9 @@ def nonnegative_as_given(
             return None
         residual, of_A = A @ x - b, np.abs(A)
         rounding = (2 * x.size + 8) * UNIT * (of_A @ x + np.abs(b))
-        if not rounding.max(initial=0.0) ** 2 <= MOST_HIDDEN * np.square(b[b != 0.0]).min(initial=np.inf):
+        if not rounding.max(initial=0.0) ** 2 <= MOST_HIDDEN * np.square(b[b != 0.0]).min(
+            initial=np.inf
+        ):
             return None
         value = _nonnegative_optimality(A, of_A, x, residual, 0.0)
         if value <= tolerance:
@@ -166,9 +188,15 @@ def nonnegative_as_given(
     return (x, residual, y, value) if info == 0 and value <= tolerance else None
 
 
-def _nonnegative_optimality(A: FloatVector, of_A: FloatVector, x: FloatVector, y: FloatVector, gap: float) -> float:
+def _nonnegative_optimality(
+    A: FloatVector, of_A: FloatVector, x: FloatVector, y: FloatVector, gap: float
+) -> float:
     """Return by how much the cost at x ≥ 0 exceeds the least, beside that of y, rounding aside; ∞ where it may."""
-    slope, rounding, cost = A.T @ y, (2 * y.size + 8) * UNIT * (of_A.T @ np.abs(y)), 0.5 * float(y.dot(y))
+    slope, rounding, cost = (
+        A.T @ y,
+        (2 * y.size + 8) * UNIT * (of_A.T @ np.abs(y)),
+        0.5 * float(y.dot(y)),
+    )
     if not (all_hold(slope + rounding >= 0.0) and 1.0 / LARGEST < cost < LARGEST):
         return np.inf
     gap += float(np.maximum(slope - rounding, 0.0).dot(x))
@@ -179,14 +207,18 @@ def _with_small_slopes(parts: Parts, A: FloatVector, b: FloatVector) -> Iterator
     """Yield parts z whose faces are right where slopes go to 0: those of none, and of least slope that fit b."""
     from ...proofs.no_solution.farkas import linear_program
 
-    if not parts.slopes.any() or parts.signs.size > parts.start.size:  # a column of two parts has no face of its own
+    if (
+        not parts.slopes.any() or parts.signs.size > parts.start.size
+    ):  # a column of two parts has no face of its own
         return
     if not is_over() and min(A.shape) <= NNLS_UP_TO:
         z = _by_nnls(A, b, is_asked=True)
         if np.isfinite(z).all():
             yield z
     if not is_over() and A.shape[0] < A.shape[1]:
-        found = linear_program(parts.slopes / parts.slopes.max(), sp.csr_array(A), b, (0.0, None), (None, None))
+        found = linear_program(
+            parts.slopes / parts.slopes.max(), sp.csr_array(A), b, (0.0, None), (None, None)
+        )
         if found is not None:
             yield np.maximum(found.x, 0.0)
 
@@ -208,8 +240,14 @@ def _by_nnls(A: FloatVector, b: FloatVector, *, is_asked: bool) -> FloatVector:
     from scipy.optimize import nnls
 
     try:
-        z: FloatVector = nnls(A, b, maxiter=STEPS * A.shape[1])[0] if is_asked else np.full(A.shape[1], np.nan)
-    except (RuntimeError, ValueError, np.linalg.LinAlgError):  # too many steps; what is not finite; what is singular
+        z: FloatVector = (
+            nnls(A, b, maxiter=STEPS * A.shape[1])[0] if is_asked else np.full(A.shape[1], np.nan)
+        )
+    except (
+        RuntimeError,
+        ValueError,
+        np.linalg.LinAlgError,
+    ):  # too many steps; what is not finite; what is singular
         return np.full(A.shape[1], np.nan)
     return z
 
@@ -266,14 +304,18 @@ def dual_program(parts: Parts, entries: Any, b: FloatVector) -> Statement:
     size = m + bounded.size
     curvature = np.append(np.full(m, unit), np.zeros(bounded.size))
     lower = np.append(np.full(m, -np.inf), np.zeros(bounded.size))
-    v = sp.csr_array((np.ones(bounded.size), (bounded, np.arange(bounded.size))), shape=(k, bounded.size))
+    v = sp.csr_array(
+        (np.ones(bounded.size), (bounded, np.arange(bounded.size))), shape=(k, bounded.size)
+    )
     if sp.issparse(entries):
         P, G = sp.diags_array(curvature, format="csr"), sp.csr_array(sp.hstack([-entries.T, -v]))
         none = sp.csr_array((0, size))
     else:
         P, G, none = np.diag(curvature), np.hstack([-entries.T, -v.toarray()]), np.zeros((0, size))
     cost = np.append(b, parts.widths[bounded])
-    return Statement(P, cost, G, parts.slopes / unit, none, np.zeros(0), lower, np.full(size, np.inf))
+    return Statement(
+        P, cost, G, parts.slopes / unit, none, np.zeros(0), lower, np.full(size, np.inf)
+    )
 
 
 def _rows(problem: ScaledLeastSquares, *, is_dense: bool) -> tuple[Any, FloatVector]:
@@ -293,12 +335,18 @@ def _rows(problem: ScaledLeastSquares, *, is_dense: bool) -> tuple[Any, FloatVec
     if not root.any():
         return A, b
     b = np.append(b, np.zeros(root.size))
-    return (np.vstack([A, np.diag(root)]) if is_dense else sp.csr_array(sp.vstack([A, sp.diags_array(root)]))), b
+    return (
+        np.vstack([A, np.diag(root)])
+        if is_dense
+        else sp.csr_array(sp.vstack([A, sp.diags_array(root)]))
+    ), b
 
 
 def _triangle(A: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector]:
     """Return R and c with ‖A x − b‖ = ‖R x − c‖ and no more than a row more than columns."""
     from scipy.linalg import qr
 
-    both = qr(np.column_stack([A, b]), mode="r", overwrite_a=True, check_finite=False)[0][: A.shape[1] + 1]
+    both = qr(np.column_stack([A, b]), mode="r", overwrite_a=True, check_finite=False)[0][
+        : A.shape[1] + 1
+    ]
     return both[:, :-1], both[:, -1]

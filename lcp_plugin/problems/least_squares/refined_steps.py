@@ -69,8 +69,11 @@ def refined_steps(start: FacePoint) -> Iterator[FacePoint]:
             entering, pull = -1, 0.0
             continue
         x = np.clip(z, lower, upper)
-        yield FacePoint(start.problem, np.clip(start.problem.from_caller(x), start.problem.lower, start.problem.upper),
-                    dual=y[: problem.shape[0]])
+        yield FacePoint(
+            start.problem,
+            np.clip(start.problem.from_caller(x), start.problem.lower, start.problem.upper),
+            dual=y[: problem.shape[0]],
+        )
         slope, terms = face.slope(y)
         may_move = np.where(slope < 0.0, x < upper, x > lower)
         if entering >= 0:
@@ -82,7 +85,9 @@ def refined_steps(start: FacePoint) -> Iterator[FacePoint]:
         is_free[entering], pull = True, -float(slope[entering])
 
 
-def _share(x: FloatVector, moved: FloatVector, lower: FloatVector, upper: FloatVector) -> tuple[float, IntVector]:
+def _share(
+    x: FloatVector, moved: FloatVector, lower: FloatVector, upper: FloatVector
+) -> tuple[float, IntVector]:
     """Return how far one may go, and the columns that are stopped there; none where one may go all the way."""
     slack = np.where(moved > 0.0, upper - x, lower - x)
     crossing = np.where(moved != 0.0, np.abs(moved) > np.abs(slack), False)
@@ -107,7 +112,10 @@ class RefinedFaces:
         weights = np.ones(m) if problem.weights is None else problem.weights
         A = problem.A if problem.is_dense else problem.A.toarray()
         self.A = np.vstack([A, np.eye(n)[: ridge.size]])
-        self.b, self.weights = np.concatenate([problem.b, 0.0 * ridge]), np.concatenate([weights, ridge])
+        self.b, self.weights = (
+            np.concatenate([problem.b, 0.0 * ridge]),
+            np.concatenate([weights, ridge]),
+        )
         self.root, self.scales = np.sqrt(self.weights), problem.column_scales
         self.linear = np.copysign(problem.l1, point.problem.linear)
         self.scaled = self.root[:, None] * self.A / self.scales
@@ -146,7 +154,9 @@ class RefinedFaces:
             moved = low[free] + dx
             summed = high[free] + moved
             low[free], high[free] = (high[free] - summed) + moved, summed
-            if (np.abs(dx) <= SETTLED * np.abs(high[free])).all() and (np.abs(dy) <= SETTLED * np.abs(y)).all():
+            if (np.abs(dx) <= SETTLED * np.abs(high[free])).all() and (
+                np.abs(dy) <= SETTLED * np.abs(y)
+            ).all():
                 return high, y
         y[np.abs(dy) > UNSETTLED * np.abs(y)] = 0.0
         high[free] = np.where(np.abs(dx) > UNSETTLED * np.abs(high[free]), 0.0, high[free])

@@ -32,8 +32,15 @@ def run_stages(
     problem: BoundedLeastSquares, settings: Settings, start: FloatVector | None, clock: Clock
 ) -> tuple[Optimality, Status, int]:
     """Return the best point with its optimality, why the run ended, and after how many steps."""
-    scaled, limit = problem.scaled, math.inf if settings.max_seconds is None else settings.max_seconds
-    begin = scaled.nearest_to_zero if start is None else np.clip(scaled.from_caller(start), scaled.lower, scaled.upper)
+    scaled, limit = (
+        problem.scaled,
+        math.inf if settings.max_seconds is None else settings.max_seconds,
+    )
+    begin = (
+        scaled.nearest_to_zero
+        if start is None
+        else np.clip(scaled.from_caller(start), scaled.lower, scaled.upper)
+    )
     run = Run(problem, settings, clock, FacePoint(scaled, begin), is_given=start is not None)
     try:
         with time_limit(limit - clock.read(), is_enforced=True):
@@ -44,7 +51,11 @@ def run_stages(
         status = Status.INTERRUPTED
     if status in (Status.MAX_SECONDS, Status.INTERRUPTED):
         x = scaled.to_caller(run.nearest.x)
-        entries = problem.A.nnz if problem.is_sparse else problem.shape[0] * problem.shape[1] * problem.is_dense
+        entries = (
+            problem.A.nnz
+            if problem.is_sparse
+            else problem.shape[0] * problem.shape[1] * problem.is_dense
+        )
         if JUDGED * (entries + sum(problem.shape)) <= AT_LEAST:
             at_end = Optimality.of(run.enclosures, x, tolerance=np.inf)  # nothing more costly
             if run.best is None or at_end.is_better(run.best):
@@ -68,12 +79,20 @@ class Run:
     """
 
     def __init__(
-        self, problem: BoundedLeastSquares, settings: Settings, clock: Clock, start: FacePoint, *, is_given: bool
+        self,
+        problem: BoundedLeastSquares,
+        settings: Settings,
+        clock: Clock,
+        start: FacePoint,
+        *,
+        is_given: bool,
     ) -> None:
         self.problem, self.settings, self.clock = problem, settings, clock
         self.nearest = start
         # Engines begin nowhere: who goes to them at once need not judge where the others would begin.
-        self._is_seen_first = is_given or not problem.is_cheap_to_copy or not start.natural_residual.any()
+        self._is_seen_first = (
+            is_given or not problem.is_cheap_to_copy or not start.natural_residual.any()
+        )
         self.enclosures = Enclosures(problem)
         self.best: Optimality | None = None
         self.is_solved, self.steps = False, 0
@@ -90,7 +109,9 @@ class Run:
                 self.steps += 1
                 if self._is_seen(point):
                     return Status.SOLVED
-                if point.dual is None and progress.is_stalled(self.steps, self._smallest, self.settings.tolerance):
+                if point.dual is None and progress.is_stalled(
+                    self.steps, self._smallest, self.settings.tolerance
+                ):
                     break
             if self.steps >= most:
                 break
@@ -98,7 +119,11 @@ class Run:
             return Status.SOLVED
         if self.steps >= most:
             return Status.MAX_ITERATIONS
-        return Status.PRECISION_LIMIT if cast(Optimality, self.best).is_at_rounding_level else Status.STALLED
+        return (
+            Status.PRECISION_LIMIT
+            if cast(Optimality, self.best).is_at_rounding_level
+            else Status.STALLED
+        )
 
     def _require_time(self) -> None:
         limit = self.settings.max_seconds
@@ -109,11 +134,17 @@ class Run:
         problem = self.problem
         if problem.has_entries:
             if not problem.is_cheap_to_copy:
-                patience = SPARSE_PATIENCE if problem.is_sparse else math.ceil(DENSE_PATIENCE * min(problem.shape))
+                patience = (
+                    SPARSE_PATIENCE
+                    if problem.is_sparse
+                    else math.ceil(DENSE_PATIENCE * min(problem.shape))
+                )
                 yield lambda start: islice(through_orthants(projected_steps)(start), 1, patience)
             yield lambda start: engine_points(start.problem.whole)
             if problem.is_cheap_to_copy:
-                yield lambda start: islice(through_orthants(refined_steps)(self._within_rounding(start)), 1, None)
+                yield lambda start: islice(
+                    through_orthants(refined_steps)(self._within_rounding(start)), 1, None
+                )
         yield lambda start: islice(through_orthants(projected_steps)(start), 1, None)
 
     def _within_rounding(self, start: FacePoint) -> FacePoint:
@@ -130,7 +161,9 @@ class Run:
                 return True
             x = self.problem.scaled.to_caller(point.x)
             residual = self.enclosures.residual(x)
-            if Optimality(self.enclosures, x, residual, 1.0, NOTHING).hides_costs:  # steps from there would stay there
+            if Optimality(
+                self.enclosures, x, residual, 1.0, NOTHING
+            ).hides_costs:  # steps from there would stay there
                 return False
         scaled, size = point.steepness(self.enclosures.reference)
         if not self._smallest <= scaled:
@@ -143,10 +176,14 @@ class Run:
     def _is_certified(self, point: FacePoint, dual: FloatVector | None) -> bool:
         """Certify a point, and keep it where it is the best; return whether it is what was asked for."""
         judged = Optimality.of(
-            self.enclosures, self.problem.scaled.to_caller(point.x), dual, tolerance=self.settings.tolerance
+            self.enclosures,
+            self.problem.scaled.to_caller(point.x),
+            dual,
+            tolerance=self.settings.tolerance,
         )
         self.is_solved = judged.meets(self.settings.tolerance) and (
-            self.problem.has_entries or self._has_small_gap(judged))
+            self.problem.has_entries or self._has_small_gap(judged)
+        )
         if self.best is None or self.is_solved or judged.is_better(self.best):
             self.best = judged
         return self.is_solved
@@ -154,7 +191,9 @@ class Run:
     def _has_small_gap(self, judged: Optimality) -> bool:
         """Return whether the gap of an operator's x, of which the gradient alone says little, is small as well."""
         problem, nearest = self.problem, self.problem.nearest_to_zero
-        most = math.sqrt(self.settings.tolerance) * problem.cost(nearest, problem.product(nearest) - problem.b)
+        most = math.sqrt(self.settings.tolerance) * problem.cost(
+            nearest, problem.product(nearest) - problem.b
+        )
         if duality_gap(problem, judged.x) <= most:
             return True
         nearer = point_nearer(problem, judged.x, self.steps)
@@ -177,5 +216,7 @@ def point_nearer(problem: BoundedLeastSquares, x: FloatVector, steps: int) -> Fl
     """Return a point nearer to the answer than x, which about as many steps led to."""
     scaled = problem.scaled
     start = FacePoint(scaled, np.clip(scaled.from_caller(x), scaled.lower, scaled.upper))
-    points = islice(through_orthants(projected_steps)(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP))
+    points = islice(
+        through_orthants(projected_steps)(start), min(2 * steps + 1, MOST_STEPS_FOR_GAP)
+    )
     return scaled.to_caller(min(points, key=lambda point: point.size_of_residual).x)

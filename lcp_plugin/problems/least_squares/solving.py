@@ -95,8 +95,12 @@ def bounded_least_squares(
 
 @np.errstate(under="ignore")
 def solve_least_squares(
-    problem: BoundedLeastSquares, *, x0: ArrayLike | None = None, tolerance: float = 1e-8,
-    max_iterations: int | None = None, max_seconds: float | None = None,
+    problem: BoundedLeastSquares,
+    *,
+    x0: ArrayLike | None = None,
+    tolerance: float = 1e-8,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
 ) -> LeastSquaresResult:
     """Return the answer to a problem that is stated already; see :func:`bounded_least_squares`."""
     clock = Clock()
@@ -112,15 +116,20 @@ def solve_least_squares(
     if (units := problem.far_units) is not None:
         near = problem.in_units(*units)
         inside = solve_least_squares(
-            near, x0=None if start is None else np.ldexp(start, units[1] - units[0]), tolerance=tolerance,
-            max_iterations=max_iterations, max_seconds=max_seconds,
+            near,
+            x0=None if start is None else np.ldexp(start, units[1] - units[0]),
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            max_seconds=max_seconds,
         )
         return inside.in_the_callers_units(problem, units)
     from .run import run_stages
 
     judged, status, steps = run_stages(problem, settings, start, clock)
     x, residual, value = judged.x, judged.sharp_residual, judged.value
-    return _result_of(problem, settings.tolerance, x, residual, judged.dual, value, status, steps, clock)
+    return _result_of(
+        problem, settings.tolerance, x, residual, judged.dual, value, status, steps, clock
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -195,13 +204,21 @@ class LeastSquaresResult(Answer):
             return math.nextafter(float(np.ldexp(inside.gap, exponent)), math.inf)
         return gap_of(self.problem, self.x, self._dual, self.nit)
 
-    @np.errstate(over="ignore", under="ignore")  # squares leave the range: that is why it was solved in others
-    def in_the_callers_units(self, problem: BoundedLeastSquares, units: tuple[int, int]) -> LeastSquaresResult:
+    @np.errstate(
+        over="ignore", under="ignore"
+    )  # squares leave the range: that is why it was solved in others
+    def in_the_callers_units(
+        self, problem: BoundedLeastSquares, units: tuple[int, int]
+    ) -> LeastSquaresResult:
         """Return the same answer to a problem of which this one is `problem.in_units(*units)`."""
         x = np.clip(np.ldexp(self.x, units[0] - units[1]), problem.lower, problem.upper)
         return replace(
-            self, x=read_only(x), cost=float(np.ldexp(self.cost, -2 * units[1])), problem=problem,
-            fun=read_only(np.ldexp(self.fun, -units[1])), _inside=(self, -2 * units[1]),
+            self,
+            x=read_only(x),
+            cost=float(np.ldexp(self.cost, -2 * units[1])),
+            problem=problem,
+            fun=read_only(np.ldexp(self.fun, -units[1])),
+            _inside=(self, -2 * units[1]),
         )
 
     @property
@@ -258,14 +275,30 @@ OF_OPERATORS = {
 
 
 def _result_of(
-    problem: BoundedLeastSquares, tolerance: float, x: FloatVector, residual: FloatVector, dual: FloatVector,
-    optimality: float, status: Status, steps: int, clock: Clock,
+    problem: BoundedLeastSquares,
+    tolerance: float,
+    x: FloatVector,
+    residual: FloatVector,
+    dual: FloatVector,
+    optimality: float,
+    status: Status,
+    steps: int,
+    clock: Clock,
 ) -> LeastSquaresResult:
     """Return the result that these make."""
     mask = (x >= problem.upper).astype(np.int_)
     mask[x <= problem.lower] = -1
     return LeastSquaresResult(
-        x=read_only(x), cost=problem.cost(x, residual), fun=read_only(residual), optimality=optimality,
-        active_mask=read_only(mask), status=status, nit=steps, seconds=clock.read(), tolerance=tolerance,
-        is_proved=problem.has_entries, problem=problem, _dual=dual,
+        x=read_only(x),
+        cost=problem.cost(x, residual),
+        fun=read_only(residual),
+        optimality=optimality,
+        active_mask=read_only(mask),
+        status=status,
+        nit=steps,
+        seconds=clock.read(),
+        tolerance=tolerance,
+        is_proved=problem.has_entries,
+        problem=problem,
+        _dual=dual,
     )

@@ -55,7 +55,10 @@ class FacePoint:
     """
 
     def __init__(
-        self, problem: ScaledLeastSquares, x: FloatVector, residual: FloatVector | None = None,
+        self,
+        problem: ScaledLeastSquares,
+        x: FloatVector,
+        residual: FloatVector | None = None,
         dual: FloatVector | None = None,
     ) -> None:
         self.problem, self.x, self.dual = problem, x, dual
@@ -111,14 +114,18 @@ class FacePoint:
         *sizes, _ = largest_residuals(
             slope, slope, self.x, unit.lower, unit.upper, unit.l1, unit.inverse_columns, False
         )
-        scaled, plain = (size * unit.size / least if least > 0.0 else np.inf if size else 0.0
-                         for size, least in zip(sizes, reference[::-1], strict=True))
+        scaled, plain = (
+            size * unit.size / least if least > 0.0 else np.inf if size else 0.0
+            for size, least in zip(sizes, reference[::-1], strict=True)
+        )
         return scaled, max(scaled, plain)
 
     @property
     def noise(self) -> float:
         """Up to where a gradient may be nothing but rounding."""
-        sizes = np.linalg.norm(self.residual) + np.linalg.norm(self.x) + np.linalg.norm(self.problem.b)
+        sizes = (
+            np.linalg.norm(self.residual) + np.linalg.norm(self.x) + np.linalg.norm(self.problem.b)
+        )
         return ROUNDING * float(sizes)
 
     def curvature(self, direction: FloatVector, product: FloatVector) -> float:
@@ -132,7 +139,10 @@ class FacePoint:
 
     def farthest(self, direction: FloatVector) -> float:
         """Return how far one may go along the direction before a bound stops it."""
-        slack = np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x) / direction
+        slack = (
+            np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x)
+            / direction
+        )
         return float(np.min(slack, initial=np.inf, where=direction != 0.0))
 
     def rise(self, direction: FloatVector, product: FloatVector) -> float:
@@ -165,7 +175,9 @@ def through_orthants(take: Take) -> Take:
             orthant = start.problem.whole.orthant(point.x, point.slope)
             for point in take(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each begins where one ended
                 yield point
-                if point.pull_across > point.noise and LEFT_BEHIND * point.pull_across > _largest(point):
+                if point.pull_across > point.noise and LEFT_BEHIND * point.pull_across > _largest(
+                    point
+                ):
                     break
             if not point.pull_across > max(point.noise, _largest(point)):
                 return
@@ -193,12 +205,16 @@ def _cauchy_length(point: FacePoint) -> float:
     return float(direction @ direction) / curvature if curvature > 0.0 else 0.0
 
 
-def _spectral_steps(point: FacePoint, length: float) -> Generator[FacePoint, None, tuple[FacePoint, float]]:
+def _spectral_steps(
+    point: FacePoint, length: float
+) -> Generator[FacePoint, None, tuple[FacePoint, float]]:
     """Take projected gradient steps until they leave the face alone; return the last point and step length."""
     costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
     while settled < SETTLED:
         problem = point.problem
-        direction = clipped(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
+        direction = (
+            clipped(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
+        )
         product = problem.product(direction)
         slope, curvature = float(point.gradient @ direction), point.curvature(direction, product)
         if not (slope < 0.0 < curvature):  # nothing but rounding is left to gain

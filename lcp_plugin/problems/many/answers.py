@@ -83,7 +83,10 @@ class AnswerSequence(Results[T]):
         return "\n".join(lines)
 
     def _shown(self) -> int:
-        return next((k for k, status in enumerate(self.status) if status is not Status.SOLVED), len(self) - 1)
+        return next(
+            (k for k, status in enumerate(self.status) if status is not Status.SOLVED),
+            len(self) - 1,
+        )
 
     def _said(self, k: int, words: Callable[[T], str]) -> str:
         """Return words of item k, or what is wrong with it."""

@@ -21,7 +21,11 @@ def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
         array = np.full(n, float(array))
     if array.ndim not in (1, 2) or array.shape[-1] != n:
         hint = "; give its transpose" if array.ndim == 2 and array.shape[0] == n else ""
-        hint = "; for one number a problem write it as a column, shape (B, 1), times np.ones(n)" if is_bound else hint
+        hint = (
+            "; for one number a problem write it as a column, shape (B, 1), times np.ones(n)"
+            if is_bound
+            else hint
+        )
         raise InvalidProblem(f"{need}, got shape {array.shape}{hint}")
     return np.array(np.atleast_2d(array), order="C")
 
@@ -36,5 +40,7 @@ def length_of_all(counts: dict[str, int]) -> int:
     """
     if len(set(counts.values())) > 1:
         found = ", ".join(f"{name} {count}" for name, count in counts.items())
-        raise InvalidProblem(f"all arrays with an axis for the problems must be equally long, got {found}")
+        raise InvalidProblem(
+            f"all arrays with an axis for the problems must be equally long, got {found}"
+        )
     return next(iter(counts.values()), 1)

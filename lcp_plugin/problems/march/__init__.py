@@ -58,7 +58,12 @@ class March(AnswerSequence[Result]):
     all_solved = True
 
     def __init__(
-        self, problem: Any, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector, keep_every: int,
+        self,
+        problem: Any,
+        forcing: FloatVector,
+        propagator: sp.csr_array,
+        z0: FloatVector,
+        keep_every: int,
         again: Callable[..., March],
     ) -> None:
         self.problem, self.forcing, self.propagator = problem, forcing, propagator
@@ -67,7 +72,9 @@ class March(AnswerSequence[Result]):
         self.error: LCPError | None = None
         self._again, self._count = again, 0
         self._part: tuple[int, March] | None = None
-        self._kept: dict[int, tuple[FloatVector, Algorithm | None]] = {}  # answers, and what the next step begins with
+        self._kept: dict[
+            int, tuple[FloatVector, Algorithm | None]
+        ] = {}  # answers, and what the next step begins with
         self._results: dict[int, Result | Callable[[], Result]] = {}
 
     @property
@@ -96,7 +103,10 @@ class March(AnswerSequence[Result]):
         if self._part is None or self._part[0] != first:
             state, begin = self._kept[first - 1] if first else (self.z0, None)
             forcing = self.forcing[first : min(first + self.keep_every, len(self))]
-            self._part = first, self._again(forcing, z0=state, begin=begin, first=first, total=len(self.forcing))
+            self._part = (
+                first,
+                self._again(forcing, z0=state, begin=begin, first=first, total=len(self.forcing)),
+            )
         return self._part
 
     def __len__(self) -> int:
@@ -105,7 +115,9 @@ class March(AnswerSequence[Result]):
     @property
     def status(self) -> list[Status]:
         """The status of each step that was taken; all but the last are SOLVED."""
-        return [Status.SOLVED] * (len(self) - 1) + [self[-1].status for _ in range(min(len(self), 1))]
+        return [Status.SOLVED] * (len(self) - 1) + [
+            self[-1].status for _ in range(min(len(self), 1))
+        ]
 
     @property
     def algorithm(self) -> str:
@@ -115,7 +127,9 @@ class March(AnswerSequence[Result]):
     def explain(self) -> str:
         """Return how many steps of how many were taken, how they ended, and the story of the last one."""
         last = f"the last step: {self[-1]}" if len(self) else ""
-        return "\n".join(filter(None, [*self._summary(), propagator_remark(self.problem, self.propagator), last]))
+        return "\n".join(
+            filter(None, [*self._summary(), propagator_remark(self.problem, self.propagator), last])
+        )
 
     def _summary(self) -> list[str]:
         steps = f"{len(self)} of {len(self.forcing)} steps: {self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
@@ -133,7 +147,10 @@ class March(AnswerSequence[Result]):
         return (k + 1) % self.keep_every == 0
 
     def _take(
-        self, z: FloatVector, result: Result | Callable[[], Result] | None, begin: Algorithm | None = None,
+        self,
+        z: FloatVector,
+        result: Result | Callable[[], Result] | None,
+        begin: Algorithm | None = None,
         step: int | None = None,
     ) -> None:
         """Take one step more, or all up to that number, of which nothing stays but the answer of the last."""
@@ -199,17 +216,35 @@ def propagator_remark(problem: LCP | Blocks, propagator: sp.csr_array) -> str:
 
 
 def begun(
-    problem: LCP | Blocks, forcing: FloatVector, propagator: sp.csr_array, z0: FloatVector, keep_every: int,
-    algorithm: str | Algorithm, wishes: dict[str, Any],
+    problem: LCP | Blocks,
+    forcing: FloatVector,
+    propagator: sp.csr_array,
+    z0: FloatVector,
+    keep_every: int,
+    algorithm: str | Algorithm,
+    wishes: dict[str, Any],
 ) -> March:
     """Return a march before its first step."""
     quiet = {name: wish for name, wish in wishes.items() if name not in ("callback", "verbose")}
-    return March(problem, forcing, propagator, z0, keep_every, partial(_part, problem, propagator, algorithm, quiet))
+    return March(
+        problem,
+        forcing,
+        propagator,
+        z0,
+        keep_every,
+        partial(_part, problem, propagator, algorithm, quiet),
+    )
 
 
 def _part(
-    problem: LCP | Blocks, propagator: sp.csr_array, algorithm: str | Algorithm, wishes: dict[str, Any],
-    forcing: FloatVector, *, z0: FloatVector, **where: Any,
+    problem: LCP | Blocks,
+    propagator: sp.csr_array,
+    algorithm: str | Algorithm,
+    wishes: dict[str, Any],
+    forcing: FloatVector,
+    *,
+    z0: FloatVector,
+    **where: Any,
 ) -> March:
     """Return the march along a part of the forcing, with every answer."""
     done = begun(problem, forcing, propagator, z0, 1, algorithm, wishes)
@@ -218,8 +253,15 @@ def _part(
 
 
 def take_steps(
-    done: March, end: int, algorithm: str | Algorithm, wishes: dict[str, Any], *, limit: float = np.inf,
-    begin: Algorithm | None = None, first: int = 0, total: int | None = None,
+    done: March,
+    end: int,
+    algorithm: str | Algorithm,
+    wishes: dict[str, Any],
+    *,
+    limit: float = np.inf,
+    begin: Algorithm | None = None,
+    first: int = 0,
+    total: int | None = None,
 ) -> None:
     """Take the steps up to that number, after those that a march has, within so many seconds.
 
@@ -227,7 +269,11 @@ def take_steps(
     what is dear may pay as well.
     """
     problem, forcing, propagator = done.problem, done.forcing[:end], done.propagator
-    is_lcp, clock, total = isinstance(problem, LCP), Clock(problem.matrix), total or len(done.forcing)
+    is_lcp, clock, total = (
+        isinstance(problem, LCP),
+        Clock(problem.matrix),
+        total or len(done.forcing),
+    )
     policy, settings = asked_of_solve(algorithm, wishes) if is_lcp else asked_of_solve("auto", {})
     is_unobserved = is_lcp and settings.is_unobserved and wishes.get("callback") is None
     state, begin = done._kept[len(done) - 1] if len(done) else (done.z0, begin)
@@ -235,10 +281,14 @@ def take_steps(
         before = len(done)
         try:
             if is_unobserved and clock.read() < limit:
-                for z, result in _fused(problem, policy, settings, forcing[before : before + BLOCK], propagator, state):
+                for z, result in _fused(
+                    problem, policy, settings, forcing[before : before + BLOCK], propagator, state
+                ):
                     done._take(z, result, begin)
             if len(done) == before:
-                with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
+                with np.errstate(
+                    over="ignore", invalid="ignore"
+                ):  # what overflows is refused by name
                     step = problem.with_q(forcing[before] + propagator @ state)
                 left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
                 of_step = None
@@ -266,7 +316,12 @@ def take_steps(
 
 
 def _fused(
-    problem: LCP, policy: Policy, settings: Settings, offsets: FloatVector, propagator: sp.csr_array, state: FloatVector
+    problem: LCP,
+    policy: Policy,
+    settings: Settings,
+    offsets: FloatVector,
+    propagator: sp.csr_array,
+    state: FloatVector,
 ) -> Iterator[tuple[FloatVector, Callable[[], Result]]]:
     """Yield the steps that one compiled loop takes, up to the first that does not converge."""
     first, clock = policy.first(problem), Clock(problem.matrix)
@@ -275,11 +330,15 @@ def _fused(
     Q, Z = np.array(offsets, order="C"), np.empty(offsets.shape)
     Q[0] += propagator @ state
     np.clip(state, problem.lower, problem.upper, out=Z[0])
-    found = first.algorithm.fused_solves(problem, Q, Z, settings.tolerance, settings.max_iterations, propagator)
+    found = first.algorithm.fused_solves(
+        problem, Q, Z, settings.tolerance, settings.max_iterations, propagator
+    )
     seconds = clock.read() / len(found)
 
     def result_of(q: FloatVector, one: FusedSolve) -> Result:
-        certificate = Certificate.enclosed(problem.with_q(q), one.z, one.residual, one.term_residual)
+        certificate = Certificate.enclosed(
+            problem.with_q(q), one.z, one.residual, one.term_residual
+        )
         return fused_result(certificate, policy, first, one, settings, seconds)
 
     for q, one in zip(Q, found, strict=True):
@@ -303,7 +362,9 @@ def checked_forcing(
         raise InvalidProblem(f"{need}, got shape {offsets.shape}")
     if not np.isfinite(offsets).all():
         at = np.argwhere(~np.isfinite(offsets))[0]
-        raise InvalidProblem(f"{need}, but forcing{at.tolist()} = {offsets[tuple(at)]}; repair that entry")
+        raise InvalidProblem(
+            f"{need}, but forcing{at.tolist()} = {offsets[tuple(at)]}; repair that entry"
+        )
     return offsets
 
 

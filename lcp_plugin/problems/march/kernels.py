@@ -73,7 +73,11 @@ def _slacks(indptr, indices, data, q, z, change, w, size, spread):  # type: igno
             total, f = split_sum(total, h)
             errors += fused(a, b, -h) + f
             largest, moved = largest + abs(h), moved + abs(a) * change[indices[k]]
-        w[i], size[i], spread[i] = total + errors, largest * EPSILON * (indptr[i + 1] - indptr[i] + 1), moved
+        w[i], size[i], spread[i] = (
+            total + errors,
+            largest * EPSILON * (indptr[i + 1] - indptr[i] + 1),
+            moved,
+        )
 
 
 @inlined
@@ -141,7 +145,12 @@ def settle(  # type: ignore[no-untyped-def]
     """
     n = Z.shape[1]
     w, value, step, workspace = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    change, size, spread, rows = np.empty(n), np.empty(n), np.empty(n), np.empty((n, band[0].shape[0]))
+    change, size, spread, rows = (
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty((n, band[0].shape[0])),
+    )
     for k in range(Z.shape[0]):
         z, state, is_settled, is_plain[k] = Z[k], sides[k], False, False
         add_product(propagator[0], propagator[1], propagator[2], states[k], Q[k])
@@ -151,7 +160,9 @@ def settle(  # type: ignore[no-untyped-def]
             _slacks(indptr, indices, data, Q[k], z, change, w, size, spread)
             is_same = _take_sides(z, w, scale, lower, upper, state)
             if is_settled and is_same:
-                is_plain[k] = _is_nondegenerate(z, w, scale, lower, upper, change, size, spread, state)
+                is_plain[k] = _is_nondegenerate(
+                    z, w, scale, lower, upper, change, size, spread, state
+                )
                 break
             for i in range(n):
                 value[i] = 0.0 if state[i] == 0 else (lower[i] if state[i] < 0 else upper[i]) - z[i]

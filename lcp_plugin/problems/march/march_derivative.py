@@ -15,7 +15,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, finite_vector, is_number, read_only, real_array, rectangular_matrix
+from ...core.checks import (
+    FloatVector,
+    finite_vector,
+    is_number,
+    read_only,
+    real_array,
+    rectangular_matrix,
+)
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.kind import changes_by_name
 from ...core.lcp import LCP
@@ -41,7 +48,10 @@ class Band(NamedTuple):
     @classmethod
     def of(cls, matrix: Matrix, propagator: sp.csr_array) -> Band | None:
         """Return it, None where the band is not narrow."""
-        if sum(bandwidth(matrix) or (matrix.n, matrix.n)) > BANDED_UP_TO or (band := bands(matrix)) is None:
+        if (
+            sum(bandwidth(matrix) or (matrix.n, matrix.n)) > BANDED_UP_TO
+            or (band := bands(matrix)) is None
+        ):
             return None
         given = band.entries, band.below, band.is_tridiagonal_z, band.weights
         return cls(given, _by_rows(matrix.csr), _by_rows(propagator))
@@ -54,7 +64,11 @@ def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVe
 
 
 def _by_rows(A: sp.csr_array) -> Any:
-    return A.indptr.astype(np.int64), A.indices.astype(np.int64), read_only(A.data)  # one signature of a loop
+    return (
+        A.indptr.astype(np.int64),
+        A.indices.astype(np.int64),
+        read_only(A.data),
+    )  # one signature of a loop
 
 
 class CompiledSteps:
@@ -77,8 +91,19 @@ class CompiledSteps:
             from .kernels import settle
 
             problem = march.problem
-            settle(self.band.band, *self.band.rows, problem.residual_scale, self.band.propagator, self.states, self.q,
-                   problem.lower, problem.upper, self.z, self.sides, self.is_plain)
+            settle(
+                self.band.band,
+                *self.band.rows,
+                problem.residual_scale,
+                self.band.propagator,
+                self.states,
+                self.q,
+                problem.lower,
+                problem.upper,
+                self.z,
+                self.sides,
+                self.is_plain,
+            )
 
     def __len__(self) -> int:
         return len(self.z)
@@ -92,21 +117,37 @@ class CompiledSteps:
 
     def degenerate(self, k: int) -> NDArray[np.intp]:
         """Return the degenerate rows of a step; of a side, 2 says that w = 0 there."""
-        return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain[k] else self.at(k).degenerate
+        return (
+            np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain[k] else self.at(k).degenerate
+        )
 
     def jvp(
-        self, dM: sp.csr_array, dforcing: FloatVector, dpropagator: sp.csr_array, dlower: FloatVector,
-        dupper: FloatVector, before: FloatVector,
+        self,
+        dM: sp.csr_array,
+        dforcing: FloatVector,
+        dpropagator: sp.csr_array,
+        dlower: FloatVector,
+        dupper: FloatVector,
+        before: FloatVector,
     ) -> FloatVector:
         """Return the changes of the answers, and write the last one over that of the state before the first step."""
         given = np.broadcast_to(dforcing, self.z.shape)
-        right = np.array(given + (dpropagator @ self.states[:-1].T).T + (dM @ self.z.T).T, order="C")
+        right = np.array(
+            given + (dpropagator @ self.states[:-1].T).T + (dM @ self.z.T).T, order="C"
+        )
 
         def alone(k: int) -> FloatVector:
-            dq = given[k] + dpropagator @ self.states[k] + self.march.propagator @ before + dM @ self.at(k).z
+            dq = (
+                given[k]
+                + dpropagator @ self.states[k]
+                + self.march.propagator @ before
+                + dM @ self.at(k).z
+            )
             return self.at(k).jvp(dq=dq, dlower=dlower, dupper=dupper)
 
-        return self._solved(self.whole.band, right, (dlower, dupper), before, np.zeros((2, before.size)), alone, 1)
+        return self._solved(
+            self.whole.band, right, (dlower, dupper), before, np.zeros((2, before.size)), alone, 1
+        )
 
     def vjp(self, g: FloatVector, after: FloatVector, of_bounds: FloatVector) -> FloatVector:
         """Return the gradients by q, and add those by both bounds, shape (2, n).
@@ -120,11 +161,19 @@ class CompiledSteps:
             of_bounds[:] += found.lower, found.upper
             return found.q
 
-        return self._solved(self.whole.transposed, g, (nothing, nothing), after, of_bounds, alone, -1)
+        return self._solved(
+            self.whole.transposed, g, (nothing, nothing), after, of_bounds, alone, -1
+        )
 
     def _solved(
-        self, band: Band | None, right: FloatVector, values: tuple[FloatVector, FloatVector], carried: FloatVector,
-        of_bounds: FloatVector, alone: Callable[[int], FloatVector], way: int,
+        self,
+        band: Band | None,
+        right: FloatVector,
+        values: tuple[FloatVector, FloatVector],
+        carried: FloatVector,
+        of_bounds: FloatVector,
+        alone: Callable[[int], FloatVector],
+        way: int,
     ) -> FloatVector:
         """Return x of each step, as the compiled loop has it, and that of the steps that it leaves alone."""
         x, k = np.empty(right.shape), 0 if way > 0 else len(self) - 1
@@ -133,7 +182,17 @@ class CompiledSteps:
                 from .kernels import solve_steps
 
                 k = solve_steps(
-                    band.band, band.propagator, right, *values, self.sides, self.is_plain, k, way, carried, x, of_bounds
+                    band.band,
+                    band.propagator,
+                    right,
+                    *values,
+                    self.sides,
+                    self.is_plain,
+                    k,
+                    way,
+                    carried,
+                    x,
+                    of_bounds,
                 )
             if 0 <= k < len(self):
                 x[k] = carried[:] = alone(k)
@@ -156,7 +215,12 @@ class MarchGradient:
     """
 
     def __init__(
-        self, z0: FloatVector, lower: FloatVector, upper: FloatVector, M: sp.csr_array, propagator: sp.csr_array,
+        self,
+        z0: FloatVector,
+        lower: FloatVector,
+        upper: FloatVector,
+        M: sp.csr_array,
+        propagator: sp.csr_array,
         by_forcing: Callable[[], FloatVector],
     ) -> None:
         self.z0, self.lower, self.upper, self.M = z0, lower, upper, M
@@ -234,9 +298,16 @@ class MarchDerivative:
         return True if all(self[k].is_unique for k in range(len(self))) else None
 
     def jvp(
-        self, *, dM: Any = None, dforcing: ArrayLike | None = None, dpropagator: Any = None,
-        dz0: ArrayLike | None = None, dlower: ArrayLike | None = None, dupper: ArrayLike | None = None,
-        only_last: bool = False, **named: Any,
+        self,
+        *,
+        dM: Any = None,
+        dforcing: ArrayLike | None = None,
+        dpropagator: Any = None,
+        dz0: ArrayLike | None = None,
+        dlower: ArrayLike | None = None,
+        dupper: ArrayLike | None = None,
+        only_last: bool = False,
+        **named: Any,
     ) -> FloatVector:
         """Return how the answers change with the data, dz; one-sided where rows are degenerate.
 
@@ -283,15 +354,22 @@ class MarchDerivative:
         if "dq" in more:
             raise InvalidOption(
                 f"{' and '.join(named)} would change q, which a march takes from its forcing; write "
-                f"dforcing=problem.origin.changes({', '.join(f'{name}=…' for name in named)})[\"dq\"]"
+                f'dforcing=problem.origin.changes({", ".join(f"{name}=…" for name in named)})["dq"]'
             )
-        rows = _rows(np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps")
+        rows = _rows(
+            np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"
+        )
         dM, dpropagator = _matrix(dM, "dM", n), _matrix(dpropagator, "dpropagator", n)
         dM = sp.csr_array(dM + more["dM"]) if "dM" in more else dM
         low, high = _vector(dlower, "dlower", n), _vector(dupper, "dupper", n)
-        before, dz = _vector(dz0, "dz0", n, may_be_number=False).copy(), np.empty((0 if only_last else steps, n))
+        before, dz = (
+            _vector(dz0, "dz0", n, may_be_number=False).copy(),
+            np.empty((0 if only_last else steps, n)),
+        )
         for part in self._parts():
-            changes = part.jvp(dM, rows[part.here] if rows.ndim > 1 else rows, dpropagator, low, high, before)
+            changes = part.jvp(
+                dM, rows[part.here] if rows.ndim > 1 else rows, dpropagator, low, high, before
+            )
             if not only_last:
                 dz[part.here] = changes
         return before if only_last else dz
@@ -341,8 +419,12 @@ class MarchDerivative:
             return forcing
 
         return MarchGradient(
-            z0, of_bounds[0], of_bounds[1], sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n)),
-            sp.csr_array((of_propagator, propagator.indices, propagator.indptr), shape=(n, n)), by_forcing,
+            z0,
+            of_bounds[0],
+            of_bounds[1],
+            sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n)),
+            sp.csr_array((of_propagator, propagator.indices, propagator.indptr), shape=(n, n)),
+            by_forcing,
         )
 
     def _back(
@@ -364,8 +446,12 @@ class MarchDerivative:
         for first in reversed(starts) if backwards else starts:
             begin, part = whole.part(first)
             end = min(first + every, len(whole))
-            states = np.array([part.z0 if first == begin else part.z[first - begin - 1],
-                               *part.z[first - begin : end - begin]])
+            states = np.array(
+                [
+                    part.z0 if first == begin else part.z[first - begin - 1],
+                    *part.z[first - begin : end - begin],
+                ]
+            )
             yield CompiledSteps(self, first, states)
 
     @cached_property
@@ -376,7 +462,9 @@ class MarchDerivative:
     @cached_property
     def transposed(self) -> Band | None:
         """What the compiled loop backwards takes: of the transposed matrices."""
-        return Band.of(Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T))
+        return Band.of(
+            Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T)
+        )
 
 
 def _matrix(given: Any, name: str, n: int) -> sp.csr_array:
@@ -387,7 +475,9 @@ def _matrix(given: Any, name: str, n: int) -> sp.csr_array:
     return sp.csr_array(rectangular_matrix(given, name, n, n))
 
 
-def _vector(given: ArrayLike | None, name: str, n: int, *, may_be_number: bool = True) -> FloatVector:
+def _vector(
+    given: ArrayLike | None, name: str, n: int, *, may_be_number: bool = True
+) -> FloatVector:
     """Return a finite vector: zeros where nothing is given, and perhaps of one number."""
     if given is None or (may_be_number and np.ndim(given) == 0):
         given = np.full(n, 0.0 if given is None else given)
@@ -401,7 +491,9 @@ def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVec
     if rows.shape not in ((steps, n), (n,)):
         raise InvalidProblem(f"{need}, got shape {rows.shape}")
     if not np.isfinite(rows).all():
-        raise InvalidProblem(f"{need}, but {name}{np.argwhere(~np.isfinite(rows))[0].tolist()} is not")
+        raise InvalidProblem(
+            f"{need}, but {name}{np.argwhere(~np.isfinite(rows))[0].tolist()} is not"
+        )
     return np.ascontiguousarray(rows)
 
 
@@ -410,7 +502,11 @@ def _require_all_steps(march: March) -> None:
     if march.all_solved and len(march) == len(march.forcing):
         return
     last = len(march) - 1
-    why = march.error or (f"ended {march[last].status.name}" if not march[last].is_solved else "was the last one taken")
+    why = march.error or (
+        f"ended {march[last].status.name}"
+        if not march[last].is_solved
+        else "was the last one taken"
+    )
     raise UnsuitableProblem(
         f"only a march solved to its end has a derivative; it took {len(march)} of {len(march.forcing)} steps, "
         f"and step {last} {why}; take derivative(march[k]) of single steps, or march along fewer of them"

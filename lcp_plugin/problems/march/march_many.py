@@ -34,10 +34,18 @@ SIDE_BY_SIDE = 16  # as the compiled loop has space for
 
 @np.errstate(under="ignore")
 def march(
-    problem: LCP | Blocks | Sequence[LCP], forcing: ArrayLike, propagator: Any = -1.0, *,
-    lower: ArrayLike | None = None, upper: ArrayLike | None = None, z0: ArrayLike | None = None,
-    algorithm: str | Algorithm = "auto", max_seconds: float | None = None, keep_every: int = 1,
-    threads: int | None = None, **wishes: Any,
+    problem: LCP | Blocks | Sequence[LCP],
+    forcing: ArrayLike,
+    propagator: Any = -1.0,
+    *,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    z0: ArrayLike | None = None,
+    algorithm: str | Algorithm = "auto",
+    max_seconds: float | None = None,
+    keep_every: int = 1,
+    threads: int | None = None,
+    **wishes: Any,
 ) -> Any:
     """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
 
@@ -115,16 +123,25 @@ def march(
     [array([0.781, 0.469]), array([0.722, 0.528])]
     """
     of_states = lower, upper, z0
-    are_many = isinstance(problem, (list, tuple)) or _is_one_a_march(propagator) or _has_more_axes(forcing, of_states)
+    are_many = (
+        isinstance(problem, (list, tuple))
+        or _is_one_a_march(propagator)
+        or _has_more_axes(forcing, of_states)
+    )
     problems = list(problem) if isinstance(problem, (list, tuple)) else [problem]
     if not problems:
         return []
     clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
     if not are_many and threads is not None:
         wishes["threads"] = threads
-    states = {name: values for name, values in zip(("lower", "upper", "z0"), of_states, strict=True)
-              if values is not None}
-    marches = _begin(problems, forcing, propagator, states, keep_every, algorithm, wishes, are_many=are_many)
+    states = {
+        name: values
+        for name, values in zip(("lower", "upper", "z0"), of_states, strict=True)
+        if values is not None
+    }
+    marches = _begin(
+        problems, forcing, propagator, states, keep_every, algorithm, wishes, are_many=are_many
+    )
     if not are_many:
         take_steps(marches[0], len(marches[0].forcing), algorithm, wishes, limit=limit)
         return marches[0]
@@ -156,7 +173,9 @@ def march_many(problem: Any, *given: Any, **named: Any) -> list[March]:
     >>> [done.z[-1].round(3) for done in march_many(rod, [[-1, 0], [-1, 0]], z0=[1, 1])]
     [array([0.781, 0.469])]
     """
-    marches: list[March] = march(problem if isinstance(problem, (list, tuple)) else [problem], *given, **named)
+    marches: list[March] = march(
+        problem if isinstance(problem, (list, tuple)) else [problem], *given, **named
+    )
     return marches
 
 
@@ -169,8 +188,15 @@ def _has_more_axes(forcing: Any, of_states: tuple[Any, ...]) -> bool:
 
 
 def _begin(
-    problems: list[Any], forcing: ArrayLike, propagator: Any, states: dict[str, Any], keep_every: int,
-    algorithm: str | Algorithm, wishes: dict[str, Any], *, are_many: bool,
+    problems: list[Any],
+    forcing: ArrayLike,
+    propagator: Any,
+    states: dict[str, Any],
+    keep_every: int,
+    algorithm: str | Algorithm,
+    wishes: dict[str, Any],
+    *,
+    are_many: bool,
 ) -> list[March]:
     """Return the marches before their first steps; whatever is wrong is refused."""
     way, n = "march_many" if are_many else "march", getattr(problems[0], "n", 0)
@@ -179,7 +205,9 @@ def _begin(
         if kind is None or way not in kind.ways:
             raise InvalidOption(refusal(way, one))
         if not isinstance(one, LCP) and states.keys() - {"z0"}:
-            raise InvalidOption(f"lower and upper of a march are bounds of an LCP; a {kind.word} has none")
+            raise InvalidOption(
+                f"lower and upper of a march are bounds of an LCP; a {kind.word} has none"
+            )
         if one.n != n:
             raise InvalidProblem(
                 f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
@@ -188,24 +216,56 @@ def _begin(
         if isinstance(one, LCP):
             one.matrix.require_all_rows()
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
-        raise InvalidOption(f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}")
-    if isinstance(keep_every, bool) or not isinstance(keep_every, (int, np.integer)) or keep_every < 1:
-        raise InvalidOption(f"keep_every must be an integer ≥ 1, got {keep_every!r}; 1 keeps every answer")
-    shape, axes = ("(m, k, n), or (k, n) for all marches", (2, 3)) if are_many else ("(k, n), a row a step", (2,))
+        raise InvalidOption(
+            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}"
+        )
+    if (
+        isinstance(keep_every, bool)
+        or not isinstance(keep_every, (int, np.integer))
+        or keep_every < 1
+    ):
+        raise InvalidOption(
+            f"keep_every must be an integer ≥ 1, got {keep_every!r}; 1 keeps every answer"
+        )
+    shape, axes = (
+        ("(m, k, n), or (k, n) for all marches", (2, 3))
+        if are_many
+        else ("(k, n), a row a step", (2,))
+    )
     given = checked_forcing(forcing, n, shape, axes)
     offsets = [given] if given.ndim == 2 else list(given)
-    propagators = [checked_propagator(C, n) for C in (propagator if _is_one_a_march(propagator) else [propagator])]
-    rows = {name: rows_of_a_batch(values, name, n) if are_many else [values] for name, values in states.items()}
+    propagators = [
+        checked_propagator(C, n)
+        for C in (propagator if _is_one_a_march(propagator) else [propagator])
+    ]
+    rows = {
+        name: rows_of_a_batch(values, name, n) if are_many else [values]
+        for name, values in states.items()
+    }
     if isinstance(problems[0], LCP):
         asked_of_solve(algorithm, wishes)
-    several: dict[str, Any] = {"problem": problems, "forcing": offsets, "propagator": propagators, **rows}
+    several: dict[str, Any] = {
+        "problem": problems,
+        "forcing": offsets,
+        "propagator": propagators,
+        **rows,
+    }
     marches: list[March] = []
-    for j in range(length_of_all({name: len(one) for name, one in several.items() if len(one) != 1})):
+    for j in range(
+        length_of_all({name: len(one) for name, one in several.items() if len(one) != 1})
+    ):
         own = {name: one[min(j, len(one) - 1)] for name, one in several.items()}
-        stated, bounds = own["problem"], {name: own[name] for name in ("lower", "upper") if name in own}
+        stated, bounds = (
+            own["problem"],
+            {name: own[name] for name in ("lower", "upper") if name in own},
+        )
         stated = stated.with_q(stated.q, **bounds) if bounds else stated
         state = checked_vector(own["z0"], "z0", n) if "z0" in own else stated.nearest_to_zero
-        marches.append(begun(stated, own["forcing"], own["propagator"], state, int(keep_every), algorithm, wishes))
+        marches.append(
+            begun(
+                stated, own["forcing"], own["propagator"], state, int(keep_every), algorithm, wishes
+            )
+        )
     return marches
 
 
@@ -225,9 +285,20 @@ class _Steps:
     """The steps of marches: side by side in a compiled loop, or those of one after the other."""
 
     def __init__(
-        self, marches: list[March], algorithm: str | Algorithm, wishes: dict[str, Any], limit: float, clock: Clock
+        self,
+        marches: list[March],
+        algorithm: str | Algorithm,
+        wishes: dict[str, Any],
+        limit: float,
+        clock: Clock,
     ) -> None:
-        self.marches, self.algorithm, self.wishes, self.limit, self.clock = marches, algorithm, wishes, limit, clock
+        self.marches, self.algorithm, self.wishes, self.limit, self.clock = (
+            marches,
+            algorithm,
+            wishes,
+            limit,
+            clock,
+        )
         self.policy, self.settings = asked_of_solve(algorithm, wishes)
 
     def take(self, threads: int) -> None:
@@ -286,20 +357,35 @@ class _Steps:
 
     def _take_block(self, group: list[March], end: int) -> None:
         """Take the steps up to that number of marches that have got equally far, as long as all of them converge."""
-        clock, leader, settings, first = Clock(group[0].problem.matrix), group[0], self.settings, len(group[0])
+        clock, leader, settings, first = (
+            Clock(group[0].problem.matrix),
+            group[0],
+            self.settings,
+            len(group[0]),
+        )
         algorithm, policy, choice = self.first.algorithm, self.policy, self.first
         assert isinstance(algorithm, Banded)
-        lower, upper, states = (np.stack(rows, axis=1) for rows in zip(
-            *((one.problem.lower, one.problem.upper, _state(one)) for one in group), strict=True
-        ))
+        lower, upper, states = (
+            np.stack(rows, axis=1)
+            for rows in zip(
+                *((one.problem.lower, one.problem.upper, _state(one)) for one in group), strict=True
+            )
+        )
         here = [k for k in range(end - first) if leader.keeps(first + k)]
         kept = np.full(end - first, -1)
         kept[here] = np.arange(len(here))
         matrices = {id(one.problem.matrix) for one in group}, {id(one.propagator) for one in group}
         own = group if max(map(len, matrices)) > 1 else group[:1]
         found = algorithm.fused_marches(
-            [one.problem for one in own], _forcing_of(group, first, end), [one.propagator for one in own], lower, upper,
-            states, kept, settings.tolerance, settings.max_iterations,
+            [one.problem for one in own],
+            _forcing_of(group, first, end),
+            [one.propagator for one in own],
+            lower,
+            upper,
+            states,
+            kept,
+            settings.tolerance,
+            settings.max_iterations,
         )
         seconds = clock.read() / max(len(group) * found.steps, 1)
 
@@ -345,7 +431,8 @@ def _forcing_of(group: list[March], first: int, end: int) -> FloatVector:
 def _are_alike(one: March, other: March) -> bool:
     """Return whether the entries of both matrices stand in the same places, and those of both propagators."""
     return (
-        one.problem.matrix is other.problem.matrix or _is_one_pattern(one.problem.csr, other.problem.csr)
+        one.problem.matrix is other.problem.matrix
+        or _is_one_pattern(one.problem.csr, other.problem.csr)
     ) and _is_one_pattern(one.propagator, other.propagator)
 
 

@@ -45,7 +45,9 @@ class StepPolicy(Auto):
             return super().first(problem)
         return Choice(self._begin, ELIMINATED if isinstance(self._begin, Condensed) else AS_BEFORE)
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+    def next_step(
+        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
+    ) -> Choice | None:
         """Return what `auto` chooses; where nothing can be eliminated, it begins."""
         self._stages = stages
         if len(stages) == 1 and isinstance(self._begin, Condensed):

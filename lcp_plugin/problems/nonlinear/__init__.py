@@ -3,7 +3,8 @@
 from ...core.kind import Kind
 
 NONLINEAR_PROBLEM = Kind(
-    "nonlinear complementarity problem", "NonlinearProblem",
+    "nonlinear complementarity problem",
+    "NonlinearProblem",
     ("solve", "derivative", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     "problem.linearised(x) is the LCP at a point x",
     {
@@ -16,7 +17,7 @@ NONLINEAR_PROBLEM = Kind(
         "march_many": "write solve(problem, x0=result.x) for each step",
         "Certificate.of": "solve(problem, x0=x, max_iterations=0).certificate is that of x",
         "error_bound": "solve(problem, x0=x, error_bound=True).error_bound proves a solution near x, given an "
-                       "enclosure",
+        "enclosure",
         "certify": "solve(problem, x0=x, max_iterations=0).certificate has the residuals of any x",
         "save": "it is made of functions: state it in cvxpy, Pyomo or AMPL, whose .nl files are read",
         "qpsolvers": "its program has no place for it: write solve(problem, x0=…)",

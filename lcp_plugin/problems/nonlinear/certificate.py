@@ -32,7 +32,12 @@ import scipy.sparse as sp
 
 from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components
 from ...core.certificates.residuals import GAINED, Certificate
-from ...core.certificates.row_residuals import largest_ratio, magnitude, residual_ends_of, scaled_residual
+from ...core.certificates.row_residuals import (
+    largest_ratio,
+    magnitude,
+    residual_ends_of,
+    scaled_residual,
+)
 from ...core.checks import FloatVector, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
@@ -41,7 +46,9 @@ from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.structure import connected_components
 from .data import Linearisation, NonlinearProblem
 
-NEARBY = 2.0**-6  # of the step to the projected point: a derivative that is wrong by a half explains no residual
+NEARBY = (
+    2.0**-6
+)  # of the step to the projected point: a derivative that is wrong by a half explains no residual
 ASKED = 4  # points
 NEARLY_THERE = 1e-4  # of the way from the start to x°
 VANISHING = 1e-3  # of its terms: more is no row that vanishes
@@ -87,7 +94,10 @@ class Reference:
     def ends(self, problem: LCP, x: FloatVector, value: FloatVector) -> VectorEnds:
         """Return bounds of each component's reference, where `problem` is the linearisation at x and `value` F(x)."""
         least, most = self._ends_of_f(problem)
-        limit, distance = self._limit(problem, x, value), largest_of_components(problem, np.abs(x - self.x))
+        limit, distance = (
+            self._limit(problem, x, value),
+            largest_of_components(problem, np.abs(x - self.x)),
+        )
         is_none = (most == 0.0) | np.isinf(most)
         least, most = (np.where(is_none, distance, np.minimum(end, limit)) for end in (least, most))
         return least, most
@@ -97,8 +107,10 @@ class Reference:
         most, where = self._ends_of_f(problem)[1], "the point of the bounds nearest to 0"
         limited = most > self._limit(problem, x, value)
         return [
-            f"the distance from {where}" if size in (0.0, np.inf)
-            else f"what an affine F with this derivative has at most at {where}" if is_limited
+            f"the distance from {where}"
+            if size in (0.0, np.inf)
+            else f"what an affine F with this derivative has at most at {where}"
+            if is_limited
             else f"F at {where}"
             for size, is_limited in zip(most.tolist(), limited.tolist(), strict=True)
         ]
@@ -106,7 +118,9 @@ class Reference:
     def reached(self, problem: LCP, x: FloatVector) -> FloatVector:
         """Return x with x° in the components that x° solves, and that x has come near on its way from the start."""
         most = self._ends_of_f(problem)[1]
-        left, way = (largest_of_components(problem, np.abs(point - self.x)) for point in (x, self.start))
+        left, way = (
+            largest_of_components(problem, np.abs(point - self.x)) for point in (x, self.start)
+        )
         is_reached = (most == 0.0) & (left <= NEARLY_THERE * way)
         return np.where(for_each_row(problem, is_reached), self.x, x)
 
@@ -122,7 +136,9 @@ class Reference:
             distance = np.abs(x - self.x)
             reached = distance + abs(problem.M) @ distance / problem.residual_scale
             here = np.abs(scaled_residual(problem, x, value))
-            return ROUNDED * (largest_of_components(problem, here) + largest_of_components(problem, reached))
+            return ROUNDED * (
+                largest_of_components(problem, here) + largest_of_components(problem, reached)
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +185,9 @@ class NonlinearCertificate(Certificate):
         InvalidProblem
             Where F or its derivative is not finite there.
         """
-        return cls(point.lcp, point.x, nonlinear=point.problem, value=point.value, reference=reference)
+        return cls(
+            point.lcp, point.x, nonlinear=point.problem, value=point.value, reference=reference
+        )
 
     @property
     def w(self) -> FloatVector:
@@ -193,11 +211,15 @@ class NonlinearCertificate(Certificate):
         is_faint = shares < FAINT
         if not is_faint.any() or not own.any():
             return own
-        strict = term_residuals(*at, for_each_row(self.problem, -largest_of_components(self.problem, -shares)))
+        strict = term_residuals(
+            *at, for_each_row(self.problem, -largest_of_components(self.problem, -shares))
+        )
         without = Linearisation(self.nonlinear, np.where(is_faint, self.reference.x, self.z))
         if not without.is_defined:
             return strict
-        there = largest_of_components(self.problem, term_residuals(without.lcp, without.x, without.value))
+        there = largest_of_components(
+            self.problem, term_residuals(without.lcp, without.x, without.value)
+        )
         errors: FloatVector = np.fmin(strict, np.fmax(own, for_each_row(self.problem, there)))
         return errors
 
@@ -216,7 +238,9 @@ class NonlinearCertificate(Certificate):
         """What the relative residual of the worst component is relative to, in words."""
         several = connected_components(self.problem.matrix)
         kinds = self.reference.kinds(self.problem, self.z, self.value)
-        return kinds[0 if several is None or self.worst_index < 0 else int(several.labels[self.worst_index])]
+        return kinds[
+            0 if several is None or self.worst_index < 0 else int(several.labels[self.worst_index])
+        ]
 
     def _sharp_ends(self) -> FloatVector:
         return self._scaled_ends[1]  # of the numbers that F returns, nothing is summed here
@@ -240,7 +264,9 @@ class NonlinearCertificate(Certificate):
             step = -scaled_residual(problem, x, self.value)
             for k in range(ASKED):
                 near = x + NEARBY / (k + 1) * step
-                left = np.maximum(left, np.abs(self.nonlinear.value(near) - self.value - problem.M @ (near - x)))
+                left = np.maximum(
+                    left, np.abs(self.nonlinear.value(near) - self.value - problem.M @ (near - x))
+                )
             floor: FloatVector = (terms * EPSILON * size + left) / scale
         return floor
 
@@ -251,13 +277,17 @@ class NonlinearCertificate(Certificate):
         )
 
 
-def _ends(problem: LCP, x: FloatVector, value: FloatVector, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
+def _ends(
+    problem: LCP, x: FloatVector, value: FloatVector, scale: FloatVector
+) -> tuple[FloatVector, FloatVector]:
     """Return bounds of every |x_i − mid(lower_i, upper_i, x_i − value_i/scale_i)|."""
     nothing = sp.csr_array((x.size, x.size))
     return residual_ends_of(nothing, x, problem, x, scale, q=np.ascontiguousarray(value))
 
 
-def term_residuals(problem: LCP, x: FloatVector, value: FloatVector, share: FloatVector | float = 1.0) -> FloatVector:
+def term_residuals(
+    problem: LCP, x: FloatVector, value: FloatVector, share: FloatVector | float = 1.0
+) -> FloatVector:
     """Return how wrong each row is in its own terms, shape (n,): the least s² to which it is right, 0 where it is.
 
     Where F flattens as x runs away, d → 0 or is the noise of differences, and beside a pole d is anything. So only rows
@@ -278,19 +308,27 @@ def term_residuals(problem: LCP, x: FloatVector, value: FloatVector, share: Floa
         What an unknown that must be told adds to the terms.
     """
     with np.errstate(all="ignore"):
-        distance = np.where(value > 0.0, x - problem.lower, problem.upper - x)  # to where this sign is right
+        distance = np.where(
+            value > 0.0, x - problem.lower, problem.upper - x
+        )  # to where this sign is right
         wrong = np.where(distance > 0.0, np.abs(value), 0.0)
         terms = magnitude(problem, x)
         tells = (distance > 0.0) & (wrong <= VANISHING * terms)
         unit = largest_of_components(problem, np.where(tells, terms / problem.residual_scale, 0.0))
         unit = for_each_row(problem, np.minimum(unit, largest_of_components(problem, np.abs(x))))
         rows = problem.matrix.csr_rows
-        unknowns = largest_in_rows(rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0))  # of each row
+        unknowns = largest_in_rows(
+            rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0)
+        )  # of each row
         vanishes = np.abs(problem.q) <= VANISHING * (terms - np.abs(problem.q))
         own = np.fmax((wrong / terms) ** (4.0 / 3.0), np.fmin((wrong / (share * terms)) ** 2, 1.0))
         own = np.fmin(own, np.where(vanishes, unknowns / unit, np.inf))
-        stays_right = ~(np.abs(value) - problem.diagonal * distance < 0.0)  # as far as the diagonal entry tells
-        of_bound = np.where(stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf)
+        stays_right = ~(
+            np.abs(value) - problem.diagonal * distance < 0.0
+        )  # as far as the diagonal entry tells
+        of_bound = np.where(
+            stays_right, np.fmin((distance / np.abs(x)) ** 2, distance / unit), np.inf
+        )
         squares: FloatVector = np.fmin(own, of_bound)
     return np.where(wrong == 0.0, 0.0, np.where(np.isfinite(squares), squares, np.inf))
 
@@ -310,7 +348,11 @@ def shares_of_unknowns(problem: LCP, x: FloatVector, value: FloatVector) -> Floa
     rows = problem.matrix.csr_rows
     with np.errstate(all="ignore"):
         distance = np.where(value > 0.0, x - problem.lower, problem.upper - x)
-        is_between = (problem.lower < x) & (x < problem.upper) & ~(problem.residual_scale * distance < np.abs(value))
+        is_between = (
+            (problem.lower < x)
+            & (x < problem.upper)
+            & ~(problem.residual_scale * distance < np.abs(value))
+        )
         terms = np.where(is_between, magnitude(problem, x), np.inf)
         parts = np.abs(rows.data * x[rows.indices]) / np.repeat(terms, np.diff(rows.indptr))
     shares = np.zeros(x.size)

@@ -86,14 +86,22 @@ class NonlinearProblem:
     problem_kind: ClassVar[Kind] = NONLINEAR_PROBLEM
 
     def __init__(
-        self, F: Callable[[FloatVector], ArrayLike], jacobian: Callable[[FloatVector], Any] | None = None,
-        lower: ArrayLike = 0.0, upper: ArrayLike = np.inf, pattern: Any = None, *, enclosure: Enclosure | None = None,
+        self,
+        F: Callable[[FloatVector], ArrayLike],
+        jacobian: Callable[[FloatVector], Any] | None = None,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
+        pattern: Any = None,
+        *,
+        enclosure: Enclosure | None = None,
     ) -> None:
         self.F, self.jacobian, self.enclosure = _callable(F, "F"), jacobian, enclosure
         if jacobian is not None:
             _callable(jacobian, "jacobian")
             if pattern is not None:
-                raise InvalidProblem("pattern is for differences, and a jacobian was given as well; leave one out")
+                raise InvalidProblem(
+                    "pattern is for differences, and a jacobian was given as well; leave one out"
+                )
         for name in ("interval_F", "interval_jacobian") if enclosure is not None else ():
             _callable(getattr(enclosure, name, None), f"enclosure.{name}")
         self.pattern = None if pattern is None else _pattern(pattern)
@@ -121,7 +129,9 @@ class NonlinearProblem:
         if self.n == n:
             return self
         if self.n is not None:
-            raise InvalidProblem(f"the problem has {self.n} unknowns by its bounds or pattern, and x has length {n}")
+            raise InvalidProblem(
+                f"the problem has {self.n} unknowns by its bounds or pattern, and x has length {n}"
+            )
         sized = object.__new__(NonlinearProblem)
         sized.__dict__.update(self.__dict__, n=n)
         sized._set_bounds(n)
@@ -202,7 +212,9 @@ class NonlinearProblem:
         with np.errstate(all="ignore"):
             q = value - M @ x
             if not np.isfinite(q).all():
-                raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0, or scale F and x")
+                raise UndefinedDerivativeError(
+                    "F(x) − F′(x) x overflows; start nearer to 0, or scale F and x"
+                )
             return LCP(M, q, lower=problem.lower, upper=problem.upper)
 
     def slopes(self, x: FloatVector, value: FloatVector) -> tuple[Any, BoolVector]:
@@ -237,7 +249,11 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
         return rectangular_matrix(derivative, name, n, n)
     except InvalidProblem as error:
         entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
-        if np.shape(derivative) == (n, n) and entries.dtype.kind == "f" and not np.isfinite(entries).all():
+        if (
+            np.shape(derivative) == (n, n)
+            and entries.dtype.kind == "f"
+            and not np.isfinite(entries).all()
+        ):
             raise UndefinedDerivativeError(str(error)) from error
         raise
 
@@ -322,20 +338,23 @@ class Linearisations:
 def _callable(given: Any, name: str) -> Any:
     if not callable(given):
         hint = "; for a matrix and a vector there is LCP(M, q)" if name == "F" else ""
-        raise InvalidProblem(f"{name} must be callable as {name}(x), got {type(given).__name__}{hint}")
+        raise InvalidProblem(
+            f"{name} must be callable as {name}(x), got {type(given).__name__}{hint}"
+        )
     return given
 
 
 def _pattern(pattern: Any) -> sp.csc_array:
     """Return the stored entries by columns, each with the value 1."""
     if not sp.issparse(pattern):
-        pattern = sp.coo_array(real_array(pattern, "pattern must be a sparse array of shape (n, n)"))
+        pattern = sp.coo_array(
+            real_array(pattern, "pattern must be a sparse array of shape (n, n)")
+        )
     if pattern.ndim != 2 or pattern.shape[0] != pattern.shape[1]:
-        raise InvalidProblem(f"pattern must be a square sparse array (n×n), got shape {pattern.shape}")
+        raise InvalidProblem(
+            f"pattern must be a square sparse array (n×n), got shape {pattern.shape}"
+        )
     places = sp.coo_array(pattern)
     stored = sp.csc_array((np.ones(places.nnz), (places.row, places.col)), shape=places.shape)
     stored.sum_duplicates()
     return stored
-
-
-

@@ -60,14 +60,21 @@ class Differences:
         rows = sp.csr_array(pattern)
         groups = np.full(n, -1, dtype=np.int32)
         colour_columns(
-            pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64), rows.indptr.astype(np.int64),
-            rows.indices.astype(np.int64), groups,
+            pattern.indptr.astype(np.int64),
+            pattern.indices.astype(np.int64),
+            rows.indptr.astype(np.int64),
+            rows.indices.astype(np.int64),
+            groups,
         )
         return cls(pattern, groups)
 
     @np.errstate(all="ignore")
     def at(
-        self, F: Callable[[FloatVector], FloatVector], x: FloatVector, value: FloatVector, lower: FloatVector,
+        self,
+        F: Callable[[FloatVector], FloatVector],
+        x: FloatVector,
+        value: FloatVector,
+        lower: FloatVector,
         upper: FloatVector,
     ) -> sp.csr_array:
         """Return the derivative at x, where F has that value; steps stay within the bounds where these are apart.
@@ -83,7 +90,9 @@ class Differences:
             found = self._quotients(F, x, value, np.where(members, step, 0.0), places)
             if not np.isfinite(found).all():
                 found = np.where(
-                    np.isfinite(found), found, self._quotients(F, x, value, np.where(members, -step, 0.0), places)
+                    np.isfinite(found),
+                    found,
+                    self._quotients(F, x, value, np.where(members, -step, 0.0), places),
                 )
             if (shorter := np.where(members, small, 0.0)).any():
                 near = self._quotients(F, x, value, shorter, places)
@@ -97,7 +106,9 @@ class Differences:
             derivative[places] = found
         derivative = self._without_rounding(derivative, x, value, steps)
         pattern = self.pattern
-        return sp.csr_array(sp.csc_array((derivative, pattern.indices, pattern.indptr), shape=pattern.shape))
+        return sp.csr_array(
+            sp.csc_array((derivative, pattern.indices, pattern.indptr), shape=pattern.shape)
+        )
 
     def _without_rounding(
         self, derivative: FloatVector, x: FloatVector, value: FloatVector, steps: FloatVector
@@ -115,15 +126,21 @@ class Differences:
         order = np.argsort(of_entries, kind="stable")
         ends = np.searchsorted(of_entries[order], np.arange(int(self.groups.max(initial=-1)) + 2))
         for k in range(ends.size - 1):
-            yield self.groups == k, order[ends[k]:ends[k + 1]]
+            yield self.groups == k, order[ends[k] : ends[k + 1]]
 
     def _quotients(
-        self, F: Callable[[FloatVector], FloatVector], x: FloatVector, value: FloatVector, step: FloatVector,
+        self,
+        F: Callable[[FloatVector], FloatVector],
+        x: FloatVector,
+        value: FloatVector,
+        step: FloatVector,
         places: NDArray[Any],
     ) -> FloatVector:
         moved = x + step
         difference = F(moved) - value
-        quotient: FloatVector = difference[self.pattern.indices[places]] / (moved - x)[self._columns[places]]
+        quotient: FloatVector = (
+            difference[self.pattern.indices[places]] / (moved - x)[self._columns[places]]
+        )
         return quotient
 
 
@@ -133,7 +150,9 @@ def _agree(one: FloatVector, other: FloatVector) -> BoolVector:
     return agree
 
 
-def _steps(size: FloatVector, x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
+def _steps(
+    size: FloatVector, x: FloatVector, lower: FloatVector, upper: FloatVector
+) -> FloatVector:
     """Return how far each unknown is moved: away from 0, but towards the bound that is farther where one is near."""
     length = STEP * size
     above, below = upper - x, x - lower

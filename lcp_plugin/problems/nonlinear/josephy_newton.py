@@ -33,16 +33,26 @@ from .data import Linearisation, Linearisations
 
 SUFFICIENT = 1e-4
 SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened
-HALVINGS, FAR = 4, 1e3  # after so many, where the merit is still so much larger than it should be, to a tenth
+HALVINGS, FAR = (
+    4,
+    1e3,
+)  # after so many, where the merit is still so much larger than it should be, to a tenth
 EXPLODED = 1e5  # times as much slack is no progress, whatever the merit says
 MEMORY = 4  # the line search compares with the worst of so many points
-SHIFTS = (1e-3, 1e-1, 10.0)  # of the residual scale: where the LCP has no solution, or its step does not help
+SHIFTS = (
+    1e-3,
+    1e-1,
+    10.0,
+)  # of the residual scale: where the LCP has no solution, or its step does not help
 FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
 ENOUGH = 0.1  # of what the run asks for: no linearisation need be solved to less
 PATIENCE = 25  # steps without a residual clearly below those of the window before it
 WINDOW, GAIN = 12, 0.95  # after a jump a long way back may begin
-RESTARTS, SMALL = 6, 1000  # unknowns: beyond them a new start, and steps without progress, are too expensive
+RESTARTS, SMALL = (
+    6,
+    1000,
+)  # unknowns: beyond them a new start, and steps without progress, are too expensive
 FACTORS = {"newton": 12}  # without half the residual, on a large linearisation
 PATHS = 2  # of pivots
 
@@ -135,7 +145,9 @@ class _NewtonRun:
         """Return the point with x° in the components that are nearly there, where x° solves them."""
         x = self.options.compared_with.reached(point.lcp, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
-        return there if there.is_defined and self._relative(there) <= self._relative(point) else point
+        return (
+            there if there.is_defined and self._relative(there) <= self._relative(point) else point
+        )
 
     def start_elsewhere(self, problem: LCP) -> bool:
         """Go to another point of the bounds where F is defined; return whether there is one."""
@@ -163,7 +175,9 @@ class _NewtonRun:
             return None
         here, worst = self._merit(self.here), max(self._merit(point) for point in self.recent)
         for find, least in (
-            (self._newton, worst), (self._proximal, here), (self._descended, here),
+            (self._newton, worst),
+            (self._proximal, here),
+            (self._descended, here),
         ):
             found = find(lcp, least)
             if found is not None or is_over() or self._is_at_floor():
@@ -218,7 +232,9 @@ class _NewtonRun:
         point = self._at(x)
         self.tried = math.inf if self._overshoots(point, worst) else self._merit(point)
         is_less = self.tried <= (1.0 - SUFFICIENT * length) * worst
-        return point if is_less and point.is_defined and not np.array_equal(x, self.here.x) else None
+        return (
+            point if is_less and point.is_defined and not np.array_equal(x, self.here.x) else None
+        )
 
     def _at(self, x: FloatVector) -> Linearisation:
         self.work += 1.0
@@ -244,7 +260,9 @@ class _NewtonRun:
         lcp = self.here.lcp
         is_between = (lcp.lower < point.x) & (point.x < lcp.upper)
         there, here = (
-            np.abs(self.weights * one.value / lcp.matrix.row_largest).max(initial=0.0, where=is_between)
+            np.abs(self.weights * one.value / lcp.matrix.row_largest).max(
+                initial=0.0, where=is_between
+            )
             for one in (point, self.here)
         )
         return bool(there > EXPLODED * max(worst, here))
@@ -252,7 +270,9 @@ class _NewtonRun:
     @staticmethod
     def _residuals(point: Linearisation) -> FloatVector:
         """Return ‖r_P‖∞ of each component."""
-        return largest_of_components(point.lcp, np.abs(scaled_residual(point.lcp, point.x, point.value)))
+        return largest_of_components(
+            point.lcp, np.abs(scaled_residual(point.lcp, point.x, point.value))
+        )
 
     def _relative(self, point: Linearisation) -> float:
         references = self.options.compared_with.ends(point.lcp, point.x, point.value)[1]
@@ -273,12 +293,19 @@ class _NewtonRun:
         x = self.here.x
         step = lcp.with_q(w, lower=lcp.lower - x, upper=lcp.upper - x)
         relative = self._relative(self.here)
-        enough = max(ENOUGH * self.options.tolerance / relative, SMALLEST_TOLERANCE) if relative > 0.0 else FORCING
+        enough = (
+            max(ENOUGH * self.options.tolerance / relative, SMALLEST_TOLERANCE)
+            if relative > 0.0
+            else FORCING
+        )
         tolerance = min(max(relative, enough), FORCING)
         algorithm = self.options.linear
         try:
             result = solved_within(step, algorithm, tolerance)
-        except (UnsuitableMatrix, UnsuitableProblem):  # by an algorithm that does not take this linearisation
+        except (
+            UnsuitableMatrix,
+            UnsuitableProblem,
+        ):  # by an algorithm that does not take this linearisation
             if algorithm == "auto":
                 raise
             result = solved_within(step, "auto", tolerance)
@@ -286,7 +313,9 @@ class _NewtonRun:
         if not (result.is_solved or result.residual <= 0.5):
             return None
         target = np.clip(x + result.z, lcp.lower, lcp.upper)
-        target = np.where(result.z <= step.lower, lcp.lower, target)  # the sum may have missed the bound
+        target = np.where(
+            result.z <= step.lower, lcp.lower, target
+        )  # the sum may have missed the bound
         return np.where(result.z >= step.upper, lcp.upper, target)
 
 
@@ -296,7 +325,9 @@ def _weights(start: Linearisation, compared_with: Reference) -> FloatVector:
     if several is None:
         return np.ones(1)
     unit = compared_with.ends(start.lcp, start.x, start.value)[1]
-    weights: FloatVector = 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)[several.labels]
+    weights: FloatVector = (
+        1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)[several.labels]
+    )
     return weights
 
 
@@ -311,7 +342,9 @@ class LinearPolicy(Policy):
         """Return what the policy begins with."""
         return self._policy.first(problem)
 
-    def next_step(self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool) -> Choice | None:
+    def next_step(
+        self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
+    ) -> Choice | None:
         """Return the policy's next choice; pivots are the last, and nothing has two turns."""
         if isinstance(stages[-1].algorithm, Lemke):
             return None
@@ -331,7 +364,10 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
     policy = LinearPolicy(algorithm)
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
-    start, first = scaling.inward(np.clip(step, problem.lower, problem.upper)), policy.first(scaling.problem)
+    start, first = (
+        scaling.inward(np.clip(step, problem.lower, problem.upper)),
+        policy.first(scaling.problem),
+    )
     if (result := fused(scaling, policy, first, settings, start, clock)) is not None:
         return result
     run = Run(scaling, policy, settings, _Patience() if problem.n > SMALL else None, clock)
@@ -346,7 +382,10 @@ class _Patience:
 
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
         """Return whether the run has had its time."""
-        residual, steps = math.inf if sample.residual is None else sample.residual, sample.iteration - self.before
+        residual, steps = (
+            math.inf if sample.residual is None else sample.residual,
+            sample.iteration - self.before,
+        )
         self.before = sample.iteration
         if residual <= 0.5 * self.lowest:
             self.lowest, self.idle = residual, 0

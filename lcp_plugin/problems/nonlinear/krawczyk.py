@@ -101,7 +101,9 @@ def krawczyk_bound(problem: LCP, x: FloatVector, enclosure: Enclosure) -> ErrorB
         if found is None:
             return None
         bound = _bound(problem, x, *found, "Krawczyk" if small else "dominance", began)
-        is_proved = bound is not None and _has_right_signs(problem, found[0], x, bound.componentwise, enclosure)
+        is_proved = bound is not None and _has_right_signs(
+            problem, found[0], x, bound.componentwise, enclosure
+        )
         return bound if is_proved else None
 
 
@@ -114,7 +116,9 @@ def _held(problem: LCP, x: FloatVector) -> _Point:
     return _Point(held, ~(at_lower | is_upper), is_upper & ~at_lower)
 
 
-def _by_krawczyk(problem: LCP, at: _Point, enclosure: Enclosure) -> tuple[_Point, FloatVector] | None:
+def _by_krawczyk(
+    problem: LCP, at: _Point, enclosure: Enclosure
+) -> tuple[_Point, FloatVector] | None:
     """Return a point x̃ and the radii of a box around it that holds exactly one zero of F on the free rows."""
     rows = np.flatnonzero(at.free)
     if not rows.size:
@@ -134,9 +138,13 @@ def _by_krawczyk(problem: LCP, at: _Point, enclosure: Enclosure) -> tuple[_Point
         least, most = _derivative(enclosure, *box, rows)
         contraction = _distance_from_identity(inverse, least.toarray(), most.toarray())
         image = _raised(contraction @ radius + distance, rows.size)
-        needed = _raised(image + 2.0 * offset, 2)  # for the image, and for all that is as near to x as it is
+        needed = _raised(
+            image + 2.0 * offset, 2
+        )  # for the image, and for all that is as near to x as it is
         if bool((needed < radius).all()):
-            image = np.minimum(image, _raised(contraction @ image + distance, rows.size))  # the zero lies in K(X), too
+            image = np.minimum(
+                image, _raised(contraction @ image + distance, rows.size)
+            )  # the zero lies in K(X), too
             found = np.zeros(at.x.size)
             found[rows] = image
             return at, found
@@ -160,7 +168,9 @@ def _refined(at: _Point, rows: Any, inverse: FloatVector, enclosure: Enclosure) 
     return at
 
 
-def _by_dominance(problem: LCP, at: _Point, enclosure: Enclosure) -> tuple[_Point, FloatVector] | None:
+def _by_dominance(
+    problem: LCP, at: _Point, enclosure: Enclosure
+) -> tuple[_Point, FloatVector] | None:
     """Return the same where the derivative is an H-matrix with a positive diagonal."""
     rows = np.flatnonzero(at.free)
     low, high = _values(enclosure, at.x, at.x)
@@ -192,11 +202,17 @@ def _by_dominance(problem: LCP, at: _Point, enclosure: Enclosure) -> tuple[_Poin
     return None
 
 
-def _comparison(enclosure: Enclosure, low: FloatVector, high: FloatVector, rows: Any) -> sp.csr_array | None:
+def _comparison(
+    enclosure: Enclosure, low: FloatVector, high: FloatVector, rows: Any
+) -> sp.csr_array | None:
     """Return the comparison matrix of all derivatives over the box: the least diagonal, −1 × the largest others."""
     least, most = _derivative(enclosure, low, high, rows)
     diagonal = least.diagonal()
-    if not bool((diagonal > 0.0).all()) or not np.isfinite(least.data).all() or not np.isfinite(most.data).all():
+    if (
+        not bool((diagonal > 0.0).all())
+        or not np.isfinite(least.data).all()
+        or not np.isfinite(most.data).all()
+    ):
         return None
     largest = sp.csr_array(abs(least).maximum(abs(most)))
     return sp.csr_array(sp.diags_array(diagonal + largest.diagonal()) - largest)
@@ -205,14 +221,20 @@ def _comparison(enclosure: Enclosure, low: FloatVector, high: FloatVector, rows:
 # --- what intervals say ----------------------------------------------------------------------------------------
 
 
-def _values(enclosure: Enclosure, low: FloatVector, high: FloatVector) -> tuple[FloatVector, FloatVector]:
+def _values(
+    enclosure: Enclosure, low: FloatVector, high: FloatVector
+) -> tuple[FloatVector, FloatVector]:
     least, most = (np.asarray(end, dtype=np.float64) for end in enclosure.interval_F(low, high))
     return least, most
 
 
-def _derivative(enclosure: Enclosure, low: FloatVector, high: FloatVector, rows: Any) -> tuple[Any, Any]:
+def _derivative(
+    enclosure: Enclosure, low: FloatVector, high: FloatVector, rows: Any
+) -> tuple[Any, Any]:
     """Return the ends of the block of F′ on these rows, CSR arrays."""
-    least, most = (sp.csr_array(end)[rows][:, rows] for end in enclosure.interval_jacobian(low, high))
+    least, most = (
+        sp.csr_array(end)[rows][:, rows] for end in enclosure.interval_jacobian(low, high)
+    )
     return least, most
 
 
@@ -235,11 +257,15 @@ def _is_inside(problem: LCP, rows: Any, low: FloatVector, high: FloatVector) -> 
     return bool(((low[rows] > problem.lower[rows]) & (high[rows] < problem.upper[rows])).all())
 
 
-def _has_right_signs(problem: LCP, at: _Point, x: FloatVector, radius: FloatVector, enclosure: Enclosure) -> bool:
+def _has_right_signs(
+    problem: LCP, at: _Point, x: FloatVector, radius: FloatVector, enclosure: Enclosure
+) -> bool:
     """Return whether F has the sign that its bound asks for on every held row, wherever x* or another may be."""
     box = np.clip([-sum_above(-x, radius), sum_above(x, radius)], problem.lower, problem.upper)
     low, high = _values(enclosure, *box)
-    is_right = at.free | (problem.lower == problem.upper) | np.where(at.is_upper, high < 0.0, low > 0.0)
+    is_right = (
+        at.free | (problem.lower == problem.upper) | np.where(at.is_upper, high < 0.0, low > 0.0)
+    )
     return bool(is_right.all())
 
 
@@ -288,7 +314,17 @@ def _bound(
     residual = float(np.abs(scaled_residual(problem, x, problem.slack(x))).max(initial=0.0))
     held = ~at.free
     return ErrorBound(
-        componentwise, infinity, relative_to(infinity, float(np.abs(x).max(initial=0.0))), "rigorous", method,
-        held, at.free.copy(), x.size, int(held.sum()), int(at.free.sum()), residual, near,
+        componentwise,
+        infinity,
+        relative_to(infinity, float(np.abs(x).max(initial=0.0))),
+        "rigorous",
+        method,
+        held,
+        at.free.copy(),
+        x.size,
+        int(held.sum()),
+        int(at.free.sum()),
+        residual,
+        near,
         time.perf_counter() - began,
     )

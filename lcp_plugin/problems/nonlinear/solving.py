@@ -28,7 +28,11 @@ from .data import Linearisation, Linearisations, NonlinearProblem
 from .josephy_newton import JosephyNewton
 
 STEP = 2.0**-20
-OTHERS = 2.0**-30, 2.0**-40, 2.0**-10  # what is curved is not wrong on shorter ones, nor on a longer one what is rough
+OTHERS = (
+    2.0**-30,
+    2.0**-40,
+    2.0**-10,
+)  # what is curved is not wrong on shorter ones, nor on a longer one what is rough
 WRONG = 1e-2  # of the terms of a row
 ELSEWHERE = "F or its derivative is not finite at the start given, projected onto them"
 UNSURE = 10.0  # times what differences of two lengths disagree by
@@ -120,7 +124,14 @@ def solve_nonlinear(
             "solve(problem) for an LCP"
         )
     settings = Settings(
-        tolerance, "residual", max_iterations, max_seconds, absolute_tolerance, record, error_bound, threads,
+        tolerance,
+        "residual",
+        max_iterations,
+        max_seconds,
+        absolute_tolerance,
+        record,
+        error_bound,
+        threads,
         verbose,
     )
     policy_for(algorithm, {})
@@ -135,13 +146,24 @@ def solve_nonlinear(
         reference = Reference.of(problem, start)
         first = points.at(start)
         asked = settings.goal
-        newton = JosephyNewton(points=points, compared_with=reference, linear=algorithm, tolerance=asked)
+        newton = JosephyNewton(
+            points=points, compared_with=reference, linear=algorithm, tolerance=asked
+        )
         judge = NonlinearJudge(points, reference, first, settings)
-        run = Run(judge.scaling, Single(newton, prove_infeasibility=False), settings, callback, clock, judge)
+        run = Run(
+            judge.scaling,
+            Single(newton, prove_infeasibility=False),
+            settings,
+            callback,
+            clock,
+            judge,
+        )
         try:
             if check_jacobian and problem.jacobian is not None:
                 require_true_jacobian(first)
-            return replace(run.judged(start, run.drive(start, Choice(newton, TANGENTS))), begun=begun)
+            return replace(
+                run.judged(start, run.drive(start, Choice(newton, TANGENTS))), begun=begun
+            )
         except KeyboardInterrupt:
             return replace(run.judged(start, End.INTERRUPTED), begun=begun)
 
@@ -187,7 +209,9 @@ class NonlinearJudge(Judge):
         Status.INTERRUPTED: Status.INTERRUPTED.value,
     }
 
-    def __init__(self, points: Linearisations, reference: Reference, start: Linearisation, settings: Settings) -> None:
+    def __init__(
+        self, points: Linearisations, reference: Reference, start: Linearisation, settings: Settings
+    ) -> None:
         self.points, self.compared_with = points, reference
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
         self.scaling = CommonScaling(start.lcp, start.lcp)
@@ -204,13 +228,17 @@ class NonlinearJudge(Judge):
         """Return the relative residual of z."""
         return self.certificate_of(z).relative_above(self.settings.least_reference)
 
-    def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
+    def bound_at_the_end(
+        self, certificate: Certificate
+    ) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return how a solution near the answer is proved."""
         return partial(_proved, certificate) if self.settings.error_bound else BoundOrReason()
 
 
 UNLIKELY_ROUNDING = 1e-6  # relative to 1 + |F|
-TANGENTS = "each iteration replaces F by its tangent at x and solves the linear problem that this gives"
+TANGENTS = (
+    "each iteration replaces F by its tangent at x and solves the linear problem that this gives"
+)
 
 
 def _proved(certificate: Any) -> BoundOrReason:
@@ -218,14 +246,19 @@ def _proved(certificate: Any) -> BoundOrReason:
 
     enclosure, value = certificate.nonlinear.enclosure, certificate.value
     if enclosure is None:
-        return BoundOrReason(None, "nothing bounds the derivatives of F; give NonlinearProblem an enclosure")
+        return BoundOrReason(
+            None, "nothing bounds the derivatives of F; give NonlinearProblem an enclosure"
+        )
     low, high = enclosure.interval_F(certificate.z, certificate.z)
     rounding = UNLIKELY_ROUNDING * (1.0 + np.abs(value))
     outside = ~((low - rounding <= value) & (value <= high + rounding))
     if outside.any():
         i = int(np.flatnonzero(outside)[0])
-        return BoundOrReason(None, f"the enclosure contradicts F: F(z)[{i}] = {value[i]} is not in its interval there, "
-                                   f"[{low[i]}, {high[i]}]; correct one of them")
+        return BoundOrReason(
+            None,
+            f"the enclosure contradicts F: F(z)[{i}] = {value[i]} is not in its interval there, "
+            f"[{low[i]}, {high[i]}]; correct one of them",
+        )
     bound = krawczyk_bound(certificate.problem, certificate.z, enclosure)
     if bound is None:
         return BoundOrReason(None, "no box around z could be proved to hold exactly one solution")
@@ -260,7 +293,9 @@ def require_true_jacobian(point: Linearisation) -> None:
         columns = halves[int(np.argmax(np.nan_to_num(wrong)))]
     j = int(columns[0])
     alone = _only(direction, columns)
-    own = alone * np.abs(point.x[j] / alone[j])  # where x_j ≪ 1, 1/x_j is curved on every step of the size 1
+    own = alone * np.abs(
+        point.x[j] / alone[j]
+    )  # where x_j ≪ 1, 1/x_j is curved on every step of the size 1
     if own[j] != 0.0 and not _contradiction(point, own)[i] > WRONG:
         return
     given = float(point.lcp.M[i, j])
@@ -308,7 +343,9 @@ def _direction(point: Linearisation) -> FloatVector:
     random = np.random.default_rng(0)
     sign = np.where(random.random(x.size) < 0.5, -1.0, 1.0)
     size = np.maximum(np.abs(x), 1.0) * random.uniform(0.5, 1.0, x.size)
-    sign = np.where(x - lower < 4.0 * STEP * size, 1.0, np.where(upper - x < 4.0 * STEP * size, -1.0, sign))
+    sign = np.where(
+        x - lower < 4.0 * STEP * size, 1.0, np.where(upper - x < 4.0 * STEP * size, -1.0, sign)
+    )
     direction: FloatVector = sign * size
     return direction
 

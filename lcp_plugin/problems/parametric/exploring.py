@@ -40,7 +40,12 @@ Case = np.ndarray[Any, np.dtype[np.int8]]
 
 
 def regions(
-    problem: Any, parameters: Mapping[str, Any], within: Any, *, tolerance: float = 1e-8, max_regions: int = 100_000
+    problem: Any,
+    parameters: Mapping[str, Any],
+    within: Any,
+    *,
+    tolerance: float = 1e-8,
+    max_regions: int = 100_000,
 ) -> Regions:
     """Return the solution for every θ in a box: polyhedra, and on each x = F θ + g. Explicit model predictive control.
 
@@ -101,8 +106,10 @@ def regions(
     family = _Family(problem, parameters, within, tolerance)
     found, missed = family.explored(max_regions)
     if not found:
-        raise UnsuitableProblem("no θ in the box was found where the problem has a solution that is unique, with its "
-                                "multipliers; solve it at one corner and see its explain()")
+        raise UnsuitableProblem(
+            "no θ in the box was found where the problem has a solution that is unique, with its "
+            "multipliers; solve it at one corner and see its explain()"
+        )
     answer = Regions(family.data, (family.low, family.high), found, missed, family.kept)
     _ = answer.status
     answer.seconds = clock.read()
@@ -147,11 +154,15 @@ class _Family:
             change = pair[1:].T
             return np.column_stack([change * (self.high - self.low), pair[0] + change @ self.low])
 
-        self.is_strict = _is_p_matrix(problem) if isinstance(problem, LCP) else _is_definite(problem)
+        self.is_strict = (
+            _is_p_matrix(problem) if isinstance(problem, LCP) else _is_definite(problem)
+        )
         self.kept = np.arange(plain.n)
         if not isinstance(problem, LCP):
             first = problem.n + problem.h.size
-            self.kept = np.append(self.kept[:first], first + _independent(problem, affine(self.data.pair("b"))))
+            self.kept = np.append(
+                self.kept[:first], first + _independent(problem, affine(self.data.pair("b")))
+            )
         self.M = plain.csr.toarray()[np.ix_(self.kept, self.kept)]
         q, lower, upper = (affine(side)[self.kept] for side in self.data.rows())
         D = Columns(self.M).units()
@@ -167,7 +178,9 @@ class _Family:
             return None
         problem = self.data.at(self.low + theta * (self.high - self.low))
         is_lcp = isinstance(problem, LCP)
-        for algorithm in ("auto",) if is_lcp else ("daqp", "auto"):  # whose active rows are independent
+        for algorithm in (
+            ("auto",) if is_lcp else ("daqp", "auto")
+        ):  # whose active rows are independent
             result = solve_any(problem, algorithm, {"prove_infeasibility": False})
             if result.is_solved:
                 break
@@ -200,8 +213,10 @@ class _Family:
         w = self.M[held] @ z + self.q[held]
         of_w = np.abs(self.M[held]) @ terms + np.abs(self.q[held]).sum(axis=1)
         low, high = (np.abs(side).sum(axis=1) for side in (self.lower, self.upper))
-        sides = [(self.lower[free] - z[free], low[free] + terms[free], free, -1),
-                 (z[free] - self.upper[free], high[free] + terms[free], free, 1)]
+        sides = [
+            (self.lower[free] - z[free], low[free] + terms[free], free, -1),
+            (z[free] - self.upper[free], high[free] + terms[free], free, 1),
+        ]
         is_single = (self.lower[held] == self.upper[held]).all(axis=1)  # its w may have either sign
         signed = np.where((case[held] < 0)[:, None], -w, w)[~is_single]
         sides.append((signed, of_w[~is_single], held[~is_single], 0))
@@ -209,10 +224,20 @@ class _Family:
         apart = (self.lower[held] - self.upper[held])[moving]
         sides.append((apart, (low + high)[held][moving], np.full(len(apart), -1), 0))
         table, sizes, leaves = (np.concatenate([side[k] for side in sides]) for k in range(3))
-        becomes = np.concatenate([np.full(unknowns.size, to, dtype=np.int8) for _, _, unknowns, to in sides])
+        becomes = np.concatenate(
+            [np.full(unknowns.size, to, dtype=np.int8) for _, _, unknowns, to in sides]
+        )
         known = np.isfinite(table).all(axis=1)
         z = np.where(np.abs(z) <= ROUNDED * terms[:, None], 0.0, z)
-        return _Law(case, z, table[known, :-1], -table[known, -1], sizes[known], leaves[known], becomes[known])
+        return _Law(
+            case,
+            z,
+            table[known, :-1],
+            -table[known, -1],
+            sizes[known],
+            leaves[known],
+            becomes[known],
+        )
 
     def polyhedron(self, law: _Law) -> Region | None:
         """Return the region of a law inside the unit box without rows that do not count; None where it is flat."""
@@ -221,15 +246,33 @@ class _Family:
         flat = lengths <= 1e-3 * size
         if (law.limits < -size)[flat].any():
             return None
-        idle = flat & (law.becomes == 0) & (law.leaves >= 0) & (law.leaves < self.problem.n) & (law.limits <= size)
+        idle = (
+            flat
+            & (law.becomes == 0)
+            & (law.leaves >= 0)
+            & (law.leaves < self.problem.n)
+            & (law.limits <= size)
+        )
         if not self.is_strict and idle.any():
-            more = "" if isinstance(self.problem, LCP) else "; add a small quadratic term to the objective"
-            raise UnsuitableProblem(f"the solution is not unique: an unknown at its bound could leave it at no cost"
-                                    f"{more}")
+            more = (
+                ""
+                if isinstance(self.problem, LCP)
+                else "; add a small quadratic term to the objective"
+            )
+            raise UnsuitableProblem(
+                f"the solution is not unique: an unknown at its bound could leave it at no cost"
+                f"{more}"
+            )
         counts = ~flat & (law.limits < np.abs(law.rows).sum(axis=1))  # others hold in the whole box
-        rows, limits = law.rows[counts] / lengths[counts, None], law.limits[counts] / lengths[counts]
+        rows, limits = (
+            law.rows[counts] / lengths[counts, None],
+            law.limits[counts] / lengths[counts],
+        )
         eye = np.eye(self.p)
-        rows, limits = np.concatenate([rows, eye, -eye]), np.concatenate([limits, np.ones(self.p), np.zeros(self.p)])
+        rows, limits = (
+            np.concatenate([rows, eye, -eye]),
+            np.concatenate([limits, np.ones(self.p), np.zeros(self.p)]),
+        )
         leaves = np.concatenate([law.leaves[counts], np.full(2 * self.p, -1)])
         becomes = np.concatenate([law.becomes[counts], np.zeros(2 * self.p, dtype=np.int8)])
         inside = _centre(rows, limits)
@@ -239,8 +282,15 @@ class _Family:
         if not facets:
             return None
         kept = [k for k, _ in facets]
-        return Region(rows[kept], limits[kept], vertices, inside, law.case, self.unit[:, None] * law.z,
-                      tuple((int(leaves[k]), int(becomes[k]), middle) for k, middle in facets))
+        return Region(
+            rows[kept],
+            limits[kept],
+            vertices,
+            inside,
+            law.case,
+            self.unit[:, None] * law.z,
+            tuple((int(leaves[k]), int(becomes[k]), middle) for k, middle in facets),
+        )
 
     def explored(self, most: int) -> tuple[list[Region], int]:
         """Return all regions that are reached, and behind how many facets neither one nor a border was found."""
@@ -274,12 +324,17 @@ class _Family:
                     found[beside.case.tobytes()] = beside
                     waiting.append(beside)
         every = list(found.values())
-        return every, sum(not any(one.holds(point) for one in every) for point in missed) + (len(found) >= most)
+        return every, sum(not any(one.holds(point) for one in every) for point in missed) + (
+            len(found) >= most
+        )
 
     def _first(self) -> Iterator[Region]:
         """Yield a region to begin in: of the middle of the box, else of points drawn in it."""
         random = np.random.default_rng(0)
-        for point in [np.full(self.p, 0.5) + 1e-3 * random.standard_normal(self.p), *random.random((64, self.p))]:
+        for point in [
+            np.full(self.p, 0.5) + 1e-3 * random.standard_normal(self.p),
+            *random.random((64, self.p)),
+        ]:
             case = self.solved(point)
             if case is not None and (region := self._region(case)) is not None:
                 yield region
@@ -302,8 +357,10 @@ def _is_p_matrix(problem: LCP) -> bool:
 
     verdict = analyze(problem).is_p_matrix
     if verdict is False:
-        raise UnsuitableProblem("M is no P-matrix, so that z is not unique for some q; all_solutions(problem) lists "
-                                "those of one q, trace follows one of them")
+        raise UnsuitableProblem(
+            "M is no P-matrix, so that z is not unique for some q; all_solutions(problem) lists "
+            "those of one q, trace follows one of them"
+        )
     return bool(verdict)
 
 
@@ -322,16 +379,23 @@ def _independent(program: QuadraticProgram, b: FloatVector) -> Any:
         ranks.append(int((pivots > 1e-12 * max(pivots.max(initial=0.0), 1e-300)).sum()))
         orders.append(order)
     if ranks[1] > ranks[0]:
-        raise UnsuitableProblem("equations depend on each other, and their right-hand sides do not for every θ; leave "
-                                "out what follows from others")
+        raise UnsuitableProblem(
+            "equations depend on each other, and their right-hand sides do not for every θ; leave "
+            "out what follows from others"
+        )
     return np.sort(orders[0][: ranks[0]])
 
 
 def _centre(rows: FloatVector, limits: FloatVector) -> FloatVector | None:
     """Return the centre of the largest ball inside; None where there is none of a radius that counts."""
     p = rows.shape[1]
-    found = linprog(np.append(np.zeros(p), -1.0), np.column_stack([rows, np.ones(len(rows))]), limits,
-                    bounds=[(None, None)] * p + [(None, 1.0)], method="highs")
+    found = linprog(
+        np.append(np.zeros(p), -1.0),
+        np.column_stack([rows, np.ones(len(rows))]),
+        limits,
+        bounds=[(None, None)] * p + [(None, 1.0)],
+        method="highs",
+    )
     if found.x is None or found.x[-1] <= FLAT:
         return None
     centre: FloatVector = found.x[:-1]
@@ -344,7 +408,10 @@ def _facets(
     """Return the rows that bound the polyhedron, each with the middle of its facet, and all vertices."""
     if rows.shape[1] == 1:
         ends = limits / rows[:, 0]
-        high, low = np.where(rows[:, 0] > 0, ends, np.inf).argmin(), np.where(rows[:, 0] < 0, ends, -np.inf).argmax()
+        high, low = (
+            np.where(rows[:, 0] > 0, ends, np.inf).argmin(),
+            np.where(rows[:, 0] < 0, ends, -np.inf).argmax(),
+        )
         facets = [(int(k), ends[[k]]) for k in (low, high)]
         return facets, np.array([ends[[low]], ends[[high]]])
     try:
@@ -372,9 +439,13 @@ def _box(within: Any) -> tuple[FloatVector, FloatVector]:
     except (TypeError, ValueError):
         fits = False
     if not fits or not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise InvalidOption(f"within must be (low, high), the corners of a box of finite numbers, low < high, got "
-                            f"{within!r}")
+        raise InvalidOption(
+            f"within must be (low, high), the corners of a box of finite numbers, low < high, got "
+            f"{within!r}"
+        )
     if low.size > MOST_PARAMETERS:
-        raise InvalidOption(f"regions takes up to {MOST_PARAMETERS} parameters, got {low.size}; trace follows one of "
-                            "them")
+        raise InvalidOption(
+            f"regions takes up to {MOST_PARAMETERS} parameters, got {low.size}; trace follows one of "
+            "them"
+        )
     return low, high

@@ -34,7 +34,11 @@ LARGEST = 6000  # rows, of which a dense inverse is kept
 MET = 1e-12  # of their terms: by how much bounds that meet may seem to cross
 NEARLY = 100.0  # times the goal: what is called a limit of precision
 BOUNDS = ("lower", "upper")
-INWARD = (1e-6, 1e-3, 1.0)  # of the way from an end of a piece to its middle, the first that will do
+INWARD = (
+    1e-6,
+    1e-3,
+    1.0,
+)  # of the way from an end of a piece to its middle, the first that will do
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +116,9 @@ class PathPoint:
         status = self._family.judge(self)
         if status is Status.SOLVED or self._piece is None:
             return status
-        return Status.SOLVED if self._family.is_solved_beside(self.parameter, self._piece) else status
+        return (
+            Status.SOLVED if self._family.is_solved_beside(self.parameter, self._piece) else status
+        )
 
     @property
     def is_solved(self) -> bool:
@@ -204,12 +210,23 @@ class Family:
     def __init__(
         self, problem: Any, along: Any, ends: tuple[float, float], tolerance: float, p: int = 0
     ) -> None:
-        self.problem, self.settings, self.ends, self.p = problem, Settings(tolerance=tolerance), ends, max(p, 1)
+        self.problem, self.settings, self.ends, self.p = (
+            problem,
+            Settings(tolerance=tolerance),
+            ends,
+            max(p, 1),
+        )
         self._word = "parameters" if p else "along"
         if not isinstance(along, Mapping) or not along:
-            what = f'what depends on θ, as {{"{self.MOVES[0]}": change}}' if p else 'what moves, as {"q": direction}'
+            what = (
+                f'what depends on θ, as {{"{self.MOVES[0]}": change}}'
+                if p
+                else 'what moves, as {"q": direction}'
+            )
             raise InvalidOption(f"{self._word} must say {what}, got {along!r}")
-        self.directions = {str(name): self._checked(name, change, p) for name, change in along.items()}
+        self.directions = {
+            str(name): self._checked(name, change, p) for name, change in along.items()
+        }
 
     def _checked(self, name: str, change: Any, p: int) -> FloatVector:
         """Return the change of a vector, shape (size,), or (size, p) of several parameters."""
@@ -229,13 +246,21 @@ class Family:
             if step.shape != (now.size, p) or not np.isfinite(step).all():
                 raise InvalidOption(f"{need}, got shape {np.shape(change)}")
         else:
-            step = np.full(now.shape, float(change)) if is_number(change) else checked_vector(change, name, now.size)
+            step = (
+                np.full(now.shape, float(change))
+                if is_number(change)
+                else checked_vector(change, name, now.size)
+            )
         moved = ~np.isfinite(now) & (step.T != 0.0)
         if moved.any() and is_number(change):
-            step = np.where(np.isfinite(now), step, 0.0)  # one number moves all bounds that there are
+            step = np.where(
+                np.isfinite(now), step, 0.0
+            )  # one number moves all bounds that there are
         elif moved.any():
             i = int(np.argwhere(moved)[0][-1])
-            raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; let {self._word}[{name!r}][{i}] be 0")
+            raise InvalidOption(
+                f"{name}[{i}] is {now[i]} and cannot move; let {self._word}[{name!r}][{i}] be 0"
+            )
         return read_only(step)
 
     @property
@@ -250,11 +275,16 @@ class Family:
 
     def moved(self, theta: Any) -> dict[str, FloatVector]:
         """Return the vectors that move, at θ."""
-        moved = {name: getattr(self.problem, name) + np.dot(step, theta) for name, step in self.directions.items()}
+        moved = {
+            name: getattr(self.problem, name) + np.dot(step, theta)
+            for name, step in self.directions.items()
+        }
         if moved.keys() & set(BOUNDS):  # which may cross by rounding, where they meet
             lower, upper = (moved.get(name, getattr(self.problem, name)) for name in BOUNDS)
             size = sum(np.abs(self.pair(name)).T @ np.append(1.0, np.abs(theta)) for name in BOUNDS)
-            crossed = (lower > upper) & (lower - upper <= MET * np.where(np.isfinite(size), size, 0.0))
+            crossed = (lower > upper) & (
+                lower - upper <= MET * np.where(np.isfinite(size), size, 0.0)
+            )
             for name, other in zip(BOUNDS, (upper, lower), strict=True):
                 if name in moved:
                     moved[name] = np.where(crossed, other, moved[name])
@@ -271,13 +301,17 @@ class Family:
             ends = np.array([[1.0, theta] for theta in self.ends]) @ (upper - lower)
             size = np.abs([[1.0, theta] for theta in self.ends]) @ (np.abs(lower) + np.abs(upper))
             ends[np.abs(ends) <= MET * size] = 0.0
-            share = np.where(ends[0] < 0.0, 0.0, np.where(ends[1] < 0.0, ends[0] / (ends[0] - ends[1]), np.inf))
+            share = np.where(
+                ends[0] < 0.0, 0.0, np.where(ends[1] < 0.0, ends[0] / (ends[0] - ends[1]), np.inf)
+            )
         if not np.isfinite(share).any():
             return None
         row = int(np.argmin(share))
         at = start + float(share[row]) * (stop - start)
         toward = stop if stop != start else at
-        return CrossedBounds(row, bool(ends[0, row] < 0.0), at, toward, lower[:, row], upper[:, row])
+        return CrossedBounds(
+            row, bool(ends[0, row] < 0.0), at, toward, lower[:, row], upper[:, row]
+        )
 
     def at(self, theta: Any) -> Any:
         """Return the problem at θ."""
@@ -334,7 +368,9 @@ class Family:
 
     def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
         """Return what the kind's criterion says of many points."""
-        return [self.judge(self.point(float(theta), one)) for theta, one in zip(thetas, z, strict=True)]
+        return [
+            self.judge(self.point(float(theta), one)) for theta, one in zip(thetas, z, strict=True)
+        ]
 
     def is_solved_beside(self, theta: float, piece: Piece) -> bool:
         """Return whether θ is right on a piece where the criterion, of data that cancel there, sees rounding alone.
@@ -346,7 +382,9 @@ class Family:
         if theta == middle or not self._stairs.hold(theta, piece.z0, piece.z1, reach):
             return False
         inside = (theta + share * (middle - theta) for share in INWARD)
-        return any(self.judge(self.point(near, piece.z_at(near))) is Status.SOLVED for near in inside)
+        return any(
+            self.judge(self.point(near, piece.z_at(near))) is Status.SOLVED for near in inside
+        )
 
     @cached_property
     def _stairs(self) -> Staircases:
@@ -361,7 +399,9 @@ class ComplementarityFamily(Family):
     """q and bounds of an LCP."""
 
     MOVES = ("q", *BOUNDS)
-    FIXED: ClassVar[dict[str, str]] = {"M": "z is not piecewise affine in M; solve_batch takes a list of problems"}
+    FIXED: ClassVar[dict[str, str]] = {
+        "M": "z is not piecewise affine in M; solve_batch takes a list of problems"
+    }
 
     @cached_property
     def is_monotone(self) -> bool:
@@ -393,9 +433,12 @@ class ComplementarityFamily(Family):
         start = np.clip(np.array(z), self.problem.lower, self.problem.upper)
         q = self.problem.q + np.outer(thetas, self.step("q"))
         tolerance = self.settings.tolerance
-        batch = solve_batch(self.problem, q, z0=start, tolerance=tolerance, max_iterations=1, threads=1)
+        batch = solve_batch(
+            self.problem, q, z0=start, tolerance=tolerance, max_iterations=1, threads=1
+        )
         return [
-            Status.SOLVED if status is Status.SOLVED and np.array_equal(one, begun)
+            Status.SOLVED
+            if status is Status.SOLVED and np.array_equal(one, begun)
             else self.judge(self.point(float(theta), begun))
             for status, one, begun, theta in zip(batch.status, batch.z, start, thetas, strict=True)
         ]
@@ -408,7 +451,9 @@ class ComplementarityFamily(Family):
         """Return what the certificate says of z."""
         if point.certificate.is_solved(self.settings):
             return Status.SOLVED
-        return Status.PRECISION_LIMIT if point.certificate.is_limited_by_rounding else Status.STALLED
+        return (
+            Status.PRECISION_LIMIT if point.certificate.is_limited_by_rounding else Status.STALLED
+        )
 
 
 class ProgramFamily(Family):
@@ -417,8 +462,11 @@ class ProgramFamily(Family):
     MOVES = ("c", "h", "b", *BOUNDS)
     FIXED: ClassVar[dict[str, str]] = {
         "P": "x is not piecewise affine in P; where θ multiplies the whole quadratic term, divide the objective by it "
-             "and move c",
-        **{name: f"x is not piecewise affine in {name}; solve_batch takes a list of programs" for name in "GA"},
+        "and move c",
+        **{
+            name: f"x is not piecewise affine in {name}; solve_batch takes a list of programs"
+            for name in "GA"
+        },
     }
 
     def __init__(self, *given: Any) -> None:
@@ -444,7 +492,9 @@ class ProgramFamily(Family):
         least[0, h.shape[1] :], most[0] = -np.inf, np.inf
         most[0, : h.shape[1]][~has_limit] = 0.0
         h[0] = np.where(has_limit, h[0], 0.0)
-        return [np.concatenate(parts, axis=1) for parts in ((c, h, b), (lower, least), (upper, most))]
+        return [
+            np.concatenate(parts, axis=1) for parts in ((c, h, b), (lower, least), (upper, most))
+        ]
 
     def followed(self, result: Any, theta: Any) -> FloatVector:
         """Return x and the multipliers of rows."""
@@ -498,12 +548,18 @@ class LeastSquaresFamily(Family):
         super().__init__(*given)
         problem = self.problem
         if not problem.has_entries:
-            raise UnsuitableProblem("trace needs the entries of A, no LinearOperator; give an array or a sparse array")
+            raise UnsuitableProblem(
+                "trace needs the entries of A, no LinearOperator; give an array or a sparse array"
+            )
         ends = [self.moved(theta) for theta in self.ends]
-        l1, lower, upper = ([one.get(name, getattr(problem, name)) for one in ends] for name in ("l1", *BOUNDS))
+        l1, lower, upper = (
+            [one.get(name, getattr(problem, name)) for one in ends] for name in ("l1", *BOUNDS)
+        )
         if (low := np.minimum(*l1)).min(initial=0.0) < 0.0:
             j = int(np.argmin(low))
-            raise InvalidOption(f"l1 must be ≥ 0, but l1[{j}] = {low[j]} at one end; trace to where it is 0")
+            raise InvalidOption(
+                f"l1 must be ≥ 0, but l1[{j}] = {low[j]} at one end; trace to where it is 0"
+            )
         has_penalty = np.maximum(*l1) > 0.0
         self._negative: BoolVector = has_penalty & (np.maximum(*upper) <= 0.0)
         positive = has_penalty & (np.minimum(*lower) >= 0.0) & ~self._negative
@@ -529,10 +585,16 @@ class LeastSquaresFamily(Family):
         b, l1, lower, upper = map(self.pair, self.MOVES)
         A = problem.A
         if problem.weights is not None:
-            A = sp.csr_array(sp.diags_array(root) @ A) if problem.is_sparse else root[:, np.newaxis] * A
+            A = (
+                sp.csr_array(sp.diags_array(root) @ A)
+                if problem.is_sparse
+                else root[:, np.newaxis] * A
+            )
         q = -np.array([problem.transposed(problem.weighted(part)) for part in b])
         q += np.where(self._has_kink, 0.0, np.where(self._negative, -l1, l1))
-        return Staircases.of_penalty(GramColumns(A, problem.ridge), q, lower, upper, l1, self._has_kink)
+        return Staircases.of_penalty(
+            GramColumns(A, problem.ridge), q, lower, upper, l1, self._has_kink
+        )
 
     def followed(self, result: Any, theta: Any) -> FloatVector:
         """Return x."""
@@ -541,7 +603,9 @@ class LeastSquaresFamily(Family):
     def point(self, theta: Any, z: FloatVector) -> PathPoint:
         """Return x at θ."""
         problem = self.at(theta)
-        return PathPoint(theta, problem, read_only(np.clip(z, problem.lower, problem.upper)), None, None, self)
+        return PathPoint(
+            theta, problem, read_only(np.clip(z, problem.lower, problem.upper)), None, None, self
+        )
 
     def objective(self, point: PathPoint) -> float:
         """Return the cost."""
@@ -554,7 +618,9 @@ class LeastSquaresFamily(Family):
         residual = problem.weighted(problem.product(x) - problem.b)
         gradient = problem.transposed(residual) + problem.ridge * x
         kink = problem.l1 * np.where(x == 0.0, np.sign(change), np.sign(x))
-        return float((gradient + kink) @ change - residual @ self.step("b") + self.step("l1") @ np.abs(x))
+        return float(
+            (gradient + kink) @ change - residual @ self.step("b") + self.step("l1") @ np.abs(x)
+        )
 
     def judge(self, point: PathPoint) -> Status:
         """Return what the certificate says."""
@@ -568,9 +634,13 @@ class LeastSquaresFamily(Family):
 
     def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
         """Return what the certificate says of many points: of those that are not surely optimal one by one."""
-        b, l1, lower, upper = (pair[0] + np.outer(thetas, pair[1]) for pair in map(self.pair, self.MOVES))
+        b, l1, lower, upper = (
+            pair[0] + np.outer(thetas, pair[1]) for pair in map(self.pair, self.MOVES)
+        )
         x = np.clip(np.array(z), lower, upper)
-        sure = surely_optimal(self.problem, x, b, np.maximum(l1, 0.0), lower, upper, self.settings.tolerance)
+        sure = surely_optimal(
+            self.problem, x, b, np.maximum(l1, 0.0), lower, upper, self.settings.tolerance
+        )
         return [
             Status.SOLVED if is_sure else self.judge(self.point(float(theta), one))
             for is_sure, theta, one in zip(sure, thetas, z, strict=True)
@@ -583,11 +653,15 @@ class LeastSquaresFamily(Family):
 
 
 FAMILIES: dict[type, type[Family]] = {
-    LCP: ComplementarityFamily, QuadraticProgram: ProgramFamily, BoundedLeastSquares: LeastSquaresFamily,
+    LCP: ComplementarityFamily,
+    QuadraticProgram: ProgramFamily,
+    BoundedLeastSquares: LeastSquaresFamily,
 }
 
 
-def family_of(problem: Any, along: Mapping[str, Any], start: float, stop: float, tolerance: float) -> Family:
+def family_of(
+    problem: Any, along: Mapping[str, Any], start: float, stop: float, tolerance: float
+) -> Family:
     """Return the family of a problem.
 
     Raises

@@ -36,8 +36,12 @@ NULL = 1e-12  # singular values, beside the largest
 REFINED_TO = 1e-13  # of the terms of a free row
 LOST = 1e5  # times that: what a row may be off its step on a path
 AT_GOAL = 1e-10  # of the way: a breakpoint so near the last value is none
-SHORT = 1e-14  # of the way, or of the parameter: a piece of rounding alone, which the next one takes in
-AT_ONE_PLACE = 2  # changes per row without moving on, and 100 besides, after which a path is given up
+SHORT = (
+    1e-14  # of the way, or of the parameter: a piece of rounding alone, which the next one takes in
+)
+AT_ONE_PLACE = (
+    2  # changes per row without moving on, and 100 besides, after which a path is given up
+)
 STEPS = 200  # changes per row, and 10 000 besides, after which it is given up
 
 
@@ -196,7 +200,9 @@ class Follower:
         of_z = size.max(initial=0.0)
         return np.asarray(ROUNDING * np.where(self.steps % 2 == 1, of_z, of_w))
 
-    def _first_end(self, now: Pair, rates: Pair, blur: FloatVector, slow: FloatVector) -> tuple[float, Change | None]:
+    def _first_end(
+        self, now: Pair, rates: Pair, blur: FloatVector, slow: FloatVector
+    ) -> tuple[float, Change | None]:
         """Return how far it is to the first end of a step, and which row changes there, and which way; None for ever.
 
         Parameters
@@ -267,7 +273,11 @@ class Follower:
                 return
             rates = gaps[0][1] * forward, gaps[1][1] * forward
             length, change = self._first_end(
-                (gaps[0][0] + self.t * gaps[0][1], gaps[1][0] + self.t * gaps[1][1]), rates, blur, slow)
+                (gaps[0][0] + self.t * gaps[0][1], gaps[1][0] + self.t * gaps[1][1]),
+                rates,
+                blur,
+                slow,
+            )
             goal = stop if forward > 0.0 else start
             beside = AT_GOAL * max(abs(goal), stop - start) if forward > 0.0 else 0.0
             is_last = change is None or length >= forward * (goal - self.t) - beside
@@ -335,7 +345,11 @@ class Follower:
     def _slid_to_an_end(self, z: FloatVector, dz: FloatVector, dw: FloatVector) -> int:
         """Move z in place along dz to where a row changes, and change it; return the row."""
         free = self.free
-        w = self.at_rest[0] + self.t * self.at_rest[1] + (z[free] @ self.problem.columns.many(free) if free.size else 0)
+        w = (
+            self.at_rest[0]
+            + self.t * self.at_rest[1]
+            + (z[free] @ self.problem.columns.many(free) if free.size else 0)
+        )
         lower, upper = (end[0] + self.t * end[1] for end in (self._lower, self._upper))
         now, blur, slow = self._coordinates(z, w), self._blur_of(z, w), self._blur_of(dz, None)
         for sign in (1.0, -1.0):
@@ -357,7 +371,9 @@ class Follower:
         """Let a row without bounds rest where it is, as long as its w is 0 up to rounding."""
         corners, levels = self.problem.corners, self.problem.levels
         corners[:, :, row], corners[0, :, row] = 0.0, (-np.inf, z[row], np.inf)
-        near = PARKED * float(self._sizes[row] * np.abs(z).sum() + np.abs(self.at_rest[:, row]).sum())
+        near = PARKED * float(
+            self._sizes[row] * np.abs(z).sum() + np.abs(self.at_rest[:, row]).sum()
+        )
         levels[:, :, row], levels[0, :, row] = 0.0, (np.inf, near, -near, -np.inf)
         self.parked.append(row)
         self.steps[row] = 2
@@ -381,11 +397,16 @@ class Follower:
         """
         dz, dw = self._response(*last)
         for _ in range(4 * self.n + 10):
-            held = self._lower[0] + self.t * self._lower[1], self._upper[0] + self.t * self._upper[1]
+            held = (
+                self._lower[0] + self.t * self._lower[1],
+                self._upper[0] + self.t * self._upper[1],
+            )
             now, blur = self._coordinates(z, w), self._blur_of(z, w)
             slow = self._blur_of(dz, None)
             rate = self._coordinates(dz, dw)
-            length, change = self._first_end((now - held[0], held[1] - now), (rate, -rate), blur, slow)
+            length, change = self._first_end(
+                (now - held[0], held[1] - now), (rate, -rate), blur, slow
+            )
             if change is None:
                 raise SingularError
             z, w = z + length * dz, w + length * dw
@@ -467,7 +488,10 @@ def follower_from(problem: Staircases, t: float, z: FloatVector, w: FloatVector)
         if end is not End.STOP:
             raise SingularError
         for row in guide.parked:
-            for mine, others in ((problem.corners, homotopy.corners), (problem.levels, homotopy.levels)):
+            for mine, others in (
+                (problem.corners, homotopy.corners),
+                (problem.levels, homotopy.levels),
+            ):
                 mine[:, :, row] = others[:, :, row]
         follower = Follower(problem, guide.steps, t, found_z)
         follower.parked += [*parked, *guide.parked]

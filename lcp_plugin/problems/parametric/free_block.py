@@ -94,7 +94,11 @@ class FreeBlock:
             self._grow()
         beside = across.dot(self.inverse) / -pivot
         self.inverse[:] -= np.outer(answer, -beside)
-        self._inverse[:k, k], self._inverse[k, :k], self._inverse[k, k] = answer / pivot, beside, 1.0 / pivot
+        self._inverse[:k, k], self._inverse[k, :k], self._inverse[k, k] = (
+            answer / pivot,
+            beside,
+            1.0 / pivot,
+        )
         self._rows[k], self._columns[k] = row, column
         self._count = k + 1
         return True
@@ -123,6 +127,9 @@ class FreeBlock:
     def _grow(self) -> None:
         k = self._count
         rows, columns, inverse = self._rows, self._columns, self._inverse
-        self._rows, self._columns = np.zeros(2 * k, dtype=np.int64), np.zeros((2 * k, columns.shape[1]))
+        self._rows, self._columns = (
+            np.zeros(2 * k, dtype=np.int64),
+            np.zeros((2 * k, columns.shape[1])),
+        )
         self._inverse = np.zeros((2 * k, 2 * k))
         self._rows[:k], self._columns[:k], self._inverse[:k, :k] = rows, columns, inverse

@@ -69,8 +69,16 @@ class Path:
     """
 
     def __init__(
-        self, family: Family, start: float, stop: float, pieces: list[Piece], jumps: list[float],
-        segments: list[float], beyond: Any, reached: float, starts: int,
+        self,
+        family: Family,
+        start: float,
+        stop: float,
+        pieces: list[Piece],
+        jumps: list[float],
+        segments: list[float],
+        beyond: Any,
+        reached: float,
+        starts: int,
     ) -> None:
         self.family, self.start, self.stop, self.reached = family, start, stop, reached
         self.pieces, self.jumps, self.segments = pieces, jumps, segments
@@ -104,14 +112,18 @@ class Path:
     @cached_property
     def ends(self) -> tuple[FloatVector, list[FloatVector]]:
         """The ends of all pieces, once where they join: θ, and the unknowns that were followed."""
-        return np.array([theta for theta, _ in self._judged]), [piece.z_at(theta) for theta, piece in self._judged]
+        return np.array([theta for theta, _ in self._judged]), [
+            piece.z_at(theta) for theta, piece in self._judged
+        ]
 
     @cached_property
     def statuses(self) -> list[Status]:
         """What is said of each of `ends`."""
         found = self.family.judge_all(*self.ends) if self.pieces else []
         return [
-            status if status is Status.SOLVED or not self.family.is_solved_beside(theta, piece) else Status.SOLVED
+            status
+            if status is Status.SOLVED or not self.family.is_solved_beside(theta, piece)
+            else Status.SOLVED
             for status, (theta, piece) in zip(found, self._judged, strict=True)
         ]
 
@@ -177,7 +189,10 @@ class Path:
 
     def objective(self, thetas: ArrayLike) -> FloatVector:
         """Return the objective at many values, shape (k,); NaN for an LCP, which has none."""
-        every = [self.at(theta).objective for theta in np.atleast_1d(np.asarray(thetas, dtype=np.float64))]
+        every = [
+            self.at(theta).objective
+            for theta in np.atleast_1d(np.asarray(thetas, dtype=np.float64))
+        ]
         return np.array([np.nan if value is None else value for value in every])
 
     def derivative(self, theta: float, *, side: str = "ahead") -> Slope:
@@ -196,7 +211,9 @@ class Path:
         point, family = self.family.point(theta, piece.z_at(theta)), self.family
         rates = piece.z1[piece.x1.size :]
         w = family.slope_of_slack(piece.x1)
-        return Slope(piece.x1, w, rates if rates.size else None, family.slope_of_objective(point, piece.x1))
+        return Slope(
+            piece.x1, w, rates if rates.size else None, family.slope_of_objective(point, piece.x1)
+        )
 
     def piece_at(self, theta: float, *, is_behind: bool = False) -> Piece:
         """Return the piece that θ lies on; where two meet the later one, or the earlier one."""
@@ -217,7 +234,9 @@ class Path:
         """Return in a few lines what was traced, and how well."""
         count = len(self.pieces)
         if self.is_solved:
-            first = f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {in_words(count, 'piece')}, "
+            first = (
+                f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {in_words(count, 'piece')}, "
+            )
             first += "each end is certified; between breakpoints all is linear in the parameter."
         elif self.beyond is not None and not self.pieces:
             first = f"{self.status.name}: there is no path from {self.start:.6g}: {self._why}."
@@ -240,14 +259,23 @@ class Path:
         lines += [f"the solution jumps at {value:.9g}" for value in self.jumps]
         if self.segments:
             joints = {piece.begin: (one, piece) for one, piece in itertools.pairwise(self.pieces)}
-            moving = [value for value in self.segments if value not in joints or _differ_in_x(*joints[value])]
+            moving = [
+                value
+                for value in self.segments
+                if value not in joints or _differ_in_x(*joints[value])
+            ]
             resting = [value for value in self.segments if value not in moving]
             for values, words in (
                 (moving, "all points between two solutions are solutions"),
-                (resting, "the multipliers jump, and all between two of them are right; x does not"),
+                (
+                    resting,
+                    "the multipliers jump, and all between two of them are right; x does not",
+                ),
             ):
                 if values:
-                    lines.append(f"at {', '.join(f'{value:.6g}' for value in values[:SHOWN])} {words}")
+                    lines.append(
+                        f"at {', '.join(f'{value:.6g}' for value in values[:SHOWN])} {words}"
+                    )
         begun = in_words(self.starts, "solve")
         lines.append(f"{begun} to begin with, then one change a breakpoint; {self.seconds:.3g} s")
         return "\n".join(lines)
@@ -270,8 +298,14 @@ class Path:
         try:
             import pandas as pd
         except ImportError as error:
-            raise LCPError("to_dataframe needs pandas: pip install pandas; path.x(thetas) has the numbers") from error
-        values = self.breakpoints if thetas is None else np.atleast_1d(np.asarray(thetas, dtype=np.float64))
+            raise LCPError(
+                "to_dataframe needs pandas: pip install pandas; path.x(thetas) has the numbers"
+            ) from error
+        values = (
+            self.breakpoints
+            if thetas is None
+            else np.atleast_1d(np.asarray(thetas, dtype=np.float64))
+        )
         x = self.x(values)
         columns: dict[str, Any] = {"parameter": values, "objective": self.objective(values)}
         columns |= {f"x[{j}]": x[:, j] for j in range(x.shape[1])}
@@ -307,7 +341,9 @@ class Path:
 def _differ_in_x(one: Piece, other: Piece) -> bool:
     """Return whether x is another one behind the end of a piece."""
     here, there = (piece.x0 + other.begin * piece.x1 for piece in (one, other))
-    return bool(np.abs(here - there).max(initial=0.0) > JOINED * (1.0 + np.abs(here).max(initial=0.0)))
+    return bool(
+        np.abs(here - there).max(initial=0.0) > JOINED * (1.0 + np.abs(here).max(initial=0.0))
+    )
 
 
 def _join(one: Piece, other: Piece) -> bool:

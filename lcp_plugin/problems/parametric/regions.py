@@ -90,7 +90,12 @@ class Regions(Sequence[Region]):
     """
 
     def __init__(
-        self, family: Family, box: tuple[FloatVector, FloatVector], found: list[Region], missed: int, kept: Any
+        self,
+        family: Family,
+        box: tuple[FloatVector, FloatVector],
+        found: list[Region],
+        missed: int,
+        kept: Any,
     ) -> None:
         self.family, self.problem, self.changes = family, family.problem, family.directions
         (self.low, self.high), self.kept, self.settings = box, kept, family.settings
@@ -119,13 +124,18 @@ class Regions(Sequence[Region]):
     def polyhedra(self) -> list[tuple[FloatVector, FloatVector]]:
         """(E, e) of each region in the caller's θ: E θ ≤ e."""
         width = self.high - self.low
-        return [(region.rows / width, region.limits + region.rows / width @ self.low) for region in self._all]
+        return [
+            (region.rows / width, region.limits + region.rows / width @ self.low)
+            for region in self._all
+        ]
 
     @cached_property
     def coverage(self) -> float:
         """The share of the convex hull of all regions that they fill: 1 where none between them is missing."""
         every = np.concatenate([region.vertices for region in self._all])
-        whole = np.ptp(every) if every.shape[1] == 1 else ConvexHull(every, qhull_options="QJ").volume
+        whole = (
+            np.ptp(every) if every.shape[1] == 1 else ConvexHull(every, qhull_options="QJ").volume
+        )
         return round(float(sum(region.volume for region in self._all) / whole), 9)
 
     @cached_property
@@ -138,8 +148,12 @@ class Regions(Sequence[Region]):
         for region in self._all:
             for corner in region.vertices[:JUDGED]:
                 vertex = corner + INWARD * (region.centre - corner)
-                status = self._judged(vertex * (self.high - self.low) + self.low, region.z @ np.append(vertex, 1.0))
-                worst = status if status is not Status.SOLVED and worst is not Status.STALLED else worst
+                status = self._judged(
+                    vertex * (self.high - self.low) + self.low, region.z @ np.append(vertex, 1.0)
+                )
+                worst = (
+                    status if status is not Status.SOLVED and worst is not Status.STALLED else worst
+                )
         return worst
 
     def _judged(self, theta: FloatVector, z: FloatVector) -> Status:
@@ -156,9 +170,16 @@ class Regions(Sequence[Region]):
         # Where the terms of an unknown cancel, what is left stands beside those of its row of M z + q at the answer.
         plain = point.problem if isinstance(point.problem, LCP) else conditions(point.problem)
         rows, x = plain.csr[: self.n], every[: self.n]
-        terms, diagonal = abs(rows) @ np.abs(every) + np.abs(plain.q[: self.n]), np.abs(plain.diagonal[: self.n])
+        terms, diagonal = (
+            abs(rows) @ np.abs(every) + np.abs(plain.q[: self.n]),
+            np.abs(plain.diagonal[: self.n]),
+        )
         acts = np.divide(terms, diagonal, out=np.zeros(self.n), where=diagonal > 0.0)
-        return Status.SOLVED if (np.abs(result.x - x) <= SAME * np.maximum(acts, np.abs(x))).all() else status
+        return (
+            Status.SOLVED
+            if (np.abs(result.x - x) <= SAME * np.maximum(acts, np.abs(x))).all()
+            else status
+        )
 
     @property
     def is_solved(self) -> bool:
@@ -175,20 +196,29 @@ class Regions(Sequence[Region]):
         try:
             given = np.asarray(theta, dtype=float)
         except (TypeError, ValueError):
-            raise InvalidOption(f"θ must be numbers of shape ({p},) or (count, {p}), got {theta!r}") from None
+            raise InvalidOption(
+                f"θ must be numbers of shape ({p},) or (count, {p}), got {theta!r}"
+            ) from None
         if given.ndim not in (1, 2) or given.shape[-1] != p or not np.isfinite(given).all():
             more = ", as [[0.5], [0.6]] for two values of one parameter" if p == 1 else ""
-            raise InvalidOption(f"θ must have shape ({p},) or (count, {p}){more}, and be finite, got {theta!r}")
+            raise InvalidOption(
+                f"θ must have shape ({p},) or (count, {p}){more}, and be finite, got {theta!r}"
+            )
         points = (np.atleast_2d(given) - self.low) / (self.high - self.low)
         found = np.full(len(points), -1)
         tree, rows, limits = self._index
         _, near = tree.query(points, min(NEIGHBOURS, len(self)))
         near = near.reshape(len(points), -1)
-        open_, inside = np.arange(len(points)), (points >= -NEAR).all(axis=1) & (points <= 1.0 + NEAR).all(axis=1)
+        open_, inside = (
+            np.arange(len(points)),
+            (points >= -NEAR).all(axis=1) & (points <= 1.0 + NEAR).all(axis=1),
+        )
         open_ = open_[inside]
         for k in range(near.shape[1]):
             own = near[open_, k]
-            fits = (np.einsum("imp,ip->im", rows[own], points[open_]) <= limits[own] + NEAR).all(axis=1)
+            fits = (np.einsum("imp,ip->im", rows[own], points[open_]) <= limits[own] + NEAR).all(
+                axis=1
+            )
             found[open_[fits]] = own[fits]
             open_ = open_[~fits]
         for start in range(0, open_.size, 256):
@@ -203,7 +233,10 @@ class Regions(Sequence[Region]):
         most = max(len(region.limits) for region in self._all)
         rows, limits = np.zeros((len(self), most, self.low.size)), np.ones((len(self), most))
         for k, region in enumerate(self._all):
-            rows[k, : len(region.limits)], limits[k, : len(region.limits)] = region.rows, region.limits
+            rows[k, : len(region.limits)], limits[k, : len(region.limits)] = (
+                region.rows,
+                region.limits,
+            )
         return cKDTree(np.array([region.centre for region in self._all])), rows, limits
 
     def x_at(self, theta: ArrayLike) -> FloatVector:
@@ -218,23 +251,37 @@ class Regions(Sequence[Region]):
     def explain(self) -> str:
         """Return in words what was found, how sure it is, and what next."""
         p = self.low.size
-        state = self.status.name if self.is_solved or self.status is not Status.SOLVED else "not complete"
-        lines = [f"{state}: {in_words(len(self), 'region')} of {in_words(p, 'parameter')}, on each x is affine in θ; "
-                 f"{self.seconds:.2g} s"]
+        state = (
+            self.status.name
+            if self.is_solved or self.status is not Status.SOLVED
+            else "not complete"
+        )
+        lines = [
+            f"{state}: {in_words(len(self), 'region')} of {in_words(p, 'parameter')}, on each x is affine in θ; "
+            f"{self.seconds:.2g} s"
+        ]
         if self.is_solved:
-            lines.append("every law is certified next to the vertices of its region, and so between them: it is affine")
+            lines.append(
+                "every law is certified next to the vertices of its region, and so between them: it is affine"
+            )
         elif self.status is not Status.SOLVED:
-            lines.append(f"a law is not certified beside some vertex: {self.status.name}. Scale the parameters, or "
-                         "raise tolerance=.")
+            lines.append(
+                f"a law is not certified beside some vertex: {self.status.name}. Scale the parameters, or "
+                "raise tolerance=."
+            )
         if self.missed:
-            lines.append(f"behind {in_words(self.missed, 'facet')} nothing was found: x may not be unique there, or "
-                         "max_regions= ended the search")
+            lines.append(
+                f"behind {in_words(self.missed, 'facet')} nothing was found: x may not be unique there, or "
+                "max_regions= ended the search"
+            )
         filled = sum(region.volume for region in self._all)
         if self.is_solved and abs(filled - 1.0) <= OVER:
             lines.append("they cover the whole box")
         else:
             outside = "" if self.missed else "; outside of that nothing in the box is feasible"
-            lines.append(f"they cover {filled:.1%} of the box, and {self.coverage:.4%} of their convex hull{outside}")
+            lines.append(
+                f"they cover {filled:.1%} of the box, and {self.coverage:.4%} of their convex hull{outside}"
+            )
         if self.coverage > 1.0 + OVER:
             lines.append("some lie over others: the solution is not unique there")
         return "\n".join(lines)
@@ -253,7 +300,15 @@ class Regions(Sequence[Region]):
         F, g = self.laws
         E, e = (np.concatenate(parts) for parts in zip(*self.polyhedra, strict=True))
         starts = np.cumsum([0, *(len(limits) for _, limits in self.polyhedra)])
-        return {"E": E, "e": e, "starts": starts, "F": F, "g": g, "low": self.low, "high": self.high}
+        return {
+            "E": E,
+            "e": e,
+            "starts": starts,
+            "F": F,
+            "g": g,
+            "low": self.low,
+            "high": self.high,
+        }
 
     def save(self, path: Any) -> None:
         """Write `arrays` into an .npz file, or into .c a function of C that finds the region and returns x."""
@@ -277,8 +332,16 @@ class Regions(Sequence[Region]):
             for k in range(0, flat.size, 6):
                 yield "  " + " ".join(f"{value:.17g}," for value in flat[k : k + 6])
 
-        lines = [f"/* x = F theta + g on {len(self)} polyhedra E theta <= e; {n} unknowns, {p} parameters. */"]
-        for kind, key in (("double", "E"), ("double", "e"), ("int", "starts"), ("double", "F"), ("double", "g")):
+        lines = [
+            f"/* x = F theta + g on {len(self)} polyhedra E theta <= e; {n} unknowns, {p} parameters. */"
+        ]
+        for kind, key in (
+            ("double", "E"),
+            ("double", "e"),
+            ("int", "starts"),
+            ("double", "F"),
+            ("double", "g"),
+        ):
             lines += [f"static const {kind} {name}_{key}[] = {{", *table(data[key]), "};"]
         slack = NEAR * float(np.max(self.high - self.low))
         lines += [

@@ -21,8 +21,13 @@ MARGIN = 1e-10  # for the sums of sums
 
 @np.errstate(all="ignore")
 def surely_optimal(
-    problem: BoundedLeastSquares, x: FloatVector, b: FloatVector, l1: FloatVector, lower: FloatVector,
-    upper: FloatVector, tolerance: float,
+    problem: BoundedLeastSquares,
+    x: FloatVector,
+    b: FloatVector,
+    l1: FloatVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    tolerance: float,
 ) -> NDArray[np.bool_]:
     """Return which rows of x are optimal to the tolerance, shape (k,).
 
@@ -57,7 +62,9 @@ def surely_optimal(
     # Where a column has no bound, s must not exceed its penalty: y is shrunk.
     most = np.where(pull > 0.0, l1 - fixed, l1 + fixed) - 2.0 * error
     binds = ((pull > 0.0) & below) | ((pull < 0.0) & above)
-    share = np.where(binds, most / np.abs(pull), 1.0).min(axis=1, initial=1.0, keepdims=True) * (1.0 - MARGIN)
+    share = np.where(binds, most / np.abs(pull), 1.0).min(axis=1, initial=1.0, keepdims=True) * (
+        1.0 - MARGIN
+    )
     y = np.maximum(share, 0.0) * r
     s, error = slope(y)
     is_held = (~below | (s + error <= l1)) & (~above | (s - error >= -l1))
@@ -71,8 +78,14 @@ def surely_optimal(
     linear = np.maximum(linear, 0.0) + error * (np.abs(x) + reach) + of_products * terms
     off = root * (np.abs(r - y) + radius)
     gap = 0.5 * (off * off).sum(axis=1) + linear.sum(axis=1)
-    cost = 0.5 * (root * y * root * y).sum(axis=1) + 0.5 * ridge * (x * x).sum(axis=1) + (l1 * np.abs(x)).sum(axis=1)
-    sure: NDArray[np.bool_] = is_held.all(axis=1) & (gap * (1.0 + MARGIN) <= tolerance * cost * (1.0 - MARGIN))
+    cost = (
+        0.5 * (root * y * root * y).sum(axis=1)
+        + 0.5 * ridge * (x * x).sum(axis=1)
+        + (l1 * np.abs(x)).sum(axis=1)
+    )
+    sure: NDArray[np.bool_] = is_held.all(axis=1) & (
+        gap * (1.0 + MARGIN) <= tolerance * cost * (1.0 - MARGIN)
+    )
     return sure
 
 

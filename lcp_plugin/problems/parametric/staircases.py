@@ -42,8 +42,14 @@ class Columns:
     def __init__(self, M: Any) -> None:
         self.n = M.shape[0]
         self._columns: Any = sp.csc_array(M) if sp.issparse(M) else np.ascontiguousarray(M.T)
-        of_rows = abs(M).max(axis=1).toarray().ravel() if sp.issparse(M) else np.abs(M).max(axis=1, initial=0.0)
-        self.sizes: FloatVector = np.maximum(np.asarray(of_rows, dtype=np.float64), np.finfo(np.float64).tiny)
+        of_rows = (
+            abs(M).max(axis=1).toarray().ravel()
+            if sp.issparse(M)
+            else np.abs(M).max(axis=1, initial=0.0)
+        )
+        self.sizes: FloatVector = np.maximum(
+            np.asarray(of_rows, dtype=np.float64), np.finfo(np.float64).tiny
+        )
 
     def units(self) -> FloatVector:
         """Return powers of two d for which the rows and columns of D M D are of about one size; 1 where they are."""
@@ -60,7 +66,11 @@ class Columns:
 
     def many(self, numbers: Any) -> FloatVector:
         """Return some columns as rows of an array, shape (k, n)."""
-        chosen = self._columns[:, numbers].T.toarray() if sp.issparse(self._columns) else self._columns[numbers]
+        chosen = (
+            self._columns[:, numbers].T.toarray()
+            if sp.issparse(self._columns)
+            else self._columns[numbers]
+        )
         return np.asarray(chosen)
 
     def one(self, j: int) -> FloatVector:
@@ -79,8 +89,15 @@ class GramColumns(Columns):
 
     def __init__(self, A: Any, ridge: float | FloatVector) -> None:
         self.n, self._ridge = A.shape[1], np.broadcast_to(np.asarray(ridge), A.shape[1:])
-        self._A, self._transpose = A, (sp.csr_array(A.T) if sp.issparse(A) else np.ascontiguousarray(A.T))
-        squares = np.asarray(abs(A).power(2).sum(axis=0)).ravel() if sp.issparse(A) else np.einsum("ij,ij->j", A, A)
+        self._A, self._transpose = (
+            A,
+            (sp.csr_array(A.T) if sp.issparse(A) else np.ascontiguousarray(A.T)),
+        )
+        squares = (
+            np.asarray(abs(A).power(2).sum(axis=0)).ravel()
+            if sp.issparse(A)
+            else np.einsum("ij,ij->j", A, A)
+        )
         self._lengths = np.sqrt(squares)
         sizes = self._lengths * self._lengths.max(initial=0.0) + self._ridge
         self.sizes = np.maximum(sizes, np.finfo(np.float64).tiny)
@@ -93,7 +110,11 @@ class GramColumns(Columns):
 
     def measured(self, units: FloatVector) -> Columns:
         """Return the columns of D M D."""
-        A = sp.csr_array(self._A @ sp.diags_array(units)) if sp.issparse(self._A) else self._A * units
+        A = (
+            sp.csr_array(self._A @ sp.diags_array(units))
+            if sp.issparse(self._A)
+            else self._A * units
+        )
         return GramColumns(A, self._ridge * units * units)
 
     def many(self, numbers: Any) -> FloatVector:
@@ -132,7 +153,9 @@ class Staircases:
     levels: FloatVector
 
     @classmethod
-    def of_bounds(cls, columns: Columns, q: FloatVector, lower: FloatVector, upper: FloatVector) -> Staircases:
+    def of_bounds(
+        cls, columns: Columns, q: FloatVector, lower: FloatVector, upper: FloatVector
+    ) -> Staircases:
         """Return that of q, lower and upper, shape (2, n) each."""
         n = columns.n
         corners, levels = np.zeros((2, CORNERS, n)), np.zeros((2, FIXED_LEVELS, n))
@@ -142,7 +165,12 @@ class Staircases:
 
     @classmethod
     def of_penalty(
-        cls, columns: Columns, q: FloatVector, lower: FloatVector, upper: FloatVector, penalty: FloatVector,
+        cls,
+        columns: Columns,
+        q: FloatVector,
+        lower: FloatVector,
+        upper: FloatVector,
+        penalty: FloatVector,
         has_kink: NDArray[np.bool_],
     ) -> Staircases:
         """Return that of bounds and of penalty · |z| in rows with a kink at 0; in others a penalty is part of q."""
@@ -167,11 +195,18 @@ class Staircases:
 
     def at(self, t: float) -> Staircases:
         """Return the problem at t, with slopes 0."""
-        return Staircases(self.columns, *(_held(one, t) for one in (self.q, self.corners, self.levels)))
+        return Staircases(
+            self.columns, *(_held(one, t) for one in (self.q, self.corners, self.levels))
+        )
 
     def with_offsets(self, constant: FloatVector, slope: FloatVector) -> Staircases:
         """Return the problem with these added to q."""
-        return Staircases(self.columns, self.q + np.array([constant, slope]), self.corners.copy(), self.levels.copy())
+        return Staircases(
+            self.columns,
+            self.q + np.array([constant, slope]),
+            self.corners.copy(),
+            self.levels.copy(),
+        )
 
     def hold(self, t: float, constant: FloatVector, slope: FloatVector, reach: float) -> bool:
         """Return whether z = constant + t slope is on all staircases at t, to rounding of the terms for |t| ≤ reach."""
@@ -201,7 +236,9 @@ class Staircases:
             for step in range(2 * CORNERS - 1):
                 k = step // 2
                 if step % 2 == 0:
-                    outside = np.maximum(np.maximum(levels[k + 1] - scaled, scaled - levels[k]), 0.0)
+                    outside = np.maximum(
+                        np.maximum(levels[k + 1] - scaled, scaled - levels[k]), 0.0
+                    )
                     miss = np.maximum(np.abs(z - corners[k]), outside)
                 else:
                     outside = np.maximum(np.maximum(corners[k] - z, z - corners[k + 1]), 0.0)
@@ -215,7 +252,9 @@ class Staircases:
 
 def _largest(size: Any) -> FloatVector:
     """Return the largest entry of row and column j, for each j; 1 where both are 0."""
-    found = np.maximum(*(one.toarray().ravel() if sp.issparse(one) else one for one in (size.max(0), size.max(1))))
+    found = np.maximum(
+        *(one.toarray().ravel() if sp.issparse(one) else one for one in (size.max(0), size.max(1)))
+    )
     return np.where(found > 0.0, found, 1.0)
 
 

@@ -14,7 +14,11 @@ from .following import End, Follower, Line, SingularError, follower_from
 from .path import Path
 from .staircases import Staircases
 
-BEYOND = (1e-7, 1e-5, 1e-3)  # of the way from start to stop: where a path that has ended is looked for again
+BEYOND = (
+    1e-7,
+    1e-5,
+    1e-3,
+)  # of the way from start to stop: where a path that has ended is looked for again
 SAME = 1e-4  # what a solution may move on the shortest of these
 MOST_RESTARTS = 50
 
@@ -116,7 +120,9 @@ def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
         for attempt in range(0 if crossed is not None and crossed.is_at_start else MOST_RESTARTS):
             for share in BEYOND if attempt else (0.0,):
                 t = min(reached + share * max(end - toward * start, abs(reached)), end)
-                follower, beyond, asked = _begun(family, problem, t, toward, units, is_first=not attempt)
+                follower, beyond, asked = _begun(
+                    family, problem, t, toward, units, is_first=not attempt
+                )
                 starts += asked
                 if follower is not None or beyond.has_no_solution or t == end:
                     break
@@ -151,7 +157,13 @@ def _is_apart(one: FloatVector, other: FloatVector) -> bool:
 
 
 def _begun(
-    family: Family, problem: Staircases, t: float, toward: float, units: FloatVector, *, is_first: bool
+    family: Family,
+    problem: Staircases,
+    t: float,
+    toward: float,
+    units: FloatVector,
+    *,
+    is_first: bool,
 ) -> tuple[Follower | None, Any, int]:
     """Return a follower at t, or what `solve` says where there is no solution; and how often it was asked."""
     if is_first and (follower := _at_rest(problem, t)) is not None:
@@ -186,7 +198,9 @@ def _turned(problem: Staircases, toward: float) -> Staircases:
         return problem
     sign = np.array([1.0, -1.0])
     return Staircases(
-        problem.columns, problem.q * sign[:, np.newaxis], problem.corners * sign[:, np.newaxis, np.newaxis],
+        problem.columns,
+        problem.q * sign[:, np.newaxis],
+        problem.corners * sign[:, np.newaxis, np.newaxis],
         problem.levels * sign[:, np.newaxis, np.newaxis],
     )
 
@@ -194,7 +208,13 @@ def _turned(problem: Staircases, toward: float) -> Staircases:
 def _piece(family: Family, line: Line, toward: float, units: FloatVector) -> Piece:
     z0, z1 = units * line.z[0], toward * units * line.z[1]
     return Piece(
-        toward * line.begin, toward * line.end, family.x_of(z0), family.x_of(z1), family.case_of(line.steps), z0, z1,
+        toward * line.begin,
+        toward * line.end,
+        family.x_of(z0),
+        family.x_of(z1),
+        family.case_of(line.steps),
+        z0,
+        z1,
     )
 
 

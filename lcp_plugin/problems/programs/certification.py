@@ -49,13 +49,20 @@ ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
-LOOSE = 10.0  # times the tolerance: errors of x beside ‖x‖∞, of multipliers beside their column's terms
+LOOSE = (
+    10.0  # times the tolerance: errors of x beside ‖x‖∞, of multipliers beside their column's terms
+)
 ACTS = 1e-2  # of the terms that act at x: what is small beside these is right in a column whose own terms are small
 
 
 @np.errstate(all="ignore")  # what overflows proves nothing
 def certify(
-    problem: Any, x: Any = None, multipliers: Any = None, *, claim: str | None = None, tolerance: float = 1e-6,
+    problem: Any,
+    x: Any = None,
+    multipliers: Any = None,
+    *,
+    claim: str | None = None,
+    tolerance: float = 1e-6,
     max_seconds: float | None = None,
 ) -> Certification:
     """Return what is proved about an answer to a convex quadratic or linear program, whoever found it.
@@ -139,14 +146,18 @@ def certify(
             if kind_of(problem) is not None or isinstance(problem, (Answer, QPSolution)):
                 raise InvalidProblem(refusal("certify", problem))
             if x is not None or multipliers is not None or claim is not None:
-                raise InvalidOption("x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own")
+                raise InvalidOption(
+                    "x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own"
+                )
             from ...modeling.certified_problem import certify_problem
 
             return certify_problem(problem, float(tolerance))
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
-        contradicts = claim == "infeasible" and problem.is_convex is False and (
-            problem.facts.proof_of_contradiction(PROGRAM_TOLERANCE) is not None
+        contradicts = (
+            claim == "infeasible"
+            and problem.is_convex is False
+            and (problem.facts.proof_of_contradiction(PROGRAM_TOLERANCE) is not None)
         )
         if not contradicts:
             refuse_nonconvex(problem)
@@ -158,10 +169,14 @@ def certify(
         return proofs.of_answer(*answer, float(tolerance))
 
 
-def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[FloatVector, list[FloatVector] | None]:
+def _answer(
+    program: QuadraticProgram, x: Any, multipliers: Any
+) -> tuple[FloatVector, list[FloatVector] | None]:
     """Return x and the checked multipliers, of G and A or of all constraints."""
     if x is None:
-        raise InvalidProblem("certify needs the x that is claimed to be optimal; give certify(program, x), or a claim")
+        raise InvalidProblem(
+            "certify needs the x that is claimed to be optimal; give certify(program, x), or a claim"
+        )
     if isinstance(x, QuadraticProgramResult):
         x = x.solution
     if isinstance(x, QPSolution):
@@ -169,19 +184,33 @@ def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[FloatV
     point = checked_vector(x, "x", program.n)
     if multipliers is None:
         return point, None
-    sizes = {"inequality": program.h.size, "equality": program.b.size, "lower": program.n, "upper": program.n}
+    sizes = {
+        "inequality": program.h.size,
+        "equality": program.b.size,
+        "lower": program.n,
+        "upper": program.n,
+    }
     if isinstance(multipliers, QPSolution):
         parts: Sequence[Any] = [getattr(multipliers, name) for name in sizes]
     elif isinstance(multipliers, Mapping):
         if unknown := [name for name in multipliers if name not in sizes]:
-            raise InvalidProblem(f"unknown multipliers {unknown[0]!r}{did_you_mean(unknown[0], sizes)}")
+            raise InvalidProblem(
+                f"unknown multipliers {unknown[0]!r}{did_you_mean(unknown[0], sizes)}"
+            )
         last = 4 if {"lower", "upper"} & set(multipliers) else 2
         parts = [multipliers.get(name, np.zeros(size)) for name, size in list(sizes.items())[:last]]
-    elif isinstance(multipliers, (tuple, list)) and len(multipliers) in (2, 4) and not is_number(multipliers[0]):
+    elif (
+        isinstance(multipliers, (tuple, list))
+        and len(multipliers) in (2, 4)
+        and not is_number(multipliers[0])
+    ):
         parts = multipliers
     else:
         parts = _split(checked_vector(multipliers, "multipliers", None), list(sizes.values()))
-    return point, [checked_vector(part, name, size) for part, (name, size) in zip(parts, sizes.items(), strict=False)]
+    return point, [
+        checked_vector(part, name, size)
+        for part, (name, size) in zip(parts, sizes.items(), strict=False)
+    ]
 
 
 def _split(values: FloatVector, sizes: list[int]) -> list[FloatVector]:
@@ -191,7 +220,11 @@ def _split(values: FloatVector, sizes: list[int]) -> list[FloatVector]:
             f"multipliers must have length {ends[1]}, one a row of G and A, or {ends[3]} with those of the bounds, got "
             f"{values.size}"
         )
-    return [part for part, end in zip(np.split(values, ends[:3]), ends, strict=True) if end <= values.size]
+    return [
+        part
+        for part, end in zip(np.split(values, ends[:3]), ends, strict=True)
+        if end <= values.size
+    ]
 
 
 def _check_options(tolerance: Any, max_seconds: Any) -> None:
@@ -242,8 +275,11 @@ class Certification:
     __setstate__ = restored
 
     def __str__(self) -> str:
-        numbers = (f"{name} {value:.3g}" for name in ("violation", "gap", "distance")
-                   if (value := getattr(self, name)) is not None)
+        numbers = (
+            f"{name} {value:.3g}"
+            for name in ("violation", "gap", "distance")
+            if (value := getattr(self, name)) is not None
+        )
         return f"{self.claim}: {self.verdict} ({', '.join([*numbers, self.reason])})"
 
 
@@ -290,20 +326,32 @@ class ProgramProofs:
     def own_lower(self) -> float:
         """The lower bound by the multipliers of our own solution."""
         own = self.own_solution
-        return -np.inf if own is None else self.lower(own.x, own.inequality, own.equality, own.objective)
+        return (
+            -np.inf
+            if own is None
+            else self.lower(own.x, own.inequality, own.equality, own.objective)
+        )
 
     def lower(
-        self, x: FloatVector, inequality: FloatVector, equality: FloatVector, value: float,
+        self,
+        x: FloatVector,
+        inequality: FloatVector,
+        equality: FloatVector,
+        value: float,
         allowed: float | None = None,
     ) -> float:
         """Return the lower bound by some multipliers, repaired where they prove less than the value but for a gap.
 
         By default an allowed gap is 1e-9 beside the terms of the objective.
         """
-        enough = value - (ALMOST * size_of_objective(self.program, x)[0] if allowed is None else allowed)
+        enough = value - (
+            ALMOST * size_of_objective(self.program, x)[0] if allowed is None else allowed
+        )
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
-    def upper(self, *near: FloatVector, exactly: bool = True, by_own: bool = True) -> list[FeasiblePoint]:
+    def upper(
+        self, *near: FloatVector, exactly: bool = True, by_own: bool = True
+    ) -> list[FeasiblePoint]:
         """Return points that are proved to be feasible, near those given and our own solution, or else any.
 
         Rational arithmetic looks for one where doubles prove none, unless it is not to, and nobody for a solution of
@@ -329,7 +377,12 @@ class ProgramProofs:
         return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
 
     def sharpened(
-        self, distance: float, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
+        self,
+        distance: float,
+        x: FloatVector,
+        points: Sequence[FeasiblePoint],
+        lower: float,
+        columns: Any,
     ) -> float:
         """Return a bound of ‖x − x*‖₂ by residuals, of our own solution where there is one, or else the distance."""
         own = self.__dict__.get("own_solution")
@@ -366,33 +419,47 @@ class ProgramProofs:
         points = self.upper()
         upper = min((point.value for point in points), default=math.inf)
         lower = self.own_lower
-        unproved = Certification("unproved", claim, lower=_if_finite(lower), upper=_if_finite(upper), reason=NOTHING)
+        unproved = Certification(
+            "unproved", claim, lower=_if_finite(lower), upper=_if_finite(upper), reason=NOTHING
+        )
         if claim == "infeasible" and points:
             return replace(unproved, verdict="disproved", reason="a feasible point is proved")
         if claim == "unbounded" and lower > -np.inf:
-            return replace(unproved, verdict="disproved", reason=f"no feasible x is below {lower:.9g}")
+            return replace(
+                unproved, verdict="disproved", reason=f"no feasible x is below {lower:.9g}"
+            )
         return unproved
 
     def of_answer(
         self, x: FloatVector, given: list[FloatVector] | None, tolerance: float
     ) -> Certification:
         """Return what is proved about a point, and the multipliers that came with it."""
-        value, violation = objective_bounds(self.program, x), Violation.of(self.program, x, tolerance)
+        value, violation = (
+            objective_bounds(self.program, x),
+            Violation.of(self.program, x, tolerance),
+        )
         size = size_of_objective(self.program, x)
         lower, complaint = -math.inf, ""
         if given is not None:
             lower = self.lower(x, given[0], given[1], value[0], tolerance * size[0])
             complaint = multiplier_error(self.program, x, given, tolerance, size[0])
-        found = Proved(value, violation, lower, self.upper(x, exactly=False, by_own=False), tolerance, size)
+        found = Proved(
+            value, violation, lower, self.upper(x, exactly=False, by_own=False), tolerance, size
+        )
         is_enough = found.is_proved() and not found.may_have_bought()
         if not is_enough or (self.is_small and (given is None or complaint)):
             lower = max(lower, self.own_lower)
-            if lower < value[0] and size[1] == 0.0 and (own := self.own_solution) is not None:  # nothing else will do
+            if (
+                lower < value[0] and size[1] == 0.0 and (own := self.own_solution) is not None
+            ):  # nothing else will do
                 lower = max(lower, self.lower(x, own.inequality, own.equality, value[0]))
             points = self.upper(x, exactly=False) or self.upper(x, exactly=not violation.is_missed)
             found = replace(found, lower=lower, points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
-                complaint = complaint or f"its violation of {violation.largest:.2g} may buy more than the tolerance"
+                complaint = (
+                    complaint
+                    or f"its violation of {violation.largest:.2g} may buy more than the tolerance"
+                )
         return found.certification(self, x, complaint)
 
 
@@ -430,7 +497,11 @@ class Violation:
         """
         rows = program.constraints
         finite = rows.finite
-        matrix, limit, is_equality = rows.matrix[finite], rows.limit[finite], rows.is_equality[finite]
+        matrix, limit, is_equality = (
+            rows.matrix[finite],
+            rows.limit[finite],
+            rows.is_equality[finite],
+        )
         value, radius = compensated_product(matrix, x, -limit)
         step = tolerance * min(1.0, float(np.abs(x).max(initial=0.0)))
         below, above = step_within_bounds(program, x, step)
@@ -444,20 +515,28 @@ class Violation:
             acting = np.concatenate([row_excuses(program, x), np.zeros(2 * program.n)])[finite]
             allowed = np.maximum(allowed, tolerance * acting)
         return cls(
-            float(least.max(initial=0.0)) / OUTWARD, float(largest.max(initial=0.0)),
-            bool((largest <= allowed).all()), bool((least > allowed * OUTWARD).any()),
+            float(least.max(initial=0.0)) / OUTWARD,
+            float(largest.max(initial=0.0)),
+            bool((largest <= allowed).all()),
+            bool((least > allowed * OUTWARD).any()),
         )
 
 
-def step_within_bounds(program: QuadraticProgram, x: FloatVector, step: float) -> tuple[FloatVector, FloatVector]:
+def step_within_bounds(
+    program: QuadraticProgram, x: FloatVector, step: float
+) -> tuple[FloatVector, FloatVector]:
     """Return how far each x_j may move down and up, no farther than a step and within bounds, rows of one x_j too."""
     folded = FoldedRows.of(program).reduced
-    return np.clip(OUTWARD * (x - folded.lower), 0.0, step), np.clip(OUTWARD * (folded.upper - x), 0.0, step)
+    return np.clip(OUTWARD * (x - folded.lower), 0.0, step), np.clip(
+        OUTWARD * (folded.upper - x), 0.0, step
+    )
 
 
 def largest_terms(rows: Any, limit: FloatVector, x: FloatVector) -> FloatVector:
     """Return the largest of |limit_i| and |rows_ij x_j| of each row; an infinite limit is none."""
-    terms = sp.csr_array((np.abs(rows.data * x[rows.indices]), rows.indices, rows.indptr), rows.shape)
+    terms = sp.csr_array(
+        (np.abs(rows.data * x[rows.indices]), rows.indices, rows.indptr), rows.shape
+    )
     return np.maximum(largest_in_rows(terms), np.where(np.isfinite(limit), np.abs(limit), 0.0))
 
 
@@ -493,7 +572,11 @@ class Proved:
     @property
     def gap(self) -> float:
         """A bound of |f(x) − lower|."""
-        return max(float(sum_above(self.value[1], -self.lower)), float(sum_above(self.lower, -self.value[0])), 0.0)
+        return max(
+            float(sum_above(self.value[1], -self.lower)),
+            float(sum_above(self.lower, -self.value[0])),
+            0.0,
+        )
 
     def disproof(self) -> str:
         """Return what disproves the answer, or nothing."""
@@ -508,14 +591,19 @@ class Proved:
 
     def is_proved(self) -> bool:
         """Return whether the answer is optimal to the tolerance, by its value."""
-        return self.violation.is_met and self.gap <= min(self.tolerance * self.size[0] / OUTWARD, LARGEST)
+        return self.violation.is_met and self.gap <= min(
+            self.tolerance * self.size[0] / OUTWARD, LARGEST
+        )
 
     def may_have_bought(self) -> bool:
         """Return whether no feasible point shows that the violation, however small, buys less than the tolerance.
 
         Then a bound by multipliers that came with x may be as far below the optimal value as f(x) is.
         """
-        return self.violation.largest > 0.0 and self.upper > self.value[1] + self.tolerance * self.size[0]
+        return (
+            self.violation.largest > 0.0
+            and self.upper > self.value[1] + self.tolerance * self.size[0]
+        )
 
     def certification(
         self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
@@ -527,14 +615,21 @@ class Proved:
         disproof = disproof or self._error_of_x(size, far_in_columns, "x")
         verdict = "disproved" if disproof else "proved" if is_proved else "unproved"
         reason = disproof or self._reason(proofs.bounds.curvature.evidence, is_proved)
-        complaint = self._error_of_x(size, far, "x, with the variables that cvxpy added,") or complaint
+        complaint = (
+            self._error_of_x(size, far, "x, with the variables that cvxpy added,") or complaint
+        )
         if verdict == "proved" and complaint:
             verdict, reason = "unproved", complaint
         if is_proved and verdict != "proved":
             reason += ", though the objective is proved to be optimal"
         return Certification(
-            verdict, "optimal", self.violation.largest, _if_finite(self.lower), _if_finite(self.upper),
-            _if_finite(self.gap), reason,
+            verdict,
+            "optimal",
+            self.violation.largest,
+            _if_finite(self.lower),
+            _if_finite(self.upper),
+            _if_finite(self.gap),
+            reason,
             lambda: _if_finite(proofs.sharpened(near, x, self.points, self.lower, columns)),
         )
 
@@ -551,8 +646,10 @@ class Proved:
 
     def _reason(self, evidence: str, is_proved: bool) -> str:
         if is_proved:
-            return (f"no feasible x has an objective lower than this one's by more than {self.gap:.2g}, which the "
-                    f"multipliers prove by weak duality: {evidence}")
+            return (
+                f"no feasible x has an objective lower than this one's by more than {self.gap:.2g}, which the "
+                f"multipliers prove by weak duality: {evidence}"
+            )
         if not math.isfinite(self.lower):
             return f"{NOTHING}: {evidence}, and no multipliers give a finite bound"
         if not self.violation.is_met:
@@ -562,7 +659,11 @@ class Proved:
 
 @np.errstate(all="ignore")  # what overflows bounds nothing
 def distances(
-    proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float, columns: Any
+    proofs: ProgramProofs,
+    x: FloatVector,
+    points: Sequence[FeasiblePoint],
+    lower: float,
+    columns: Any,
 ) -> tuple[float, float, float]:
     """Return bounds, from above and from below, of ‖x − x*‖₂ for every optimal x*; ∞ where that is not the only one.
 
@@ -595,7 +696,11 @@ def distances(
 
 def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
     """Return (uᵀQ u − √(uᵀQ u · gap)) / ‖Q u‖, rounded down; 0 where rounding hides it."""
-    P, A, penalty = proofs.program.matrices.sparse_P, as_csr(proofs.program.A), proofs.bounds.curvature.penalty
+    P, A, penalty = (
+        proofs.program.matrices.sparse_P,
+        as_csr(proofs.program.A),
+        proofs.bounds.curvature.penalty,
+    )
     bent = P @ u + penalty * (A.T @ (A @ u))
     terms = abs(P) @ np.abs(u) + penalty * (abs(A).T @ (abs(A) @ np.abs(u)))
     share = gamma(2 * u.size + A.shape[0] + 8)
@@ -612,19 +717,29 @@ def _if_finite(value: float) -> float | None:
 
 @np.errstate(all="ignore")  # what overflows is wrong
 def multiplier_error(
-    program: QuadraticProgram, x: FloatVector, given: list[FloatVector], tolerance: float, terms_of_objective: float
+    program: QuadraticProgram,
+    x: FloatVector,
+    given: list[FloatVector],
+    tolerance: float,
+    terms_of_objective: float,
 ) -> str:
     """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing.
 
     The terms of column j are c_j, p_jk x_k and c_ij y_i; what is small beside ACTS times the largest of the first two
     where x is off its bounds is right, too. A bound without a multiplier takes up what is left of the gradient.
     """
-    rows, names, y = program.constraints, ("inequality", "equality", "lower", "upper"), np.concatenate(given)
+    rows, names, y = (
+        program.constraints,
+        ("inequality", "equality", "lower", "upper"),
+        np.concatenate(given),
+    )
     P, of_rows = program.matrices.sparse_P, sp.csr_array(rows.matrix.T)
     if y.size < rows.limit.size:
         left = program.P @ x + program.c + rows.matrix[: y.size].T @ y
-        sides = (np.where(np.isfinite(bound), np.maximum(sign * left, 0.0), 0.0)
-                 for sign, bound in ((1.0, program.lower), (-1.0, program.upper)))
+        sides = (
+            np.where(np.isfinite(bound), np.maximum(sign * left, 0.0), 0.0)
+            for sign, bound in ((1.0, program.lower), (-1.0, program.upper))
+        )
         y = np.concatenate([y, *sides])
     base = largest_terms(P, program.c, x)
     terms = np.maximum(base, largest_terms(of_rows, base, y))
@@ -632,7 +747,9 @@ def multiplier_error(
     allowed = LOOSE * tolerance * np.maximum(terms, ACTS * acts)
     is_finite = np.isfinite(rows.limit)
     wrong = np.where(rows.is_equality, 0.0, np.where(is_finite, np.maximum(-y, 0.0), np.abs(y)))
-    pulls = np.abs(of_rows.data) * wrong[of_rows.indices] > np.repeat(allowed, np.diff(of_rows.indptr))
+    pulls = np.abs(of_rows.data) * wrong[of_rows.indices] > np.repeat(
+        allowed, np.diff(of_rows.indptr)
+    )
     if pulls.any():
         i = int(of_rows.indices[np.argmax(pulls)])
         if not is_finite[i]:
@@ -640,7 +757,9 @@ def multiplier_error(
         ends = np.cumsum([0, *rows.sizes])
         k = int(np.searchsorted(ends, i, side="right")) - 1
         return f"the multiplier {names[k]}[{i - ends[k]}] = {y[i]:.3g} has the wrong sign"
-    slack = np.where(is_finite & ~rows.is_equality, np.maximum(rows.limit - rows.matrix @ x, 0.0), 0.0)
+    slack = np.where(
+        is_finite & ~rows.is_equality, np.maximum(rows.limit - rows.matrix @ x, 0.0), 0.0
+    )
     own = np.abs(y) * largest_terms(rows.matrix, rows.limit, x)
     excess = np.abs(y * slack) - LOOSE * tolerance * np.maximum(terms_of_objective, own)
     given_size, worst = sum(part.size for part in given), int(np.argmax(excess))

@@ -20,7 +20,9 @@ from .program_matrices import Indices, ProgramMatrices, as_csr, or_one
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-NOISE = 1e-7  # of the coefficients of a row: a limit that is 1e-7 of that is rounding in the place of 0
+NOISE = (
+    1e-7  # of the coefficients of a row: a limit that is 1e-7 of that is rounding in the place of 0
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,13 @@ class Constraints:
         """All of them, bounds too, as rows of x that has none, with w = d − C x."""
         free, kept = np.full((2, self.matrix.shape[1]), np.inf), np.zeros(self.matrix.shape[1])
         return LinearConstraints(
-            -self.matrix, self.limit, np.isfinite(self.limit), self.is_equality, -free[0], free[1], self.unit,
+            -self.matrix,
+            self.limit,
+            np.isfinite(self.limit),
+            self.is_equality,
+            -free[0],
+            free[1],
+            self.unit,
             (kept, kept),
         )
 
@@ -106,8 +114,14 @@ class Constraints:
         rows, (_, _, below, above) = slice(self.rows), self.split(self.limit)
         units = self.split(self.unit)
         return LinearConstraints(
-            -self.matrices.rows, self.limit[rows], np.isfinite(self.limit[rows]), self.is_equality[rows],
-            -below, above, self.unit[rows], (units[2], units[3]),
+            -self.matrices.rows,
+            self.limit[rows],
+            np.isfinite(self.limit[rows]),
+            self.is_equality[rows],
+            -below,
+            above,
+            self.unit[rows],
+            (units[2], units[3]),
         )
 
     @cached_property
@@ -119,7 +133,9 @@ class Constraints:
         """Return by how much x violates each row, −∞ to 0 where it holds; proved upper bounds, ∞ where it overflows."""
         is_finite = np.isfinite(self.limit)
         with np.errstate(all="ignore"):
-            value, radius = compensated_product(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
+            value, radius = compensated_product(
+                self.matrix, x, np.where(is_finite, -self.limit, 0.0)
+            )
         above = upper_end(np.where(self.is_equality, np.abs(value), value), radius)
         return np.where(is_finite, above, -np.inf)
 
@@ -131,7 +147,12 @@ def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
     free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])
     is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
     return LinearConstraints(
-        matrix, program.c, np.isinf(program.upper), np.isinf(program.lower),
-        np.where(is_inequality, 0.0, -np.inf), free, or_one(largest_in_rows(matrix)) + np.abs(program.c),
+        matrix,
+        program.c,
+        np.isinf(program.upper),
+        np.isinf(program.lower),
+        np.where(is_inequality, 0.0, -np.inf),
+        free,
+        or_one(largest_in_rows(matrix)) + np.abs(program.c),
         (nothing, nothing),
     )

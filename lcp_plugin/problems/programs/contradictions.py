@@ -59,18 +59,27 @@ def contradicting_multipliers(
         return None
     try:
         found = nnls(matrix, target, maxiter=STEPS * right.size)[0]
-    except (RuntimeError, np.linalg.LinAlgError):  # too many steps; singular, in releases of scipy before 1.15
+    except (
+        RuntimeError,
+        np.linalg.LinAlgError,
+    ):  # too many steps; singular, in releases of scipy before 1.15
         return None
     found = np.where(found > NEGLIGIBLE * found.max(), found, 0.0) / lengths
     y = np.zeros(d.size)
     y[said] = found[: said.size]
     y[equal] -= found[said.size : said.size + equal.size]
-    near = (one for one in (with_few_digits(y), y) if margin_in_doubles(C, d, lower, upper, one) > tolerance)
+    near = (
+        one
+        for one in (with_few_digits(y), y)
+        if margin_in_doubles(C, d, lower, upper, one) > tolerance
+    )
     return next(near, None)
 
 
 @np.errstate(all="ignore")
-def margin_in_doubles(C: Any, d: FloatVector, lower: FloatVector, upper: FloatVector, y: FloatVector) -> float:
+def margin_in_doubles(
+    C: Any, d: FloatVector, lower: FloatVector, upper: FloatVector, y: FloatVector
+) -> float:
     """Return by how much multipliers of the rows contradict beside their terms; 0 where they do not."""
     used = np.flatnonzero(y)
     y, d, C = y[used], d[used], C[used]

@@ -10,7 +10,13 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import FloatVector, checked_answer, checked_vector
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem, did_you_mean
+from ...core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    UnsuitableMatrix,
+    UnsuitableProblem,
+    did_you_mean,
+)
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
@@ -97,8 +103,13 @@ def lcp_from_qp(program: QuadraticProgram, form: str = "auto") -> LCP:
 
 
 def lcp_from_lp(
-    c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None, b: ArrayLike | None = None,
-    lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+    c: ArrayLike,
+    G: Any = None,
+    h: ArrayLike | None = None,
+    A: Any = None,
+    b: ArrayLike | None = None,
+    lower: ArrayLike = -np.inf,
+    upper: ArrayLike = np.inf,
 ) -> LCP:
     """Return the optimality conditions of min cᵀx, G x ≤ h, A x = b, lower ≤ x ≤ upper as a complementarity problem.
 
@@ -194,7 +205,9 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
     QuadraticProgram(n=2, 2 inequalities, 0 equalities)
     """
     if not isinstance(problem, LCP):
-        raise InvalidProblem(f"qp_from_lcp needs an LCP, got {type(problem).__name__}; write LCP(M, q)")
+        raise InvalidProblem(
+            f"qp_from_lcp needs an LCP, got {type(problem).__name__}; write LCP(M, q)"
+        )
     M, q, lower, upper = problem.M, problem.q, problem.lower, problem.upper
     if asymmetry_of(M)[1] is None:
         return QuadraticProgram(M, q, lower=lower, upper=upper)
@@ -213,12 +226,19 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
         )
     has_upper, is_free = np.isfinite(upper), (lower == -np.inf) & (upper == np.inf)
     anchor = np.where(np.isfinite(lower), lower, np.where(has_upper, upper, 0.0))
-    sign = np.where(has_upper, 1.0, -1.0)[~is_free]  # G z ≤ h says w ≥ 0, or w ≤ 0 where only an upper bound is
+    sign = np.where(has_upper, 1.0, -1.0)[
+        ~is_free
+    ]  # G z ≤ h says w ≥ 0, or w ≤ 0 where only an upper bound is
     rows, free = np.flatnonzero(~is_free), np.flatnonzero(is_free)
     return QuadraticProgram(
-        twice, q - M.T @ anchor,
-        G=sp.diags_array(sign) @ M[rows] if sp.issparse(M) else sign[:, None] * M[rows], h=-sign * q[rows],
-        A=M[free], b=-q[free], lower=lower, upper=upper,
+        twice,
+        q - M.T @ anchor,
+        G=sp.diags_array(sign) @ M[rows] if sp.issparse(M) else sign[:, None] * M[rows],
+        h=-sign * q[rows],
+        A=M[free],
+        b=-q[free],
+        lower=lower,
+        upper=upper,
     )
 
 
@@ -239,7 +259,9 @@ class QPOrigin:
 
     reduction: Reduction
     is_of_convex_program: ClassVar[bool] = True
-    _latest: dict[bytes, QPSolution] = field(default_factory=dict, init=False, repr=False)  # what was recovered last
+    _latest: dict[bytes, QPSolution] = field(
+        default_factory=dict, init=False, repr=False
+    )  # what was recovered last
     _proofs: list[Any] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
@@ -264,7 +286,7 @@ class QPOrigin:
 
     @property
     def form(self) -> str:
-        """"direct" where bounds are all that is left, else "kkt"."""
+        """Return "direct" where bounds are all that is left, else "kkt"."""
         return "kkt" if self.rows else "direct"
 
     def problem(self) -> LCP:
@@ -274,7 +296,8 @@ class QPOrigin:
         return LCP(
             program.matrices.kkt if rows else program.matrices.hessian,
             np.concatenate([program.c, program.constraints.limit[:rows]]),
-            lower=np.concatenate([program.lower, multiplier]), upper=np.append(program.upper, np.full(rows, np.inf)),
+            lower=np.concatenate([program.lower, multiplier]),
+            upper=np.append(program.upper, np.full(rows, np.inf)),
         )
 
     def stated(self, x: FloatVector, multipliers: FloatVector) -> FloatVector:
@@ -303,7 +326,10 @@ class QPOrigin:
             Where it is no finite vector of that length.
         """
         x, y = self._split(answer)
-        if getattr(answer, "has_no_solution", False) and self.program.facts.accepted_proof() is not None:
+        if (
+            getattr(answer, "has_no_solution", False)
+            and self.program.facts.accepted_proof() is not None
+        ):
             return QPSolution.without_multipliers(self.program, self.reduction.point(x))
         key = x.tobytes() + y.tobytes()
         solution = self._latest.get(key)  # a run's judge may have asked for it
@@ -319,7 +345,9 @@ class QPOrigin:
         goal = program_goal(tolerance)
         if not np.isfinite(z).all() or not (solution := self.recover(z)).is_stationary(goal):
             return False
-        return solution.is_sure(goal) or self.program.facts.accepted_proof(goal, is_met=True) is None
+        return (
+            solution.is_sure(goal) or self.program.facts.accepted_proof(goal, is_met=True) is None
+        )
 
     def _with_bounds(self, x: FloatVector, y: FloatVector) -> QPSolution:
         """Return the solution of x and multipliers of the rows that are left; those of bounds take what is over."""
@@ -364,7 +392,9 @@ class QPOrigin:
 
 def _refuse_infinite(program: QuadraticProgram, multipliers: FloatVector) -> None:
     """Raise InvalidProblem where the multiplier of a constraint is beyond the range of doubles."""
-    for name, part in zip(("G", "A", "lower", "upper"), program.constraints.split(multipliers), strict=True):
+    for name, part in zip(
+        ("G", "A", "lower", "upper"), program.constraints.split(multipliers), strict=True
+    ):
         for row in np.flatnonzero(np.isinf(part))[:1]:
             raise InvalidProblem(
                 f"the multiplier of {name}[{row}] is beyond the range of doubles, ±1.8e308; give that constraint, "

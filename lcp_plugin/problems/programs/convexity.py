@@ -17,7 +17,9 @@ from ...systems.definiteness import is_semidefinite_to_rounding
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-LARGEST_CHECKED = 5000  # variables of a program that is factorised for the question of convexity alone
+LARGEST_CHECKED = (
+    5000  # variables of a program that is factorised for the question of convexity alone
+)
 LARGEST_MEASURED = 1000  # variables up to which a refusal names the smallest eigenvalue
 ROUNDING = 2.0**-46  # what doubles cannot tell from 0 beside a sum of some dozens
 ROUNDED = 1e-7  # of the largest entry: entries of single precision, or of seven digits
@@ -45,8 +47,11 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     if program.n <= LARGEST_CHECKED:
         if program.matrices.negative_curvature < math.inf:
             return
-        what = f"the smallest eigenvalue of P is {smallest_eigenvalue(P):.3g}" if program.n <= LARGEST_MEASURED \
+        what = (
+            f"the smallest eigenvalue of P is {smallest_eigenvalue(P):.3g}"
+            if program.n <= LARGEST_MEASURED
             else "P has a negative eigenvalue"
+        )
     else:
         place = clearly_indefinite_at(P)
         if place is None:
@@ -70,7 +75,12 @@ def negative_curvature(P: Any, is_semidefinite: bool | None) -> float:
     if is_semidefinite is not False:
         return 0.0
     shift = ROUNDED * float(abs(P).max())
-    if is_semidefinite_to_rounding(sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(P.shape[0]))) is False:
+    if (
+        is_semidefinite_to_rounding(
+            sp.csr_array(sp.csr_array(P) + shift * sp.eye_array(P.shape[0]))
+        )
+        is False
+    ):
         return math.inf
     if P.shape[0] > LARGEST_MEASURED:
         return shift
@@ -99,9 +109,13 @@ def bends(program: QuadraticProgram, x: FloatVector, tolerance: float) -> bool:
     with np.errstate(all="ignore"):
         pull = P @ x
         forces = np.maximum(np.abs(program.c), np.abs(pull))
-        by_gradient = np.where(forces > 0.0, tolerance * forces / np.abs(x), tolerance * np.abs(P.diagonal()))
+        by_gradient = np.where(
+            forces > 0.0, tolerance * forces / np.abs(x), tolerance * np.abs(P.diagonal())
+        )
         terms = np.bincount(component, np.abs(program.c * x) + np.abs(x * pull))
-        of_all = np.minimum(ROUNDING * terms.sum() / (x.size * farthest**2), ROUNDING * largest.max())
+        of_all = np.minimum(
+            ROUNDING * terms.sum() / (x.size * farthest**2), ROUNDING * largest.max()
+        )
         by_objective = np.fmax(tolerance * terms[component] / (x.size * farthest**2), of_all)
     by_gradient = np.minimum(by_gradient, ROUNDED * largest[component])
     allowed = np.fmax(by_gradient, np.where(farthest > 0.0, by_objective, 0.0))
@@ -122,4 +136,8 @@ def clearly_indefinite_at(P: Any) -> tuple[int, int] | None:
     root = np.sqrt(np.maximum(d, 0.0))
     excess = np.abs(listed.data) - (1.0 + CLEAR) * root[listed.row] * root[listed.col]
     worst = int(excess.argmax()) if excess.size else 0
-    return (int(listed.row[worst]), int(listed.col[worst])) if excess.size and excess[worst] > scale else None
+    return (
+        (int(listed.row[worst]), int(listed.col[worst]))
+        if excess.size and excess[worst] > scale
+        else None
+    )

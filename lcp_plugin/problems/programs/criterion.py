@@ -46,11 +46,16 @@ SHARE = 0.1  # of a larger tolerance
 SURE = 1e-3  # of what is called optimal: no exact proof that there is no minimum beats an answer within that
 STRICT = 1e3  # times a tolerance below 1e-9: what is asked of a program's own residuals
 ACTS = 1e-6  # ω
-NO_EXCUSE = 1e-9  # measures beside own terms that need no other size, and nothing falls beside which
+NO_EXCUSE = (
+    1e-9  # measures beside own terms that need no other size, and nothing falls beside which
+)
 NEARLY = 1e-3  # measures beyond that are not even inaccurately optimal
 LEAST_OBJECTIVE = 2.0**-900  # beside which what underflows is nothing
 SMALLEST = 2.0**-1074  # added to sizes: an error beside 0 is beyond every goal, and 0 stays 0
-total, most = np.add.reduce, np.maximum.reduce  # what an array's methods come to, of small arrays in half the time
+total, most = (
+    np.add.reduce,
+    np.maximum.reduce,
+)  # what an array's methods come to, of small arrays in half the time
 
 
 class Errors(NamedTuple):
@@ -62,7 +67,9 @@ class Errors(NamedTuple):
 
     def meet(self, goal: float) -> Any:
         """Return whether all are small: the criterion, of everybody who calls a program optimal."""
-        return (self.primal <= constraint_tolerance(goal)) & (self.dual <= goal) & (self.gap <= goal)
+        return (
+            (self.primal <= constraint_tolerance(goal)) & (self.dual <= goal) & (self.gap <= goal)
+        )
 
     def decide(self, goal: float) -> Any:
         """Return whether measures beside own terms are so small that what acts, and Newton's steps, change nothing.
@@ -78,27 +85,40 @@ class Errors(NamedTuple):
     @property
     def largest(self) -> Any:
         """The largest of the three."""
-        return max(self) if isinstance(self.gap, float) else np.maximum(np.maximum(self.primal, self.dual), self.gap)
+        return (
+            max(self)
+            if isinstance(self.gap, float)
+            else np.maximum(np.maximum(self.primal, self.dual), self.gap)
+        )
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
         """Return the errors of x and of the multipliers of all constraints."""
         return cls.beside_own_terms(program, x, multipliers).or_excused(program, x, multipliers)
 
-    def or_excused(self, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
+    def or_excused(
+        self, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector
+    ) -> Errors:
         """Return these errors beside own terms; where they are not tiny, the same beside what acts as well."""
         if self.largest <= NO_EXCUSE:
             return self
         return self._measured(program, x, multipliers, is_beside_own=False)
 
     @classmethod
-    def beside_own_terms(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
+    def beside_own_terms(
+        cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector
+    ) -> Errors:
         """Return the same beside the own terms of rows and columns alone: bounds of the errors from above."""
         return cls._measured(program, x, multipliers, is_beside_own=True)
 
     @classmethod
     def _measured(
-        cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector, *, is_beside_own: bool
+        cls,
+        program: QuadraticProgram,
+        x: FloatVector,
+        multipliers: FloatVector,
+        *,
+        is_beside_own: bool,
     ) -> Errors:
         m, p, n, _ = program.matrices.sizes
         limits = np.concatenate([program.h, program.b]) if p else program.h
@@ -107,7 +127,18 @@ class Errors(NamedTuple):
             terms = Terms.of(program, x, split[0])
             acting = None if is_beside_own else Acting.of(program, terms, x, split)
             found = cls.of_numbers(
-                measured(terms, program.c, limits, m, program.lower, program.upper, x, *split, acting, program.P)
+                measured(
+                    terms,
+                    program.c,
+                    limits,
+                    m,
+                    program.lower,
+                    program.upper,
+                    x,
+                    *split,
+                    acting,
+                    program.P,
+                )
             )
             if is_beside_own or not (program.matrices.has_curvature and found.largest <= NEARLY):
                 return found
@@ -225,9 +256,16 @@ class Terms(NamedTuple):
         of_P, of_C, of_x, of_y = map(np.abs, (P, C, x, y))
         each = of_x[..., np.newaxis, :]
         return cls(
-            _product(C, x), _product(of_C, of_x), most(of_C * each, -1, initial=0.0),
-            _pull(C, y), _pull(of_C, of_y), most(of_C * of_y[..., np.newaxis], -2, initial=0.0),
-            _product(P, x), _product(of_P, of_x), most(of_P * each, -1, initial=0.0), max(C.shape[-2:]),
+            _product(C, x),
+            _product(of_C, of_x),
+            most(of_C * each, -1, initial=0.0),
+            _pull(C, y),
+            _pull(of_C, of_y),
+            most(of_C * of_y[..., np.newaxis], -2, initial=0.0),
+            _product(P, x),
+            _product(of_P, of_x),
+            most(of_P * each, -1, initial=0.0),
+            max(C.shape[-2:]),
         )
 
     @classmethod
@@ -238,8 +276,12 @@ class Terms(NamedTuple):
         sizes = np.abs(of_columns)
         np.maximum.at(largest, C.indices, sizes)
         return cls(
-            *_sums(C.data * x[C.indices], C, of_rows), _summed(C.indices, of_columns, x.size),
-            _summed(C.indices, sizes, x.size), largest, *_sums(P.data * x[P.indices], P, numbers), summands,
+            *_sums(C.data * x[C.indices], C, of_rows),
+            _summed(C.indices, of_columns, x.size),
+            _summed(C.indices, sizes, x.size),
+            largest,
+            *_sums(P.data * x[P.indices], P, numbers),
+            summands,
         )
 
 
@@ -251,17 +293,25 @@ class Acting(NamedTuple):
     of_row: Any
 
     @classmethod
-    def of(cls, program: QuadraticProgram, terms: Terms, x: FloatVector, multipliers: Any) -> Acting:
+    def of(
+        cls, program: QuadraticProgram, terms: Terms, x: FloatVector, multipliers: Any
+    ) -> Acting:
         """Return the smaller sizes of those in the caller's units and in fitted ones."""
         base = np.maximum(np.abs(program.c), terms.product_largest)
         own = np.maximum(np.maximum(base, terms.pull_largest), np.maximum(*np.abs(multipliers[1:])))
         is_free = (x > program.lower) & (x < program.upper)
         sizes = []
         for unit in (np.ones(x.size), program.facts.fitted_units):
-            matrix: Any = program.matrices.rows if program.matrices.has_sparse_rows else program.matrices.dense_rows
+            matrix: Any = (
+                program.matrices.rows
+                if program.matrices.has_sparse_rows
+                else program.matrices.dense_rows
+            )
             if sp.issparse(matrix):
                 entries = np.abs(matrix.data) * unit[matrix.indices]
-                coefficient = 1.0 / largest_in_rows(matrix, np.where(entries > 0.0, 1.0 / entries, 0.0))
+                coefficient = 1.0 / largest_in_rows(
+                    matrix, np.where(entries > 0.0, 1.0 / entries, 0.0)
+                )
             else:
                 entries = np.abs(matrix) * unit
                 coefficient = np.where(entries > 0.0, entries, np.inf).min(axis=1, initial=np.inf)
@@ -269,7 +319,9 @@ class Acting(NamedTuple):
             forces = (base * unit)[is_free]
             pull = forces[forces > 0.0].min(initial=np.inf)
             pull = pull if pull < np.inf else 0.0
-            reach = _reach(program, matrix, np.where(own * unit > EPSILON * pull, np.abs(x) / unit, 0.0))
+            reach = _reach(
+                program, matrix, np.where(own * unit > EPSILON * pull, np.abs(x) / unit, 0.0)
+            )
             of_rows = np.where(coefficient > 0.0, coefficient * reach, 1.0 / ACTS)
             sizes.append((of_rows, pull / unit, pull / coefficient))
         return cls(*(np.fmin(one, other) for one, other in zip(*sizes, strict=True)))
@@ -323,8 +375,17 @@ def _summed(places: Any, terms: FloatVector, count: int) -> Any:
 
 
 def measured(
-    terms: Terms, c: FloatVector, d: FloatVector, m: int, lower: FloatVector, upper: FloatVector,
-    x: FloatVector, y: FloatVector, of_lower: FloatVector, of_upper: FloatVector, acting: Acting | None = None,
+    terms: Terms,
+    c: FloatVector,
+    d: FloatVector,
+    m: int,
+    lower: FloatVector,
+    upper: FloatVector,
+    x: FloatVector,
+    y: FloatVector,
+    of_lower: FloatVector,
+    of_upper: FloatVector,
+    acting: Acting | None = None,
     P: Any = None,
 ) -> Errors:
     """Return the three measures of one program, or, by arrays with one axis more, of a batch.
@@ -353,7 +414,11 @@ def measured(
         d, value, row_size, size = (np.where(known, one, 0.0) for one in (d, value, row_size, size))
         wrong = np.where(known[..., :m], wrong, y[..., :m])
     residual, of_right = value - d, np.abs(d)
-    margin, size, off = rounding * (row_size + of_right), np.maximum(size, of_right), np.abs(residual)
+    margin, size, off = (
+        rounding * (row_size + of_right),
+        np.maximum(size, of_right),
+        np.abs(residual),
+    )
     residual[..., m:] = off[..., m:]
     of_x, outside = np.abs(x), np.maximum(lower - x, x - upper)
 
@@ -378,7 +443,9 @@ def measured(
     one = one + (one == 0.0)  # of x: objectives may be beyond the range of doubles
     ahead = x / one
     of_ahead = np.abs(ahead)
-    gap = _inner(of_y, np.maximum(off - margin, 0.0) / one) + _inner(of_ahead, np.maximum(left - blur, 0.0))
+    gap = _inner(of_y, np.maximum(off - margin, 0.0) / one) + _inner(
+        of_ahead, np.maximum(left - blur, 0.0)
+    )
     linear, hidden = _inner(cost, of_ahead), rounding * _inner(of_ahead, terms.product_size)
     objective = linear + 1.5 * abs(_inner(ahead, terms.product))
     # Far along P d = 0 the rounding of P x may hide a cost, if there is one, and is no size of the objective.
@@ -386,12 +453,19 @@ def measured(
     if P is not None and may_hide:
         product, radius = compensated_product(sp.csr_array(P), x)
         gradient = product + terms.pull + c + sum(sign * of for sign, of, *_ in of_bounds)
-        hidden = np.fmin(hidden, _inner(of_ahead, np.minimum(np.abs(gradient), rounding * terms.product_size) + radius))
+        hidden = np.fmin(
+            hidden,
+            _inner(of_ahead, np.minimum(np.abs(gradient), rounding * terms.product_size) + radius),
+        )
         objective = linear + 1.5 * abs(_inner(ahead, product))
     gap = gap + hidden * may_hide
     for _, of, of_bound, bound in of_bounds:
         has = np.isfinite(bound)
-        wrongs.append(_beside(np.where(has & (of >= 0.0), 0.0, of_bound), 0.0 if acting is None else acting.column))
+        wrongs.append(
+            _beside(
+                np.where(has & (of >= 0.0), 0.0, of_bound), 0.0 if acting is None else acting.column
+            )
+        )
         slack = np.abs(x - np.where(has, bound, 0.0)) / one
         gap = gap + total(np.where(has & (of_bound != 0.0), of_bound * slack, 0.0), -1)
     return Errors(primal, _largest(*wrongs), gap / (objective + SMALLEST))

@@ -35,13 +35,20 @@ from ...proofs.exact.upward import product_above, quotient_above, sum_above
 from .program import QuadraticProgram
 from .reductions import FoldedRows
 
-SLACKS = (2.0**-46, 2.0**-36)  # of the terms of a component: little and ample, beyond what least squares round
+SLACKS = (
+    2.0**-46,
+    2.0**-36,
+)  # of the terms of a component: little and ample, beyond what least squares round
 NOISE = 2.0**-44  # of the largest multiplier
-ROUNDS = 4  # of least squares: components that were right may need slack after those that were wrong
+ROUNDS = (
+    4  # of least squares: components that were right may need slack after those that were wrong
+)
 NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
 ITERATIONS = 100  # of bounded least squares, each an unbounded one
-MOST_PASSES = 10_000  # a chain of equations needs one a link, and each looks only at rows beside new bounds
+MOST_PASSES = (
+    10_000  # a chain of equations needs one a link, and each looks only at rows beside new bounds
+)
 EXACT_UP_TO = 100  # equations that depend on each other and are solved in rationals in .4 s; 1.7 s are needed for 200
 Box = tuple[FloatVector, FloatVector]
 
@@ -90,7 +97,9 @@ class DualBounds:
             if found >= enough or is_over():
                 break
             found = max(found, self._exact_value(point))
-        if found < enough and not is_over():  # at an x of no terms what rounding leaves of s_j²/μ_j is too much, too
+        if (
+            found < enough and not is_over()
+        ):  # at an x of no terms what rounding leaves of s_j²/μ_j is too much, too
             found = max(found, self._exact_value(given, is_fixed=True))
         return found
 
@@ -107,14 +116,20 @@ class DualBounds:
         program, (x, y) = self.program, at
         with np.errstate(all="ignore"):
             high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
-            parts = [compensated_pair(matrix, x, offset) for matrix, offset in (
-                (program.matrices.sparse_P, None), (self._rows, -self._limit)
-            )]
+            parts = [
+                compensated_pair(matrix, x, offset)
+                for matrix, offset in (
+                    (program.matrices.sparse_P, None),
+                    (self._rows, -self._limit),
+                )
+            ]
             # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
             factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
             values = np.concatenate([*parts[0][:2], x, *parts[1][:2]])
             twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
-            blur = [product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))]
+            blur = [
+                product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))
+            ]
             missed = np.max(np.abs(_ends(*parts[1])), axis=0)[program.h.size :]
             blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
             loss = self._loss(*_ends(high, low, radius), *self._distances(x, x))
@@ -127,13 +142,20 @@ class DualBounds:
         with np.errstate(invalid="ignore"):
             return sum_above(high, -self.box[0]), sum_above(self.box[1], -low)
 
-    def _loss(self, s_low: FloatVector, s_high: FloatVector, below: FloatVector, above: FloatVector) -> float:
+    def _loss(
+        self, s_low: FloatVector, s_high: FloatVector, below: FloatVector, above: FloatVector
+    ) -> float:
         """Return Σ sup over −below ≤ t ≤ above of −s t − ½ μ t², rounded up."""
         weights = self.curvature.weights
-        corners = np.max([
-            product_above(s_high, below), product_above(s_low, below),
-            product_above(-s_high, above), product_above(-s_low, above),
-        ], axis=0)
+        corners = np.max(
+            [
+                product_above(s_high, below),
+                product_above(s_low, below),
+                product_above(-s_high, above),
+                product_above(-s_low, above),
+            ],
+            axis=0,
+        )
         largest = np.maximum(np.abs(s_low), np.abs(s_high))
         bent = np.where(weights > 0.0, weights, 1.0)
         vertex = quotient_above(product_above(largest, largest), 2.0 * bent)
@@ -183,7 +205,9 @@ class DualBounds:
         rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
         target = [-Fraction(self.program.c[j]) for j in zero.tolist()]
         guess, movable = rational(v), self._is_movable(at) & (np.arange(v.size) >= n * is_fixed)
-        lots = independent_rows([{j: entry for j, entry in row.items() if movable[j]} for row in rows])
+        lots = independent_rows(
+            [{j: entry for j, entry in row.items() if movable[j]} for row in rows]
+        )
         if max(map(len, lots), default=0) > EXACT_UP_TO:
             return -np.inf
         exact = solved_nearby(rows, target, guess, movable.tolist())
@@ -195,12 +219,19 @@ class DualBounds:
         """Return `value` of rational numbers."""
         c = rational(self.program.c)
         curved = products(rational_rows(self.program.P), x)
-        here = sum((at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True)), Fraction(0))
+        here = sum(
+            (at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True)),
+            Fraction(0),
+        )
         missed = [
             value - limit
-            for value, limit in zip(products(rational_rows(self._rows), x), rational(self._limit), strict=True)
+            for value, limit in zip(
+                products(rational_rows(self._rows), x), rational(self._limit), strict=True
+            )
         ]
-        here += sum((weight * miss for weight, miss in zip(y, missed, strict=True) if weight), Fraction(0))
+        here += sum(
+            (weight * miss for weight, miss in zip(y, missed, strict=True) if weight), Fraction(0)
+        )
         penalty = Fraction(self.curvature.penalty) / 2
         here -= penalty * sum((miss * miss for miss in missed[self.program.h.size :]), Fraction(0))
         s = [a + b for a, b in zip(products(self._exact_stacked, [*x, *y]), c, strict=True)]
@@ -297,7 +328,9 @@ def least_squares_above(matrix: sp.csr_array, right: FloatVector, low: FloatVect
     if 0 in matrix.shape:  # which scipy's older releases do not take
         return np.zeros(low.size)
     try:
-        found = lsq_linear(matrix.toarray(), right, (low, np.inf), method="bvls", tol=1e-14, max_iter=ITERATIONS).x
+        found = lsq_linear(
+            matrix.toarray(), right, (low, np.inf), method="bvls", tol=1e-14, max_iter=ITERATIONS
+        ).x
     except np.linalg.LinAlgError:
         return np.zeros(low.size)
     return np.where(np.isfinite(found), found, 0.0)
@@ -325,7 +358,9 @@ def implied_box(program: QuadraticProgram) -> Box:
     for _ in range(MOST_PASSES):
         was_open = np.isinf(lower), np.isinf(upper)
         _tighten(rows[touched], limit[touched], lower, upper)
-        closed = np.flatnonzero((was_open[0] & np.isfinite(lower)) | (was_open[1] & np.isfinite(upper)))
+        closed = np.flatnonzero(
+            (was_open[0] & np.isfinite(lower)) | (was_open[1] & np.isfinite(upper))
+        )
         if not closed.size or is_over():
             break
         touched = np.unique(by_column[:, closed].indices)
@@ -333,16 +368,22 @@ def implied_box(program: QuadraticProgram) -> Box:
 
 
 @np.errstate(all="ignore")  # what is infinite or overflows bounds nothing
-def _tighten(rows: sp.csr_array, limit: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
+def _tighten(
+    rows: sp.csr_array, limit: FloatVector, lower: FloatVector, upper: FloatVector
+) -> None:
     """Replace bounds by tighter ones that single rows imply."""
     entry, column, owner, m = rows.data, rows.indices, row_numbers(rows), limit.size
     # The largest value of −a x, the least of a x with its sign turned.
-    most = np.where(entry > 0.0, product_above(-entry, lower[column]), product_above(-entry, upper[column]))
+    most = np.where(
+        entry > 0.0, product_above(-entry, lower[column]), product_above(-entry, upper[column])
+    )
     is_open = most == np.inf
     held = np.where(is_open, 0.0, most)
     total = np.bincount(owner, held, m).astype(np.float64)
     size = np.bincount(owner, np.abs(held), m) * (1.0 + gamma(entry.size))
-    total = sum_above(total, product_above(size, gamma(int(np.diff(rows.indptr).max(initial=0)) + 2)))
+    total = sum_above(
+        total, product_above(size, gamma(int(np.diff(rows.indptr).max(initial=0)) + 2))
+    )
     open_terms = np.bincount(owner, is_open, m)
     is_bounded = open_terms[owner] - is_open == 0
     rest = sum_above(sum_above(limit, total)[owner], -held)

@@ -35,7 +35,10 @@ SHARPEST = 4  # points: as it came, and polished, each with its noise and withou
 NOISE = 2.0**-44
 CALLS = 4  # of an engine for one program
 DENSE_AT_LAST = 1500  # unknowns and rows: an active set sees through numbers that steps between the bounds do not
-PROXIMAL = {"eps_prox": 1e-6, "eta_prox": 1e-12}  # of daqp, where P is nothing beside its prox: until x stands still
+PROXIMAL = {
+    "eps_prox": 1e-6,
+    "eta_prox": 1e-12,
+}  # of daqp, where P is nothing beside its prox: until x stands still
 
 Answered = tuple[Iterator[QPSolution], Point]
 
@@ -71,7 +74,9 @@ class EngineRun(NamedTuple):
         Of a contradiction only where the solution is not optimal, or the engine has called the program infeasible.
         """
         solution, facts = self.solution, self.solution.program.facts
-        is_met = self.meets_goal and (self.says is not Hint.INFEASIBLE or solution.holds_surely(goal))
+        is_met = self.meets_goal and (
+            self.says is not Hint.INFEASIBLE or solution.holds_surely(goal)
+        )
         if self.is_sure or solution.is_sure(goal) or (is_met and solution.balances_surely(goal)):
             return None
         return facts.accepted_proof(goal, is_met=is_met)
@@ -123,7 +128,9 @@ def solved_as_given(program: QuadraticProgram, goal: float) -> EngineRun | Point
             errors = measure(program, x, y)
             if errors.decide(goal) and errors.are_sure(goal):
                 stage = StageRecord(engine.name, engine.solves, point.iterations, 0.0)
-                return EngineRun(QPSolution.of_rows(program, x, y), point.says, stage, True, False, True)
+                return EngineRun(
+                    QPSolution.of_rows(program, x, y), point.says, stage, True, False, True
+                )
     return point
 
 
@@ -135,7 +142,9 @@ def _ways_to_judge(point: Point) -> Iterator[tuple[Callable[..., Errors], Point]
     yield from ((Errors.beside_own_terms, other) for other in (point, *others))
 
 
-def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: bool = False) -> EngineRun | None:
+def solved_at_once(
+    program: QuadraticProgram, tolerance: float, *, is_sharp: bool = False
+) -> EngineRun | None:
     """Return the answer of the quickest engine, polished where it is to be sharp; None where it has none."""
     engine = next(engines_for(program), None)
     if engine is None:
@@ -146,7 +155,12 @@ def solved_at_once(program: QuadraticProgram, tolerance: float, *, is_sharp: boo
 
 
 def run_engine(
-    program: QuadraticProgram, engine: Engine, goal: float, *, is_verbose: bool = False, points: int | None = None,
+    program: QuadraticProgram,
+    engine: Engine,
+    goal: float,
+    *,
+    is_verbose: bool = False,
+    points: int | None = None,
     begun: Point | None = None,
 ) -> EngineRun:
     """Return the best answer of an engine, which ends with the first that meets the goal, or after some points.
@@ -162,29 +176,38 @@ def run_engine(
     """
     if engine.is_for_linear_alone and program.matrices.has_curvature:
         raise UnsuitableProblem(
-            f"{engine.name} solves {engine.solves}, but P has nonzeros; take \"piqp\", or give P = None"
+            f'{engine.name} solves {engine.solves}, but P has nonzeros; take "piqp", or give P = None'
         )
     iterations, says, meets_goal, contradicts = 0, Hint.GAVE_UP, False, False
     best: QPSolution | None = None
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
-        for near, point in islice(_answers(program, engine, is_verbose, begun), 1 if points else None):
+        for near, point in islice(
+            _answers(program, engine, is_verbose, begun), 1 if points else None
+        ):
             iterations, says = iterations + point.iterations, point.says
             solution, meets_goal = _best(islice(near, points), goal, in_order=points is not None)
             if solution is not None and (meets_goal or best is None or solution.error < best.error):
                 best = solution
             if meets_goal or is_over():
                 break
-            if says is Hint.INFEASIBLE and (contradicts := program.facts.sees_contradiction(goal, point.multipliers)):
+            if says is Hint.INFEASIBLE and (
+                contradicts := program.facts.sees_contradiction(goal, point.multipliers)
+            ):
                 break
     if best is None:
-        nearest, nothing = np.clip(0.0, program.lower, program.upper), np.zeros(sum(program.matrices.sizes))
+        nearest, nothing = (
+            np.clip(0.0, program.lower, program.upper),
+            np.zeros(sum(program.matrices.sizes)),
+        )
         best = QPSolution.of_rows(program, nearest, nothing)
         meets_goal = not contradicts and best.is_minimal(goal)
     stage = StageRecord(engine.name, engine.solves, iterations, 0.0)
     return EngineRun(best, says, stage, meets_goal, contradicts)
 
 
-def _best(near: Iterable[QPSolution], goal: float, *, in_order: bool) -> tuple[QPSolution | None, bool]:
+def _best(
+    near: Iterable[QPSolution], goal: float, *, in_order: bool
+) -> tuple[QPSolution | None, bool]:
     """Return the first of some points that meets the goal, beside own terms if one does, or the best; and whether.
 
     In order where proofs rest on the multipliers as they came: what is rounding may be what a bound needs.
@@ -194,7 +217,9 @@ def _best(near: Iterable[QPSolution], goal: float, *, in_order: bool) -> tuple[Q
         if solution.is_minimal(goal, is_beside_own=not in_order):
             return solution, True
         judged.append(solution)
-    for solution in sorted(judged, key=lambda one: sum(one.own_errors)):  # what acts takes as long as an engine
+    for solution in sorted(
+        judged, key=lambda one: sum(one.own_errors)
+    ):  # what acts takes as long as an engine
         if solution.is_minimal(goal):
             return solution, True
     return min(judged, key=lambda one: one.error, default=None), False
@@ -271,7 +296,9 @@ def _points(reduction: Reduction, prepared: Prepared, point: Point) -> Iterator[
                 if (solution := _solution(reduction, prepared, near)) is not None:
                     yield solution
 
-    has_limits = statement.h.size or np.isfinite(statement.lower).any() or np.isfinite(statement.upper).any()
+    has_limits = (
+        statement.h.size or np.isfinite(statement.lower).any() or np.isfinite(statement.upper).any()
+    )
     yield solutions(polish(), [point]) if has_limits else solutions([point], polish()), told
     # Where the answer is 0, all of x is noise, and nothing tells it from an answer but the judge.
     first = (polishes or [point])[0]
@@ -285,7 +312,9 @@ def without_noise(point: Point) -> Iterator[Point]:
     of_x, of_y = np.abs(x), np.abs(y)
     in_x, in_y = of_x <= NOISE * of_x.max(initial=0.0), of_y <= NOISE * of_y.max(initial=0.0)
     if x[in_x].any() or y[in_y].any():
-        kept = np.split(np.where(in_y, 0.0, y), np.cumsum([part.size for part in point.multipliers[:-1]]))
+        kept = np.split(
+            np.where(in_y, 0.0, y), np.cumsum([part.size for part in point.multipliers[:-1]])
+        )
         yield point._replace(x=np.where(in_x, 0.0, x), multipliers=Multipliers(*kept))
 
 
@@ -303,10 +332,14 @@ def at_rest(statement: Statement, point: Point) -> Iterator[Point]:
     terms = np.maximum(np.abs(b), largest_in_rows(A, np.abs(A.data * x[A.indices])))
     noise = np.zeros(x.size)
     with np.errstate(all="ignore"):
-        np.maximum.at(noise, A.indices, NEGLIGIBLE * np.repeat(terms, np.diff(A.indptr)) / np.abs(A.data))
+        np.maximum.at(
+            noise, A.indices, NEGLIGIBLE * np.repeat(terms, np.diff(A.indptr)) / np.abs(A.data)
+        )
     x = np.where(np.abs(x) <= noise, 0.0, x)
     if not (statement.P @ x + statement.c).any():
-        yield point._replace(x=x, multipliers=Multipliers(*(np.zeros_like(one) for one in point.multipliers)))
+        yield point._replace(
+            x=x, multipliers=Multipliers(*(np.zeros_like(one) for one in point.multipliers))
+        )
 
 
 def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolution | None:
@@ -314,7 +347,11 @@ def _solution(reduction: Reduction, prepared: Prepared, point: Point) -> QPSolut
     back, reduced = prepared.outward(point), reduction.reduced
     x = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper)
     whole = reduction.outward(x, np.concatenate(back.multipliers))
-    return QPSolution.of_rows(reduction.program, *whole) if np.isfinite(np.concatenate(whole)).all() else None
+    return (
+        QPSolution.of_rows(reduction.program, *whole)
+        if np.isfinite(np.concatenate(whole)).all()
+        else None
+    )
 
 
 def _contradiction(reduction: Reduction, prepared: Prepared, point: Point) -> Multipliers:
@@ -332,7 +369,10 @@ def _statement(program: QuadraticProgram, *, is_dense: bool = False) -> Statemen
     if matrices.is_judged_by_sums and (is_dense or matrices.is_dense):
         P, G, A = matrices.stacked[:n], matrices.stacked[n : n + m], matrices.stacked[n + m :]
     elif matrices.is_dense:
-        P, G, A = (one if isinstance(one, np.ndarray) else one.toarray() for one in (program.P, program.G, program.A))
+        P, G, A = (
+            one if isinstance(one, np.ndarray) else one.toarray()
+            for one in (program.P, program.G, program.A)
+        )
     else:
         P, G, A = matrices.sparse_P, as_csr(program.G), as_csr(program.A)
     return Statement(P, program.c, G, program.h, A, program.b, program.lower, program.upper)

@@ -27,7 +27,12 @@ from .dual_bounds import SLACKS, half_above, least_squares
 from .no_minimum import feasible_point, losses
 from .program import QuadraticProgram
 
-TIGHT = (0.0, 1e-9, 1e-6, -np.inf)  # of a row's size: rows that are solved for as if they were equations; then none
+TIGHT = (
+    0.0,
+    1e-9,
+    1e-6,
+    -np.inf,
+)  # of a row's size: rows that are solved for as if they were equations; then none
 EXACT_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200
 SMALL = 2000  # variables and rows of a program whose points are checked in fractions: a second
 NEAR = 1e-9  # of a row's size: rows that a point is moved off
@@ -90,7 +95,10 @@ class FeasiblePoints:
     @property
     def is_small(self) -> bool:
         """Whether rational arithmetic is tried."""
-        return self.program.b.size <= EXACT_UP_TO and self.program.n + self.program.constraints.rows <= SMALL
+        return (
+            self.program.b.size <= EXACT_UP_TO
+            and self.program.n + self.program.constraints.rows <= SMALL
+        )
 
     def _moved_off(self, x: FloatVector, slack: float) -> FloatVector:
         """Return the nearest point on the equations with some slack in what else x nearly meets, to rounding."""
@@ -118,7 +126,9 @@ class FeasiblePoints:
         if radius is None or (excess[~is_equality] > 0.0).any():
             return None
         others = abs(rows.matrix[np.flatnonzero(~is_equality)])
-        spread = (others @ radius + np.where(others.astype(bool) @ (radius > 0.0), TINY, 0.0)) * OUTWARD
+        spread = (
+            others @ radius + np.where(others.astype(bool) @ (radius > 0.0), TINY, 0.0)
+        ) * OUTWARD
         if not (sum_above(excess[~is_equality], spread) <= 0.0).all():
             return None
         return FeasiblePoint(x, radius, objective_bounds(program, x, radius)[1])
@@ -135,12 +145,17 @@ class FeasiblePoints:
         is_low = x - program.lower <= near_bound * low
         is_fixed = is_low | (program.upper - x <= near_bound * high)
         near = np.where(is_low, program.lower, np.where(is_fixed, program.upper, x))
-        system = np.flatnonzero(is_row & np.isfinite(rows.limit) & (rows.is_equality | (value >= -tight * size)))
+        system = np.flatnonzero(
+            is_row & np.isfinite(rows.limit) & (rows.is_equality | (value >= -tight * size))
+        )
         if system.size > EXACT_UP_TO:
             return None
         guess = rational(near)
         exact = solved_nearby(
-            [rows.exactly[i] for i in system.tolist()], rational(rows.limit[system]), guess, (~is_fixed).tolist()
+            [rows.exactly[i] for i in system.tolist()],
+            rational(rows.limit[system]),
+            guess,
+            (~is_fixed).tolist(),
         )
         if exact is None:
             return None
@@ -153,7 +168,10 @@ class FeasiblePoints:
             return None
         share = Fraction(0)
         values = zip(
-            products(rows.exactly, x), products(rows.exactly, inside), rows.limit.tolist(), rows.is_equality.tolist(),
+            products(rows.exactly, x),
+            products(rows.exactly, inside),
+            rows.limit.tolist(),
+            rows.is_equality.tolist(),
             strict=True,
         )
         for here, there, limit, is_equality in values:
@@ -176,7 +194,9 @@ def _sizes(program: QuadraticProgram, x: FloatVector) -> FloatVector:
 
 
 @np.errstate(all="ignore")
-def distance_of_equations(program: QuadraticProgram, x: FloatVector, excess: FloatVector) -> FloatVector | None:
+def distance_of_equations(
+    program: QuadraticProgram, x: FloatVector, excess: FloatVector
+) -> FloatVector | None:
     """Return how far from x, component by component, a solution of A x = b is at the most; None where none is proved.
 
     Only variables between their bounds move.
@@ -217,7 +237,11 @@ def distance_of_equations(program: QuadraticProgram, x: FloatVector, excess: Flo
 
 
 def objective_bounds(
-    program: QuadraticProgram, x: FloatVector, radius: FloatVector | None = None, *, linear: float = 1.0
+    program: QuadraticProgram,
+    x: FloatVector,
+    radius: FloatVector | None = None,
+    *,
+    linear: float = 1.0,
 ) -> tuple[float, float]:
     """Return doubles below and above ½ xᵀP x + linear · cᵀx, and above it for all points within the radius of x."""
     with np.errstate(all="ignore"):
@@ -225,7 +249,10 @@ def objective_bounds(
         row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
         twice, error = compensated_product(row, np.concatenate([high, low, x]))
         error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
-        lowest, highest = -half_above(upper_end(-twice, error)[0]), half_above(upper_end(twice, error)[0])
+        lowest, highest = (
+            -half_above(upper_end(-twice, error)[0]),
+            half_above(upper_end(twice, error)[0]),
+        )
         if radius is not None and radius.any():
             # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
             slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)
@@ -233,4 +260,3 @@ def objective_bounds(
             spread = product_above(sum_above(slope, bent), radius).sum() * (1.0 + 2.0**-30)
             highest = float(sum_above(highest, spread))
     return lowest, highest
-

@@ -3,16 +3,30 @@
 from ...core.kind import LANGUAGES, Kind
 
 QUADRATIC_PROGRAM = Kind(
-    "quadratic program", "QuadraticProgram",
-    ("solve", "solve_batch", "solve_many", "prepare", "trace", "regions", "certify", "pickle", *LANGUAGES,
-     "lcp-plugin solve", "lcp-plugin certify"),
+    "quadratic program",
+    "QuadraticProgram",
+    (
+        "solve",
+        "solve_batch",
+        "solve_many",
+        "prepare",
+        "trace",
+        "regions",
+        "certify",
+        "pickle",
+        *LANGUAGES,
+        "lcp-plugin solve",
+        "lcp-plugin certify",
+    ),
     "LCP.from_qp(program.P, program.c, …) makes an LCP of it",
     {
         "x0=": "z0=result.z goes on from an earlier result",
         "derivative": "requires_grad=True in cvxpy; or derivative(result.lcp_result), by the data of its "
-                      "complementarity problem",
-        **{f"{name}=": "certify(program, result.x) bounds the objective and the distance"
-           for name in ("error_bound", "tolerance_on")},
+        "complementarity problem",
+        **{
+            f"{name}=": "certify(program, result.x) bounds the objective and the distance"
+            for name in ("error_bound", "tolerance_on")
+        },
         "absolute_tolerance=": "a program is judged by its own residuals, leave it out",
         "error_bound": "certify(program, x) bounds the objective and the distance",
         "analyze": "program.is_convex says whether P is positive semidefinite, analyze(program.P) the rest",

@@ -33,7 +33,11 @@ HELD = 1e-6  # of the terms of C_W d: a step along which they are more is none
 
 @np.errstate(divide="ignore", invalid="ignore")  # a limit that d leads away from
 def newton_fall(
-    program: QuadraticProgram, x: FloatVector, y: FloatVector, of_lower: FloatVector, of_upper: FloatVector,
+    program: QuadraticProgram,
+    x: FloatVector,
+    y: FloatVector,
+    of_lower: FloatVector,
+    of_upper: FloatVector,
     blur: FloatVector,
 ) -> float:
     """Return by how much a few of Newton's steps from x surely lower the objective within the constraints.
@@ -54,7 +58,11 @@ def newton_fall(
     """
     matrices, (m, p, n, _) = program.matrices, program.matrices.sizes
     P = program.P
-    C: Any = matrices.dense_rows if isinstance(P, np.ndarray) and not matrices.has_sparse_rows else matrices.rows
+    C: Any = (
+        matrices.dense_rows
+        if isinstance(P, np.ndarray) and not matrices.has_sparse_rows
+        else matrices.rows
+    )
     P = P if isinstance(C, np.ndarray) else matrices.sparse_P
     limits, sizes, fall = np.concatenate([program.h, program.b]), np.abs(C), 0.0
     lower, upper = program.lower, program.upper

@@ -36,8 +36,18 @@ from ...proofs.exact.rational import (
     short,
 )
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
-from ...proofs.no_solution.free_motion import falling_directions, is_at_rest, is_far_out, moved_unknowns
-from ...proofs.no_solution.linear_constraints import DECISIVE, Contradiction, LinearConstraints, exact_dot
+from ...proofs.no_solution.free_motion import (
+    falling_directions,
+    is_at_rest,
+    is_far_out,
+    moved_unknowns,
+)
+from ...proofs.no_solution.linear_constraints import (
+    DECISIVE,
+    Contradiction,
+    LinearConstraints,
+    exact_dot,
+)
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
 from .criterion import PROGRAM_TOLERANCE, SURE, constraint_tolerance
@@ -83,11 +93,18 @@ class QPInfeasibility:
     def verify(self) -> bool:
         """Return whether the multipliers are a proof; exact."""
         found = self._found
-        return found.has_signs and found.size > 0 and found.is_wide_beside_terms() and found.is_rounding()
+        return (
+            found.has_signs
+            and found.size > 0
+            and found.is_wide_beside_terms()
+            and found.is_rounding()
+        )
 
     @cached_property
     def _found(self) -> Contradiction:
-        return Contradiction(self.program.constraints.as_rows, {i: y for i, y in enumerate(self.multipliers) if y})
+        return Contradiction(
+            self.program.constraints.as_rows, {i: y for i, y in enumerate(self.multipliers) if y}
+        )
 
     @property
     def contradiction(self) -> Fraction:
@@ -117,7 +134,10 @@ class QPInfeasibility:
         numbers, program = list(self._found.y), self.program
         largest = max(map(abs, self._found.y.values()))
         y = np.array([float(abs(value) / largest) for value in self._found.y.values()])
-        rows, sizes = abs(program.constraints.matrix[numbers]), program.constraints.own_sizes[numbers]
+        rows, sizes = (
+            abs(program.constraints.matrix[numbers]),
+            program.constraints.own_sizes[numbers],
+        )
         is_alone, pulls, at = np.diff(rows.indptr) == 1, rows.T @ y, np.zeros(program.n)
         entries = rows.indptr[:-1][is_alone]
         np.maximum.at(at, rows.indices[entries], sizes[is_alone] / rows.data[entries])
@@ -139,7 +159,10 @@ class QPInfeasibility:
 
     def _named(self) -> str:
         """Return the constraints of the largest multipliers by name."""
-        program, heaviest = self.program, sorted(self._found.y.items(), key=lambda pair: (-abs(pair[1]), pair[0]))
+        program, heaviest = (
+            self.program,
+            sorted(self._found.y.items(), key=lambda pair: (-abs(pair[1]), pair[0])),
+        )
         rows = ("row {} of G", program.h.size), ("row {} of A", program.b.size)
         parts = *rows, ("lower[{}]", program.n), ("upper[{}]", program.n)
         starts = np.cumsum([0, *(size for _, size in parts)])
@@ -147,7 +170,9 @@ class QPInfeasibility:
         for k, _ in heaviest[:MOST_NAMED]:
             part = int(np.searchsorted(starts, k, side="right")) - 1
             names.append(parts[part][0].format(k - starts[part]))
-        return ", ".join(names) + (f" and {len(heaviest) - MOST_NAMED} more" if len(heaviest) > MOST_NAMED else "")
+        return ", ".join(names) + (
+            f" and {len(heaviest) - MOST_NAMED} more" if len(heaviest) > MOST_NAMED else ""
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +208,13 @@ class QPUnboundedness:
     def _holds(self) -> bool:
         found, program = self._found, self.program
         is_held = not is_far_out(program.P, program.c, self.direction, found.left)
-        return not is_held and found.has_signs and found.size > 0 and self._is_wide and found.is_rounding(program.n)
+        return (
+            not is_held
+            and found.has_signs
+            and found.size > 0
+            and self._is_wide
+            and found.is_rounding(program.n)
+        )
 
     @cached_property
     def _is_wide(self) -> bool:
@@ -191,7 +222,10 @@ class QPUnboundedness:
 
         Of a free motion the x that P stops is looked at otherwise.
         """
-        known = {j: 0.0 if self.is_free_motion else abs(float(self.point[j])) or TINY for j in range(self.program.n)}
+        known = {
+            j: 0.0 if self.is_free_motion else abs(float(self.point[j])) or TINY
+            for j in range(self.program.n)
+        }
         return self._found.is_wide_beside_terms(known)
 
     @cached_property
@@ -215,7 +249,9 @@ class QPUnboundedness:
         if not found.left:
             return bool(found.plain > 0)
         both = [i for i in found.y if i in found.left]
-        left, moved = (common_denominator([values[i] for i in both])[0] for values in (found.left, found.y))
+        left, moved = (
+            common_denominator([values[i] for i in both])[0] for values in (found.left, found.y)
+        )
         return bool(sum(map(operator.mul, left, moved)) < 0)
 
     @cached_property
@@ -226,7 +262,9 @@ class QPUnboundedness:
             x.as_integer_ratio() == (value.numerator, value.denominator)
             for value, x in zip(self.point, near.tolist(), strict=True)
         )
-        return (are_doubles and not (rows.excess(near) > 0.0).any()) or not any(losses(rows, self.point))
+        return (are_doubles and not (rows.excess(near) > 0.0).any()) or not any(
+            losses(rows, self.point)
+        )
 
     @cached_property
     def violation(self) -> float:
@@ -235,8 +273,13 @@ class QPUnboundedness:
             return 0.0
         rows, x = self.program.constraints, np.abs(numbers(self.point))
         terms = largest_in_rows(rows.matrix, np.abs(rows.matrix.data) * x[rows.matrix.indices])
-        excess = zip(losses(rows, self.point), np.maximum(terms, rows.own_sizes).tolist(), strict=True)
-        return max((float(value) / size if size else np.inf for value, size in excess if value), default=0.0)
+        excess = zip(
+            losses(rows, self.point), np.maximum(terms, rows.own_sizes).tolist(), strict=True
+        )
+        return max(
+            (float(value) / size if size else np.inf for value, size in excess if value),
+            default=0.0,
+        )
 
     @cached_property
     def radius(self) -> float:
@@ -257,7 +300,11 @@ class QPUnboundedness:
         if not (found.plain > 0 and self._is_wide):
             return 0.0
         whole, denominator = common_denominator([abs(d) for d in found.y.values()])
-        return rounded_down(found.size * denominator / exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist()))
+        return rounded_down(
+            found.size
+            * denominator
+            / exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist())
+        )
 
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance; where it is exact, at a thousandth of it."""
@@ -287,8 +334,10 @@ def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
         value - Fraction(most) if most != np.inf else ZERO
         for value, most in zip(products(rows.exactly, x), rows.limit.tolist(), strict=True)
     ]
-    return [abs(by) if is_equality else max(by, ZERO)
-            for by, is_equality in zip(missed, rows.is_equality.tolist(), strict=True)]
+    return [
+        abs(by) if is_equality else max(by, ZERO)
+        for by, is_equality in zip(missed, rows.is_equality.tolist(), strict=True)
+    ]
 
 
 def numbers(fractions: Any) -> FloatVector:
@@ -297,7 +346,11 @@ def numbers(fractions: Any) -> FloatVector:
 
 
 def proof_of_no_minimum(
-    program: QuadraticProgram, *, exactly: bool = False, is_met: bool = False, seen: FloatVector | None = None
+    program: QuadraticProgram,
+    *,
+    exactly: bool = False,
+    is_met: bool = False,
+    seen: FloatVector | None = None,
 ) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that the convex program is infeasible or unbounded, or None where none was found.
 
@@ -349,7 +402,9 @@ def proof_of_no_minimum(
     return checked or prove_unheld(program) or _by_programs(program, exactly, is_met)
 
 
-def proof_of_contradiction(program: QuadraticProgram, seen: FloatVector | None) -> QPInfeasibility | None:
+def proof_of_contradiction(
+    program: QuadraticProgram, seen: FloatVector | None
+) -> QPInfeasibility | None:
     """Return a proof that the constraints contradict one another, whatever the objective is; None for none found."""
     rows = FoldedRows.of(program)
     found: QPInfeasibility | None = rows.proof(contradictory_row(rows.reduced))
@@ -394,11 +449,15 @@ def refuted(program: QuadraticProgram, y: FloatVector) -> QPInfeasibility | None
         if used.size > MOST_TOGETHER:
             return None
         columns = rational_rows(as_csr(program.matrices.rows)[used].T.tocsr()[zero])
-        solved = solved_nearby(columns, [ZERO] * zero.size, short(y[used], 1 << 50), [True] * used.size)
+        solved = solved_nearby(
+            columns, [ZERO] * zero.size, short(y[used], 1 << 50), [True] * used.size
+        )
         if solved is None:
             return None
         exact = solved
-    proof = with_bounds(program, {i: value for i, value in zip(used.tolist(), exact, strict=True) if value})
+    proof = with_bounds(
+        program, {i: value for i, value in zip(used.tolist(), exact, strict=True) if value}
+    )
     return proof if proof.is_exact and proof.excludes(PROGRAM_TOLERANCE) else None
 
 
@@ -443,8 +502,13 @@ def prove_unheld(program: QuadraticProgram) -> QPUnboundedness | None:
     rows = program.constraints
     is_said = np.flatnonzero(np.isfinite(rows.limit[: rows.rows]))
     directions = falling_directions(
-        program.P, null_space, program.c, np.isfinite(program.lower), np.isfinite(program.upper),
-        program.matrices.rows[is_said], rows.is_equality[is_said],
+        program.P,
+        null_space,
+        program.c,
+        np.isfinite(program.lower),
+        np.isfinite(program.upper),
+        program.matrices.rows[is_said],
+        rows.is_equality[is_said],
     )
     points: tuple[Vector, ...] = ()
     for d in directions:
@@ -483,11 +547,17 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
                 return proof
         return None
 
-    return _first_enough(stationarity(program, P[_independent_rows(P)]), None, proven, exactly=exactly)
+    return _first_enough(
+        stationarity(program, P[_independent_rows(P)]), None, proven, exactly=exactly
+    )
 
 
 def _first_enough(
-    asked: LinearConstraints, first: float | None, proven: Callable[[Multipliers], T | None], *, exactly: bool
+    asked: LinearConstraints,
+    first: float | None,
+    proven: Callable[[Multipliers], T | None],
+    *,
+    exactly: bool,
 ) -> T | None:
     """Return the first proof that counts at the tolerances of programs, else the one of the largest margin.
 
@@ -497,7 +567,9 @@ def _first_enough(
     found, tried = list[T](), list[float]()
     scale: FarkasProgram = FarkasProgram(asked)
     q = np.where(np.isfinite(asked.q), np.abs(asked.q), 0.0)
-    bounds = [np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (asked.lower, asked.upper)]
+    bounds = [
+        np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (asked.lower, asked.upper)
+    ]
     for unit in scale.sizes if first is None else [first, *scale.sizes]:
         if any(REACHED[0] * one <= unit <= REACHED[1] * one for one in tried):
             continue
@@ -568,9 +640,15 @@ def _points_inside(program: QuadraticProgram, unit: FloatVector) -> tuple[Vector
     limit, finite = constraints.limit, constraints.finite
     is_row, is_equality = np.arange(limit.size) < constraints.rows, constraints.is_equality
     matrix = constraints.matrix @ sp.diags_array(unit)
-    sides = sp.hstack([matrix, np.where(is_row & np.isfinite(limit), limit, 0.0)[:, None]], format="csr")
+    sides = sp.hstack(
+        [matrix, np.where(is_row & np.isfinite(limit), limit, 0.0)[:, None]], format="csr"
+    )
     exponents = equilibrating_exponents(sides, LARGEST_ENTRY, 900).row
-    scale = np.where(is_row, np.ldexp(1.0, exponents), 1.0 / np.concatenate([np.ones(constraints.rows), unit, unit]))
+    scale = np.where(
+        is_row,
+        np.ldexp(1.0, exponents),
+        1.0 / np.concatenate([np.ones(constraints.rows), unit, unit]),
+    )
     equal, most = finite[is_equality[finite]], finite[~is_equality[finite]]
     is_fixed = np.tile(program.lower == program.upper, 2)
     margin = ~np.concatenate([np.zeros(constraints.rows, dtype=bool), is_fixed])
@@ -579,7 +657,9 @@ def _points_inside(program: QuadraticProgram, unit: FloatVector) -> tuple[Vector
         return sp.hstack([sp.diags_array(scale[rows]) @ matrix[rows], inside[:, None]])
 
     answer = linear_program(
-        np.append(np.zeros(n), -1.0), scaled(equal, np.zeros(equal.size)), (scale * limit)[equal],
+        np.append(np.zeros(n), -1.0),
+        scaled(equal, np.zeros(equal.size)),
+        (scale * limit)[equal],
         [(None, None)] * n + [(0.0, 1.0)],
         (scaled(most, margin[most].astype(np.float64)), (scale * limit)[most]),
     )
@@ -594,6 +674,9 @@ def _points_inside(program: QuadraticProgram, unit: FloatVector) -> tuple[Vector
     guess = [exact if stuck else few * one for few, one, stuck, exact in near]
     system = [*equal.tolist(), *tight.tolist()]
     exact = solved_nearby(
-        [constraints.exactly[i] for i in system], rational(limit[system]), guess, [not stuck for stuck in at_bound]
+        [constraints.exactly[i] for i in system],
+        rational(limit[system]),
+        guess,
+        [not stuck for stuck in at_bound],
     )
     return (guess, exact) if exact is not None and not any(losses(constraints, exact)) else (guess,)

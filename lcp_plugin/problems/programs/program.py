@@ -36,13 +36,20 @@ from .constraints import Constraints
 from .contradictions import contradicting_multipliers, margin_in_doubles, with_few_digits
 from .criterion import NO_EXCUSE, PROGRAM_TOLERANCE
 from .kind import QUADRATIC_PROGRAM
-from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_contradiction, proof_of_no_minimum
+from .no_minimum import (
+    QPInfeasibility,
+    QPUnboundedness,
+    proof_of_contradiction,
+    proof_of_no_minimum,
+)
 from .program_matrices import ProgramMatrices, as_csr, no_rows, vertically
 from .reductions import FoldedRows
 
 SYMMETRIC_TO = 1e-12
 NO_LIMITS = read_only(np.zeros(0))  # of no rows
-SURELY = 2.0 * (1.0 - 1e-9)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
+SURELY = 2.0 * (
+    1.0 - 1e-9
+)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -104,8 +111,15 @@ class QuadraticProgram:
     matrices: ProgramMatrices = field(init=False, repr=False)
 
     def __init__(
-        self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
-        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+        self,
+        P: Any,
+        c: ArrayLike,
+        G: Any = None,
+        h: ArrayLike | None = None,
+        A: Any = None,
+        b: ArrayLike | None = None,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
     ) -> None:
         vector = checked_vector(c, "c", None)
         n = vector.size
@@ -121,8 +135,14 @@ class QuadraticProgram:
 
     @classmethod
     def from_ranges(
-        cls, P: Any, c: ArrayLike, A: Any, lower_rows: ArrayLike, upper_rows: ArrayLike,
-        lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+        cls,
+        P: Any,
+        c: ArrayLike,
+        A: Any,
+        lower_rows: ArrayLike,
+        upper_rows: ArrayLike,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
     ) -> QuadraticProgram:
         """Return the program min ½ xᵀP x + cᵀx over lower_rows ≤ A x ≤ upper_rows, lower ≤ x ≤ upper.
 
@@ -164,18 +184,23 @@ class QuadraticProgram:
         places = np.arange(ends[-1]) + np.repeat(begins - ends[:-1], counts)
         data, columns = rows.data[places] * np.repeat(signs, counts), rows.indices[places]
         G, equations = (
-            assembled(data[ends[first] : ends[last]], columns[ends[first] : ends[last]],
-                      ends[first : last + 1] - ends[first], (last - first, n))
+            assembled(
+                data[ends[first] : ends[last]],
+                columns[ends[first] : ends[last]],
+                ends[first : last + 1] - ends[first],
+                (last - first, n),
+            )
             for first, last in ((0, sides), (sides, order.size))
         )
         bounds = [
-            checked_limit(bound, name, n)
-            for bound, name in ((lower, "lower"), (upper, "upper"))
+            checked_limit(bound, name, n) for bound, name in ((lower, "lower"), (upper, "upper"))
         ]
         check_order(*bounds)
         symmetric_P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
         h, b = read_only(np.append(high[above], -low[below])), read_only(low[equal])
-        program = cls.with_matrices(ProgramMatrices(symmetric_P, G, equations), vector, h, b, *bounds)
+        program = cls.with_matrices(
+            ProgramMatrices(symmetric_P, G, equations), vector, h, b, *bounds
+        )
         program.__dict__.update(asymmetry=asymmetry, ranges=(order, signs, m))
         return program
 
@@ -200,8 +225,12 @@ class QuadraticProgram:
         return ProgramFacts(self)
 
     def with_vectors(
-        self, c: ArrayLike | None = None, h: ArrayLike | None = None, b: ArrayLike | None = None,
-        lower: ArrayLike | None = None, upper: ArrayLike | None = None,
+        self,
+        c: ArrayLike | None = None,
+        h: ArrayLike | None = None,
+        b: ArrayLike | None = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
     ) -> QuadraticProgram:
         """Return the program with other vectors, which shares all that depends on its matrices alone.
 
@@ -228,16 +257,28 @@ class QuadraticProgram:
         )
         check_order(below, above)
         made = self.with_matrices(
-            self.matrices, self.c if c is None else checked_vector(c, "c", n, may_be_number=n == 1),
-            self.h if h is None else checked_right_side(h, "h", self.h.size, may_be_number=self.h.size == 1),
-            self.b if b is None else checked_vector(b, "b", self.b.size, may_be_number=self.b.size == 1), below, above,
+            self.matrices,
+            self.c if c is None else checked_vector(c, "c", n, may_be_number=n == 1),
+            self.h
+            if h is None
+            else checked_right_side(h, "h", self.h.size, may_be_number=self.h.size == 1),
+            self.b
+            if b is None
+            else checked_vector(b, "b", self.b.size, may_be_number=self.b.size == 1),
+            below,
+            above,
         )
         made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges)
         return made
 
     @classmethod
     def with_matrices(
-        cls, matrices: ProgramMatrices, c: FloatVector, h: FloatVector, b: FloatVector, lower: FloatVector,
+        cls,
+        matrices: ProgramMatrices,
+        c: FloatVector,
+        h: FloatVector,
+        b: FloatVector,
+        lower: FloatVector,
         upper: FloatVector,
     ) -> QuadraticProgram:
         """Return the program of these data, which are not checked."""
@@ -246,11 +287,24 @@ class QuadraticProgram:
         return made
 
     def _keep(
-        self, matrices: ProgramMatrices, c: FloatVector, h: FloatVector, b: FloatVector, lower: FloatVector,
+        self,
+        matrices: ProgramMatrices,
+        c: FloatVector,
+        h: FloatVector,
+        b: FloatVector,
+        lower: FloatVector,
         upper: FloatVector,
     ) -> None:
         self.__dict__.update(
-            P=matrices.P, c=c, G=matrices.G, h=h, A=matrices.A, b=b, lower=lower, upper=upper, matrices=matrices
+            P=matrices.P,
+            c=c,
+            G=matrices.G,
+            h=h,
+            A=matrices.A,
+            b=b,
+            lower=lower,
+            upper=upper,
+            matrices=matrices,
         )
 
     @np.errstate(under="ignore")
@@ -308,7 +362,9 @@ class ProgramFacts:
         By the rows themselves, or by one factorisation. What is semidefinite only beside its largest entries is not.
         """
         P, d = self.program.P, self.program.P.diagonal()
-        is_dominant = bool((d >= 0.0).all()) and bool((abs(P) @ np.ones(d.size) <= 2.0 * d).all())  # Gershgorin
+        is_dominant = bool((d >= 0.0).all()) and bool(
+            (abs(P) @ np.ones(d.size) <= 2.0 * d).all()
+        )  # Gershgorin
         return is_dominant or self.program.is_convex is True
 
     @cached_property
@@ -344,7 +400,11 @@ class ProgramFacts:
 
         Without a tolerance it counts by however little.
         """
-        if proof is None or not proof.verify() or not (tolerance is None or proof.excludes(tolerance)):
+        if (
+            proof is None
+            or not proof.verify()
+            or not (tolerance is None or proof.excludes(tolerance))
+        ):
             return None
         self.__dict__["_proof"] = proof
         return proof
@@ -352,7 +412,9 @@ class ProgramFacts:
     def proof_of_contradiction(self, tolerance: float) -> QPInfeasibility | None:
         """Return a proof that the constraints of a program, convex or not, contradict by more than a tolerance."""
         self.sees_contradiction(tolerance)
-        found = self.accept_proof(proof_of_contradiction(self.program, self.seen_multipliers), tolerance)
+        found = self.accept_proof(
+            proof_of_contradiction(self.program, self.seen_multipliers), tolerance
+        )
         return found if isinstance(found, QPInfeasibility) else None
 
     def sees_contradiction(self, tolerance: float, multipliers: Sequence[FloatVector] = ()) -> bool:
@@ -372,14 +434,18 @@ class ProgramFacts:
             matrices = reduced.matrices
             m, p = matrices.sizes[:2]
             right = np.concatenate([reduced.h, reduced.b])
-            given = np.concatenate(multipliers)[folded.left] if multipliers else np.full(m + p, np.nan)
+            given = (
+                np.concatenate(multipliers)[folded.left] if multipliers else np.full(m + p, np.nan)
+            )
             limits = right, reduced.lower, reduced.upper
             if np.isfinite(given).all() and (size := float(np.abs(given).max(initial=0.0))) > 0.0:
                 near = with_few_digits(given / size)
                 if margin_in_doubles(matrices.rows, *limits, near) > tolerance:
                     self.__dict__["_seen"] = near
             if self.seen_multipliers is None and matrices.is_small:
-                found = contradicting_multipliers(matrices.dense_rows, right, m, *limits[1:], tolerance)
+                found = contradicting_multipliers(
+                    matrices.dense_rows, right, m, *limits[1:], tolerance
+                )
                 self.__dict__["_seen"] = found
         return self.seen_multipliers is not None and "_proof" not in self.__dict__
 
@@ -428,7 +494,9 @@ class ProgramFacts:
         A guess: a criterion may be stricter by it, never looser.
         """
         matrix = vertically(self.program.matrices.rows, as_csr(self.program.P))
-        return fitted_units(matrix, np.concatenate([self.program.h, self.program.b, self.program.c]))
+        return fitted_units(
+            matrix, np.concatenate([self.program.h, self.program.b, self.program.c])
+        )
 
 
 def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
@@ -442,7 +510,12 @@ def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
 
 
 def _checked_rows(
-    matrix: Any, right: ArrayLike | None, name: str, right_name: str, n: int, check: Callable[[Any, str, int], Any]
+    matrix: Any,
+    right: ArrayLike | None,
+    name: str,
+    right_name: str,
+    n: int,
+    check: Callable[[Any, str, int], Any],
 ) -> tuple[Any, FloatVector]:
     """Return the checked matrix and right-hand side; none of either is no rows."""
     check_pair(matrix, right, name, right_name)

@@ -11,7 +11,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector, assembled, frozen, read_only
+from ...core.checks import (
+    DENSE_ABOVE_DENSITY,
+    DENSE_UP_TO_SIZE,
+    FloatVector,
+    assembled,
+    frozen,
+    read_only,
+)
 from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
@@ -20,7 +27,10 @@ from .convexity import LARGEST_CHECKED, negative_curvature
 
 FEW = 500  # unknowns and rows, of whose terms the sum says as much as the largest
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
-SPARSE, SPARSE_UP_TO = 0.3, 1e7  # share of entries; multiplications that sparse factors take more quickly
+SPARSE, SPARSE_UP_TO = (
+    0.3,
+    1e7,
+)  # share of entries; multiplications that sparse factors take more quickly
 Indices = NDArray[np.intp]
 T = TypeVar("T")
 
@@ -71,7 +81,11 @@ class ProgramMatrices:
     @cached_property
     def dense_rows(self) -> FloatVector:
         """[G; A] as an ndarray, C-contiguous."""
-        given = [one if isinstance(one, np.ndarray) else one.toarray() for one in (self.G, self.A) if one.shape[0]]
+        given = [
+            one if isinstance(one, np.ndarray) else one.toarray()
+            for one in (self.G, self.A)
+            if one.shape[0]
+        ]
         if len(given) == 1:
             return read_only(np.ascontiguousarray(given[0]))
         return read_only(np.vstack([np.zeros((0, self.P.shape[0])), *given]))
@@ -90,7 +104,15 @@ class ProgramMatrices:
     def stacked(self) -> FloatVector:
         """P above G above A as one ndarray, C-contiguous."""
         m, p, _, _ = self.sizes
-        given = (self.P, self.G, self.A) if m and p else (self.P, self.G) if m else (self.P, self.A) if p else (self.P,)
+        given = (
+            (self.P, self.G, self.A)
+            if m and p
+            else (self.P, self.G)
+            if m
+            else (self.P, self.A)
+            if p
+            else (self.P,)
+        )
         parts = [one if isinstance(one, np.ndarray) else one.toarray() for one in given]
         return read_only(np.concatenate(parts)) if len(parts) > 1 else parts[0]
 
@@ -108,7 +130,11 @@ class ProgramMatrices:
     def places(self) -> tuple[Any, Any, int]:
         """The row of each entry of [G; A] and of P as CSR, and the most terms that a column of [G; A] has, or n."""
         C, n = self.rows, self.P.shape[0]
-        return row_numbers(C), row_numbers(self.sparse_P), int(np.bincount(C.indices, minlength=1).max(initial=n))
+        return (
+            row_numbers(C),
+            row_numbers(self.sparse_P),
+            int(np.bincount(C.indices, minlength=1).max(initial=n)),
+        )
 
     @cached_property
     def components(self) -> Indices:
@@ -119,22 +145,29 @@ class ProgramMatrices:
 
         rows = vertically(self.rows, as_csr(self.P))
         m, n = rows.shape
-        both = sp.csr_array((np.ones(rows.nnz), rows.indices + m, np.append(rows.indptr, np.full(n, rows.nnz))),
-                            shape=(m + n, m + n))
+        both = sp.csr_array(
+            (np.ones(rows.nnz), rows.indices + m, np.append(rows.indptr, np.full(n, rows.nnz))),
+            shape=(m + n, m + n),
+        )
         return np.unique(connected_components(both, directed=False)[1][m:], return_inverse=True)[1]
 
     @cached_property
     def is_small(self) -> bool:
         """Whether a program with these matrices is small or dense: for daqp."""
         m, p, n, _ = self.sizes
-        entries = (one.size if isinstance(one, np.ndarray) else int(one.nnz) for one in (self.P, self.G, self.A))
+        entries = (
+            one.size if isinstance(one, np.ndarray) else int(one.nnz)
+            for one in (self.P, self.G, self.A)
+        )
         return may_be_small(n, m + p, entries)
 
     @cached_property
     def has_sparse_rows(self) -> bool:
         """Whether some constraints were given as a sparse array."""
         m, p = self.sizes[:2]
-        return bool((m and not isinstance(self.G, np.ndarray)) or (p and not isinstance(self.A, np.ndarray)))
+        return bool(
+            (m and not isinstance(self.G, np.ndarray)) or (p and not isinstance(self.A, np.ndarray))
+        )
 
     @cached_property
     def gradient(self) -> sp.csr_array:
@@ -149,8 +182,12 @@ class ProgramMatrices:
     @cached_property
     def entries(self) -> tuple[int, int]:
         """How many nonzeros P and [G; A] have."""
-        of_G, of_A = (one.nnz if sp.issparse(one) else np.count_nonzero(one) for one in (self.G, self.A))
-        return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(of_G + of_A)
+        of_G, of_A = (
+            one.nnz if sp.issparse(one) else np.count_nonzero(one) for one in (self.G, self.A)
+        )
+        return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(
+            of_G + of_A
+        )
 
     @cached_property
     def has_curvature(self) -> bool:
@@ -177,7 +214,11 @@ class ProgramMatrices:
 
         ∞ where P is clearly not semidefinite, 0 where it is too large to say.
         """
-        return 0.0 if self.P.shape[0] > LARGEST_CHECKED else negative_curvature(self.P, self.is_semidefinite)
+        return (
+            0.0
+            if self.P.shape[0] > LARGEST_CHECKED
+            else negative_curvature(self.P, self.is_semidefinite)
+        )
 
     @cached_property
     def null_space(self) -> FloatVector | None:
@@ -215,10 +256,15 @@ class ProgramMatrices:
         if left.size == m + p:
             return self
         first, columns = np.searchsorted(left, m), np.arange(self.P.shape[0])
-        return self.kept("rows", (left,), lambda: ProgramMatrices(
-            self.P, block(self.G, left[:first], columns) if first < m else self.G,
-            block(self.A, left[first:] - m, columns) if left.size - first < p else self.A,
-        ))
+        return self.kept(
+            "rows",
+            (left,),
+            lambda: ProgramMatrices(
+                self.P,
+                block(self.G, left[:first], columns) if first < m else self.G,
+                block(self.A, left[first:] - m, columns) if left.size - first < p else self.A,
+            ),
+        )
 
     def kept(self, name: str, keys: tuple[Any, ...], make: Callable[[], T]) -> T:
         """Return what was made for the same arrays the last time, or make it."""
@@ -287,7 +333,10 @@ def block(matrix: Any, rows: Indices, columns: Indices) -> Any:
         return read_only(matrix[rows][:, columns])
     if not len(rows):
         return no_rows(len(columns))
-    stays, place = np.zeros(matrix.shape[0], dtype=bool), np.full(matrix.shape[1], -1, dtype=matrix.indices.dtype)
+    stays, place = (
+        np.zeros(matrix.shape[0], dtype=bool),
+        np.full(matrix.shape[1], -1, dtype=matrix.indices.dtype),
+    )
     stays[rows], place[columns] = True, np.arange(len(columns))
     moved = place[matrix.indices]
     is_inside = np.repeat(stays, np.diff(matrix.indptr)) & (moved >= 0)
@@ -336,8 +385,12 @@ def vertically(*blocks: sp.csr_array) -> sp.csr_array:
     if len(filled) == 1 and filled[0].shape[1] == blocks[0].shape[1]:
         return filled[0]
     ends = np.cumsum([0, *(block.nnz for block in filled)])
-    starts = np.concatenate([block.indptr[:-1] + end for block, end in zip(filled, ends, strict=False)] + [ends[-1:]])
-    indices, data = (np.concatenate([getattr(block, part) for block in filled]) for part in ("indices", "data"))
+    starts = np.concatenate(
+        [block.indptr[:-1] + end for block, end in zip(filled, ends, strict=False)] + [ends[-1:]]
+    )
+    indices, data = (
+        np.concatenate([getattr(block, part) for block in filled]) for part in ("indices", "data")
+    )
     return assembled(data, indices, starts, (starts.size - 1, blocks[0].shape[1]))
 
 

@@ -77,9 +77,15 @@ class ReductionStep(ABC):
             whole = self.multipliers(np.array(found.multipliers, dtype=object), None)
             parts = {"multipliers": tuple(map(Fraction, whole))}
         else:
-            point, direction = (np.array(one, dtype=object) for one in (found.point, found.direction))
+            point, direction = (
+                np.array(one, dtype=object) for one in (found.point, found.direction)
+            )
             ends = self.point(point), self.point(direction, is_direction=True)
-            parts = dict(zip(("point", "direction"), (tuple(map(Fraction, end)) for end in ends), strict=True))
+            parts = dict(
+                zip(
+                    ("point", "direction"), (tuple(map(Fraction, end)) for end in ends), strict=True
+                )
+            )
         proof = replace(found, program=self.program, **parts)
         return proof if proof.verify() else None
 
@@ -177,17 +183,25 @@ class FoldedRows(ReductionStep):
     @classmethod
     def _of(cls, program: QuadraticProgram) -> FoldedRows:
         matrices, right = program.matrices, np.concatenate([program.h, program.b])
-        is_equality, (rows, columns, coefficient) = matrices.is_equality[: right.size], matrices.singletons
+        is_equality, (rows, columns, coefficient) = (
+            matrices.is_equality[: right.size],
+            matrices.singletons,
+        )
         with np.errstate(over="ignore"):
             limits = right[rows] / coefficient[rows]
         is_finite = np.isfinite(limits)
         rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
-        above, below = (is_equality[rows] | (sign * coefficient[rows] > 0.0) for sign in (1.0, -1.0))
+        above, below = (
+            is_equality[rows] | (sign * coefficient[rows] > 0.0) for sign in (1.0, -1.0)
+        )
         upper, upper_row = _tightest(program.upper, limits[above], columns[above], rows[above])
         negated, lower_row = _tightest(-program.lower, -limits[below], columns[below], rows[below])
         lower = -negated + 0.0  # no negative zeros
         contradicts = lower > upper
-        lower[contradicts], upper[contradicts] = program.lower[contradicts], program.upper[contradicts]
+        lower[contradicts], upper[contradicts] = (
+            program.lower[contradicts],
+            program.upper[contradicts],
+        )
         lower_row[contradicts] = upper_row[contradicts] = OWN
 
         is_empty = np.diff(matrices.rows.indptr) == 0
@@ -197,8 +211,12 @@ class FoldedRows(ReductionStep):
         folded = program
         if left.size < right.size:
             folded = program.with_matrices(
-                matrices.of_rows(left), program.c, program.h[left[left < program.h.size]],
-                right[left[left >= program.h.size]], lower, upper,
+                matrices.of_rows(left),
+                program.c,
+                program.h[left[left < program.h.size]],
+                right[left[left >= program.h.size]],
+                lower,
+                upper,
             )
         return cls(program, folded, left, lower_row, upper_row, coefficient)
 
@@ -211,7 +229,9 @@ class FoldedRows(ReductionStep):
 
     def inward(self, x: FloatVector, multipliers: FloatVector) -> tuple[FloatVector, FloatVector]:
         """Return x, and with the multiplier of each bound what the row has that gives it."""
-        rows, *bounds = np.split(multipliers.copy(), [self.coefficient.size, self.coefficient.size + x.size])
+        rows, *bounds = np.split(
+            multipliers.copy(), [self.coefficient.size, self.coefficient.size + x.size]
+        )
         for (sign, moved, owner), values in zip(self._moved, bounds, strict=True):
             values[moved] += np.maximum(sign * self.coefficient[owner] * rows[owner], 0.0)
         return x, np.concatenate([rows[self.left], *bounds])
@@ -224,8 +244,12 @@ class FoldedRows(ReductionStep):
         own = []
         for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
             moved = np.flatnonzero((owner != OWN) & (share != 0))
-            with np.errstate(over="ignore"):  # what is beyond the range of doubles is infinite, and no answer
-                every[owner[moved]] += sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
+            with np.errstate(
+                over="ignore"
+            ):  # what is beyond the range of doubles is infinite, and no answer
+                every[owner[moved]] += (
+                    sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
+                )
             own.append(np.where(owner == OWN, share, 0))
         return np.concatenate([every, *own])
 
@@ -258,10 +282,14 @@ class DefinedVariables(ReductionStep):
         A, n = as_csr(program.A), program.n
         if program.h.size or not program.b.size:
             return None
-        is_open = np.isinf(program.lower) & np.isinf(program.upper) & (program.matrices.diagonal > 0.0)
+        is_open = (
+            np.isinf(program.lower) & np.isinf(program.upper) & (program.matrices.diagonal > 0.0)
+        )
         places = np.flatnonzero((is_open & (np.bincount(A.indices, minlength=n) == 1))[A.indices])
         owners = np.repeat(np.arange(program.b.size), np.diff(A.indptr))[places]
-        order = np.lexsort((-np.abs(A.data[places]), owners))  # the largest entry of a row is the safest pivot
+        order = np.lexsort(
+            (-np.abs(A.data[places]), owners)
+        )  # the largest entry of a row is the safest pivot
         rows, first = np.unique(owners[order], return_index=True)
         if rows.size < program.b.size:
             return None
@@ -276,8 +304,10 @@ class DefinedVariables(ReductionStep):
         whole[defined] = shift
         slope = program.c + P @ whole
         reduced = type(program)(
-            0.5 * (reduced_P + reduced_P.T), slope[kept] - D.T @ slope[defined],
-            lower=program.lower[kept], upper=program.upper[kept],
+            0.5 * (reduced_P + reduced_P.T),
+            slope[kept] - D.T @ slope[defined],
+            lower=program.lower[kept],
+            upper=program.upper[kept],
         )
         return cls(program, reduced, defined, kept, D, shift, pivots)
 
@@ -288,7 +318,10 @@ class DefinedVariables(ReductionStep):
 
     def point(self, x: Any, *, is_direction: bool = False) -> Any:
         """Return x of all variables."""
-        whole, values = np.zeros(self.program.n, dtype=x.dtype), like(self.D.data, x) * x[self.D.indices]
+        whole, values = (
+            np.zeros(self.program.n, dtype=x.dtype),
+            like(self.D.data, x) * x[self.D.indices],
+        )
         whole[self.kept], sums = x, np.zeros(self.defined.size, dtype=x.dtype)
         np.add.at(sums, np.repeat(np.arange(sums.size), np.diff(self.D.indptr)), values)
         whole[self.defined] = -sums if is_direction else like(self.shift, x) - sums
@@ -304,10 +337,14 @@ class DefinedVariables(ReductionStep):
         return np.concatenate([own, *whole])
 
 
-def _tightest(own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices) -> tuple[FloatVector, Indices]:
+def _tightest(
+    own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices
+) -> tuple[FloatVector, Indices]:
     """Return the smallest limit of each variable and the row it comes from; a variable's own bound wins a tie."""
     tightest, owner = own.copy(), np.full(own.size, OWN)
     np.minimum.at(tightest, columns, limits)
-    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[::-1]  # of equal ones the first
+    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[
+        ::-1
+    ]  # of equal ones the first
     owner[columns[gives]] = rows[gives]
     return tightest, owner

@@ -44,7 +44,11 @@ CORRECTIONS = 2
 
 @np.errstate(all="ignore")  # what overflows bounds nothing
 def sharp_distance(
-    program: QuadraticProgram, curvature: Curvature, x: FloatVector, points: Sequence[FeasiblePoint], lower: float,
+    program: QuadraticProgram,
+    curvature: Curvature,
+    x: FloatVector,
+    points: Sequence[FeasiblePoint],
+    lower: float,
     columns: Any = slice(None),
 ) -> float:
     """Return a bound of ‖x − x*‖₂ in these columns for the optimal x*; ∞ where nothing is proved.
@@ -90,8 +94,17 @@ def sharp_distance(
     lengths = np.sqrt(_sums_of_squares(scaled)) * OUTWARD
     far = OUTWARD**2 * min(_far(x, point, lower, unit) for point in points)
     active = np.flatnonzero(is_equality | ~(value + radius + OUTWARD * lengths * sizes * far < 0.0))
-    found = _bound(program, curvature, x, unit, scaled[active], sizes[active], (matrix[active], is_equality[active]),
-                   (np.abs(value) + radius)[active], kept[active])
+    found = _bound(
+        program,
+        curvature,
+        x,
+        unit,
+        scaled[active],
+        sizes[active],
+        (matrix[active], is_equality[active]),
+        (np.abs(value) + radius)[active],
+        kept[active],
+    )
     return OUTWARD * found / float(unit[columns].min(initial=math.inf))
 
 
@@ -103,12 +116,22 @@ def _sums_of_squares(rows: sp.csr_array) -> FloatVector:
 def _far(x: FloatVector, point: FeasiblePoint, lower: float, unit: FloatVector) -> float:
     """Return a bound of ‖unit (x − x*)‖ by the value of a feasible point."""
     gap = 2.0 * max(point.value - lower, 0.0) * OUTWARD
-    return float(norm_above(unit * (np.abs(x - point.near) * OUTWARD + point.radius))) + math.sqrt(gap) * OUTWARD
+    return (
+        float(norm_above(unit * (np.abs(x - point.near) * OUTWARD + point.radius)))
+        + math.sqrt(gap) * OUTWARD
+    )
 
 
 def _bound(
-    program: QuadraticProgram, curvature: Curvature, x: FloatVector, unit: FloatVector, rows: sp.csr_array,
-    sizes: FloatVector, of_user: tuple[sp.csr_array, Any], missed: FloatVector, numbers: Any,
+    program: QuadraticProgram,
+    curvature: Curvature,
+    x: FloatVector,
+    unit: FloatVector,
+    rows: sp.csr_array,
+    sizes: FloatVector,
+    of_user: tuple[sp.csr_array, Any],
+    missed: FloatVector,
+    numbers: Any,
 ) -> float:
     """Return a bound of ‖unit (x − x*)‖ by the residuals of x; rows are those of I in units, `missed` is |δ|."""
     matrix, is_equality = of_user
@@ -120,7 +143,10 @@ def _bound(
         gram = sp.csr_array(rows @ rows.T)
         if not np.isfinite(gram.data).all() or not factor_fits(gram):
             return math.inf
-        factor, least = factorise(gram, is_symmetric=True), _least_singular_value(gram, rows.shape[1])
+        factor, least = (
+            factorise(gram, is_symmetric=True),
+            _least_singular_value(gram, rows.shape[1]),
+        )
         if factor is None or not least > 0.0:
             return math.inf
         slope = (P @ x + program.c) / unit
@@ -128,7 +154,9 @@ def _bound(
             multipliers -= factor.solve(rows @ (slope + rows.T @ multipliers))
         multipliers = np.where(is_equality, multipliers, np.maximum(multipliers, 0.0)) / sizes
     s, radius = compensated_product(
-        sp.csr_array(sp.hstack([P, matrix.T], format="csr")), np.concatenate([x, multipliers]), program.c
+        sp.csr_array(sp.hstack([P, matrix.T], format="csr")),
+        np.concatenate([x, multipliers]),
+        program.c,
     )
     steep = OUTWARD * float(norm_above((np.abs(s) + radius) / unit))
     missed_share = OUTWARD**2 * float(norm_above(missed / sizes)) / least
@@ -149,6 +177,9 @@ def _least_singular_value(gram: sp.csr_array, terms: int) -> float:
     if bound is None or not bound.is_rigorous:
         return 0.0
     largest = float(gram.diagonal().max())  # no product of two rows exceeds that
-    slip, scale = k * OUTWARD * (gamma(2 * terms + 16) + EPSILON) * largest, float(bound.scale.max())
+    slip, scale = (
+        k * OUTWARD * (gamma(2 * terms + 16) + EPSILON) * largest,
+        float(bound.scale.max()),
+    )
     squared = (bound.value - slip * scale * scale) / (scale * scale) / OUTWARD
     return math.sqrt(squared) / OUTWARD if squared > 0.0 else 0.0

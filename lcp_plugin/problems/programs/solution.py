@@ -65,19 +65,32 @@ class QPSolution:
     def __post_init__(self) -> None:
         """Keep read-only copies: the residuals are computed once."""
         n, program = self.program.n, self.program
-        sizes = {"x": n, "inequality": program.h.size, "equality": program.b.size, "lower": n, "upper": n}
+        sizes = {
+            "x": n,
+            "inequality": program.h.size,
+            "equality": program.b.size,
+            "lower": n,
+            "upper": n,
+        }
         for name, size in sizes.items():
             vector = checked_vector(getattr(self, name), name, size, allow_nan=name != "x")
             object.__setattr__(self, name, vector)
 
     @classmethod
-    def of_rows(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> QPSolution:
+    def of_rows(
+        cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector
+    ) -> QPSolution:
         """Return that of finite vectors, the multipliers of all ``program.constraints`` in one; they are kept."""
         m, p, n, _ = program.matrices.sizes
         made, every = object.__new__(cls), read_only(multipliers)
         made.__dict__.update(
-            program=program, x=read_only(x), inequality=every[:m], equality=every[m : m + p],
-            lower=every[m + p : m + p + n], upper=every[m + p + n :], multipliers=every,
+            program=program,
+            x=read_only(x),
+            inequality=every[:m],
+            equality=every[m : m + p],
+            lower=every[m + p : m + p + n],
+            upper=every[m + p + n :],
+            multipliers=every,
         )
         return made
 
@@ -124,7 +137,9 @@ class QPSolution:
             Where the program was not made by `from_ranges`.
         """
         if self.program.ranges is None:
-            raise InvalidProblem("the program has no ranges; use inequality and equality, or from_ranges to make it")
+            raise InvalidProblem(
+                "the program has no ranges; use inequality and equality, or from_ranges to make it"
+            )
         order, signs, count = self.program.ranges
         y: FloatVector = np.zeros(count)
         np.add.at(y, order, signs * np.concatenate([self.inequality, self.equality]))
@@ -155,7 +170,11 @@ class QPSolution:
         InvalidOption
             Where the tolerance is no number ≥ 0.
         """
-        if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)) or not tolerance >= 0.0:
+        if (
+            isinstance(tolerance, bool)
+            or not isinstance(tolerance, (int, float, np.number))
+            or not tolerance >= 0.0
+        ):
             raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
         return bool(self.own_errors.decide(float(tolerance)) or self._errors.meet(float(tolerance)))
 
@@ -164,7 +183,11 @@ class QPSolution:
 
         Or whether a quicker look says so already, beside the own terms of rows and columns alone.
         """
-        is_met = bool(self.own_errors.decide(tolerance)) if is_beside_own else self.is_stationary(tolerance)
+        is_met = (
+            bool(self.own_errors.decide(tolerance))
+            if is_beside_own
+            else self.is_stationary(tolerance)
+        )
         return is_met and not bends(self.program, self.x, tolerance)
 
     def is_sure(self, tolerance: float = 1e-6) -> bool:

@@ -125,9 +125,19 @@ class QuadraticProgramResult(Answer):
         problem.origin = problem.criterion = origin
         certificate = Certificate.of(problem, origin.stated(self.x, self.solution.multipliers))
         return Result(
-            certificate.z, certificate.w, self.status, certificate, self.algorithm, self.iterations,
-            sum(stage.work for stage in self.stages), self.seconds, self.setup_seconds, self.tolerance,
-            self.history, self.stages, self.proof,
+            certificate.z,
+            certificate.w,
+            self.status,
+            certificate,
+            self.algorithm,
+            self.iterations,
+            sum(stage.work for stage in self.stages),
+            self.seconds,
+            self.setup_seconds,
+            self.tolerance,
+            self.history,
+            self.stages,
+            self.proof,
         )
 
     @property
@@ -148,7 +158,10 @@ class QuadraticProgramResult(Answer):
     @property
     def duals(self) -> dict[str, FloatVector]:
         """The multipliers ``inequality``, ``equality``, ``lower``, ``upper``, with cvxpy's signs."""
-        return {name: getattr(self.solution, name) for name in ("inequality", "equality", "lower", "upper")}
+        return {
+            name: getattr(self.solution, name)
+            for name in ("inequality", "equality", "lower", "upper")
+        }
 
     @property
     def z(self) -> FloatVector:
@@ -178,18 +191,34 @@ class QuadraticProgramResult(Answer):
         happened, begins, to_do = ADVICE.get(self.status, self.status.value).partition(NEXT)
         words = [happened, *self._of_which("x")]
         if self.status is Status.PRECISION_LIMIT and self.program.facts.contradicts_by_rounding:
-            words.append("the constraints contradict one another by what is rounding beside their coefficients")
-        if self.program.n <= LARGEST_CHECKED and self.program.is_convex is False and not self.has_no_solution:
             words.append(
-                "P has a negative eigenvalue, which is taken for rounding" if self.is_solved else
-                "P has a negative eigenvalue, and if it is no rounding error the program is not convex"
+                "the constraints contradict one another by what is rounding beside their coefficients"
+            )
+        if (
+            self.program.n <= LARGEST_CHECKED
+            and self.program.is_convex is False
+            and not self.has_no_solution
+        ):
+            words.append(
+                "P has a negative eigenvalue, which is taken for rounding"
+                if self.is_solved
+                else "P has a negative eigenvalue, and if it is no rounding error the program is not convex"
             )
         return "; ".join(words) + begins + to_do
 
     def _numbers(self) -> dict[str, float]:
         names = ("primal_residual", "dual_residual", "duality_gap")
-        residuals = {} if self.has_no_solution else {name: float(getattr(self.solution, name)) for name in names}
-        return {**super()._numbers(), **residuals, "goal": self.goal, "setup_seconds": self.setup_seconds}
+        residuals = (
+            {}
+            if self.has_no_solution
+            else {name: float(getattr(self.solution, name)) for name in names}
+        )
+        return {
+            **super()._numbers(),
+            **residuals,
+            "goal": self.goal,
+            "setup_seconds": self.setup_seconds,
+        }
 
     def reached(self) -> str:
         """Return the residuals and what was asked of them, or what proves that there are none."""
@@ -235,7 +264,9 @@ def solve_program(
     clock = Clock()
     try:
         return _solved(program, algorithm, tolerance, dict(options), clock)
-    except KeyboardInterrupt:  # before the run, which has a point to hand back, or in an engine's call
+    except (
+        KeyboardInterrupt
+    ):  # before the run, which has a point to hand back, or in an engine's call
         return _interrupted(program, algorithm, tolerance, clock.read())
     except UnsupportedModel:
         if options.get("prove_infeasibility") is False or program.is_convex is not False:
@@ -248,7 +279,11 @@ def solve_program(
 
 
 def _solved(
-    program: QuadraticProgram, algorithm: Any, tolerance: float, options: dict[str, Any], clock: Clock
+    program: QuadraticProgram,
+    algorithm: Any,
+    tolerance: float,
+    options: dict[str, Any],
+    clock: Clock,
 ) -> QuadraticProgramResult:
     """Return the answer to a convex program."""
     if (start := options.pop("z0", None)) is not None:
@@ -259,7 +294,10 @@ def _solved(
     options = {name: wish for name, wish in options.items() if wish is not None}
     is_name = isinstance(algorithm, str)
     if algorithm == InteriorPoint.name if is_name else isinstance(algorithm, InteriorPoint):
-        algorithm, is_name = InteriorPoint.engine, True  # which it asks of an LCP, too, for its program
+        algorithm, is_name = (
+            InteriorPoint.engine,
+            True,
+        )  # which it asks of an LCP, too, for its program
     if algorithm in ENGINES if is_name else isinstance(algorithm, Engine):
         return _solved_by_engine(program, algorithm, tolerance, options)
     guess, is_auto = options.pop("guess", None), is_name and algorithm == "auto"
@@ -267,8 +305,11 @@ def _solved(
     goal, prove_infeasibility = program_goal(tolerance), options.get("prove_infeasibility", True)
     if may_ask_engines and (decided := _by_engines(program, tolerance, options, clock)) is not None:
         return decided
-    may_be_unheld = is_auto and prove_infeasibility and sp.issparse(program.P) and (
-        program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None
+    may_be_unheld = (
+        is_auto
+        and prove_infeasibility
+        and sp.issparse(program.P)
+        and (program.n <= LARGEST_CHECKED or null_space_by_rows(program.P) is not None)
     )
     # What is asked before a run, between its stages, and after it knows of the limit by this.
     with _limit(options):
@@ -279,9 +320,18 @@ def _solved(
             return _without_minimum(program, unheld, BY_FACTOR, tolerance, clock.read())
         result, solution, proof = _by_run(program, algorithm, tolerance, guess, options)
     meets_goal = solution.is_minimal(goal)
-    if proof is None and prove_infeasibility and not ended_by_caller(result, options) and not solution.is_sure(goal):
-        proof = program.facts.accepted_proof(goal, is_met=meets_goal and solution.holds_surely(goal))
-    is_nearly = solution.is_minimal(max(goal, NEARLY)) or (not meets_goal and _contradicts_by_rounding(program))
+    if (
+        proof is None
+        and prove_infeasibility
+        and not ended_by_caller(result, options)
+        and not solution.is_sure(goal)
+    ):
+        proof = program.facts.accepted_proof(
+            goal, is_met=meets_goal and solution.holds_surely(goal)
+        )
+    is_nearly = solution.is_minimal(max(goal, NEARLY)) or (
+        not meets_goal and _contradicts_by_rounding(program)
+    )
     status = _status(result, meets_goal, is_nearly, proof)
     if options.get("verbose") and status is not result.status:
         say(f"{status.name}: {ADVICE.get(status, status.value) if proof is None else proof}")
@@ -289,8 +339,18 @@ def _solved(
         result = replace(result, status=status, infeasibility=proof)
         solution = QPSolution.without_multipliers(program, solution.x)
     return QuadraticProgramResult(
-        status, solution, goal, result.algorithm, result.iterations, clock.read(), tolerance, result.stages,
-        result.history, result.setup_seconds, proof, _run=result,
+        status,
+        solution,
+        goal,
+        result.algorithm,
+        result.iterations,
+        clock.read(),
+        tolerance,
+        result.stages,
+        result.history,
+        result.setup_seconds,
+        proof,
+        _run=result,
     )
 
 
@@ -313,8 +373,15 @@ def _by_engines(
         history = _two_samples(by, found, clock.read()) if options.get("record") else ()
         status = Status.STALLED if found.contradicts else Status.SOLVED
         return QuadraticProgramResult(
-            status, found.solution, goal, f"auto: {by}", found.stage.iterations, clock.read(), tolerance,
-            (found.stage,), history,
+            status,
+            found.solution,
+            goal,
+            f"auto: {by}",
+            found.stage.iterations,
+            clock.read(),
+            tolerance,
+            (found.stage,),
+            history,
         )
     if found is not None:
         return _without_minimum(program, found, by, tolerance, clock.read())
@@ -323,7 +390,13 @@ def _by_engines(
     x = np.clip(0.0, program.lower, program.upper)
     nearest = QPSolution.of_rows(program, x, np.zeros(program.constraints.limit.size))
     return QuadraticProgramResult(
-        Status.PRECISION_LIMIT, nearest, goal, f"auto: {BY_ROWS}", 0, clock.read(), tolerance,
+        Status.PRECISION_LIMIT,
+        nearest,
+        goal,
+        f"auto: {BY_ROWS}",
+        0,
+        clock.read(),
+        tolerance,
         (StageRecord(BY_ROWS, NOT_MET, 0, 0.0),),
     )
 
@@ -352,23 +425,39 @@ def _solved_by_engine(
     why = Status.STALLED
     if run.says is Hint.STOPPED:
         why = Status.MAX_SECONDS if clock.read() >= settings.max_seconds else Status.MAX_ITERATIONS
-    status = proof.status if proof is not None else Status.SOLVED if meets_goal else (
-        Status.PRECISION_LIMIT if is_nearly else why
+    status = (
+        proof.status
+        if proof is not None
+        else Status.SOLVED
+        if meets_goal
+        else (Status.PRECISION_LIMIT if is_nearly else why)
     )
-    solution = run.solution if proof is None else QPSolution.without_multipliers(program, run.solution.x)
+    solution = (
+        run.solution if proof is None else QPSolution.without_multipliers(program, run.solution.x)
+    )
     steps, seconds = run.stage.iterations, clock.read()
     history = _two_samples(engine.name, run, seconds)
     if callback is not None:
         callback(history[-1], run.solution.x)
     return QuadraticProgramResult(
-        status, solution, goal, engine.name, steps, seconds, tolerance, (run.stage,),
-        history if settings.record else (), proof=proof,
+        status,
+        solution,
+        goal,
+        engine.name,
+        steps,
+        seconds,
+        tolerance,
+        (run.stage,),
+        history if settings.record else (),
+        proof=proof,
     )
 
 
 def _two_samples(name: str, run: EngineRun, seconds: float) -> tuple[Sample, Sample]:
     """Return what a record has of an engine: its start, of which nothing is known, and its end."""
-    return Sample(0, 0.0, 0.0, None, name), Sample(run.stage.iterations, 0.0, seconds, run.solution.error, name)
+    return Sample(0, 0.0, 0.0, None, name), Sample(
+        run.stage.iterations, 0.0, seconds, run.solution.error, name
+    )
 
 
 def _engine(algorithm: Any, options: dict[str, Any]) -> Engine:
@@ -396,7 +485,9 @@ def _interrupted(
     """Return the result of a run that Ctrl-C has ended: there is nothing of it."""
     solution = QPSolution.without_multipliers(program, np.clip(0.0, program.lower, program.upper))
     name = algorithm if isinstance(algorithm, str) else algorithm.name
-    return QuadraticProgramResult(Status.INTERRUPTED, solution, program_goal(tolerance), name, 0, seconds, tolerance)
+    return QuadraticProgramResult(
+        Status.INTERRUPTED, solution, program_goal(tolerance), name, 0, seconds, tolerance
+    )
 
 
 def _contradicts_by_rounding(program: QuadraticProgram) -> bool:
@@ -412,18 +503,36 @@ def _unheld(program: QuadraticProgram, goal: float) -> QPUnboundedness | None:
 
 
 def _without_minimum(
-    program: QuadraticProgram, proof: QPInfeasibility | QPUnboundedness, by: str, tolerance: float, seconds: float
+    program: QuadraticProgram,
+    proof: QPInfeasibility | QPUnboundedness,
+    by: str,
+    tolerance: float,
+    seconds: float,
 ) -> QuadraticProgramResult:
     """Return the result of a program that has no minimum, as was found without a run."""
-    x = np.clip(numbers(proof.point) if isinstance(proof, QPUnboundedness) else 0.0, program.lower, program.upper)
+    x = np.clip(
+        numbers(proof.point) if isinstance(proof, QPUnboundedness) else 0.0,
+        program.lower,
+        program.upper,
+    )
     return QuadraticProgramResult(
-        proof.status, QPSolution.without_multipliers(program, x), program_goal(tolerance), f"auto: {by}", 0, seconds,
-        tolerance, (StageRecord(by, NO_MINIMUM, 0, 0.0),), proof=proof,
+        proof.status,
+        QPSolution.without_multipliers(program, x),
+        program_goal(tolerance),
+        f"auto: {by}",
+        0,
+        seconds,
+        tolerance,
+        (StageRecord(by, NO_MINIMUM, 0, 0.0),),
+        proof=proof,
     )
 
 
 def _status(
-    result: Result, meets_goal: bool, is_nearly: bool, proof: QPInfeasibility | QPUnboundedness | None
+    result: Result,
+    meets_goal: bool,
+    is_nearly: bool,
+    proof: QPInfeasibility | QPUnboundedness | None,
 ) -> Status:
     """Return the proof's status, or that of a limit that came first; otherwise what the program's residuals say.
 
@@ -469,7 +578,11 @@ def _at_once(
             if run.meets_goal:
                 return engine.name, run
             is_hint = run.says in (Hint.INFEASIBLE, Hint.UNBOUNDED)
-            if prove_infeasibility and is_hint and (proof := program.facts.accepted_proof(goal)) is not None:
+            if (
+                prove_infeasibility
+                and is_hint
+                and (proof := program.facts.accepted_proof(goal)) is not None
+            ):
                 return engine.name, proof
             if run.contradicts and not prove_infeasibility:
                 return engine.name, run
@@ -484,7 +597,11 @@ def _at_once(
 
 
 def _by_run(
-    program: QuadraticProgram, algorithm: Any, tolerance: float, guess: FloatVector | None, options: dict[str, Any],
+    program: QuadraticProgram,
+    algorithm: Any,
+    tolerance: float,
+    guess: FloatVector | None,
+    options: dict[str, Any],
 ) -> tuple[Result, QPSolution, QPInfeasibility | QPUnboundedness | None]:
     """Return a run on the complementarity problem, the answer, and the proof that ended it."""
     refuse_nonconvex(program)
@@ -496,14 +613,25 @@ def _by_run(
 
     wants_proof = options.get("prove_infeasibility", True)
     run = run_program(
-        program, algorithm, tolerance, guess=guess, find_proof=find_proof if wants_proof else None, **options
+        program,
+        algorithm,
+        tolerance,
+        guess=guess,
+        find_proof=find_proof if wants_proof else None,
+        **options,
     )
     return *run, proofs[-1] if proofs else None
 
 
 def run_program(
-    program: QuadraticProgram, algorithm: Any, tolerance: float, *, guess: FloatVector | None = None,
-    find_proof: Callable[[], Any] | None = None, callback: Any = None, **options: Any,
+    program: QuadraticProgram,
+    algorithm: Any,
+    tolerance: float,
+    *,
+    guess: FloatVector | None = None,
+    find_proof: Callable[[], Any] | None = None,
+    callback: Any = None,
+    **options: Any,
 ) -> tuple[Result, QPSolution]:
     """Return a run on the complementarity problem of a program, and the answer; a proof that is found ends it."""
     problem, labels = optimality_conditions(program, puts_in=True), set[str]()
@@ -523,7 +651,11 @@ def run_program(
         options["max_seconds"] = min(left, options.get("max_seconds", math.inf))
     try:
         result = solve_lcp(
-            problem, algorithm, tolerance=tolerance, callback=ends if callback or find_proof else None, **options
+            problem,
+            algorithm,
+            tolerance=tolerance,
+            callback=ends if callback or find_proof else None,
+            **options,
         )
     except (UnsuitableMatrix, UnsuitableProblem) as refusal:
         what = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
@@ -553,12 +685,16 @@ def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgr
         Where it is no sequence of mappings from the names of vectors.
     """
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
-        raise InvalidProblem(f'a program takes a list of mappings, as [{{"b": b}}], got {type(vectors).__name__}')
+        raise InvalidProblem(
+            f'a program takes a list of mappings, as [{{"b": b}}], got {type(vectors).__name__}'
+        )
     programs: list[QuadraticProgram | LCPError] = []
     for k, one in enumerate(vectors):
         if not isinstance(one, Mapping) or (unknown := set(one) - VECTORS):
             what = f"the name {min(unknown)!r}" if isinstance(one, Mapping) else type(one).__name__
-            raise InvalidProblem(f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}")
+            raise InvalidProblem(
+                f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}"
+            )
         try:
             programs.append(program.with_vectors(**one))
         except LCPError as error:

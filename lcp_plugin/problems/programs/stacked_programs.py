@@ -49,26 +49,47 @@ class QuadraticProgramBatch:
     _shared: QuadraticProgram | None
 
     def __init__(
-        self, P: Any, c: ArrayLike, G: Any = None, h: ArrayLike | None = None, A: Any = None,
-        b: ArrayLike | None = None, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf,
+        self,
+        P: Any,
+        c: ArrayLike,
+        G: Any = None,
+        h: ArrayLike | None = None,
+        A: Any = None,
+        b: ArrayLike | None = None,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
     ) -> None:
         c = real_array(c, "c must have shape (B, n) or (n,)")
         if not c.ndim:
-            raise InvalidProblem(f"c must have shape (B, n) or (n,), got the number {c}; write [{c}]")
+            raise InvalidProblem(
+                f"c must have shape (B, n) or (n,), got the number {c}; write [{c}]"
+            )
         n = c.shape[-1]
         check_pair(G, h, "G", "h")
         check_pair(A, b, "A", "b")
-        given = {"P": P, "G": np.zeros((0, n)) if G is None else G, "A": np.zeros((0, n)) if A is None else A}
+        given = {
+            "P": P,
+            "G": np.zeros((0, n)) if G is None else G,
+            "A": np.zeros((0, n)) if A is None else A,
+        }
         matrices = {name: _checked_matrices(values, name, n) for name, values in given.items()}
         m, p = (matrices[name].shape[-2] for name in "GA")
-        right: dict[str, Any] = {"c": (c, n), "h": ([] if h is None else h, m), "b": ([] if b is None else b, p)}
+        right: dict[str, Any] = {
+            "c": (c, n),
+            "h": ([] if h is None else h, m),
+            "b": ([] if b is None else b, p),
+        }
         right |= {"lower": (lower, n), "upper": (upper, n)}
-        self.vectors = {name: rows_of_a_batch(values, name, size) for name, (values, size) in right.items()}
+        self.vectors = {
+            name: rows_of_a_batch(values, name, size) for name, (values, size) in right.items()
+        }
         h_rows = self.vectors["h"]
         self.vectors |= {name: as_stated(self.vectors[name]) for name in ("lower", "upper")}
         h_rows[h_rows >= INFINITE_LIMIT] = np.inf
         stacks = {name: values for name, values in matrices.items() if values.ndim == 3}
-        stacks |= {name: rows for name, rows in self.vectors.items() if np.ndim(right[name][0]) == 2}
+        stacks |= {
+            name: rows for name, rows in self.vectors.items() if np.ndim(right[name][0]) == 2
+        }
         self.count = length_of_all({name: len(rows) for name, rows in stacks.items()})
         self.sizes: tuple[int, int, int, int] = m, p, n, n
         self._shared, self._given = None, None
@@ -77,7 +98,9 @@ class QuadraticProgramBatch:
                 matrices["P"], np.zeros(n), matrices["G"], np.zeros(m), matrices["A"], np.zeros(p)
             )
             matrices = {name: getattr(self._shared, name) for name in matrices}
-        self.P, self.G, self.A = matrices.values() if self._shared is not None else map(_stack, matrices.values())
+        self.P, self.G, self.A = (
+            matrices.values() if self._shared is not None else map(_stack, matrices.values())
+        )
         self._is_symmetric: Any = True
         if self._shared is None:
             self.P, self._is_symmetric = _symmetric(self.P)
@@ -102,7 +125,10 @@ class QuadraticProgramBatch:
         QuadraticProgramBatch(2 programs, n=2)
         """
         given = [one for one in programs if isinstance(one, QuadraticProgram)]
-        (m, p, n, _), is_shared = example.matrices.sizes, all(one.matrices is example.matrices for one in given)
+        (m, p, n, _), is_shared = (
+            example.matrices.sizes,
+            all(one.matrices is example.matrices for one in given),
+        )
         if any(one.matrices.sizes != example.matrices.sizes for one in given):
             return None
         if not (is_shared or may_be_small(n, m + p, [n * (n + m + p)])):
@@ -114,7 +140,9 @@ class QuadraticProgramBatch:
         sizes = {"c": n, "h": m, "b": p, "lower": n, "upper": n}
         none = {name: np.full(size, np.nan) for name, size in sizes.items()}
         made.vectors = {
-            name: np.array([getattr(one, name, missing) for one in programs]).reshape(len(programs), missing.size)
+            name: np.array([getattr(one, name, missing) for one in programs]).reshape(
+                len(programs), missing.size
+            )
             for name, missing in none.items()
         }
         if is_shared:
@@ -141,7 +169,9 @@ class QuadraticProgramBatch:
 
         Matrices are of shape (B or 1, …), vectors (B, …), C-contiguous and read-only.
         """
-        c, h, b, lower, upper = (np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values())
+        c, h, b, lower, upper = (
+            np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values()
+        )
         P, G, A = map(_stack, (self.P, self.G, self.A))
         data = P, c, _beside(G, A), _beside(h, b), lower, upper
         return tuple(read_only(np.ascontiguousarray(array)) for array in data)
@@ -152,7 +182,9 @@ class QuadraticProgramBatch:
         c, h, b, lower, upper = self.vectors.values()
         with np.errstate(invalid="ignore"):
             has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
-            is_finite = np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1) & (h > -np.inf).all(axis=1)
+            is_finite = (
+                np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1) & (h > -np.inf).all(axis=1)
+            )
         return np.broadcast_to(has_values & is_finite & self._is_symmetric, self.count)
 
     def refuse_nonconvex(self) -> None:
@@ -180,7 +212,9 @@ class QuadraticProgramBatch:
         return QuadraticProgram(P, c, G, h, A, b, lower, upper)
 
     def __repr__(self) -> str:
-        return f"QuadraticProgramBatch({len(self)} program{'' if len(self) == 1 else 's'}, n={self.n})"
+        return (
+            f"QuadraticProgramBatch({len(self)} program{'' if len(self) == 1 else 's'}, n={self.n})"
+        )
 
 
 def _of(rows: Any, k: int) -> Any:
@@ -190,9 +224,15 @@ def _of(rows: Any, k: int) -> Any:
 
 def _checked_matrices(values: Any, name: str, n: int) -> Any:
     rows = n if name == "P" else "rows"
-    need = f"{name} must have shape (B, {rows}, {n}), or ({rows}, {n}) for all, as c has {n} entries"
+    need = (
+        f"{name} must have shape (B, {rows}, {n}), or ({rows}, {n}) for all, as c has {n} entries"
+    )
     matrices = values if sp.issparse(values) else real_array(values, need)
-    if matrices.ndim not in (2, 3) or matrices.shape[-1] != n or (name == "P" and matrices.shape[-2] != n):
+    if (
+        matrices.ndim not in (2, 3)
+        or matrices.shape[-1] != n
+        or (name == "P" and matrices.shape[-2] != n)
+    ):
         raise InvalidProblem(f"{need}; got shape {matrices.shape}")
     return matrices
 
@@ -207,7 +247,9 @@ def _beside(first: Any, second: Any) -> Any:
     if not first.shape[1] or not second.shape[1]:
         return first if first.shape[1] else second
     count = max(len(first), len(second))
-    return np.concatenate([np.broadcast_to(one, (count, *one.shape[1:])) for one in (first, second)], axis=1)
+    return np.concatenate(
+        [np.broadcast_to(one, (count, *one.shape[1:])) for one in (first, second)], axis=1
+    )
 
 
 def _symmetric(P: Any) -> tuple[Any, BoolVector]:
@@ -218,7 +260,9 @@ def _symmetric(P: Any) -> tuple[Any, BoolVector]:
         one, mirror = P[some], P[some].transpose(0, 2, 1)
         with np.errstate(invalid="ignore", over="ignore"):
             size = np.sqrt(np.abs(one).max(axis=2))
-            is_rounding = np.abs(one - mirror) <= SYMMETRIC_TO * size[:, :, np.newaxis] * size[:, np.newaxis]
+            is_rounding = (
+                np.abs(one - mirror) <= SYMMETRIC_TO * size[:, :, np.newaxis] * size[:, np.newaxis]
+            )
             is_symmetric[some], P = is_rounding.all(axis=(1, 2)), P.copy()
             P[some[is_symmetric[some]]] = ((one + mirror) * 0.5)[is_symmetric[some]]
     return P, is_symmetric

@@ -68,7 +68,9 @@ class AbsoluteValueOrigin:
             return AbsoluteValueSolution(self, checked_answer(answer, 2 * n)[:n])
         z = checked_answer(answer, n)
         # z is x⁻, and x⁺ = w from its definition, so that an error in z is not hidden by rounding in M.
-        return AbsoluteValueSolution(self, np.linalg.solve(_dense(self.A + self.B), self._right(z)) - z)
+        return AbsoluteValueSolution(
+            self, np.linalg.solve(_dense(self.A + self.B), self._right(z)) - z
+        )
 
     def _right(self, z: FloatVector) -> FloatVector:
         right: FloatVector = (self.A - self.B) @ z + self.b

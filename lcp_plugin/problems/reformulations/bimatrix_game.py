@@ -15,7 +15,9 @@ from ...core.errors import InvalidProblem, NotConverged
 from ...core.lcp import LCP
 
 FloatMatrix = NDArray[np.float64]
-DIGITS = 2.0**3  # times the smallest difference from a best payoff is a unit at most: none is lost beside it
+DIGITS = (
+    2.0**3
+)  # times the smallest difference from a best payoff is a unit at most: none is lost beside it
 SMALLEST_UNIT = 2.0**-900  # of payoffs up to 1: costs do not overflow
 
 
@@ -78,7 +80,9 @@ class GameOrigin:
         parts = np.split(np.maximum(checked_answer(answer, m + k), 0.0), [m])
         for part, player in zip(parts, ("row", "column"), strict=True):
             if not part.any():
-                raise NotConverged(f"z is no equilibrium: the {player} player has no action; solve the problem first")
+                raise NotConverged(
+                    f"z is no equilibrium: the {player} player has no action; solve the problem first"
+                )
         x, y = (part / part.max() for part in parts)  # a sum of huge numbers would overflow
         return Equilibrium(self.A, self.B, x / x.sum(), y / y.sum())
 
@@ -124,11 +128,15 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
         A, B = _payoffs_of(A, B)
     elif B is None:
         given = type(A).__name__
-        raise InvalidProblem(f"B is missing: a game is A and B, or one object with players, got {given} alone")
+        raise InvalidProblem(
+            f"B is missing: a game is A and B, or one object with players, got {given} alone"
+        )
     row_payoffs = _dense(rectangular_matrix(A, "A", None, None))
     m, k = row_payoffs.shape
     if not m or not k:
-        raise InvalidProblem(f"A must have at least one row and one column, got shape {row_payoffs.shape}")
+        raise InvalidProblem(
+            f"A must have at least one row and one column, got shape {row_payoffs.shape}"
+        )
     column_payoffs = _dense(rectangular_matrix(B, "B", m, k))
     M = np.zeros((m + k, m + k))
     M[:m, m:] = _costs(row_payoffs, own=0)
@@ -141,7 +149,9 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
 def _payoffs_of(game: Any, B: Any) -> tuple[Any, Any]:
     """Return (A, B) of a game whose players have each a `payoff_array`, the own action first."""
     if B is not None:
-        raise InvalidProblem(f"{type(game).__name__} brings the payoffs of both players; leave B out")
+        raise InvalidProblem(
+            f"{type(game).__name__} brings the payoffs of both players; leave B out"
+        )
     if len(game.players) != 2:
         raise InvalidProblem(f"a bimatrix game has two players, got a game of {len(game.players)}")
     row, column = (np.asarray(player.payoff_array) for player in game.players)
@@ -155,11 +165,15 @@ def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
     It is a power of two, small enough to keep the digits of every difference beside one huge payoff: of integers all
     are exact.
     """
-    payoffs = np.ldexp(payoffs, -int(np.frexp(np.abs(payoffs).max())[1]))  # differences do not overflow
+    payoffs = np.ldexp(
+        payoffs, -int(np.frexp(np.abs(payoffs).max())[1])
+    )  # differences do not overflow
     missed = payoffs.max(axis=own, keepdims=True) - payoffs
     if not missed.any():
         return np.ones_like(payoffs)
-    least, most = (_power_of_two(float(size)) for size in (missed[missed > 0.0].min(), missed.max()))
+    least, most = (
+        _power_of_two(float(size)) for size in (missed[missed > 0.0].min(), missed.max())
+    )
     unit = max(min(most, DIGITS * least), SMALLEST_UNIT)
     costs: FloatMatrix = 1.0 + missed / unit
     return costs

@@ -73,7 +73,7 @@ def derivative(result: ContactBatchResult) -> ContactBatchDerivative: ...
 def derivative(result: March) -> MarchDerivative: ...
 @np.errstate(under="ignore")
 def derivative(
-    result: Result | BatchResult | ContactBatchResult | March
+    result: Result | BatchResult | ContactBatchResult | March,
 ) -> Derivative | BatchDerivative | ContactBatchDerivative | MarchDerivative | ConeDerivative:
     """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
@@ -129,7 +129,9 @@ def derivative(
     if isinstance(result, ConeResult):
         return ConeDerivative(result.problem, result.z)
     certificate = result.certificate
-    return Derivative(certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised)
+    return Derivative(
+        certificate.problem, result.z, result.w, is_linearised=certificate.is_linearised
+    )
 
 
 class Derivative(Linearised):
@@ -159,7 +161,12 @@ class Derivative(Linearised):
     """
 
     def __init__(
-        self, problem: LCP, z: FloatVector, w: FloatVector, *, is_linearised: bool = False,
+        self,
+        problem: LCP,
+        z: FloatVector,
+        w: FloatVector,
+        *,
+        is_linearised: bool = False,
         before: Derivative | None = None,
     ) -> None:
         self.problem, self.is_linearised = problem, is_linearised
@@ -253,8 +260,13 @@ class Derivative(Linearised):
         return words_on_singular(system) if system.is_singular else ""
 
     def jvp(
-        self, *, dM: Any = None, dq: ArrayLike | None = None, dlower: ArrayLike | None = None,
-        dupper: ArrayLike | None = None, **named: Any,
+        self,
+        *,
+        dM: Any = None,
+        dq: ArrayLike | None = None,
+        dlower: ArrayLike | None = None,
+        dupper: ArrayLike | None = None,
+        **named: Any,
     ) -> FloatVector:
         """Return how z changes with the data, dz; one-sided where rows are degenerate.
 
@@ -298,9 +310,13 @@ class Derivative(Linearised):
         dz: FloatVector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
         return dz
 
-    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, **named: Any) -> FloatVector:
+    def dw(
+        self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, **named: Any
+    ) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
-        return self._product(self._own_part(dz, "dz")) + self._change(*self._with_named(dM, dq, named))
+        return self._product(self._own_part(dz, "dz")) + self._change(
+            *self._with_named(dM, dq, named)
+        )
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient | ContactGradient:
         """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
@@ -329,11 +345,20 @@ class Derivative(Linearised):
             problem.matrix.require_all_rows()
         g, by_w = self._own_part(g, "g"), self._optional(gw, "gw")
         rows, free = self._rows, self.free
-        by_w = np.where(free, 0.0, by_w)  # w stays 0 there, and its part would cancel only but for rounding
+        by_w = np.where(
+            free, 0.0, by_w
+        )  # w stays 0 there, and its part would cancel only but for rounding
         by_q, by_bound, _ = self.adjoint(g, by_w)
-        lower, upper = (np.where(free | (rows.is_upper != is_upper), 0.0, by_bound) for is_upper in (False, True))
+        lower, upper = (
+            np.where(free | (rows.is_upper != is_upper), 0.0, by_bound)
+            for is_upper in (False, True)
+        )
         gradient = Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
-        return problem.origin.gradient(gradient, self.z) if isinstance(problem.origin, Contacts) else gradient
+        return (
+            problem.origin.gradient(gradient, self.z)
+            if isinstance(problem.origin, Contacts)
+            else gradient
+        )
 
     def _with_named(
         self, dM: Any, dq: ArrayLike | None, named: Mapping[str, Any]
@@ -362,7 +387,9 @@ class Derivative(Linearised):
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
         """Return the change of the bound at which a row is, or would be."""
         is_lower = ~self._rows.is_upper
-        return np.where(is_lower, self._optional(dlower, "dlower"), self._optional(dupper, "dupper"))
+        return np.where(
+            is_lower, self._optional(dlower, "dlower"), self._optional(dupper, "dupper")
+        )
 
     def _optional(self, values: ArrayLike | None, name: str) -> FloatVector:
         """Return a finite vector: zeros where nothing is given; that of a bound may be of one number."""
@@ -372,7 +399,9 @@ class Derivative(Linearised):
 
     def _own_part(self, values: ArrayLike, name: str) -> FloatVector:
         """Return a finite vector; on ranks all of them refuse what one of them refuses."""
-        return self.problem.matrix.together(lambda: finite_vector(values, name, self.problem.q.size))
+        return self.problem.matrix.together(
+            lambda: finite_vector(values, name, self.problem.q.size)
+        )
 
     def _somewhere(self, is_so: bool) -> bool:
         """Return whether it is so on any rank."""
@@ -382,7 +411,9 @@ class Derivative(Linearised):
         return self._somewhere(bool(x.any()))
 
     def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
-        matrix = self.problem.matrix  # on several ranks it is symmetric where it is to be transposed
+        matrix = (
+            self.problem.matrix
+        )  # on several ranks it is symmetric where it is to be transposed
         is_turned = transposed and not matrix.is_distributed
         product: FloatVector = matrix.array.T @ x if is_turned else matrix.rows @ matrix.whole(x)
         return product

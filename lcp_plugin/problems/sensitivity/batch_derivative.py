@@ -23,7 +23,9 @@ from ..many.chunks import in_chunks
 R = TypeVar("R", bound=BatchAnswers[Any])
 CHANGES = ("dM", "dq", "dlower", "dupper")
 NUMBERS = "dlower", "dupper", "dfriction"  # which may be one number
-OF_ARRAYS = "; of contacts as arrays write jvp(**data.changes(dfriction=…)), data that of contact_data"
+OF_ARRAYS = (
+    "; of contacts as arrays write jvp(**data.changes(dfriction=…)), data that of contact_data"
+)
 
 
 class BatchPart(Linearised):
@@ -38,7 +40,10 @@ class BatchPart(Linearised):
 
         self.group, self.items, self.threads = group, group.items, threads
         self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
-        data, found = (group.M, group.q, group.lower, group.upper), (self.z, self.side, self.is_plain)
+        data, found = (
+            (group.M, group.q, group.lower, group.upper),
+            (self.z, self.side, self.is_plain),
+        )
         in_chunks(lambda first, end: settle_all(*data, first, end, *found), len(z), threads)
         self.free, self.is_upper = self.side % KINK == BETWEEN, self.side % KINK == AT_UPPER
         self.degenerate = self.side >= KINK
@@ -52,9 +57,18 @@ class BatchPart(Linearised):
 
     def gradients(self, g: Any, by_w: Any) -> list[Any]:
         """Return those by q, lower and upper, by least norm where blocks are singular, NaN where that is in doubt."""
-        g, by_w = np.broadcast_to(g, self.z.shape), np.where(self.free, 0.0, by_w)  # w stays 0 there
+        g, by_w = (
+            np.broadcast_to(g, self.z.shape),
+            np.where(self.free, 0.0, by_w),
+        )  # w stays 0 there
         by_q, by_bound, _ = self.adjoint(g, by_w)
-        return [by_q, *(np.where(self.free | (self.is_upper != side), 0.0, by_bound) for side in (False, True))]
+        return [
+            by_q,
+            *(
+                np.where(self.free | (self.is_upper != side), 0.0, by_bound)
+                for side in (False, True)
+            ),
+        ]
 
     def _product(self, x: Any, *, transposed: bool = False) -> Any:
         return products(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
@@ -62,14 +76,22 @@ class BatchPart(Linearised):
     def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
         from .kernels import solve_all
 
-        M = read_only(np.ascontiguousarray(self.group.M.swapaxes(1, 2))) if transposed else self.group.M
+        M = (
+            read_only(np.ascontiguousarray(self.group.M.swapaxes(1, 2)))
+            if transposed
+            else self.group.M
+        )
         x, data = np.empty(self.z.shape), (M, self.side, read_only(np.array(right)))
-        in_chunks(lambda first, end: solve_all(*data, first, end, x, self.is_plain), len(x), self.threads)
+        in_chunks(
+            lambda first, end: solve_all(*data, first, end, x, self.is_plain), len(x), self.threads
+        )
         singular = np.flatnonzero(self.is_plain & np.isnan(x[:, 0]))
         if transposed and singular.size:
             blocks = FreeBlocks(self.group.chosen(singular).M, self.free[singular])
             x[singular] = np.where(
-                blocks.is_singular[:, np.newaxis], blocks.solve(right[singular], transposed=True), np.nan
+                blocks.is_singular[:, np.newaxis],
+                blocks.solve(right[singular], transposed=True),
+                np.nan,
             )
         return x
 
@@ -150,7 +172,10 @@ class ManyDerivatives(Generic[R]):
         return np.flatnonzero(is_left).tolist()
 
     def _fill(
-        self, tables: Sequence[Any], of_part: Callable[[Any], Sequence[Any]], of_one: Callable[[int], Sequence[Any]]
+        self,
+        tables: Sequence[Any],
+        of_part: Callable[[Any], Sequence[Any]],
+        of_one: Callable[[int], Sequence[Any]],
     ) -> list[int]:
         """Write the rows of all items that have any, and return which of them were asked one by one.
 
@@ -175,7 +200,11 @@ class ManyDerivatives(Generic[R]):
     def _forget_unasked(self, tables: Sequence[Any], *given: Any) -> None:
         """Write 0 for the items without a derivative of which functions with these gradients ask for none."""
         for k in self.errors:
-            rows = [one[k] if not self._is_even or np.ndim(one) > 1 else one for one in given if one is not None]
+            rows = [
+                one[k] if not self._is_even or np.ndim(one) > 1 else one
+                for one in given
+                if one is not None
+            ]
             if not any(np.any(np.asarray(row) != 0.0) for row in rows):
                 for table in tables:
                     table[k][:] = 0.0
@@ -192,7 +221,9 @@ class ManyDerivatives(Generic[R]):
         given = np.broadcast_to(given, shape) if is_there.all() else np.where(is_there, given, 0.0)
         if not np.isfinite(given).all():
             at = tuple(np.argwhere(~np.isfinite(given))[0].tolist())
-            raise InvalidProblem(f"{name} must be finite, but {name}{[*at]} = {given[at]}; repair that entry")
+            raise InvalidProblem(
+                f"{name} must be finite, but {name}{[*at]} = {given[at]}; repair that entry"
+            )
         return given
 
 
@@ -242,13 +273,20 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         """The rows that are at a bound and have w = 0, shape (B, n) or a list, of bool."""
         degenerate = self._table(False)
         self._fill(
-            [degenerate], lambda part: [part.degenerate],
+            [degenerate],
+            lambda part: [part.degenerate],
             lambda k: [np.isin(np.arange(degenerate[k].size), self[k].degenerate)],
         )
         return degenerate
 
     def jvp(
-        self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None, **named: Any
+        self,
+        *,
+        dM: Any = None,
+        dq: Any = None,
+        dlower: Any = None,
+        dupper: Any = None,
+        **named: Any,
     ) -> Any:
         """Return how each z changes with its data, dz; one-sided where rows are degenerate.
 
@@ -287,7 +325,8 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
             h = _sum(h, self._product(dM))
         h, dz = _sum(h, self._by_name(named)) if named else h, self._table(np.nan)
         self._fill(
-            [dz], lambda part: part.changes(*(_chosen(rows, part.items) for rows in (h, low, high))),
+            [dz],
+            lambda part: part.changes(*(_chosen(rows, part.items) for rows in (h, low, high))),
             lambda k: [self[k].jvp(dq=h[k], dlower=low[k], dupper=high[k])],
         )
         return dz
@@ -320,9 +359,14 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
                [ 0. , -0.5]]), array([[-1.25,  0.  ],
                [ 0.  , -1.  ]]))
         """
-        rows, by_w, tables = self._rows_of(g, "g"), self._rows_of(gw, "gw"), [self._table(np.nan) for _ in range(3)]
+        rows, by_w, tables = (
+            self._rows_of(g, "g"),
+            self._rows_of(gw, "gw"),
+            [self._table(np.nan) for _ in range(3)],
+        )
         left = self._fill(
-            tables, lambda part: part.gradients(_chosen(rows, part.items), _chosen(by_w, part.items)),
+            tables,
+            lambda part: part.gradients(_chosen(rows, part.items), _chosen(by_w, part.items)),
             lambda k: [*self[k].vjp(rows[k], by_w[k])][:3],  # its M comes later
         )
         self._forget_unasked(tables, g, gw)
@@ -343,8 +387,13 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         """The groups of small problems, settled."""
         z = self.batch.z
         return [
-            BatchPart(group, z[group.items] if self._is_even else np.array([z[k] for k in group.items]),
-                      self._is_solved[group.items], self.batch.threads) for group in self.batch.items.groups(every=True)
+            BatchPart(
+                group,
+                z[group.items] if self._is_even else np.array([z[k] for k in group.items]),
+                self._is_solved[group.items],
+                self.batch.threads,
+            )
+            for group in self.batch.items.groups(every=True)
         ]
 
     @property
@@ -352,13 +401,19 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         return isinstance(self.batch.z, np.ndarray)
 
     def _table(self, value: Any) -> Any:
-        return np.full(self.batch.z.shape, value) if self._is_even else [np.full(z.size, value) for z in self.batch.z]
+        return (
+            np.full(self.batch.z.shape, value)
+            if self._is_even
+            else [np.full(z.size, value) for z in self.batch.z]
+        )
 
     def _rows_of(self, values: Any, name: str) -> Any:
         """Return a vector a problem; those of unsolved problems may be anything."""
         if self._is_even:
             is_there = np.broadcast_to(self._is_solved[:, np.newaxis], self.batch.z.shape)
-            return self._given(np.zeros(is_there.shape[1]) if values is None else values, name, is_there)
+            return self._given(
+                np.zeros(is_there.shape[1]) if values is None else values, name, is_there
+            )
         if values is None or (is_number(values) and name in NUMBERS):
             values = self._table(float(values or 0.0))
         self._require_one_each(values, name, "vectors")
@@ -370,7 +425,9 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
     def _require_one_each(self, values: Any, name: str, things: str) -> None:
         if not isinstance(values, Sequence) or len(values) != len(self):
             got = len(values) if isinstance(values, Sequence) else type(values).__name__
-            raise InvalidProblem(f"{name} must be a list of {len(self)} {things}, one a problem, got {got}")
+            raise InvalidProblem(
+                f"{name} must be a list of {len(self)} {things}, one a problem, got {got}"
+            )
 
     def _by_name(self, named: dict[str, Any]) -> Any:
         """Return dM z + dq of each problem, by changes of the data that it was made from."""
@@ -379,7 +436,9 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
                 self._require_one_each(values, name, "changes")
         rows = self._table(0.0)
         for k in range(len(self)):
-            own = {name: values if is_number(values) else values[k] for name, values in named.items()}
+            own = {
+                name: values if is_number(values) else values[k] for name, values in named.items()
+            }
             origin = None if k in self.batch.errors else self.batch.items.problem(k).origin
             changes = changes_by_name(origin, own, CHANGES, OF_ARRAYS)
             if self._is_solved[k]:
@@ -393,7 +452,9 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
             self._require_one_each(dM, "dM", "matrices")
             rows = self._table(0.0)
             for k in np.flatnonzero(self._is_solved):
-                rows[k] = rectangular_matrix(dM[k], f"dM[{k}]", rows[k].size, rows[k].size) @ self.z[k]
+                rows[k] = (
+                    rectangular_matrix(dM[k], f"dM[{k}]", rows[k].size, rows[k].size) @ self.z[k]
+                )
             return rows
         n, z = self.batch.z.shape[1], self.z.copy()
         z[~self._is_solved] = 0.0
@@ -404,7 +465,11 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
 
 
 def _sum(rows: Any, others: Any) -> Any:
-    return rows + others if isinstance(rows, np.ndarray) else [a + b for a, b in zip(rows, others, strict=True)]
+    return (
+        rows + others
+        if isinstance(rows, np.ndarray)
+        else [a + b for a, b in zip(rows, others, strict=True)]
+    )
 
 
 def _chosen(rows: Any, items: Any) -> Any:

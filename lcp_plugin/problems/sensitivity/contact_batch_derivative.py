@@ -32,7 +32,9 @@ class _Worlds(Blocks):
 
     def __init__(self, W: Any, b: Any, friction: Any, dimension: int) -> None:
         rows = LCP(sp.csr_array((b.size, b.size)), b.ravel(), lower=-np.inf)
-        super().__init__(rows, np.arange(0, b.size + 1, dimension), friction.ravel(), has_friction=True)
+        super().__init__(
+            rows, np.arange(0, b.size + 1, dimension), friction.ravel(), has_friction=True
+        )
         self.W, self.d = W, dimension
 
     def slack(self, z: Any) -> Any:
@@ -98,7 +100,8 @@ class _Together(ConeDerivative):
         (count, n), d = self.shape, self.problem.d
         places = np.arange(n // d)
         self._J.reshape(count, n // d, d, n // d, d)[:, places, :, places] += own.reshape(
-            count, n // d, d, d).swapaxes(0, 1)
+            count, n // d, d, d
+        ).swapaxes(0, 1)
 
     def _refined(self, z: Any) -> Any:
         problem, shape = self.problem, self.shape
@@ -121,7 +124,9 @@ class _Together(ConeDerivative):
             is_better = np.repeat((before > goal) & (largest(R_after) < before), shape[1])
             if not is_better.any():
                 break
-            z, w, R = (np.where(is_better, *pair) for pair in ((after, z), (w_after, w), (R_after, R)))
+            z, w, R = (
+                np.where(is_better, *pair) for pair in ((after, z), (w_after, w), (R_after, R))
+            )
         return z
 
     def _sums_of_sizes(self) -> Any:
@@ -132,7 +137,9 @@ class _Together(ConeDerivative):
         return products(W.swapaxes(1, 2) if transposed else W, x.reshape(self.shape)).ravel()
 
     def _by_slack(self, x: Any, *, transposed: bool = False) -> Any:
-        return products(self._by_w.swapaxes(1, 2) if transposed else self._by_w, x.reshape(-1, self.problem.d)).ravel()
+        return products(
+            self._by_w.swapaxes(1, 2) if transposed else self._by_w, x.reshape(-1, self.problem.d)
+        ).ravel()
 
     def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
         return self.blocks.solve(right.reshape(self.shape), transposed=transposed).ravel()
@@ -213,9 +220,15 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
             for k in range(first, end):
                 own = slice(k * TOGETHER, (k + 1) * TOGETHER)
                 W = np.where(is_solved[own, :, np.newaxis], worlds.W[own], np.eye(worlds.n))
-                b, at, mu = (np.where(is_solved[own], one[own], 0.0) for one in (worlds.b, z, worlds.friction))
+                b, at, mu = (
+                    np.where(is_solved[own], one[own], 0.0)
+                    for one in (worlds.b, z, worlds.friction)
+                )
                 parts[k] = _Together(
-                    _Worlds(W, b, mu, worlds.dimension), at, np.arange(len(self))[own], self._is_solved[own]
+                    _Worlds(W, b, mu, worlds.dimension),
+                    at,
+                    np.arange(len(self))[own],
+                    self._is_solved[own],
                 )
 
         in_chunks(derive, len(parts), self.batch.threads)
@@ -231,9 +244,13 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
     @cached_property
     def degenerate(self) -> Any:
         """The contacts on the edge of two cases, shape (B, k), of bool: there the derivative is one of several."""
-        degenerate, counts = np.zeros(self.batch.worlds.friction.shape, np.bool_), self.batch.worlds.contacts
+        degenerate, counts = (
+            np.zeros(self.batch.worlds.friction.shape, np.bool_),
+            self.batch.worlds.contacts,
+        )
         self._fill(
-            [degenerate], lambda part: [part.is_degenerate],
+            [degenerate],
+            lambda part: [part.is_degenerate],
             lambda k: [np.isin(np.arange(counts[k]), self[k].degenerate)],
         )
         return degenerate
@@ -252,17 +269,31 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
     def advice(self) -> str:
         """What to know of derivatives that are not the only ones, in words; "" where none is known of others."""
         parts = (
-            (self.degenerate.any(axis=1), "have contacts on the edge of two cases: jvp is one-sided there, and vjp the "
-             "gradient of one of the pieces that meet"),
-            (self.is_singular, "have several impulses for one motion: dz is the least change, that of the motion is "
-             "the same for all"),
+            (
+                self.degenerate.any(axis=1),
+                "have contacts on the edge of two cases: jvp is one-sided there, and vjp the "
+                "gradient of one of the pieces that meet",
+            ),
+            (
+                self.is_singular,
+                "have several impulses for one motion: dz is the least change, that of the motion is "
+                "the same for all",
+            ),
             (~self._is_solved, "have no derivative: errors says why"),
         )
         of_all = f"of {len(self)} worlds"
-        return "; ".join(f"{which.sum()} {of_all} ({_named(which)}) {words}" for which, words in parts if which.any())
+        return "; ".join(
+            f"{which.sum()} {of_all} ({_named(which)}) {words}"
+            for which, words in parts
+            if which.any()
+        )
 
     def jvp(
-        self, *, dq: ArrayLike | None = None, dM: ArrayLike | None = None, dfriction: ArrayLike | None = None,
+        self,
+        *,
+        dq: ArrayLike | None = None,
+        dM: ArrayLike | None = None,
+        dfriction: ArrayLike | None = None,
         **named: Any,
     ) -> Any:
         """Return the changes dz that changes of the data make, shape (B, n); one-sided where contacts are degenerate.
@@ -283,13 +314,23 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
             For any other name.
         """
         changes_by_name(None, named, CHANGES, BY_HAND)
-        db, dW, slopes = self._by_world(dq, "dq"), self._by_world(dM, "dM"), self._by_world(dfriction, "dfriction")
+        db, dW, slopes = (
+            self._by_world(dq, "dq"),
+            self._by_world(dM, "dM"),
+            self._by_world(dfriction, "dfriction"),
+        )
         change, dz = self._moved(db, dW), np.full(db.shape, np.nan)
 
         def alone(k: int) -> list[Any]:
             own = slice(self[k].z.size)
             by_matrix = None if dW is None else dW[k, own, own]
-            return [self[k].jvp(dq=db[k, own], dM=by_matrix, dfriction=slopes[k, :self.batch.worlds.contacts[k]])]
+            return [
+                self[k].jvp(
+                    dq=db[k, own],
+                    dM=by_matrix,
+                    dfriction=slopes[k, : self.batch.worlds.contacts[k]],
+                )
+            ]
 
         self._fill([dz], lambda part: part.changes(change[part.items], slopes[part.items]), alone)
         return dz
@@ -324,21 +365,32 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
             gradient = self[k].vjp(by_z[k, own], by_w[k, own])
             return gradient.q, gradient.friction
 
-        self._fill(tables, lambda part: part.rows_of_gradients(by_z[part.items], by_w[part.items]), alone)
+        self._fill(
+            tables, lambda part: part.rows_of_gradients(by_z[part.items], by_w[part.items]), alone
+        )
         self._forget_unasked(tables, g, gw)
         return ContactBatchGradient(*tables, np.where(self._is_solved[:, np.newaxis], self.z, 0.0))
 
     def _moved(self, db: Any, dW: Any) -> Any:
         """Return dW z + db, shape (B, n)."""
-        return db if dW is None else products(dW, np.where(self._is_solved[:, np.newaxis], self.z, 0.0)) + db
+        return (
+            db
+            if dW is None
+            else products(dW, np.where(self._is_solved[:, np.newaxis], self.z, 0.0)) + db
+        )
 
     def _by_world(self, values: Any, name: str) -> Any:
         """Return changes or gradients world by world, 0 behind the last contact of each; None of no dM."""
         if name == "dM" and values is None:
             return None
-        worlds, like = self.batch.worlds, self.batch.worlds.friction if name == "dfriction" else self.batch.z
+        worlds, like = (
+            self.batch.worlds,
+            self.batch.worlds.friction if name == "dfriction" else self.batch.z,
+        )
         counts = worlds.contacts * (1 if name == "dfriction" else worlds.dimension)
-        is_there = (np.arange(like.shape[1]) < counts[:, np.newaxis]) & self._is_solved[:, np.newaxis]
+        is_there = (np.arange(like.shape[1]) < counts[:, np.newaxis]) & self._is_solved[
+            :, np.newaxis
+        ]
         if name == "dM":
             is_whole = is_there.all()
             is_there = np.broadcast_to(is_there[:, :, np.newaxis], worlds.W.shape)

@@ -44,7 +44,10 @@ def solution(system: FreeSystem, right: FloatVector, *, transposed: bool = False
     x, right = np.zeros(right.size), right[system.rows]
     part = (inverse.T if transposed else inverse) @ right
     left = np.abs(right - system.block @ part)
-    if not transposed and (left > CONSISTENT * (abs(system.block) @ np.abs(part) + np.abs(right))).any():
+    if (
+        not transposed
+        and (left > CONSISTENT * (abs(system.block) @ np.abs(part) + np.abs(right))).any()
+    ):
         raise UnsuitableProblem(
             f"M is singular on the {part.size} free rows, and after this change no z solves them: there is no "
             "derivative in this direction; regularise M, or change q within what M z can give"

@@ -131,8 +131,17 @@ def _judged(M, k, real, whole, beside):  # type: ignore[no-untyped-def]
             largest = max(largest, abs(M[k, i, j]))
             size += abs(M[k, i, j] * real[FOUND, j])
             terms += M[k, i, j] != 0.0
-        z, w, lower, upper, side = real[FOUND, i], abs(real[W, i]), real[LOWER, i], real[UPPER, i], whole[SIDE, i]
-        distance, floor = min(z - lower, upper - z) * real[SCALE, i], terms * EPSILON * (size + largest * beside)
+        z, w, lower, upper, side = (
+            real[FOUND, i],
+            abs(real[W, i]),
+            real[LOWER, i],
+            real[UPPER, i],
+            whole[SIDE, i],
+        )
+        distance, floor = (
+            min(z - lower, upper - z) * real[SCALE, i],
+            terms * EPSILON * (size + largest * beside),
+        )
         if side == BETWEEN:
             is_exact &= w <= floor
         else:

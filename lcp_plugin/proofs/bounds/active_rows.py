@@ -86,7 +86,9 @@ def settled_rows(
     if settled is None:
         return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
     at, system, left = settled
-    return _judged(problem, at.high, 0.5 * (at.slack - at.negative_slack), at.above, at.below, system, left)
+    return _judged(
+        problem, at.high, 0.5 * (at.slack - at.negative_slack), at.above, at.below, system, left
+    )
 
 
 @np.errstate(all="ignore")
@@ -128,13 +130,20 @@ def _settled(
 
 @np.errstate(all="ignore")
 def _judged(
-    problem: LCP, z: FloatVector, w: FloatVector, above: FloatVector, below: FloatVector, system: FreeSystem | None,
+    problem: LCP,
+    z: FloatVector,
+    w: FloatVector,
+    above: FloatVector,
+    below: FloatVector,
+    system: FreeSystem | None,
     left: FloatVector | None = None,
 ) -> ActiveRows:
     """Return what each row does by z and w, where z may be as far from the solution as `left` says."""
     scale = problem.residual_scale
     floor = rounding_floor(problem, magnitude(problem, problem.matrix.whole(z)), scale)
-    beside_largest = np.minimum(scale / problem.matrix.row_largest, 1.0)  # by a tiny diagonal entry no row moves z_i
+    beside_largest = np.minimum(
+        scale / problem.matrix.row_largest, 1.0
+    )  # by a tiny diagonal entry no row moves z_i
     near, slight = floor * beside_largest, floor
     if left is not None:
         size = abs(problem.matrix.array)
@@ -226,4 +235,6 @@ def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
     transpose = LinearOperator(
         sparse.shape, dtype=np.float64, matvec=lambda x: factor.solve(x, "T"), rmatvec=factor.solve
     )
-    return float(onenormest(transpose, t=1))  # more columns at once would be drawn from numpy's global generator
+    return float(
+        onenormest(transpose, t=1)
+    )  # more columns at once would be drawn from numpy's global generator

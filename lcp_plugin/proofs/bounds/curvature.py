@@ -93,7 +93,11 @@ def curvature(P: Any) -> Curvature:
     ends = np.cumsum(sizes)
     for k in np.flatnonzero(sizes > 1).tolist():
         block = np.sort(order[ends[k] - sizes[k] : ends[k]])
-        found = _weights(sp.csr_array(rows[block][:, block])) if not is_over() else np.full(block.size, -np.inf)
+        found = (
+            _weights(sp.csr_array(rows[block][:, block]))
+            if not is_over()
+            else np.full(block.size, -np.inf)
+        )
         if found is None:
             return Curvature(np.full(weights.size, -np.inf), "P has a negative eigenvalue")
         weights[block] = found
@@ -116,10 +120,14 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
     own, rows = curvature(P), sp.csr_array(A)
     if own.indefinite or (own.weights > 0.0).all() or not rows.nnz or is_over():
         return own
-    if np.count_nonzero(np.diff(sp.csr_array(P).indptr)) + rows.shape[0] < own.weights.size:  # ranks add to less than n
+    if (
+        np.count_nonzero(np.diff(sp.csr_array(P).indptr)) + rows.shape[0] < own.weights.size
+    ):  # ranks add to less than n
         return own
     square = sp.csr_array(rows.T @ rows)
-    bent, held = (float(np.max(matrix.diagonal(), initial=0.0)) for matrix in (sp.csr_array(P), square))
+    bent, held = (
+        float(np.max(matrix.diagonal(), initial=0.0)) for matrix in (sp.csr_array(P), square)
+    )
     if held == 0.0 or bent / held == np.inf:  # the squares underflow
         return own
     penalty = float(np.exp2(np.round(np.log2(bent / held)))) if bent / held > 0.0 else 1.0

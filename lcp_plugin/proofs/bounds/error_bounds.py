@@ -28,7 +28,10 @@ from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of
 SMALL = 1000  # up to here every stage is cheap
 STEPS = 12  # each takes two digits off the bound, at the cost of a third of a linear solve
 LOOSE = 1e3  # times the residual: from here on a sharper bound is worth a linear solve
-SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = 0.05, 0.5  # what is left to gain, relative to a lower bound of the error
+SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = (
+    0.05,
+    0.5,
+)  # what is left to gain, relative to a lower bound of the error
 LEAST_GAP = 0.2  # of the contraction of a sweep from 1: 35 sweeps are then enough, a third of a linear solve
 NEARER = 1e-2  # what sweeps shall leave of the error, as far as the certificate knows
 
@@ -110,7 +113,10 @@ class ErrorBound:
         return self.kind == "rigorous" and self.relative <= tolerance
 
     def __str__(self) -> str:
-        word, undecided = "≤" if self.kind == "rigorous" else "≲", self.n - self.active - self.inactive
+        word, undecided = (
+            "≤" if self.kind == "rigorous" else "≲",
+            self.n - self.active - self.inactive,
+        )
         return (
             f"‖z − z*‖∞ {word} {self.infinity:.3e}, relative {self.relative:.3e} ({self.kind}, {self.method})\n"
             f"proven: {self.active} active, {self.inactive} inactive, {undecided} of {self.n} undecided"
@@ -165,12 +171,16 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     with np.errstate(all="ignore"):  # what overflows bounds nothing
         family = bounds_of(problem.matrix)
         if family is None:
-            raise UnsuitableMatrix(NO_PROOF_ON_RANKS if problem.is_distributed else _why_not(problem))
+            raise UnsuitableMatrix(
+                NO_PROOF_ON_RANKS if problem.is_distributed else _why_not(problem)
+            )
         found = _bound(problem, z, family, sharp=sharp and not problem.is_distributed)
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def _bound(problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool) -> ErrorBound:
+def _bound(
+    problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool
+) -> ErrorBound:
     if not problem.matrix.all_rows(np.isfinite(z)):
         return _nothing_known(problem, family.kind, family.method)
     at = RowInequality.at(problem, z)
@@ -215,11 +225,20 @@ class BestBound:
         is_proof = kind == "rigorous"
         sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
         infinity, residual = problem.matrix.each_largest(*sizes)
-        of_components = (largest_of_components(problem, np.abs(one)).tolist() for one in (y, self.z))
+        of_components = (
+            largest_of_components(problem, np.abs(one)).tolist() for one in (y, self.z)
+        )
         relative = problem.matrix.largest_of(max(map(relative_to, *of_components), default=0.0))
         return _counted(
-            problem, y, active & is_proof | (problem.lower == problem.upper), inactive & is_proof, infinity=infinity,
-            relative=relative, kind=kind, method=self.method, residual=residual,
+            problem,
+            y,
+            active & is_proof | (problem.lower == problem.upper),
+            inactive & is_proof,
+            infinity=infinity,
+            relative=relative,
+            kind=kind,
+            method=self.method,
+            residual=residual,
             near=NearPoint(self.near.high, self.near.low, self.near_y),
         )
 
@@ -288,8 +307,14 @@ def relative_to(infinity: float, size: float) -> float:
 def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     return _counted(
-        problem, np.full(problem.q.size, np.inf), problem.lower == problem.upper, is_free, infinity=np.inf,
-        relative=np.inf, kind=kind, method=method,
+        problem,
+        np.full(problem.q.size, np.inf),
+        problem.lower == problem.upper,
+        is_free,
+        infinity=np.inf,
+        relative=np.inf,
+        kind=kind,
+        method=method,
     )
 
 
@@ -298,8 +323,13 @@ def _counted(
 ) -> ErrorBound:
     counts = [problem.matrix.count_of(rows) for rows in (active, inactive)]
     return ErrorBound(
-        componentwise=componentwise, proven_active=active, proven_inactive=inactive, n=problem.n, active=counts[0],
-        inactive=counts[1], **known,
+        componentwise=componentwise,
+        proven_active=active,
+        proven_inactive=inactive,
+        n=problem.n,
+        active=counts[0],
+        inactive=counts[1],
+        **known,
     )
 
 

@@ -51,10 +51,14 @@ class ErrorJudge(Judge):
     def __init__(self, scaling: CommonScaling, settings: Settings) -> None:
         super().__init__(scaling, settings)
         self.advice = ADVICE if settings.is_on_error else {}
-        self._next_cheap = self._last_residual = self._last_cheap = self._last_sharp = self._sharp_from = math.inf
+        self._next_cheap = self._last_residual = self._last_cheap = self._last_sharp = (
+            self._sharp_from
+        ) = math.inf
         self._sampled: ErrorBound | None = None  # the last sharp one for a sample
         self._last_sampled, self._sample_from = math.inf, float(SHARP_WORTH)
-        self._bounded: tuple[FloatVector, ErrorBound] | None = None  # the z of which the tolerance was last asked
+        self._bounded: tuple[FloatVector, ErrorBound] | None = (
+            None  # the z of which the tolerance was last asked
+        )
         # ‖r‖∞ ≤ (1 + max Σ|m_ij|/d_i)‖z − z*‖∞: a larger residual belongs to a larger error.
         self._residual_per_error = 1.0
         if settings.is_on_error:
@@ -69,7 +73,9 @@ class ErrorJudge(Judge):
         try:  # nothing has to be measured to know the kind of the bounds to come
             kind = self._bound(nowhere, sharp=False).kind
         except UnsuitableMatrix as error:
-            raise UnsuitableMatrix(f'tolerance_on="error" needs a rigorous bound; {error}') from error
+            raise UnsuitableMatrix(
+                f'tolerance_on="error" needs a rigorous bound; {error}'
+            ) from error
         if kind != "rigorous":
             raise UnsuitableMatrix(
                 'tolerance_on="error" needs a rigorous bound, but M is not proven to be an H₊-matrix, and a proof that '
@@ -81,28 +87,43 @@ class ErrorJudge(Judge):
         """Return whether z, of that certified residual, is what was asked for: a bound proves the tolerance."""
         if not self.settings.is_on_error:
             return super().meets_tolerance(z, residual, iteration)
-        z, residual, tolerance = self.scaling.outward(z), residual * self.reference, self.settings.tolerance
+        z, residual, tolerance = (
+            self.scaling.outward(z),
+            residual * self.reference,
+            self.settings.tolerance,
+        )
         largest = self.problem.matrix.largest_of(np.abs(z))
         is_far = not residual <= self._residual_per_error * tolerance * largest
-        if is_far and connected_components(self.problem.matrix) is None:  # others have units of their own
+        if (
+            is_far and connected_components(self.problem.matrix) is None
+        ):  # others have units of their own
             return False
-        if residual > self._next_cheap and not (iteration >= self._sharp_from and residual < self._last_sharp):
+        if residual > self._next_cheap and not (
+            iteration >= self._sharp_from and residual < self._last_sharp
+        ):
             return False
         bound = self._bound(z, sharp=False)
         if not bound.proves(tolerance) and self._is_sharp_due(bound, residual, iteration):
-            self._last_sharp, self._sharp_from = residual, iteration + max(SHARP_WORTH, iteration // 2)
+            self._last_sharp, self._sharp_from = (
+                residual,
+                iteration + max(SHARP_WORTH, iteration // 2),
+            )
             sharp = self._bound(z, sharp=True)
             bound = sharp if sharp.proves(tolerance) else bound
         if bound.proves(tolerance):
             self._bounded = z.copy(), bound
             return True
-        self._next_cheap = residual * min(max(tolerance / bound.relative, CHEAP_AFTER[0]), CHEAP_AFTER[1])
+        self._next_cheap = residual * min(
+            max(tolerance / bound.relative, CHEAP_AFTER[0]), CHEAP_AFTER[1]
+        )
         self._last_residual, self._last_cheap = residual, bound.infinity
         return False
 
     def _is_sharp_due(self, cheap: ErrorBound, residual: float, iteration: int) -> bool:
         self._sharp_from = min(self._sharp_from, iteration + SHARP_WORTH)
-        if cheap.infinity * self._last_residual <= 2.0 * self._last_cheap * residual:  # it fell alike
+        if (
+            cheap.infinity * self._last_residual <= 2.0 * self._last_cheap * residual
+        ):  # it fell alike
             return iteration >= self._sharp_from
         return residual <= SHARP_EVERY * self._last_sharp
 
@@ -125,9 +146,18 @@ class ErrorJudge(Judge):
         if self._sampled is not None:
             least = min(least, float(self._sampled.carried_to(z).max(initial=0.0)))
         is_affordable = self.problem.n <= SHARP_SAMPLES_UP_TO or work >= self._sample_from
-        is_affordable = is_affordable and not self.problem.is_distributed  # no sharper one is known there
-        if least > LOOSE * bound.residual and bound.residual <= SHARP_EVERY * self._last_sampled and is_affordable:
-            self._last_sampled, self._sample_from = bound.residual, work + max(SHARP_WORTH, work / 2.0)
+        is_affordable = (
+            is_affordable and not self.problem.is_distributed
+        )  # no sharper one is known there
+        if (
+            least > LOOSE * bound.residual
+            and bound.residual <= SHARP_EVERY * self._last_sampled
+            and is_affordable
+        ):
+            self._last_sampled, self._sample_from = (
+                bound.residual,
+                work + max(SHARP_WORTH, work / 2.0),
+            )
             self._sampled = self._bound(z, sharp=True)
             least = min(least, self._sampled.infinity)
         return least
@@ -142,7 +172,9 @@ class ErrorJudge(Judge):
         self._bounded = certificate.z, bound
         return bound.proves(self.settings.tolerance)
 
-    def bound_at_the_end(self, certificate: Certificate) -> BoundOrReason | Callable[[], BoundOrReason]:
+    def bound_at_the_end(
+        self, certificate: Certificate
+    ) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return the bound of the answer's error, or how it is computed once looked at."""
         z, is_distributed = certificate.z, self.problem.is_distributed
         known = self._known(z)

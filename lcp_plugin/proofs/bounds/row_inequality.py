@@ -73,10 +73,15 @@ class RowInequality:
         else:
             slack, negative = _slack_of_pair(problem, high, low)
         return cls(
-            problem, high, low,
-            above=_pair_above(high, low, -problem.lower), below=_pair_above(-high, -low, problem.upper),
-            over=_pair_above(high, low, -problem.upper), under=_pair_above(-high, -low, problem.lower),
-            slack=slack, negative_slack=negative,
+            problem,
+            high,
+            low,
+            above=_pair_above(high, low, -problem.lower),
+            below=_pair_above(-high, -low, problem.upper),
+            over=_pair_above(high, low, -problem.upper),
+            under=_pair_above(-high, -low, problem.lower),
+            slack=slack,
+            negative_slack=negative,
         )
 
     def inflation(self, weights: Weights) -> FloatVector:
@@ -84,14 +89,22 @@ class RowInequality:
 
         Returned is that of each row's part, shape (own,), or (1,) for all of one part.
         """
+
         def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
-            within = np.minimum(quotient_above(direct, weights.low), quotient_above(w, weights.margin))
+            within = np.minimum(
+                quotient_above(direct, weights.low), quotient_above(w, weights.margin)
+            )
             largest: FloatVector = np.maximum(quotient_above(outside, weights.low), within)
             return largest
 
-        sides = side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)
+        sides = (
+            side(self.over, self.above, self.slack),
+            side(self.under, self.below, self.negative_slack),
+        )
         largest = largest_of_components(self.problem, np.maximum(np.maximum(*sides), 0.0))
-        inflated: FloatVector = for_each_row(self.problem, np.where(np.isnan(largest), np.inf, largest))
+        inflated: FloatVector = for_each_row(
+            self.problem, np.where(np.isnan(largest), np.inf, largest)
+        )
         return inflated
 
     def image(self, y: FloatVector) -> FloatVector:
@@ -100,11 +113,14 @@ class RowInequality:
 
         def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
             """Return Φ(y) for one sign of e; (w + |B|y)/d as y + (w − ⟨M⟩y)/d."""
-            solved = sum_above(y, quotient_above(sum_above(w, minus_product), self.problem.diagonal))
+            solved = sum_above(
+                y, quotient_above(sum_above(w, minus_product), self.problem.diagonal)
+            )
             return np.asarray(np.maximum(outside, np.minimum(direct, solved)))
 
         image = np.maximum(
-            side(self.over, self.above, self.slack), side(self.under, self.below, self.negative_slack)
+            side(self.over, self.above, self.slack),
+            side(self.under, self.below, self.negative_slack),
         )
         return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
 
@@ -115,7 +131,9 @@ class RowInequality:
         """
         inactive = (sum_above(self.under, y) < 0.0) & (sum_above(self.over, y) < 0.0)
         is_exact = (y == 0.0) & (self.low == 0.0)
-        at_bound = is_exact & ((self.high == self.problem.lower) | (self.high == self.problem.upper))
+        at_bound = is_exact & (
+            (self.high == self.problem.lower) | (self.high == self.problem.upper)
+        )
         return self.held(y) | at_bound, inactive
 
     def held(self, y: FloatVector) -> BoolVector:
@@ -152,7 +170,9 @@ def _pair_above(high: FloatVector, low: FloatVector, bound: FloatVector) -> Floa
     return sum_above(sum_above(high, bound), low)
 
 
-def _slack_of_pair(problem: LCP, high: FloatVector, low: FloatVector) -> tuple[FloatVector, FloatVector]:
+def _slack_of_pair(
+    problem: LCP, high: FloatVector, low: FloatVector
+) -> tuple[FloatVector, FloatVector]:
     """Return upper bounds of w and −w at high + low; w is small beside its parts."""
     matrix = problem.matrix
     first, rest, radius = compensated_pair(matrix.csr_rows, matrix.whole(high), problem.q)
@@ -160,7 +180,9 @@ def _slack_of_pair(problem: LCP, high: FloatVector, low: FloatVector) -> tuple[F
     total_radius = sum_above(radius, second_radius)
 
     def end(sign: float) -> FloatVector:
-        return sum_above(sum_above(sum_above(sign * first, sign * second), sign * rest), total_radius)
+        return sum_above(
+            sum_above(sum_above(sign * first, sign * second), sign * rest), total_radius
+        )
 
     return end(1.0), end(-1.0)
 
@@ -189,7 +211,12 @@ class ActiveSetSteps:
     """
 
     def __init__(
-        self, problem: LCP, scale: FloatVector, *, goal: float = KRYLOV_GOAL, system: FreeSystem | None = None
+        self,
+        problem: LCP,
+        scale: FloatVector,
+        *,
+        goal: float = KRYLOV_GOAL,
+        system: FreeSystem | None = None,
     ) -> None:
         self.problem, self.scale, self.goal = problem, scale, goal
         self.system = system or FreeSystem(problem.matrix, np.zeros(problem.n, np.bool_))

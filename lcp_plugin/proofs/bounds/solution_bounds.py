@@ -141,7 +141,9 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
     # Two ends of each r_i; where z_i sits on a bound that w_i keeps it at, they are the same whatever rounds in w_i.
     residual = np.minimum(np.maximum(quotient_above(at.slack, inverse_step), at.over), at.above)
-    negative = np.maximum(np.minimum(quotient_above(at.negative_slack, inverse_step), at.below), at.under)
+    negative = np.maximum(
+        np.minimum(quotient_above(at.negative_slack, inverse_step), at.below), at.under
+    )
     blur = np.maximum(sum_above(residual, negative), 0.0)
     if not (residual.any() or blur.any()):
         return np.zeros(problem.n)
@@ -152,7 +154,9 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
     size = sum_above(size, 4.0 * TINY)  # products may have underflowed
     several, even = connected_components(problem.matrix), product_above(eigenvalue.scale, size)
-    norm = np.asarray(norm_above(even) if several is None else _norms_above(even, several)[several.labels])
+    norm = np.asarray(
+        norm_above(even) if several is None else _norms_above(even, several)[several.labels]
+    )
     bound = product_above(eigenvalue.scale, quotient_above(norm, np.float64(eigenvalue.value)))
     return np.where(np.isnan(bound), np.inf, bound)
 
@@ -172,7 +176,10 @@ def _norms_above(x: FloatVector, several: Components) -> FloatVector:
     largest = several.largest(x)
     is_usual = (largest > 0.0) & np.isfinite(largest)
     unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))
-    squares = np.bincount(several.labels, (x / unit[several.labels]) ** 2, several.count) * OUTWARD + x.size * UNDERFLOW
+    squares = (
+        np.bincount(several.labels, (x / unit[several.labels]) ** 2, several.count) * OUTWARD
+        + x.size * UNDERFLOW
+    )
     norms: FloatVector = np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
     return norms
 
@@ -209,7 +216,9 @@ def _proven_bound(part: Any, blur: float) -> float | None:
         shifted = part - shift * identity
         factor = positive_factor(shifted)
         if factor is not None:
-            rounding = _rounding(shifted, factor) + 2.0 * UNIT * (float(part.diagonal().max()) + shift)
+            rounding = _rounding(shifted, factor) + 2.0 * UNIT * (
+                float(part.diagonal().max()) + shift
+            )
             value = (shift - rounding - blur) / OUTWARD
             if value > 0.0:
                 return float(value)
@@ -254,7 +263,11 @@ def _lanczos_estimate(part: Any) -> float | None:
 
     start = np.random.default_rng(0).standard_normal(part.shape[0])
     try:
-        value = float(eigsh(part, k=1, which="SA", tol=0.05, maxiter=300, v0=start, return_eigenvectors=False)[0])
+        value = float(
+            eigsh(
+                part, k=1, which="SA", tol=0.05, maxiter=300, v0=start, return_eigenvectors=False
+            )[0]
+        )
     except ArpackNoConvergence:
         return None
     return 0.9 * value if value > 0.0 else None

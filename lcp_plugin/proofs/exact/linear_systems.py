@@ -46,13 +46,19 @@ def exact_rows(M: Any) -> Rows:
 def exact_comparison(M: Any) -> Rows:
     """Return ⟨M⟩ as integers, each row times a power of two."""
     rows = exact_rows(M)
-    return [[abs(entry) if i == j else -abs(entry) for j, entry in enumerate(row)] for i, row in enumerate(rows)]
+    return [
+        [abs(entry) if i == j else -abs(entry) for j, entry in enumerate(row)]
+        for i, row in enumerate(rows)
+    ]
 
 
 def exact_symmetric_part(M: Any) -> Rows:
     """Return M + Mᵀ as integers, each row times a power of two."""
     rows = _whole(M)
-    return [_shortened([entry + rows[j][i] for j, entry in enumerate(row)]) for i, row in enumerate(rows)]
+    return [
+        _shortened([entry + rows[j][i] for j, entry in enumerate(row)])
+        for i, row in enumerate(rows)
+    ]
 
 
 def _whole(M: Any) -> Rows:
@@ -88,7 +94,9 @@ def has_nonnegative_pivots(matrix: Rows) -> bool:
         pivot = matrix[0][0]
         if pivot < 0 or (pivot == 0 and any(matrix[0])):
             return False
-        matrix, before = (eliminated(matrix, before), pivot) if pivot else (_without_first(matrix), before)
+        matrix, before = (
+            (eliminated(matrix, before), pivot) if pivot else (_without_first(matrix), before)
+        )
     return True
 
 
@@ -108,7 +116,10 @@ def eliminated(matrix: Rows, before: int) -> Rows:
     """Return the Schur complement of the first pivot times that pivot, all of it divided by the pivot before."""
     top = matrix[0]
     return [
-        [(top[0] * entry - row[0] * above) // before for entry, above in zip(row[1:], top[1:], strict=True)]
+        [
+            (top[0] * entry - row[0] * above) // before
+            for entry, above in zip(row[1:], top[1:], strict=True)
+        ]
         for row in matrix[1:]
     ]
 
@@ -202,7 +213,9 @@ def _inverse(matrix: Integers, prime: int) -> Integers | None:
     return work[:, k:]
 
 
-def _lifted(A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int) -> list[Fraction] | None:
+def _lifted(
+    A: IntegerRows, b: Sequence[int], inverse: Integers, prime: int
+) -> list[Fraction] | None:
     limbs = _limbs(A)
     residual = np.array([int(value) for value in b], dtype=object)
     x = np.zeros(len(A), dtype=object)
@@ -229,7 +242,10 @@ def _limbs(A: IntegerRows) -> list[Integers]:
     longest = max((abs(a).bit_length() for row in A for a in row), default=0)
     mask = (1 << LIMB) - 1
     return [
-        np.array([[(abs(a) >> shift & mask) * (1 if a >= 0 else -1) for a in row] for row in A], dtype=np.int64)
+        np.array(
+            [[(abs(a) >> shift & mask) * (1 if a >= 0 else -1) for a in row] for row in A],
+            dtype=np.int64,
+        )
         for shift in range(0, max(longest, 1), LIMB)
     ]
 
@@ -268,7 +284,9 @@ def _small_fraction(value: int, modulus: int, bound: int) -> tuple[int, int]:
     return (r1, s1) if s1 > 0 else (-r1, -s1)
 
 
-def solved_nearby(rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]) -> Vector | None:
+def solved_nearby(
+    rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]
+) -> Vector | None:
     """Return an exact solution y of rows · y = right near the guess, changed only where it may and has to be.
 
     Parameters
@@ -322,7 +340,9 @@ def independent_rows(rows: list[Row]) -> list[list[int]]:
         whole = max(met, key=len, default=[])
         whole += [k for other in met if other is not whole for k in other]
         whole.append(i)
-        for j in {j for other in met if other is not whole for k in other for j in rows[k]} | set(row):
+        for j in {j for other in met if other is not whole for k in other for j in rows[k]} | set(
+            row
+        ):
             lot[j] = whole
     return sorted(sorted(one) for one in {id(one): one for one in lot.values()}.values())
 
@@ -351,7 +371,11 @@ def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | No
         return None
     solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
     placed = [{place[j]: entry for j, entry in row.items()} for row in rows]
-    return solution if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right else None
+    return (
+        solution
+        if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right
+        else None
+    )
 
 
 def exact_weights(M: Any) -> list[Fraction] | None:

@@ -93,12 +93,18 @@ def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
     """Return integers and one positive denominator with values_i = integer_i / denominator."""
     fractions = [value if type(value) is Fraction else Fraction(value) for value in values]
     denominator = math.lcm(*(value.denominator for value in fractions))
-    return [value.numerator * (denominator // value.denominator) for value in fractions], denominator
+    return [
+        value.numerator * (denominator // value.denominator) for value in fractions
+    ], denominator
 
 
 def like(values: FloatVector, z: Any) -> Any:
     """Return doubles as they are, or as Fractions beside a z of Fractions."""
-    return np.array([Fraction(value) for value in values.tolist()], dtype=object) if z.dtype == object else values
+    return (
+        np.array([Fraction(value) for value in values.tolist()], dtype=object)
+        if z.dtype == object
+        else values
+    )
 
 
 def total(values: Sequence[Fraction]) -> Fraction:
@@ -123,11 +129,15 @@ def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
     """
     values: list[Any] = list(z)  # type: ignore[arg-type]
     if len(values) != n:
-        raise InvalidProblem(f"z must have length {n}, got length {len(values)}; give one number a row")
+        raise InvalidProblem(
+            f"z must have length {n}, got length {len(values)}; give one number a row"
+        )
     try:
         return [Fraction(value) for value in values]
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidProblem(f"z must consist of finite real numbers, got one that is none: {error}") from error
+        raise InvalidProblem(
+            f"z must consist of finite real numbers, got one that is none: {error}"
+        ) from error
 
 
 def rounded_down(value: Fraction | None) -> float:
@@ -182,7 +192,9 @@ def products(rows: Sequence[Row], vector: Sequence[Fraction]) -> Iterator[Fracti
     for row in rows:
         used = [(entry, numerators[j]) for j, entry in row.items() if numerators[j]]
         common = math.lcm(*(entry.denominator for entry, _ in used))
-        total = sum(entry.numerator * (common // entry.denominator) * factor for entry, factor in used)
+        total = sum(
+            entry.numerator * (common // entry.denominator) * factor for entry, factor in used
+        )
         yield Fraction(total, common * denominator) if total else ZERO
 
 
@@ -221,15 +233,24 @@ def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fractio
     return [Fraction(q) + unit * total for q, total in zip(problem.q.tolist(), sums, strict=True)]
 
 
-def exact_residuals(problem: LCP, z: FloatVector, scale: FloatVector | None = None) -> list[Fraction]:
+def exact_residuals(
+    problem: LCP, z: FloatVector, scale: FloatVector | None = None
+) -> list[Fraction]:
     """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z; d is the scale."""
     scale = problem.residual_scale if scale is None else scale
     rows = zip(
-        map(Fraction, z.tolist()), exact_slack(problem, z), scale.tolist(), problem.lower.tolist(),
-        problem.upper.tolist(), strict=True,
+        map(Fraction, z.tolist()),
+        exact_slack(problem, z),
+        scale.tolist(),
+        problem.lower.tolist(),
+        problem.upper.tolist(),
+        strict=True,
     )
     # The comparison of a fraction with ±∞ is exact as well.
-    return [abs(x - Fraction(min(max(x - w / Fraction(d), lower), upper))) for x, w, d, lower, upper in rows]
+    return [
+        abs(x - Fraction(min(max(x - w / Fraction(d), lower), upper)))
+        for x, w, d, lower, upper in rows
+    ]
 
 
 def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
@@ -246,9 +267,16 @@ def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
     (True, False)
     """
     exact = exact_vector(z, problem.n)
-    rows = zip(exact, exact_slack(problem, exact), problem.lower.tolist(), problem.upper.tolist(), strict=True)
+    rows = zip(
+        exact,
+        exact_slack(problem, exact),
+        problem.lower.tolist(),
+        problem.upper.tolist(),
+        strict=True,
+    )
     return all(
-        lower <= z <= upper and (w >= 0 or z == upper) and (w <= 0 or z == lower) for z, w, lower, upper in rows
+        lower <= z <= upper and (w >= 0 or z == upper) and (w <= 0 or z == lower)
+        for z, w, lower, upper in rows
     )
 
 

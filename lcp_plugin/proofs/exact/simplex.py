@@ -91,7 +91,12 @@ class ExactSimplex:
     """
 
     def __init__(
-        self, matrix: IntegerMatrix, q: FloatVector, bounds: Sides, slack_bounds: Sides, effort: Effort
+        self,
+        matrix: IntegerMatrix,
+        q: FloatVector,
+        bounds: Sides,
+        slack_bounds: Sides,
+        effort: Effort,
     ) -> None:
         n = self.n = q.size
         self.effort = effort
@@ -112,7 +117,11 @@ class ExactSimplex:
         """Solve the equations of free rows for as many free z as they determine, and set both aside."""
         for w in [w for w in self.basic if self._is_fixed(w)]:
             row = self.basic.index(w)
-            free = (k for k, z in enumerate(self.nonbasic) if z < self.n and self.bounds(z) == (None, None))
+            free = (
+                k
+                for k, z in enumerate(self.nonbasic)
+                if z < self.n and self.bounds(z) == (None, None)
+            )
             column = next((k for k in free if self.rows[row][k]), None)
             if column is not None:
                 yield from self._pivot(row, column, 0)
@@ -121,7 +130,10 @@ class ExactSimplex:
             return
         kept = [not is_gone for is_gone in gone]
         rows = dict(zip(self.basic, self.rows, strict=True))
-        self.nonbasic, equations = list(compress(self.nonbasic, kept)), list(compress(self.nonbasic, gone))
+        self.nonbasic, equations = (
+            list(compress(self.nonbasic, kept)),
+            list(compress(self.nonbasic, gone)),
+        )
         of_rest = {x: [*compress(row, kept), row[-1]] for x, row in rows.items()}
         self.basic = [x for x in self.basic if x >= self.n]
         of_z = {x: row for x, row in of_rest.items() if x < self.n}
@@ -162,7 +174,10 @@ class ExactSimplex:
         for entry, x in zip(self.rows[row], self.nonbasic, strict=False):
             if not entry:
                 continue
-            ends = [None if bound is None else entry * (bound - self.value[x]) for bound in self.bounds(x)]
+            ends = [
+                None if bound is None else entry * (bound - self.value[x])
+                for bound in self.bounds(x)
+            ]
             down, up = ends if entry > 0 else ends[::-1]
             low = None if low is None or down is None else low + down
             high = None if high is None or up is None else high + up
@@ -179,7 +194,11 @@ class ExactSimplex:
             if x >= self.n and entry:
                 multipliers[x - self.n] = -direction * entry
         if self._solved.equations:
-            of_w = [(multipliers[w - self.n], row) for w, row in self._solved.w.items() if multipliers[w - self.n]]
+            of_w = [
+                (multipliers[w - self.n], row)
+                for w, row in self._solved.w.items()
+                if multipliers[w - self.n]
+            ]
             multipliers = [y * self._solved.denominator for y in multipliers]
             for k, w in enumerate(self._solved.equations):
                 multipliers[w - self.n] = -sum(y * row[k] for y, row in of_w)
@@ -263,8 +282,10 @@ class ExactSimplex:
         best = None
         for column, x in enumerate(self.nonbasic):
             entry = self.rows[row][column]
-            if entry and self._can_move(x, direction if entry > 0 else -direction) and (
-                best is None or x < self.nonbasic[best]
+            if (
+                entry
+                and self._can_move(x, direction if entry > 0 else -direction)
+                and (best is None or x < self.nonbasic[best])
             ):
                 best = column
         return best
@@ -279,7 +300,11 @@ class ExactSimplex:
             return (self.nonbasic.index(x), direction) if self._can_move(x, direction) else None
         row = self.basic.index(x)
         column = self._entering(row, direction)
-        return None if column is None else (column, direction if self.rows[row][column] > 0 else -direction)
+        return (
+            None
+            if column is None
+            else (column, direction if self.rows[row][column] > 0 else -direction)
+        )
 
     def _move(self, column: int, direction: int) -> Generator[None, None, bool]:
         """Move a nonbasic variable as far as all bounds allow; return False, unmoved, where nothing stops it."""
@@ -292,7 +317,12 @@ class ExactSimplex:
             speed = self.rows[row][column] * direction
             bound = self.upper[x] if speed > 0 else self.lower[x]
             if speed and bound is not None:
-                limit = (Fraction(bound * self.denominator - self.numerator[row], speed), x, row, bound)
+                limit = (
+                    Fraction(bound * self.denominator - self.numerator[row], speed),
+                    x,
+                    row,
+                    bound,
+                )
                 best = limit if best is None or limit[:2] < best[:2] else best
         if best is None:
             return False
@@ -315,7 +345,8 @@ class ExactSimplex:
                 factor = other[column]
                 if factor:
                     self.rows[i] = [
-                        sign * ((a * pivot - factor * b) // old) for a, b in zip(other, pivot_row, strict=True)
+                        sign * ((a * pivot - factor * b) // old)
+                        for a, b in zip(other, pivot_row, strict=True)
                     ]
                     self.rows[i][column] = sign * factor
                 elif pivot != old * sign or sign < 0:
@@ -334,12 +365,16 @@ def _integer_bounds(sides: Sides) -> tuple[Fraction, list[list[Bound]]]:
     both = np.concatenate(sides)
     is_finite = np.isfinite(both)
     whole, exponent = integers(np.where(is_finite, both, 0.0))
-    bounds = [number if finite else None for number, finite in zip(whole, is_finite.tolist(), strict=True)]
+    bounds = [
+        number if finite else None for number, finite in zip(whole, is_finite.tolist(), strict=True)
+    ]
     n = sides[0].size
     return power_of_two(exponent), [bounds[:n], bounds[n:]]
 
 
-def _integer_rows(matrix: IntegerMatrix, offset: FloatVector, unit: Fraction) -> tuple[list[list[int]], list[int]]:
+def _integer_rows(
+    matrix: IntegerMatrix, offset: FloatVector, unit: Fraction
+) -> tuple[list[list[int]], list[int]]:
     """Return the rows of (M, q/unit) as integers without a common factor, and integers as what each was multiplied by.
 
     The latter are in a unit of their own.

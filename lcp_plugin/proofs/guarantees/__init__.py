@@ -19,7 +19,11 @@ from ...core.matrix.iteration_facts import (
     PROJECTED_TYPE,
     IterationFacts,
 )
-from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, unit_triangle_sums
+from ...core.matrix.row_sums import (
+    has_positive_diagonal,
+    inverse_residual_scale,
+    unit_triangle_sums,
+)
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.comparison import jacobi_radius
 from ...systems.graph import within_blocks
@@ -41,7 +45,9 @@ CLEARLY = 1.0 + 1e-12
 JACOBI = IterationFacts(family=PROJECTED_RELAXATION, relaxation=1.0, acceleration=0.0)
 
 
-def convergence_guarantee(problem: LCP, algorithm: str | Algorithm = "auto", **options: Any) -> Guarantee:
+def convergence_guarantee(
+    problem: LCP, algorithm: str | Algorithm = "auto", **options: Any
+) -> Guarantee:
     """Return what is proven about the convergence of an algorithm on this matrix, whatever q and the start are.
 
     Parameters
@@ -110,7 +116,9 @@ def _of_a_direct_method(problem: LCP, algorithm: Algorithm) -> Guarantee:
     except (UnsuitableMatrix, UnsuitableProblem) as error:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if theorem is None:
-        return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
+        return Guarantee(
+            NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem"
+        )
     return Guarantee(GUARANTEED, theorem)
 
 
@@ -119,7 +127,9 @@ def _of_auto(problem: LCP, method: Algorithm) -> Guarantee:
     last = _of_one(problem, method)
     if not last.is_guaranteed:
         return Guarantee(NOT_COVERED, last.theorem)
-    return Guarantee(GUARANTEED, f"whatever it tries before, it comes to {method.name}: {last.theorem}")
+    return Guarantee(
+        GUARANTEED, f"whatever it tries before, it comes to {method.name}: {last.theorem}"
+    )
 
 
 def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
@@ -141,7 +151,9 @@ def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
     return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
 
 
-def _guaranteed(problem: LCP, facts: IterationFacts, proof: Contraction, paper: str = "") -> Guarantee:
+def _guaranteed(
+    problem: LCP, facts: IterationFacts, proof: Contraction, paper: str = ""
+) -> Guarantee:
     theorem = theorem_of(facts, problem, proof)
     if facts.relaxation is None and facts.family == PROJECTED_RELAXATION:
         return Guarantee(GUARANTEED, theorem)
@@ -149,7 +161,12 @@ def _guaranteed(problem: LCP, facts: IterationFacts, proof: Contraction, paper: 
     v.flags.writeable = False
     speaks_of = "x" if facts.family == MODULUS else "z"
     return Guarantee(
-        GUARANTEED, theorem, proof.rate, v if proof.rate is not None else None, paper=paper, speaks_of=speaks_of
+        GUARANTEED,
+        theorem,
+        proof.rate,
+        v if proof.rate is not None else None,
+        paper=paper,
+        speaks_of=speaks_of,
     )
 
 
@@ -162,7 +179,9 @@ def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
         return None
     if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
         return None
-    return contraction(facts, problem, _usual_weights(problem)) or _by_better_weights(problem, facts)
+    return contraction(facts, problem, _usual_weights(problem)) or _by_better_weights(
+        problem, facts
+    )
 
 
 def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
@@ -212,10 +231,14 @@ def _by_better_weights(problem: LCP, facts: IterationFacts) -> Contraction | Non
 def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:
     scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
     splitting: Any = facts.splitting
-    found = theorem_4_1(scaling[:, None] * problem.csr.toarray(), scaling[:, None] * splitting.toarray())
+    found = theorem_4_1(
+        scaling[:, None] * problem.csr.toarray(), scaling[:, None] * splitting.toarray()
+    )
     if found is None:
         return None
-    return Guarantee(GUARANTEED, f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})", *found)
+    return Guarantee(
+        GUARANTEED, f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})", *found
+    )
 
 
 def _is_h_plus(problem: LCP) -> bool:
@@ -224,7 +247,9 @@ def _is_h_plus(problem: LCP) -> bool:
 
 def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     """Return the theorem on positive definite matrices that covers it; M is factorised only where one could."""
-    sums = np.add(*unit_triangle_sums(problem.matrix)) / (problem.diagonal * inverse_residual_scale(problem.matrix))
+    sums = np.add(*unit_triangle_sums(problem.matrix)) / (
+        problem.diagonal * inverse_residual_scale(problem.matrix)
+    )
     largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
     theorem = positive_definite_theorem(facts, largest_sum)
     if theorem is None:
@@ -245,7 +270,9 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     if facts.family in (PROJECTED_TYPE, PROJECTED_SPLITTING) and _is_h_plus(problem):
         return "M is an H₊-matrix, but with this scaling and these α, β no theorem here applies"
     if _is_h_plus(problem):
-        return "M is an H₊-matrix, but with these parameters no theorem here applies beyond rounding"
+        return (
+            "M is an H₊-matrix, but with these parameters no theorem here applies beyond rounding"
+        )
     if facts.family == PROJECTED_RELAXATION:
         return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
     return "M is not proven to be an H₊-matrix"
@@ -263,7 +290,11 @@ def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
             return limit
         return f"omega=1.0 and {limit}" if "relaxation" in options else "omega=1.0"
     report = analyze(problem)
-    if has_positive_diagonal(problem.matrix).all() and report.is_symmetric and report.is_positive_definite:
+    if (
+        has_positive_diagonal(problem.matrix).all()
+        and report.is_symmetric
+        and report.is_positive_definite
+    ):
         return 'algorithm="psor": M is symmetric positive definite'
     if is_h_plus and problem.n <= PIVOTED_UP_TO:
         return 'algorithm="lemke": no sweep contracts by more than rounding, and H₊-matrices are P-matrices'
@@ -280,7 +311,10 @@ def _scaling_remedy(facts: IterationFacts) -> str:
 
 def _relaxation_limit(problem: LCP, facts: IterationFacts) -> str:
     """Return the range of ω, up to 2/(1 + max(ℓ + u)) rounded down, that the weights at hand prove."""
-    v, per_diagonal = _usual_weights(problem), 1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix))
+    v, per_diagonal = (
+        _usual_weights(problem),
+        1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix)),
+    )
     largest = float(np.max(np.add(*sums_for(facts, problem, v)) * per_diagonal / v, initial=0.0))
     limit = np.floor(1000.0 * 2.0 / (1.0 + largest) - 1e-3) / 1000.0
     return f"relaxation < {limit:g}" if limit > 1.0 else "relaxation ≤ 1"

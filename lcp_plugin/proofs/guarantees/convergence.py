@@ -42,7 +42,12 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
-from ...core.matrix.iteration_facts import PROJECTED_RELAXATION, PROJECTED_SPLITTING, PROJECTED_TYPE, IterationFacts
+from ...core.matrix.iteration_facts import (
+    PROJECTED_RELAXATION,
+    PROJECTED_SPLITTING,
+    PROJECTED_TYPE,
+    IterationFacts,
+)
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.row_sums import inverse_residual_scale, row_blocks, triangle_sums
 
@@ -87,14 +92,18 @@ def row_bound(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> RowBoun
     if facts.family == PROJECTED_SPLITTING:
         theta, weight = scaled(facts, problem, rows)
         zero_case = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
-        return RowBound(2.0 * theta + 2.0, weight, (zero_case, RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight)))
+        return RowBound(
+            2.0 * theta + 2.0, weight, (zero_case, RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight))
+        )
     alpha, beta = numbers(facts)
     diagonal = problem.diagonal[rows]
     per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix)[rows])
     if facts.family == PROJECTED_RELAXATION:
         free = min(alpha, 2.0 - alpha)
         lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
-        return RowBound(1.0, abs(beta) * per_diagonal, (RowCase(free, lower, alpha * per_diagonal),))
+        return RowBound(
+            1.0, abs(beta) * per_diagonal, (RowCase(free, lower, alpha * per_diagonal),)
+        )
     omega = np.ones(diagonal.size) if facts.omega is None else facts.omega[rows] / diagonal
     kept = min(alpha, 2.0 - alpha) + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
     lower = (abs(alpha - beta) + alpha + abs(beta)) * per_diagonal
@@ -106,14 +115,20 @@ def _projected_type(facts: IterationFacts, problem: LCP, rows: slice) -> RowBoun
     alpha, beta = numbers(facts)
     g = beta / alpha
     theta, weight = scaled(facts, problem, rows)
-    zero = RowCase(np.minimum(2.0, 2.0 * theta / alpha + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0)
+    zero = RowCase(
+        np.minimum(2.0, 2.0 * theta / alpha + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0
+    )
     one = RowCase(
-        np.minimum(2.0 * theta, 2.0 * theta / alpha + 4.0), (abs(2.0 - g) + abs(g)) * weight, 2.0 * weight
+        np.minimum(2.0 * theta, 2.0 * theta / alpha + 4.0),
+        (abs(2.0 - g) + abs(g)) * weight,
+        2.0 * weight,
     )
     return RowBound(theta / alpha + theta + 2.0, abs(g) * weight, (zero, one))
 
 
-def scaled(facts: IterationFacts, problem: LCP, rows: slice = ALL) -> tuple[FloatVector, FloatVector]:
+def scaled(
+    facts: IterationFacts, problem: LCP, rows: slice = ALL
+) -> tuple[FloatVector, FloatVector]:
     """Return (θ, s divided by what the rows of the triangle sums are scaled with), one entry a row."""
     diagonal = problem.diagonal[rows]
     scaling = np.ones(diagonal.size) if facts.scaling is None else facts.scaling[rows]
@@ -134,7 +149,9 @@ def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
         return triangle_sums(problem.matrix, v)
     all_of_m = np.add(*triangle_sums(problem.matrix, v))
     taken = np.add(*triangle_sums(problem.matrix, v, facts.splitting))
-    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (longest_row(problem.matrix) * EPSILON)
+    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (
+        longest_row(problem.matrix) * EPSILON
+    )
 
 
 def _directed(facts: IterationFacts, sums: Sums) -> list[Sums]:
@@ -153,7 +170,9 @@ class Contraction:
     is_unified: bool
 
 
-def contraction(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None) -> Contraction | None:
+def contraction(
+    facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None
+) -> Contraction | None:
     """Return the proof with these weights, or None where they prove nothing.
 
     Parameters
@@ -183,7 +202,10 @@ def _smallest_gap(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sum
     lost = underflow(v, terms)
     for rows in row_blocks(problem.n):
         bound = row_bound(facts, problem, rows)
-        smallest = min(smallest, float(gaps(bound, v[rows], (sums[0][rows] + lost, sums[1][rows] + lost), terms).min()))
+        smallest = min(
+            smallest,
+            float(gaps(bound, v[rows], (sums[0][rows] + lost, sums[1][rows] + lost), terms).min()),
+        )
         if not smallest > 0.0:
             break
     return smallest
@@ -205,7 +227,9 @@ def is_unified(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) 
     return 0.0 <= beta <= alpha
 
 
-def next_weights(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None) -> FloatVector:
+def next_weights(
+    facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None
+) -> FloatVector:
     """Return what |e| ≤ v may become in one sweep, shape (n,): weights with a better rate, or a proof against both.
 
     Where it is ≥ v in every row, no weights at all give a contraction.
@@ -225,7 +249,9 @@ def underflow(v: FloatVector, terms: int) -> float:
     return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
 
 
-def gaps(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int) -> FloatVector:
+def gaps(
+    bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int
+) -> FloatVector:
     """Return lower bounds of 1 − c_i, shape (n,), −∞ where nothing can be said.
 
     Parameters

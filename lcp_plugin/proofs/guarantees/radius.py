@@ -18,19 +18,32 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.lcp import LCP
-from ...core.matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
+from ...core.matrix.iteration_facts import (
+    MODULUS,
+    PROJECTED_RELAXATION,
+    PROJECTED_SPLITTING,
+    IterationFacts,
+)
 from ...systems.comparison import nonnegative_radius
 from .convergence import numbers
 
-DENSE_UP_TO = 1000  # unknowns: two seconds; beyond, products with a T so far from normal give few digits
+DENSE_UP_TO = (
+    1000  # unknowns: two seconds; beyond, products with a T so far from normal give few digits
+)
 
 
 def spectral_radius(problem: LCP, facts: IterationFacts) -> float | None:
     """Return ρ(T) of an iteration; None of a symmetric sweep, and of more than 1000 unknowns."""
-    if problem.n > DENSE_UP_TO or (facts.sweep == "symmetric" and facts.family != PROJECTED_SPLITTING):
+    if problem.n > DENSE_UP_TO or (
+        facts.sweep == "symmetric" and facts.family != PROJECTED_SPLITTING
+    ):
         return None
     T = bound_of_errors(problem, facts)
-    return None if T is None or not np.isfinite(T).all() else float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
+    return (
+        None
+        if T is None or not np.isfinite(T).all()
+        else float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
+    )
 
 
 def jacobi_spectral_radius(problem: LCP) -> float:
@@ -38,7 +51,13 @@ def jacobi_spectral_radius(problem: LCP) -> float:
     if not problem.diagonal.all():
         return np.inf
     beside = abs(problem.csr - sp.diags_array(problem.diagonal))
-    return float(np.mean(nonnegative_radius(sp.csr_array(sp.diags_array(1.0 / np.abs(problem.diagonal)) @ beside))))
+    return float(
+        np.mean(
+            nonnegative_radius(
+                sp.csr_array(sp.diags_array(1.0 / np.abs(problem.diagonal)) @ beside)
+            )
+        )
+    )
 
 
 def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
@@ -58,7 +77,9 @@ def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
     if facts.family == PROJECTED_SPLITTING:
         splitting = sp.csr_array(sp.diags_array(scaling) @ facts.splitting)
     else:
-        part = sp.triu(scaled, 1, format="csr") if is_backward else sp.tril(scaled, -1, format="csr")
+        part = (
+            sp.triu(scaled, 1, format="csr") if is_backward else sp.tril(scaled, -1, format="csr")
+        )
         splitting = sp.csr_array((D + beta * part) / alpha)
     if facts.family == MODULUS:
         omega = sp.diags_array(np.asarray(facts.omega), format="csr")

@@ -13,7 +13,12 @@ import numpy as np
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
-from ...core.matrix.iteration_facts import MODULUS, PROJECTED_RELAXATION, PROJECTED_SPLITTING, IterationFacts
+from ...core.matrix.iteration_facts import (
+    MODULUS,
+    PROJECTED_RELAXATION,
+    PROJECTED_SPLITTING,
+    IterationFacts,
+)
 from .convergence import Contraction, numbers, scaled
 from .radius import jacobi_spectral_radius, spectral_radius
 
@@ -91,7 +96,9 @@ class Guarantee:
     def __str__(self) -> str:
         speed = ""
         if self.rate is not None:
-            speed = f"; an iteration contracts by {_rounded_up(self.rate)} in a weighted maximum norm"
+            speed = (
+                f"; an iteration contracts by {_rounded_up(self.rate)} in a weighted maximum norm"
+            )
             speed += "" if self.speaks_of == "z" else f" of {self.speaks_of}"
         lines = [f"{self.verdict}: {self.theorem}{speed}"]
         lines += [f"what to do: {self.remedy}"] if self.remedy else []
@@ -119,7 +126,9 @@ def theorem_of(facts: IterationFacts, problem: LCP, proof: Contraction) -> str:
         return f"M is an H₊-matrix and |1 − ω| + (|ω − β| + |β|)ℓ + ωu < 1, as for 0 ≤ β ≤ ω < 2/(1 + ρ) ({CRYER})"
     if facts.family == MODULUS:
         small = (facts.relaxation or 0.0) <= 1.0
-        what = "min(Ω, D) − |B| is an M-matrix" if small else "α(ℓ + u) < 1, as for Ω ≥ D and α < 1/ρ"
+        what = (
+            "min(Ω, D) − |B| is an M-matrix" if small else "α(ℓ + u) < 1, as for Ω ≥ D and α < 1/ρ"
+        )
         return f"M is an H₊-matrix and {what} ({BAI})"
     theta, _ = scaled(facts, problem)
     if proof.is_unified and facts.is_scaled and bool(np.all(theta <= 1.0 + ULPS)):
@@ -155,7 +164,9 @@ def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str 
     return None
 
 
-def theorem_4_2(facts: IterationFacts, problem: LCP, bounds: Sequence[float], is_h_plus: bool) -> tuple[bool, str]:
+def theorem_4_2(
+    facts: IterationFacts, problem: LCP, bounds: Sequence[float], is_h_plus: bool
+) -> tuple[bool, str]:
     """Return whether the paper's Theorem 4.2 as stated covers the unscaled iteration, and a sentence that says so.
 
     Parameters
@@ -171,7 +182,11 @@ def theorem_4_2(facts: IterationFacts, problem: LCP, bounds: Sequence[float], is
     alpha, beta = numbers(facts)
     lower, upper = bounds
     between = f"{lower:.3g} … {upper:.3g}"
-    number = f"ρ|L+U| = {(lower + upper) / 2.0:.3g}" if upper - lower <= 0.004 * upper else f"ρ|L+U| in {between}"
+    number = (
+        f"ρ|L+U| = {(lower + upper) / 2.0:.3g}"
+        if upper - lower <= 0.004 * upper
+        else f"ρ|L+U| in {between}"
+    )
     diagonal = problem.diagonal
     premise = 0.0 <= beta <= alpha <= 1.0
     if not is_h_plus:
@@ -182,8 +197,15 @@ def theorem_4_2(facts: IterationFacts, problem: LCP, bounds: Sequence[float], is
     reason = number if not case else "its splitting needs ⟨M⟩ = ⟨𝓜⟩ − |𝓝|, that is 0 ≤ β ≤ α ≤ 1"
     is_mixed = not (np.all(diagonal >= 1.0) or np.all(diagonal < 1.0))
     reason += "; neither D ≥ I nor D < I" if is_mixed else ""
-    hindered = "; its premise ⟨M⟩ = ⟨𝓜⟩ − |𝓝| needs 0 ≤ β ≤ α ≤ 1 besides" if not premise and not case else ""
-    return False, f"not covered by Theorem 4.2 as stated ({reason}); covered after diagonal scaling{hindered}"
+    hindered = (
+        "; its premise ⟨M⟩ = ⟨𝓜⟩ − |𝓝| needs 0 ≤ β ≤ α ≤ 1 besides"
+        if not premise and not case
+        else ""
+    )
+    return (
+        False,
+        f"not covered by Theorem 4.2 as stated ({reason}); covered after diagonal scaling{hindered}",
+    )
 
 
 def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVector] | None:
@@ -222,7 +244,12 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVec
     except np.linalg.LinAlgError:
         return None
     sizes = np.abs(splitting) + np.abs(M) + identity + np.abs(D)
-    right = np.abs(splitting - M + identity + D) + np.abs(M - identity) + 16.0 * EPSILON * sizes + 8.0 * TINY
+    right = (
+        np.abs(splitting - M + identity + D)
+        + np.abs(M - identity)
+        + 16.0 * EPSILON * sizes
+        + 8.0 * TINY
+    )
     uncertain = np.abs(P) + np.abs(splitting) + np.abs(D)
     error = np.abs(identity - P @ X) + unit * ((uncertain + TINY) @ np.abs(X) + identity) + n * TINY
     spread = float(error.sum(axis=1).max(initial=0.0))
@@ -232,12 +259,16 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVec
     for _ in range(60):
         grown = np.abs(X) @ (right @ v)
         v = 0.5 * (v + grown / grown.max(initial=1e-300)) if np.isfinite(grown).all() else v
-    bounded = _inverse_bound(np.abs(X), error, spread, (right @ v) * (1.0 + unit)) * (1.0 + 4.0 * unit)
+    bounded = _inverse_bound(np.abs(X), error, spread, (right @ v) * (1.0 + unit)) * (
+        1.0 + 4.0 * unit
+    )
     rate = float(np.max(bounded / v, initial=0.0))
     return (float(np.nextafter(rate, 2.0)), v) if rate < 1.0 - EPSILON else None
 
 
-def _inverse_bound(size_of_inverse: FloatMatrix, error: FloatMatrix, spread: float, b: FloatVector) -> FloatVector:
+def _inverse_bound(
+    size_of_inverse: FloatMatrix, error: FloatMatrix, spread: float, b: FloatVector
+) -> FloatVector:
     """Return |X|(b + |E|b + …), the tail of the series bounded by its norm."""
     tail = spread * spread / (1.0 - spread) * b.max(initial=0.0)
     bound: FloatVector = size_of_inverse @ (b + error @ b + tail)

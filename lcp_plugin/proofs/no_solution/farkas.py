@@ -47,6 +47,7 @@ class HasMargin(Protocol):
     @property
     def radius(self) -> float:
         """The size."""
+
     @property
     def margin(self) -> float:
         """By how much the constraints contradict."""
@@ -99,7 +100,11 @@ class FarkasProgram:
         matrix = self.constraints.matrix
         exponents = equilibrating_exponents(without_rounding(matrix), AIMS, 500)
         rows, columns = (np.ldexp(1.0, side) for side in exponents)
-        for name, value in (("rows", rows), ("columns", columns), ("matrix", scaled(matrix, exponents))):
+        for name, value in (
+            ("rows", rows),
+            ("columns", columns),
+            ("matrix", scaled(matrix, exponents)),
+        ):
             object.__setattr__(self, name, value)
 
     @cached_property
@@ -108,7 +113,9 @@ class FarkasProgram:
         asked = self.constraints
         with np.errstate(over="ignore"):
             q = (self.rows * asked.q)[asked.needs_rise | asked.needs_fall]
-            sizes = np.abs(np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns]))
+            sizes = np.abs(
+                np.concatenate([q, asked.lower / self.columns, asked.upper / self.columns])
+            )
         return list(map(float, np.unique(sizes[np.isfinite(sizes) & (sizes > 0.0)])[::-1]))
 
     @cached_property
@@ -125,12 +132,18 @@ class FarkasProgram:
     def solve(self) -> FarkasAnswer | None:
         """Return the optimum, or None where it took more pivots or time than there is."""
         form = self._form
-        result = linear_program(form.cost, form.equations, 0.0, (0.0, None), (form.norm[None, :], [1.0]), self.pivots)
+        result = linear_program(
+            form.cost, form.equations, 0.0, (0.0, None), (form.norm[None, :], [1.0]), self.pivots
+        )
         if result is None:
             return None
-        return FarkasAnswer(float(result.fun), result.x, -result.eqlin.marginals * self._scaled_unit * self.columns)
+        return FarkasAnswer(
+            float(result.fun), result.x, -result.eqlin.marginals * self._scaled_unit * self.columns
+        )
 
-    def proof(self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None]) -> Proof | None:
+    def proof(
+        self, answer: FarkasAnswer, proven: Callable[[Multipliers], Proof | None]
+    ) -> Proof | None:
         """Return the first proof with half the margin that the answer promises, else the one with the largest.
 
         One within a radius only where no other has been found.
@@ -140,7 +153,11 @@ class FarkasProgram:
         proven : callable
             Gives the proof by a y in the scale of the constraints, or None where that is none.
         """
-        wanted, plain, within = NEAR_ENOUGH * self.margin_of(answer.optimum), list[Proof](), list[Proof]()
+        wanted, plain, within = (
+            NEAR_ENOUGH * self.margin_of(answer.optimum),
+            list[Proof](),
+            list[Proof](),
+        )
         for y in self._tried(answer):
             proof = proven(y)
             if proof is not None:
@@ -150,7 +167,10 @@ class FarkasProgram:
         if plain or not within:
             return max(plain, key=lambda proof: proof.margin, default=None)
         most = max(proof.margin for proof in within)
-        return max((proof for proof in within if proof.margin >= ALIKE * most), key=lambda proof: proof.radius)
+        return max(
+            (proof for proof in within if proof.margin >= ALIKE * most),
+            key=lambda proof: proof.radius,
+        )
 
     def polished(self, answer: FarkasAnswer) -> FloatVector:
         """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
@@ -176,9 +196,12 @@ class FarkasProgram:
         both = sp.hstack([sp.eye_array(size), slacks], format="csc")  # v = the rest + slacks · t
         largest = SLACK * size / (count * form.norm.sum())
         result = linear_program(
-            np.repeat([0.0, -1.0], [size, count]), form.equations @ both, 0.0,
+            np.repeat([0.0, -1.0], [size, count]),
+            form.equations @ both,
+            0.0,
             np.repeat([[0.0, np.inf], [0.0, largest]], [size, count], axis=0),
-            (np.stack([form.norm, form.cost]) @ both, [1.0, KEPT * answer.optimum]), self.pivots,
+            (np.stack([form.norm, form.cost]) @ both, [1.0, KEPT * answer.optimum]),
+            self.pivots,
         )
         return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
 
@@ -195,18 +218,33 @@ class FarkasProgram:
     def _form(self) -> _StandardForm:
         """The program in nonnegative parts of y and multipliers of finite bounds."""
         asked, unit, (m, n) = self.constraints, self._scaled_unit, self.matrix.shape
-        kinds = [np.flatnonzero(kind) for kind in (
-            asked.needs_rise, asked.needs_fall, np.isfinite(asked.upper), np.isfinite(asked.lower)
-        )]
+        kinds = [
+            np.flatnonzero(kind)
+            for kind in (
+                asked.needs_rise,
+                asked.needs_fall,
+                np.isfinite(asked.upper),
+                np.isfinite(asked.lower),
+            )
+        ]
         with np.errstate(over="ignore"):
             q, weights = self.rows * asked.q, self.rows * asked.weights
             values = q, q, asked.upper / self.columns, asked.lower / self.columns
-            units = weights, weights, *(weight / self.columns for weight in reversed(asked.bound_weights))
-        cost, norm = (np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)]) for side in (values, units))
+            units = (
+                weights,
+                weights,
+                *(weight / self.columns for weight in reversed(asked.bound_weights)),
+            )
+        cost, norm = (
+            np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)])
+            for side in (values, units)
+        )
         place = np.concatenate([*kinds[:2], m + kinds[2], m + kinds[3]])
         scale = 2.0 / power_of_two(np.clip(norm, 1.0, MOST_SHRUNK))
         signed = np.repeat([1.0, -1.0, 1.0, -1.0], [kind.size for kind in kinds]) * scale
-        equations = sp.csc_array(sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place])
+        equations = sp.csc_array(
+            sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place]
+        )
         equations.data *= np.repeat(signed, np.diff(equations.indptr))
         norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
         cost = signed * cost
@@ -220,10 +258,14 @@ class FarkasProgram:
         with np.errstate(all="ignore"):
             w = asked.matrix @ x + asked.q
             size = abs(asked.matrix) @ np.abs(x) + np.abs(asked.q)
-            missing = np.maximum(np.where(asked.needs_rise, -w, -np.inf), np.where(asked.needs_fall, w, -np.inf))
+            missing = np.maximum(
+                np.where(asked.needs_rise, -w, -np.inf), np.where(asked.needs_fall, w, -np.inf)
+            )
             violated = missing > VIOLATED * size
             size *= self.rows
-        if not np.isfinite(size).all():  # a sum that overflows has no sign: nothing can be called feasible
+        if not np.isfinite(
+            size
+        ).all():  # a sum that overflows has no sign: nothing can be called feasible
             return float(np.finfo(np.float64).max)
         return float(size[violated].max()) if violated.any() else None
 
@@ -234,7 +276,9 @@ class FarkasProgram:
         """
         y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(initial=0.0), 0.0, y)
         asked = self.constraints
-        y = np.clip(y, np.where(asked.needs_fall, -np.inf, 0.0), np.where(asked.needs_rise, np.inf, 0.0))
+        y = np.clip(
+            y, np.where(asked.needs_fall, -np.inf, 0.0), np.where(asked.needs_rise, np.inf, 0.0)
+        )
         if not y.any():
             return
         y = y / np.abs(y).max()
@@ -243,7 +287,9 @@ class FarkasProgram:
         kept = np.flatnonzero(np.abs(y) > NEGLIGIBLE).tolist()
         for base in dict.fromkeys((1.0, float(np.abs(y[kept]).min()))):
             for denominator in (1, 100, 100_000):  # multipliers of stated models are short
-                near = {i: Fraction(float(y[i]) / base).limit_denominator(denominator) for i in kept}
+                near = {
+                    i: Fraction(float(y[i]) / base).limit_denominator(denominator) for i in kept
+                }
                 if any(near.values()):
                     yield self._unscaled(near)
         for tight in TIGHT:
@@ -279,7 +325,9 @@ class FarkasProgram:
             return None
         columns = rational_rows(self.matrix.T.tocsr()[equalities][:, support])
         # Any nearby value will do: short ones keep the exact solve short.
-        exact = solved_nearby(columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * support.size)
+        exact = solved_nearby(
+            columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * support.size
+        )
         return None if exact is None else dict(zip(support.tolist(), exact, strict=True))
 
     def _tight(self, y: FloatVector, tight: float) -> tuple[Any, Any]:
@@ -313,12 +361,18 @@ class _StandardForm:
 
     def vector(self, v: FloatVector) -> FloatVector:
         """Return y, shape (m,)."""
-        y: FloatVector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(np.float64)
+        y: FloatVector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(
+            np.float64
+        )
         return y
 
 
 def linear_program(
-    cost: FloatVector, equations: Any, right: FloatVector | float, bounds: Any, at_most: tuple[Any, Any],
+    cost: FloatVector,
+    equations: Any,
+    right: FloatVector | float,
+    bounds: Any,
+    at_most: tuple[Any, Any],
     pivots: int | None = None,
 ) -> Any:
     """Return what HiGHS makes of min costᵀv, equations · v = right, rows · v ≤ limits; None where it has no optimum.
@@ -337,14 +391,22 @@ def linear_program(
     if not cost.size or not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
         return None
     options: dict[str, Any] = {
-        "presolve": True, "primal_feasibility_tolerance": LP_TOLERANCE, "dual_feasibility_tolerance": LP_TOLERANCE,
+        "presolve": True,
+        "primal_feasibility_tolerance": LP_TOLERANCE,
+        "dual_feasibility_tolerance": LP_TOLERANCE,
     }
     if pivots is not None:
         options["maxiter"] = pivots
     if math.isfinite(left := seconds_left()):
         options["time_limit"] = left
     result = linprog(
-        cost, A_ub=at_most[0], b_ub=at_most[1], A_eq=equations, b_eq=np.broadcast_to(right, equations.shape[0]),
-        bounds=bounds, method="highs", options=options,
+        cost,
+        A_ub=at_most[0],
+        b_ub=at_most[1],
+        A_eq=equations,
+        b_eq=np.broadcast_to(right, equations.shape[0]),
+        bounds=bounds,
+        method="highs",
+        options=options,
     )
     return result if result.status == 0 else None

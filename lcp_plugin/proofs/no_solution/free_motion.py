@@ -25,7 +25,12 @@ NAMED, NAMED_FROM = 4, 1e-6  # unknowns, and of the largest movement
 
 
 def falling_directions(
-    P: Any, null_space: FloatVector, c: FloatVector, rises: BoolVector, falls: BoolVector, rows: Any = None,
+    P: Any,
+    null_space: FloatVector,
+    c: FloatVector,
+    rises: BoolVector,
+    falls: BoolVector,
+    rows: Any = None,
     is_equality: Any = None,
 ) -> Iterator[FloatVector]:
     """Yield directions d with P d = 0 to rounding, the signs that bounds ask for and cᵀd < 0; none where there is none.
@@ -72,7 +77,11 @@ def falling_directions(
     if normals.shape[0]:
         try:
             slope = slope - normals.T @ nnls(normals.T, slope)[0]
-        except (RuntimeError, LinAlgError, LinAlgWarning):  # too many steps; before scipy 1.15, dependent columns
+        except (
+            RuntimeError,
+            LinAlgError,
+            LinAlgWarning,
+        ):  # too many steps; before scipy 1.15, dependent columns
             return
     d = null_space @ slope
     largest = float(np.abs(d).max())
@@ -86,7 +95,12 @@ def falling_directions(
     for k in np.argsort(left, kind="stable").tolist():
         one = found[k]
         has_signs = bool((one[rises] >= 0.0).all() and (one[falls] <= 0.0).all())
-        if left[k] <= MEAN_ROUNDING and has_signs and c @ one < 0.0 and not _is_among(one, distinct):
+        if (
+            left[k] <= MEAN_ROUNDING
+            and has_signs
+            and c @ one < 0.0
+            and not _is_among(one, distinct)
+        ):
             distinct.append(one)
             yield one
 
@@ -155,5 +169,8 @@ def is_at_rest(P: Any, direction: Any) -> bool:
     P = sp.csr_array(P)
     if not P[moving].count_nonzero() or _left(P, d) > MEAN_ROUNDING:
         return False
-    pattern, root = sp.csr_array((np.ones(P.nnz), P.indices, P.indptr), shape=P.shape), np.sqrt(np.abs(P.diagonal()))
+    pattern, root = (
+        sp.csr_array((np.ones(P.nnz), P.indices, P.indptr), shape=P.shape),
+        np.sqrt(np.abs(P.diagonal())),
+    )
     return bool((np.abs(P @ d) <= ROW_ROUNDING * root * (pattern @ (root * np.abs(d)))).all())

@@ -23,7 +23,14 @@ from ...systems.null_space import null_space_by_rows, null_space_of
 from ..exact.rational import Rational
 from .free_motion import falling_directions
 from .linear_constraints import DECISIVE, LinearConstraints
-from .proof import Choices, Closing, Infeasibility, NoSolutionProof, rescaled_multipliers, row_choices
+from .proof import (
+    Choices,
+    Closing,
+    Infeasibility,
+    NoSolutionProof,
+    rescaled_multipliers,
+    row_choices,
+)
 
 DEFAULT_EFFORT = 20_000_000  # pivots times n: a minute or so of the linear program
 
@@ -53,7 +60,11 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     if problem.n == 0:
         return None
     effort = DEFAULT_EFFORT // max(problem.n, 400) if effort_limit is None else effort_limit
-    scaling = CommonScaling(problem, problem) if RowScaling.of(problem) is None else CommonScaling.of(problem)
+    scaling = (
+        CommonScaling(problem, problem)
+        if RowScaling.of(problem) is None
+        else CommonScaling.of(problem)
+    )
     if (factors := scaling.row_factors) is not None:
         known = find_infeasibility(scaling.problem, effort_limit=effort)
         return None if known is None else known.rescaled(problem, factors)
@@ -77,7 +88,10 @@ def unheld_motion(problem: LCP) -> Infeasibility | None:
     >>> print(unheld_motion(springs))
     nothing holds unknowns 0, 1: along them M d = 0 and qᵀd < 0, and no bound is in the way; proof: exact
     """
-    return next((proof for d in _motions(problem) if (proof := _proven(problem, _by_row(d))) is not None), None)
+    return next(
+        (proof for d in _motions(problem) if (proof := _proven(problem, _by_row(d))) is not None),
+        None,
+    )
 
 
 def seems_unheld(problem: LCP, *, by_rows: bool = False) -> bool:
@@ -85,7 +99,9 @@ def seems_unheld(problem: LCP, *, by_rows: bool = False) -> bool:
 
     Where it is asked `by_rows`, no factor is made: only the Laplacian of a graph is seen.
     """
-    if by_rows and (problem.is_dense or (known := null_space_by_rows(problem.csr)) is None or not known.any()):
+    if by_rows and (
+        problem.is_dense or (known := null_space_by_rows(problem.csr)) is None or not known.any()
+    ):
         return False
     return next(_motions(problem), None) is not None
 
@@ -108,14 +124,18 @@ def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
 
     reference = reference_residual(problem)
     constraints = replace(_linear_constraints(problem), reference=reference)
-    unit = reference if 0.0 < reference < np.inf else None  # then the optimum is minus the largest margin
+    unit = (
+        reference if 0.0 < reference < np.inf else None
+    )  # then the optimum is minus the largest margin
     for _ in range(3):  # units
         program = FarkasProgram(constraints, unit, effort)
         answer = program.solve()
         if answer is None:
             return None
         if answer.is_contradiction:
-            proof = program.proof(answer, lambda y: _proven(problem, {i: value for i, value in enumerate(y) if value}))
+            proof = program.proof(
+                answer, lambda y: _proven(problem, {i: value for i, value in enumerate(y) if value})
+            )
             if proof is not None or unit is None:
                 return proof
             unit = None  # what this unit cuts off may matter
@@ -130,8 +150,14 @@ def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstrai
     """Return what z has to satisfy in these rows but for complementarity; what misses it has a residual as large."""
     kept = np.zeros(problem.n)
     return LinearConstraints(
-        sp.csr_array(problem.M[rows]), problem.q[rows], problem.upper[rows] == np.inf, problem.lower[rows] == -np.inf,
-        problem.lower, problem.upper, problem.residual_scale[rows], (kept, kept),
+        sp.csr_array(problem.M[rows]),
+        problem.q[rows],
+        problem.upper[rows] == np.inf,
+        problem.lower[rows] == -np.inf,
+        problem.lower,
+        problem.upper,
+        problem.residual_scale[rows],
+        (kept, kept),
     )
 
 
@@ -151,7 +177,9 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     >>> print(contradictory_row(LCP([[-1, 0], [0, 1]], [-1, 2])))
     no z within its bounds gives w the signs it needs: row 0 contradicts its bounds; proof: exact
     """
-    rows = np.flatnonzero((np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0))
+    rows = np.flatnonzero(
+        (np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0)
+    )
     if not rows.size:
         return None
     for k, sign in _linear_constraints(problem, rows).contradictory_rows():
@@ -172,7 +200,11 @@ class Case:
     def rescaled(self, factors: Sequence[Fraction]) -> Case:
         """Return the case of a problem in other units of z."""
         branches = {choice: branch.rescaled(factors) for choice, branch in self.branches.items()}
-        y = None if self.y is None else rescaled_multipliers([Fraction(value) for value in self.y], factors)
+        y = (
+            None
+            if self.y is None
+            else rescaled_multipliers([Fraction(value) for value in self.y], factors)
+        )
         return Case(self.row, branches, y)
 
 
@@ -238,4 +270,6 @@ class NoSolution(NoSolutionProof):
         while stack:
             case, path = stack.pop()
             yield case, path
-            stack.extend((branch, path | {case.row: choice}) for choice, branch in case.branches.items())
+            stack.extend(
+                (branch, path | {case.row: choice}) for choice, branch in case.branches.items()
+            )

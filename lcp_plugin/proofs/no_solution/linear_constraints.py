@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.matrix.structure import row_numbers
-from ..exact.rational import ZERO, IntegerMatrix, common_denominator, integers, power_of_two, rounded_down, total
+from ..exact.rational import (
+    ZERO,
+    IntegerMatrix,
+    common_denominator,
+    integers,
+    power_of_two,
+    rounded_down,
+    total,
+)
 
 BoolVector = NDArray[np.bool_]
 
@@ -89,12 +97,16 @@ class LinearConstraints:
             yield i, 1 if missing[0, i] > 0.0 else -1
 
 
-def activity(matrix: sp.csr_array, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
+def activity(
+    matrix: sp.csr_array, lower: FloatVector, upper: FloatVector
+) -> tuple[FloatVector, FloatVector]:
     """Return the least and the largest value of each row of matrix · x within the bounds, to rounding."""
     rows, m = row_numbers(matrix), matrix.shape[0]
     with np.errstate(all="ignore"):
         ends = [matrix.data * bound[matrix.indices] for bound in (lower, upper)]
-        lowest, highest = (np.bincount(rows, weights=side(*ends), minlength=m) for side in (np.minimum, np.maximum))
+        lowest, highest = (
+            np.bincount(rows, weights=side(*ends), minlength=m) for side in (np.minimum, np.maximum)
+        )
     return lowest.astype(np.float64), highest.astype(np.float64)
 
 
@@ -120,11 +132,14 @@ class Sides(Protocol):
     @property
     def matrix(self) -> sp.csr_array:
         """M."""
+
     @property
     def q(self) -> FloatVector:
         """The offset of w = M x + q."""
+
     def signs(self, row: int) -> tuple[bool, bool]:
         """Return whether w_i ≥ 0 and w_i ≤ 0 is asked for."""
+
     def bounds(self, column: int) -> tuple[float, float]:
         """Return the bounds of an unknown."""
 
@@ -218,11 +233,15 @@ class Contradiction:
             return True
         largest, known = max(map(abs, self.y.values())), known or {}
         y = np.array([float(abs(value) / largest) for value in self.y.values()])
-        terms, offset = abs(self.sides.matrix[list(self.y)]).T @ y, float(y @ np.abs(self.sides.q[list(self.y)]))
+        terms, offset = (
+            abs(self.sides.matrix[list(self.y)]).T @ y,
+            float(y @ np.abs(self.sides.q[list(self.y)])),
+        )
         with np.errstate(all="ignore"):
             moved = sum(
                 float(abs(value) / largest) * max(offset / terms[j], known.get(j, 0.0))
-                for j, value in self.left.items() if known.get(j) != 0.0
+                for j, value in self.left.items()
+                if known.get(j) != 0.0
             )
         return bool(float(self.plain / largest) >= 2.0 * WIDE * moved)
 
@@ -234,7 +253,10 @@ class Contradiction:
         largest = max(map(abs, self.y.values()))
         sizes = np.array([float(abs(value) / largest) for value in self.y.values()])
         terms = abs(self.sides.matrix[list(self.y)]).T @ sizes
-        return all(abs(value) <= largest * Fraction(DATA_ROUNDING * float(terms[j])) for j, value in left.items())
+        return all(
+            abs(value) <= largest * Fraction(DATA_ROUNDING * float(terms[j]))
+            for j, value in left.items()
+        )
 
     def miss(self, weights: FloatVector) -> float:
         """Return by how much, in such units, every x misses some row, rounded down; 0 where a unit has overflowed."""

@@ -50,7 +50,11 @@ def exact_references(problem: LCP) -> Callable[[int], Fraction]:
     def of_component(component: int) -> Fraction:
         if most[component] == 0.0 or SAFE_RANGE[0] < most[component] < SAFE_RANGE[1]:
             return Fraction(float(most[component]))
-        rows = range(problem.q.size) if several is None else np.flatnonzero(several.labels == component).tolist()
+        rows = (
+            range(problem.q.size)
+            if several is None
+            else np.flatnonzero(several.labels == component).tolist()
+        )
         exact = exactly_weighted(problem, problem.nearest_to_zero)
         return max(exact[i] for i in rows)
 
@@ -164,7 +168,10 @@ class NoSolutionProof:
         return rounded_down(self._least[2]) <= rounding_of_data(self.problem)
 
     def excludes(
-        self, tolerance: float, tolerance_on: str = "residual", absolute_tolerance: float = 0.0,
+        self,
+        tolerance: float,
+        tolerance_on: str = "residual",
+        absolute_tolerance: float = 0.0,
     ) -> bool:
         """Return whether no z within the bounds could be called SOLVED with these settings of a run.
 
@@ -191,8 +198,10 @@ class NoSolutionProof:
         """
         what = "infeasible" if self.status is Status.INFEASIBLE else "without solution"
         if self.is_rounding:
-            return (f"{what}, but only by {self.absolute_margin:.0e} in the unit of z: rounding beside the largest "
-                    f"number in q; absolute_tolerance={1.1 * max(residual, self.absolute_margin):.1e} accepts z")
+            return (
+                f"{what}, but only by {self.absolute_margin:.0e} in the unit of z: rounding beside the largest "
+                f"number in q; absolute_tolerance={1.1 * max(residual, self.absolute_margin):.1e} accepts z"
+            )
         if (radius := getattr(self, "radius", np.inf)) < np.inf:
             return f"{what} up to ‖z‖∞ = {radius:.0e}"
         if self.margin > tolerance and absolute_tolerance:
@@ -244,7 +253,13 @@ class Choices(NamedTuple):
         """Return between what z_j is."""
         lower, upper = float(self.problem.lower[column]), float(self.problem.upper[column])
         choice = self.path.get(column)
-        return (lower, lower) if choice == LOWER else (upper, upper) if choice == UPPER else (lower, upper)
+        return (
+            (lower, lower)
+            if choice == LOWER
+            else (upper, upper)
+            if choice == UPPER
+            else (lower, upper)
+        )
 
     def contradiction(self, y: Mapping[int, Rational]) -> Contradiction:
         """Return what a vector, by row, proves of it, if its signs are right."""
@@ -271,16 +286,21 @@ class Choices(NamedTuple):
         scale, path = residual_scale_of_criterion(self.problem), self.path
         sizes = {i: abs(y) for i, y in found.y.items() if path.get(i) not in (LOWER, UPPER)}
         scaled = [(i, size * Fraction(float(scale[i]))) for i, size in sizes.items()]
-        leaving = {i: abs(value) for i, value in found.product.items()
-                   if path.get(i) == (LOWER if value > 0 else UPPER)}  # of z_i from its bound
+        leaving = {
+            i: abs(value)
+            for i, value in found.product.items()
+            if path.get(i) == (LOWER if value > 0 else UPPER)
+        }  # of z_i from its bound
         shares = [*scaled, *leaving.items()]
         scaling, reference = RowScaling.of(self.problem), exact_references(self.problem)
         absolute = sum((share for _, share in shares), ZERO)
         return Closing(
-            found.size, sum((share * reference(i) for i, share in shares), ZERO), absolute,
-            absolute if scaling is None else sum(
-                (share * Fraction(2) ** int(scaling.column[i]) for i, share in shares), ZERO
-            ),
+            found.size,
+            sum((share * reference(i) for i, share in shares), ZERO),
+            absolute,
+            absolute
+            if scaling is None
+            else sum((share * Fraction(2) ** int(scaling.column[i]) for i, share in shares), ZERO),
         )
 
 
@@ -347,19 +367,27 @@ class Infeasibility(NoSolutionProof):
 
     def rescaled(self, problem: LCP, factors: Sequence[Fraction]) -> Infeasibility:
         """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
-        return Infeasibility.of(problem, dict(enumerate(rescaled_multipliers(self.exact_y, factors))))
+        return Infeasibility.of(
+            problem, dict(enumerate(rescaled_multipliers(self.exact_y, factors)))
+        )
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
         problem = self.problem
         with np.errstate(all="ignore"):
-            sizes = np.abs(np.concatenate([problem.q / problem.residual_scale, problem.lower, problem.upper]))
+            sizes = np.abs(
+                np.concatenate([problem.q / problem.residual_scale, problem.lower, problem.upper])
+            )
         # What is 0 but for rounding of its largest terms has data alone to be beside.
         least, first = (0.0, problem.n) if self.is_free_motion else (1.0, 0)
-        if self.is_free_motion and not is_far_out(problem.matrix.array, problem.q, self.y, self._found.left):
+        if self.is_free_motion and not is_far_out(
+            problem.matrix.array, problem.q, self.y, self._found.left
+        ):
             yield None
             return
-        yield Choices(problem, {}).closing(self._found, float(sizes[np.isfinite(sizes)].max(initial=least)), first)
+        yield Choices(problem, {}).closing(
+            self._found, float(sizes[np.isfinite(sizes)].max(initial=least)), first
+        )
 
     def how_small(self, tolerance: float, absolute_tolerance: float, residual: float) -> str:
         """Return the same, and which unknowns nothing holds."""
@@ -369,20 +397,24 @@ class Infeasibility(NoSolutionProof):
     @cached_property
     def is_free_motion(self) -> bool:
         """Whether M maps y to 0 but for rounding, and a symmetric M, too: nothing holds z along y."""
-        return is_nearly_symmetric(self.problem.matrix) and is_at_rest(self.problem.matrix.array, self.y)
+        return is_nearly_symmetric(self.problem.matrix) and is_at_rest(
+            self.problem.matrix.array, self.y
+        )
 
     def __str__(self) -> str:
         if self.is_free_motion:
-            return (f"nothing holds {moved_unknowns(self.y)}: along them M d = 0 and qᵀd < 0, and no bound is in the "
-                    f"way; proof: exact{within(self.radius, 'z')}")
+            return (
+                f"nothing holds {moved_unknowns(self.y)}: along them M d = 0 and qᵀd < 0, and no bound is in the "
+                f"way; proof: exact{within(self.radius, 'z')}"
+            )
         rows = list(self._used)
-        named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (", …" if len(rows) > 4 else "")
+        named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (
+            ", …" if len(rows) > 4 else ""
+        )
         combined = f"{len(rows)} rows contradict ({named})"
         if len(rows) == 1:
             combined = f"row {rows[0]} contradicts its bounds"
-        return (
-            f"no z within its bounds gives w the signs it needs: {combined}; proof: exact{within(self.radius, 'z')}"
-        )
+        return f"no z within its bounds gives w the signs it needs: {combined}; proof: exact{within(self.radius, 'z')}"
 
     def __repr__(self) -> str:
         return f"Infeasibility({self})"

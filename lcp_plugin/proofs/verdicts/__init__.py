@@ -4,7 +4,14 @@ For other subpackages: :func:`comparison_certificate` (v with ⟨M⟩v ≥ margi
 same where v is no vector of doubles).
 """
 
-from .h_matrix import HCertificate, HVerdict, Weights, comparison_certificate, comparison_weights, h_verdict
+from .h_matrix import (
+    HCertificate,
+    HVerdict,
+    Weights,
+    comparison_certificate,
+    comparison_weights,
+    h_verdict,
+)
 from .report import MatrixReport, analyze
 
 __all__ = [

@@ -103,7 +103,11 @@ def h_verdict(matrix: Matrix) -> HVerdict:
     """Return whether M is an H-matrix, with its proof."""
     if matrix.is_distributed:
         found = _on_ranks(matrix)
-        return HVerdict(found is not None or None, "⟨M⟩v > 0 verified on every rank" * (found is not None), found)
+        return HVerdict(
+            found is not None or None,
+            "⟨M⟩v > 0 verified on every rank" * (found is not None),
+            found,
+        )
     return decide(matrix.csr, lambda: ComparisonMatrix(matrix.csr))
 
 
@@ -148,7 +152,9 @@ def is_nonpositive(M: Any, y: FloatVector) -> bool:
         return False
     value, radius = comparison_product(M, y)
     doubtful = np.flatnonzero(~(upper_end(value, radius) <= 0.0))
-    return doubtful.size <= EXACT_ROWS and all(exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful)
+    return doubtful.size <= EXACT_ROWS and all(
+        exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful
+    )
 
 
 @np.errstate(all="ignore")  # what overflows fails its check
@@ -176,7 +182,9 @@ def decide(M: Any, comparison: Any, *, by_blocks: bool = True) -> HVerdict:
         is_h = has_positive_pivots(exact_comparison(M))
         v = exact_weights(M) if is_h else None
         certificate = None if v is None else _certified(M, _centred(enclosures(v)[1]))
-        return HVerdict(is_h, "exact elimination of ⟨M⟩: ρ(D⁻¹|B|) is 1 up to rounding", certificate)
+        return HVerdict(
+            is_h, "exact elimination of ⟨M⟩: ρ(D⁻¹|B|) is 1 up to rounding", certificate
+        )
     return verdict
 
 
@@ -213,9 +221,13 @@ def _proven(M: Any, v: FloatVector, low: float, high: float, how: str) -> HVerdi
     if high < 1.0:
         certificate = _certified(M, v)
         if certificate is not None:
-            return HVerdict(True, f"v after {how}: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ {high:.6g}", certificate)
+            return HVerdict(
+                True, f"v after {how}: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ {high:.6g}", certificate
+            )
     if low >= 1.0 and is_nonpositive(M, v):
-        return HVerdict(False, f"y after {how}: ⟨M⟩y ≤ 0 checked, ρ(D⁻¹|B|) ≥ {low:.6g}", not_h_vector=v)
+        return HVerdict(
+            False, f"y after {how}: ⟨M⟩y ≤ 0 checked, ρ(D⁻¹|B|) ≥ {low:.6g}", not_h_vector=v
+        )
     return None
 
 
@@ -236,7 +248,9 @@ def _by_solving(M: Any, system: ComparisonMatrix) -> HVerdict:
             if x.size <= DIRECT_LIMIT:  # a tighter tolerance gives the same
                 break
         weights = np.maximum(magnitudes, 1e-30)
-    return HVerdict(None, "the solution of (I − D⁻¹|B|)x = 1 passes neither check: ρ is 1 up to rounding")
+    return HVerdict(
+        None, "the solution of (I − D⁻¹|B|)x = 1 passes neither check: ρ is 1 up to rounding"
+    )
 
 
 def _proven_by_solution(M: Any, system: ComparisonMatrix, x: FloatVector) -> HVerdict | None:
@@ -276,12 +290,16 @@ def _by_blocks(M: Any, verdict: HVerdict) -> HVerdict:
         else:
             v[rows], margin[rows] = part.certificate.v, part.certificate.margin
     if undecided:
-        return HVerdict(None, f"{undecided} of {count} diagonal blocks undecided: {verdict.evidence}")
+        return HVerdict(
+            None, f"{undecided} of {count} diagonal blocks undecided: {verdict.evidence}"
+        )
     evidence = f"each of {count} irreducible diagonal blocks is an H-matrix, ⟨block⟩v > 0 checked"
     return HVerdict(True, evidence, _joined(M, count, labels, v, margin))
 
 
-def _joined(M: Any, count: int, labels: Any, v: FloatVector, margin: FloatVector) -> HCertificate | None:
+def _joined(
+    M: Any, count: int, labels: Any, v: FloatVector, margin: FloatVector
+) -> HCertificate | None:
     """Return one v from those of the blocks, each scaled up until what couples to it takes half its margin."""
     diagonal_part = sp.diags_array(M.diagonal(), format="csr")
     coupling = sp.coo_array(abs(M - diagonal_part))

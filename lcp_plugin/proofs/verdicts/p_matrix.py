@@ -26,7 +26,9 @@ from ...systems.equilibration import scaling_exponents
 from ..exact.linear_systems import Rows, eliminated, exact_rows, has_positive_minors
 
 LARGEST_SIZE = 20
-SCALED_TO_NOTHING = 2.0**-900  # more than what an entry loses that leaves the range when it is scaled
+SCALED_TO_NOTHING = (
+    2.0**-900
+)  # more than what an entry loses that leaves the range when it is scaled
 OUTWARD = 1.0 + 2.0**-48  # more than the rounding of a bound
 LARGEST_WORK = 2.5e12  # of exact arithmetic, in products of bits: some seconds, and enough for any matrix of 10 rows
 ROOT = 1
@@ -94,7 +96,9 @@ def nonpositive_pair(M: Any) -> tuple[int, int] | None:
     even = sp.csr_array((M.data / diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
     ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
     suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
-    for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:2_000]:  # the likeliest
+    for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][
+        :2_000
+    ]:  # the likeliest
         i, j = int(ratios.row[k]), int(ratios.col[k])
         exact = [Fraction(float(M[place])) for place in ((i, i), (j, j), (i, j), (j, i))]
         if exact[0] * exact[1] - exact[2] * exact[3] <= 0:
@@ -141,8 +145,16 @@ def _schur(values: FloatArray, bounds: FloatArray) -> tuple[FloatArray, FloatArr
     lost = TINY * (np.abs(row) + 1.0)  # a quotient that underflows may meet a large factor
     size = np.abs(product) + lost
     inherited = (
-        np.abs(column) * row_bound + column_bound * (np.abs(row) + row_bound) + size * pivot_bound * OUTWARD
+        np.abs(column) * row_bound
+        + column_bound * (np.abs(row) + row_bound)
+        + size * pivot_bound * OUTWARD
         + 4.0 * TINY
     ) / (pivot - pivot_bound)
-    error = bounds[:, 1:, 1:] + inherited * OUTWARD + (4.0 * size + 2.0 * np.abs(result)) * UNIT + lost + 8.0 * TINY
+    error = (
+        bounds[:, 1:, 1:]
+        + inherited * OUTWARD
+        + (4.0 * size + 2.0 * np.abs(result)) * UNIT
+        + lost
+        + 8.0 * TINY
+    )
     return result, error * OUTWARD

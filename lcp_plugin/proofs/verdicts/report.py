@@ -157,7 +157,9 @@ class MatrixReport:
         return {
             "n": self.n,
             "nonzeros": self.matrix.nonzeros,
-            "verdicts": {name: {"value": v.value, "evidence": v.evidence} for name, v in self._all()},
+            "verdicts": {
+                name: {"value": v.value, "evidence": v.evidence} for name, v in self._all()
+            },
             "triangular_form": self.triangular_form,
             "components": self.components,
             "blocks": self.blocks,
@@ -173,7 +175,9 @@ class MatrixReport:
         lines = [f"matrix of size {self.n}, {self.matrix.nonzeros} nonzeros"]
         for name, v in self._all():
             lines += wrapped(f"{CLAIMS[name].title:<29} {WORDS[v.value]:<10} ", v.evidence)
-        lines.append(f"{'connected components':<29} {self.components}, strongly connected blocks {self.blocks}")
+        lines.append(
+            f"{'connected components':<29} {self.components}, strongly connected blocks {self.blocks}"
+        )
         rows = f"{self.zero_diagonal.size} zero, {self.negative_diagonal.size} negative"
         lines.append(f"{'diagonal':<29} {rows}")
         spread = ", ".join(f"{name} {decades:.1f}" for name, decades in self.scale_spread.items())
@@ -243,7 +247,9 @@ def matrix_of(M: Any) -> Matrix:
 
 def wrapped(title: str, text: str) -> list[str]:
     """Return the text beside its title, in lines of at most 100 columns."""
-    return textwrap.wrap(text, LINE, initial_indent=title, subsequent_indent=" " * len(title)) or [title.rstrip()]
+    return textwrap.wrap(text, LINE, initial_indent=title, subsequent_indent=" " * len(title)) or [
+        title.rstrip()
+    ]
 
 
 @fact
@@ -306,4 +312,8 @@ def _classes(matrix: Matrix) -> Iterator[str]:
         yield form if form == "diagonal" else f"{form} triangular"
     if z_matrix(matrix).value:
         yield "a Z-matrix"
-    yield "with positive diagonal" if (matrix.diagonal > 0.0).all() else "with a diagonal not everywhere positive"
+    yield (
+        "with positive diagonal"
+        if (matrix.diagonal > 0.0).all()
+        else "with a diagonal not everywhere positive"
+    )

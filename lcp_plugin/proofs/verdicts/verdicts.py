@@ -23,7 +23,12 @@ from ...systems.definiteness import (
 from ...systems.factors import factor_fits
 from ...systems.graph import block_rows, diagonal_blocks, row_excess_signs
 from ...systems.symmetry import asymmetry, asymmetry_of_rows
-from ..exact.linear_systems import EXACT_SIZE, exact_symmetric_part, has_nonnegative_pivots, has_positive_pivots
+from ..exact.linear_systems import (
+    EXACT_SIZE,
+    exact_symmetric_part,
+    has_nonnegative_pivots,
+    has_positive_pivots,
+)
 from ..exact.rational import integers
 from .h_matrix import HCertificate, decide, h_verdict
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
@@ -51,7 +56,10 @@ def symmetric(matrix: Matrix) -> Verdict:
         return Verdict(True, "M = Mᵀ exactly")
     beside = asymmetry_of_rows(matrix)
     if min(found, beside) <= SYMMETRIC_TO_ROUNDING:
-        return Verdict(False, f"symmetric up to rounding: its largest asymmetry beside the rows is {beside:.2g}")
+        return Verdict(
+            False,
+            f"symmetric up to rounding: its largest asymmetry beside the rows is {beside:.2g}",
+        )
     return Verdict(False, f"asymmetry {found:.2g} beside the entries, {beside:.2g} beside rows")
 
 
@@ -94,7 +102,10 @@ def irreducibly_dominant(matrix: Matrix) -> Verdict:
         return Verdict(False, "|m_ii| = Σ|m_ij| on every row")
     if not irreducible(matrix).value:
         return Verdict(False, f"reducible: {diagonal_blocks(matrix)[0]} strongly connected blocks")
-    return Verdict(True, f"|m_ii| ≥ Σ|m_ij|, strictly on {int((signs > 0).sum())} of {signs.size} rows; irreducible")
+    return Verdict(
+        True,
+        f"|m_ii| ≥ Σ|m_ij|, strictly on {int((signs > 0).sum())} of {signs.size} rows; irreducible",
+    )
 
 
 @fact
@@ -140,7 +151,10 @@ def positive_definite(matrix: Matrix) -> Verdict:
     if value is None:
         return Verdict(None, f"{UNDECIDED}: {what}")
     if value:
-        return Verdict(True, f"{'SPD: ' if symmetric(matrix).value else ''}{what} factorises, rounding margin included")
+        return Verdict(
+            True,
+            f"{'SPD: ' if symmetric(matrix).value else ''}{what} factorises, rounding margin included",
+        )
     return Verdict(False, f"{what} does not factorise, rounding margin included")
 
 
@@ -159,13 +173,19 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
     part = symmetric_part_of(matrix)
     value = is_semidefinite_to_rounding(part) if _is_well_rounded(matrix) else None
     if value is not False and matrix.n <= EXACT_SIZE:
-        what = "exact elimination of M" if symmetric(matrix).value else "exact elimination of the symmetric part of M"
+        what = (
+            "exact elimination of M"
+            if symmetric(matrix).value
+            else "exact elimination of the symmetric part of M"
+        )
         if has_nonnegative_pivots(exact_symmetric_part(matrix.csr)):
             return Verdict(True, f"λ_min ≥ 0: {what}", 0.0)
         return Verdict(False, f"λ_min < 0: {what}")
     if value:
         delta = semidefinite_margin(part)
-        return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, up to which nothing can be said", delta)
+        return Verdict(
+            None, f"undecided: λ_min ≥ −{delta:.3g}, up to which nothing can be said", delta
+        )
     if value is None and not _is_well_rounded(matrix):
         return Verdict(None, "undecided: the numbers are near the ends of the range of doubles")
     if value is None:
@@ -187,7 +207,10 @@ def p_matrix(matrix: Matrix) -> Verdict:
     if matrix.n <= LARGEST_SIZE:
         value = is_p_matrix_by_recursion(matrix.csr)
         how = "recursive Schur complements, rounding included"
-        return Verdict(value, how if value is not None else f"undecided: a minor vanishes up to rounding ({how})")
+        return Verdict(
+            value,
+            how if value is not None else f"undecided: a minor vanishes up to rounding ({how})",
+        )
     definite = positive_definite(matrix)
     if definite.value:
         return Verdict(True, "every positive definite matrix is one")
@@ -246,7 +269,9 @@ def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
             return Verdict(False, "a symmetric Z-matrix that is no M-matrix")
         pair = nonpositive_pair(matrix.csr)
         if pair is not None:
-            return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
+            return Verdict(
+                False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive"
+            )
         return None
     if _symmetric_part_certificate(matrix) is None:
         return None
@@ -261,7 +286,9 @@ def _symmetric_part_certificate(matrix: Matrix) -> HCertificate | None:
     # Each entry of the symmetric part was rounded once, subnormal ones absolutely; the margin must survive that.
     part = sp.csr_array(sparse_symmetric_part(matrix))
     outward = np.where(row_numbers(part) == part.indices, 1.0 - 4.0 * UNIT, 1.0 + 4.0 * UNIT)
-    proof = decide(sp.csr_array((part.data * outward, part.indices, part.indptr), shape=part.shape), None).certificate
+    proof = decide(
+        sp.csr_array((part.data * outward, part.indices, part.indptr), shape=part.shape), None
+    ).certificate
     if proof is None:
         return None
     margin = proof.margin - 2.0 * TINY * float(proof.v.sum())
@@ -290,7 +317,9 @@ def eigenvalue_proven(matrix: Matrix, exponents: IntVector) -> float | None:
     proof = h_verdict(matrix).certificate if is_symmetric else _symmetric_part_certificate(matrix)
     if proof is not None:
         least = float((squares * (proof.margin / proof.v)).min())
-    elif _is_well_rounded(matrix) and positive_definite_solver(symmetric_part_of(matrix)) is not None:
+    elif (
+        _is_well_rounded(matrix) and positive_definite_solver(symmetric_part_of(matrix)) is not None
+    ):
         least = 3.0 * matrix.n * UNIT * float((squares * matrix.diagonal).min())
     return least if 0.0 < least < np.inf else None
 
@@ -313,17 +342,26 @@ def eigenvalue_below(M: Any, exponents: Sequence[int]) -> float:
     entries, exponent = integers(M.toarray().ravel())
     n, least = M.shape[0], 2 * min(exponents)
     part = [
-        [(entries[i * n + j] + entries[j * n + i]) << (exponents[i] + exponents[j] - least) for j in range(n)]
+        [
+            (entries[i * n + j] + entries[j * n + i]) << (exponents[i] + exponents[j] - least)
+            for j in range(n)
+        ]
         for i in range(n)
     ]
 
     def is_below(value: int, power: int) -> bool:
         above, shift = max(-power, 0), value << max(power, 0)
         return has_positive_pivots(
-            [[(entry << above) - shift * (i == j) for j, entry in enumerate(row)] for i, row in enumerate(part)]
+            [
+                [(entry << above) - shift * (i == j) for j, entry in enumerate(row)]
+                for i, row in enumerate(part)
+            ]
         )
 
-    high, step = min(row[i] for i, row in enumerate(part)).bit_length(), 1  # no eigenvalue exceeds a diagonal entry
+    high, step = (
+        min(row[i] for i, row in enumerate(part)).bit_length(),
+        1,
+    )  # no eigenvalue exceeds a diagonal entry
     while not is_below(1, high - step):
         step *= 2
     low = high - step
@@ -340,7 +378,9 @@ def _is_well_rounded(matrix: Matrix) -> bool:
     if symmetric(matrix).value:
         return True
     diagonal, entries = matrix.diagonal[matrix.diagonal > 0.0], matrix.csr.data
-    return bool((diagonal >= SMALLEST_DIAGONAL).all() and np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND)
+    return bool(
+        (diagonal >= SMALLEST_DIAGONAL).all() and np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND
+    )
 
 
 def _too_large(matrix: Matrix) -> str:

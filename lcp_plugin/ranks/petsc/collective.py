@@ -40,7 +40,9 @@ class Ranks(Communicator):
             comm = comm.tompi4py()
         self.comm = MPI.COMM_WORLD if comm is None else comm
         if not isinstance(self.comm, MPI.Comm):
-            raise InvalidProblem(f"comm must be a communicator of mpi4py or petsc4py, got {type(comm).__name__}")
+            raise InvalidProblem(
+                f"comm must be a communicator of mpi4py or petsc4py, got {type(comm).__name__}"
+            )
         self.size, self.rank = self.comm.size, self.comm.rank
 
     def table(self, *numbers: float) -> FloatVector:
@@ -116,8 +118,12 @@ class Ranks(Communicator):
             return result
         if raised is not None and not isinstance(raised, LCPError | OSError):
             raise raised
-        rank, (kind, message) = next((rank, one) for rank, one in enumerate(failures) if one is not None)
-        raise kind(f"rank {rank}: {message}" if names_rank and self.size > 1 else message) from raised
+        rank, (kind, message) = next(
+            (rank, one) for rank, one in enumerate(failures) if one is not None
+        )
+        raise kind(
+            f"rank {rank}: {message}" if names_rank and self.size > 1 else message
+        ) from raised
 
     def from_first(self, attempt: Callable[[], T]) -> T:
         """Return on every rank what `attempt` gives on rank 0; where it fails there, raise its error on every rank."""
@@ -130,7 +136,9 @@ class Ranks(Communicator):
         values = self.comm.allgather(repr(value))
         for rank, other in enumerate(values):
             if other != values[0]:
-                raise error(f"{what} differs: {values[0]} on rank 0, {other} on rank {rank}; {remedy}")
+                raise error(
+                    f"{what} differs: {values[0]} on rank 0, {other} on rank {rank}; {remedy}"
+                )
 
     def interruptions(self) -> AbstractContextManager[Callable[[], bool]]:
         """Return a context in which the first Ctrl-C on a rank is a wish, and whether this rank has it."""
@@ -140,7 +148,9 @@ class Ranks(Communicator):
 def _described(error: Exception) -> tuple[type[LCPError], str]:
     if isinstance(error, LCPError):
         return type(error), str(error)
-    return UnreadableFile if isinstance(error, OSError) else LCPError, message_of(error).removesuffix(": ")
+    return UnreadableFile if isinstance(error, OSError) else LCPError, message_of(
+        error
+    ).removesuffix(": ")
 
 
 def message_of(error: BaseException) -> str:
@@ -159,7 +169,9 @@ def message_of(error: BaseException) -> str:
 
 
 @contextmanager
-def ends_together(comm: Any = None, *, patience: float = PATIENCE, speaker: str = "lcp_plugin") -> Iterator[None]:
+def ends_together(
+    comm: Any = None, *, patience: float = PATIENCE, speaker: str = "lcp_plugin"
+) -> Iterator[None]:
     """Let a block of code end alike on all ranks, or end the whole job.
 
     Put what calls MPI, directly or through this package, into ``with ends_together(comm):``. Without it an exception
@@ -224,7 +236,9 @@ def _abort(comm: MPI.Comm, speaker: str, error: BaseException) -> None:
         time.sleep(COURTESY)
     stream = sys.__stderr__ or sys.stderr  # a command may have silenced the other one on this rank
     story = "".join(traceback.format_exception(error)) if _is_bug(error) else ""
-    stream.write(f"{story}{speaker}: rank {comm.rank} of {comm.size}: {message_of(error)}; all ranks end\n")
+    stream.write(
+        f"{story}{speaker}: rank {comm.rank} of {comm.size}: {message_of(error)}; all ranks end\n"
+    )
     stream.flush()
     comm.Abort(ABORTED)
 

@@ -46,18 +46,30 @@ class Halo(Ranks):
     """
 
     def __init__(
-        self, comm: Any, own: int, ghosts: Integers = NOBODY, own_entries: int = 0, entries: Integers | None = None,
+        self,
+        comm: Any,
+        own: int,
+        ghosts: Integers = NOBODY,
+        own_entries: int = 0,
+        entries: Integers | None = None,
         starts: Integers | None = None,
     ) -> None:
         super().__init__(comm)
         self.starts = np.cumsum([0, *self.comm.allgather(int(own))]) if starts is None else starts
-        self.own, self.n, self.ghosts, self.foreign = int(own), int(self.starts[-1]), ghosts, int(ghosts.size)
+        self.own, self.n, self.ghosts, self.foreign = (
+            int(own),
+            int(self.starts[-1]),
+            ghosts,
+            int(ghosts.size),
+        )
         self.first, self.last = int(self.starts[self.rank]), int(self.starts[self.rank + 1])
         self.is_empty = not any(self.comm.allgather(self.foreign))
         if self.is_empty:
             return
         owners = self.owners(ghosts)
-        self._forest = self._forest_of(own, np.stack([owners, ghosts - self.starts[owners]], axis=1))
+        self._forest = self._forest_of(
+            own, np.stack([owners, ghosts - self.starts[owners]], axis=1)
+        )
         self._own_entries = own_entries
         self._entry_forest = None if entries is None else self._forest_of(own_entries, entries)
         self._flags = np.empty(own + self.foreign)
@@ -160,7 +172,9 @@ class Halo(Ranks):
         indptr, indices, data = rows
         at = np.flatnonzero(indices >= own)
         met = ghosts[indices[at] - own]
-        near = np.union1d(met, self._dependents(np.searchsorted(indptr, at, side="right") - 1 + self.first, met))
+        near = np.union1d(
+            met, self._dependents(np.searchsorted(indptr, at, side="right") - 1 + self.first, met)
+        )
         if not any(self.comm.allgather(near.size + further.size)):
             return rows, Halo(self.comm, own, near, data.size, starts=self.starts)
         if not np.array_equal(near, ghosts):  # both ascend: the rows stay sorted
@@ -175,16 +189,26 @@ class Halo(Ranks):
             return columns
 
         found = self._foreign_rows(near, indptr, data, global_columns)
-        far = np.setdiff1d(np.concatenate([found.columns[self.is_foreign(found.columns)], further]), near)
+        far = np.setdiff1d(
+            np.concatenate([found.columns[self.is_foreign(found.columns)], further]), near
+        )
         all_ghosts = np.concatenate([near, far])
         local = self.local(found.columns, all_ghosts)
         order = np.lexsort((local, np.repeat(np.arange(near.size), found.counts)))
-        entries = np.stack([np.repeat(self.owners(near), found.counts), found.places], axis=1)[order]
-        overlapping = _appended((indptr, indices, data), found.counts, local[order], found.values[order])
+        entries = np.stack([np.repeat(self.owners(near), found.counts), found.places], axis=1)[
+            order
+        ]
+        overlapping = _appended(
+            (indptr, indices, data), found.counts, local[order], found.values[order]
+        )
         return overlapping, Halo(self.comm, own, all_ghosts, data.size, entries, self.starts)
 
     def _foreign_rows(
-        self, wanted: Integers, indptr: Integers, data: FloatVector, columns: Callable[[Integers], Integers]
+        self,
+        wanted: Integers,
+        indptr: Integers,
+        data: FloatVector,
+        columns: Callable[[Integers], Integers],
     ) -> ForeignRows:
         """Return the rows `wanted`, global indices in any order; all ranks call.
 
@@ -200,7 +224,10 @@ class Halo(Ranks):
         owners = self.owners(wanted)
         order = np.argsort(owners, kind="stable")
         ends = np.searchsorted(owners[order], np.arange(self.size + 1))
-        asked = [wanted[order[ends[rank] : ends[rank + 1]]] - self.starts[rank] for rank in range(self.size)]
+        asked = [
+            wanted[order[ends[rank] : ends[rank + 1]]] - self.starts[rank]
+            for rank in range(self.size)
+        ]
         replies = []
         for rows in self.comm.alltoall(asked):
             counts = (indptr[rows + 1] - indptr[rows]).astype(np.int64)
@@ -225,13 +252,16 @@ def _appended(rows: Arrays, counts: Integers, columns: Integers, values: FloatVe
     indptr, indices, data = rows
     return (
         np.concatenate([indptr, indptr[-1] + np.cumsum(counts, dtype=indptr.dtype)]),
-        np.concatenate([indices, columns.astype(indices.dtype)]), np.concatenate([data, values]),
+        np.concatenate([indices, columns.astype(indices.dtype)]),
+        np.concatenate([data, values]),
     )
 
 
 def _ranges(begins: Integers, counts: Integers) -> Integers:
     """Return begins[0], begins[0] + 1, … counts[0] of them, then the same for the next."""
-    places: Integers = np.repeat(begins - (np.cumsum(counts) - counts), counts) + np.arange(int(counts.sum()))
+    places: Integers = np.repeat(begins - (np.cumsum(counts) - counts), counts) + np.arange(
+        int(counts.sum())
+    )
     return places
 
 
@@ -247,7 +277,11 @@ def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
     """
     ghosts = ranks.outside(matrix.indices)
     rows = sp.csr_array(
-        (matrix.data, ranks.local(matrix.indices, ghosts), matrix.indptr.astype(np.int32, copy=False)),
+        (
+            matrix.data,
+            ranks.local(matrix.indices, ghosts),
+            matrix.indptr.astype(np.int32, copy=False),
+        ),
         shape=(matrix.shape[0], ranks.own + ghosts.size),
     )
     if ghosts.size:
@@ -260,6 +294,8 @@ def numbered_over_all(rows: sp.csr_array, halo: Halo) -> sp.csr_array:
     """Return the own rows with columns counted over all ranks, shape (own, n)."""
     numbers = np.concatenate([np.arange(halo.first, halo.last), halo.ghosts])
     numbers = numbers.astype(np.int32 if halo.n < 2**31 else np.int64)
-    matrix = sp.csr_array((rows.data.copy(), numbers[rows.indices], rows.indptr), shape=(halo.own, halo.n))
+    matrix = sp.csr_array(
+        (rows.data.copy(), numbers[rows.indices], rows.indptr), shape=(halo.own, halo.n)
+    )
     matrix.sort_indices()
     return matrix

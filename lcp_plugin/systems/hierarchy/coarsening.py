@@ -47,7 +47,9 @@ def strong_couplings(  # type: ignore[no-untyped-def]
         size = begin
         for k in range(begin, end):
             j = uintp(indices[k])
-            is_strong[k] = j < uintp(own) and largest > 0.0 and j != i and -data[k] >= strength * largest
+            is_strong[k] = (
+                j < uintp(own) and largest > 0.0 and j != i and -data[k] >= strength * largest
+            )
             if is_strong[k]:
                 columns[size] = j
                 size += one
@@ -175,7 +177,10 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
     `p_indices` and `p_data` have space for the entries of M and MOST_WEIGHTS more a row.
     """
     one = uintp(1)
-    size, read = uintp(0), 4 * indices.size  # twice to find the strong coarse ones, twice for the rows themselves
+    size, read = (
+        uintp(0),
+        4 * indices.size,
+    )  # twice to find the strong coarse ones, twice for the rows themselves
     coarse, weights = np.empty(number.size, indices.dtype), np.empty(number.size)
     place, met_by = np.zeros(number.size, indptr.dtype), np.full(number.size, -1, indptr.dtype)
     first, near = _strong_coarse(indptr, indices, is_strong, kind)
@@ -186,7 +191,9 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
             p_data[size] = 1.0
             size += one
             continue
-        count = np.int64(0)  # numba would compile what a plain 0 is passed to once more for that number
+        count = np.int64(
+            0
+        )  # numba would compile what a plain 0 is passed to once more for that number
         diagonal = 0.0
         all_negative = 0.0
         interpolating = 0.0
@@ -202,7 +209,19 @@ def extended_interpolation(  # type: ignore[no-untyped-def]
                     place[j], met_by[j] = count, i
                     count += 1
         through, back, count, scanned = _through_fine(
-            indptr, indices, data, is_strong, kind, first, near, i, count, coarse, weights, place, met_by
+            indptr,
+            indices,
+            data,
+            is_strong,
+            kind,
+            first,
+            near,
+            i,
+            count,
+            coarse,
+            weights,
+            place,
+            met_by,
         )
         interpolating += through
         read += scanned

@@ -59,22 +59,32 @@ def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
 
 def count_products(indptr: Indices, indices: Indices, p_indptr: Indices) -> float:
     """Return how many products of three entries PᵀMP takes."""
-    size = np.diff(p_indptr).astype(np.float64)  # not of integers, of which more than 64 bits may take
+    size = np.diff(p_indptr).astype(
+        np.float64
+    )  # not of integers, of which more than 64 bits may take
 
     def piece(first: int, end: int) -> float:
         met = size[indices[indptr[first] : indptr[end]]]
         return float(np.dot(np.repeat(size[first:end], np.diff(indptr[first : end + 1])), met))
 
     rows = indptr.size - 1
-    return sum(piece(first, min(first + SMALLEST_PIECE, rows)) for first in range(0, rows, SMALLEST_PIECE))
+    return sum(
+        piece(first, min(first + SMALLEST_PIECE, rows)) for first in range(0, rows, SMALLEST_PIECE)
+    )
 
 
-def galerkin_product(matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int) -> Arrays:
+def galerkin_product(
+    matrix: Arrays, prolongation: Arrays, restriction: Arrays, columns: int
+) -> Arrays:
     """Return R M P in CSR with sorted rows and every diagonal entry stored; P has so many columns, R no more rows."""
     n = restriction[0].size - 1
     longest = int(np.diff(prolongation[0]).max(initial=1))
     operands = *matrix, *prolongation, *restriction, longest
-    return joined(share(lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE))
+    return joined(
+        share(
+            lambda first, end: _product_piece(operands, columns, n, first, end), n, SMALLEST_PIECE
+        )
+    )
 
 
 def _product_piece(operands: tuple[Any, ...], columns: int, n: int, first: int, end: int) -> Arrays:
@@ -106,8 +116,27 @@ def _enlarged(values: Any, size: int, capacity: int) -> Any:
 
 @kernel
 def _product_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, data, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
-    longest, first, next_row, end, fine_place, fine, fine_sums, place, sums, c_indptr, c_indices, c_data,
+    indptr,
+    indices,
+    data,
+    p_indptr,
+    p_indices,
+    p_data,
+    r_indptr,
+    r_indices,
+    r_data,
+    longest,
+    first,
+    next_row,
+    end,
+    fine_place,
+    fine,
+    fine_sums,
+    place,
+    sums,
+    c_indptr,
+    c_indices,
+    c_data,
 ):
     """Compute the rows [first, end) of R M P from `next_row` on; return the first that may not fit, or `end`.
 
@@ -182,7 +211,12 @@ def update_product(*operands: Any) -> tuple[float, int]:
 
     The operands are the arrays that `_update_rows` names first.
     """
-    indices, is_interpolated, r_indptr, c_is_free = operands[1], operands[3], operands[8], operands[-3]
+    indices, is_interpolated, r_indptr, c_is_free = (
+        operands[1],
+        operands[3],
+        operands[8],
+        operands[-3],
+    )
 
     def piece(first: int, end: int) -> tuple[float, int]:
         space = *_row_space(is_interpolated.size, indices.dtype), np.empty(c_is_free.size)
@@ -195,9 +229,32 @@ def update_product(*operands: Any) -> tuple[float, int]:
 
 @kernel
 def _update_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, data, is_interpolated, touched, p_indptr, p_indices, p_data, r_indptr, r_indices, r_data,
-    c_indptr, c_indices, c_data, c_diagonal, c_weight, c_inverse, c_is_free, c_free_changed, c_row_changed,
-    fine_place, fine, fine_sums, sums, first, end,
+    indptr,
+    indices,
+    data,
+    is_interpolated,
+    touched,
+    p_indptr,
+    p_indices,
+    p_data,
+    r_indptr,
+    r_indices,
+    r_data,
+    c_indptr,
+    c_indices,
+    c_data,
+    c_diagonal,
+    c_weight,
+    c_inverse,
+    c_is_free,
+    c_free_changed,
+    c_row_changed,
+    fine_place,
+    fine,
+    fine_sums,
+    sums,
+    first,
+    end,
 ):  # `c_is_free` and `c_free_changed` have space for foreign unknowns, which are left as they are
     """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
 

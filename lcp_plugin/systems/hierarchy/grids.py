@@ -84,7 +84,10 @@ class Grid(SharedRows):
     @property
     def spread(self) -> float:
         """How many times the least pivot the largest one is, ∞ where not all are positive."""
-        largest, least = float(self.inverse.max(initial=0.0)), float(self.inverse.min(initial=np.inf))
+        largest, least = (
+            float(self.inverse.max(initial=0.0)),
+            float(self.inverse.min(initial=np.inf)),
+        )
         return largest / least if 0.0 < least < np.inf else np.inf
 
     @property
@@ -165,7 +168,12 @@ def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
     count, reach = 0, 0
     if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
         row = np.arange(rows)
-        reach = int(max((row - indices[indptr[:rows]]).max(), (indices[indptr[1 : rows + 1] - 1] - row).max()))
+        reach = int(
+            max(
+                (row - indices[indptr[:rows]]).max(),
+                (indices[indptr[1 : rows + 1] - 1] - row).max(),
+            )
+        )
         count = min(MOST_BLOCKS, rows // max(SMALLEST_BLOCK, REACHES * reach)) // 2 * 2
     if count < FEWEST:
         count, reach = 1, 0
@@ -200,7 +208,9 @@ def _appended(parts: list[Any], sizes: list[int], total: int) -> Any:
     return parts[0][:total]
 
 
-def rows_from_kernel(kernel: Any, operands: tuple[Any, ...], more: int, smallest: int) -> tuple[Arrays, int]:
+def rows_from_kernel(
+    kernel: Any, operands: tuple[Any, ...], more: int, smallest: int
+) -> tuple[Arrays, int]:
     """Return the rows of P that a kernel writes with space for those of M and `more` a row, and what else it tells."""
     indptr, indices = operands[:2]
     n = indptr.size - 1
@@ -208,7 +218,11 @@ def rows_from_kernel(kernel: Any, operands: tuple[Any, ...], more: int, smallest
     def piece(first: int, end: int) -> tuple[Arrays, int]:
         last = end if first else n  # memory that nothing is written to was never touched
         capacity = int(indptr[last] - indptr[first]) + more * (last - first)
-        rows = np.empty(end - first + 1, indptr.dtype), np.empty(capacity, indices.dtype), np.empty(capacity)
+        rows = (
+            np.empty(end - first + 1, indptr.dtype),
+            np.empty(capacity, indices.dtype),
+            np.empty(capacity),
+        )
         _, counts = kernel(*operands, first, end, *rows)
         return rows, counts
 
@@ -216,13 +230,17 @@ def rows_from_kernel(kernel: Any, operands: tuple[Any, ...], more: int, smallest
     return joined(list(pieces)), sum(counts)
 
 
-def pivots(matrix: Operator, rows: int, weight: FloatVector, smallest: float) -> tuple[NDArray[Any], FloatVector]:
+def pivots(
+    matrix: Operator, rows: int, weight: FloatVector, smallest: float
+) -> tuple[NDArray[Any], FloatVector]:
     """Return where the diagonal entries of so many rows stand, and the inverse pivots: 0 of an entry not above that."""
     indptr, indices, data = matrix.arrays
     row = np.repeat(np.arange(rows, dtype=indices.dtype), np.diff(indptr[: rows + 1]))
     split = np.flatnonzero(indices[: row.size] == row).astype(indptr.dtype)
     diagonal = data[split]
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        inverse = np.where(diagonal > smallest, 1.0 / (diagonal + weight if weight.size else diagonal), 0.0)
+        inverse = np.where(
+            diagonal > smallest, 1.0 / (diagonal + weight if weight.size else diagonal), 0.0
+        )
     split.flags.writeable = inverse.flags.writeable = False
     return split, inverse

@@ -36,15 +36,21 @@ from .vectors import scaling_of_unknowns
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.5
 NOTEWORTHY_POSITIVE = 0.02
 NEGLIGIBLE_POSITIVE = 1e-3  # of coarser grids: less is none
-MOST_POSITIVE = 1.0 / 3.0  # of all couplings: where they are more, lumping them leaves no scaling to be found
-NOTEWORTHY_LONELY = 5e-4  # share of the finest grid's unknowns that are coupled, but to no coarse one
+MOST_POSITIVE = (
+    1.0 / 3.0
+)  # of all couplings: where they are more, lumping them leaves no scaling to be found
+NOTEWORTHY_LONELY = (
+    5e-4  # share of the finest grid's unknowns that are coupled, but to no coarse one
+)
 COARSEST = 60
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 LARGEST_GROWTH = 1.5  # of the entries from one grid to the next; 1.34 on the seven-point matrix
 LARGEST_GROWTH_OF_PARTS = 2.0  # more where the coarse unknowns of several processes do not match
 LARGEST_COMPLEXITY = 8.0
 MOST_PRODUCTS = 45.0  # an entry of M; at most 32 were seen where multigrid helps
-LARGEST_NARROW = 2**30  # entries; a coarser matrix may have more of them, which 32 bits must still count
+LARGEST_NARROW = (
+    2**30
+)  # entries; a coarser matrix may have more of them, which 32 bits must still count
 PASSES_TO_COARSEN = 6.0  # couplings, dependents, choice (twice), interpolation (twice)
 
 
@@ -66,7 +72,11 @@ class Interpolation(NamedTuple):
 
 
 def build_hierarchy(
-    matrix: Any, coarsest: int = COARSEST, strength: float | None = None, *, scales_rows: bool = False,
+    matrix: Any,
+    coarsest: int = COARSEST,
+    strength: float | None = None,
+    *,
+    scales_rows: bool = False,
     shared: SharedRows | None = None,
 ) -> Hierarchy:
     """Return the classical hierarchy of a matrix with a positive diagonal.
@@ -129,7 +139,10 @@ def build_hierarchy(
         stored += communicator.total(finer.own_entries)
         products += galerkin.count_products(own_indptr, finer.matrix.indices, interpolation.indptr)
         is_too_large = communicator.total(interpolation.own) > LARGEST_GRID_SHARE * size
-        is_dear = communicator.total(products) > MOST_PRODUCTS * entries or stored > LARGEST_COMPLEXITY * entries
+        is_dear = (
+            communicator.total(products) > MOST_PRODUCTS * entries
+            or stored > LARGEST_COMPLEXITY * entries
+        )
         if is_too_large or is_dear:
             return Hierarchy(alone, (), work, is_helpful=False)
         coarser = _coarser(finer, interpolation, scales_rows, scaling)
@@ -140,13 +153,19 @@ def build_hierarchy(
         if communicator.total(grid.own_entries) > growth * communicator.total(finer.own_entries):
             return Hierarchy(alone, (), work + products, is_helpful=False)
         size = communicator.total(grid.n)
-        if is_mixed:  # finite elements of second order have coarser grids without positive couplings
+        if (
+            is_mixed
+        ):  # finite elements of second order have coarser grids without positive couplings
             positive, total, _ = map(grid.total_of, coarsening.couplings_by_sign(*grid.own_arrays))
-            strength = STRENGTH_AMONG_POSITIVE if positive > NEGLIGIBLE_POSITIVE * total else STRENGTH
+            strength = (
+                STRENGTH_AMONG_POSITIVE if positive > NEGLIGIBLE_POSITIVE * total else STRENGTH
+            )
             work += grid.own_entries
         grids.append(grid)
         transfers.append(transfer)
-    return Hierarchy(tuple(grids), tuple(transfers), work + products, is_helpful=True, extends=bool(extends))
+    return Hierarchy(
+        tuple(grids), tuple(transfers), work + products, is_helpful=True, extends=bool(extends)
+    )
 
 
 @fact
@@ -157,8 +176,12 @@ def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
 
 
 def grid_of(
-    matrix: Operator, communicator: Communicator = ALONE, own: int | None = None, weight: FloatVector = NO_WEIGHT,
-    *, may_cut: bool = False,
+    matrix: Operator,
+    communicator: Communicator = ALONE,
+    own: int | None = None,
+    weight: FloatVector = NO_WEIGHT,
+    *,
+    may_cut: bool = False,
 ) -> Grid:
     """Return the grid of a matrix, whose first rows (all by default) are the own ones; whether it `may_cut` sweeps."""
     rows = matrix.indptr.size - 1 if own is None else own
@@ -168,7 +191,11 @@ def grid_of(
 
 
 def chosen_kinds(
-    indptr: NDArray[Any], indices: NDArray[Any], data: FloatVector, strength: float, is_strong: NDArray[np.bool_]
+    indptr: NDArray[Any],
+    indices: NDArray[Any],
+    data: FloatVector,
+    strength: float,
+    is_strong: NDArray[np.bool_],
 ) -> NDArray[np.uint8]:
     """Return who is COARSE and who FINE, decided among the unknowns that have rows; fill `is_strong`."""
     # Allocated here and not in the kernels: numpy asks for large pages, which makes the first touch four times cheaper.
@@ -188,7 +215,9 @@ def chosen_kinds(
     return kind
 
 
-def _weighted_grid(matrix: Operator, communicator: Communicator, own: int, scales_rows: bool) -> Grid:
+def _weighted_grid(
+    matrix: Operator, communicator: Communicator, own: int, scales_rows: bool
+) -> Grid:
     """Return the grid, with larger pivots where M is symmetric: others need none, and have any unit in any row."""
     if communicator.is_empty or scales_rows:
         # One that follows a wind gets farther than in pieces.
@@ -226,7 +255,9 @@ def _interpolation(
     number += indices.dtype.type(below.first - 1)
     if not communicator.is_empty:
         unused = np.empty(data.size, indices.dtype), np.empty(n, indptr.dtype)
-        coarsening.strong_couplings(indptr, indices, data, strength, grid.width, is_strong, *unused, 0, n)
+        coarsening.strong_couplings(
+            indptr, indices, data, strength, grid.width, is_strong, *unused, 0, n
+        )
         kind, numbers = _kinds_of_all(grid, is_coarse), np.zeros(grid.width)
         numbers[:n] = number
         communicator.fetch(numbers)
@@ -235,10 +266,14 @@ def _interpolation(
     if not extends:
         kernel, smallest = coarsening.direct_interpolation, SMALLEST_PIECE
         (p_indptr, p_indices, p_data), lonely = rows_from_kernel(kernel, operands, 0, smallest)
-        extends = extends is None and communicator.total(lonely) > NOTEWORTHY_LONELY * communicator.total(n)
+        extends = extends is None and communicator.total(
+            lonely
+        ) > NOTEWORTHY_LONELY * communicator.total(n)
     if extends:
         kernel, more = coarsening.extended_interpolation, coarsening.MOST_WEIGHTS
-        (p_indptr, p_indices, p_data), read = rows_from_kernel(kernel, operands, more, n)  # all rows at once
+        (p_indptr, p_indices, p_data), read = rows_from_kernel(
+            kernel, operands, more, n
+        )  # all rows at once
     if scaling is not None:
         p_data *= np.repeat(scaling, np.diff(p_indptr)) / scaling[is_coarse][p_indices]
     rows = communicator.with_foreign_rows((p_indptr, p_indices, p_data))
@@ -248,7 +283,9 @@ def _interpolation(
 def _mended(grid: Grid, strength: float, kind: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the choice with further coarse unknowns where those of two processes do not fit together."""
     kinds, communicator = _kinds_of_all(grid, kind == coarsening.COARSE), grid.communicator
-    coarsening.mend_seams(*grid.matrix.arrays, strength, grid.n, communicator.ghosts > communicator.first, kinds)
+    coarsening.mend_seams(
+        *grid.matrix.arrays, strength, grid.n, communicator.ghosts > communicator.first, kinds
+    )
     return kinds[: grid.n]
 
 
@@ -291,7 +328,9 @@ def _coarser(
         rows, below = below.overlapped(rows, others, further)
         # Rows of P far away need no right number.
         prolongation = Operator(p_indptr, below.local(columns, below.ghosts), p_data)
-    transfer = Transfer(prolongation, restricting, is_coarse, NO_WEIGHT if scaling is None else read_only(scaling))
+    transfer = Transfer(
+        prolongation, restricting, is_coarse, NO_WEIGHT if scaling is None else read_only(scaling)
+    )
     return transfer, _weighted_grid(Operator(*rows), below, count, scales_rows)
 
 

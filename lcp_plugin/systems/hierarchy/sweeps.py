@@ -20,11 +20,15 @@ from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
 from .grids import RowBlocks
 
-Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector]  # in CSR, and where diagonals stand
+Matrix = tuple[
+    NDArray[Any], NDArray[Any], NDArray[Any], FloatVector
+]  # in CSR, and where diagonals stand
 NO_BOUNDS = (read_only(np.zeros(0)),) * 2
 
 
-def first_sweep(rows: Matrix, blocks: RowBlocks, inverse: FloatVector, b: FloatVector, x: FloatVector) -> None:
+def first_sweep(
+    rows: Matrix, blocks: RowBlocks, inverse: FloatVector, b: FloatVector, x: FloatVector
+) -> None:
     """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0.
 
     A pass over the lower triangle, and over all of the rows from which an odd block meets the even one behind it.
@@ -36,7 +40,12 @@ def first_sweep(rows: Matrix, blocks: RowBlocks, inverse: FloatVector, b: FloatV
 
 
 def residual_after_first_sweep(
-    rows: Matrix, blocks: RowBlocks, inverse: FloatVector, weight: FloatVector, b: FloatVector, x: FloatVector,
+    rows: Matrix,
+    blocks: RowBlocks,
+    inverse: FloatVector,
+    weight: FloatVector,
+    b: FloatVector,
+    x: FloatVector,
     residual: FloatVector,
 ) -> None:
     """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then others changed.
@@ -58,16 +67,39 @@ def free_product(rows: Matrix, inverse: FloatVector, x: FloatVector, product: Fl
 
 
 def _product_of(
-    rows: Matrix, begins: Any, further: int, inverse: FloatVector, sign: float, b: FloatVector, weight: float,
-    x: FloatVector, product: FloatVector,
+    rows: Matrix,
+    begins: Any,
+    further: int,
+    inverse: FloatVector,
+    sign: float,
+    b: FloatVector,
+    weight: float,
+    x: FloatVector,
+    product: FloatVector,
 ) -> Callable[[int, int], Any]:
     indptr, _, *rest = rows
-    operands = indptr, begins, further, *rest, read_only(inverse), sign, read_only(b), weight, x, product
+    operands = (
+        indptr,
+        begins,
+        further,
+        *rest,
+        read_only(inverse),
+        sign,
+        read_only(b),
+        weight,
+        x,
+        product,
+    )
     return partial(_products, *operands)
 
 
 def sweep(
-    rows: Matrix, blocks: RowBlocks, inverse: FloatVector, backward: bool, b: FloatVector, x: FloatVector
+    rows: Matrix,
+    blocks: RowBlocks,
+    inverse: FloatVector,
+    backward: bool,
+    b: FloatVector,
+    x: FloatVector,
 ) -> None:
     """Overwrite x by one Gauss–Seidel sweep for M x = b."""
     vectors = read_only(inverse), read_only(b), *NO_BOUNDS
@@ -75,7 +107,12 @@ def sweep(
 
 
 def projected_sweep(
-    rows: Matrix, blocks: RowBlocks, vectors: tuple[FloatVector, ...], relaxation: float, backward: bool, z: FloatVector
+    rows: Matrix,
+    blocks: RowBlocks,
+    vectors: tuple[FloatVector, ...],
+    relaxation: float,
+    backward: bool,
+    z: FloatVector,
 ) -> None:
     """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − relaxation inverse_i w_i) with w_i from the current z.
 
@@ -85,8 +122,13 @@ def projected_sweep(
 
 
 def free_rows(
-    rows: Matrix, vectors: tuple[FloatVector, ...], z: FloatVector, snaps: bool, is_free: BoolVector,
-    is_changed: BoolVector, residual: FloatVector,
+    rows: Matrix,
+    vectors: tuple[FloatVector, ...],
+    z: FloatVector,
+    snaps: bool,
+    is_free: BoolVector,
+    is_changed: BoolVector,
+    residual: FloatVector,
 ) -> tuple[float, int]:
     """Find the free rows of z: those strictly between their bounds, or pushed off the bound by w.
 
@@ -108,8 +150,15 @@ def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
 
 
 def _swept(
-    rows: Matrix, ends: Any, blocks: RowBlocks, vectors: tuple[FloatVector, ...], sign: float, relaxation: float,
-    is_first: bool, backward: bool, x: FloatVector,
+    rows: Matrix,
+    ends: Any,
+    blocks: RowBlocks,
+    vectors: tuple[FloatVector, ...],
+    sign: float,
+    relaxation: float,
+    is_first: bool,
+    backward: bool,
+    x: FloatVector,
 ) -> None:
     """Sweep the blocks of one colour and then those of the other; the entries of row i end before ends[i]."""
     indptr, *rest = rows
@@ -117,12 +166,23 @@ def _swept(
     for colour in (1, 0) if backward else (0, 1):
         if count := blocks.count(colour):
             reach = blocks.reach if is_first and colour == 1 else 0
-            share(partial(_swept_piece, indptr, ends, operands, x, edges, reach, colour), count, blocks.smallest_share)
+            share(
+                partial(_swept_piece, indptr, ends, operands, x, edges, reach, colour),
+                count,
+                blocks.smallest_share,
+            )
 
 
 def _swept_piece(
-    indptr: Any, ends: Any, operands: tuple[Any, ...], x: FloatVector, edges: Any, reach: int, colour: int,
-    first: int, last: int,
+    indptr: Any,
+    ends: Any,
+    operands: tuple[Any, ...],
+    x: FloatVector,
+    edges: Any,
+    reach: int,
+    colour: int,
+    first: int,
+    last: int,
 ) -> None:
     """Sweep some blocks of a colour; so many rows at the end of each need all their entries in the first sweep."""
     block_ends = edges[1:]
@@ -144,8 +204,25 @@ def _plus_products(total, first, last, indices, data, x):  # type: ignore[no-unt
 
 @kernel
 def _sweep(  # type: ignore[no-untyped-def]
-    indptr, ends, split, indices, data, inverse, b, lower, upper, sign, relaxation, is_first, backward, x,
-    colour, begins, block_ends, first_block, last_block,
+    indptr,
+    ends,
+    split,
+    indices,
+    data,
+    inverse,
+    b,
+    lower,
+    upper,
+    sign,
+    relaxation,
+    is_first,
+    backward,
+    x,
+    colour,
+    begins,
+    block_ends,
+    first_block,
+    last_block,
 ):
     """Overwrite x row by row, x_i ← mid(l_i, u_i, x_i − relaxation inverse_i r_i), r = M x + sign b from the current x.
 
@@ -160,7 +237,9 @@ def _sweep(  # type: ignore[no-untyped-def]
             i = uintp(end - 1 - step if backward else begin + step)
             value, pivot = 0.0 if is_first else x[i], relaxation * inverse[i]
             if pivot != 0.0:
-                value -= pivot * _excess(sign * b[i], indptr[i], split[i], ends[i], backward, indices, data, x)
+                value -= pivot * _excess(
+                    sign * b[i], indptr[i], split[i], ends[i], backward, indices, data, x
+                )
             if has_lower:
                 value = lower[i] if lower[i] > value else value
             if has_upper:
@@ -173,7 +252,9 @@ def _excess(total, first, diagonal, end, backward, indices, data, x):  # type: i
     """Return total + (M x)_i, the neighbour that was swept last added last: the sum has waited for nothing else."""
     first, diagonal, end, one = uintp(first), uintp(diagonal), uintp(end), uintp(1)
     behind = diagonal + one
-    total = _plus_products(total, first if backward else diagonal, behind if backward else end, indices, data, x)
+    total = _plus_products(
+        total, first if backward else diagonal, behind if backward else end, indices, data, x
+    )
     k, step = end - one if backward else first, uintp(-1) if backward else one
     for _ in range(end - behind if backward else diagonal - first):
         total += data[k] * x[uintp(indices[k])]
@@ -188,13 +269,28 @@ def _products(  # type: ignore[no-untyped-def]
     """Product ← sign · M x + weight · b on the free rows, 0 elsewhere; row i begins at begins[i] + further."""
     one, further = uintp(1), uintp(further)
     for i in range(uintp(first), uintp(end)):
-        total = _plus_products(0.0, uintp(begins[i]) + further, uintp(indptr[i + one]), indices, data, x)
+        total = _plus_products(
+            0.0, uintp(begins[i]) + further, uintp(indptr[i + one]), indices, data, x
+        )
         product[i] = sign * total + weight * b[i] if inverse[i] != 0.0 else 0.0
 
 
 @kernel
 def _free_rows(  # type: ignore[no-untyped-def]
-    indptr, indices, data, inverse, q, lower, upper, snaps, z, is_free, is_changed, residual, first, end
+    indptr,
+    indices,
+    data,
+    inverse,
+    q,
+    lower,
+    upper,
+    snaps,
+    z,
+    is_free,
+    is_changed,
+    residual,
+    first,
+    end,
 ):
     """Do what `free_rows` says to these rows, one after the other; a NaN is the largest residual."""
     one, largest, changed = uintp(1), 0.0, 0

@@ -26,7 +26,9 @@ class TruncatedGrid:
     def __init__(self, grid: Grid, *, is_finest: bool) -> None:
         self.grid = grid
         n = grid.n
-        self.new_values = None if is_finest else grid.matrix.data.copy()  # the finest keeps the matrix as it is
+        self.new_values = (
+            None if is_finest else grid.matrix.data.copy()
+        )  # the finest keeps the matrix as it is
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
         self.inverse = grid.inverse.copy()
@@ -87,10 +89,14 @@ class Truncation:
 
     def __init__(self, hierarchy: Hierarchy) -> None:
         self.transfers = hierarchy.transfers
-        self.grids = [TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)]
+        self.grids = [
+            TruncatedGrid(grid, is_finest=k == 0) for k, grid in enumerate(hierarchy.grids)
+        ]
         self.top = 0
         self.work = 0.0
-        self.spare: list[FloatVector] = []  # memory touched for the first time is dearer than what is done with it
+        self.spare: list[
+            FloatVector
+        ] = []  # memory touched for the first time is dearer than what is done with it
 
     def vector(self) -> FloatVector:
         """Return a vector for the own values of the finest grid, shape (n,), filled with anything."""
@@ -124,8 +130,16 @@ class Truncation:
                 matrix.indptr, matrix.indices, *(flag.view(np.uint8) for flag in flags)
             )
             if vectors.find_held(
-                matrix.indptr, matrix.indices, matrix.data, level.values, level.is_free, level.touched,
-                level.is_interpolated, level.free_changed, transfer.scaling, transfer.is_coarse,
+                matrix.indptr,
+                matrix.indices,
+                matrix.data,
+                level.values,
+                level.is_free,
+                level.touched,
+                level.is_interpolated,
+                level.free_changed,
+                transfer.scaling,
+                transfer.is_coarse,
             ):
                 own = slice(level.grid.n)
                 level.held = np.flatnonzero(level.is_free[own] & ~level.is_interpolated[own])
@@ -133,17 +147,32 @@ class Truncation:
             level.grid.fetch_flags(level.free_changed)
             if level.free_changed.any():
                 galerkin.mark_rows(
-                    matrix.indptr, matrix.indices, level.free_changed.view(np.uint8),
-                    level.touched.view(np.uint8), level.touched.view(np.uint8),
+                    matrix.indptr,
+                    matrix.indices,
+                    level.free_changed.view(np.uint8),
+                    level.touched.view(np.uint8),
+                    level.touched.view(np.uint8),
                 )
             level.grid.fetch_flags(level.touched)
             if level.new_values is not None:
                 level.grid.fetch_entries(level.new_values)
             products, changed = galerkin.update_product(
-                matrix.indptr, matrix.indices, level.values, level.is_interpolated, level.touched,
-                *transfer.prolongation.arrays, *transfer.restriction.arrays,
-                below.grid.matrix.indptr, below.grid.matrix.indices, below.new_values, below.grid.split,
-                below.grid.weight, below.inverse, below.is_free, below.free_changed, below.row_changed,
+                matrix.indptr,
+                matrix.indices,
+                level.values,
+                level.is_interpolated,
+                level.touched,
+                *transfer.prolongation.arrays,
+                *transfer.restriction.arrays,
+                below.grid.matrix.indptr,
+                below.grid.matrix.indices,
+                below.new_values,
+                below.grid.split,
+                below.grid.weight,
+                below.inverse,
+                below.is_free,
+                below.free_changed,
+                below.row_changed,
             )
             below.is_whole = False
             below.forget_factor()
@@ -165,7 +194,9 @@ class Truncation:
             return
         grid.fetch(level.x)
         residual = level.residual[: grid.n]
-        sweeps.residual_after_first_sweep(rows, blocks, level.inverse, grid.weight, level.b, level.x, residual)
+        sweeps.residual_after_first_sweep(
+            rows, blocks, level.inverse, grid.weight, level.b, level.x, residual
+        )
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
@@ -226,7 +257,9 @@ class Truncation:
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):
             level.grid.fetch(level.x)
-            sweeps.sweep(level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x)
+            sweeps.sweep(
+                level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x
+            )
         self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size
 
 
@@ -248,7 +281,12 @@ class KrylovCorrection:
     """
 
     def __init__(
-        self, truncation: Truncation, residual: FloatVector, is_symmetric: bool, *, transposed: bool = False
+        self,
+        truncation: Truncation,
+        residual: FloatVector,
+        is_symmetric: bool,
+        *,
+        transposed: bool = False,
     ) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
         self.transposed = transposed and not is_symmetric
@@ -290,8 +328,14 @@ class KrylovCorrection:
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         top.b = self.residual
-        shares_workspace = top.x.size == top.grid.n and not self.transposed  # the cycle's own, and gives other for it
-        p, product = (top.x, top.residual) if shares_workspace else (self.truncation.vector(), self.truncation.vector())
+        shares_workspace = (
+            top.x.size == top.grid.n and not self.transposed
+        )  # the cycle's own, and gives other for it
+        p, product = (
+            (top.x, top.residual)
+            if shares_workspace
+            else (self.truncation.vector(), self.truncation.vector())
+        )
         if self.transposed:
             self.truncation.correct_transposed(0)
             np.copyto(p, top.x)

@@ -48,9 +48,15 @@ def dot(one: FloatVector, other: FloatVector) -> float:
 
 
 def add_both(
-    factor: float, vector: FloatVector, to: FloatVector, other_factor: float, other: FloatVector, to_other: FloatVector
+    factor: float,
+    vector: FloatVector,
+    to: FloatVector,
+    other_factor: float,
+    other: FloatVector,
+    to_other: FloatVector,
 ) -> None:
     """Add factor · vector to one vector, and other_factor · other to another one."""
+
     def add(part: slice) -> None:
         to[part] += factor * vector[part]
         to_other[part] += other_factor * other[part]
@@ -59,9 +65,15 @@ def add_both(
 
 
 def add_within(
-    origin: FloatVector, factor: float, vector: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
+    origin: FloatVector,
+    factor: float,
+    vector: FloatVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    z: FloatVector,
 ) -> None:
     """Overwrite z by mid(lower, upper, origin + factor · vector)."""
+
     def add(part: slice) -> None:
         np.clip(origin[part] + factor * vector[part], lower[part], upper[part], out=z[part])
 
@@ -70,13 +82,18 @@ def add_within(
 
 def largest_product(one: FloatVector, other: FloatVector) -> float:
     """Return the largest |one_i other_i|, NaN where one is; 0 of none."""
-    return float(np.max(_by_parts(lambda part: span(one[part] * other[part]), one.size), initial=0.0))
+    return float(
+        np.max(_by_parts(lambda part: span(one[part] * other[part]), one.size), initial=0.0)
+    )
 
 
 def _by_parts(work: Callable[[slice], T], size: int) -> list[T]:
     """Return what work says of consecutive parts of a vector of that size."""
+
     def piece(first: int, end: int) -> list[T]:
-        return [work(slice(begin, min(begin + AT_ONCE, end))) for begin in range(first, end, AT_ONCE)]
+        return [
+            work(slice(begin, min(begin + AT_ONCE, end))) for begin in range(first, end, AT_ONCE)
+        ]
 
     return [one for piece_of in share(piece, size, SHARED_FROM) for one in piece_of]
 
@@ -86,7 +103,9 @@ def span(vector: FloatVector) -> float:
     return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
 
 
-LACKING = 0.1  # of the diagonal entry: how far a row may sum below zero before it contradicts the scaling
+LACKING = (
+    0.1  # of the diagonal entry: how far a row may sum below zero before it contradicts the scaling
+)
 NOTEWORTHY_LACKING = 0.02  # share of such rows from which on other scaling is tried
 GAINED = 0.5  # and kept, if they leave at most so many times as many
 FARTHEST = 2.0**400  # a unit from that of another unknown: their squares are divided by
@@ -149,7 +168,9 @@ def smooth_scaling(indptr, indices, data, v, sweeps):  # type: ignore[no-untyped
     return lacking
 
 
-HELD = 0.13  # share of its couplings; no simple fraction, which rounding would decide on regular grids
+HELD = (
+    0.13  # share of its couplings; no simple fraction, which rounding would decide on regular grids
+)
 NO_FLAGS = np.zeros(0, np.bool_)
 
 
@@ -160,14 +181,21 @@ def restrict(transfer: Transfer, fine: FloatVector, coarse: FloatVector) -> None
 
 
 def prolong(
-    transfer: Transfer, coarse: FloatVector, flags: BoolVector, lower: FloatVector, upper: FloatVector, z: FloatVector
+    transfer: Transfer,
+    coarse: FloatVector,
+    flags: BoolVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    z: FloatVector,
 ) -> int:
     """Overwrite z by mid(lower, upper, z + P coarse) where `flags` say so; return how many were cut at a bound."""
     operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, lower, upper, z
     return sum(shared(partial(_interpolate, *operands), lower.size))
 
 
-def add_prolonged(transfer: Transfer, coarse: FloatVector, flags: BoolVector, x: FloatVector) -> None:
+def add_prolonged(
+    transfer: Transfer, coarse: FloatVector, flags: BoolVector, x: FloatVector
+) -> None:
     """Add P coarse to x where `flags`, of the own rows at least, say so."""
     operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *NO_BOUNDS, x
     shared(partial(_interpolate, *operands), transfer.is_coarse.size)
@@ -186,7 +214,9 @@ def _interpolate(  # type: ignore[no-untyped-def]
     for i in range(uintp(first), uintp(end)):
         if adds and not flags[i]:
             continue
-        change = _plus_products(0.0, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source)
+        change = _plus_products(
+            0.0, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source
+        )
         if not adds:
             to[i] = change
             continue
@@ -208,7 +238,18 @@ def find_held(*operands: Any) -> int:
 
 @kernel
 def _find_held(  # type: ignore[no-untyped-def]
-    indptr, indices, whole, values, is_free, touched, is_interpolated, is_changed, scaling, is_coarse, first, end
+    indptr,
+    indices,
+    whole,
+    values,
+    is_free,
+    touched,
+    is_interpolated,
+    is_changed,
+    scaling,
+    is_coarse,
+    first,
+    end,
 ):
     """Say which touched rows are interpolated; return how many of them are held or change for others' sake.
 
@@ -234,7 +275,9 @@ def _find_held(  # type: ignore[no-untyped-def]
                     pivot += unit * values[k]
                 elif is_free[j]:
                     left -= unit * values[k]
-            is_held = pivot > 0.0 and pivot_before > 0.0 and left / pivot < HELD * (before / pivot_before)
+            is_held = (
+                pivot > 0.0 and pivot_before > 0.0 and left / pivot < HELD * (before / pivot_before)
+            )
         interpolates = is_free[i] and not is_held
         is_changed[i] = interpolates != is_interpolated[i] and not became
         found += is_held or is_changed[i]

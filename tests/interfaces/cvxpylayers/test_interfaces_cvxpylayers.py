@@ -21,7 +21,9 @@ from lcp_plugin import InvalidOption, NotConverged, UnsupportedModel  # noqa: E4
 from lcp_plugin.interfaces.cvxpylayers import LCPSolver  # noqa: E402
 from lcp_plugin.interfaces.learn.torch import lcp_layer  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning", "ignore::FutureWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::UserWarning", "ignore::DeprecationWarning", "ignore::FutureWarning"
+)
 N = 6
 
 
@@ -33,7 +35,10 @@ def answers(layer: Any, values: list[Any], **options: Any) -> tuple[list[Any], l
     """What the layer returns, and the gradients of a sum with weights."""
     given = leaves(*values)
     found = layer(*given, **options)
-    sum((torch.linspace(1, 2, one.numel(), dtype=one.dtype).reshape(one.shape) * one).sum() for one in found).backward()
+    sum(
+        (torch.linspace(1, 2, one.numel(), dtype=one.dtype).reshape(one.shape) * one).sum()
+        for one in found
+    ).backward()
     return [one.detach().numpy() for one in found], [one.grad.numpy() for one in given]
 
 
@@ -55,12 +60,22 @@ def general() -> tuple[Any, list[Any], list[Any], list[tuple[int, ...]]]:
     constraints = [G @ x <= h, E @ x == e, x <= 2]
     objective = cp.Minimize(0.5 * cp.quad_form(x, factor @ factor.T + np.eye(N)) + c @ x)
     variables = [x, *(one.dual_variables[0] for one in constraints)]
-    return cp.Problem(objective, constraints), [G, h, c, E, e], variables, [(3, N), (3,), (N,), (2, N), (2,)]
+    return (
+        cp.Problem(objective, constraints),
+        [G, h, c, E, e],
+        variables,
+        [(3, N), (3,), (N,), (2, N), (2,)],
+    )
 
 
 def linear() -> tuple[Any, list[Any], list[Any], list[tuple[int, ...]]]:
     c, h, x = cp.Parameter(N), cp.Parameter(), cp.Variable(N)
-    return cp.Problem(cp.Minimize(c @ x), [cp.norm(x, 1) <= 1, cp.sum(x) <= h]), [c, h], [x], [(N,), ()]
+    return (
+        cp.Problem(cp.Minimize(c @ x), [cp.norm(x, 1) <= 1, cp.sum(x) <= h]),
+        [c, h],
+        [x],
+        [(N,), ()],
+    )
 
 
 @pytest.mark.parametrize("batch", [(), (3,)], ids=["single", "batch"])
@@ -73,7 +88,9 @@ def test_values_and_gradients_are_those_of_diffcp(model: Any, batch: tuple[int, 
     values[0] = rng.standard_normal((*batch, *shapes[0]))
     ours = answers(CvxpyLayer(problem, parameters, variables, solver=LCPSolver()), values)
     exactly = {"eps": 1e-12, "max_iters": 100_000, "mode": "dense"}
-    assert_same(ours, answers(CvxpyLayer(problem, parameters, variables), values, solver_args=exactly), 1e-7)
+    assert_same(
+        ours, answers(CvxpyLayer(problem, parameters, variables), values, solver_args=exactly), 1e-7
+    )
 
 
 def test_gradients_are_those_of_our_own_layer() -> None:
@@ -83,7 +100,9 @@ def test_gradients_are_those_of_our_own_layer() -> None:
     P, linear, x = cp.Parameter((N, N), PSD=True), cp.Parameter(N), cp.Variable(N)
     problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, P) + linear @ x), [x >= -1, x <= 1])
     values = [factor @ factor.T + np.eye(N), c]
-    (found,), (by_P, by_c) = answers(CvxpyLayer(problem, [P, linear], [x], solver=LCPSolver()), values)
+    (found,), (by_P, by_c) = answers(
+        CvxpyLayer(problem, [P, linear], [x], solver=LCPSolver()), values
+    )
     (own,), (own_P, own_c) = answers(lambda M, q: [lcp_layer(M, q, -1.0, 1.0)], values)
     np.testing.assert_allclose(found, own, atol=1e-12)
     np.testing.assert_allclose(by_c, own_c, atol=1e-10)
@@ -95,7 +114,9 @@ def test_gradients_are_those_of_differences() -> None:
     problem, parameters, variables, shapes = general()
     layer = CvxpyLayer(problem, parameters, variables[:1], solver=LCPSolver(tolerance=1e-12))
     rng = np.random.default_rng(1)
-    values = leaves(*(rng.standard_normal(shape) + (1.0 if k == 1 else 0.0) for k, shape in enumerate(shapes)))
+    values = leaves(
+        *(rng.standard_normal(shape) + (1.0 if k == 1 else 0.0) for k, shape in enumerate(shapes))
+    )
     assert torch.autograd.gradcheck(lambda *given: layer(*given)[0], values, eps=1e-6, atol=1e-5)
 
 
@@ -105,8 +126,13 @@ def test_one_solver_serves_several_layers() -> None:
     for model in (nonnegative_least_squares, general):
         problem, parameters, variables, shapes = model()
         values = [np.random.default_rng(2).random(shape) for shape in shapes]
-        layers.append((CvxpyLayer(problem, parameters, variables, solver=solver), values,
-                       answers(CvxpyLayer(problem, parameters, variables, solver=LCPSolver()), values)))
+        layers.append(
+            (
+                CvxpyLayer(problem, parameters, variables, solver=solver),
+                values,
+                answers(CvxpyLayer(problem, parameters, variables, solver=LCPSolver()), values),
+            )
+        )
     for layer, values, alone in layers:
         assert_same(answers(layer, values), alone, 0.0)
 
@@ -117,22 +143,35 @@ def test_jax_is_refused_in_words() -> None:
     layers = pytest.importorskip("cvxpylayers.jax")
     problem, parameters, variables, shapes = nonnegative_least_squares()
     layer = layers.CvxpyLayer(problem, parameters, variables, solver=LCPSolver())
-    with pytest.raises(UnsupportedModel, match=r"in PyTorch alone; in JAX take lcp_plugin\.learn\.jax"):
+    with pytest.raises(
+        UnsupportedModel, match=r"in PyTorch alone; in JAX take lcp_plugin\.learn\.jax"
+    ):
         layer(*(np.ones(shape) for shape in shapes))
 
 
 def test_what_is_unsolved_is_an_error() -> None:
     """Infeasible and unbounded programs, by number, with the proof in words; limits and wrong options, too."""
     x, h = cp.Variable(2), cp.Parameter(2)
-    layer = CvxpyLayer(cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= h[0], x <= h[1]]), [h], [x], solver=LCPSolver())
-    with pytest.raises(NotConverged, match="program 1 of the batch gives the layer no solution: it is infeasible"):
+    layer = CvxpyLayer(
+        cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= h[0], x <= h[1]]),
+        [h],
+        [x],
+        solver=LCPSolver(),
+    )
+    with pytest.raises(
+        NotConverged, match="program 1 of the batch gives the layer no solution: it is infeasible"
+    ):
         layer(torch.tensor([[0.0, 1.0], [1.0, 0.0]], dtype=torch.float64))
     with pytest.raises(InvalidOption, match="did you mean 'tolerance'"):
         LCPSolver(tolerence=1e-9)
-    with pytest.raises(InvalidOption, match=r"^algorithm=.auto. has no options.*did you mean 'tolerance'"):
+    with pytest.raises(
+        InvalidOption, match=r"^algorithm=.auto. has no options.*did you mean 'tolerance'"
+    ):
         layer(torch.tensor([0.0, 1.0], dtype=torch.float64), solver_args={"tolerence": 1e-9})
     layer = CvxpyLayer(cp.Problem(cp.Minimize(h @ x), [x >= 0]), [h], [x], solver=LCPSolver())
-    with pytest.raises(NotConverged, match="the program gives the layer no solution: it is unbounded"):
+    with pytest.raises(
+        NotConverged, match="the program gives the layer no solution: it is unbounded"
+    ):
         layer(-torch.ones(2, dtype=torch.float64))
 
 
@@ -140,7 +179,9 @@ def test_what_is_no_program_is_refused_at_once() -> None:
     """Other cones and integers, when the layer is made."""
     x, c = cp.Variable(2), cp.Parameter(2)
     problem = cp.Problem(cp.Minimize(c @ x), [cp.norm(x, 2) <= 1])
-    with pytest.raises(UnsupportedModel, match="this one needs second-order cones; write norms of one and infinity"):
+    with pytest.raises(
+        UnsupportedModel, match="this one needs second-order cones; write norms of one and infinity"
+    ):
         CvxpyLayer(problem, [c], [x], solver=LCPSolver())
     with pytest.raises(UnsupportedModel, match="this one needs exponential cones"):
         CvxpyLayer(cp.Problem(cp.Minimize(cp.sum(cp.exp(x)) + c @ x)), [c], [x], solver=LCPSolver())

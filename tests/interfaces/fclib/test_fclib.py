@@ -16,7 +16,15 @@ import scipy.sparse as sp
 from scipy.linalg import block_diag
 from typer.testing import CliRunner
 
-from lcp_plugin import LCP, FrictionalContact, LCPError, UnreadableFile, UnsupportedModel, load_problem, solve
+from lcp_plugin import (
+    LCP,
+    FrictionalContact,
+    LCPError,
+    UnreadableFile,
+    UnsupportedModel,
+    load_problem,
+    solve,
+)
 from lcp_plugin.commands.cli import app
 
 h5py = pytest.importorskip("h5py")
@@ -41,7 +49,14 @@ def write_matrix(group: Any, matrix: Any, kind: str) -> None:
         group.create_dataset(name, data=np.asarray(value, dtype))
 
 
-def write(path: Path, name: str, matrices: dict[str, Any], d: int = 3, kind: str = "columns", **vectors: Any) -> Path:
+def write(
+    path: Path,
+    name: str,
+    matrices: dict[str, Any],
+    d: int = 3,
+    kind: str = "columns",
+    **vectors: Any,
+) -> Path:
     with h5py.File(path, "w") as file:
         group = file.create_group(name)
         group.create_dataset("spacedim", data=[d])
@@ -65,7 +80,9 @@ def test_a_local_problem_in_space(kind: str, tmp_path: Path) -> None:
     assert isinstance(problem, FrictionalContact)
     np.testing.assert_array_equal(problem.rows.csr.toarray(), LOW)
     np.testing.assert_array_equal(problem.q, PUSHED)
-    np.testing.assert_allclose(solve(problem).z, solve(FrictionalContact(LOW, PUSHED, 0.5)).z, atol=1e-12)
+    np.testing.assert_allclose(
+        solve(problem).z, solve(FrictionalContact(LOW, PUSHED, 0.5)).z, atol=1e-12
+    )
 
 
 def test_a_local_problem_in_the_plane(tmp_path: Path) -> None:
@@ -84,7 +101,9 @@ def test_a_global_problem(kind: str, tmp_path: Path) -> None:
     A = rng.normal(size=(2, 4, 4))
     M = block_diag(*[a @ a.T + np.eye(4) for a in A])
     H, f, w = rng.normal(size=(8, 6)), rng.normal(size=8), rng.normal(size=6)
-    path = write(tmp_path / "g.h5", "fclib_global", {"M": M, "H": H}, kind=kind, f=f, w=w, mu=[0.3, 0.6])
+    path = write(
+        tmp_path / "g.h5", "fclib_global", {"M": M, "H": H}, kind=kind, f=f, w=w, mu=[0.3, 0.6]
+    )
     result = solve(load_problem(path))
     assert result.is_solved
     v = np.linalg.solve(M, H @ result.z + f)
@@ -117,25 +136,60 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
     return replace
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    (without("fclib_local"), "holds nothing; an fclib file holds fclib_local with spacedim, W"),
-    (without("fclib_local/vectors/mu"), "fclib_local/vectors lacks mu, it holds q; an fclib file"),
-    (without("fclib_local/vectors"), "fclib_local lacks vectors"),
-    (without("fclib_local/W"), "fclib_local lacks W, it holds info, spacedim, vectors; an fclib file"),
-    (without("fclib_local/W/p"), "fclib_local/W lacks p, it holds i, m, n, nz, nzmax, x"),
-    (with_("fclib_local/W", None), "fclib_local/W lacks m, it holds nothing"),
-    (with_("fclib_local/vectors/q", ["a"]), "fclib_local/vectors/q must hold numbers, got numbers of dtype object"),
-    (with_("fclib_local/vectors/q", None), "fclib_local/vectors/q must hold numbers, got a group"),
-    (with_("fclib_local/vectors/q", np.zeros(2)), "mu has 1 numbers, spacedim is 3 (2 or 3), but velocities are 2"),
-    (with_("fclib_local/spacedim", [2]), "mu has 1 numbers, spacedim is 2 (2 or 3), but velocities are 3"),
-    (with_("fclib_local/spacedim", [2, 3]), "fclib_local/spacedim must be one whole number, got 2"),
-    (with_("fclib_local/W/m", [10**9]), "fclib_local/W is of 1000000000 × 3, but its vectors need 3 × 3"),
-    (with_("fclib_local/W/p", np.array([0, 9, 9, 9])), "fclib_local/W is no matrix"),
-    (with_("fclib_local/W/i", np.full(6, 7)), "fclib_local/W is no matrix"),
-    (with_("fclib_local/W/x", np.arange(6.0)), "states no problem over cones: W must be symmetric"),
-    (with_("fclib_local/vectors/mu", [-1.0]), "friction must not be negative, but friction[0] = -1.0"),
-])
-def test_what_is_wrong_with_a_file_is_said(change: Callable[[Path], None], words: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (without("fclib_local"), "holds nothing; an fclib file holds fclib_local with spacedim, W"),
+        (
+            without("fclib_local/vectors/mu"),
+            "fclib_local/vectors lacks mu, it holds q; an fclib file",
+        ),
+        (without("fclib_local/vectors"), "fclib_local lacks vectors"),
+        (
+            without("fclib_local/W"),
+            "fclib_local lacks W, it holds info, spacedim, vectors; an fclib file",
+        ),
+        (without("fclib_local/W/p"), "fclib_local/W lacks p, it holds i, m, n, nz, nzmax, x"),
+        (with_("fclib_local/W", None), "fclib_local/W lacks m, it holds nothing"),
+        (
+            with_("fclib_local/vectors/q", ["a"]),
+            "fclib_local/vectors/q must hold numbers, got numbers of dtype object",
+        ),
+        (
+            with_("fclib_local/vectors/q", None),
+            "fclib_local/vectors/q must hold numbers, got a group",
+        ),
+        (
+            with_("fclib_local/vectors/q", np.zeros(2)),
+            "mu has 1 numbers, spacedim is 3 (2 or 3), but velocities are 2",
+        ),
+        (
+            with_("fclib_local/spacedim", [2]),
+            "mu has 1 numbers, spacedim is 2 (2 or 3), but velocities are 3",
+        ),
+        (
+            with_("fclib_local/spacedim", [2, 3]),
+            "fclib_local/spacedim must be one whole number, got 2",
+        ),
+        (
+            with_("fclib_local/W/m", [10**9]),
+            "fclib_local/W is of 1000000000 × 3, but its vectors need 3 × 3",
+        ),
+        (with_("fclib_local/W/p", np.array([0, 9, 9, 9])), "fclib_local/W is no matrix"),
+        (with_("fclib_local/W/i", np.full(6, 7)), "fclib_local/W is no matrix"),
+        (
+            with_("fclib_local/W/x", np.arange(6.0)),
+            "states no problem over cones: W must be symmetric",
+        ),
+        (
+            with_("fclib_local/vectors/mu", [-1.0]),
+            "friction must not be negative, but friction[0] = -1.0",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said(
+    change: Callable[[Path], None], words: str, tmp_path: Path
+) -> None:
     """A missing key, an empty group, another dimension: what the file holds, what it should."""
     path = local(tmp_path / "block.h5")
     change(path)
@@ -153,7 +207,12 @@ def test_other_files_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(UnreadableFile, match="damaged or no HDF5 file"):
         load_problem(tmp_path / "text.h5")
     vectors = {"f": np.zeros(2), "w": np.zeros(3), "mu": [0.5]}
-    path = write(tmp_path / "g.h5", "fclib_global", {"M": np.eye(2), "H": np.eye(2, 3), "G": np.eye(2)}, **vectors)
+    path = write(
+        tmp_path / "g.h5",
+        "fclib_global",
+        {"M": np.eye(2), "H": np.eye(2, 3), "G": np.eye(2)},
+        **vectors,
+    )
     with pytest.raises(UnsupportedModel, match=r"equations beside its contacts \(fclib_global/G\)"):
         load_problem(path)
     path = write(tmp_path / "g.h5", "fclib_global", {"M": -np.eye(2), "H": np.eye(2, 3)}, **vectors)
@@ -173,7 +232,9 @@ def test_without_h5py_the_words_say_what_to_install(tmp_path: Path) -> None:
         f"try:\n    lcp_plugin.load_problem({str(path)!r})\n"
         "except lcp_plugin.UnreadableFile as error:\n    print(error)\n"
     )
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert "is read by h5py; install it with: pip install h5py" in found.stdout
 
 
@@ -182,7 +243,9 @@ def test_the_command_hands_options_to_the_methods_of_cones(tmp_path: Path) -> No
     path = str(local(tmp_path / "block.h5"))
     works = []
     for sweeps in (3, 50):
-        told = CliRunner().invoke(app, ["solve", path, "--algorithm", "npgs", "--option", f"sweeps={sweeps}", "--json"])
+        told = CliRunner().invoke(
+            app, ["solve", path, "--algorithm", "npgs", "--option", f"sweeps={sweeps}", "--json"]
+        )
         works.append(json.loads(told.output)["run"]["work"])
     assert works[0] < 10.0 < 50.0 < works[1]
     for words in (["--algorithm", "npgs", "--option", "sweep=3"], ["--option", "sweeps=3"]):

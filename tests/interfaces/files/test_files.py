@@ -49,8 +49,13 @@ def bits(p: LCP) -> list[bytes]:
 def keys(p: LCP) -> dict[str, Any]:
     """The documented layout: CSR of M, then q and the bounds."""
     return {
-        "data": p.csr.data, "indices": p.csr.indices, "indptr": p.csr.indptr, "shape": np.array(p.csr.shape),
-        "q": p.q, "lower": p.lower, "upper": p.upper,
+        "data": p.csr.data,
+        "indices": p.csr.indices,
+        "indptr": p.csr.indptr,
+        "shape": np.array(p.csr.shape),
+        "q": p.q,
+        "lower": p.lower,
+        "upper": p.upper,
     }
 
 
@@ -76,10 +81,15 @@ ROUND_TRIPS = {
     "one unknown, no entry": LCP([[0.0]], [1.0]),
     "no entries": LCP(sp.csr_array((3, 3)), [1.0, 2.0, 3.0]),
     "ends of the doubles": LCP(
-        [[5e-324, 1.0], [-5e-324, 1.7976931348623157e308]], [2.2250738585072014e-308, -1.7976931348623157e308],
-        lower=[-9.99e19, -5e-324], upper=[5e-324, 9.999999999999998e19],
+        [[5e-324, 1.0], [-5e-324, 1.7976931348623157e308]],
+        [2.2250738585072014e-308, -1.7976931348623157e308],
+        lower=[-9.99e19, -5e-324],
+        upper=[5e-324, 9.999999999999998e19],
     ),
-    "17 digits": LCP(np.random.default_rng(1).standard_normal((7, 7)), np.random.default_rng(2).standard_normal(7)),
+    "17 digits": LCP(
+        np.random.default_rng(1).standard_normal((7, 7)),
+        np.random.default_rng(2).standard_normal(7),
+    ),
     "empty": EMPTY,
 }
 
@@ -97,7 +107,12 @@ def test_folder_round_trip(p: LCP, tmp_path: Path) -> None:
     """A problem saved as Matrix Market files and loaded again has the same bits."""
     p.save(tmp_path / "deep" / "folder")
     assert_same(p, LCP.load(tmp_path / "deep" / "folder"))
-    assert sorted(files_in(tmp_path / "deep" / "folder")) == ["M.mtx", "lower.mtx", "q.mtx", "upper.mtx"]
+    assert sorted(files_in(tmp_path / "deep" / "folder")) == [
+        "M.mtx",
+        "lower.mtx",
+        "q.mtx",
+        "upper.mtx",
+    ]
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -106,19 +121,25 @@ BELOW_1E20 = st.floats(-9e19, 9e19)
 
 @settings.get_profile("few")
 @given(data=st.data(), n=st.integers(1, 4), suffix=st.sampled_from([".npz", ""]))
-def test_round_trip_of_any_numbers(data: st.DataObject, n: int, suffix: str, tmp_path: Path) -> None:
+def test_round_trip_of_any_numbers(
+    data: st.DataObject, n: int, suffix: str, tmp_path: Path
+) -> None:
     """Whatever doubles a problem holds, both forms give them back; only the sign of a zero may be lost in text."""
     entries = data.draw(st.lists(FINITE, min_size=n * n, max_size=n * n))
     q = data.draw(st.lists(FINITE, min_size=n, max_size=n))
     low = data.draw(st.lists(st.one_of(st.just(-INF), BELOW_1E20), min_size=n, max_size=n))
-    width = data.draw(st.lists(st.one_of(st.just(INF), st.floats(0.0, 1e10)), min_size=n, max_size=n))
+    width = data.draw(
+        st.lists(st.one_of(st.just(INF), st.floats(0.0, 1e10)), min_size=n, max_size=n)
+    )
     with np.errstate(invalid="ignore"):
         upper = np.maximum(np.nan_to_num(np.add(low, width), nan=INF, posinf=INF, neginf=INF), low)
     p = LCP(np.array(entries).reshape(n, n), q, lower=low, upper=upper)
     path = tmp_path / f"p{suffix}"
     p.save(path)
     loaded = LCP.load(path)
-    for mine, theirs in zip((p.q, p.lower, p.upper), (loaded.q, loaded.lower, loaded.upper), strict=True):
+    for mine, theirs in zip(
+        (p.q, p.lower, p.upper), (loaded.q, loaded.lower, loaded.upper), strict=True
+    ):
         np.testing.assert_array_equal(mine, theirs)
     np.testing.assert_array_equal(p.csr.toarray(), loaded.csr.toarray())
 
@@ -127,7 +148,10 @@ def test_round_trip_of_any_numbers(data: st.DataObject, n: int, suffix: str, tmp
 def test_a_file_of_another_kind_is_not_made_a_folder(name: str, tmp_path: Path) -> None:
     """What looks like a file that nobody here writes is refused with what to write instead; nothing appears."""
     stem = Path(name).stem
-    with pytest.raises(UnreadableFile, match=rf"cannot write .*{name}: .*; write {stem}\.npz, or {stem} for a folder"):
+    with pytest.raises(
+        UnreadableFile,
+        match=rf"cannot write .*{name}: .*; write {stem}\.npz, or {stem} for a folder",
+    ):
         PROBLEM.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -145,7 +169,15 @@ def test_paths_are_strings_or_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.chdir(tmp_path)
     PROBLEM.save("p.npz")
     PROBLEM.save("folder/")
-    for path in ("p.npz", Path("p.npz"), str(tmp_path / "p.npz"), "folder", "folder/", Path("folder"), "folder/M.mtx"):
+    for path in (
+        "p.npz",
+        Path("p.npz"),
+        str(tmp_path / "p.npz"),
+        "folder",
+        "folder/",
+        Path("folder"),
+        "folder/M.mtx",
+    ):
         assert_same(PROBLEM, LCP.load(path))
     monkeypatch.chdir(tmp_path / "folder")
     for path in (".", "M.mtx", "./M.mtx"):
@@ -177,7 +209,9 @@ def load_elsewhere(path: Path) -> str:
         "try: print(str(LCP.load(sys.argv[1])))\n"
         "except LCPError as error: print(type(error).__name__, error)\n"
     )
-    done = subprocess.run([sys.executable, "-c", script, path], capture_output=True, encoding="utf-8", check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script, path], capture_output=True, encoding="utf-8", check=False
+    )
     assert done.returncode == 0, f"the process died with {done.returncode}: {done.stderr[-500:]}"
     return done.stdout.strip()
 
@@ -187,11 +221,21 @@ def load_elsewhere(path: Path) -> str:
 
 def test_documented_keys_are_enough(tmp_path: Path) -> None:
     """A file with the documented keys, in any dtype that fits, is read; other keys are ignored, pickled ones too."""
-    small = {"indices": PROBLEM.csr.indices.astype(np.uint8), "indptr": PROBLEM.csr.indptr.astype(np.int64)}
-    unknown = {"z_reference": np.zeros(3), "comment": np.array("contact"), "pickled": np.array([{}], dtype=object)}
+    small = {
+        "indices": PROBLEM.csr.indices.astype(np.uint8),
+        "indptr": PROBLEM.csr.indptr.astype(np.int64),
+    }
+    unknown = {
+        "z_reference": np.zeros(3),
+        "comment": np.array("contact"),
+        "pickled": np.array([{}], dtype=object),
+    }
     assert_same(PROBLEM, LCP.load(npz(tmp_path / "p.npz", **small, **unknown)))
     whole = LCP([[2.0, 1.0], [0.0, 2.0]], [1.0, 2.0])
-    np.savez(tmp_path / "w.npz", **{key: value.astype(int) for key, value in keys(whole).items() if key[-3:] != "per"})
+    np.savez(
+        tmp_path / "w.npz",
+        **{key: value.astype(int) for key, value in keys(whole).items() if key[-3:] != "per"},
+    )
     assert_same(whole, LCP.load(tmp_path / "w.npz"))
 
 
@@ -199,7 +243,9 @@ def test_unsorted_duplicates_in_a_file_are_put_in_order(tmp_path: Path) -> None:
     """The CSR of a file need not be canonical."""
     rows = {"data": [1.0, 2.0, 3.0, 0.0], "indices": [1, 0, 0, 1], "indptr": [0, 3, 4]}
     np.savez(tmp_path / "p.npz", **rows, shape=[2, 2], q=[1.0, 2.0])
-    np.testing.assert_array_equal(LCP.load(tmp_path / "p.npz").csr.toarray(), [[5.0, 1.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(
+        LCP.load(tmp_path / "p.npz").csr.toarray(), [[5.0, 1.0], [0.0, 0.0]]
+    )
 
 
 @pytest.mark.parametrize("left_out", [("lower",), ("upper",), ("lower", "upper")])
@@ -236,8 +282,12 @@ def test_huge_bounds_in_files_mean_infinity(huge: float, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("path", ["p.npz", "folder"])
-@pytest.mark.parametrize("bounds", [{"lower": [0.0, 1e20, 0.0]}, {"lower": -np.inf, "upper": [1.0, -1e200, 1.0]}])
-def test_huge_bounds_that_exclude_zero_come_back(path: str, bounds: dict[str, Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "bounds", [{"lower": [0.0, 1e20, 0.0]}, {"lower": -np.inf, "upper": [1.0, -1e200, 1.0]}]
+)
+def test_huge_bounds_that_exclude_zero_come_back(
+    path: str, bounds: dict[str, Any], tmp_path: Path
+) -> None:
     """A lower bound of 1e20 and an upper one of −1e200 are bounds, in files too."""
     problem = LCP(M, PROBLEM.q, **bounds)
     problem.save(tmp_path / path)
@@ -258,14 +308,26 @@ def test_prefix(given_path: str, tmp_path: Path) -> None:
 def test_matrix_market_as_others_write_it(tmp_path: Path) -> None:
     """Symmetric, integer, dense and coordinate files, comments, and vectors as rows or with gaps are read."""
     entries = "% by hand\n3 3 3\n1 1 2\n2 1 -1\n3 3 5\n"
-    (tmp_path / "M.mtx").write_text("%%MatrixMarket matrix coordinate integer symmetric\n" + entries)
-    (tmp_path / "q.mtx").write_text("%%MatrixMarket matrix coordinate real general\n3 1 2\n3 1 -7.5\n1 1 1e-320\n")
-    (tmp_path / "lower.mtx").write_text("%%MatrixMarket matrix array real general\n1 3\n-1\n-1e30\n0\n")
+    (tmp_path / "M.mtx").write_text(
+        "%%MatrixMarket matrix coordinate integer symmetric\n" + entries
+    )
+    (tmp_path / "q.mtx").write_text(
+        "%%MatrixMarket matrix coordinate real general\n3 1 2\n3 1 -7.5\n1 1 1e-320\n"
+    )
+    (tmp_path / "lower.mtx").write_text(
+        "%%MatrixMarket matrix array real general\n1 3\n-1\n-1e30\n0\n"
+    )
     p = LCP.load(tmp_path)
-    np.testing.assert_array_equal(p.csr.toarray(), [[2.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
+    np.testing.assert_array_equal(
+        p.csr.toarray(), [[2.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 5.0]]
+    )
     assert (p.q.tolist(), p.lower.tolist()) == ([1e-320, 0.0, -7.5], [-1.0, -INF, 0.0])
-    (tmp_path / "M.mtx").write_text("%%MatrixMarket matrix array real general\n3 3\n1\n2\n3\n4\n5\n6\n7\n8\n9\n")
-    np.testing.assert_array_equal(LCP.load(tmp_path).M, [[1.0, 4.0, 7.0], [2.0, 5.0, 8.0], [3.0, 6.0, 9.0]])
+    (tmp_path / "M.mtx").write_text(
+        "%%MatrixMarket matrix array real general\n3 3\n1\n2\n3\n4\n5\n6\n7\n8\n9\n"
+    )
+    np.testing.assert_array_equal(
+        LCP.load(tmp_path).M, [[1.0, 4.0, 7.0], [2.0, 5.0, 8.0], [3.0, 6.0, 9.0]]
+    )
 
 
 SCIPY_WRITES = {
@@ -281,7 +343,9 @@ SCIPY_WRITES = {
 @pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int64, np.uint8])
 @pytest.mark.parametrize("is_sparse", [True, False], ids=["sparse", "dense"])
 @pytest.mark.parametrize("matrix", SCIPY_WRITES.values(), ids=SCIPY_WRITES.keys())
-def test_what_scipy_writes_is_read(matrix: np.ndarray, is_sparse: bool, dtype: type, tmp_path: Path) -> None:
+def test_what_scipy_writes_is_read(
+    matrix: np.ndarray, is_sparse: bool, dtype: type, tmp_path: Path
+) -> None:
     """Every real matrix and vector written by scipy.io.mmwrite, which picks field and symmetry itself, is read."""
     kind = np.dtype(dtype).kind
     values = (np.abs(matrix) if kind == "u" else matrix).astype(dtype)
@@ -293,11 +357,16 @@ def test_what_scipy_writes_is_read(matrix: np.ndarray, is_sparse: bool, dtype: t
     np.testing.assert_array_equal(p.q, q.ravel().astype(float))
 
 
-@pytest.mark.parametrize("bounds", [{}, {"lower": -1.0}, {"lower": [-1.0, 0.0, -1e20], "upper": [INF, 1e20, 5]}])
+@pytest.mark.parametrize(
+    "bounds", [{}, {"lower": -1.0}, {"lower": [-1.0, 0.0, -1e20], "upper": [INF, 1e20, 5]}]
+)
 def test_what_numpy_writes_is_read(bounds: dict[str, Any], tmp_path: Path) -> None:
     """``numpy.savez`` of a dense M and q, with bounds or without, is a problem."""
     np.savez(tmp_path / "p.npz", M=M, q=[1, 2, 3], **bounds)
-    infinite = {name: np.where(np.abs(bound) >= 1e20, np.copysign(INF, bound), bound) for name, bound in bounds.items()}
+    infinite = {
+        name: np.where(np.abs(bound) >= 1e20, np.copysign(INF, bound), bound)
+        for name, bound in bounds.items()
+    }
     assert_same(LCP.load(tmp_path / "p.npz"), LCP(M, [1, 2, 3], **infinite))
 
 
@@ -306,17 +375,32 @@ def test_what_numpy_writes_is_read(bounds: dict[str, Any], tmp_path: Path) -> No
 NO_CSR = "no valid CSR matrix|damaged sparse array|must hold whole numbers"
 NO_ARRAYS: dict[str, Any] = dict.fromkeys(("data", "indices", "indptr", "shape"))
 WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
-    "no matrix": ({"data": None, "indptr": None}, r"lacks the keys \['data', 'indptr'\].*indptr, shape\), q"),
+    "no matrix": (
+        {"data": None, "indptr": None},
+        r"lacks the keys \['data', 'indptr'\].*indptr, shape\), q",
+    ),
     "no q": ({"q": None}, r"lacks the keys \['q'\]"),
-    "quadratic program": ({"P_data": np.ones(2), "A_data": np.ones(2)}, r"quadratic program.*not an LCP"),
+    "quadratic program": (
+        {"P_data": np.ones(2), "A_data": np.ones(2)},
+        r"quadratic program.*not an LCP",
+    ),
     "q too short": ({"q": np.ones(2)}, r"q must be a finite vector of length 3.*\(2,\)"),
     "q a column": ({"q": np.ones((3, 1))}, r"q must be a finite vector of length 3.*\(3, 1\)"),
     "q NaN": ({"q": np.full(3, np.nan)}, r"q\[0\] = nan"),
     "q texts": ({"q": np.array(["1", "2", "3"])}, r"q must .*got (text|complex)"),
-    "q pickled": ({"q": np.array([1.0, 2.0, 3.0], dtype=object)}, r"pickled objects, which are never read"),
-    "M sparse and pickled": (NO_ARRAYS | {"M": np.array(sp.csr_array(M))}, r"never read; LCP\.save writes a sparse M"),
+    "q pickled": (
+        {"q": np.array([1.0, 2.0, 3.0], dtype=object)},
+        r"pickled objects, which are never read",
+    ),
+    "M sparse and pickled": (
+        NO_ARRAYS | {"M": np.array(sp.csr_array(M))},
+        r"never read; LCP\.save writes a sparse M",
+    ),
     "M dense, q missing": (NO_ARRAYS | {"M": M, "q": None}, r"lacks the keys \['q'\]"),
-    "M dense, a vector": (NO_ARRAYS | {"M": np.ones(3)}, r"states no linear complementarity problem: M must be"),
+    "M dense, a vector": (
+        NO_ARRAYS | {"M": np.ones(3)},
+        r"states no linear complementarity problem: M must be",
+    ),
     "M dense, texts": (NO_ARRAYS | {"M": np.array([["1", "2"]])}, r"M must hold real numbers"),
     "M NaN": ({"data": np.full(7, np.nan)}, r"M must be finite"),
     "M complex": ({"data": np.ones(7, dtype=complex)}, r"M must hold real numbers"),
@@ -346,7 +430,10 @@ WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "lower NaN": ({"lower": np.full(3, np.nan)}, r"lower must not hold NaN"),
     "lower too short": ({"lower": np.zeros(2)}, r"lower must be .*length 3.*\(2,\)"),
     "lower 1e20": ({"lower": np.full(3, 1e20)}, r"lower ≤ upper.*lower\[2\] = 1e\+20"),
-    "bounds crossing": ({"lower": np.full(3, 2.0)}, r"lower ≤ upper.*lower\[2\] = 2.0 and upper\[2\] = 1.0"),
+    "bounds crossing": (
+        {"lower": np.full(3, 2.0)},
+        r"lower ≤ upper.*lower\[2\] = 2.0 and upper\[2\] = 1.0",
+    ),
     "upper complex": ({"upper": np.ones(3, dtype=complex)}, r"upper must .*got (text|complex)"),
 }
 
@@ -373,7 +460,10 @@ NO_ARCHIVES: dict[str, tuple[bytes, str]] = {
     "text": (b"M = [[4, 1], [1, 4]]\n", "damaged or no .npz"),
     "zeros": (bytes(1000), "damaged or no .npz"),
     "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "damaged or no .npz"),
-    "zip of nothing": (b"PK\x05\x06" + bytes(18), r"lacks the keys \['M', 'q'\]; an LCP file holds M \(or"),
+    "zip of nothing": (
+        b"PK\x05\x06" + bytes(18),
+        r"lacks the keys \['M', 'q'\]; an LCP file holds M \(or",
+    ),
     "single array": (array_bytes(np.ones(3)), r"single array|no .npz"),
     "single pickled array": (array_bytes(np.array([{}], dtype=object)), "never read|no .npz"),
     "pickle": (pickle.dumps({"data": 1}), "never read|no .npz"),
@@ -399,7 +489,10 @@ def test_no_archive_is_refused(content: bytes, pattern: str, tmp_path: Path) -> 
         ("no/such/folder/p.npz", r"no such file: .*p\.npz$"),
         ("folder", r"no such file: .*folder.M\.mtx; a folder must hold M\.mtx and q\.mtx$"),
         ("folder.npz", r"cannot read .*folder\.npz"),
-        ("notes.txt", r"notes\.txt: expected an \.npz, .* file, or M\.mtx with q\.mtx.* holds M .*M=M, q=q"),
+        (
+            "notes.txt",
+            r"notes\.txt: expected an \.npz, .* file, or M\.mtx with q\.mtx.* holds M .*M=M, q=q",
+        ),
         ("a.mat", r"cannot read .*a\.mat: it is damaged or no \.mat file of numbers"),
         ("missing.mat", r"no such file: .*missing\.mat$"),
         ("half", r"M\.mtx has no companion .*q\.mtx"),
@@ -450,7 +543,9 @@ def load_damaged(path: Path, content: bytes) -> LCP | None:
     """The problem, or None where the file is refused; any other exception, and any warning but a leak's, passes."""
     path.write_bytes(content)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # test_refused_archive_is_closed looks after those
+        warnings.simplefilter(
+            "ignore", ResourceWarning
+        )  # test_refused_archive_is_closed looks after those
         try:
             return LCP.load(path)
         except (UnreadableFile, InvalidProblem):
@@ -482,7 +577,9 @@ def test_truncated_archive_is_refused(is_compressed: bool, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("is_compressed", [True, False])
-def test_flipped_bytes_are_refused_or_harmless(is_compressed: bool, seed: int, tmp_path: Path) -> None:
+def test_flipped_bytes_are_refused_or_harmless(
+    is_compressed: bool, seed: int, tmp_path: Path
+) -> None:
     """Random wrong bytes in an .npz give UnreadableFile, InvalidProblem or a valid problem, never anything else."""
     chance = random.Random(seed)
     whole = archive(is_compressed)
@@ -506,8 +603,16 @@ def entries_of(whole: bytes) -> list[int]:
 @pytest.mark.parametrize(
     ("field", "value"),
     [(8, 1), (10, 99), (10, 12), (10, 14), (24, 5), (24, 2**31 - 1), (20, 3), (42, 7)],
-    ids=["encrypted", "unknown method", "bzip2", "lzma", "size too small", "size too large", "compressed size",
-         "position"],
+    ids=[
+        "encrypted",
+        "unknown method",
+        "bzip2",
+        "lzma",
+        "size too small",
+        "size too large",
+        "compressed size",
+        "position",
+    ],
 )
 def test_damaged_directory_is_refused(field: int, value: int, tmp_path: Path) -> None:
     """Each field of an archive's directory, set wrong for each member, makes the file unreadable and nothing worse."""
@@ -516,7 +621,9 @@ def test_damaged_directory_is_refused(field: int, value: int, tmp_path: Path) ->
     for entry in entries_of(whole):
         damaged = bytearray(whole)
         width = 2 if field < 20 else 4
-        damaged[entry + field : entry + field + width] = struct.pack("<H" if width == 2 else "<I", value)
+        damaged[entry + field : entry + field + width] = struct.pack(
+            "<H" if width == 2 else "<I", value
+        )
         p = load_damaged(tmp_path / "p.npz", bytes(damaged))
         if p is not None:
             assert_same(PROBLEM, p)
@@ -538,7 +645,13 @@ def test_damaged_stream_is_refused(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "content",
-    [b"", b"PK\x03\x04" + bytes(50), b"no archive at all", array_bytes(np.ones(3)), archive(True)[:-1]],
+    [
+        b"",
+        b"PK\x03\x04" + bytes(50),
+        b"no archive at all",
+        array_bytes(np.ones(3)),
+        archive(True)[:-1],
+    ],
     ids=["empty", "head of an archive", "text", "single array", "truncated"],
 )
 def test_refused_archive_is_closed(content: bytes, tmp_path: Path) -> None:
@@ -589,14 +702,20 @@ def test_damaged_matrix_market_files_are_refused(tmp_path: Path) -> None:
     PROBLEM.save(tmp_path / "folder")
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", MATRIX_MARKET_SCRIPT, tmp_path / "folder"],
-        capture_output=True, encoding="utf-8", check=False,
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
     )
     last = done.stdout.splitlines()[-1]
-    assert (done.returncode, last) == (0, "finished"), f"{done.returncode} at {last}: {done.stderr[-500:]}"
+    assert (done.returncode, last) == (0, "finished"), (
+        f"{done.returncode} at {last}: {done.stderr[-500:]}"
+    )
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("number", ["4.0e", "4.0e+", "e", "-", "4..0", "0x4", "nan", "inf", "1e999", "four", "4,0", ""])
+@pytest.mark.parametrize(
+    "number", ["4.0e", "4.0e+", "e", "-", "4..0", "0x4", "nan", "inf", "1e999", "four", "4,0", ""]
+)
 def test_damaged_number_in_text_is_refused(number: str, tmp_path: Path) -> None:
     """What is no finite number in q.mtx makes the file unreadable; in a process of its own."""
     PROBLEM.save(tmp_path / "folder")
@@ -628,7 +747,9 @@ WRONG_MATRIX_MARKET = {
 }
 
 
-@pytest.mark.parametrize(("content", "pattern"), WRONG_MATRIX_MARKET.values(), ids=WRONG_MATRIX_MARKET.keys())
+@pytest.mark.parametrize(
+    ("content", "pattern"), WRONG_MATRIX_MARKET.values(), ids=WRONG_MATRIX_MARKET.keys()
+)
 def test_wrong_matrix_market_file_is_refused(content: str, pattern: str, tmp_path: Path) -> None:
     """A text that states no matrix is UnreadableFile with the file's name, in words and not in Python's."""
     PROBLEM.save(tmp_path)
@@ -636,20 +757,27 @@ def test_wrong_matrix_market_file_is_refused(content: str, pattern: str, tmp_pat
     with pytest.raises(UnreadableFile, match=pattern) as caught:
         LCP.load(tmp_path)
     assert str(tmp_path / "M.mtx") in str(caught.value)
-    assert not re.search("unpack|codec|NoneType|index out of|invalid literal|object", str(caught.value))
+    assert not re.search(
+        "unpack|codec|NoneType|index out of|invalid literal|object", str(caught.value)
+    )
 
 
 ENORMOUS = {
     "rows of M": {"M": COORDINATES + "300000000 300000000 0\n"},
     "rows of q": {"q": COORDINATES + "300000000 1 0\n"},
-    "rows of both": {"M": COORDINATES + "300000000 300000000 0\n", "q": COORDINATES + "300000000 1 0\n"},
+    "rows of both": {
+        "M": COORDINATES + "300000000 300000000 0\n",
+        "q": COORDINATES + "300000000 1 0\n",
+    },
     "rows that q lacks": {"M": COORDINATES + "9999999 9999999 0\n"},
     "rows of a bound": {"lower": COORDINATES + "1 300000000 0\n"},
 }
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.skipif(sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage"
+)
 @pytest.mark.parametrize("what", ENORMOUS)
 def test_a_short_file_that_announces_much_takes_no_memory(what: str, tmp_path: Path) -> None:
     """A file of a few bytes that announces 3e8 rows is refused before memory is taken for them."""
@@ -662,7 +790,9 @@ def test_a_short_file_that_announces_much_takes_no_memory(what: str, tmp_path: P
         "try:\n    LCP.load(sys.argv[1])\nexcept UnreadableFile as error:\n"
         "    print((peak() - before) // 1024, error)\n"
     )
-    ran = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
+    )
     megabytes, message = ran.stdout.split(" ", 1)
     assert int(megabytes) < 50
     assert ".mtx" in message
@@ -705,7 +835,9 @@ def test_successful_archive_replaces_the_old_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("failing", [0, 1, 2, 3])
-def test_failed_folder_keeps_the_old_one(failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_folder_keeps_the_old_one(
+    failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where writing any one of the four files fails, all four old ones remain: never a new M with an old q."""
     PROBLEM.save(tmp_path / "folder")
     before = files_in(tmp_path)
@@ -725,7 +857,9 @@ def test_failed_folder_keeps_the_old_one(failing: int, tmp_path: Path, monkeypat
 def test_real_limit_keeps_the_old_one(path: str, tmp_path: Path) -> None:
     """Where the system lets a file grow no further, here after M and within q, what was there remains."""
     resource = pytest.importorskip("resource", reason="limits of file sizes are a thing of Unix")
-    old, new = (LCP(sp.csr_array(([x], ([0], [0])), shape=(40, 40)), np.full(40, x / 3)) for x in (1.0, 2.0))
+    old, new = (
+        LCP(sp.csr_array(([x], ([0], [0])), shape=(40, 40)), np.full(40, x / 3)) for x in (1.0, 2.0)
+    )
     old.save(tmp_path / path)
     before = files_in(tmp_path)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -780,8 +914,18 @@ def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -
 def test_quadratic_programs_are_refused_in_words(tmp_path: Path) -> None:
     """A file in the layout of the convex QPs is refused as what it is, not for the keys that it lacks."""
     P = sp.csc_array(np.eye(2))
-    content = {f"{name}_{key}": getattr(P, key) for name in "PA" for key in ("data", "indices", "indptr", "shape")}
-    vectors = {"q": [1.0, 1.0], "l": [-1e20, 0.0], "u": [1e20, 1.0], "r": 0.0, "optimal_value": -1.0}
+    content = {
+        f"{name}_{key}": getattr(P, key)
+        for name in "PA"
+        for key in ("data", "indices", "indptr", "shape")
+    }
+    vectors = {
+        "q": [1.0, 1.0],
+        "l": [-1e20, 0.0],
+        "u": [1e20, 1.0],
+        "r": 0.0,
+        "optimal_value": -1.0,
+    }
     np.savez(tmp_path / "qp.npz", **content, **vectors)
     with pytest.raises(UnreadableFile, match=r"qp\.npz holds a quadratic program.*not an LCP"):
         LCP.load(tmp_path / "qp.npz")

@@ -59,14 +59,31 @@ FILES: dict[str, tuple[str, Callable[[str], object]]] = {  # name: what it holds
     "qp.mat": ("program", lambda path: mat(path, H=M, f=q, A=[[1.0, 1.0]], b=[2.0], lb=[0.0, 0.0])),
     "qp.qps": ("program", lambda path: Path(path).write_text(QPS)),
     "lp.mps": ("program", lambda path: Path(path).write_text(PLAIN)),
-    "qp.nl": ("program", lambda path: write_nl(
-        content_of(M, q, partners=np.array([-1, -1]), partner_bounds=np.array([0, 0]), objective=[1.0, 2.0],
-                   row_lower=np.array([0.0, 0.0])), path)),
+    "qp.nl": (
+        "program",
+        lambda path: write_nl(
+            content_of(
+                M,
+                q,
+                partners=np.array([-1, -1]),
+                partner_bounds=np.array([0, 0]),
+                objective=[1.0, 2.0],
+                row_lower=np.array([0.0, 0.0]),
+            ),
+            path,
+        ),
+    ),
     "fit.npz": ("least squares", lambda path: np.savez(path, **FIT)),
     "fit.mat": ("least squares", lambda path: mat(path, **FIT)),
 }
-DONE, SOLVE, CERTIFY = 0, r"lcp-plugin solve", r"lcp-plugin solve and certify|lcp-plugin certify|lcp-plugin solve"
-CELLS: dict[str, dict[str, Any]] = {  # subcommand: by what the file holds, its exit code or the words of its refusal
+DONE, SOLVE, CERTIFY = (
+    0,
+    r"lcp-plugin solve",
+    r"lcp-plugin solve and certify|lcp-plugin certify|lcp-plugin solve",
+)
+CELLS: dict[
+    str, dict[str, Any]
+] = {  # subcommand: by what the file holds, its exit code or the words of its refusal
     "solve": {"LCP": DONE, "program": DONE, "least squares": DONE},
     "check": {"LCP": DONE, "program": CERTIFY, "least squares": SOLVE},
     "certify": {"LCP": SOLVE, "program": DONE, "least squares": SOLVE},
@@ -93,10 +110,16 @@ def test_every_subcommand_and_every_format_has_its_row() -> None:
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize(("name", "command"), [
-    (name, command) for name, (kind, _) in FILES.items() for command, cells in CELLS.items()
-    if command not in ("study", "report") or cells[kind] is not DONE  # which tell their progress: their own tests
-])
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        (name, command)
+        for name, (kind, _) in FILES.items()
+        for command, cells in CELLS.items()
+        if command not in ("study", "report")
+        or cells[kind] is not DONE  # which tell their progress: their own tests
+    ],
+)
 def test_each_cell_works_or_names_the_command_that_does(name: str, command: str) -> None:
     """Exit code 0 and something on stdout; or 2 and one line on stderr that names another command."""
     kind, write = FILES[name]
@@ -113,10 +136,18 @@ def test_each_cell_works_or_names_the_command_that_does(name: str, command: str)
     assert re.match(f"lcp-plugin: .*(?:{expected})", done.stderr), done.stderr
 
 
-SOLUTIONS = {"lcp": [2.5, 0.0], "saved": [2.5, 0.0], "folder": [2.5, 0.0], "qp": [2.0, 0.0], "fit": [1.5, 0.0]}
+SOLUTIONS = {
+    "lcp": [2.5, 0.0],
+    "saved": [2.5, 0.0],
+    "folder": [2.5, 0.0],
+    "qp": [2.0, 0.0],
+    "fit": [1.5, 0.0],
+}
 
 
-@pytest.mark.parametrize("name", [name for name in FILES if name not in ("qp.qps", "lp.mps", "qp.nl", "folder/M.mtx")])
+@pytest.mark.parametrize(
+    "name", [name for name in FILES if name not in ("qp.qps", "lp.mps", "qp.nl", "folder/M.mtx")]
+)
 def test_solve_saves_and_tells_the_answer(name: str) -> None:
     """--out holds z or x, --json one object with the status, and a person reads the first values of x."""
     kind, write = FILES[name]
@@ -127,7 +158,9 @@ def test_solve_saves_and_tells_the_answer(name: str) -> None:
     with np.load("out.npz") as saved:
         assert str(saved["status"]) == "SOLVED"
         x = saved["x" if kind != "LCP" or name.endswith(NL) else "z"]
-        assert (kind == "program") <= ({"inequality", "equality", "lower", "upper"} <= {*saved.files})
+        assert (kind == "program") <= (
+            {"inequality", "equality", "lower", "upper"} <= {*saved.files}
+        )
     np.testing.assert_allclose(x, SOLUTIONS[name.partition(".")[0]], atol=1e-7)
     if kind != "LCP":
         assert f"x[0]  {x[0]:.9g}"[:8] in lcp_plugin("solve", name).stdout
@@ -139,7 +172,9 @@ def test_files_of_mps_are_answered_in_their_own_terms() -> None:
     Path("qp.qps").write_text(QPS)
     done = lcp_plugin("solve", "qp.qps", "--out", "out.npz")
     assert done.exit_code == 0
-    assert "objective 7.5, as the file states it" in done.stdout  # 2 x₁ + 4 x₂ − x₁² − x₂² + 3 at (½, 1½)
+    assert (
+        "objective 7.5, as the file states it" in done.stdout
+    )  # 2 x₁ + 4 x₂ − x₁² − x₂² + 3 at (½, 1½)
     assert re.search(r"^first   0\.5\d*\nsecond  1\.5$", done.stdout, re.MULTILINE)
     with np.load("out.npz") as saved:
         assert saved["names"].tolist() == ["first", "second"]
@@ -195,8 +230,14 @@ def test_a_grid_shapes_the_picture_of_a_file(name: str) -> None:
     for grid in ("3×4", "2x2x3"):
         assert lcp_plugin("solve", name, "--plot", "out.png", "--grid", grid).exit_code == 0
     for words, pattern in (
-        ("--plot out.png --grid 3x5", r"shape \(3, 5\) is that of 15 unknowns, and the problem has 12"),
-        ("--plot out.png --grid 3by4", "--grid wants whole numbers, rows x columns, as --grid 500x500; got '3by4'"),
+        (
+            "--plot out.png --grid 3x5",
+            r"shape \(3, 5\) is that of 15 unknowns, and the problem has 12",
+        ),
+        (
+            "--plot out.png --grid 3by4",
+            "--grid wants whole numbers, rows x columns, as --grid 500x500; got '3by4'",
+        ),
         ("--plot out.png --grid 0x4", "--grid wants whole numbers"),
         ("--grid 3x4", "--grid 3x4 is for a picture; give --plot FILE as well"),
     ):
@@ -224,17 +265,29 @@ def mistakes() -> dict[str, str]:
     np.savez("nan_fit.npz", A=M, b=[np.nan, 1.0])
     np.savez("none.npz", P=M, q=q, G=None)
     np.savez("other.npz", X=M)
-    damaged = [f"empty{ending}" for ending in (".npz", ".mat")] + [f"noise{ending}" for ending in (".npz", ".mat")]
+    damaged = [f"empty{ending}" for ending in (".npz", ".mat")] + [
+        f"noise{ending}" for ending in (".npz", ".mat")
+    ]
     return {
-        "missing.npz": "no such file: missing.npz", "missing.qps": "no such file|pip install highspy",
-        "missing.nl": "no such file: missing.nl", "missing.mat": "no such file: missing.mat",
-        "lcp.npzz": "no such file: lcp.npzz", "nothing": r"nothing/M\.mtx; a folder must hold|a program is an",
-        "called.npz": "cannot read called.npz", "notes.txt": r"cannot read notes\.txt",
+        "missing.npz": "no such file: missing.npz",
+        "missing.qps": "no such file|pip install highspy",
+        "missing.nl": "no such file: missing.nl",
+        "missing.mat": "no such file: missing.mat",
+        "lcp.npzz": "no such file: lcp.npzz",
+        "nothing": r"nothing/M\.mtx; a folder must hold|a program is an",
+        "called.npz": "cannot read called.npz",
+        "notes.txt": r"cannot read notes\.txt",
         **dict.fromkeys(damaged, "cannot read (empty|noise)"),
-        "empty.qps": "HiGHS|highspy", "noise.qps": "HiGHS|highspy", "empty.nl": "empty.nl", "noise.nl": "noise.nl",
-        "no_q.npz": r"lacks the keys \['q'\]|holds an LCP", "no_c.npz": r"lacks the keys \['c'\]",
-        "nan.npz": "q must be finite|holds an LCP", "nan_qp.npz": "c must be",
-        "nan_fit.npz": "b must be|least squares", "none.npz": "pickled objects, which are never read",
+        "empty.qps": "HiGHS|highspy",
+        "noise.qps": "HiGHS|highspy",
+        "empty.nl": "empty.nl",
+        "noise.nl": "noise.nl",
+        "no_q.npz": r"lacks the keys \['q'\]|holds an LCP",
+        "no_c.npz": r"lacks the keys \['c'\]",
+        "nan.npz": "q must be finite|holds an LCP",
+        "nan_qp.npz": "c must be",
+        "nan_fit.npz": "b must be|least squares",
+        "none.npz": "pickled objects, which are never read",
         "other.npz": "lacks the keys",
     }
 
@@ -245,7 +298,11 @@ def test_mistakes_cost_one_line(command: str) -> None:
     """Missing, empty, damaged, misnamed, a folder, without q, with NaN: exit code 2 and a line that names the file."""
     for name, words in mistakes().items():
         done = lcp_plugin(command, name)
-        assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), (name, done.stderr, done.stdout)
+        assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), (
+            name,
+            done.stderr,
+            done.stdout,
+        )
         assert re.match(rf"lcp-plugin: .*({words})", done.stderr), (name, done.stderr)
         assert Path(name).stem in done.stderr
         assert len(done.stderr) < 600, done.stderr
@@ -258,8 +315,10 @@ def test_what_cannot_be_written_is_refused_before_the_run(command: str) -> None:
     Path("taken.npz").mkdir()
     before = Path("qp.npz").read_bytes()
     for out, words in (
-        ("no/x.npz", "the folder no does not exist"), ("taken.npz", "it is a folder"),
-        ("qp.npz", "it is the problem itself"), ("x.csv", r"--out writes a \.npz file"),
+        ("no/x.npz", "the folder no does not exist"),
+        ("taken.npz", "it is a folder"),
+        ("qp.npz", "it is the problem itself"),
+        ("x.csv", r"--out writes a \.npz file"),
     ):
         done = lcp_plugin(command, "qp.npz", "--out", out)
         assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
@@ -268,15 +327,21 @@ def test_what_cannot_be_written_is_refused_before_the_run(command: str) -> None:
 
 
 OF_OTHERS = [
-    ("solve qp.npz --size 3", "--size is for a scene"), ("solve qp.npz --backend petsc", "--backend is for LCPs"),
-    ("solve qp.npz --relaxation 1.5", r"auto.*\['relaxation'\]"), ("solve qp.npz --error-bound", "error_bound"),
-    ("solve fit.npz -a psor", "no algorithm for a BoundedLeastSquares"), ("solve qp.npz -a psorr", "'psor'"),
+    ("solve qp.npz --size 3", "--size is for a scene"),
+    ("solve qp.npz --backend petsc", "--backend is for LCPs"),
+    ("solve qp.npz --relaxation 1.5", r"auto.*\['relaxation'\]"),
+    ("solve qp.npz --error-bound", "error_bound"),
+    ("solve fit.npz -a psor", "no algorithm for a BoundedLeastSquares"),
+    ("solve qp.npz -a psorr", "'psor'"),
     ("certify fit.npz", "holds a least squares problem"),
-    ("certify qp.npz --solver OSQQ", "OSQP"), ("certify qp.npz --solver ,", "at least one name"),
+    ("certify qp.npz --solver OSQQ", "OSQP"),
+    ("certify qp.npz --solver ,", "at least one name"),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "words"), OF_OTHERS, ids=[arguments for arguments, _ in OF_OTHERS])
+@pytest.mark.parametrize(
+    ("arguments", "words"), OF_OTHERS, ids=[arguments for arguments, _ in OF_OTHERS]
+)
 def test_options_of_other_kinds_are_refused(arguments: str, words: str) -> None:
     """An option that does not go with the kind in the file is named in one line."""
     np.savez("qp.npz", **PROGRAM)

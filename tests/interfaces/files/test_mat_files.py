@@ -18,7 +18,9 @@ from lcp_plugin import LCP, UnreadableFile
 from lcp_plugin.interfaces.files.matrix_market import read_mat
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
-WRITTEN_BY_MATLAB = sorted(Path(scipy.io.matlab.__file__).parent.glob("tests/data/*.mat"))  # not in every installation
+WRITTEN_BY_MATLAB = sorted(
+    Path(scipy.io.matlab.__file__).parent.glob("tests/data/*.mat")
+)  # not in every installation
 
 
 def written(content: dict[str, Any], **how: Any) -> bytes:
@@ -28,7 +30,11 @@ def written(content: dict[str, Any], **how: Any) -> bytes:
 
 
 HOW = [{"format": "4"}, {"format": "5"}, {"format": "5", "do_compression": True}]
-VECTORS = {"q": [[-3.0], [5.0], [-1.0]], "lower": [0.0, -1.0, -1e20], "ub": [[1.0], [np.inf], [9.0]]}
+VECTORS = {
+    "q": [[-3.0], [5.0], [-1.0]],
+    "lower": [0.0, -1.0, -1e20],
+    "ub": [[1.0], [np.inf], [9.0]],
+}
 WHOLE = [written({"M": matrix, **VECTORS}, **how) for how in HOW for matrix in (sp.csc_array(M), M)]
 
 
@@ -39,7 +45,10 @@ def test_what_scipy_writes_is_read(whole: bytes, tmp_path: Path) -> None:
     problem = LCP.load(tmp_path / "p.mat")
     np.testing.assert_array_equal(problem.csr.toarray(), M)
     assert problem.q.tolist() == [-3.0, 5.0, -1.0]
-    assert (problem.lower.tolist(), problem.upper.tolist()) == ([0.0, -1.0, -np.inf], [1.0, np.inf, 9.0])
+    assert (problem.lower.tolist(), problem.upper.tolist()) == (
+        [0.0, -1.0, -np.inf],
+        [1.0, np.inf, 9.0],
+    )
 
 
 @pytest.mark.parametrize("source", WRITTEN_BY_MATLAB, ids=lambda source: source.stem)
@@ -57,13 +66,19 @@ def test_what_matlab_wrote_is_what_scipy_reads(source: Path) -> None:
             ours = read_mat(source, {name})[0][name]
         except (UnreadableFile, KeyError):
             continue
-        dense, expected = (one.toarray() if sp.issparse(one) else one for one in (ours, theirs.get(name)))
+        dense, expected = (
+            one.toarray() if sp.issparse(one) else one for one in (ours, theirs.get(name))
+        )
         np.testing.assert_array_equal(dense, expected)
 
 
 def test_most_matrices_of_matlab_are_read() -> None:
     """Real matrices are not among what is refused."""
-    read = [source.stem for source in WRITTEN_BY_MATLAB if source.stem.startswith(("testdouble", "testsparse_"))]
+    read = [
+        source.stem
+        for source in WRITTEN_BY_MATLAB
+        if source.stem.startswith(("testdouble", "testsparse_"))
+    ]
     for source in WRITTEN_BY_MATLAB:
         if source.stem in read:
             assert read_mat(source, {source.stem.split("_")[0]})[0]
@@ -81,7 +96,9 @@ def test_command_solves_a_mat_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_dense_numbers_are_enough(suffix: str, tmp_path: Path) -> None:
     """M and q as numpy or scipy write them, nothing else."""
     path = tmp_path / f"p.{suffix}"
-    (np.savez if suffix == "npz" else lambda path, **content: savemat(path, content))(path, M=M, q=-np.ones(3))
+    (np.savez if suffix == "npz" else lambda path, **content: savemat(path, content))(
+        path, M=M, q=-np.ones(3)
+    )
     assert str(LCP.load(path)) == "LCP(n=3, nonzeros=7, bounds 0 ≤ z)"
 
 
@@ -89,15 +106,24 @@ def test_dense_numbers_are_enough(suffix: str, tmp_path: Path) -> None:
     ("content", "words"),
     [
         ({"M": M}, r"lacks the matrices \['q'\], it holds M; it must hold M, q"),
-        ({"N": M, "r": [1.0]}, r"lacks the matrices \['M', 'q'\], it holds N, r; .* in MATLAB save\(\"file\.mat\""),
-        ({"A": M, "b": [1.0]}, r"holds a least squares problem \(key b\), not an LCP: lcp_plugin\.load_problem"),
+        (
+            {"N": M, "r": [1.0]},
+            r"lacks the matrices \['M', 'q'\], it holds N, r; .* in MATLAB save\(\"file\.mat\"",
+        ),
+        (
+            {"A": M, "b": [1.0]},
+            r"holds a least squares problem \(key b\), not an LCP: lcp_plugin\.load_problem",
+        ),
         ({"M": M, "q": [1.0, 2.0]}, r"holds a matrix of 3 rows and q an array of shape \(2,\)"),
         ({"M": M[:2], "q": [1.0, 2.0]}, "must be square, got 2 × 3"),
         ({"M": {"a": 1}, "q": [1.0]}, "M is a struct; save a matrix of numbers"),
         ({"M": "text", "q": [1.0]}, "M is text"),
         ({"M": 1j * M, "q": np.ones(3)}, "M is complex; save real numbers"),
         ({"M": np.ones((2, 2, 2)), "q": np.ones(2)}, r"M has the shape \(2, 2, 2\)"),
-        ({"M": M, "q": np.ones(3), "lb": np.zeros(3), "lower": np.zeros(3)}, "lower and lb, which say the same"),
+        (
+            {"M": M, "q": np.ones(3), "lb": np.zeros(3), "lower": np.zeros(3)},
+            "lower and lb, which say the same",
+        ),
         ({"M": M, "q": [np.nan, 1.0, 2.0]}, "states no linear complementarity problem: q must be"),
     ],
     ids=range(11),
@@ -113,7 +139,9 @@ def test_newer_files_are_refused_with_a_remedy(tmp_path: Path) -> None:
     """Version 7.3, which is HDF5: the command that writes an older one."""
     head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
     (tmp_path / "p.mat").write_bytes(head.ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n")
-    with pytest.raises(UnreadableFile, match=r'7\.3 \(HDF5\); in MATLAB write save\("p\.mat", "M", "q", "-v7"\)'):
+    with pytest.raises(
+        UnreadableFile, match=r'7\.3 \(HDF5\); in MATLAB write save\("p\.mat", "M", "q", "-v7"\)'
+    ):
         LCP.load(tmp_path / "p.mat")
 
 
@@ -121,13 +149,17 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
     """An empty file, and text."""
     for content in (b"", b"M = [1 2; 3 4];" * 40):
         (tmp_path / "p.mat").write_bytes(content)
-        with pytest.raises(UnreadableFile, match=r"p\.mat: it is damaged or no \.mat file of numbers"):
+        with pytest.raises(
+            UnreadableFile, match=r"p\.mat: it is damaged or no \.mat file of numbers"
+        ):
             LCP.load(tmp_path / "p.mat")
 
 
 def test_a_short_file_that_announces_much_takes_no_memory(tmp_path: Path) -> None:
     """A sparse M of 2³¹ rows with one entry is refused before anything of that size is made."""
-    whole = bytearray(written({"M": sp.csc_array(([1.0], ([0], [0])), shape=(7, 7)), "q": np.ones(7)}))
+    whole = bytearray(
+        written({"M": sp.csc_array(([1.0], ([0], [0])), shape=(7, 7)), "q": np.ones(7)})
+    )
     place = whole.index((7).to_bytes(4, "little") * 2)
     whole[place : place + 4] = (2**31 - 1).to_bytes(4, "little")
     (tmp_path / "p.mat").write_bytes(whole)

@@ -32,7 +32,9 @@ SYMMETRIC = np.array([[2.0, 1.0], [1.0, 3.0]])
 def parts(name: str, matrix: Any) -> dict[str, Any]:
     """The CSC arrays of a matrix."""
     columns = sp.csc_array(matrix)
-    return {f"{name}_{part}": getattr(columns, part) for part in ("data", "indices", "indptr", "shape")}
+    return {
+        f"{name}_{part}": getattr(columns, part) for part in ("data", "indices", "indptr", "shape")
+    }
 
 
 SAME = {  # the nearest point of x₁ + x₂ ≤ 2, x ≥ 0 to (1, 2), by every convention
@@ -41,14 +43,18 @@ SAME = {  # the nearest point of x₁ + x₂ ≤ 2, x ≥ 0 to (1, 2), by every 
     "rows of one kind": dict(P=P, c=c, G=G, h=h, lower=[0.0, 0.0]),
     "the names of qpsolvers": dict(P=P, q=c, G=G, h=h, lb=[0.0, 0.0], ub=1e20),
     "the names of quadprog": dict(H=P, f=c, A=G, b=h, lb=np.zeros(2)),
-    "limits beyond 1e20": dict(P=P, c=c, G=np.vstack([G, G]), h=[2.0, 1e21], lower=0.0, upper=[1e30, 1e20]),
+    "limits beyond 1e20": dict(
+        P=P, c=c, G=np.vstack([G, G]), h=[2.0, 1e21], lower=0.0, upper=[1e30, 1e20]
+    ),
     "a constant": dict(P=P, q=c, A=G, l=-1e20, u=h, lower=0, r=5.0),
 }
 
 
 @pytest.mark.parametrize("ending", [".npz", ".mat"])
 @pytest.mark.parametrize("content", SAME.values(), ids=SAME)
-def test_programs_are_read_by_the_names_people_save(content: dict[str, Any], ending: str, tmp_path: Path) -> None:
+def test_programs_are_read_by_the_names_people_save(
+    content: dict[str, Any], ending: str, tmp_path: Path
+) -> None:
     """Dense arrays, as ``numpy.savez`` and MATLAB write them, in the names of OSQP, ours, qpsolvers' and quadprog's."""
     path = tmp_path / f"p{ending}"
     if ending == ".npz":
@@ -61,10 +67,20 @@ def test_programs_are_read_by_the_names_people_save(content: dict[str, Any], end
     assert isinstance(load_problem(path), QuadraticProgram)
 
 
-@pytest.mark.parametrize("triangle", [sp.triu, sp.tril, sp.csc_array], ids=["upper", "lower", "all"])
+@pytest.mark.parametrize(
+    "triangle", [sp.triu, sp.tril, sp.csc_array], ids=["upper", "lower", "all"]
+)
 def test_sparse_matrices_are_their_csc_arrays(triangle: Any, tmp_path: Path) -> None:
     """P whole or one triangle of it, A and G sparse too; a dense matrix may stand beside a sparse one."""
-    np.savez(tmp_path / "p.npz", **parts("P", triangle(sp.csc_array(SYMMETRIC))), **parts("G", G), c=c, h=h, A=A, b=b)
+    np.savez(
+        tmp_path / "p.npz",
+        **parts("P", triangle(sp.csc_array(SYMMETRIC))),
+        **parts("G", G),
+        c=c,
+        h=h,
+        A=A,
+        b=b,
+    )
     program = load_program(tmp_path / "p.npz").program
     np.testing.assert_array_equal(program.P.toarray(), SYMMETRIC)
     np.testing.assert_array_equal(program.G.toarray(), G)
@@ -74,22 +90,47 @@ def test_sparse_matrices_are_their_csc_arrays(triangle: Any, tmp_path: Path) -> 
 def test_no_p_is_a_linear_program(tmp_path: Path) -> None:
     """A cost and rows alone; in MATLAB an empty matrix is none."""
     np.savez(tmp_path / "p.npz", c=[1.0, 2.0], A=[[1.0, 1.0]], b=[1.0], lower=0.0)
-    savemat(tmp_path / "p.mat", {"f": [1.0, 2.0], "A": np.zeros((0, 0)), "b": [], "Aeq": [[1.0, 1.0]], "beq": 1.0,
-                                 "lb": [0.0, 0.0]})
+    savemat(
+        tmp_path / "p.mat",
+        {
+            "f": [1.0, 2.0],
+            "A": np.zeros((0, 0)),
+            "b": [],
+            "Aeq": [[1.0, 1.0]],
+            "beq": 1.0,
+            "lb": [0.0, 0.0],
+        },
+    )
     for name in ("p.npz", "p.mat"):
-        assert solve(load_problem(tmp_path / name)).require_solved().x == pytest.approx([1.0, 0.0], abs=1e-12)
+        assert solve(load_problem(tmp_path / name)).require_solved().x == pytest.approx(
+            [1.0, 0.0], abs=1e-12
+        )
 
 
 def test_kinds_are_told_by_what_is_in_a_file(tmp_path: Path) -> None:
     """M is an LCP's, P or a cost a program's, A and b alone those of least squares, whose bounds are 0 and ∞."""
     np.savez(tmp_path / "lcp.npz", M=P, q=c)
     np.savez(tmp_path / "fit.npz", A=[[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], b=[2.0, 1.0, -1.0])
-    np.savez(tmp_path / "sparse.npz", **parts("A", np.eye(2)), b=[2.0, -1.0], lb=-1e20, weights=[1.0, 2.0], ridge=1.0)
-    savemat(tmp_path / "fit.mat", {"A": sp.csc_array(np.eye(2)), "b": [[2.0], [-1.0]], "ub": [1.0, 1e20]})
+    np.savez(
+        tmp_path / "sparse.npz",
+        **parts("A", np.eye(2)),
+        b=[2.0, -1.0],
+        lb=-1e20,
+        weights=[1.0, 2.0],
+        ridge=1.0,
+    )
+    savemat(
+        tmp_path / "fit.mat",
+        {"A": sp.csc_array(np.eye(2)), "b": [[2.0], [-1.0]], "ub": [1.0, 1e20]},
+    )
     assert isinstance(load_problem(tmp_path / "lcp.npz"), LCP)
     fits = [load_problem(tmp_path / name) for name in ("fit.npz", "sparse.npz", "fit.mat")]
     assert all(isinstance(fit, BoundedLeastSquares) for fit in fits)
-    assert [solve(fit).x.round(9).tolist() for fit in fits] == [[1.5, 0.0], [1.0, -0.666666667], [1.0, 0.0]]
+    assert [solve(fit).x.round(9).tolist() for fit in fits] == [
+        [1.5, 0.0],
+        [1.0, -0.666666667],
+        [1.0, 0.0],
+    ]
 
 
 REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
@@ -99,17 +140,31 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
     (dict(P=P, q=c, l=b, u=b), UnreadableFile, "holds l or u, the limits of A x, and no A"),
     (dict(P=P, q=c, A=A, l=b, b=b), UnreadableFile, "holds b beside l and u"),
     (dict(P=P, q=[np.nan, 1.0]), InvalidProblem, r"p\.npz: c must be finite, but c\[0\] = nan"),
-    (dict(P=P, q=c[:1]), InvalidProblem, r"p\.npz: P must be a real matrix of shape \(1, 1\), got shape \(2, 2\)"),
+    (
+        dict(P=P, q=c[:1]),
+        InvalidProblem,
+        r"p\.npz: P must be a real matrix of shape \(1, 1\), got shape \(2, 2\)",
+    ),
     (dict(P=P, q=c, A=A), InvalidProblem, r"p\.npz: A .*b"),
     (dict(P=P, q=c, r=[1.0, 2.0]), InvalidProblem, "r and ridge must be numbers"),
-    (dict(P=None, q=c), UnreadableFile, "pickled objects, which are never read.*what is None left out"),
+    (
+        dict(P=None, q=c),
+        UnreadableFile,
+        "pickled objects, which are never read.*what is None left out",
+    ),
     (parts("P", P) | dict(q=c, P_shape=[2, 1]), UnreadableFile, "no valid CSC"),
-    (dict(P_data=[1.0], q=c), UnreadableFile, r"lacks the keys .*the CSC matrix P is P_data, P_indices"),
+    (
+        dict(P_data=[1.0], q=c),
+        UnreadableFile,
+        r"lacks the keys .*the CSC matrix P is P_data, P_indices",
+    ),
     (dict(A=A, b=[1.0, 2.0]), InvalidProblem, r"p\.npz: b must be a vector of length 1, got shape"),
 ]
 
 
-@pytest.mark.parametrize(("content", "kind", "words"), REFUSED, ids=[words for *_, words in REFUSED])
+@pytest.mark.parametrize(
+    ("content", "kind", "words"), REFUSED, ids=[words for *_, words in REFUSED]
+)
 def test_what_states_no_program_is_refused_in_words(
     content: dict[str, Any], kind: type[LCPError], words: str, tmp_path: Path
 ) -> None:
@@ -126,7 +181,9 @@ def test_contacts_are_no_program(tmp_path: Path) -> None:
     np.savez(tmp_path / "b.npz", W=np.eye(3), q=contact.q, mu=contact.friction)
     for name in ("a.npz", "b.npz"):
         assert isinstance(load_problem(tmp_path / name), FrictionalContact)
-        with pytest.raises(UnreadableFile, match=r"holds a FrictionalContact .*`lcp-plugin solve` takes it"):
+        with pytest.raises(
+            UnreadableFile, match=r"holds a FrictionalContact .*`lcp-plugin solve` takes it"
+        ):
             load_program(tmp_path / name)
     (tmp_path / "a.h5").touch()
     with pytest.raises(UnreadableFile, match="other problems are for `lcp-plugin solve`"):

@@ -63,7 +63,9 @@ def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> No
 def test_gradients_are_those_of_each_problem() -> None:
     """What one Result's own derivative says, for a single problem without axes in front; infinite bounds included."""
     M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))
-    gradients = jax.grad(lambda *data: lcp_layer(*data).sum(), argnums=(0, 1, 2, 3))(M, q, lower, upper)
+    gradients = jax.grad(lambda *data: lcp_layer(*data).sum(), argnums=(0, 1, 2, 3))(
+        M, q, lower, upper
+    )
     own = derivative(solve(LCP(M, q, lower=lower, upper=upper))).vjp(np.ones(12))
     for ours, theirs in zip(gradients, (own.M.toarray(), own.q, own.lower, own.upper), strict=True):
         assert np.allclose(ours, theirs, rtol=1e-12, atol=1e-13)
@@ -75,19 +77,30 @@ def test_axes_in_front_broadcast() -> None:
     M, q, _, _ = planted(4, 6, 4)
     M, q, lower = jnp.array(M[:3, None]), jnp.array(q), jnp.zeros(6)
     z = lcp_layer(M, q, lower, 2.0)
-    one_by_one = jnp.stack([jnp.stack([lcp_layer(M[i, 0], q[j], lower, 2.0) for j in range(4)]) for i in range(3)])
+    one_by_one = jnp.stack(
+        [jnp.stack([lcp_layer(M[i, 0], q[j], lower, 2.0) for j in range(4)]) for i in range(3)]
+    )
     assert np.allclose(z, one_by_one, rtol=1e-13, atol=1e-14)
-    check_grads(lambda *data: lcp_layer(*data, 2.0), (M, q, lower), order=1, modes=["fwd", "rev"], eps=1e-6)
+    check_grads(
+        lambda *data: lcp_layer(*data, 2.0), (M, q, lower), order=1, modes=["fwd", "rev"], eps=1e-6
+    )
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 0)])
+@pytest.mark.parametrize(
+    "axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 0)]
+)
 def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
     """With vmap of the layer and of its gradients, over any of the arguments, inside and outside of jit."""
-    data = [array if axis == 0 else array[0] for array, axis in zip(planted(4, 5, 6), axes, strict=True)]
+    data = [
+        array if axis == 0 else array[0] for array, axis in zip(planted(4, 5, 6), axes, strict=True)
+    ]
 
     def one_by_one(function: Callable[..., Any]) -> Any:
-        rows = [[array[k] if axis == 0 else array for array, axis in zip(data, axes, strict=True)] for k in range(4)]
+        rows = [
+            [array[k] if axis == 0 else array for array, axis in zip(data, axes, strict=True)]
+            for k in range(4)
+        ]
         return jax.tree.map(lambda *parts: jnp.stack(parts), *(function(*row) for row in rows))
 
     gradients = jax.grad(lambda *data: (lcp_layer(*data) ** 2).sum(), argnums=(0, 1, 2, 3))
@@ -128,7 +141,9 @@ def test_forward_mode() -> None:
         z, ours = jvp(changes)
         assert np.allclose(z, own.z, rtol=1e-13, atol=1e-14)
         assert np.allclose(ours, dz, rtol=1e-12, atol=1e-13)
-    several = jax.vmap(lambda changes: along(changes)[1])([np.stack([change, -change]) for change in changes])
+    several = jax.vmap(lambda changes: along(changes)[1])(
+        [np.stack([change, -change]) for change in changes]
+    )
     assert np.allclose(several, [dz, -dz], rtol=1e-12, atol=1e-13)
 
 
@@ -145,31 +160,42 @@ def test_two_mapped_axes() -> None:
         return lcp_layer(M[:, None], q, lower)
 
     assert np.allclose(mapped(M, q, lower), batched(M, q, lower), rtol=1e-13, atol=1e-14)
-    ours, theirs = (jax.grad(lambda *data, of=of: (of(*data) ** 2).sum(), argnums=(0, 1, 2))(M, q, lower)
-                    for of in (mapped, batched))
+    ours, theirs = (
+        jax.grad(lambda *data, of=of: (of(*data) ** 2).sum(), argnums=(0, 1, 2))(M, q, lower)
+        for of in (mapped, batched)
+    )
     assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in zip(ours, theirs, strict=True))
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("second", [
-    jax.hessian,
-    lambda loss: jax.grad(lambda q: jax.grad(loss)(q).sum()),
-    lambda loss: jax.grad(lambda q: jax.jvp(loss, (q,), (jnp.ones(2),))[1]),
-    lambda loss: jax.jacfwd(jax.jacfwd(loss)),
-])
+@pytest.mark.parametrize(
+    "second",
+    [
+        jax.hessian,
+        lambda loss: jax.grad(lambda q: jax.grad(loss)(q).sum()),
+        lambda loss: jax.grad(lambda q: jax.jvp(loss, (q,), (jnp.ones(2),))[1]),
+        lambda loss: jax.jacfwd(jax.jacfwd(loss)),
+    ],
+)
 def test_second_derivatives_are_refused(second: Callable[..., Any]) -> None:
     """In whatever order the two are taken, compiled or not, in words that say what to write."""
     M, q = jnp.eye(2) * 2.0, -jnp.ones(2)
     for function in (second, lambda loss: jax.jit(second(loss))):
-        with pytest.raises(UnsupportedModel, match=r"no second derivative here.*jax\.lax\.stop_gradient"):
+        with pytest.raises(
+            UnsupportedModel, match=r"no second derivative here.*jax\.lax\.stop_gradient"
+        ):
             function(lambda q: (lcp_layer(M, q) ** 2).sum())(q)
 
 
 def test_first_derivatives_within_loops() -> None:
     """The derivative stands within scan and checkpoint."""
     M, q = jnp.array([[2.0, 1.0], [1.0, 2.0]]), jnp.array([-5.0, 1.0])
-    thrice = jax.grad(lambda q: jax.lax.scan(lambda z, _: (lcp_layer(M, q - z), None), q, length=3)[0].sum())
-    assert np.allclose(thrice(q), [-0.75, 0.0], atol=1e-12)  # dz ← (dz − dq)/2 on the free row, and dz is dq at first
+    thrice = jax.grad(
+        lambda q: jax.lax.scan(lambda z, _: (lcp_layer(M, q - z), None), q, length=3)[0].sum()
+    )
+    assert np.allclose(
+        thrice(q), [-0.75, 0.0], atol=1e-12
+    )  # dz ← (dz − dq)/2 on the free row, and dz is dq at first
     again = jax.grad(lambda q: jax.checkpoint(partial(lcp_layer, M))(q).sum())
     assert np.allclose(again(q), [-0.5, 0.0], atol=1e-12)
 
@@ -211,14 +237,19 @@ def test_what_is_not_compiled_calls_no_compiler(monkeypatch: pytest.MonkeyPatch)
 def test_what_is_not_solved_is_named() -> None:
     """A batch with a problem that has no solution raises, and says which; compiled, the words stay."""
     M = jnp.stack([jnp.eye(2), -jnp.eye(2), jnp.eye(2)])
-    with pytest.raises(NotConverged, match=r"^problem \(1,\) of the batch gives the layer no solution"):
+    with pytest.raises(
+        NotConverged, match=r"^problem \(1,\) of the batch gives the layer no solution"
+    ):
         lcp_layer(M, -jnp.ones(2))
-    with pytest.raises(Exception, match=r"NotConverged: problem \(1,\) of the batch gives the layer no solution"):
+    with pytest.raises(
+        Exception, match=r"NotConverged: problem \(1,\) of the batch gives the layer no solution"
+    ):
         jax.block_until_ready(jax.jit(lcp_layer)(M, -jnp.ones(2)))
 
 
 def test_a_singular_block_has_the_gradient_of_least_change() -> None:
     """By the generalised inverse; a change that no solution can follow is refused."""
+
     def layer(q):
         return lcp_layer(jnp.ones((2, 2)), q, -INF)
 
@@ -235,7 +266,9 @@ def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
 
 def test_single_precision_is_refused() -> None:
     """Where JAX has not been told otherwise, and where an array has it all the same."""
-    with pytest.raises(InvalidProblem, match=r"q must be an array of float64, got float32; write q.astype\(float\)"):
+    with pytest.raises(
+        InvalidProblem, match=r"q must be an array of float64, got float32; write q.astype\(float\)"
+    ):
         lcp_layer(jnp.eye(2), jnp.ones(2, dtype=jnp.float32))
     jax.config.update("jax_enable_x64", False)
     with pytest.raises(InvalidOption, match="jax_enable_x64"):
@@ -246,14 +279,26 @@ def test_single_precision_is_refused() -> None:
     ("call", "said"),
     [
         (lambda: lcp_layer(jnp.eye(2), 1.0), "q must have shape"),
-        (lambda: lcp_layer(jnp.eye(2), jnp.ones((3, 2)), jnp.zeros((4, 2))), "must broadcast, got M"),
-        (lambda: lcp_layer(jnp.eye(2), jnp.ones(2), jnp.zeros(3)), "lower must be a number or have the length of q, 2"),
+        (
+            lambda: lcp_layer(jnp.eye(2), jnp.ones((3, 2)), jnp.zeros((4, 2))),
+            "must broadcast, got M",
+        ),
+        (
+            lambda: lcp_layer(jnp.eye(2), jnp.ones(2), jnp.zeros(3)),
+            "lower must be a number or have the length of q, 2",
+        ),
         (lambda: lcp_layer(jnp.ones(2), jnp.ones(2)), "M must have shape"),
-        (lambda: lcp_layer(jnp.eye(3), jnp.ones(2)), r"q must have shape \(B, n\) or \(n,\), n = 3, got shape"),
+        (
+            lambda: lcp_layer(jnp.eye(3), jnp.ones(2)),
+            r"q must have shape \(B, n\) or \(n,\), n = 3, got shape",
+        ),
         (lambda: lcp_layer(jnp.eye(2), jnp.array([jnp.nan, 0.0])), r"q\[0\] = nan"),
         (lambda: lcp_layer(None, jnp.ones(2)), "M must be an array of real numbers, got None"),
         (lambda: lcp_layer(jnp.eye(2), ["a", "b"]), "q must be an array of real numbers, got text"),
-        (lambda: lcp_layer(jnp.eye(2), 1j * jnp.ones(2)), "q must be an array of real numbers, got complex"),
+        (
+            lambda: lcp_layer(jnp.eye(2), 1j * jnp.ones(2)),
+            "q must be an array of real numbers, got complex",
+        ),
     ],
 )
 def test_what_is_refused(call: Callable[[], Any], said: str) -> None:
@@ -278,7 +323,13 @@ def test_contact_has_the_gradients_of_its_derivative() -> None:
     def loss(W: Any, b: Any, friction: Any) -> Any:
         return contact_layer(W, b, friction).sum()
 
-    ways = jax.grad(loss, (0, 1, 2)), jax.jit(jax.grad(loss, (0, 1, 2))), jax.vmap(jax.grad(loss, (0, 1, 2)))
+    ways = (
+        jax.grad(loss, (0, 1, 2)),
+        jax.jit(jax.grad(loss, (0, 1, 2))),
+        jax.vmap(jax.grad(loss, (0, 1, 2))),
+    )
     for way in ways:
-        for found, expected in zip(way(W, b, friction), (gradient.M, gradient.q, gradient.friction), strict=True):
+        for found, expected in zip(
+            way(W, b, friction), (gradient.M, gradient.q, gradient.friction), strict=True
+        ):
             np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)

@@ -31,9 +31,15 @@ from lcp_plugin import (  # noqa: E402
 from lcp_plugin.interfaces.learn.torch import contact_layer, lcp_layer  # noqa: E402
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:Sparse (CSR|invariant):UserWarning"),  # PyTorch, of each CSR tensor
-    pytest.mark.filterwarnings("ignore:.torch.jit.script:DeprecationWarning"),  # in its own forward mode
-    pytest.mark.filterwarnings("ignore:The .grad attribute:UserWarning"),  # in its own torch.compile
+    pytest.mark.filterwarnings(
+        "ignore:Sparse (CSR|invariant):UserWarning"
+    ),  # PyTorch, of each CSR tensor
+    pytest.mark.filterwarnings(
+        "ignore:.torch.jit.script:DeprecationWarning"
+    ),  # in its own forward mode
+    pytest.mark.filterwarnings(
+        "ignore:The .grad attribute:UserWarning"
+    ),  # in its own torch.compile
 ]
 INF = np.inf
 
@@ -71,7 +77,9 @@ def test_gradients_are_those_of_each_problem() -> None:
     tensors = leaves(M, q, lower, upper)
     lcp_layer(*tensors).sum().backward()
     own = derivative(solve(LCP(M, q, lower=lower, upper=upper))).vjp(np.ones(12))
-    for tensor, gradient in zip(tensors, (own.M.toarray(), own.q, own.lower, own.upper), strict=True):
+    for tensor, gradient in zip(
+        tensors, (own.M.toarray(), own.q, own.lower, own.upper), strict=True
+    ):
         assert np.allclose(tensor.grad.numpy(), gradient, rtol=1e-12, atol=1e-13)
 
 
@@ -81,7 +89,9 @@ def test_axes_in_front_broadcast() -> None:
     M, q, lower = leaves(M[:3, None], q, np.zeros(6))
     z = lcp_layer(M, q, lower, 2.0)
     assert z.shape == (3, 4, 6)
-    one_by_one = torch.stack([torch.stack([lcp_layer(M[i, 0], q[j], lower, 2.0) for j in range(4)]) for i in range(3)])
+    one_by_one = torch.stack(
+        [torch.stack([lcp_layer(M[i, 0], q[j], lower, 2.0) for j in range(4)]) for i in range(3)]
+    )
     assert torch.allclose(z, one_by_one, rtol=1e-13, atol=1e-14)
     assert torch.autograd.gradcheck(lambda *data: lcp_layer(*data, 2.0), (M, q, lower))
     assert lcp_layer(M[:0], q).shape == (0, 4, 6)
@@ -90,7 +100,10 @@ def test_axes_in_front_broadcast() -> None:
 def test_a_sparse_matrix() -> None:
     """A CSR tensor has a gradient by its values, on its pattern, explicit zeros too; a scipy array is a constant."""
     scene = gallery.obstacle_2d(size=5).problem
-    pattern = [torch.tensor(array) for array in (scene.M.indptr.astype(np.int64), scene.M.indices.astype(np.int64))]
+    pattern = [
+        torch.tensor(array)
+        for array in (scene.M.indptr.astype(np.int64), scene.M.indices.astype(np.int64))
+    ]
     values, q = leaves(scene.M.data, np.stack([scene.q, scene.q - 0.3]))
     with torch.no_grad():
         values[1] = 0.0
@@ -118,7 +131,9 @@ def test_the_answer_is_exact_whatever_the_tolerance() -> None:
     """The answer is solved for once more: at a tolerance of 1e-2 it is the same to rounding."""
     M, q, lower, upper = (torch.tensor(array) for array in planted(5, 8, 5))
     rough = lcp_layer(M, q, lower, upper, algorithm="psor", tolerance=1e-3)
-    assert torch.allclose(rough, lcp_layer(M, q, lower, upper, tolerance=1e-12), rtol=1e-13, atol=1e-14)
+    assert torch.allclose(
+        rough, lcp_layer(M, q, lower, upper, tolerance=1e-12), rtol=1e-13, atol=1e-14
+    )
     assert not rough.requires_grad
 
 
@@ -134,13 +149,23 @@ def test_what_is_not_solved_is_named() -> None:
     q = torch.zeros((2, 3, 2), dtype=torch.float64)
     M = torch.eye(2, dtype=torch.float64).repeat(2, 3, 1, 1)
     M[0, 1] = M[1, 2] = -M[0, 1]
-    with pytest.raises(NotConverged, match=r"problem \(0, 1\) of the batch .* \(nor do \(1, 2\)\).*INFEASIBLE|NO_SOL"):
+    with pytest.raises(
+        NotConverged,
+        match=r"problem \(0, 1\) of the batch .* \(nor do \(1, 2\)\).*INFEASIBLE|NO_SOL",
+    ):
         lcp_layer(M, q - 1.0)
     q[1, 0, 0] = np.nan
     with pytest.raises(InvalidProblem, match=r"problem \(1, 0\) of the batch.*q\[0\] = nan"):
         lcp_layer(torch.eye(2, dtype=torch.float64), q)
-    with pytest.raises(NotConverged, match=r"^the problem gives the layer no solution.*MAX_ITERATIONS"):
-        lcp_layer(2.0 * torch.eye(2, dtype=torch.float64), q[0, 0] - 1.0, algorithm="psor", max_iterations=0)
+    with pytest.raises(
+        NotConverged, match=r"^the problem gives the layer no solution.*MAX_ITERATIONS"
+    ):
+        lcp_layer(
+            2.0 * torch.eye(2, dtype=torch.float64),
+            q[0, 0] - 1.0,
+            algorithm="psor",
+            max_iterations=0,
+        )
 
 
 def test_a_singular_block_has_the_gradient_of_least_change() -> None:
@@ -165,8 +190,11 @@ def test_what_autograd_must_not_do() -> None:
                 (loss + first.square().sum()).backward()
             with pytest.raises(UnsupportedModel, match="no second derivative"):
                 torch.autograd.grad(first.square().sum(), M)
-    for second in (torch.func.hessian, lambda loss: torch.func.jacrev(torch.func.jacrev(loss)),
-                   lambda loss: torch.func.jacfwd(torch.func.jacfwd(loss))):
+    for second in (
+        torch.func.hessian,
+        lambda loss: torch.func.jacrev(torch.func.jacrev(loss)),
+        lambda loss: torch.func.jacfwd(torch.func.jacfwd(loss)),
+    ):
         with pytest.raises(UnsupportedModel, match="no second derivative"):
             second(lambda q: lcp_layer(M.detach(), q).square().sum())(q.detach())
     z = lcp_layer(M, q)
@@ -176,15 +204,25 @@ def test_what_autograd_must_not_do() -> None:
         z.sum().backward()
 
 
-@pytest.mark.parametrize("axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 1)])
+@pytest.mark.parametrize(
+    "axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 1)]
+)
 def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
     """With torch.func.vmap of the layer and of its gradients, over any of the arguments, on any of their axes."""
     whole = [torch.tensor(array) for array in planted(4, 5, 6)]
-    data = [array[0] if axis is None else array.movedim(0, axis) for array, axis in zip(whole, axes, strict=True)]
+    data = [
+        array[0] if axis is None else array.movedim(0, axis)
+        for array, axis in zip(whole, axes, strict=True)
+    ]
 
     def one_by_one(function: Callable[..., Any]) -> Any:
-        rows = [[array if axis is None else array.select(axis, k) for array, axis in zip(data, axes, strict=True)]
-                for k in range(4)]
+        rows = [
+            [
+                array if axis is None else array.select(axis, k)
+                for array, axis in zip(data, axes, strict=True)
+            ]
+            for k in range(4)
+        ]
         answers = [function(*row) for row in rows]
         return [torch.stack(parts) for parts in zip(*answers, strict=True)]
 
@@ -204,21 +242,28 @@ def test_two_mapped_axes() -> None:
     data = leaves(M[:2], q, np.maximum(lower, -10.0))
 
     def mapped(M: Any, q: Any, lower: Any) -> Any:
-        return torch.func.vmap(lambda M: torch.func.vmap(lambda *own: lcp_layer(M, *own))(q, lower))(M)
+        return torch.func.vmap(
+            lambda M: torch.func.vmap(lambda *own: lcp_layer(M, *own))(q, lower)
+        )(M)
 
     def batched(M: Any, q: Any, lower: Any) -> Any:
         return lcp_layer(M[:, None], q, lower)
 
     assert torch.allclose(mapped(*data), batched(*data), rtol=1e-13, atol=1e-14)
     ours, theirs = (torch.autograd.grad(of(*data).square().sum(), data) for of in (mapped, batched))
-    assert all(torch.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in zip(ours, theirs, strict=True))
+    assert all(
+        torch.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in zip(ours, theirs, strict=True)
+    )
 
 
 @pytest.mark.parametrize("way", [torch.func.jacrev, torch.func.jacfwd])
 def test_jacobians(way: Callable[..., Any]) -> None:
     """One asks for many gradients, or changes, of one solution: −M_FF⁻¹ on the free rows; under vmap, too."""
     M, q, lower, upper = planted(3, 6, 7)
-    jacobian, tensors = way(lcp_layer, argnums=1), [torch.tensor(array) for array in (M, q, lower, upper)]
+    jacobian, tensors = (
+        way(lcp_layer, argnums=1),
+        [torch.tensor(array) for array in (M, q, lower, upper)],
+    )
     mapped = torch.func.vmap(jacobian)(*tensors)
     for k in range(3):
         found = derivative(solve(LCP(M[k], q[k], lower=lower[k], upper=upper[k])))
@@ -239,11 +284,14 @@ def test_forward_mode(shared: bool) -> None:
     M, q, lower, upper = data
     own = derivative(solve_batch(M, q, lower=lower, upper=upper))
     dz = own.jvp(**dict(zip(("dM", "dq", "dlower", "dupper"), changes, strict=True)))
-    z, ours = torch.func.jvp(lcp_layer, tuple(map(torch.tensor, data)), tuple(map(torch.tensor, changes)))
+    z, ours = torch.func.jvp(
+        lcp_layer, tuple(map(torch.tensor, data)), tuple(map(torch.tensor, changes))
+    )
     assert np.allclose(z, own.z, rtol=1e-13, atol=1e-14)
     assert np.allclose(ours, dz, rtol=1e-12, atol=1e-13)
     assert torch.autograd.gradcheck(
-        lambda q: lcp_layer(torch.tensor(M), q, torch.tensor(lower), torch.tensor(upper)), leaves(q),
+        lambda q: lcp_layer(torch.tensor(M), q, torch.tensor(lower), torch.tensor(upper)),
+        leaves(q),
         check_forward_ad=True,
     )
 
@@ -255,8 +303,13 @@ def test_sparse_matrices_under_transformations() -> None:
     constant, M = sp.csr_array(M.numpy()), M.to_sparse_csr()
     assert torch.func.grad(lambda q: lcp_layer(constant, q).sum())(q).tolist() == [-0.5, 0.0]
     for same in (constant, M):
-        assert torch.func.vmap(partial(lcp_layer, same))(torch.stack([q, -q])).tolist() == [[2.5, 0.0], [0.0, 0.5]]
-    with pytest.raises(UnsupportedModel, match=r"M is a CSR tensor, and torch\.func .* give a scipy array"):
+        assert torch.func.vmap(partial(lcp_layer, same))(torch.stack([q, -q])).tolist() == [
+            [2.5, 0.0],
+            [0.0, 0.5],
+        ]
+    with pytest.raises(
+        UnsupportedModel, match=r"M is a CSR tensor, and torch\.func .* give a scipy array"
+    ):
         torch.func.grad(lambda q: lcp_layer(M, q).sum())(q)
 
 
@@ -286,14 +339,22 @@ def test_a_step_wakes_no_threads_of_torch() -> None:
     g = torch.ones((500, 10), dtype=torch.float64)
 
     class Called(TorchDispatchMode):
-        def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        def __torch_dispatch__(
+            self, function: Any, types: Any, args: Any = (), kwargs: Any = None
+        ) -> Any:
             names.add(function.name())
             return function(*args, **(kwargs or {}))
 
     names: set[str] = set()
     with Called():
         by_M, by_q = torch.autograd.grad(lcp_layer(M, q), (M, q), g)
-    assert names <= {"aten::detach", "aten::expand", "aten::view", "aten::alias", "aten::lift_fresh"}
+    assert names <= {
+        "aten::detach",
+        "aten::expand",
+        "aten::view",
+        "aten::alias",
+        "aten::lift_fresh",
+    }
     assert torch.allclose(by_q, -g)
     assert torch.allclose(by_M, -torch.ones_like(M))
 
@@ -303,7 +364,10 @@ def test_older_transformations_are_refused() -> None:
     q, M = torch.tensor([-5.0, 1.0], dtype=torch.float64), torch.eye(2, dtype=torch.float64)
     with pytest.raises(UnsupportedModel, match=r"write torch\.func\.jacrev"):
         torch.autograd.functional.jacobian(lambda q: lcp_layer(M, q), q, vectorize=True)
-    assert torch.autograd.functional.jacobian(lambda q: lcp_layer(M, q), q).tolist() == [[-1.0, 0.0], [0.0, 0.0]]
+    assert torch.autograd.functional.jacobian(lambda q: lcp_layer(M, q), q).tolist() == [
+        [-1.0, 0.0],
+        [0.0, 0.0],
+    ]
 
 
 def test_what_the_loss_ignores_may_be_singular() -> None:
@@ -320,18 +384,39 @@ EYE, ONES = np.eye(2), np.ones(2)
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda t: lcp_layer(t(EYE), t(ONES).float()), r"q must be a tensor of float64, got torch.float32; write q.d"),
-        (lambda t: lcp_layer(t(EYE).int(), t(ONES)), r"M must be a tensor of float64, got torch.int32; write M.double"),
-        (lambda t: lcp_layer(t(EYE).to_sparse(), t(ONES)), r"M must be dense, or one CSR tensor.*M.to_sparse_csr\(\)"),
-        (lambda t: lcp_layer(t(EYE), t(ONES).to_sparse()), r"q must be dense, got torch.sparse_coo.*q.to_dense\(\)"),
+        (
+            lambda t: lcp_layer(t(EYE), t(ONES).float()),
+            r"q must be a tensor of float64, got torch.float32; write q.d",
+        ),
+        (
+            lambda t: lcp_layer(t(EYE).int(), t(ONES)),
+            r"M must be a tensor of float64, got torch.int32; write M.double",
+        ),
+        (
+            lambda t: lcp_layer(t(EYE).to_sparse(), t(ONES)),
+            r"M must be dense, or one CSR tensor.*M.to_sparse_csr\(\)",
+        ),
+        (
+            lambda t: lcp_layer(t(EYE), t(ONES).to_sparse()),
+            r"q must be dense, got torch.sparse_coo.*q.to_dense\(\)",
+        ),
         (lambda t: lcp_layer(t(EYE).to("meta"), t(ONES)), "M must be on the CPU, got meta"),
         (lambda t: lcp_layer(EYE, 1j * ONES), "q must be an array of real numbers, got complex"),
         (lambda t: lcp_layer(t(EYE), t(1.0)), "q must have shape"),
-        (lambda t: lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))), "must broadcast, got M"),
+        (
+            lambda t: lcp_layer(t(EYE), t(np.ones((3, 2))), t(np.zeros((4, 2)))),
+            "must broadcast, got M",
+        ),
         (lambda t: lcp_layer(t(ONES), t(ONES)), "M must have shape"),
         (lambda t: lcp_layer(t(np.ones((2, 3))), t(ONES)), "M must have shape"),
-        (lambda t: lcp_layer(t(np.eye(3)), t(ONES)), r"q must have shape \(B, n\) or \(n,\), n = 3, got shape"),
-        (lambda t: lcp_layer(t(EYE), t(ONES), t(np.zeros(3))), "lower must be a number or have the length of q, 2"),
+        (
+            lambda t: lcp_layer(t(np.eye(3)), t(ONES)),
+            r"q must have shape \(B, n\) or \(n,\), n = 3, got shape",
+        ),
+        (
+            lambda t: lcp_layer(t(EYE), t(ONES), t(np.zeros(3))),
+            "lower must be a number or have the length of q, 2",
+        ),
     ],
 )
 def test_what_is_refused(call: Callable[[Any], Any], said: str) -> None:
@@ -343,7 +428,10 @@ def test_what_is_refused(call: Callable[[Any], Any], said: str) -> None:
 def test_constants_may_be_arrays_and_numbers() -> None:
     """What is no tensor is a constant: numpy arrays, lists, sparse arrays, numbers."""
     q = torch.tensor([-5.0, 1.0], dtype=torch.float64, requires_grad=True)
-    answers = [lcp_layer(M, q, [0, 0], np.inf) for M in ([[2, 1], [1, 2]], sp.csr_array([[2.0, 1.0], [1.0, 2.0]]))]
+    answers = [
+        lcp_layer(M, q, [0, 0], np.inf)
+        for M in ([[2, 1], [1, 2]], sp.csr_array([[2.0, 1.0], [1.0, 2.0]]))
+    ]
     assert [z.tolist() for z in answers] == [[2.5, 0.0]] * 2
 
 
@@ -362,10 +450,16 @@ def test_contact_has_the_gradients_of_differences() -> None:
     def layer(A: Any, b: Any, friction: Any) -> Any:
         return contact_layer(A + A.mT, b, friction, tolerance=1e-12)
 
-    assert torch.autograd.gradcheck(layer, (0.5 * W.detach().requires_grad_(), b, friction), atol=1e-4)
+    assert torch.autograd.gradcheck(
+        layer, (0.5 * W.detach().requires_grad_(), b, friction), atol=1e-4
+    )
     one = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda mu: contact_layer(W[0].detach(), b.detach(), mu), (one,), atol=1e-4)
-    dz = torch.func.jvp(lambda b: contact_layer(W.detach(), b, friction.detach()), (b.detach(),), (b.detach(),))[1]
+    assert torch.autograd.gradcheck(
+        lambda mu: contact_layer(W[0].detach(), b.detach(), mu), (one,), atol=1e-4
+    )
+    dz = torch.func.jvp(
+        lambda b: contact_layer(W.detach(), b, friction.detach()), (b.detach(),), (b.detach(),)
+    )[1]
     assert torch.allclose(dz, contact_layer(W, b, friction), atol=1e-8)  # z is homogeneous in b
 
 

@@ -33,7 +33,9 @@ NO_PAIRS = dict(partners=np.array([-1]), partner_bounds=np.array([0]))
 
 @pytest.mark.parametrize("ending", ["", ".nl"])
 @pytest.mark.parametrize("binary", [False, True])
-def test_a_stub_is_answered_by_a_sol_file(tmp_path: Path, capsys: Any, ending: str, binary: bool) -> None:
+def test_a_stub_is_answered_by_a_sol_file(
+    tmp_path: Path, capsys: Any, ending: str, binary: bool
+) -> None:
     """Stub -AMPL writes values, multipliers, the head's options and code 0, prints nothing and exits with 0."""
     write_form(SOLVABLE, tmp_path / "m.nl", binary=binary)
     assert ampl.main([str(tmp_path / f"m{ending}"), "-AMPL"]) == 0
@@ -47,9 +49,21 @@ def test_a_stub_is_answered_by_a_sol_file(tmp_path: Path, capsys: Any, ending: s
 
 INFEASIBLE = content_of([[-1.0]], [-1.0])
 UNBOUNDED = content_of([[1.0]], [0.0], objective=[-1.0], row_lower=np.array([0.0]), **NO_PAIRS)
-EMPTY = content_of([[1.0]], [0.0], objective=[-1.0], row_lower=np.array([-4.0]), row_upper=np.array([-3.0]), **NO_PAIRS)
+EMPTY = content_of(
+    [[1.0]],
+    [0.0],
+    objective=[-1.0],
+    row_lower=np.array([-4.0]),
+    row_upper=np.array([-3.0]),
+    **NO_PAIRS,
+)
 WHOLE = content_of(
-    [[1.0]], [0.0], objective=[1.0], row_lower=np.array([0.5]), is_integer=np.array([True]), **NO_PAIRS
+    [[1.0]],
+    [0.0],
+    objective=[1.0],
+    row_lower=np.array([0.5]),
+    is_integer=np.array([True]),
+    **NO_PAIRS,
 )
 
 
@@ -64,7 +78,9 @@ WHOLE = content_of(
     ],
     ids=["solved", "at 0", "no signs", "empty", "unbounded", "iterations", "seconds", "integer"],
 )  # fmt: skip
-def test_codes_say_how_it_ended(tmp_path: Path, content: NLContent, words: list[str], code: Any, said: str) -> None:
+def test_codes_say_how_it_ended(
+    tmp_path: Path, content: NLContent, words: list[str], code: Any, said: str
+) -> None:
     """AMPL's ranges: 0 solved, 100 less precisely, 200 infeasible, 300 unbounded, 400 limit, 500 failure."""
     write_nl(content, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL", *words]) == 0
@@ -82,7 +98,12 @@ def best(objective: Any, least: float = -np.inf, **changes: Any) -> NLContent:
 
 def tree(*tokens: tuple[int, float, int]) -> Trees:
     kinds, values, counts = np.array(tokens).T
-    return Trees(kinds.astype(np.uint8), values.astype(float), counts.astype(np.int64), np.array([0, len(tokens)]))
+    return Trees(
+        kinds.astype(np.uint8),
+        values.astype(float),
+        counts.astype(np.int64),
+        np.array([0, len(tokens)]),
+    )
 
 
 CONCAVE = tree((2, 16.0, 1), (2, 5.0, 2), (1, 1.0, 0), (0, 2.0, 0))  # -(y^2)
@@ -92,14 +113,24 @@ KNAPSACK = np.random.default_rng(0).integers(1, 1000, (4, 40)).astype(float)
 
 def hard() -> NLContent:
     """A knapsack: 0 ≤ x ⟂ y ≥ 0 and x + y = 1, four rows that weigh x, the most of Σ weight · x; thousands of nodes."""
-    rows = np.vstack([np.eye(40, 80, 40), np.hstack([np.eye(40)] * 2), np.hstack([KNAPSACK, np.zeros((4, 40))])])
+    rows = np.vstack(
+        [np.eye(40, 80, 40), np.hstack([np.eye(40)] * 2), np.hstack([KNAPSACK, np.zeros((4, 40))])]
+    )
     return content_of(
-        rows, np.zeros(84), lower=np.zeros(80), upper=np.full(80, np.inf),
-        partners=np.append(np.arange(40), np.full(44, -1)), partner_bounds=(np.arange(84) < 40).astype(int),
+        rows,
+        np.zeros(84),
+        lower=np.zeros(80),
+        upper=np.full(80, np.inf),
+        partners=np.append(np.arange(40), np.full(44, -1)),
+        partner_bounds=(np.arange(84) < 40).astype(int),
         row_lower=np.concatenate([np.full(40, -np.inf), np.ones(40), np.full(4, -np.inf)]),
-        row_upper=np.concatenate([np.full(40, np.inf), np.ones(40), KNAPSACK.sum(axis=1) // 2]), start=np.zeros(80),
-        dual_start=np.zeros(84), has_start=np.zeros(80, dtype=bool), is_integer=np.zeros(80, dtype=bool),
-        defined_linear=sp.csr_array((0, 80)), objective=np.append(-KNAPSACK.sum(axis=0), np.zeros(40)),
+        row_upper=np.concatenate([np.full(40, np.inf), np.ones(40), KNAPSACK.sum(axis=1) // 2]),
+        start=np.zeros(80),
+        dual_start=np.zeros(84),
+        has_start=np.zeros(80, dtype=bool),
+        is_integer=np.zeros(80, dtype=bool),
+        defined_linear=sp.csr_array((0, 80)),
+        objective=np.append(-KNAPSACK.sum(axis=0), np.zeros(40)),
     )
 
 
@@ -135,7 +166,9 @@ def test_an_objective_beside_complementarities_is_answered(
     assert (found.code, said in found.message) == (code, True), found.message
     assert "inf" not in found.message.replace("infeasible", "")
     if code == 0:
-        ties = [[1.0, 0.0], [0.0, 1.0]] if content.objective_trees is CONCAVE else [[1.0, 0.0]]  # y - y² is 0 at both
+        ties = (
+            [[1.0, 0.0], [0.0, 1.0]] if content.objective_trees is CONCAVE else [[1.0, 0.0]]
+        )  # y - y² is 0 at both
         assert any(found.values == pytest.approx(best_one, abs=1e-6) for best_one in ties)
     elif code not in (400, 401):
         assert found.values is None
@@ -204,7 +237,12 @@ def test_assignments_have_every_spelling(tmp_path: Path) -> None:
     assert call.settings == {
         "tolerance": 1e-3, "threads": 1, "max_seconds": 7.0, "algorithm": "psor", "verbose": True,
     }  # fmt: skip
-    assert (call.stub, call.is_ampl, call.writes, call.of_command("version")) == ("m", True, True, 1)
+    assert (call.stub, call.is_ampl, call.writes, call.of_command("version")) == (
+        "m",
+        True,
+        True,
+        1,
+    )
 
 
 def test_alone_it_prints_and_writes_where_asked(tmp_path: Path, capsys: Any) -> None:
@@ -226,7 +264,12 @@ def test_alone_it_prints_and_writes_where_asked(tmp_path: Path, capsys: Any) -> 
 
 def test_it_tells_what_it_is_asked(capsys: Any) -> None:
     """-v, -= and -? end with 0; every keyword is listed."""
-    for word, said in (("-v", "lcp_plugin "), ("--version", "lcp_plugin "), ("-?", "usage: "), ("-=", "tolerance ")):
+    for word, said in (
+        ("-v", "lcp_plugin "),
+        ("--version", "lcp_plugin "),
+        ("-?", "usage: "),
+        ("-=", "tolerance "),
+    ):
         assert ampl.main([word]) == 0
         assert said in capsys.readouterr().out
     assert ampl.main(["-="]) == 0
@@ -240,8 +283,19 @@ def test_a_call_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     """The version loads not even numpy; a linear problem no cvxpy, typer, rich or what other problems need."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
     call = "import sys\nfrom lcp_plugin.commands.ampl import main\nmain([{}])\nprint(*{!r} & sys.modules.keys())"
-    assert printed_by(call.format("'-v'", {"numpy", "scipy", "numba", "cvxpy"})).splitlines()[1:] in ([], [""])
-    heavy = {"cvxpy", "typer", "rich", "matplotlib", "pyomo", "hypothesis", "scipy.special", "scipy.sparse.csgraph"}
+    assert printed_by(call.format("'-v'", {"numpy", "scipy", "numba", "cvxpy"})).splitlines()[
+        1:
+    ] in ([], [""])
+    heavy = {
+        "cvxpy",
+        "typer",
+        "rich",
+        "matplotlib",
+        "pyomo",
+        "hypothesis",
+        "scipy.special",
+        "scipy.sparse.csgraph",
+    }
     assert printed_by(call.format(f"{str(tmp_path / 'm')!r}, '-AMPL'", heavy)) == ""
     assert read_sol(tmp_path / "m.sol").code == 0
 
@@ -266,7 +320,9 @@ def test_the_other_command_answers_too_where_it_is_called_as_a_solver(
 ) -> None:
     """`lcp-plugin stub -AMPL`, as Pyomo's SolverFactory("lcp-plugin") calls it without lcp_plugin.pyomo."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
-    monkeypatch.setattr(sys, "argv", ["lcp-plugin", str(tmp_path / "m.nl"), "-AMPL", "tolerance=1e-10"])
+    monkeypatch.setattr(
+        sys, "argv", ["lcp-plugin", str(tmp_path / "m.nl"), "-AMPL", "tolerance=1e-10"]
+    )
     with pytest.raises(SystemExit) as ended:
         cli.run()
     assert (ended.value.code, read_sol(tmp_path / "m.sol").code) == (0, 0)
@@ -276,11 +332,15 @@ def test_a_proof_is_told_as_what_it_proves(tmp_path: Path) -> None:
     """An unbounded program is not called infeasible in the same message; nothing else is said to check."""
     write_nl(UNBOUNDED, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 0
-    assert "unbounded: the objective falls without end" in (message := read_sol(tmp_path / "m.sol").message)
+    assert "unbounded: the objective falls without end" in (
+        message := read_sol(tmp_path / "m.sol").message
+    )
     assert "no z within" not in message
 
 
-def test_who_has_closed_standard_output_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_has_closed_standard_output_is_answered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A call without streams, as by a service, writes its .sol."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
     monkeypatch.setattr(ampl.sys, "stdout", None)
@@ -289,7 +349,9 @@ def test_who_has_closed_standard_output_is_answered(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.full
-def test_pyomo_solves_through_the_executable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pyomo_solves_through_the_executable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """SolverFactory("asl:lcp-plugin-ampl") finds it on the path, hands options over and loads values."""
     pe = pytest.importorskip("pyomo.environ")
     from pyomo.mpec import Complementarity, complements
@@ -298,7 +360,10 @@ def test_pyomo_solves_through_the_executable(tmp_path: Path, monkeypatch: pytest
     command.write_text(f"#!{sys.executable} -P\nfrom lcp_plugin.commands.ampl import run\nrun()\n")
     command.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    assert subprocess.run([str(command), "-v"], capture_output=True, text=True, check=True).stdout[:10] == "lcp_plugin"
+    assert (
+        subprocess.run([str(command), "-v"], capture_output=True, text=True, check=True).stdout[:10]
+        == "lcp_plugin"
+    )
     model = pe.ConcreteModel()
     model.x = pe.Var(range(3), bounds=(0, None))
     q = W - M @ Z

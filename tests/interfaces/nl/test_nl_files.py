@@ -82,7 +82,9 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
 @pytest.mark.parametrize("form", FORMS)
 def test_signs_of_zeros_are_kept(tmp_path: Path, form: str) -> None:
     """Bounds −0 and 0 are read as they were written."""
-    content = replace(read(tmp_path, SMALL), lower=np.array([-0.0, 0.0]), upper=np.array([0.0, 0.0]))
+    content = replace(
+        read(tmp_path, SMALL), lower=np.array([-0.0, 0.0]), upper=np.array([0.0, 0.0])
+    )
     write_form(content, tmp_path / "m.nl", **FORMS[form])
     assert difference(content, read_content(tmp_path / "m.nl")) == ""
 
@@ -130,7 +132,9 @@ def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
         (b"o2\nv0", b"v0\nv0", 21, "no segment begins"),
     ],
 )
-def test_a_wrong_line_is_named(tmp_path: Path, old: bytes, new: bytes, line: int, words: str) -> None:
+def test_a_wrong_line_is_named(
+    tmp_path: Path, old: bytes, new: bytes, line: int, words: str
+) -> None:
     """What contradicts the format or itself is refused with its line."""
     assert SMALL.count(old) == 1
     with pytest.raises(errors.UnreadableFile, match=rf"line {line} \(.*\): .*{words}"):
@@ -155,12 +159,16 @@ def test_what_writers_differ_in_says_the_same(tmp_path: Path, old: bytes, new: b
     assert [one.name for one in content.suffixes] == ["scaling", "kind"] * (b"S4" in new)
 
 
-@pytest.mark.parametrize(("announced", "is_there", "is_fine"), [(1, 1, 1), (2, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1)])
+@pytest.mark.parametrize(
+    ("announced", "is_there", "is_fine"), [(1, 1, 1), (2, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1)]
+)
 def test_a_gradient_may_be_shorter_than_announced_but_not_missing(
     tmp_path: Path, announced: int, is_there: bool, is_fine: bool
 ) -> None:
     """AMPL announces more entries of an objective than it writes at times; a file cut before them is damaged."""
-    text = SMALL.replace(b" 2 2 0 0 1 0", b" 2 2 1 0 1 0").replace(b" 4 0\n", b" 4 %d\n" % announced)
+    text = SMALL.replace(b" 2 2 0 0 1 0", b" 2 2 1 0 1 0").replace(
+        b" 4 0\n", b" 4 %d\n" % announced
+    )
     text = text.replace(b"x1\t", b"O0 1\nn3\nx1\t") + b"G0 1\n1 5\n" * is_there
     if is_fine:
         content = read(tmp_path, text)
@@ -177,7 +185,10 @@ def test_names_are_read_where_the_head_announces_them(tmp_path: Path) -> None:
     (tmp_path / "m.row").write_text("balance\nproduct\nan objective\n")
     named = SMALL.replace(b" 4 0\n 0 0\n", b" 4 0\n 7 14\n")
     content = read(tmp_path, named)
-    assert (content.names, content.row_names) == (["price", "quantity [a b]"], ["balance", "product"])
+    assert (content.names, content.row_names) == (
+        ["price", "quantity [a b]"],
+        ["balance", "product"],
+    )
     assert read(tmp_path, SMALL).names is None
     (tmp_path / "m.col").write_text("price\n")
     assert read(tmp_path, named).names is None
@@ -194,13 +205,17 @@ def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
 def test_a_variable_has_one_complementarity_row(tmp_path: Path) -> None:
     """A second row that goes with the same variable is refused with its line."""
     text = SMALL.replace(b" 2 0 0 1 0 0", b" 2 0 0 2 0 0").replace(b"4 1.0", b"5 3 1")
-    with pytest.raises(errors.UnreadableFile, match=r"line 27 \('5 3 1'\): variable 1 is complementary to an"):
+    with pytest.raises(
+        errors.UnreadableFile, match=r"line 27 \('5 3 1'\): variable 1 is complementary to an"
+    ):
         read(tmp_path, text)
 
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("seed", range(170))
-def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path: Path, form: str, seed: int) -> None:
+def test_a_mutilated_file_is_refused_with_its_place_or_valid(
+    tmp_path: Path, form: str, seed: int
+) -> None:
     """Whatever happened to it, reading gives a content or an UnreadableFile that names line or byte, nothing else."""
     rng = np.random.default_rng([seed, len(form)])
     write_form(random_content(rng, 30), tmp_path / "m.nl", **FORMS[form])
@@ -223,32 +238,50 @@ def require_refused_or_valid(folder: Path, data: bytes) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("form", "end"), [("text", b"n1.0\n"), ("little", b"n" + struct.pack("<d", 1.0))])
+@pytest.mark.parametrize(
+    ("form", "end"), [("text", b"n1.0\n"), ("little", b"n" + struct.pack("<d", 1.0))]
+)
 def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
     """A tree of 10⁵ levels is read, and refused where its end is missing; nothing recurs."""
     levels = 100_000
     kinds, values = np.full(levels + 2, 2, dtype=np.uint8), np.full(levels + 2, 16.0)
-    kinds[[0, -1]], values[[0, -1]] = 0, [0.0, 1.0]  # row 0 is a number, row 1 the chain of minus signs
+    kinds[[0, -1]], values[[0, -1]] = (
+        0,
+        [0.0, 1.0],
+    )  # row 0 is a number, row 1 the chain of minus signs
     trees = Trees(kinds, values, np.where(kinds == 2, 1, 0), np.array([0, 1, levels + 2]))
     write_form(replace(read(tmp_path, SMALL), trees=trees), tmp_path / "m.nl", **FORMS[form])
     data = (tmp_path / "m.nl").read_bytes()
     assert read(tmp_path, data).trees.counts.sum() == levels
-    with pytest.raises(errors.UnreadableFile, match=r"ends within a segment|part of an expression is needed"):
+    with pytest.raises(
+        errors.UnreadableFile, match=r"ends within a segment|part of an expression is needed"
+    ):
         read(tmp_path, data.replace(end, b""))
 
 
-@pytest.mark.parametrize("old", [b" 2 2 0", b"V2 1", b"x1", b"k1", b"J1 2", b"o0\t#+\nv2", b" 0 1 0 0 0"])
+@pytest.mark.parametrize(
+    "old", [b" 2 2 0", b"V2 1", b"x1", b"k1", b"J1 2", b"o0\t#+\nv2", b" 0 1 0 0 0"]
+)
 def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
     """A count that the file cannot hold is refused before anything of its size is made."""
     for count in (b"999999999999", b"9" * 30, b"1e12"):
-        new = {b"V2 1": b"V2 " + count, b"J1 2": b"J1 " + count, b"o0\t#+\nv2": b"o54\n" + count + b"\nv2"}.get(
-            old, re.sub(rb"\d", count, old, count=1))
+        new = {
+            b"V2 1": b"V2 " + count,
+            b"J1 2": b"J1 " + count,
+            b"o0\t#+\nv2": b"o54\n" + count + b"\nv2",
+        }.get(old, re.sub(rb"\d", count, old, count=1))
         with pytest.raises(errors.UnreadableFile):
-            require_refused_or_valid(tmp_path, SMALL.replace(old, new)) or read(tmp_path, SMALL.replace(old, new))
+            require_refused_or_valid(tmp_path, SMALL.replace(old, new)) or read(
+                tmp_path, SMALL.replace(old, new)
+            )
 
 
-@pytest.mark.parametrize(("line", "word"), [(2, 0), (2, 1), (2, 2), (2, 5), (6, 1), (8, 0), (8, 1), (10, 0)])
-def test_counts_that_a_long_file_could_hold_allocate_little(tmp_path: Path, line: int, word: int) -> None:
+@pytest.mark.parametrize(
+    ("line", "word"), [(2, 0), (2, 1), (2, 2), (2, 5), (6, 1), (8, 0), (8, 1), (10, 0)]
+)
+def test_counts_that_a_long_file_could_hold_allocate_little(
+    tmp_path: Path, line: int, word: int
+) -> None:
     """A file long by its comments announces as much as it has bytes: within ten times its size all the same."""
     lines = SMALL.replace(b"C1\n", b"C1\t#" + b"x" * 200_000 + b"\n").split(b"\n")
     words = lines[line - 1].split()
@@ -264,14 +297,17 @@ def test_numbers_that_are_none_are_refused_in_silence(tmp_path: Path, bits: int)
     data = (tmp_path / "m.nl").read_bytes()
     old = b"n" + struct.pack("<d", -2.0)
     assert data.count(old) == 1
-    with pytest.raises(errors.UnreadableFile, match=rf"byte {data.index(old)}: a number is not finite"):
+    with pytest.raises(
+        errors.UnreadableFile, match=rf"byte {data.index(old)}: a number is not finite"
+    ):
         read(tmp_path, data.replace(old, b"n" + struct.pack("<Q", bits)))
 
 
 def test_lines_are_counted_behind_strings(tmp_path: Path) -> None:
     """Strings may hold newlines, comment signs and letters of segments; the line of a fault behind them is right."""
     text = SMALL.replace(b"0 0 0 1\n 0 0 0 0 0", b"0 1 0 1\n 0 0 0 0 0").replace(
-        b"C1\no2\nv0\nv1\n", b"F0 1 -1 f\nC1\nf0 2\nh9:a\n#b\nh2:c\nv1\n")
+        b"C1\no2\nv0\nv1\n", b"F0 1 -1 f\nC1\nf0 2\nh9:a\n#b\nh2:c\nv1\n"
+    )
     content = read(tmp_path, text)
     assert (content.trees.strings, content.functions) == ((b"a\n#b\nh2:c",), ("f",))
     with pytest.raises(errors.UnreadableFile, match=r"line 29 \('5 1 7'\)"):
@@ -286,7 +322,9 @@ def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
     """Message, values, multipliers and code arrive, with and without values, whatever the options are."""
     x, y = (np.array([1.5, -1e-7, 0.1]), np.array([0.0, 1e300])) if has_values else (None, None)
     path, message = tmp_path / "m.sol", "lcp_plugin: solved\n\nOptions in a message\nresidual 1e-9"
-    write_sol(path, message, x, y, options, 200, tolerance=0.5 if options[2] == 3 else None, sizes=(2, 3))
+    write_sol(
+        path, message, x, y, options, 200, tolerance=0.5 if options[2] == 3 else None, sizes=(2, 3)
+    )
     found = read_sol(path)
     assert (found.options, found.code, found.rows, found.variables) == (options, 200, 2, 3)
     assert found.message.startswith("lcp_plugin: solved\n- Options")
@@ -318,10 +356,22 @@ def test_wrong_calls_are_told(tmp_path: Path) -> None:
     path = tmp_path / "m.nl"
     path.write_bytes(SMALL)
     for call, kind, words in (
-        (lambda: write_nl("m.nl", path), errors.InvalidProblem, "of an LCP, a QuadraticProgram, .* got str"),
+        (
+            lambda: write_nl("m.nl", path),
+            errors.InvalidProblem,
+            "of an LCP, a QuadraticProgram, .* got str",
+        ),
         (lambda: read_content(None), errors.InvalidOption, "path must be"),  # type: ignore[arg-type]
-        (lambda: write_sol(path, "", None, None, (0,), 0), errors.InvalidProblem, r"give sizes=\(m, n\)"),
-        (lambda: write_sol(path, "", [1], [2], (0,), 0, sizes=(1, 2)), errors.InvalidProblem, r"x must have the shape"),
+        (
+            lambda: write_sol(path, "", None, None, (0,), 0),
+            errors.InvalidProblem,
+            r"give sizes=\(m, n\)",
+        ),
+        (
+            lambda: write_sol(path, "", [1], [2], (0,), 0, sizes=(1, 2)),
+            errors.InvalidProblem,
+            r"x must have the shape",
+        ),
     ):
         with pytest.raises(kind, match=words):
             call()
@@ -335,7 +385,10 @@ def test_problems_are_written_and_read_back(seed: int, tmp_path: Path) -> None:
     upper = np.where(rng.random(n) < 0.5, np.inf, rng.integers(1, 3, n))
     M = np.where(rng.random((n, n)) < 0.5, rng.standard_normal((n, n)), 0.0) + 3.0 * np.eye(n)
     problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
-    for write in (lambda: problem.save(tmp_path / "m.nl"), lambda: write_nl(problem, tmp_path / "m.nl")):
+    for write in (
+        lambda: problem.save(tmp_path / "m.nl"),
+        lambda: write_nl(problem, tmp_path / "m.nl"),
+    ):
         write()
         again = LCP.load(tmp_path / "m.nl")
         assert bits(again.csr.toarray(), again.q, again.lower, again.upper) == bits(
@@ -343,19 +396,29 @@ def test_problems_are_written_and_read_back(seed: int, tmp_path: Path) -> None:
         )
     P = M @ M.T if seed else np.zeros((n, n))
     program = QuadraticProgram(
-        np.diag(np.diag(P)) if seed == 2 else P, rng.standard_normal(n), rng.standard_normal((2, n)), [1.0, 2.0],
-        rng.standard_normal((1, n)), [0.1], np.maximum(lower, -5.0), np.minimum(upper, 5.0),
+        np.diag(np.diag(P)) if seed == 2 else P,
+        rng.standard_normal(n),
+        rng.standard_normal((2, n)),
+        [1.0, 2.0],
+        rng.standard_normal((1, n)),
+        [0.1],
+        np.maximum(lower, -5.0),
+        np.minimum(upper, 5.0),
     )
     write_nl(program, tmp_path / "p.nl")
     found = read_nl(tmp_path / "p.nl")
     x = rng.standard_normal(n)
     assert found.problem.objective(x) == pytest.approx(program.objective(x), rel=1e-12)
     assert found.solve().status is solve(program).status
-    np.testing.assert_allclose(sp.csr_array(found.problem.P).toarray(), sp.csr_array(program.P).toarray(), rtol=1e-14)
+    np.testing.assert_allclose(
+        sp.csr_array(found.problem.P).toarray(), sp.csr_array(program.P).toarray(), rtol=1e-14
+    )
 
 
 def test_what_no_file_can_state_is_refused_in_words(tmp_path: Path) -> None:
     """A function in Python, and what is no problem."""
     problem = NonlinearProblem(np.exp)
-    with pytest.raises(errors.InvalidProblem, match=r"got NonlinearProblem, whose F is written in Python"):
+    with pytest.raises(
+        errors.InvalidProblem, match=r"got NonlinearProblem, whose F is written in Python"
+    ):
         write_nl(problem, tmp_path / "m.nl")

@@ -21,7 +21,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from lcp_plugin import LCP, NonlinearProblem, QuadraticProgram, Status, UnsupportedModel, complements, solve
+from lcp_plugin import (
+    LCP,
+    NonlinearProblem,
+    QuadraticProgram,
+    Status,
+    UnsupportedModel,
+    complements,
+    solve,
+)
 from lcp_plugin.commands.cli import app
 from lcp_plugin.interfaces.nl import NLModel, model_of, read_nl, write_nl
 from lcp_plugin.interfaces.nl.content import NLContent, Token, Trees
@@ -33,15 +41,59 @@ from lcp_plugin.modeling.registration import build
 
 INFINITY = math.inf
 NUMBERS = {
-    "+": 0, "-": 1, "*": 2, "/": 3, "^": 5, "neg": 16, "tanh": 37, "tan": 38, "sqrt": 39, "sinh": 40, "sin": 41,
-    "log10": 42, "log": 43, "exp": 44, "cosh": 45, "cos": 46, "atanh": 47, "atan": 49, "asinh": 50, "asin": 51,
-    "acosh": 52, "acos": 53, "sum": 54,
+    "+": 0,
+    "-": 1,
+    "*": 2,
+    "/": 3,
+    "^": 5,
+    "neg": 16,
+    "tanh": 37,
+    "tan": 38,
+    "sqrt": 39,
+    "sinh": 40,
+    "sin": 41,
+    "log10": 42,
+    "log": 43,
+    "exp": 44,
+    "cosh": 45,
+    "cos": 46,
+    "atanh": 47,
+    "atan": 49,
+    "asinh": 50,
+    "asin": 51,
+    "acosh": 52,
+    "acos": 53,
+    "sum": 54,
 }
 IN_PYTHON: dict[str, Any] = {
-    "+": lambda a, b: a + b, "-": lambda a, b: a - b, "*": lambda a, b: a * b, "/": lambda a, b: a / b,
-    "^": lambda a, b: a**b, "neg": lambda a: -a, "sum": lambda *a: sum(a), "log10": cmath.log10,
-    **{name: getattr(cmath, name) for name in ("tanh", "tan", "sqrt", "sinh", "sin", "log", "exp", "cosh", "cos",
-                                               "atanh", "atan", "asinh", "asin", "acosh", "acos")},
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    "^": lambda a, b: a**b,
+    "neg": lambda a: -a,
+    "sum": lambda *a: sum(a),
+    "log10": cmath.log10,
+    **{
+        name: getattr(cmath, name)
+        for name in (
+            "tanh",
+            "tan",
+            "sqrt",
+            "sinh",
+            "sin",
+            "log",
+            "exp",
+            "cosh",
+            "cos",
+            "atanh",
+            "atan",
+            "asinh",
+            "asin",
+            "acosh",
+            "acos",
+        )
+    },
 }
 STEP = 1e-30  # of complex differentiation: no subtraction, hence no rounding of one
 
@@ -70,30 +122,58 @@ def trees_of(trees: list[Tree]) -> Trees:
     rows = [tokens_of(tree) for tree in trees]
     flat = np.array([token for row in rows for token in row], dtype=np.float64).reshape(-1, 3)
     starts = np.cumsum([0, *map(len, rows)]).astype(np.int64)
-    return Trees(flat[:, 0].astype(np.uint8), flat[:, 1].copy(), flat[:, 2].astype(np.int64), starts)
+    return Trees(
+        flat[:, 0].astype(np.uint8), flat[:, 1].copy(), flat[:, 2].astype(np.int64), starts
+    )
 
 
 def content_of(
-    n: int, rows: list[Tree] = [], *, linear: Any = None, objective: Tree = None, objective_linear: Any = None,  # noqa: B006
-    defined: list[Tree] = [], defined_linear: Any = None, is_maximized: bool = False, **own: Any,  # noqa: B006
+    n: int,
+    rows: list[Tree] = [],  # noqa: B006
+    *,
+    linear: Any = None,
+    objective: Tree = None,
+    objective_linear: Any = None,
+    defined: list[Tree] = [],  # noqa: B006
+    defined_linear: Any = None,
+    is_maximized: bool = False,
+    **own: Any,
 ) -> NLContent:
     """The content of a file; rows are equations with right-hand sides 0, variables free, where nothing else is said."""
     m, d, objectives = len(rows), len(defined), [] if objective is None else [objective]
 
     def matrix(given: Any, height: int, width: int = n) -> sp.csr_array:
-        return sp.csr_array((height, width)) if given is None else sp.csr_array(np.atleast_2d(given).astype(float))
+        return (
+            sp.csr_array((height, width))
+            if given is None
+            else sp.csr_array(np.atleast_2d(given).astype(float))
+        )
 
     content = replace(
         NLContent.of_rows(
-            np.full(n, -INFINITY), np.full(n, INFINITY), matrix(linear, m), trees_of(rows), (np.zeros(m), np.zeros(m)),
-            np.full(m, -1), np.zeros(m, dtype=np.int64), trees_of(objectives) if objectives else None,
+            np.full(n, -INFINITY),
+            np.full(n, INFINITY),
+            matrix(linear, m),
+            trees_of(rows),
+            (np.zeros(m), np.zeros(m)),
+            np.full(m, -1),
+            np.zeros(m, dtype=np.int64),
+            trees_of(objectives) if objectives else None,
             matrix(objective_linear, len(objectives)),
         ),
-        is_maximized=np.array([is_maximized] * len(objectives), dtype=bool), defined_trees=trees_of(defined),
+        is_maximized=np.array([is_maximized] * len(objectives), dtype=bool),
+        defined_trees=trees_of(defined),
         defined_linear=matrix(defined_linear, d, n + d),
     )
-    return replace(content, **{name: np.asarray(value) if isinstance(value, list) and name not in ("names", "row_names")
-                               else value for name, value in own.items()})
+    return replace(
+        content,
+        **{
+            name: np.asarray(value)
+            if isinstance(value, list) and name not in ("names", "row_names")
+            else value
+            for name, value in own.items()
+        },
+    )
 
 
 def paired(content: NLContent, lower: float = 0.0, upper: float = INFINITY) -> NLContent:
@@ -101,8 +181,13 @@ def paired(content: NLContent, lower: float = 0.0, upper: float = INFINITY) -> N
     n = content.lower.size
     kind = int(np.isfinite(lower)) + 2 * int(np.isfinite(upper))
     return replace(
-        content, lower=np.full(n, lower), upper=np.full(n, upper), partners=np.arange(n),
-        partner_bounds=np.full(n, kind), row_lower=np.full(n, -INFINITY), row_upper=np.full(n, INFINITY),
+        content,
+        lower=np.full(n, lower),
+        upper=np.full(n, upper),
+        partners=np.arange(n),
+        partner_bounds=np.full(n, kind),
+        row_lower=np.full(n, -INFINITY),
+        row_upper=np.full(n, INFINITY),
     )
 
 
@@ -119,24 +204,38 @@ def values_of(trees: list[Tree], defined: list[Tree], linear: np.ndarray, x: Any
     """The values of all trees over x, a list of complex numbers."""
     known: list[Any] = []
     for tree, weights in zip(defined, linear, strict=True):
-        known.append(value_of(tree, x, known) + sum(a * v for a, v in zip(weights, [*x, *known], strict=False)))
+        known.append(
+            value_of(tree, x, known)
+            + sum(a * v for a, v in zip(weights, [*x, *known], strict=False))
+        )
     return np.array([value_of(tree, x, known) for tree in trees])
 
 
 def program_of(content: NLContent) -> Program:
     """The program of all rows."""
     found = Expressions(content, np.full(content.lower.size, np.nan))
-    return Program.of(found.compiler, [found.rows(np.arange(content.trees.size))], {UNKNOWNS: 0}, content.lower.size)
+    return Program.of(
+        found.compiler,
+        [found.rows(np.arange(content.trees.size))],
+        {UNKNOWNS: 0},
+        content.lower.size,
+    )
 
 
-def require_same_derivatives(rows: list[Tree], defined: list[Tree], linear: np.ndarray, x: np.ndarray) -> None:
+def require_same_derivatives(
+    rows: list[Tree], defined: list[Tree], linear: np.ndarray, x: np.ndarray
+) -> None:
     """F, F′ and their intervals are what complex numbers and complex differentiation give."""
-    program = program_of(content_of(x.size, rows, defined=defined, defined_linear=linear if defined else None))
+    program = program_of(
+        content_of(x.size, rows, defined=defined, defined_linear=linear if defined else None)
+    )
     steps = x + 1j * STEP * np.eye(x.size)
     F = values_of(rows, defined, linear, list(x.astype(complex))).real
     J = np.array([values_of(rows, defined, linear, list(step)).imag / STEP for step in steps]).T
     np.testing.assert_allclose(program.value(x), F, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(program.jacobian(x).toarray(), J, rtol=1e-11, atol=1e-12 * (1.0 + np.abs(J).max()))
+    np.testing.assert_allclose(
+        program.jacobian(x).toarray(), J, rtol=1e-11, atol=1e-12 * (1.0 + np.abs(J).max())
+    )
     low, high = program.interval_F(x, x)
     assert ((low <= program.value(x)) & (program.value(x) <= high)).all()
 
@@ -154,11 +253,20 @@ def trees(leaves: Any = LEAVES) -> Any:
             st.tuples(st.sampled_from(["+", "-", "*"]), below, below),
             st.tuples(st.just("sum"), below, below, below),
             st.tuples(st.sampled_from(["neg", "tanh", "sin", "cos", "atan", "asinh"]), below),
-            st.tuples(st.sampled_from(["exp", "sinh", "cosh", "tan", "asin", "acos", "atanh"]), bounded),
-            st.tuples(st.sampled_from(["sqrt", "log", "log10", "acosh"]), bounded.map(lambda one: ("+", one, 1.5))),
+            st.tuples(
+                st.sampled_from(["exp", "sinh", "cosh", "tan", "asin", "acos", "atanh"]), bounded
+            ),
+            st.tuples(
+                st.sampled_from(["sqrt", "log", "log10", "acosh"]),
+                bounded.map(lambda one: ("+", one, 1.5)),
+            ),
             st.tuples(st.just("/"), below, bounded.map(lambda one: ("+", one, 1.5))),
             st.tuples(st.just("/"), below, st.just(4.0)),
-            st.tuples(st.just("^"), bounded.map(lambda one: ("+", one, 1.5)), st.sampled_from([-1.0, 0.0, 1.0, 2.5])),
+            st.tuples(
+                st.just("^"),
+                bounded.map(lambda one: ("+", one, 1.5)),
+                st.sampled_from([-1.0, 0.0, 1.0, 2.5]),
+            ),
             st.tuples(st.just("^"), bounded.map(lambda one: ("+", one, 1.5)), bounded),
             st.tuples(st.just("^"), st.just(1.75), bounded),
         )
@@ -171,13 +279,22 @@ def systems(draw: Any) -> tuple[list[Tree], list[Tree], np.ndarray, np.ndarray]:
     """Rows, defined variables, each of which uses those before it, with their linear terms, and a point."""
     defined: list[Tree] = []
     for k in range(draw(st.integers(0, 3))):
-        defined.append(draw(trees(st.one_of(LEAVES, st.sampled_from([("x", 4 + j) for j in range(k)] or X)))))
+        defined.append(
+            draw(trees(st.one_of(LEAVES, st.sampled_from([("x", 4 + j) for j in range(k)] or X))))
+        )
     leaves = st.one_of(LEAVES, st.sampled_from([("x", 4 + j) for j in range(len(defined))] or X))
     rows = draw(st.lists(trees(leaves), min_size=1, max_size=3))
     d = len(defined)
-    entries = draw(st.lists(st.sampled_from([0, 0, 0, 1, -2]), min_size=d * (4 + d), max_size=d * (4 + d)))
+    entries = draw(
+        st.lists(st.sampled_from([0, 0, 0, 1, -2]), min_size=d * (4 + d), max_size=d * (4 + d))
+    )
     linear = np.tril(np.reshape(entries, (d, 4 + d)), 3).astype(float)
-    return rows, defined, linear, np.array(draw(st.lists(st.floats(0.05, 0.95), min_size=4, max_size=4)))
+    return (
+        rows,
+        defined,
+        linear,
+        np.array(draw(st.lists(st.floats(0.05, 0.95), min_size=4, max_size=4))),
+    )
 
 
 @given(systems())
@@ -186,10 +303,21 @@ def test_values_and_derivatives_are_those_of_the_trees(system: Any) -> None:
     require_same_derivatives(*system)
 
 
-DOMAINS = {"asin": (-1.0, 1.0), "acos": (-1.0, 1.0), "atanh": (-1.0, 1.0), "acosh": (1.0, 50.0), "log10": (1e-3, 50.0)}
+DOMAINS = {
+    "asin": (-1.0, 1.0),
+    "acos": (-1.0, 1.0),
+    "atanh": (-1.0, 1.0),
+    "acosh": (1.0, 50.0),
+    "log10": (1e-3, 50.0),
+}
 LONG: dict[str, Any] = {
-    "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "asinh": np.arcsinh, "acosh": np.arccosh,
-    "atanh": np.arctanh, **{name: getattr(np, name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "log10")},
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "asinh": np.arcsinh,
+    "acosh": np.arccosh,
+    "atanh": np.arctanh,
+    **{name: getattr(np, name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "log10")},
 }
 
 
@@ -206,7 +334,10 @@ def test_intervals_hold_all_values(name: str, at: float, width: float, between: 
     with np.errstate(all="ignore"):
         below, above = function.interval(ends)
         assert below[0] <= LONG[name](precise) <= above[0]
-        (slope,), ((least,), (most,)) = function.derivatives(np.array([point])), function.interval_derivatives(ends)[0]
+        (slope,), ((least,), (most,)) = (
+            function.derivatives(np.array([point])),
+            function.interval_derivatives(ends)[0],
+        )
         rounding = 1e-15 * abs(slope)
         assert np.isnan(slope) or least - rounding <= slope <= most + rounding
 
@@ -218,7 +349,11 @@ def test_powers_of_variables_have_intervals() -> None:
     wide = (u, u * (1.0 + rng.random(500))), (v, v + rng.random(500))
     s, t = (low + rng.random(500) * (high - low) for low, high in wide)
     found = [functions.POWER.interval(*wide), *functions.POWER.interval_derivatives(*wide)]
-    exact = [np.longdouble(s) ** t, t * np.longdouble(s) ** (t - 1.0), np.longdouble(s) ** t * np.log(np.longdouble(s))]
+    exact = [
+        np.longdouble(s) ** t,
+        t * np.longdouble(s) ** (t - 1.0),
+        np.longdouble(s) ** t * np.log(np.longdouble(s)),
+    ]
     for (low, high), value in zip(found, exact, strict=True):
         assert ((low <= value) & (value <= high)).all()
 
@@ -238,20 +373,28 @@ def deep(kind: str, levels: int) -> tuple[list[Tree], list[Tree]]:
     if kind == "flat sum":
         tree = ("sum", *(("x", k % 3) for k in range(levels)))
     if kind == "chain":  # each is used once: one sum in the end
-        return [("x", 2 + levels)], [("+", ("x", k % 3), ("x", 3 + k - 1) if k else 1.0) for k in range(levels)]
+        return [("x", 2 + levels)], [
+            ("+", ("x", k % 3), ("x", 3 + k - 1) if k else 1.0) for k in range(levels)
+        ]
     return [tree], []
 
 
 @pytest.mark.parametrize("levels", [3_000, pytest.param(100_000, marks=pytest.mark.full)])
-@pytest.mark.parametrize("kind", ["sum to the right", "sum to the left", "scalings", "signs", "flat sum", "chain"])
+@pytest.mark.parametrize(
+    "kind", ["sum to the right", "sum to the left", "scalings", "signs", "flat sum", "chain"]
+)
 def test_deep_trees_are_read(kind: str, levels: int) -> None:
     """Of 10⁵ levels, or terms, the row is affine, with the right numbers."""
     rows, defined = deep(kind, levels)
     found = Expressions(content_of(3, rows, defined=defined), np.full(3, np.nan))
     counts, first = np.bincount(np.arange(levels) % 3, minlength=3), np.array([1, 0, 0])
     expected = {
-        "sum to the right": counts + first, "sum to the left": first - counts, "scalings": first,
-        "signs": first, "flat sum": counts, "chain": counts,
+        "sum to the right": counts + first,
+        "sum to the left": first - counts,
+        "scalings": first,
+        "signs": first,
+        "flat sum": counts,
+        "chain": counts,
     }[kind]
     assert found.is_affine()[0]
     np.testing.assert_array_equal(found.matrix[[0]].toarray()[0, :3], expected)
@@ -308,7 +451,12 @@ def test_programs_put_affine_defined_variables_in() -> None:
     """A program has no unknowns but its variables: rows and objective are what the defined variables say."""
     rows, defined, M = stocks(100)
     content = content_of(
-        100, rows, defined=defined, row_upper=[INFINITY] * 100, objective=("x", 199), objective_linear=[[1.0] * 100],
+        100,
+        rows,
+        defined=defined,
+        row_upper=[INFINITY] * 100,
+        objective=("x", 199),
+        objective_linear=[[1.0] * 100],
         lower=[0.0] * 100,
     )
     problem = model_of(content).problem
@@ -350,7 +498,9 @@ def test_smooth_rows_are_the_problem_that_cvxpy_states() -> None:
     rows = [("-", ("+", ("exp", X[0]), ("*", X[0], X[1])), 3.0), ("-", ("*", X[1], X[0]), 0.5)]
     model = model_of(paired(content_of(2, rows)))
     x = cp.Variable(2)
-    theirs = build([complements(x >= 0, cp.hstack([cp.exp(x[0]) + x[0] * x[1] - 3, x[0] * x[1] - 0.5]) >= 0)]).problem
+    theirs = build(
+        [complements(x >= 0, cp.hstack([cp.exp(x[0]) + x[0] * x[1] - 3, x[0] * x[1] - 0.5]) >= 0)]
+    ).problem
     at = np.array([0.7, 1.3])
     assert isinstance(model.problem, NonlinearProblem)
     assert isinstance(theirs, NonlinearProblem)
@@ -370,10 +520,16 @@ def test_all_kinds_of_bounds_in_any_order(seed: int) -> None:
     M, q = root @ root.T + 0.5 * np.eye(n), 3.0 * rng.standard_normal(n)
     lower = np.where(kinds & 1, rng.integers(-2, 2, n), -INFINITY)
     upper = np.where(kinds & 2, np.where(kinds & 1, lower, 0.0) + rng.integers(1, 5, n), INFINITY)
-    rows = [("+", q[k], ("*", 0.3, ("tanh", ("x", (k + 1) % n)))) if seed % 2 else q[k] for k in order]
+    rows = [
+        ("+", q[k], ("*", 0.3, ("tanh", ("x", (k + 1) % n)))) if seed % 2 else q[k] for k in order
+    ]
     content = paired(content_of(n, rows, linear=M[order]))
-    content = replace(content, partners=order, partner_bounds=kinds[order], lower=lower, upper=upper)
-    answer = model_of(with_auxiliaries(content) if seed % 3 == 0 else content).solve(tolerance=1e-10)
+    content = replace(
+        content, partners=order, partner_bounds=kinds[order], lower=lower, upper=upper
+    )
+    answer = model_of(with_auxiliaries(content) if seed % 3 == 0 else content).solve(
+        tolerance=1e-10
+    )
     assert answer.is_solved
     x = answer.x[:n]
     w = M @ x + q + (0.3 * np.tanh(np.roll(x, -1)) if seed % 2 else 0.0)
@@ -385,25 +541,39 @@ def with_auxiliaries(content: NLContent) -> NLContent:
     """The content as Pyomo writes it: for each row F a free variable b, an equation b == F, and a row that holds b."""
     n = content.lower.size
     free = np.full(n, INFINITY)
-    both = sp.csr_array(sp.block_array([[-content.linear, sp.eye_array(n)], [None, sp.eye_array(n)]]))
+    both = sp.csr_array(
+        sp.block_array([[-content.linear, sp.eye_array(n)], [None, sp.eye_array(n)]])
+    )
     trees = content.trees
     negated = []
     for k in range(n):
         part = slice(trees.starts[k], trees.starts[k + 1])
         negated.append((trees.kinds[part], trees.values[part], trees.counts[part]))
-    kinds = np.concatenate([np.append([Token.OPERATOR], one[0]) for one in negated] + [np.zeros(n)]).astype(np.uint8)
+    kinds = np.concatenate(
+        [np.append([Token.OPERATOR], one[0]) for one in negated] + [np.zeros(n)]
+    ).astype(np.uint8)
     values = np.concatenate([np.append([16.0], one[1]) for one in negated] + [np.zeros(n)])
-    counts = np.concatenate([np.append([1], one[2]) for one in negated] + [np.zeros(n)]).astype(np.int64)
+    counts = np.concatenate([np.append([1], one[2]) for one in negated] + [np.zeros(n)]).astype(
+        np.int64
+    )
     lengths = [len(one[0]) + 1 for one in negated] + [1] * n
     tall = np.concatenate
     return replace(
-        content, lower=tall([content.lower, -free]), upper=tall([content.upper, free]), linear=both,
-        trees=Trees(kinds, values, counts, np.cumsum([0, *lengths])), start=np.zeros(2 * n), dual_start=np.zeros(2 * n),
-        has_start=np.zeros(2 * n, dtype=bool), is_integer=np.zeros(2 * n, dtype=bool),
+        content,
+        lower=tall([content.lower, -free]),
+        upper=tall([content.upper, free]),
+        linear=both,
+        trees=Trees(kinds, values, counts, np.cumsum([0, *lengths])),
+        start=np.zeros(2 * n),
+        dual_start=np.zeros(2 * n),
+        has_start=np.zeros(2 * n, dtype=bool),
+        is_integer=np.zeros(2 * n, dtype=bool),
         partners=tall([np.full(n, -1), content.partners]),
         partner_bounds=tall([np.zeros(n, int), content.partner_bounds]),
-        row_lower=tall([np.zeros(n), -free]), row_upper=tall([np.zeros(n), free]),
-        objective_linear=sp.csr_array((0, 2 * n)), defined_linear=sp.csr_array((0, 2 * n)),
+        row_lower=tall([np.zeros(n), -free]),
+        row_upper=tall([np.zeros(n), free]),
+        objective_linear=sp.csr_array((0, 2 * n)),
+        defined_linear=sp.csr_array((0, 2 * n)),
     )
 
 
@@ -426,13 +596,19 @@ def test_variables_that_name_the_value_of_a_row_get_it_back(is_affine: bool) -> 
 
 
 P = np.array([[2.0, -1.0, 0.0], [-1.0, 4.0, 1.0], [0.0, 1.0, 6.0]])
-COST, ROWS = np.array([1.0, -2.0, -3.0]), np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.0, 1.0, 2.0]])
+COST, ROWS = (
+    np.array([1.0, -2.0, -3.0]),
+    np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.0, 1.0, 2.0]]),
+)
 
 
 def quadratic(kind: str) -> tuple[Tree, list[Tree]]:
     """½ xᵀP x in three ways, with its defined variables."""
     if kind == "products":
-        return ("sum", *(("*", P[i, j] / 2, ("*", X[i], X[j])) for i in range(3) for j in range(3) if P[i, j])), []
+        return (
+            "sum",
+            *(("*", P[i, j] / 2, ("*", X[i], X[j])) for i in range(3) for j in range(3) if P[i, j]),
+        ), []
     if kind == "squares":
         terms = [("^", X[0], 2.0), ("/", ("^", X[1], 2.0), 0.5), ("*", 3.0, ("*", X[2], X[2]))]
         return ("+", ("sum", *terms), ("*", X[1], ("-", X[2], X[0]))), []
@@ -446,9 +622,18 @@ def program(kind: str, sign: float = 1.0, right: Any = (0.5, 0.25, 1.0)) -> NLCo
     """A strictly convex program, stated as a maximisation where the sign is −1."""
     tree, defined = quadratic(kind)
     return content_of(
-        3, [0.0, 0.0, 0.0], linear=ROWS, objective=("+", ("*", sign, tree), 7.0), objective_linear=sign * COST,
-        defined=defined, defined_linear=None, is_maximized=sign < 0.0, lower=[-5.0] * 3, upper=[5.0] * 3,
-        row_lower=[right[0], -INFINITY, right[2]], row_upper=[right[0], right[1], INFINITY],
+        3,
+        [0.0, 0.0, 0.0],
+        linear=ROWS,
+        objective=("+", ("*", sign, tree), 7.0),
+        objective_linear=sign * COST,
+        defined=defined,
+        defined_linear=None,
+        is_maximized=sign < 0.0,
+        lower=[-5.0] * 3,
+        upper=[5.0] * 3,
+        row_lower=[right[0], -INFINITY, right[2]],
+        row_upper=[right[0], right[1], INFINITY],
     )
 
 
@@ -462,40 +647,75 @@ def test_quadratic_objectives_are_recognised(kind: str, sign: float) -> None:
     np.testing.assert_array_equal(model.problem.c, COST)
     answer = model.solve()
     x = cp.Variable(3)
-    theirs = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, P) + COST @ x),
-                        [ROWS[0] @ x == 0.5, ROWS[1] @ x <= 0.25, ROWS[2] @ x >= 1.0, x >= -5, x <= 5])
+    theirs = cp.Problem(
+        cp.Minimize(0.5 * cp.quad_form(x, P) + COST @ x),
+        [ROWS[0] @ x == 0.5, ROWS[1] @ x <= 0.25, ROWS[2] @ x >= 1.0, x >= -5, x <= 5],
+    )
     theirs.solve(solver=cp.CLARABEL)
     assert answer.is_solved
     assert answer.objective == pytest.approx(sign * theirs.value + 7.0, abs=1e-6)
     np.testing.assert_allclose(answer.x, x.value, atol=1e-5)
     for k in range(3):
-        ends = [model_of(program(kind, sign, np.array([0.5, 0.25, 1.0]) + step * np.eye(3)[k])).solve().objective
-                for step in (1e-4, -1e-4)]
+        ends = [
+            model_of(program(kind, sign, np.array([0.5, 0.25, 1.0]) + step * np.eye(3)[k]))
+            .solve()
+            .objective
+            for step in (1e-4, -1e-4)
+        ]
         assert answer.duals[k] == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=1e-6)  # type: ignore[operator]
 
 
 def refusals() -> Iterator[tuple[str, NLContent, str]]:
     """What is not taken: a name, the content, and what the message says."""
     x, y = X[:2]
-    yield "integers", content_of(1, [x], is_integer=[True], names=["count"]), "count is an integer variable"
+    yield (
+        "integers",
+        content_of(1, [x], is_integer=[True], names=["count"]),
+        "count is an integer variable",
+    )
     yield "logical rows", replace(content_of(1, [x]), logical_rows=2), "2 logical constraints"
     for name, number in (("abs", 15), ("max", 12), ("floor", 13), ("if", 35), ("atan2", 48)):
-        yield name, content_of(1, [(number, x, x)], row_names=["balance"]), f"row balance holds the operator {name}"
+        yield (
+            name,
+            content_of(1, [(number, x, x)], row_names=["balance"]),
+            f"row balance holds the operator {name}",
+        )
     yield "unknown operator", content_of(1, [(99, x)]), "operator number 99"
-    call = replace(content_of(1, [x]), functions=("gsl",), trees=Trees(
-        np.array([3, 1], dtype=np.uint8), np.zeros(2), np.array([1, 0]), np.array([0, 2])))
+    call = replace(
+        content_of(1, [x]),
+        functions=("gsl",),
+        trees=Trees(
+            np.array([3, 1], dtype=np.uint8), np.zeros(2), np.array([1, 0]), np.array([0, 2])
+        ),
+    )
     yield "external functions", call, "row 0 calls the external function gsl"
     yield "logarithm of −1", content_of(1, [("*", ("log", -1.0), x)]), "log of -1"
     yield "division by 0", content_of(1, [("/", x, 0.0)]), "row 0 divides by zero"
     yield "an infinite number", content_of(1, [("*", INFINITY, x)]), "constants must be finite"
-    yield "nonlinear rows", content_of(1, [("exp", x)], row_upper=[1.0], row_lower=[-INFINITY]), "row 0 is nonlinear"
+    yield (
+        "nonlinear rows",
+        content_of(1, [("exp", x)], row_upper=[1.0], row_lower=[-INFINITY]),
+        "row 0 is nonlinear",
+    )
     yield "nonlinear objective", content_of(1, objective=("exp", x)), "neither linear nor quadratic"
     twice = replace(paired(content_of(2, [x, y])), partners=np.array([1, 1]))
     yield "two rows for one", twice, "both complementary to variable 1"
     names = r"\(variable 0, variable 1\)"
-    yield "not square", content_of(2, [("*", x, y)]), f"1 equation and 2 unknowns without a complementarity {names}"
-    yield "crossed bounds", content_of(1, [x], lower=[2.0], upper=[1.0]), "variable 0 has the lower bound 2 above"
-    yield "0 == 1", replace(paired(content_of(1, [x, 1.0])), **one_equation()), "row 1 holds no unknown"
+    yield (
+        "not square",
+        content_of(2, [("*", x, y)]),
+        f"1 equation and 2 unknowns without a complementarity {names}",
+    )
+    yield (
+        "crossed bounds",
+        content_of(1, [x], lower=[2.0], upper=[1.0]),
+        "variable 0 has the lower bound 2 above",
+    )
+    yield (
+        "0 == 1",
+        replace(paired(content_of(1, [x, 1.0])), **one_equation()),
+        "row 1 holds no unknown",
+    )
 
 
 def objective_of(content: NLContent) -> dict[str, Any]:
@@ -506,11 +726,17 @@ def objective_of(content: NLContent) -> dict[str, Any]:
 
 def one_equation() -> dict[str, Any]:
     """A pair, and an equation."""
-    return {"partners": np.array([0, -1]), "partner_bounds": np.array([1, 0]), "row_lower": np.array([-INFINITY, 0.0]),
-            "row_upper": np.array([INFINITY, 0.0])}
+    return {
+        "partners": np.array([0, -1]),
+        "partner_bounds": np.array([1, 0]),
+        "row_lower": np.array([-INFINITY, 0.0]),
+        "row_upper": np.array([INFINITY, 0.0]),
+    }
 
 
-@pytest.mark.parametrize(("content", "words"), [pytest.param(*row[1:], id=row[0]) for row in refusals()])
+@pytest.mark.parametrize(
+    ("content", "words"), [pytest.param(*row[1:], id=row[0]) for row in refusals()]
+)
 def test_what_is_not_taken_is_said(content: NLContent, words: str) -> None:
     """Each refusal names the row or the variable, and what is wrong with it."""
     with pytest.raises(UnsupportedModel, match=words):
@@ -520,10 +746,14 @@ def test_what_is_not_taken_is_said(content: NLContent, words: str) -> None:
 @pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke"])
 def test_unknowns_of_different_units_hide_no_row(algorithm: str) -> None:
     """Row 2 missed its sign by 0.8 where its terms are 5: beside an unknown of 10^6 the one of 10^-4 was no error."""
-    low, high = np.array([[0.0, -1e5, 0.0, -1e-4, -INFINITY], [INFINITY, 0.0, INFINITY, 1e-4, INFINITY]])
+    low, high = np.array(
+        [[0.0, -1e5, 0.0, -1e-4, -INFINITY], [INFINITY, 0.0, INFINITY, 1e-4, INFINITY]]
+    )
     content = paired(content_of(5, badly_scaled.Q.tolist(), linear=badly_scaled.M))
     kinds = np.array([1, 3, 1, 3, 0])
-    answer = model_of(replace(content, lower=low, upper=high, partner_bounds=kinds)).solve(algorithm)
+    answer = model_of(replace(content, lower=low, upper=high, partner_bounds=kinds)).solve(
+        algorithm
+    )
     assert answer.is_solved
     assert answer.x == pytest.approx(badly_scaled.ANSWER, rel=1e-6)
     assert answer.duals[2] == pytest.approx(0.0, abs=1e-5)
@@ -538,12 +768,20 @@ def test_what_the_rounding_of_a_large_row_leaves_open_is_no_missed_sign() -> Non
         [454324331.64218384, -446874127.90628374, 200637244.7544903, 3.0],
     ])  # fmt: skip
     low, high = np.array([[-1.0, -INFINITY, 1.0, -INFINITY], [1.0, 0.0, 3.0, INFINITY]])
-    content = paired(content_of(4, [-2391.777943611688, 0.0, 0.049416058554031486, -1278150608.7731402], linear=M))
-    answer = model_of(replace(content, lower=low, upper=high, partner_bounds=np.array([3, 2, 3, 0]))).solve()
+    content = paired(
+        content_of(
+            4, [-2391.777943611688, 0.0, 0.049416058554031486, -1278150608.7731402], linear=M
+        )
+    )
+    answer = model_of(
+        replace(content, lower=low, upper=high, partner_bounds=np.array([3, 2, 3, 0]))
+    ).solve()
     assert answer.is_solved
 
 
-def test_squares_of_differences_from_large_numbers_are_solved_and_told_as_the_file_states_them() -> None:
+def test_squares_of_differences_from_large_numbers_are_solved_and_told_as_the_file_states_them() -> (
+    None
+):
     """The sum of (x - 10^6)^2 and (x + y - 10^6 - 0.001)^2: expanded, rounding makes it -5e-4 at the answer."""
     far, both = ("-", X[0], 1e6), ("-", ("+", X[0], X[1]), 1e6 + 1e-3)
     answer = model_of(content_of(2, objective=("+", ("*", far, far), ("*", both, both)))).solve()
@@ -560,13 +798,17 @@ def test_a_nonconvex_objective_is_refused_when_it_is_solved() -> None:
 
 def test_statuses_tell_the_truth() -> None:
     """Infeasible and unbounded programs have AMPL's codes; equations that hold only beyond bounds are unsolved."""
-    infeasible = content_of(1, [0.0], linear=[[1.0]], row_lower=[2.0], row_upper=[INFINITY], upper=[1.0])
+    infeasible = content_of(
+        1, [0.0], linear=[[1.0]], row_lower=[2.0], row_upper=[INFINITY], upper=[1.0]
+    )
     answer = model_of(infeasible).solve()
     assert (answer.status, answer.code, answer.objective) == (Status.INFEASIBLE, 200, None)
     unbounded = content_of(1, objective=0.0, objective_linear=[[1.0]], upper=[1.0])
     assert model_of(unbounded).solve().code == 300
     circle = [("-", ("^", X[0], 2.0), 4.0)]
-    inside = model_of(content_of(1, circle, lower=[0.0], upper=[5.0], start=[1.0])).solve(tolerance=1e-12)
+    inside = model_of(content_of(1, circle, lower=[0.0], upper=[5.0], start=[1.0])).solve(
+        tolerance=1e-12
+    )
     assert inside.is_solved
     assert inside.x[0] == pytest.approx(2.0, abs=1e-12)
     outside = model_of(content_of(1, circle, lower=[3.0], upper=[5.0], start=[4.0])).solve()
@@ -579,7 +821,9 @@ def test_statuses_tell_the_truth() -> None:
 def test_an_answer_that_the_file_contradicts_is_not_solved(kind: str) -> None:
     """Rows are evaluated once more as they stand in the file: another number in one of them, and nothing is solved."""
     M, q, _ = random_pairs()
-    rows = [("+", value, ("sin", X[0])) if kind in ("smooth", "auxiliaries") else value for value in q]
+    rows = [
+        ("+", value, ("sin", X[0])) if kind in ("smooth", "auxiliaries") else value for value in q
+    ]
     content = program("products") if kind == "program" else paired(content_of(6, rows, linear=M))
     model = model_of(with_auxiliaries(content) if kind == "auxiliaries" else content)
     assert model.solve().is_solved
@@ -600,12 +844,20 @@ def test_an_answer_is_contradicted_in_any_unit_of_the_rows(kind: str, unit: floa
     if kind == "pairs":
         content = paired(content)
     else:
-        content = replace(content, row_upper=np.full(6, INFINITY), objective_linear=sp.csr_array(np.ones((1, 6))),
-                          objective_trees=trees_of([0.0]), is_maximized=np.zeros(1, dtype=bool), lower=np.zeros(6))
+        content = replace(
+            content,
+            row_upper=np.full(6, INFINITY),
+            objective_linear=sp.csr_array(np.ones((1, 6))),
+            objective_trees=trees_of([0.0]),
+            is_maximized=np.zeros(1, dtype=bool),
+            lower=np.zeros(6),
+        )
     model = model_of(content)
     assert model.solve().is_solved
     stated = model.content.trees
-    model.content = replace(model.content, trees=replace(stated, values=stated.values + 1e-3 * unit))
+    model.content = replace(
+        model.content, trees=replace(stated, values=stated.values + 1e-3 * unit)
+    )
     assert "where" in model.solve().message
     assert model.solve().status is Status.STALLED
 
@@ -616,8 +868,11 @@ def test_a_row_without_unknowns_is_contradictory_in_any_unit(unit: float) -> Non
     for right, is_right in ((0.3 * unit, True), (0.2 * unit, False)):
         content = replace(
             paired(content_of(2, [("-", X[0], 2.0), ("*", 3.0, ("*", 1.0 / 3.0, X[1]))])),
-            partners=np.array([0, -1]), lower=np.array([0.0, 0.3 * unit]), upper=np.array([INFINITY, 0.3 * unit]),
-            row_lower=np.array([-INFINITY, right]), row_upper=np.array([INFINITY, right]),
+            partners=np.array([0, -1]),
+            lower=np.array([0.0, 0.3 * unit]),
+            upper=np.array([INFINITY, 0.3 * unit]),
+            row_lower=np.array([-INFINITY, right]),
+            row_upper=np.array([INFINITY, right]),
         )
         if is_right:
             assert model_of(content).solve().is_solved
@@ -630,9 +885,13 @@ def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
     """A fixed variable is its value, also as an exponent; one that nothing holds stays at its start."""
     rows = [("-", ("^", X[0], X[1]), 9.0), 0.0]
     content = replace(
-        paired(content_of(3, [*rows, 0.0])), lower=np.array([0.0, 2.0, -INFINITY]),
-        upper=np.array([INFINITY, 2.0, INFINITY]), partners=np.array([0, -1, -1]), start=np.array([1.0, 0.0, 5.0]),
-        has_start=np.ones(3, dtype=bool), row_lower=np.array([-INFINITY, 0.0, -INFINITY]),
+        paired(content_of(3, [*rows, 0.0])),
+        lower=np.array([0.0, 2.0, -INFINITY]),
+        upper=np.array([INFINITY, 2.0, INFINITY]),
+        partners=np.array([0, -1, -1]),
+        start=np.array([1.0, 0.0, 5.0]),
+        has_start=np.ones(3, dtype=bool),
+        row_lower=np.array([-INFINITY, 0.0, -INFINITY]),
         row_upper=np.array([INFINITY, 0.0, INFINITY]),
     )
     answer = model_of(content).solve(tolerance=1e-12)
@@ -641,36 +900,54 @@ def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
 
 def test_a_fixed_variable_in_a_defined_one_is_its_value() -> None:
     """Of v = 3 x₁ + x₀ with x₁ = 2, and v = 10: x₀ = 4."""
-    content = content_of(2, [("-", ("x", 2), 10.0)], defined=[X[0]], defined_linear=[[0.0, 3.0, 0.0]])
+    content = content_of(
+        2, [("-", ("x", 2), 10.0)], defined=[X[0]], defined_linear=[[0.0, 3.0, 0.0]]
+    )
     content = replace(content, lower=np.array([-INFINITY, 2.0]), upper=np.array([INFINITY, 2.0]))
     assert model_of(content).solve().x.tolist() == [4.0, 2.0]
 
 
 def beside_pairs(kind: str, at: float) -> NLContent:
     """0 ≤ x₀ ⟂ x₀ − 2 ≥ 0, hence x₀ = 2, and beside it something that asks for x₀ ≤ at."""
-    one = replace(paired(content_of(2, [("-", X[0], 2.0), ("exp", X[0])])), partners=np.array([0, -1]))
+    one = replace(
+        paired(content_of(2, [("-", X[0], 2.0), ("exp", X[0])])), partners=np.array([0, -1])
+    )
     one = replace(one, lower=np.array([0.0, -INFINITY]))
     if kind == "inequality":
         return replace(one, row_upper=np.array([INFINITY, math.exp(at)]))
     if kind == "bound of its own":
         return replace(one, upper=np.array([at, INFINITY]))
     equation = content_of(2, [("-", X[0], 2.0), ("-", X[1], X[0])])
-    return replace(one, trees=equation.trees, upper=np.array([INFINITY, at]), row_lower=np.array([-INFINITY, 0.0]),
-                   row_upper=np.array([INFINITY, 0.0]))
+    return replace(
+        one,
+        trees=equation.trees,
+        upper=np.array([INFINITY, at]),
+        row_lower=np.array([-INFINITY, 0.0]),
+        row_upper=np.array([INFINITY, 0.0]),
+    )
 
 
 def test_a_bound_that_its_complementarity_does_not_state_belongs_to_it(tmp_path: Path) -> None:
     """0 ≤ x₀ ⟂ x₀ − 2 and x₀ ≤ 1 of its own: the answer is 1, the message names the bound, and the file is an LCP."""
     answer = model_of(beside_pairs("bound of its own", 1.0)).solve()
-    assert (answer.status, answer.code, answer.x[0], answer.duals[0]) == (Status.SOLVED, 0, 1.0, -1.0)
+    assert (answer.status, answer.code, answer.x[0], answer.duals[0]) == (
+        Status.SOLVED,
+        0,
+        1.0,
+        -1.0,
+    )
     assert "variable 0 stops at its own upper bound 1, which counts although" in answer.message
     assert "of its own" not in model_of(beside_pairs("bound of its own", 3.0)).solve().message
-    write_nl(replace(paired(content_of(1, [-2.0], linear=[[1.0]])), upper=np.ones(1)), tmp_path / "m.nl")
+    write_nl(
+        replace(paired(content_of(1, [-2.0], linear=[[1.0]])), upper=np.ones(1)), tmp_path / "m.nl"
+    )
     assert LCP.load(tmp_path / "m.nl").upper.tolist() == [1.0]
 
 
 @pytest.mark.parametrize("kind", ["inequality", "bound of another"])
-def test_what_stands_beside_complementarities_is_held_against_the_answer(kind: str, tmp_path: Path) -> None:
+def test_what_stands_beside_complementarities_is_held_against_the_answer(
+    kind: str, tmp_path: Path
+) -> None:
     """An inequality, a bound of a variable without a pair: solved where it holds, else not, in words; no LCP alone."""
     holds = model_of(beside_pairs(kind, 3.0)).solve()
     assert (holds.status, holds.x[0]) == (Status.SOLVED, pytest.approx(2.0))
@@ -696,16 +973,23 @@ def test_a_row_that_a_fixed_variable_leaves_constant_is_held_against_the_answer(
     for root, status in ((1.0, Status.SOLVED), (2.0, Status.STALLED)):
         rows = [1.0, ("+", ("-", X[0], X[1]), 1.0), ("-", X[1], root)]
         content = replace(
-            paired(content_of(2, rows)), partners=np.array([0, -1, 1]), row_lower=np.array([-INFINITY, 0.0, -INFINITY]),
-            row_upper=np.array([INFINITY, 0.0, INFINITY]), partner_bounds=np.array([1, 0, 1]),
+            paired(content_of(2, rows)),
+            partners=np.array([0, -1, 1]),
+            row_lower=np.array([-INFINITY, 0.0, -INFINITY]),
+            row_upper=np.array([INFINITY, 0.0, INFINITY]),
+            partner_bounds=np.array([1, 0, 1]),
         )
         answer = model_of(content).solve()
         assert answer.status is status
-        np.testing.assert_allclose([*answer.x, answer.duals[0]], [root - 1.0, root, 1.0], atol=1e-12)
+        np.testing.assert_allclose(
+            [*answer.x, answer.duals[0]], [root - 1.0, root, 1.0], atol=1e-12
+        )
 
 
 @pytest.mark.parametrize(("sign", "wanted"), [(1.0, [0.0, 0.0]), (-1.0, [0.5, 0.0])])
-def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(sign: float, wanted: Any) -> None:
+def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(
+    sign: float, wanted: Any
+) -> None:
     """0 ≤ x₀ ⟂ x₁ ≥ 0 and x₀ ≤ ½ of its own: at ½ nothing is gained by x₁ < 0."""
     objective = content_of(2, objective=0.0, objective_linear=[[sign, 1.0]])
     pair = paired(content_of(2, [X[1], 0.0]))
@@ -719,18 +1003,31 @@ def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(s
 def test_rows_without_limits_are_left_out() -> None:
     """A nonlinear row that may take any value changes neither a program nor complementarities."""
     beside = content_of(
-        2, [("exp", X[0]), 0.0], linear=[[0, 0], [1, 1]], objective=0.0, objective_linear=[[1.0, 2.0]], lower=[0.0] * 2,
-        row_lower=[-INFINITY, 1.0], row_upper=[INFINITY, INFINITY],
+        2,
+        [("exp", X[0]), 0.0],
+        linear=[[0, 0], [1, 1]],
+        objective=0.0,
+        objective_linear=[[1.0, 2.0]],
+        lower=[0.0] * 2,
+        row_lower=[-INFINITY, 1.0],
+        row_upper=[INFINITY, INFINITY],
     )
     np.testing.assert_allclose(model_of(beside).solve().x, [1.0, 0.0], atol=1e-9)
-    pairs = replace(paired(content_of(2, [("-", ("exp", X[0]), 3.0), ("exp", X[1])])), partners=np.array([0, -1]))
+    pairs = replace(
+        paired(content_of(2, [("-", ("exp", X[0]), 3.0), ("exp", X[1])])),
+        partners=np.array([0, -1]),
+    )
     answer = model_of(pairs).solve(tolerance=1e-12)
     np.testing.assert_allclose(answer.x, [math.log(3.0), 0.0], rtol=1e-12)
 
 
 def test_files_and_contents_say_the_same(tmp_path: Path) -> None:
     """What is written, text or binary, and read back, is the same model."""
-    content = paired(content_of(2, [("-", ("exp", X[0]), 3.0), ("*", X[0], X[1])], linear=[[0.0, 1.0], [0.5, 0.0]]))
+    content = paired(
+        content_of(
+            2, [("-", ("exp", X[0]), 3.0), ("*", X[0], X[1])], linear=[[0.0, 1.0], [0.5, 0.0]]
+        )
+    )
     expected = model_of(content).solve(tolerance=1e-12)
     for is_binary in (False, True):
         path = tmp_path / f"{is_binary}.nl"
@@ -749,7 +1046,9 @@ def test_lcp_load_reads_the_affine_ones(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedModel, match=r"p\.nl states a quadratic program, not .*read_nl"):
         LCP.load(tmp_path / "p.nl")
     write_nl(best(), tmp_path / "b.nl")
-    with pytest.raises(UnsupportedModel, match=r"b\.nl states an objective beside complementarities"):
+    with pytest.raises(
+        UnsupportedModel, match=r"b\.nl states an objective beside complementarities"
+    ):
         LCP.load(tmp_path / "b.nl")
 
 
@@ -757,26 +1056,36 @@ def best(bound: float = INFINITY) -> NLContent:
     """The least x₁ of 0 ≤ x₀ ⟂ x₀ + x₁ − 1 ≥ 0, x₀ ≤ bound, x₁ ≤ bound."""
     pair = paired(content_of(2, [("-", ("+", X[0], X[1]), 1.0), 0.0]))
     objective = content_of(2, objective=0.0, objective_linear=[[0.0, 1.0]])
-    return replace(pair, **objective_of(objective), partners=np.array([0, -1]), upper=np.full(2, bound))
+    return replace(
+        pair, **objective_of(objective), partners=np.array([0, -1]), upper=np.full(2, bound)
+    )
 
 
 def lcp_plugin(*arguments: Any) -> Any:
     """The command in this process."""
     result = CliRunner().invoke(app, list(map(str, arguments)))
-    assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
+    assert result.exception is None or isinstance(result.exception, SystemExit), repr(
+        result.exception
+    )
     return result
 
 
 def test_the_commands_take_models(tmp_path: Path) -> None:
     """`solve` tells and saves values by name, `certify` proves a program, `analyze` takes the LCP."""
     path = tmp_path / "p.nl"
-    write_nl(replace(program("products"), names=["bread", "wine", "oil"], row_names=["a", "b", "c"]), path)
+    write_nl(
+        replace(program("products"), names=["bread", "wine", "oil"], row_names=["a", "b", "c"]),
+        path,
+    )
     done = lcp_plugin("solve", path, "--out", tmp_path / "o.npz")
     assert done.exit_code == 0, done.output
     assert "optimal, objective" in done.stdout
     assert re.search(r"^wine +0\.", done.stdout, re.M)
     with np.load(tmp_path / "o.npz") as saved:
-        assert (list(saved["names"]), list(saved["row_names"])) == (["bread", "wine", "oil"], ["a", "b", "c"])
+        assert (list(saved["names"]), list(saved["row_names"])) == (
+            ["bread", "wine", "oil"],
+            ["a", "b", "c"],
+        )
         np.testing.assert_allclose(saved["x"], model_of(program("products")).solve().x, rtol=1e-6)
     assert json.loads(lcp_plugin("solve", path, "--json").stdout)["code"] == 0
     assert "proved" in lcp_plugin("certify", path).stdout
@@ -785,7 +1094,10 @@ def test_the_commands_take_models(tmp_path: Path) -> None:
     assert (done.exit_code, "optimal; objective 0, none " in done.stdout) == (0, True), done.output
     with np.load(tmp_path / "b.npz") as saved:
         np.testing.assert_allclose(saved["x"], [1.0, 0.0], atol=1e-9)
-    assert json.loads(lcp_plugin("solve", tmp_path / "b.nl", "--json").stdout)["run"]["algorithm"] == "branch and bound"
+    assert (
+        json.loads(lcp_plugin("solve", tmp_path / "b.nl", "--json").stdout)["run"]["algorithm"]
+        == "branch and bound"
+    )
     write_nl(best(0.25), tmp_path / "b.nl")
     done = lcp_plugin("solve", tmp_path / "b.nl", "--out", tmp_path / "b.npz")
     assert (done.exit_code, "nan" in done.stdout) == (1, False), done.output

@@ -49,7 +49,9 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         (folder / f"{module}.py").write_text(text, encoding="utf-8")
         info = folder / f"{package.replace('-', '_')}-1.2.dist-info"
         info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\n", encoding="utf-8")
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\n", encoding="utf-8"
+        )
         entry = f"[lcp_plugin.algorithms]\n{name} = {module}{':' if attribute else ''}{attribute}\n"
         (info / "entry_points.txt").write_text(entry, encoding="utf-8")
         monkeypatch.syspath_prepend(str(folder))
@@ -68,8 +70,13 @@ def test_an_installed_algorithm_is_found_by_name(install: Install) -> None:
     assert result.algorithm == "extragradient"
     assert np.allclose(result.z, [0.75, 0.0], atol=1e-7)
     assert create("extragradient", {"step": 0.5}) == algorithm_class("extragradient")(step=0.5)  # type: ignore[call-arg]
-    assert all(getattr(one, "is_solved", False) for one in solve_many(PROBLEM, [[-1, 0], [0, 1]], "extragradient"))
-    with pytest.raises(InvalidOption, match=r"extragradient has no option 'stpe'; did you mean 'step'\?"):
+    assert all(
+        getattr(one, "is_solved", False)
+        for one in solve_many(PROBLEM, [[-1, 0], [0, 1]], "extragradient")
+    )
+    with pytest.raises(
+        InvalidOption, match=r"extragradient has no option 'stpe'; did you mean 'step'\?"
+    ):
         solve(PROBLEM, "extragradient", stpe=0.5)
 
 
@@ -85,13 +92,19 @@ def test_the_command_knows_it(install: Install) -> None:
     ran = CliRunner().invoke(app, ["solve", "murty:n=3", "-a", "extragradient", "-o", "step=0.5"])
     assert ran.exit_code == 0, ran.output
     analyzed = CliRunner().invoke(app, ["analyze", "murty:n=3"])
-    assert re.search(r"^extragradient +not covered +no theorem here is about extragradient", analyzed.stdout, re.M)
+    assert re.search(
+        r"^extragradient +not covered +no theorem here is about extragradient",
+        analyzed.stdout,
+        re.M,
+    )
 
 
 def test_an_option_without_default_is_asked_for(install: Install) -> None:
     """Where an algorithm has an option without default the error names it, and `analyze` leaves the algorithm out."""
     install(NEEDY, "needy", "Kind")
-    with pytest.raises(InvalidOption, match=r"^needy needs a value for step, which has no default; give one$"):
+    with pytest.raises(
+        InvalidOption, match=r"^needy needs a value for step, which has no default; give one$"
+    ):
         solve(PROBLEM, "needy")
     assert solve(PROBLEM, "needy", step=0.5, max_iterations=1).algorithm == "needy"
     assert "needy" not in CliRunner().invoke(app, ["analyze", "murty:n=3"]).stdout
@@ -100,7 +113,9 @@ def test_an_option_without_default_is_asked_for(install: Install) -> None:
 def test_a_misspelt_name_is_guessed(install: Install) -> None:
     """did-you-mean knows the names that other packages offer, and loads none of them for that."""
     install("raise RuntimeError('loaded')", "extragradient")
-    with pytest.raises(UnknownAlgorithm, match=r"unknown algorithm 'extragradiant'; did you mean 'extragradient'\?"):
+    with pytest.raises(
+        UnknownAlgorithm, match=r"unknown algorithm 'extragradiant'; did you mean 'extragradient'\?"
+    ):
         solve(PROBLEM, "extragradiant")
 
 
@@ -126,26 +141,77 @@ WORKING = f"""{BASE}class Kind(Algorithm):
     def iterates(self, problem, z0):
         yield Step(z0)
 """
-NEEDY = WORKING.format(name="needy").replace("class Kind", "@dataclass(frozen=True, kw_only=True)\nclass Kind")
+NEEDY = WORKING.format(name="needy").replace(
+    "class Kind", "@dataclass(frozen=True, kw_only=True)\nclass Kind"
+)
 NEEDY = f"from dataclasses import dataclass\n{NEEDY}    step: float\n"
 BROKEN = [
     ("module missing", "", "Kind", r"cannot be loaded .*AttributeError.*repair or uninstall"),
-    ("import fails", "import no_such_module_at_all", "Kind", r"cannot be loaded.*ModuleNotFoundError: No module named"),
-    ("module raises", "raise ValueError('half written')", "Kind", r"cannot be loaded.*ValueError: half written"),
+    (
+        "import fails",
+        "import no_such_module_at_all",
+        "Kind",
+        r"cannot be loaded.*ModuleNotFoundError: No module named",
+    ),
+    (
+        "module raises",
+        "raise ValueError('half written')",
+        "Kind",
+        r"cannot be loaded.*ValueError: half written",
+    ),
     ("syntax error", "def", "Kind", r"cannot be loaded.*SyntaxError"),
-    ("a module", WORKING.format(name="offered"), "", r"is <module .*must read offered = \"module:Class\""),
-    ("a function", "def Kind(): pass", "Kind", r"is <function Kind.*subclass of lcp_plugin.algorithms.Algorithm"),
-    ("another class", "class Kind: name = 'offered'", "Kind", r"is <class .*subclass of lcp_plugin"),
-    ("an object", WORKING.format(name="offered") + "kind = Kind()", "kind", r"must read offered = "),
-    ("abstract", BASE + "class Kind(Algorithm):\n    name = 'offered'", "Kind", r"class Kind has no method iterates"),
-    ("other name", WORKING.format(name="mine"), "Kind", r"called 'offered', but Kind.name is 'mine'; .*be equal"),
-    ("no name", WORKING.replace("    name = '{name}'\n", ""), "Kind", r"Kind.name is None; they must be equal"),
+    (
+        "a module",
+        WORKING.format(name="offered"),
+        "",
+        r"is <module .*must read offered = \"module:Class\"",
+    ),
+    (
+        "a function",
+        "def Kind(): pass",
+        "Kind",
+        r"is <function Kind.*subclass of lcp_plugin.algorithms.Algorithm",
+    ),
+    (
+        "another class",
+        "class Kind: name = 'offered'",
+        "Kind",
+        r"is <class .*subclass of lcp_plugin",
+    ),
+    (
+        "an object",
+        WORKING.format(name="offered") + "kind = Kind()",
+        "kind",
+        r"must read offered = ",
+    ),
+    (
+        "abstract",
+        BASE + "class Kind(Algorithm):\n    name = 'offered'",
+        "Kind",
+        r"class Kind has no method iterates",
+    ),
+    (
+        "other name",
+        WORKING.format(name="mine"),
+        "Kind",
+        r"called 'offered', but Kind.name is 'mine'; .*be equal",
+    ),
+    (
+        "no name",
+        WORKING.replace("    name = '{name}'\n", ""),
+        "Kind",
+        r"Kind.name is None; they must be equal",
+    ),
 ]
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize(("text", "attribute", "message"), [case[1:] for case in BROKEN], ids=[c[0] for c in BROKEN])
-def test_a_broken_entry_says_what_and_whose(text: str, attribute: str, message: str, install: Install) -> None:
+@pytest.mark.parametrize(
+    ("text", "attribute", "message"), [case[1:] for case in BROKEN], ids=[c[0] for c in BROKEN]
+)
+def test_a_broken_entry_says_what_and_whose(
+    text: str, attribute: str, message: str, install: Install
+) -> None:
     """A broken or foreign entry raises UnknownAlgorithm with package, fault and remedy; `list` goes on."""
     install(text, "offered", attribute, package="their-package")
     with pytest.raises(UnknownAlgorithm, match=rf"(?s)^package their-package 1\.2: .*{message}"):
@@ -174,7 +240,10 @@ def test_two_packages_with_one_name_are_both_refused(install: Install) -> None:
     """Where two packages offer the same name nobody guesses: the error names both."""
     install(WORKING.format(name="offered"), "offered", package="first-package")
     install(WORKING.format(name="offered"), "offered", package="second-package")
-    with pytest.raises(UnknownAlgorithm, match=r"package first-package 1.2 and package second-package 1.2.*uninstall"):
+    with pytest.raises(
+        UnknownAlgorithm,
+        match=r"package first-package 1.2 and package second-package 1.2.*uninstall",
+    ):
         solve(PROBLEM, "offered")
 
 

@@ -39,7 +39,10 @@ def test_published_models_are_solved_as_published(name: str) -> None:
     pe.assert_optimal_termination(results)
     x = np.array([variable.value for variable in case.variables])
     assert campaign.residual(case.model) < 1e-8 * (1 + np.abs(x).max())
-    parts = [(x[case.first : case.first + len(answer)], np.asarray(answer, dtype=float)) for answer in case.answers]
+    parts = [
+        (x[case.first : case.first + len(answer)], np.asarray(answer, dtype=float))
+        for answer in case.answers
+    ]
     off = [np.abs(part - answer).max() / max(1.0, np.abs(answer).max()) for part, answer in parts]
     assert min(off, default=0.0) <= case.digits
 
@@ -107,7 +110,9 @@ def numeraire(m: Any) -> None:
     m.p = pe.Var([0, 1], initialize=1.0)
     m.p[0].fix(1.0)
     m.wanted = pe.Expression([0, 1], rule=lambda m, i: 0.5 * (m.p[0] + m.p[1]) / m.p[i])
-    m.market = Complementarity([0, 1], rule=lambda m, i: complements(m.p[i] >= 0, 1 - m.wanted[i] >= 0))
+    m.market = Complementarity(
+        [0, 1], rule=lambda m, i: complements(m.p[i] >= 0, 1 - m.wanted[i] >= 0)
+    )
     pair(m, m.x >= 0, m.x - m.p[1] >= 0)
 
 
@@ -155,7 +160,9 @@ def nested(m: Any) -> None:
     m.b[2].inner = pe.Block()
     m.b[2].inner.c = ComplementarityList(rule=(complements(m.x >= i, m.x - 4 >= 0) for i in (1,)))
     m.b[1].y = pe.Var([3, 4])
-    m.b[1].c = Complementarity([3, 4], rule=lambda b, i: complements(b.y[i] <= i, b.y[i] - m.x <= 0))
+    m.b[1].c = Complementarity(
+        [3, 4], rule=lambda b, i: complements(b.y[i] <= i, b.y[i] - m.x <= 0)
+    )
 
 
 def references(m: Any) -> None:
@@ -172,7 +179,9 @@ def discretised(m: Any) -> None:
     m.t = ContinuousSet(bounds=(0, 2))
     m.y, m.push = pe.Var(m.t), pe.Var(m.t)
     m.slope = DerivativeVar(m.y, wrt=m.t)
-    m.fall = pe.Constraint(m.t, rule=lambda m, t: m.slope[t] == m.push[t] - 1 if t > 0 else pe.Constraint.Skip)
+    m.fall = pe.Constraint(
+        m.t, rule=lambda m, t: m.slope[t] == m.push[t] - 1 if t > 0 else pe.Constraint.Skip
+    )
     m.begin = pe.Constraint(expr=m.y[0] == 1.0)
     pe.TransformationFactory("dae.collocation").apply_to(m, nfe=4, ncp=2)
     later = [t for t in m.t if t > 0]
@@ -185,11 +194,24 @@ def without_pairs(m: Any) -> None:
 
 
 STATED = {
-    ranged: 5.0, range_of_one_point: 3.0, range_of_an_expression: 4.0, range_of_a_variable_beside_another: 2.0,
-    slack_with_bounds_of_its_own: 1.5, wide_bounds_of_its_own: 7.0, numeraire: 1.0, fixed_and_another_freed: 2.0,
-    constant_row: 1.0, equation_as_a_pair: 4.0,
-    inequality_that_holds: 2.0, objective_that_is_constant: 2.0, upper_and_swapped: 2.0, deactivated: 2.0, nested: 4.0,
-    without_pairs: np.log(5), references: 3.0, discretised: 0.5,
+    ranged: 5.0,
+    range_of_one_point: 3.0,
+    range_of_an_expression: 4.0,
+    range_of_a_variable_beside_another: 2.0,
+    slack_with_bounds_of_its_own: 1.5,
+    wide_bounds_of_its_own: 7.0,
+    numeraire: 1.0,
+    fixed_and_another_freed: 2.0,
+    constant_row: 1.0,
+    equation_as_a_pair: 4.0,
+    inequality_that_holds: 2.0,
+    objective_that_is_constant: 2.0,
+    upper_and_swapped: 2.0,
+    deactivated: 2.0,
+    nested: 4.0,
+    without_pairs: np.log(5),
+    references: 3.0,
+    discretised: 0.5,
 }
 
 
@@ -227,13 +249,16 @@ def tight_and_transformed(m: Any) -> None:
 
 
 OF_ITS_OWN = {  # the bound, and the row there
-    tight_lower: ("lower", 1.0, 3.0), tight_upper: ("upper", 5.0, -2.0),
+    tight_lower: ("lower", 1.0, 3.0),
+    tight_upper: ("upper", 5.0, -2.0),
     tight_and_smooth: ("upper", 2.0, np.exp(2.0) - 50.0),
 }
 
 
 @pytest.mark.parametrize("build", OF_ITS_OWN, ids=lambda build: build.__name__)
-def test_bounds_of_a_variable_belong_to_its_pair(build: Callable[[Any], None], tmp_path: Path) -> None:
+def test_bounds_of_a_variable_belong_to_its_pair(
+    build: Callable[[Any], None], tmp_path: Path
+) -> None:
     """As PATH and AMPL take them: the answer lies at the bound, and is optimal; the message names the bound."""
     m = model(build)
     m.dual = pe.Suffix(direction=pe.Suffix.IMPORT)
@@ -242,7 +267,10 @@ def test_bounds_of_a_variable_belong_to_its_pair(build: Callable[[Any], None], t
     side, bound, row = OF_ITS_OWN[build]
     assert m.x.value == pytest.approx(bound, abs=1e-9)
     assert m.dual[m.c] == pytest.approx(row)
-    assert f"x stops at its own {side} bound {bound:g}, which counts although" in results.solver.message
+    assert (
+        f"x stops at its own {side} bound {bound:g}, which counts although"
+        in results.solver.message
+    )
     assert "row c, does not state it" in results.solver.message
     write_nl(m, tmp_path / "m.nl")
     again = read_nl(tmp_path / "m.nl").solve()
@@ -265,7 +293,9 @@ def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
     write_nl(m, tmp_path / "m.nl")
     assert "q[0]" in (tmp_path / "m.col").read_text(encoding="utf-8")
     SOLVER.solve(m)
-    assert read_nl(tmp_path / "m.nl").solve().x == pytest.approx([m.q[i].value for i in m.q], rel=1e-6)
+    assert read_nl(tmp_path / "m.nl").solve().x == pytest.approx(
+        [m.q[i].value for i in m.q], rel=1e-6
+    )
     m.beside = pe.Constraint(expr=m.q[0] <= 1e6)
     write_nl(m, tmp_path / "m.nl")
     assert read_nl(tmp_path / "m.nl").beside.names() == ["row beside"]
@@ -307,7 +337,10 @@ def test_what_holds_only_in_part_is_not_optimal_in_any_unit(size: float) -> None
 def test_what_holds_only_in_part_is_not_optimal(build: Callable[[Any], None]) -> None:
     """A bound, inequality or pair that the answer violates makes it a warning that names it."""
     results = SOLVER.solve(model(build))
-    assert (results.solver.status.value, results.solver.termination_condition.value) == ("warning", "other")
+    assert (results.solver.status.value, results.solver.termination_condition.value) == (
+        "warning",
+        "other",
+    )
     assert NOT_ALL[build] in results.solver.message
     with pytest.raises(RuntimeError):
         pe.assert_optimal_termination(results)
@@ -430,7 +463,9 @@ def test_what_is_not_taken_is_refused_by_name(build: Callable[[Any], None]) -> N
     with pytest.raises(LCPError) as caught:
         SOLVER.solve(m)
     assert REFUSED[build] in str(caught.value)
-    assert "LCP(" not in str(caught.value)  # which would leave out what the model says beside its objective
+    assert "LCP(" not in str(
+        caught.value
+    )  # which would leave out what the model says beside its objective
     assert campaign.picture(m) == before
 
 
@@ -468,10 +503,19 @@ def simple() -> Any:
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "keyword": ({"timelimt": 1}, "lcp_plugin takes no keyword 'timelimt' in Pyomo; did you mean 'timelimit'?"),
+    "keyword": (
+        {"timelimt": 1},
+        "lcp_plugin takes no keyword 'timelimt' in Pyomo; did you mean 'timelimit'?",
+    ),
     "option": ({"options": {"tol": 1e-9}}, "no option 'tol'"),
-    "algorithm": ({"options": {"algorithm": "nwton"}}, "unknown algorithm 'nwton'; did you mean 'newton'?"),
-    "tolerance": ({"options": {"tolerance": -1.0}}, "tolerance must be finite and not negative, got -1.0"),
+    "algorithm": (
+        {"options": {"algorithm": "nwton"}},
+        "unknown algorithm 'nwton'; did you mean 'newton'?",
+    ),
+    "tolerance": (
+        {"options": {"tolerance": -1.0}},
+        "tolerance must be finite and not negative, got -1.0",
+    ),
 }
 
 
@@ -501,7 +545,9 @@ def test_a_changed_parameter_needs_another_solve_only_and_begins_at_the_last_ans
     m.a, m.floor = pe.Param(mutable=True, initialize=2.0), pe.Param(mutable=True, initialize=0.0)
     m.x = pe.Var(range(5), initialize=9.0)
     m.row = pe.Expression(range(5), rule=lambda m, i: pe.exp(m.x[i]) + i * m.x[i])
-    m.c = Complementarity(range(5), rule=lambda m, i: complements(m.x[i] >= m.floor, m.row[i] >= m.a))
+    m.c = Complementarity(
+        range(5), rule=lambda m, i: complements(m.x[i] >= m.floor, m.row[i] >= m.a)
+    )
     SOLVER.solve(m)
     first = SOLVER.result
     SOLVER.solve(m)
@@ -521,7 +567,9 @@ def test_suffixes_get_the_row_of_each_pair() -> None:
     m.dual, m.rc = pe.Suffix(direction=pe.Suffix.IMPORT), pe.Suffix(direction=pe.Suffix.IMPORT)
     m.dual[m.x[1]] = 77.0
     SOLVER.solve(m)
-    assert (m.dual[m.low], m.dual[m.high], m.rc[m.x[1]], m.rc[m.x[2]]) == pytest.approx((2.0, -4.0, 2.0, -4.0))
+    assert (m.dual[m.low], m.dual[m.high], m.rc[m.x[1]], m.rc[m.x[2]]) == pytest.approx(
+        (2.0, -4.0, 2.0, -4.0)
+    )
     assert m.x[1] not in m.dual
 
 
@@ -550,7 +598,9 @@ def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
     assert (results.problem.sense == pe.maximize) == (sense == pe.maximize)
 
 
-def test_reduced_costs_of_variables_whose_bounds_are_equal_hold_the_objective_and_nonlinear_rows() -> None:
+def test_reduced_costs_of_variables_whose_bounds_are_equal_hold_the_objective_and_nonlinear_rows() -> (
+    None
+):
     """They are slopes of the Lagrangian by every variable, also where equal bounds make one a number."""
     m = program()
     m.rate = pe.Var(bounds=(2, 2))
@@ -559,7 +609,9 @@ def test_reduced_costs_of_variables_whose_bounds_are_equal_hold_the_objective_an
     pe.assert_optimal_termination(SOLVER.solve(m))
     assert [m.x[1].value, m.x[2].value] == pytest.approx([1.5, 0.5], abs=1e-8)
     assert (m.dual[m.limit], m.dual[m.product]) == pytest.approx((-3.0, 7.5))
-    assert (m.rc[m.rate], m.rc[m.x[1]], m.rc[m.x[2]]) == pytest.approx((2.5 - 7.5 * 0.5, 0.0, 0.0), abs=1e-8)
+    assert (m.rc[m.rate], m.rc[m.x[1]], m.rc[m.x[2]]) == pytest.approx(
+        (2.5 - 7.5 * 0.5, 0.0, 0.0), abs=1e-8
+    )
 
 
 def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible() -> None:
@@ -629,7 +681,10 @@ def test_a_run_that_is_stopped_says_so_and_loads_its_best_point() -> None:
     """A callback that ends the run, as Ctrl-C does: userInterrupt, aborted."""
     m = simple()
     results = SOLVER.solve(m, options={"callback": lambda sample, _: sample.iteration >= 1})
-    assert (results.solver.termination_condition.value, results.solver.status.value) == ("userInterrupt", "aborted")
+    assert (results.solver.termination_condition.value, results.solver.status.value) == (
+        "userInterrupt",
+        "aborted",
+    )
     assert m.x.value is not None
 
 
@@ -660,14 +715,17 @@ def test_a_linear_model_becomes_the_linear_problem_as_stated() -> None:
     M = np.array([[2.0, 1.0], [1.0, 2.0]])
     m = pe.ConcreteModel()
     m.x = pe.Var([0, 1])
-    m.c = Complementarity([0, 1], rule=lambda m, i: complements(
-        sum(M[i, j] * m.x[j] for j in m.x) >= 5 - 6 * i, m.x[i] >= 0
-    ))
+    m.c = Complementarity(
+        [0, 1],
+        rule=lambda m, i: complements(sum(M[i, j] * m.x[j] for j in m.x) >= 5 - 6 * i, m.x[i] >= 0),
+    )
     SOLVER.solve(m)
     result = SOLVER.result
     problem = result.certificate.problem
     assert isinstance(problem, LCP)
-    np.testing.assert_array_equal(problem.M.toarray() if hasattr(problem.M, "toarray") else problem.M, M)
+    np.testing.assert_array_equal(
+        problem.M.toarray() if hasattr(problem.M, "toarray") else problem.M, M
+    )
     np.testing.assert_array_equal(result.z, solve(LCP(M, [-5.0, 1.0])).z)
 
 
@@ -685,7 +743,10 @@ def test_the_newer_interface_knows_the_solver_by_the_same_name() -> None:
     with pytest.raises(Exception, match="infeasible"):
         solver.solve(hopeless)
     told = solver.solve(hopeless, raise_exception_on_nonoptimal_result=False, load_solutions=False)
-    assert (told.termination_condition.name, told.solution_status.name) == ("provenInfeasible", "noSolution")
+    assert (told.termination_condition.name, told.solution_status.name) == (
+        "provenInfeasible",
+        "noSolution",
+    )
     for give in ("load_vars", "get_vars", "get_duals", "get_reduced_costs"):
         with pytest.raises(Exception, match="infeasible"):
             getattr(told.solution_loader, give)()
@@ -714,14 +775,27 @@ def walked() -> dict[str, tuple[Callable[[Any], None], str]]:
     linear = (*first, lambda m: (m.y >= 0, m.y - m.x >= -0.2))
     smooth = (lambda m: (m.x >= 0, pe.exp(m.x) >= 3), linear[1])
     square, line = (lambda m: (m.x - 1) ** 2 + (2 * m.y - 1) ** 2), (lambda m: m.x + 2 * m.y)
-    above, below, positive = (lambda m: m.x + m.y >= 1), (lambda m: m.x + m.y <= 0), (lambda m: m.y >= 0)
+    above, below, positive = (
+        (lambda m: m.x + m.y >= 1),
+        (lambda m: m.x + m.y <= 0),
+        (lambda m: m.y >= 0),
+    )
     return {
         "linear pairs": (of(pairs=linear), "optimal"),
-        "linear pairs without": (of(pairs=(lambda m: (m.x >= 0, -m.x - 3 >= 0), linear[1])), "infeasible"),
-        "box": (of(pairs=(lambda m: (pe.inequality(0, m.x, 1), m.x + m.y - 3), linear[1])), "optimal"),
+        "linear pairs without": (
+            of(pairs=(lambda m: (m.x >= 0, -m.x - 3 >= 0), linear[1])),
+            "infeasible",
+        ),
+        "box": (
+            of(pairs=(lambda m: (pe.inequality(0, m.x, 1), m.x + m.y - 3), linear[1])),
+            "optimal",
+        ),
         "free row": (of(pairs=first, rows=(lambda m: m.y == m.x - 2,)), "optimal"),
         "smooth pairs": (of(pairs=smooth), "optimal"),
-        "smooth pairs without": (of(pairs=(lambda m: (m.x >= 0, -pe.exp(m.x) >= 3), linear[1])), "noSolution"),
+        "smooth pairs without": (
+            of(pairs=(lambda m: (m.x >= 0, -pe.exp(m.x) >= 3), linear[1])),
+            "noSolution",
+        ),
         "equations": (of(rows=(lambda m: pe.exp(m.x) == 3, lambda m: m.y == m.x)), "optimal"),
         "least squares": (of(square, rows=(above,)), "optimal"),
         "quadratic without": (of(square, rows=(above, below)), "infeasible"),
@@ -741,7 +815,11 @@ def test_every_kind_of_model_ends_alike_in_both_interfaces(name: str) -> None:
     """Condition, values loaded now or later, suffixes and the time limit; nothing is loaded where there is nothing."""
     build, wanted = walked()[name]
     factory = pytest.importorskip("pyomo.contrib.solver.common.factory").SolverFactory
-    newer = {"optimal": "convergenceCriteriaSatisfied", "infeasible": "provenInfeasible", "noSolution": "unknown"}
+    newer = {
+        "optimal": "convergenceCriteriaSatisfied",
+        "infeasible": "provenInfeasible",
+        "noSolution": "unknown",
+    }
     for options in ({}, {"max_seconds": 1e-9}):
         m, again, third = (model(build) for _ in range(3))
         results = pe.SolverFactory("lcp_plugin").solve(m, options=options)
@@ -780,7 +858,8 @@ def test_pyomo_is_loaded_by_its_interface_alone_and_asked_for_in_words() -> None
         "try:\n    import lcp_plugin.pyomo\nexcept ImportError as error:\n    print(error)"
     )
     assert printed_by(code).splitlines() == [
-        "False", "lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'"
+        "False",
+        "lcp_plugin.pyomo needs pyomo; install it with: pip install 'lcp_plugin[pyomo]'",
     ]
 
 
@@ -819,7 +898,11 @@ model.other = Complementarity(expr=complements(model.x[2] >= 0, model.x[1] + 2 *
 def test_pyomos_command_solves_and_writes_the_answer(tmp_path: Path) -> None:
     """``pyomo solve --solver=lcp_plugin``, with the options of Pyomo's own tests; the file holds the values."""
     (tmp_path / "model.py").write_text(COMMANDS_MODEL)
-    options = ["--symbolic-solver-labels", "--file-determinism=2", "--solver-options=tolerance=1e-10 threads=1"]
+    options = [
+        "--symbolic-solver-labels",
+        "--file-determinism=2",
+        "--solver-options=tolerance=1e-10 threads=1",
+    ]
     wanted = ["solve", "--solver=lcp_plugin", "--results-format=json", *options, "model.py"]
     printed = printed_by(
         f"import os; os.chdir({str(tmp_path)!r})\nimport lcp_plugin.pyomo  # as its entry point does\n"
@@ -832,7 +915,9 @@ def test_pyomos_command_solves_and_writes_the_answer(tmp_path: Path) -> None:
 
 def test_pyomos_command_finds_the_solver_by_its_entry_point() -> None:
     """Pyomo imports what stands under pyomo.command before it reads its arguments."""
-    project = tomllib.loads((Path(lcp_plugin.__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((Path(lcp_plugin.__file__).parents[1] / "pyproject.toml").read_text())[
+        "project"
+    ]
     assert project["entry-points"]["pyomo.command"] == {"lcp_plugin": lcp_plugin.pyomo.__name__}
 
 
@@ -841,10 +926,18 @@ def test_a_block_of_the_kernel_is_solved_as_the_same_model() -> None:
     answers = []
     for kernel in (False, True):
         m = pmo.block() if kernel else pe.ConcreteModel()
-        m.x, m.y = (pmo.variable(lb=0), pmo.variable(lb=0)) if kernel else (pe.Var(bounds=(0, None)), pe.Var())
+        m.x, m.y = (
+            (pmo.variable(lb=0), pmo.variable(lb=0))
+            if kernel
+            else (pe.Var(bounds=(0, None)), pe.Var())
+        )
         m.goal = (pmo.objective if kernel else pe.Objective)(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
         m.row = (pmo.constraint if kernel else pe.Constraint)(expr=m.x + m.y <= 2)
-        m.dual = pmo.suffix(direction=pmo.suffix.IMPORT) if kernel else pe.Suffix(direction=pe.Suffix.IMPORT)
+        m.dual = (
+            pmo.suffix(direction=pmo.suffix.IMPORT)
+            if kernel
+            else pe.Suffix(direction=pe.Suffix.IMPORT)
+        )
         pe.assert_optimal_termination(SOLVER.solve(m, file_determinism=2))
         answers.append([m.x.value, m.y.value, m.dual[m.row]])
     np.testing.assert_allclose(answers, [[0.5, 1.5, -1.0]] * 2, atol=1e-8)
@@ -873,7 +966,10 @@ def test_a_variable_with_equal_bounds_is_a_number_or_has_its_equation() -> None:
     pe.assert_optimal_termination(SOLVER.solve(m))
     assert (m.x.value, m.y.value) == pytest.approx((3.0, 3.0))
     m.pair.deactivate()
-    m.own, m.equation = Complementarity(expr=complements(m.x >= 0, m.x - 3 >= 0)), pe.Constraint(expr=m.y == m.x)
+    m.own, m.equation = (
+        Complementarity(expr=complements(m.x >= 0, m.x - 3 >= 0)),
+        pe.Constraint(expr=m.y == m.x),
+    )
     pe.assert_optimal_termination(SOLVER.solve(m))
     m.equation.set_value(m.y == m.x + 1)
     assert "y does not hold, off by" in SOLVER.solve(m).solver.message

@@ -43,18 +43,26 @@ def test_random_programs_sparse_and_dense(drawn: Any) -> None:
     """Whatever is missing of G, A and bounds: the planted objective, and duals that qpsolvers itself finds optimal."""
     program, answer = drawn
     none = [None if matrix.shape[0] == 0 else matrix for matrix in (program.G, program.A)]
-    h, b = (None if matrix is None else right for matrix, right in zip(none, (program.h, program.b), strict=True))
+    h, b = (
+        None if matrix is None else right
+        for matrix, right in zip(none, (program.h, program.b), strict=True)
+    )
     for dense in (True, False):
         P_, G_, A_ = (
-            None if M is None else sp.csc_matrix(M).toarray() if dense else sp.csc_matrix(M) for M in (program.P, *none)
+            None if M is None else sp.csc_matrix(M).toarray() if dense else sp.csc_matrix(M)
+            for M in (program.P, *none)
         )
-        lower, upper = (None if np.isinf(bound).all() else bound for bound in (program.lower, program.upper))
+        lower, upper = (
+            None if np.isinf(bound).all() else bound for bound in (program.lower, program.upper)
+        )
         solution = solve_problem(Problem(P_, program.c, G_, h, A_, b, lower, upper), NAME)
         assert solution.found
         size = 1.0 + abs(solution.obj)
         assert abs(solution.obj - float(answer.objective)) <= 1e-6 * size
         assert solution.primal_residual() <= 1e-6 * (1.0 + np.abs(solution.x).max())
-        multipliers = max(np.abs(part).max(initial=0.0) for part in (solution.y, solution.z, solution.z_box))
+        multipliers = max(
+            np.abs(part).max(initial=0.0) for part in (solution.y, solution.z, solution.z_box)
+        )
         assert solution.dual_residual() <= 1e-6 * (1.0 + multipliers + np.abs(program.c).max())
         assert solution.extras["status"] is Status.SOLVED
 
@@ -90,7 +98,11 @@ def test_infeasible_comes_with_a_proof() -> None:
     """None for x, INFEASIBLE in the extras, and a proof that verifies."""
     problem = Problem(P, Q, np.array([[1.0, 1.0], [-1.0, -1.0]]), np.array([1.0, -2.0]))
     solution = solve_problem(problem, NAME)
-    assert (solution.found, solution.x, solution.extras["status"]) == (False, None, Status.INFEASIBLE)
+    assert (solution.found, solution.x, solution.extras["status"]) == (
+        False,
+        None,
+        Status.INFEASIBLE,
+    )
     assert solution.extras["result"].proof.verify()
     assert solution.extras["result"].has_no_solution
 
@@ -101,7 +113,11 @@ def test_a_limit_is_no_solution() -> None:
     rows = rng.standard_normal((80, 60))
     problem = Problem(np.diag(rng.random(60)), rng.standard_normal(60), rows, rng.random(80))
     solution = solve_problem(problem, NAME, max_iterations=2)
-    assert (solution.found, solution.x, solution.extras["status"]) == (False, None, Status.MAX_ITERATIONS)
+    assert (solution.found, solution.x, solution.extras["status"]) == (
+        False,
+        None,
+        Status.MAX_ITERATIONS,
+    )
     assert not solution.extras["result"].solution.is_stationary()
     assert solve_problem(problem, NAME).found
 
@@ -109,26 +125,37 @@ def test_a_limit_is_no_solution() -> None:
 def test_found_is_what_certify_proves() -> None:
     """The extras hold an answer that `certify` takes, with its duals."""
     solution = solve_problem(Problem(P, Q, G, H), NAME)
-    assert certify(QuadraticProgram(P, Q, G, H), solution.extras["result"].solution).verdict == "proved"
+    assert (
+        certify(QuadraticProgram(P, Q, G, H), solution.extras["result"].solution).verdict
+        == "proved"
+    )
     assert solution.extras["result"].certificate.natural_residual <= 1e-9
 
 
 def test_initvals_start_a_program_with_bounds() -> None:
     """The solution as a start takes no step; in a program with rows it changes nothing."""
     n = 300
-    laplacian = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csc")
+    laplacian = sp.diags_array(
+        [-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csc"
+    )
     problem = Problem(sp.csc_matrix(laplacian), -np.ones(n), lb=np.zeros(n), ub=np.full(n, 50.0))
     cold = solve_problem(problem, NAME, algorithm="newton")
     warm = solve_problem(problem, NAME, initvals=cold.x, algorithm="newton")
     assert warm.extras["result"].iterations < cold.extras["result"].iterations
     np.testing.assert_allclose(warm.x, cold.x, atol=1e-8)
-    assert solve_qp(P, Q, G, H, initvals=np.zeros(2), solver=NAME) == pytest.approx([0.5, 1.5], rel=1e-12)
+    assert solve_qp(P, Q, G, H, initvals=np.zeros(2), solver=NAME) == pytest.approx(
+        [0.5, 1.5], rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
     ("error", "given", "words"),
     [
-        (ParamError, {"eps_abs": 1e-6}, "'eps_abs' is an option of other solvers; here write tolerance=1e-9"),
+        (
+            ParamError,
+            {"eps_abs": 1e-6},
+            "'eps_abs' is an option of other solvers; here write tolerance=1e-9",
+        ),
         (ParamError, {"tolerence": 1e-6}, "did you mean 'tolerance'"),
         (ParamError, {"algorithm": "psorr"}, "did you mean 'psor'"),
         (ParamError, {"initvals": np.zeros(3)}, "initvals must be a vector of length 2, got shape"),
@@ -138,7 +165,11 @@ def test_initvals_start_a_program_with_bounds() -> None:
         (ProblemError, {"q": np.array([np.nan, 0.0])}, r"q must be finite, but q\[0\] = nan"),
         (ProblemError, {"lb": np.zeros(3)}, "lb must be a number or a vector of length 2"),
         (ProblemError, {"P": 0.0 * P}, "the program is unbounded: the objective falls without end"),
-        (ProblemError, {"A": G, "b": H, "algorithm": "mgs"}, "mgs needs a finite lower and no upper bound"),
+        (
+            ProblemError,
+            {"A": G, "b": H, "algorithm": "mgs"},
+            "mgs needs a finite lower and no upper bound",
+        ),
     ],
     ids=lambda value: str(value)[:24] if isinstance(value, (str, dict)) else "",
 )

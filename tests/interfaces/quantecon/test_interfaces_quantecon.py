@@ -41,7 +41,11 @@ def test_same_path_on_random_problems(n: int) -> None:
         for M in matrices(n, rng):
             q, d = rng.standard_normal(n), None if count % 2 else rng.random(n) + 0.1
             ours, theirs = lemke(M, q, d), lcp_lemke(M, q, d)
-            assert (ours.success, ours.status, ours.num_iter) == (theirs.success, theirs.status, theirs.num_iter)
+            assert (ours.success, ours.status, ours.num_iter) == (
+                theirs.success,
+                theirs.status,
+                theirs.num_iter,
+            )
             if ours.success:
                 np.testing.assert_allclose(ours.z, theirs.z, rtol=1e-6, atol=1e-8)
 
@@ -102,7 +106,11 @@ def test_nothing_to_do_and_a_place_for_z() -> None:
 @pytest.mark.parametrize(
     ("error", "given", "words"),
     [
-        (InvalidOption, {"d": [1.0, 0.0]}, r"d must be positive to cover every row, but d\[1\] = 0.0"),
+        (
+            InvalidOption,
+            {"d": [1.0, 0.0]},
+            r"d must be positive to cover every row, but d\[1\] = 0.0",
+        ),
         (InvalidOption, {"d": [1.0]}, "d must be a vector of length 2, got shape"),
         (InvalidOption, {"max_iter": 1e6}, "max_iter must be a whole number ≥ 0, got 1000000.0"),
         (InvalidOption, {"z": [0.0, 0.0]}, r"z must be a writable array of shape \(2,\), got list"),

@@ -38,7 +38,10 @@ class Toll:
     """The same model in cvxpy, with names."""
 
     def __init__(self, *, most: float | None = None) -> None:
-        self.toll, self.flow = cp.Variable(nonneg=True, name="toll"), cp.Variable(2, nonneg=True, name="flow")
+        self.toll, self.flow = (
+            cp.Variable(nonneg=True, name="toll"),
+            cp.Variable(2, nonneg=True, name="flow"),
+        )
         least = cp.Variable(name="least")
         costs = cp.hstack([1.0 + self.flow[0] + self.toll, 5.0 + 0.5 * self.flow[1]])
         self.rows = [complements(self.flow >= 0, costs - least >= 0), cp.sum(self.flow) == 10]
@@ -60,7 +63,9 @@ def toll_in_pyomo() -> pe.ConcreteModel:
     m.income = pe.Objective(expr=m.toll * m.flow[0], sense=pe.maximize)
     m.cars = pe.Constraint(expr=m.flow[0] + m.flow[1] == 10)
     costs = {0: 1.0 + m.flow[0] + m.toll, 1: 5.0 + 0.5 * m.flow[1]}
-    m.pair = Complementarity([0, 1], rule=lambda m, i: complementary(m.flow[i] >= 0, costs[i] - m.least >= 0))
+    m.pair = Complementarity(
+        [0, 1], rule=lambda m, i: complementary(m.flow[i] >= 0, costs[i] - m.least >= 0)
+    )
     return m
 
 
@@ -75,8 +80,13 @@ def knapsack(seed: int = 0, n: int = 50) -> EquilibriumProgram:
     """Return a problem of many thousand nodes: 0 ≤ x ⟂ y ≥ 0, x + y = 1, four rows that weigh x."""
     weights = np.random.default_rng(seed).integers(1, 1000, (4, n)).astype(float)
     program = QuadraticProgram(
-        None, np.append(-weights.sum(axis=0), np.zeros(n)), np.hstack([weights, np.zeros((4, n))]),
-        weights.sum(axis=1) // 2, np.hstack([np.eye(n)] * 2), np.ones(n), lower=0,
+        None,
+        np.append(-weights.sum(axis=0), np.zeros(n)),
+        np.hstack([weights, np.zeros((4, n))]),
+        weights.sum(axis=1) // 2,
+        np.hstack([np.eye(n)] * 2),
+        np.ones(n),
+        lower=0,
     )
     return EquilibriumProgram(program, np.arange(n), np.arange(n, 2 * n))
 
@@ -125,9 +135,15 @@ def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path:
 
 def test_the_followed_advice_of_a_local_way_arrives_where_scip_does(without_scip: None) -> None:
     """Without the objective, the toll a parameter: its gradient leads from 1 to 4.5 and 13.5."""
-    toll, flow, least = cp.Parameter(nonneg=True, value=1.0), cp.Variable(2, nonneg=True), cp.Variable()
+    toll, flow, least = (
+        cp.Parameter(nonneg=True, value=1.0),
+        cp.Variable(2, nonneg=True),
+        cp.Variable(),
+    )
     costs = cp.hstack([1.0 + flow[0] + toll, 5.0 + 0.5 * flow[1]])
-    followers = cp.Problem(cp.Minimize(0), [complements(flow >= 0, costs - least >= 0), cp.sum(flow) == 10])
+    followers = cp.Problem(
+        cp.Minimize(0), [complements(flow >= 0, costs - least >= 0), cp.sum(flow) == 10]
+    )
     for _ in range(12):
         followers.solve(method="LCP", requires_grad=True)
         flow.gradient, least.gradient = np.array([float(toll.value), 0.0]), 0.0  # of toll · flow₀
@@ -153,7 +169,9 @@ def failing(monkeypatch: pytest.MonkeyPatch, times: int, error: Exception) -> No
     monkeypatch.setattr(pyscipopt, "Model", Failing)
 
 
-def test_an_error_inside_scip_is_told_and_no_traceback(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_error_inside_scip_is_told_and_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """After one error the same is solved at SCIP's own tolerance; after two its words are told, and a point is kept."""
     words = "SCIP: error in LP solver!"
     failing(monkeypatch, 1, Exception(words))
@@ -165,7 +183,9 @@ def test_an_error_inside_scip_is_told_and_no_traceback(monkeypatch: pytest.Monke
     failing(monkeypatch, 2, Exception(words))
     assert words in answered_by_ampl(toll_in_pyomo(), tmp_path).message
     failing(monkeypatch, 2, Exception(words))
-    convex = EquilibriumProgram(QuadraticProgram(None, [1, 2], A=[[1, 1]], b=[1], lower=0), [0], [1])
+    convex = EquilibriumProgram(
+        QuadraticProgram(None, [1, 2], A=[[1, 1]], b=[1], lower=0), [0], [1]
+    )
     result = minimize_over_solutions(convex)
     assert (result.status, result.bound_by) == (Status.SOLVED, "proof")
     failing(monkeypatch, 1, MemoryError("SCIP: insufficient memory error!"))
@@ -182,7 +202,9 @@ def test_a_machine_without_licences_needs_none(tmp_path: Path) -> None:
         "print(p.status, round(p.value, 6))"
     )
     bare = {"PATH": os.environ["PATH"], "HOME": str(tmp_path / "none")}
-    done = subprocess.run([sys.executable, "-c", code], env=bare, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=bare, capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == ["optimal", "2.25"]
 
 
@@ -217,7 +239,9 @@ def test_half_a_second_keeps_the_best_point() -> None:
 
 
 @pytest.mark.full
-def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """INTERRUPTED with an equilibrium, no traceback; the handler is Python's again, SCIP's model is gone."""
     models, before = [], signal.getsignal(signal.SIGINT)
 
@@ -269,6 +293,7 @@ def test_ctrl_c_while_the_objective_falls_ends_the_search() -> None:
 
 def test_ctrl_c_through_cvxpy_and_pyomo_is_a_limit() -> None:
     """The status in cvxpy is user_limit beside values; in Pyomo userInterrupt."""
+
     def interrupt(search: Any) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -289,16 +314,27 @@ def test_ctrl_c_through_cvxpy_and_pyomo_is_a_limit() -> None:
 def test_what_scip_finds_infeasible_is_no_proof(tmp_path: Path) -> None:
     """Integers beside pairs that no equilibrium has: from arrays, cvxpy, Pyomo, AMPL; nothing else is advised."""
     toll, half = Toll(), cp.Variable(integer=True)
-    for more in ([2 * half == toll.toll, half >= 0.2, half <= 0.8], [toll.toll * toll.flow[0] >= 1000]):
+    for more in (
+        [2 * half == toll.toll, half >= 0.2, half <= 0.8],
+        [toll.toll * toll.flow[0] >= 1000],
+    ):
         problem, result = toll.solved(None, *more)
-        assert (problem.status, result.status, result.proof) == (cp.settings.USER_LIMIT, Status.STALLED, None)
+        assert (problem.status, result.status, result.proof) == (
+            cp.settings.USER_LIMIT,
+            Status.STALLED,
+            None,
+        )
         assert FOUND_NONE in result.advice
         assert "upper bound" not in result.advice
     program = QuadraticProgram(None, [1, 0, 0], A=[[0, 1, -2]], b=[1], lower=0, upper=[1, 9, 9])
     result = minimize_over_solutions(EquilibriumProgram(program, [0], [1], integers=[1, 2]))
     assert result.is_solved  # 1 − 2 · 0
-    never = EquilibriumProgram(QuadraticProgram(None, [1, 0, 0], A=[[0, 2, -2]], b=[1], lower=0, upper=9), [0], [1],
-                               integers=[1, 2])
+    never = EquilibriumProgram(
+        QuadraticProgram(None, [1, 0, 0], A=[[0, 2, -2]], b=[1], lower=0, upper=9),
+        [0],
+        [1],
+        integers=[1, 2],
+    )
     assert FOUND_NONE in minimize_over_solutions(never).advice
     m = toll_in_pyomo()
     m.half = pe.Var(within=pe.Integers, bounds=(0, 5))
@@ -317,7 +353,11 @@ def test_what_falls_for_ever_is_told_and_which_bounds_are_missing(tmp_path: Path
     """Products, integers, exponentials; the point that is kept is finite; the named bounds make it optimal."""
     toll = Toll()
     problem, result = toll.solved(cp.square(toll.toll))
-    assert (problem.status, result.status, result.bound_by) == (cp.settings.USER_LIMIT, Status.STALLED, None)
+    assert (problem.status, result.status, result.bound_by) == (
+        cp.settings.USER_LIMIT,
+        Status.STALLED,
+        None,
+    )
     assert "the objective falls without end, and nothing proves it; " in result.advice
     assert "toll, flow[0], flow[1] have no upper bound; give them one" in result.advice
     assert np.isfinite(result.x).all()
@@ -341,7 +381,9 @@ def test_bounds_that_are_missing_are_named_and_help() -> None:
     gaps = []
     for most in (None, 20.0):
         _, result = Toll(most=most).solved(callback=lambda search: search.nodes >= 3)
-        assert ("lower bound barely moves: toll, flow[0], flow[1] have no upper bound" in result.advice) == (not most)
+        assert (
+            "lower bound barely moves: toll, flow[0], flow[1] have no upper bound" in result.advice
+        ) == (not most)
         gaps.append(result.gap)
     assert np.isinf(gaps[0])
     assert np.isfinite(gaps[1])
@@ -357,13 +399,20 @@ def test_nan_is_refused_in_words_by_every_way_in(tmp_path: Path) -> None:
     with pytest.raises(InvalidOption, match="x0"):
         minimize_over_solutions(bilinear(), x0=[nan, 0, 0])
     toll = Toll()
-    for objective, more in ((nan * toll.toll * toll.flow[0], []), (None, [toll.toll <= nan]),
-                            (None, [complements(toll.toll >= 0, toll.flow[0] + nan >= 0)])):
+    for objective, more in (
+        (nan * toll.toll * toll.flow[0], []),
+        (None, [toll.toll <= nan]),
+        (None, [complements(toll.toll >= 0, toll.flow[0] + nan >= 0)]),
+    ):
         with pytest.raises(LCPError, match="must be finite"):
             toll.solved(objective, *more)
-    for change in (lambda m: m.income.set_value(m.p * m.toll), lambda m: m.add_component(
-            "r", pe.Constraint(expr=m.p * m.toll <= 1)), lambda m: m.add_component(
-            "c", Complementarity(expr=complementary(m.toll >= 0, m.p + m.flow[0] >= 0)))):
+    for change in (
+        lambda m: m.income.set_value(m.p * m.toll),
+        lambda m: m.add_component("r", pe.Constraint(expr=m.p * m.toll <= 1)),
+        lambda m: m.add_component(
+            "c", Complementarity(expr=complementary(m.toll >= 0, m.p + m.flow[0] >= 0))
+        ),
+    ):
         m = toll_in_pyomo()
         m.p = pe.Param(initialize=nan, mutable=True, within=pe.Any)
         change(m)
@@ -389,7 +438,9 @@ def test_functions_that_scip_does_not_know_have_names(tmp_path: Path) -> None:
             return np.array([[3 * x[0] ** 2, 0, 0]])
 
     problem = bilinear()
-    smooth = EquilibriumProgram(problem.program, [0], [2], smooth=SmoothPart(Map(), np.zeros(0), np.zeros(0)))
+    smooth = EquilibriumProgram(
+        problem.program, [0], [2], smooth=SmoothPart(Map(), np.zeros(0), np.zeros(0))
+    )
     with pytest.raises(UnsupportedModel, match="a function of Python's has no terms"):
         minimize_over_solutions(smooth)
 
@@ -449,7 +500,10 @@ def test_prove_is_a_keyword_of_the_executable_and_an_option_of_the_command(
 
 def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do() -> None:
     """In cvxpy; without it the bound is SCIP's, and said to be."""
-    with pytest.raises(UnsupportedModel, match=r"an objective that is not convex; leave it out: the bound is SCIP's"):
+    with pytest.raises(
+        UnsupportedModel,
+        match=r"an objective that is not convex; leave it out: the bound is SCIP's",
+    ):
         Toll().solved(prove=True)
     _, result = Toll().solved()
     assert (result.status, result.bound_by, result.proof) == (Status.SOLVED, "SCIP", None)
@@ -463,7 +517,9 @@ def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do() -> None:
 def test_of_a_variable_some_entries_may_be_whole(chosen: Any) -> None:
     """The second entry alone is an integer, or 0 or 1; the first one stops at its bounds, 0.5 and 1.5."""
     x, y = cp.Variable(2, integer=chosen), cp.Variable()
-    problem = cp.Problem(cp.Minimize(cp.sum(x)), [complements(y >= 0, x[0] - 0.5 >= 0), x[1] >= 0.2, x[0] >= 0.1])
+    problem = cp.Problem(
+        cp.Minimize(cp.sum(x)), [complements(y >= 0, x[0] - 0.5 >= 0), x[1] >= 0.2, x[0] >= 0.1]
+    )
     assert problem.solve(method="LCP") == pytest.approx(1.5)
     assert x.value == pytest.approx([0.5, 1.0])
     x = cp.Variable(2, boolean=chosen)
@@ -482,7 +538,10 @@ def test_integers_beside_products_go_through_a_file(tmp_path: Path) -> None:
     assert found.code == 0
     solver = pe.SolverFactory("lcp_plugin")
     pe.assert_optimal_termination(solver.solve(m))
-    assert (m.steps.value, m.few.value) == (2.0, 0.0)  # 4 (6 − 4/1.5), or with few (6 − 5/1.5) 4 + 1
+    assert (m.steps.value, m.few.value) == (
+        2.0,
+        0.0,
+    )  # 4 (6 − 4/1.5), or with few (6 − 5/1.5) 4 + 1
     assert f"objective {-pe.value(m.income):.6g}"[:12] in found.message
 
 
@@ -504,7 +563,12 @@ def test_a_point_does_not_hide_that_the_objective_falls_for_ever() -> None:
     M, N = np.array([[6, 1, 1], [1, 3, -5], [1, -5, 18]]), np.array([[2, 0], [1, 2], [-2, 2]])
     lower, upper = [0, 0, -1, 0, -np.inf, 0, 0, 0], [np.inf, 3, *[np.inf] * 6]
     A, ray = np.hstack([-M, np.eye(3), -N]), np.array([0.0, 0, 10, 190, 40, 0, 90, 0])
-    program = QuadraticProgram(None, [2, -2, 3, -3, 2, 1, 0, 0], A=A, b=[0, -1, 0], lower=lower, upper=upper)
+    program = QuadraticProgram(
+        None, [2, -2, 3, -3, 2, 1, 0, 0], A=A, b=[0, -1, 0], lower=lower, upper=upper
+    )
     assert not (A @ ray).any()
     assert program.c @ ray < 0.0
-    assert minimize_over_solutions(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5])).status is Status.UNBOUNDED
+    assert (
+        minimize_over_solutions(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5])).status
+        is Status.UNBOUNDED
+    )

@@ -28,7 +28,9 @@ def tridiagonal_m(n: int, rng: Generator) -> sp.csr_array:
     below, above = (rng.integers(0, 9, n - 1) * (rng.random(n - 1) < 0.9) for _ in range(2))
     v = rng.integers(1, 9, n)
     sums = np.append(0, below * v[:-1]) + np.append(above * v[1:], 0)
-    return sp.csr_array(sp.diags_array([-1.0 * below, sums // v + 1.0, -1.0 * above], offsets=[-1, 0, 1]))
+    return sp.csr_array(
+        sp.diags_array([-1.0 * below, sums // v + 1.0, -1.0 * above], offsets=[-1, 0, 1])
+    )
 
 
 def planted(M: Any, rng: Generator, *, boxes: bool) -> tuple[LCP, np.ndarray]:
@@ -45,9 +47,13 @@ def planted(M: Any, rng: Generator, *, boxes: bool) -> tuple[LCP, np.ndarray]:
     at_lower = (rng.random(n) < share[0]) & (lower > -np.inf)
     at_upper = (rng.random(n) < share[1]) & (upper < np.inf) & ~at_lower
     base = np.where(lower > -np.inf, lower, np.where(upper < np.inf, upper - 99.0, 0.0))
-    z = np.where(at_lower, lower, np.where(at_upper, upper, np.minimum(base + rng.integers(0, 99, n), upper)))
+    z = np.where(
+        at_lower, lower, np.where(at_upper, upper, np.minimum(base + rng.integers(0, 99, n), upper))
+    )
     sign = np.where(z == lower, 1.0, 0.0) - np.where((z == upper) & (lower < upper), 1.0, 0.0)
-    w = np.where(lower == upper, rng.integers(-9, 9, n), sign * rng.integers(0, 9, n) * (rng.random(n) < 0.9))
+    w = np.where(
+        lower == upper, rng.integers(-9, 9, n), sign * rng.integers(0, 9, n) * (rng.random(n) < 0.9)
+    )
     return LCP(M, w - M @ z, lower=lower, upper=upper), z
 
 
@@ -90,17 +96,24 @@ def test_ten_thousand_tridiagonal_m_matrices_have_their_exact_answers(boxes: boo
 
 @settings.get_profile("many")
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 13), boxes=st.booleans())
-def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(seed: int, n: int, boxes: bool) -> None:
+def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(
+    seed: int, n: int, boxes: bool
+) -> None:
     """Also where nobody chose the answer: it agrees with exact rational arithmetic."""
     rng = np.random.default_rng(seed)
     M = tridiagonal_m(n, rng) if n > 1 else sp.csr_array([[2.0]])
     lower = rng.integers(-3, 1, n).astype(float)
-    upper = np.where(rng.random(n) < 0.5, lower + rng.integers(0, 4, n), np.inf) if boxes else np.inf
+    upper = (
+        np.where(rng.random(n) < 0.5, lower + rng.integers(0, 4, n), np.inf) if boxes else np.inf
+    )
     problem = LCP(M, rng.integers(-20, 20, n).astype(float), lower=lower, upper=upper)
     exact = exact_solution(problem).z
     z = solve(problem, "banded").require_solved().z
     size = max(1, *map(abs, exact))
-    assert all(abs(Fraction(mine) - right) <= Fraction(1, 10**9) * size for mine, right in zip(z, exact, strict=True))
+    assert all(
+        abs(Fraction(mine) - right) <= Fraction(1, 10**9) * size
+        for mine, right in zip(z, exact, strict=True)
+    )
 
 
 @njit(error_model="numpy")
@@ -123,7 +136,9 @@ def test_contacts_are_those_of_the_exact_answer(sign: float) -> None:
         w = np.where(held, rng.integers(-9, 9, n), np.where(contact, rng.integers(1, 9, n), 0))
         is_free = np.empty(n, dtype=np.bool_)
         workspace = np.empty(n + 1, np.int64), np.empty((n + 1, 7))
-        assert contacts(band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *workspace)
+        assert contacts(
+            band_of(M).entries, sign * (w - M @ z), sign, value, held, is_free, *workspace
+        )
         np.testing.assert_array_equal(is_free, ~contact)
 
 
@@ -168,7 +183,10 @@ def test_two_obstacles_take_few_rounds_however_fine_the_grid_is() -> None:
     n = 20_000
     x = np.linspace(0.0, 1.0, n + 2)[1:-1]
     M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (n + 1.0) ** 2
-    for q, lower, upper in ((-200.0 * np.sin(9.0 * np.pi * x), -0.05, 0.05), (-30.0, -0.3, np.minimum(x, 1.0 - x))):
+    for q, lower, upper in (
+        (-200.0 * np.sin(9.0 * np.pi * x), -0.05, 0.05),
+        (-30.0, -0.3, np.minimum(x, 1.0 - x)),
+    ):
         problem = LCP(M, np.full(n, q), lower=lower, upper=upper)
         result = solve(problem, "banded").require_solved()
         assert result.iterations <= 10
@@ -181,10 +199,27 @@ def test_one_side_alone_ends_too() -> None:
     for _ in range(200):
         problem, z = planted(tridiagonal_m(30, rng), rng, boxes=True)
         band, scale = band_of(problem.csr), problem.residual_scale
-        vectors, sets, memory = np.empty((4, 30)), np.empty((4, 30), np.int8), np.empty(kernels.SLOTS, np.int64)
+        vectors, sets, memory = (
+            np.empty((4, 30)),
+            np.empty((4, 30), np.int8),
+            np.empty(kernels.SLOTS, np.int64),
+        )
         data = problem.q, problem.lower, problem.upper
         now = rng.normal(scale=50.0, size=30)
-        given = band.entries, 1, True, band.weights, scale, *data, now, vectors, sets, memory, np.empty((30, 3)), 200
+        given = (
+            band.entries,
+            1,
+            True,
+            band.weights,
+            scale,
+            *data,
+            now,
+            vectors,
+            sets,
+            memory,
+            np.empty((30, 3)),
+            200,
+        )
         memory[kernels.WAY] = kernels.BEGINNING
         kernels.step(*given)
         memory[kernels.TURNS_LEFT], side = 0, memory[kernels.SIDE]
@@ -213,8 +248,12 @@ def test_without_an_m_matrix_nothing_false_is_said() -> None:
 
 
 @pytest.mark.parametrize("name", ["auto", "banded"])
-@pytest.mark.parametrize(("right", "status"), [(0.5, Status.INFEASIBLE), (1.0, Status.SOLVED), (2.0, Status.SOLVED)])
-def test_a_string_without_hold_is_proved_infeasible_or_solved(name: str, right: float, status: Status) -> None:
+@pytest.mark.parametrize(
+    ("right", "status"), [(0.5, Status.INFEASIBLE), (1.0, Status.SOLVED), (2.0, Status.SOLVED)]
+)
+def test_a_string_without_hold_is_proved_infeasible_or_solved(
+    name: str, right: float, status: Status
+) -> None:
     """Singular, pulled up by 1 at one end and down at the other: no huge z makes its rounding an excuse."""
     diagonal = np.full(30, 2.0)
     diagonal[[0, -1]] = 1.0
@@ -236,7 +275,9 @@ def test_other_bands_take_rounds(make: Any, below: int, above: int, boxes: bool)
     for _ in range(40):
         problem, z = planted(make(int(rng.integers(20, 200)), below, above, rng), rng, boxes=boxes)
         result = solve(problem, "banded")
-        assert result.is_solved or result.certificate.is_limited_by_rounding  # of one that z° solves to rounding
+        assert (
+            result.is_solved or result.certificate.is_limited_by_rounding
+        )  # of one that z° solves to rounding
         assert np.abs(result.z - z).max() <= 1e-6 * max(1.0, np.abs(z).max())
         assert result.iterations <= 200
 
@@ -255,7 +296,9 @@ def test_the_band_is_solved_without_its_zeros_being_kept() -> None:
     """A factor that would be too large is refused, with what to do."""
     n = 300_000
     M = sp.csr_array(sp.eye_array(n) + sp.coo_array(([0.5], ([0], [n - 1])), shape=(n, n)))
-    with pytest.raises(UnsuitableMatrix, match=r'banded needs a narrow band.*300000 rows.*try algorithm="auto"'):
+    with pytest.raises(
+        UnsuitableMatrix, match=r'banded needs a narrow band.*300000 rows.*try algorithm="auto"'
+    ):
         solve(LCP(M, -np.ones(n)), "banded")
 
 
@@ -288,10 +331,16 @@ def test_all_rounds_at_once_are_the_rounds_one_by_one(boxes: bool) -> None:
     for problem in problems(boxes):
         for tolerance in (1e-8, 1e-3):
             once = solve(problem, "banded", tolerance=tolerance)
-            stepwise = solve(problem, "banded", tolerance=tolerance, callback=lambda sample, z: False)
+            stepwise = solve(
+                problem, "banded", tolerance=tolerance, callback=lambda sample, z: False
+            )
             assert np.array_equal(once.z, stepwise.z)
             assert np.array_equal(once.w, stepwise.w)
-            assert (once.status, once.iterations, once.work) == (stepwise.status, stepwise.iterations, stepwise.work)
+            assert (once.status, once.iterations, once.work) == (
+                stepwise.status,
+                stepwise.iterations,
+                stepwise.work,
+            )
             assert once.certificate.relative_residual == stepwise.certificate.relative_residual
             assert [stage[:4] for stage in once.stages] == [stage[:4] for stage in stepwise.stages]
 
@@ -302,8 +351,14 @@ def test_steps_are_within_the_bounds_and_know_their_residual() -> None:
         steps: list[Step] = []
         for step in Banded().iterates(problem, problem.nearest_to_zero.copy()):
             assert np.array_equal(step.z, np.clip(step.z, problem.lower, problem.upper))
-            r = step.z - np.clip(step.z - problem.slack(step.z) / problem.residual_scale, problem.lower, problem.upper)
-            assert step.residual == pytest.approx(np.abs(r).max(), abs=1e-9 * (1.0 + np.abs(problem.q).max()))
+            r = step.z - np.clip(
+                step.z - problem.slack(step.z) / problem.residual_scale,
+                problem.lower,
+                problem.upper,
+            )
+            assert step.residual == pytest.approx(
+                np.abs(r).max(), abs=1e-9 * (1.0 + np.abs(problem.q).max())
+            )
             steps.append(step)
         assert len(steps) >= 2
 
@@ -338,7 +393,10 @@ def test_a_march_in_one_loop_is_its_steps() -> None:
     rng = np.random.default_rng(6)
     for M in (tridiagonal_m(40, rng), dominant(40, 2, 2, rng)):
         problem, propagator = planted(M, rng, boxes=True)[0], sp.csr_array(-0.5 * np.eye(40))
-        Q, Z = np.tile(problem.q, (8, 1)) * rng.uniform(0.5, 1.5, (8, 1)), np.tile(problem.nearest_to_zero, (8, 1))
+        Q, Z = (
+            np.tile(problem.q, (8, 1)) * rng.uniform(0.5, 1.5, (8, 1)),
+            np.tile(problem.nearest_to_zero, (8, 1)),
+        )
         offsets = Q.copy()
         together = Banded().fused_solves(problem, Q, Z, 1e-8, 100, propagator)
         before = problem.nearest_to_zero

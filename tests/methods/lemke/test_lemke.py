@@ -34,7 +34,8 @@ def steps(problem: LCP, z0: Any = None, **options: Any) -> list[tuple[Step, np.n
 
 def best(problem: LCP, **options: Any) -> Certificate:
     return min(
-        (Certificate.of(problem, z) for _, z in steps(problem, **options)), key=lambda found: found.relative_residual
+        (Certificate.of(problem, z) for _, z in steps(problem, **options)),
+        key=lambda found: found.relative_residual,
     )
 
 
@@ -94,7 +95,9 @@ MIXED: dict[str, Callable[[], LCP]] = {
     "singular system": lambda: LCP([[1, 1], [1, 1]], [-2, -2], lower=-INF),
     "singular system, shifted": lambda: LCP([[0, 3], [0, 0]], [2, 0], lower=-INF),
     "linear program, free x": lambda: LCP(
-        [[0, 0, -1, 1], [0, 0, -1, -1], [1, 1, 0, 0], [-1, 1, 0, 0]], [1, 2, -1, 1], lower=[-INF, -INF, 0, 0]
+        [[0, 0, -1, 1], [0, 0, -1, -1], [1, 1, 0, 0], [-1, 1, 0, 0]],
+        [1, 2, -1, 1],
+        lower=[-INF, -INF, 0, 0],
     ),
     "row without effect": lambda: LCP([[2, 0, 0], [1, 0, 2], [0, 0, 0]], [1, -5, 0]),
 }
@@ -110,7 +113,10 @@ GAMES = {
     "matching pennies": ([[1, -1], [-1, 1]], [[-1, 1], [1, -1]]),
     "prisoners": ([[-1, -3], [0, -2]], [[-1, 0], [-3, -2]]),
     "battle of the sexes": ([[2, 0], [0, 1]], [[1, 0], [0, 2]]),
-    "rock paper scissors": ([[0, -1, 1], [1, 0, -1], [-1, 1, 0]], [[0, 1, -1], [-1, 0, 1], [1, -1, 0]]),
+    "rock paper scissors": (
+        [[0, -1, 1], [1, 0, -1], [-1, 1, 0]],
+        [[0, 1, -1], [-1, 0, 1], [1, -1, 0]],
+    ),
     "all alike": (np.ones((4, 3)), np.ones((4, 3))),
     "duplicated actions": ([[1, 1, 0], [1, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 0, 1], [1, 1, 0]]),
     "one action": ([[3, 1, 2]], [[0, 1, 1]]),
@@ -142,7 +148,10 @@ def test_random_games(degenerate: bool) -> None:
     for m, k in itertools.product(range(2, 9), repeat=2):
         A, B = generator.integers(0, 3 if degenerate else 100, size=(2, m, k))
         found = steps(lcp_from_bimatrix_game(A, B))
-        assert min(Certificate.of(lcp_from_bimatrix_game(A, B), z).relative_residual for _, z in found) <= 1e-13
+        assert (
+            min(Certificate.of(lcp_from_bimatrix_game(A, B), z).relative_residual for _, z in found)
+            <= 1e-13
+        )
         assert len(found) <= 3  # the start, and two of the first label
 
 
@@ -170,6 +179,7 @@ def test_games_have_no_path_from_a_positive_covering_vector() -> None:
 
 
 # --- families ---------------------------------------------------------------------------------------------------
+
 
 def murty(n: int) -> np.ndarray:
     return np.eye(n) + 2.0 * np.tril(np.ones((n, n)), -1)
@@ -246,7 +256,10 @@ def test_wild_units() -> None:
     """Rows scaled by 1e±150 and unknowns by 1e±30 make no difference."""
     generator = np.random.default_rng(0)
     B = generator.standard_normal((6, 6))
-    rows, columns = 10.0 ** generator.integers(-150, 150, size=6), 10.0 ** generator.integers(-30, 30, size=6)
+    rows, columns = (
+        10.0 ** generator.integers(-150, 150, size=6),
+        10.0 ** generator.integers(-30, 30, size=6),
+    )
     problem = LCP((B @ B.T) * rows[:, None] * columns, generator.standard_normal(6) * rows)
     assert best(problem).relative_residual <= 1e-12
 
@@ -264,13 +277,16 @@ def test_a_finite_box_always_has_an_answer(n: int, seed: int) -> None:
     generator = np.random.default_rng(seed)
     lower = generator.integers(-3, 2, size=n)
     problem = LCP(
-        generator.integers(-3, 4, size=(n, n)), generator.integers(-5, 6, size=n),
-        lower=lower, upper=lower + generator.integers(0, 4, size=n),
+        generator.integers(-3, 4, size=(n, n)),
+        generator.integers(-5, 6, size=n),
+        lower=lower,
+        upper=lower + generator.integers(0, 4, size=n),
     )
     assert best(problem, restarts=0).relative_residual <= 1e-10
 
 
 # --- the contract -----------------------------------------------------------------------------------------------
+
 
 def test_empty_and_scalar() -> None:
     """With n = 0 the run ends after its start, and n = 1 is right for either sign of M."""
@@ -295,7 +311,9 @@ def test_no_false_success() -> None:
 def test_components_are_solved_one_by_one() -> None:
     """Connected components of the matrix are found and each is solved, whatever the order of the rows."""
     order = np.random.default_rng(0).permutation(30)
-    M = np.kron(np.eye(10), [[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])[np.ix_(order, order)]
+    M = np.kron(np.eye(10), [[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])[
+        np.ix_(order, order)
+    ]
     problem = planted(M)
     assert sorted(rows.size for rows in rows_of_components(problem)) == [3] * 10
     assert best(problem).relative_residual <= 1e-14
@@ -319,8 +337,12 @@ def test_warm_start_shortens_the_path() -> None:
 def test_the_last_block_and_the_elimination_count_as_work(lower: float) -> None:
     """A path that ends in its first block, and free rows that are eliminated before it, are no free lunch."""
     n = 200
-    M = sp.diags_array([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
-    problem = LCP(M, np.where(np.arange(n) < 10, -1.0, 2.0), lower=np.where(np.arange(n) < n // 2, 0.0, lower))
+    M = sp.diags_array(
+        [-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr"
+    )
+    problem = LCP(
+        M, np.where(np.arange(n) < 10, -1.0, 2.0), lower=np.where(np.arange(n) < n // 2, 0.0, lower)
+    )
     result = solve(problem, "lemke").require_solved()
     assert result.work * problem.nonzeros >= (n**3 / 24.0 if lower < 0.0 else 10.0 * n**2)
 
@@ -362,6 +384,7 @@ def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # --- the canonical problem ----------------------------------------------------------------------------------
+
 
 def test_the_canonical_matrix_is_in_the_units_of_m() -> None:
     """Where rows and unknowns have units 10^±8, entries of a row are at most 2, and every column has one above 2⁻¹⁰."""

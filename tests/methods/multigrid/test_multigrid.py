@@ -85,7 +85,9 @@ def test_every_smoother_arrives(smoother: str, text: str) -> None:
     """Any projected sweep can be the smoother."""
     problem = gallery.parse(text).problem
     relaxation = 1.7 if smoother.startswith("np") else 1.2
-    result = solve(problem, "multigrid", smoother=smoother, relaxation=relaxation, max_iterations=60)
+    result = solve(
+        problem, "multigrid", smoother=smoother, relaxation=relaxation, max_iterations=60
+    )
     assert result.status is Status.SOLVED
     assert_same(problem, result)
 
@@ -96,10 +98,14 @@ def jumps_by_edge(kind: str, decades: int, *, size: int = 60, seed: int = 0) -> 
 
     def stiffness(*shape: int) -> np.ndarray:
         share = generator.random(shape)
-        return 10.0 ** (decades * {"all": share - 0.5, "half": share < 0.5, "tenth": share < 0.1}[kind])
+        return 10.0 ** (
+            decades * {"all": share - 0.5, "half": share < 0.5, "tenth": share < 0.1}[kind]
+        )
 
     across, along = stiffness(size + 1, size), stiffness(size, size + 1)
-    M = balanced_matrix((size, size), ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]))
+    M = balanced_matrix(
+        (size, size), ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]])
+    )
     return LCP(M, gallery.build("coefficient_jumps", size=size).problem.q)
 
 
@@ -122,9 +128,15 @@ def test_a_long_strip_that_lies_on_few_points(width: int, on: str) -> None:
     generator, length = np.random.default_rng(1), 2000
     across, along = np.ones((width + 1, length)), np.ones((width, length + 1))
     across[[0, -1]] = 0.0
-    M = balanced_matrix((width, length), ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]))
+    M = balanced_matrix(
+        (width, length), ([-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]])
+    )
     ground = -generator.random(width * length)
-    lower = ground if on == "stones" else np.where(generator.random(ground.size) < 0.01, ground, -np.inf)
+    lower = (
+        ground
+        if on == "stones"
+        else np.where(generator.random(ground.size) < 0.01, ground, -np.inf)
+    )
     problem = LCP(M, np.full(ground.size, 1e-4), lower=lower)
     result = solve(problem, "multigrid", max_iterations=60)
     assert result.status is Status.SOLVED
@@ -143,7 +155,10 @@ def test_jumps_between_clusters_that_hang_together_by_weak_edges(seed: int) -> N
 def test_conjugate_gradients_on_free_rows_do_not_feel_jumps(kind: str, decades: int) -> None:
     """Every tenth unknown fixed, they take no more than 20 V-cycles: what a fixed one holds follows nothing else."""
     problem = jumps_by_edge(kind, decades)
-    truncation, generator = Truncation(hierarchy_of(problem.matrix, Multigrid.coarsest)), np.random.default_rng(1)
+    truncation, generator = (
+        Truncation(hierarchy_of(problem.matrix, Multigrid.coarsest)),
+        np.random.default_rng(1),
+    )
     top, is_fixed = truncation.grids[0], generator.random(problem.n) < 0.1
     top.is_free[:], top.free_changed[:] = ~is_fixed, is_fixed
     truncation.update()
@@ -171,16 +186,25 @@ def test_the_units_of_single_rows_and_columns_hardly_matter(scaled: str, decades
     """Rows and columns times random powers of ten: the same answer in its units, with at most 8 cycles more."""
     problem = gallery.build("obstacle_2d", size=60).problem
     plain = solve(problem, "multigrid")
-    rows, columns = 10.0 ** np.rint(np.random.default_rng(0).uniform(-decades, decades, (2, problem.n)))
+    rows, columns = 10.0 ** np.rint(
+        np.random.default_rng(0).uniform(-decades, decades, (2, problem.n))
+    )
     rows = np.ones(problem.n) if scaled == "columns" else rows
-    columns = np.ones(problem.n) if scaled == "rows" else rows if scaled == "both alike" else columns
+    columns = (
+        np.ones(problem.n) if scaled == "rows" else rows if scaled == "both alike" else columns
+    )
     M = sp.csr_array(sp.diags_array(rows) @ problem.csr @ sp.diags_array(columns))
-    result = solve(LCP(M, rows * problem.q, lower=problem.lower / columns), "multigrid", tolerance=1e-10)
+    result = solve(
+        LCP(M, rows * problem.q, lower=problem.lower / columns), "multigrid", tolerance=1e-10
+    )
     assert result.status is Status.SOLVED
     assert result.iterations <= plain.iterations + 8
     z = result.z * columns
     expected = active_set(problem, plain.z.copy())
-    largest = np.abs(result.z * (1.0 - expected / np.where(z != 0.0, z, 1.0))).max() / np.abs(result.z).max()
+    largest = (
+        np.abs(result.z * (1.0 - expected / np.where(z != 0.0, z, 1.0))).max()
+        / np.abs(result.z).max()
+    )
     assert largest <= 1e-6  # the unknowns with the largest unit decide what SOLVED means
 
 
@@ -190,7 +214,11 @@ def plate(size: int) -> LCP:
     laplacian = sp.kron(line, sp.eye_array(size)) + sp.kron(sp.eye_array(size), line)
     axis = np.linspace(-0.5, 0.5, size + 2)[1:-1]
     obstacle = (0.1 - 2.0 * np.add.outer(axis**2, axis**2)).ravel()
-    return LCP(sp.csr_array(laplacian @ laplacian), np.full(size**2, 20.0 / (size + 1) ** 4), lower=obstacle)
+    return LCP(
+        sp.csr_array(laplacian @ laplacian),
+        np.full(size**2, 20.0 / (size + 1) ** 4),
+        lower=obstacle,
+    )
 
 
 def test_a_plate_above_an_obstacle() -> None:
@@ -216,8 +244,14 @@ def planted(seed: int) -> tuple[LCP, np.ndarray]:
     z, w = generator.normal(size=n), np.zeros(n)
     lower, upper = z - generator.uniform(0.1, 2.0, n), z + generator.uniform(0.1, 2.0, n)
     kind = generator.integers(0, 6, n)
-    lower[kind == 0], w[kind == 0] = z[kind == 0], M.diagonal()[kind == 0] * generator.uniform(0, 2, n)[kind == 0]
-    upper[kind == 1], w[kind == 1] = z[kind == 1], -M.diagonal()[kind == 1] * generator.uniform(0, 2, n)[kind == 1]
+    lower[kind == 0], w[kind == 0] = (
+        z[kind == 0],
+        M.diagonal()[kind == 0] * generator.uniform(0, 2, n)[kind == 0],
+    )
+    upper[kind == 1], w[kind == 1] = (
+        z[kind == 1],
+        -M.diagonal()[kind == 1] * generator.uniform(0, 2, n)[kind == 1],
+    )
     lower[kind == 2] = upper[kind == 2] = z[kind == 2]
     lower[kind == 3], upper[kind >= 3] = -np.inf, np.inf
     return LCP(M, w - M @ z, lower=lower, upper=upper), z
@@ -225,16 +259,32 @@ def planted(seed: int) -> tuple[LCP, np.ndarray]:
 
 def second_order(cells: int) -> LCP:
     """Return a pulled membrane above the ground by finite elements of second order on right triangles."""
-    stiffness = np.array([
-        [6, 1, 1, -4, 0, -4], [1, 3, 0, -4, 0, 0], [1, 0, 3, 0, 0, -4], [-4, -4, 0, 16, -8, 0], [0, 0, 0, -8, 16, -8],
-        [-4, 0, -4, 0, -8, 16],
-    ]) / 6.0
-    corners = np.array([[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1]])  # and middles of edges, in half cells
+    stiffness = (
+        np.array(
+            [
+                [6, 1, 1, -4, 0, -4],
+                [1, 3, 0, -4, 0, 0],
+                [1, 0, 3, 0, 0, -4],
+                [-4, -4, 0, 16, -8, 0],
+                [0, 0, 0, -8, 16, -8],
+                [-4, 0, -4, 0, -8, 16],
+            ]
+        )
+        / 6.0
+    )
+    corners = np.array(
+        [[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1]]
+    )  # and middles of edges, in half cells
     size, (x, y) = 2 * cells + 1, 2 * np.indices((cells, cells)).reshape(2, -1)
-    places = [(x + i) * size + y + j for i, j in corners], [(x + 2 - i) * size + y + 2 - j for i, j in corners]
+    places = (
+        [(x + i) * size + y + j for i, j in corners],
+        [(x + 2 - i) * size + y + 2 - j for i, j in corners],
+    )
     elements = np.concatenate([np.stack(one, axis=1) for one in places])
     rows, columns = np.repeat(elements, 6, axis=1).ravel(), np.tile(elements, 6).ravel()
-    M = sp.csr_array((np.tile(stiffness.ravel(), len(elements)), (rows, columns)), shape=(size**2, size**2))
+    M = sp.csr_array(
+        (np.tile(stiffness.ravel(), len(elements)), (rows, columns)), shape=(size**2, size**2)
+    )
     inside = np.arange(size**2).reshape(size, size)[1:-1, 1:-1].ravel()
     axis = np.linspace(0.0, 1.0, size)[1:-1]
     force = np.multiply.outer(np.sin(3.0 * np.pi * axis), np.sin(2.0 * np.pi * axis)).ravel()
@@ -259,7 +309,11 @@ def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
     for seed in range(20 * block, 20 * block + 20):
         problem, z = planted(seed)
         result = solve(problem, "multigrid", coarsest=2, tolerance=1e-11, max_iterations=5000)
-        assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, result.status, result.residual)
+        assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (
+            seed,
+            result.status,
+            result.residual,
+        )
         condition = np.linalg.cond(problem.csr.toarray() / problem.diagonal[:, None])
         assert np.abs(result.z - z).max() <= 1e-8 * condition, seed
 
@@ -314,15 +368,21 @@ def test_wide_indices() -> None:
 def test_cycles_hardly_grow_with_the_grid() -> None:
     """16 times the unknowns cost at most 6 more cycles, for each of four families."""
     for name, facts in [
-        ("obstacle_2d", {}), ("coefficient_jumps", {"contrast": 100.0}), ("convection_diffusion", {}),
+        ("obstacle_2d", {}),
+        ("coefficient_jumps", {"contrast": 100.0}),
+        ("convection_diffusion", {}),
         ("obstacle_bumps", {}),
     ]:
-        cycles = [solve(gallery.build(name, size=size, **facts).problem, "multigrid").iterations for size in (45, 180)]
+        cycles = [
+            solve(gallery.build(name, size=size, **facts).problem, "multigrid").iterations
+            for size in (45, 180)
+        ]
         assert cycles[1] <= cycles[0] + 6, (name, cycles)
 
 
 def test_work_is_the_same_every_time_and_includes_the_set_up() -> None:
     """Two runs count and compute the same, bit for bit; a prepared problem is spared the set-up's work."""
+
     def fresh() -> LCP:
         return gallery.build("coefficient_jumps", size=60).problem
 
@@ -393,7 +453,8 @@ def test_a_run_leaves_the_data_alone() -> None:
 def random_sparse(margin: float, *, n: int = 1000, positive: bool = False) -> LCP:
     generator = np.random.default_rng(5)
     B = sp.csr_array(
-        (generator.random(n * 7), (np.repeat(np.arange(n), 7), generator.integers(0, n, n * 7))), shape=(n, n)
+        (generator.random(n * 7), (np.repeat(np.arange(n), 7), generator.integers(0, n, n * 7))),
+        shape=(n, n),
     )
     M = sp.csr_array(sp.diags_array(B.sum(axis=1) * margin) + (B if positive else -B))
     M.sum_duplicates()
@@ -412,7 +473,9 @@ def test_a_matrix_without_geometry_is_left_to_sweeps() -> None:
 def test_an_indefinite_matrix_ends_the_run() -> None:
     """On a matrix that is neither definite nor H₊ the run ends by itself, with the best iterate it had."""
     M = random_sparse(0.3, n=800, positive=True).csr
-    shifted = LCP(sp.csr_array(M - 0.9 * M.T + sp.eye_array(800)), np.random.default_rng(0).normal(size=800))
+    shifted = LCP(
+        sp.csr_array(M - 0.9 * M.T + sp.eye_array(800)), np.random.default_rng(0).normal(size=800)
+    )
     result = solve(shifted, "multigrid", max_iterations=2000)
     assert result.iterations < 1000
     assert np.isfinite(result.residual)
@@ -432,7 +495,9 @@ def test_strong_convection_ends_without_a_warning(speed: float) -> None:
 @pytest.mark.parametrize("entry", [0.0, -1.0])
 def test_a_diagonal_entry_that_is_not_positive_is_refused(entry: float) -> None:
     """The row is named, before the first step."""
-    with pytest.raises(UnsuitableMatrix, match=r"multigrid needs a positive diagonal, but M\[1, 1\]"):
+    with pytest.raises(
+        UnsuitableMatrix, match=r"multigrid needs a positive diagonal, but M\[1, 1\]"
+    ):
         solve(LCP([[2.0, -1.0], [-1.0, entry]], [-1.0, 1.0]), "multigrid")
 
 
@@ -461,7 +526,9 @@ def test_prepare_fills_the_cache_that_with_q_shares() -> None:
     problem = gallery.build("obstacle_2d", size=30).problem
     assert prepare(problem) is problem
     assert hierarchy_of.is_known(problem.with_q(problem.q + 1.0).matrix, Multigrid.coarsest)
-    assert prepare(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0])).n == 2  # no positive diagonal: no hierarchy, no error
+    assert (
+        prepare(LCP([[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0])).n == 2
+    )  # no positive diagonal: no hierarchy, no error
     with pytest.raises(InvalidOption, match="prepare needs an LCP or QuadraticProgram, got list"):
         prepare([1.0])  # type: ignore[arg-type]
 
@@ -494,16 +561,24 @@ def test_solve_many_takes_an_array_by_columns() -> None:
 @pytest.mark.parametrize("Q", [np.zeros(3), np.zeros((3, 2, 1)), 7.0, "text", {1: 2}])
 def test_solve_many_refuses_what_is_no_collection(Q: object) -> None:
     """One vector, a number or a text is refused as a whole."""
-    with pytest.raises(InvalidProblem, match=r"shape \(n, k\), n = 3, or a list of vectors of length 3, got"):
+    with pytest.raises(
+        InvalidProblem, match=r"shape \(n, k\), n = 3, or a list of vectors of length 3, got"
+    ):
         solve_many(LCP(np.eye(3), np.zeros(3)), Q)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("Q", "words"),
     [
-        (np.ones((25, 3)), r"got an array of shape \(25, 3\); its rows are vectors of that length: give Q\.T"),
+        (
+            np.ones((25, 3)),
+            r"got an array of shape \(25, 3\); its rows are vectors of that length: give Q\.T",
+        ),
         (np.ones((4, 5)), r"n = 3, or a list .* of length 3, got an array of shape \(4, 5\)$"),
-        (list(np.ones((3, 25))), r"got a list of 3 with lengths 25; they are as many as rows: give the columns"),
+        (
+            list(np.ones((3, 25))),
+            r"got a list of 3 with lengths 25; they are as many as rows: give the columns",
+        ),
         ([[1.0, 2.0], np.ones(4)], r"got a list of 2 with lengths 2, 4$"),
     ],
 )
@@ -516,7 +591,11 @@ def test_solve_many_says_where_no_column_fits(Q: Any, words: str) -> None:
 def test_solve_many_keeps_the_error_of_one_column_in_its_place() -> None:
     """A vector of another length, or with NaN, does not stop the rest."""
     answers = solve_many(LCP(np.eye(3), np.zeros(3)), [-np.ones(3), np.ones(2), np.full(3, np.nan)])
-    assert [type(answer).__name__ for answer in answers] == ["Result", "InvalidProblem", "InvalidProblem"]
+    assert [type(answer).__name__ for answer in answers] == [
+        "Result",
+        "InvalidProblem",
+        "InvalidProblem",
+    ]
 
 
 def test_solve_many_raises_what_concerns_all_columns() -> None:
@@ -534,11 +613,19 @@ BLOCKS = [(grids, "SMALLEST_BLOCK", 64), (grids, "SHARED_FROM", 64), (grids, "SM
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("text", [
-    "obstacle_2d:size=60", "obstacle_3d:size=14", "convection_diffusion:size=60,diffusion=1e-3",
-    "coefficient_jumps:size=59,contrast=1e6", "rotated_anisotropy:size=60",
-])
-def test_neither_threads_nor_records_change_a_bit(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "text",
+    [
+        "obstacle_2d:size=60",
+        "obstacle_3d:size=14",
+        "convection_diffusion:size=60,diffusion=1e-3",
+        "coefficient_jumps:size=59,contrast=1e6",
+        "rotated_anisotropy:size=60",
+    ],
+)
+def test_neither_threads_nor_records_change_a_bit(
+    text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Rows are shared here as they are from 10⁵ on; z, iterations and work are those of one thread."""
     for origin, name, value in BLOCKS:
         for module in (origin, sweeps, vectors, galerkin, levels):
@@ -571,7 +658,9 @@ def noted(method: Any, calls: list[int]) -> Any:
 def test_stiff_layers_and_long_chains_need_few_cycles(n: int, contrast: float) -> None:
     """Twenty layers, every other one stiff; a chain of one material."""
     edges = np.where(np.arange(n + 1) // (n // 20) % 2 == 0, 1.0, contrast)
-    M = sp.diags_array([-edges[1:-1], edges[1:] + edges[:-1], -edges[1:-1]], offsets=[-1, 0, 1], format="csr")
+    M = sp.diags_array(
+        [-edges[1:-1], edges[1:] + edges[:-1], -edges[1:-1]], offsets=[-1, 0, 1], format="csr"
+    )
     problem = LCP(M, -np.sign(np.sin(np.arange(n) * 6.0 / n) + 0.2) / n)
     result = solve(problem, "multigrid")
     assert result.is_solved

@@ -57,7 +57,9 @@ def test_broken_corrections_do_not_keep_it_from_the_solution(
 def planted(seed: int, n: int) -> tuple[LCP, np.ndarray]:
     """Return a problem with a positive definite M, couplings of both signs, bounds of all kinds, and its solution."""
     generator = np.random.default_rng(seed)
-    B = sp.random_array((n, n), density=3.0 / n, rng=generator, data_sampler=generator.standard_normal)
+    B = sp.random_array(
+        (n, n), density=3.0 / n, rng=generator, data_sampler=generator.standard_normal
+    )
     M = sp.csr_array(B @ B.T + sp.diags_array(generator.uniform(0.3, 1.0, n)))
     side, z = generator.integers(-1, 2, n), generator.normal(size=n)
     w = np.where(side == 0, 0.0, -side * generator.uniform(0.0, 1.0, n))
@@ -67,7 +69,9 @@ def planted(seed: int, n: int) -> tuple[LCP, np.ndarray]:
 
 
 @given(st.integers(0, 10**6), st.integers(70, 150), st.sampled_from(sorted(WAYS)))
-def test_it_converges_on_positive_definite_matrices_from_any_start(seed: int, n: int, way: str) -> None:
+def test_it_converges_on_positive_definite_matrices_from_any_start(
+    seed: int, n: int, way: str
+) -> None:
     """Planted solutions are found from random starts, corrections broken, with few unknowns on the coarsest grid."""
     problem, z = planted(seed, n)
     start = np.random.default_rng(seed + 1).normal(scale=100.0, size=n)
@@ -83,7 +87,9 @@ def test_free_sets_that_come_back_do_not_hold_up_the_run() -> None:
     generator = np.random.default_rng(2924)
     n = int(generator.integers(100, 350))
     density = generator.uniform(2, 5) / n
-    B = sp.random_array((n, n), density=density, rng=generator, data_sampler=generator.standard_normal)
+    B = sp.random_array(
+        (n, n), density=density, rng=generator, data_sampler=generator.standard_normal
+    )
     M = sp.csr_array(B @ B.T + 10.0 ** -generator.uniform(1, 4) * sp.eye_array(n))
     problem = LCP(M, generator.normal(size=n))
     result = solve(problem, "multigrid", z0=generator.normal(scale=10.0, size=n))
@@ -99,7 +105,9 @@ def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, 
     taken: list[tuple[float, float]] = []
     accept = Safeguard._accept
 
-    def noted(self: Safeguard, z: np.ndarray, residual: float, slack: np.ndarray | None = None) -> None:
+    def noted(
+        self: Safeguard, z: np.ndarray, residual: float, slack: np.ndarray | None = None
+    ) -> None:
         taken.append((float(z @ (0.5 * (problem.csr @ z) + problem.q)), residual))
         accept(self, z, residual, slack)
 
@@ -113,9 +121,14 @@ def test_the_energy_of_accepted_iterates_falls(monkeypatch: pytest.MonkeyPatch, 
         least = min(least, residual)
 
 
-@pytest.mark.parametrize("scene", ["obstacle_2d:size=60", "obstacle_3d:size=14", "journal_bearing:size=60"])
-def test_the_safeguard_costs_nothing_where_cycles_gain(monkeypatch: pytest.MonkeyPatch, scene: str) -> None:
+@pytest.mark.parametrize(
+    "scene", ["obstacle_2d:size=60", "obstacle_3d:size=14", "journal_bearing:size=60"]
+)
+def test_the_safeguard_costs_nothing_where_cycles_gain(
+    monkeypatch: pytest.MonkeyPatch, scene: str
+) -> None:
     """On smooth scenes no energy is ever computed."""
+
     def refuse(self: Safeguard, z: np.ndarray) -> Any:
         raise AssertionError("a product with M was spent")
 
@@ -145,8 +158,12 @@ def test_what_is_proven_about_multigrid() -> None:
     problem = gallery.build("obstacle_2d", size=10).problem
     assert convergence_guarantee(problem, "multigrid").is_guaranteed
     assert not convergence_guarantee(problem, Multigrid(hands_over=True)).is_guaranteed
-    assert not convergence_guarantee(LCP([[1.0, -2.0], [-2.0, 1.0]], [0.0, 0.0]), "multigrid").is_guaranteed
-    assert not convergence_guarantee(LCP([[2.0, -1.0], [-0.5, 2.0]], [0.0, 0.0]), "multigrid").is_guaranteed
+    assert not convergence_guarantee(
+        LCP([[1.0, -2.0], [-2.0, 1.0]], [0.0, 0.0]), "multigrid"
+    ).is_guaranteed
+    assert not convergence_guarantee(
+        LCP([[2.0, -1.0], [-0.5, 2.0]], [0.0, 0.0]), "multigrid"
+    ).is_guaranteed
 
 
 @pytest.mark.full
@@ -155,7 +172,13 @@ def test_a_run_that_hands_over_ends_sooner() -> None:
     generator, n = np.random.default_rng(5), 1000
     B = sp.random_array((n, n), density=7.0 / n, rng=generator)
     B = sp.csr_array(B + B.T)
-    problem = LCP(sp.csr_array(sp.diags_array(B.sum(axis=1) * (1.0 + 1e-7)) - B), generator.normal(size=n) - 0.01)
-    ends = [solve(problem, Multigrid(hands_over=hands_over), max_iterations=500) for hands_over in (True, False)]
+    problem = LCP(
+        sp.csr_array(sp.diags_array(B.sum(axis=1) * (1.0 + 1e-7)) - B),
+        generator.normal(size=n) - 0.01,
+    )
+    ends = [
+        solve(problem, Multigrid(hands_over=hands_over), max_iterations=500)
+        for hands_over in (True, False)
+    ]
     assert [end.status for end in ends] == [Status.STALLED, Status.MAX_ITERATIONS]
     assert ends[0].iterations < 200

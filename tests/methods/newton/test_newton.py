@@ -38,7 +38,10 @@ def planted(M: object, seed: int) -> tuple[LCP, np.ndarray]:
     n = M.shape[0]  # type: ignore[attr-defined]
     lower = np.where(rng.random(n) < 0.3, -np.inf, -2.0)
     upper = np.where(rng.random(n) < 0.3, np.inf, 3.0)
-    lower, upper = np.where(rng.random(n) < 0.1, 1.0, lower), np.where(rng.random(n) < 0.1, 1.0, np.maximum(upper, 1.0))
+    lower, upper = (
+        np.where(rng.random(n) < 0.1, 1.0, lower),
+        np.where(rng.random(n) < 0.1, 1.0, np.maximum(upper, 1.0)),
+    )
     z = np.clip(rng.choice([-2.0, 0.0, 3.0], n), lower, upper)
     w = rng.integers(0, 4, n) * ((z == lower).astype(float) - (z == upper))
     w = np.where(lower == upper, rng.integers(-3, 4, n), w)
@@ -57,11 +60,15 @@ def test_newton_finds_the_planted_answer_with_bounds_of_every_kind(kind: str, se
     M = {
         "dense SPD": lambda: B @ B.T + np.eye(40),
         "sparse SPD": lambda: five_point(15),
-        "banded": lambda: sp.diags_array([-np.ones(299), np.full(300, 4.0), -2.0 * np.ones(299)], offsets=[-1, 0, 1]),
+        "banded": lambda: sp.diags_array(
+            [-np.ones(299), np.full(300, 4.0), -2.0 * np.ones(299)], offsets=[-1, 0, 1]
+        ),
         "nonsymmetric P": lambda: B @ B.T + np.eye(40) + 9.0 * (np.triu(B, 1) - np.triu(B, 1).T),
     }[kind]()
     problem, z = planted(M, seed)
-    result = solve(problem, Newton(), tolerance=1e-12, z0=rng.integers(-5, 6, problem.n).astype(float))
+    result = solve(
+        problem, Newton(), tolerance=1e-12, z0=rng.integers(-5, 6, problem.n).astype(float)
+    )
     assert result.status is Status.SOLVED
     assert np.allclose(result.z, z, atol=1e-8)
 
@@ -107,7 +114,9 @@ def test_newton_arrives_from_every_start_on_cyclic_matrices(n: int) -> None:
         signs = rng.choice([-1.0, 1.0], n)
         M = cyclic(list(rng.uniform(1.0, 3.0, n))) * np.outer(signs, signs)
         problem = LCP(M, rng.integers(-5, 6, n).astype(float))
-        result = solve(problem, Newton(), z0=rng.integers(0, 6, n).astype(float), tolerance=TOLERANCE)
+        result = solve(
+            problem, Newton(), z0=rng.integers(0, 6, n).astype(float), tolerance=TOLERANCE
+        )
         assert result.status is Status.SOLVED
 
 
@@ -210,7 +219,10 @@ def test_classify_agrees_with_the_solution() -> None:
 MATRICES = {
     "Cholesky": (lambda: np.array([[4.0, 1.0], [1.0, 3.0]]), True),
     "LU": (lambda: np.array([[0.0, 1.0], [2.0, 3.0]]), False),
-    "banded LU": (lambda: sp.diags_array([np.ones(99), np.full(100, 3.0), -np.ones(99)], offsets=[-1, 0, 1]), False),
+    "banded LU": (
+        lambda: sp.diags_array([np.ones(99), np.full(100, 3.0), -np.ones(99)], offsets=[-1, 0, 1]),
+        False,
+    ),
     "sparse LU": (lambda: five_point(12), True),
 }
 
@@ -221,7 +233,9 @@ def test_each_structure_gets_its_factor(kind: str) -> None:
     build, is_symmetric = MATRICES[kind]
     matrix = build()
     matrix = sp.csr_array(matrix) if sp.issparse(matrix) else matrix
-    factor = factorise(matrix, is_symmetric=is_symmetric, bandwidth=(1, 1) if kind == "banded LU" else None)
+    factor = factorise(
+        matrix, is_symmetric=is_symmetric, bandwidth=(1, 1) if kind == "banded LU" else None
+    )
     assert factor is not None
     assert factor.kind == kind
     x = np.arange(1.0, matrix.shape[0] + 1.0)
@@ -251,13 +265,17 @@ def test_a_singular_block_is_flagged_and_solved_where_it_is_consistent(is_sparse
 
 
 @pytest.mark.parametrize("shift", [0.0, np.nan])
-def test_superlu_is_never_given_a_block_that_it_cannot_take(shift: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_superlu_is_never_given_a_block_that_it_cannot_take(
+    shift: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Structurally singular blocks, stored zeros included, and those that are not finite have no factor."""
     from scipy.sparse import linalg
 
     monkeypatch.setattr(linalg, "splu", lambda *_, **__: pytest.fail("splu was called"))
     wide = sp.random_array((60, 140), density=0.1, rng=np.random.default_rng(3))
-    saddle = sp.csr_array(sp.block_array([[None, wide.T], [-wide, None]]) + sp.diags_array(np.full(200, shift)))
+    saddle = sp.csr_array(
+        sp.block_array([[None, wide.T], [-wide, None]]) + sp.diags_array(np.full(200, shift))
+    )
     assert factorise(saddle) is None
     stored_zeros = sp.csr_array(five_point(20))
     stored_zeros.data[stored_zeros.indices == 7] = 0.0
@@ -308,7 +326,9 @@ def test_full_steps_without_gain_end_soon_on_large_problems() -> None:
     rng = np.random.default_rng(0)
     steps = []
     for copies in (375, 376):
-        blocks = sp.csr_array(sp.block_diag([sp.coo_array(rng.standard_normal((8, 8))) for _ in range(copies)]))
+        blocks = sp.csr_array(
+            sp.block_diag([sp.coo_array(rng.standard_normal((8, 8))) for _ in range(copies)])
+        )
         problem = LCP(blocks, rng.standard_normal(8 * copies))
         steps.append(sum(1 for _ in full_steps(NewtonState(problem, np.zeros(problem.n)))))
     assert steps[0] > 250
@@ -350,9 +370,14 @@ def test_the_derivative_of_fischer_burmeister_is_that_of_differences(seed: int) 
     problem, _ = planted(np.eye(6) * 2.0, seed)
     z, w, h = rng.uniform(-3, 4, 6), rng.uniform(-3, 3, 6), 1e-6
     phi = fischer_burmeister(problem, z, w)
-    by_z = (fischer_burmeister(problem, z + h, w).value - fischer_burmeister(problem, z - h, w).value) / (2 * h)
+    by_z = (
+        fischer_burmeister(problem, z + h, w).value - fischer_burmeister(problem, z - h, w).value
+    ) / (2 * h)
     d = problem.residual_scale
-    by_w = (fischer_burmeister(problem, z, w + h * d).value - fischer_burmeister(problem, z, w - h * d).value) / (2 * h)
+    by_w = (
+        fischer_burmeister(problem, z, w + h * d).value
+        - fischer_burmeister(problem, z, w - h * d).value
+    ) / (2 * h)
     assert np.allclose(phi.by_z, by_z, atol=1e-4)
     assert np.allclose(phi.by_w, by_w, atol=1e-4)
 
@@ -360,7 +385,9 @@ def test_the_derivative_of_fischer_burmeister_is_that_of_differences(seed: int) 
 @pytest.mark.parametrize("wind", [0.0, 0.3, 0.9])
 def test_a_wind_makes_a_factor_no_larger(wind: float) -> None:
     """A nonsymmetric M of a symmetric pattern is ordered as a symmetric one: the same fill, the same work."""
-    line = sp.diags_array([np.full(59, -1.0 - wind), np.full(60, 2.0), np.full(59, wind - 1.0)], offsets=[-1, 0, 1])
+    line = sp.diags_array(
+        [np.full(59, -1.0 - wind), np.full(60, 2.0), np.full(59, wind - 1.0)], offsets=[-1, 0, 1]
+    )
     identity = sp.eye_array(60)
     M = sp.csr_array(sp.kron(line, identity) + sp.kron(identity, line))
     ordered, found = factorise(M, is_symmetric=True), factorise(M)

@@ -43,7 +43,10 @@ def has_solution(M: np.ndarray, q: np.ndarray) -> bool:
     exact = [[Fraction(float(value)) for value in row] for row in M]
     right = [Fraction(float(value)) for value in q]
     for is_free in product((False, True), repeat=n):
-        columns = [[-exact[i][j] if is_free[j] else Fraction(int(i == j)) for j in range(n)] for i in range(n)]
+        columns = [
+            [-exact[i][j] if is_free[j] else Fraction(int(i == j)) for j in range(n)]
+            for i in range(n)
+        ]
         x = solved_exactly(columns, right)
         assert x is not None
         if min(x) >= 0:
@@ -83,7 +86,9 @@ def test_what_doubles_exclude_is_never_believed_unverified(block: int) -> None:
         seen, truth = outline(problem, FIRST_ENTRIES), search(problem)
         if seen.tree is not None and NoSolution(problem, seen.tree).verify():
             assert isinstance(truth, NoSolution)
-        repaired = [outcome for outcome in explore(problem, Effort(), tree=seen.tree) if outcome is not None][-1]
+        repaired = [
+            outcome for outcome in explore(problem, Effort(), tree=seen.tree) if outcome is not None
+        ][-1]
         assert type(repaired) is type(truth)
         if isinstance(repaired, NoSolution):
             assert repaired.verify()
@@ -152,13 +157,19 @@ def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
 def test_a_batch_answers_as_solve_does(prove_infeasibility: bool) -> None:
     """Status, z and iterations, bit for bit; of boxes and warm starts too."""
     rng = np.random.default_rng(5)
-    M, q, upper, z0 = *(rng.standard_normal(s) for s in ((40, 5, 5), (40, 5))), rng.random((40, 5)), rng.random((40, 5))
+    M, q, upper, z0 = (
+        *(rng.standard_normal(s) for s in ((40, 5, 5), (40, 5))),
+        rng.random((40, 5)),
+        rng.random((40, 5)),
+    )
     for more in ({}, {"upper": upper}, {"upper": upper, "z0": z0}):
         batch = solve_batch(M, q, prove_infeasibility=prove_infeasibility, **more)
         for k in range(40):
             bounds = {"upper": upper[k]} if more else {}
             start: Any = z0[k] if "z0" in more else None
-            alone = solve(LCP(M[k], q[k], **bounds), prove_infeasibility=prove_infeasibility, z0=start)
+            alone = solve(
+                LCP(M[k], q[k], **bounds), prove_infeasibility=prove_infeasibility, z0=start
+            )
             assert alone.status is batch.status[k] is batch[k].status
             assert np.array_equal(alone.z, batch.z[k])
             assert alone.iterations == batch.iterations[k]
@@ -212,8 +223,15 @@ def test_all_cases_of_a_game_but_its_equilibria_are_closed_in_doubles(seed: int)
 
     def open_leaves(case: Case, path: dict[int, str]) -> int:
         if case.branches:
-            return sum(open_leaves(branch, {**path, case.row: choice}) for choice, branch in case.branches.items())
-        return 1 if case.y is None else int(not Choices(problem, path).excluded_by(dict(enumerate(case.y))))
+            return sum(
+                open_leaves(branch, {**path, case.row: choice})
+                for choice, branch in case.branches.items()
+            )
+        return (
+            1
+            if case.y is None
+            else int(not Choices(problem, path).excluded_by(dict(enumerate(case.y))))
+        )
 
     assert open_leaves(whole_tree(problem), {}) == len(all_solutions(problem))
 
@@ -226,7 +244,9 @@ def test_all_solutions_with_the_pass_in_doubles_are_those_without(seed: int) -> 
     M, q, chances = rng.integers(-2, 3, (n, n)), rng.integers(-2, 3, n), rng.random((2, n))
     lower, upper = np.where(chances[0] < 0.2, -np.inf, 0.0), np.where(chances[1] < 0.3, 2.0, np.inf)
     problem = LCP(M, q, lower=lower, upper=upper)
-    plain = next(one for one in explore(problem, Effort(), first_only=False, tree=Case()) if one is not None)
+    plain = next(
+        one for one in explore(problem, Effort(), first_only=False, tree=Case()) if one is not None
+    )
     found = []
     for outcome in (search(problem, first_only=False), plain):
         solutions = outcome.solutions if isinstance(outcome, Solutions) else ()

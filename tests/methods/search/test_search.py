@@ -55,7 +55,11 @@ GAMES = {
     "battle of the sexes": ([[2, 0], [0, 1]], [[1, 0], [0, 2]], 3),
     "matching pennies": ([[1, -1], [-1, 1]], [[-1, 1], [1, -1]], 1),
     "prisoner's dilemma": ([[3, 0], [5, 1]], [[3, 5], [0, 1]], 1),
-    "rock paper scissors": ([[0, -1, 1], [1, 0, -1], [-1, 1, 0]], [[0, 1, -1], [-1, 0, 1], [1, -1, 0]], 1),
+    "rock paper scissors": (
+        [[0, -1, 1], [1, 0, -1], [-1, 1, 0]],
+        [[0, 1, -1], [-1, 0, 1], [1, -1, 0]],
+        1,
+    ),
     "coordination of three": (np.eye(3), np.eye(3), 7),
     "chicken": ([[0, 7], [2, 6]], [[0, 2], [7, 6]], 3),
 }
@@ -78,8 +82,12 @@ def test_ties_of_integer_payoffs_are_kept() -> None:
     problem = lcp_from_bimatrix_game([[7, 7], [13, 4], [3, 9]], [[1, 1], [0, 3], [3, 0]])
     (face,) = all_solutions(problem)
     ends = [problem.origin.recover(vertex) for vertex in face.vertices]
-    np.testing.assert_allclose([end.row_strategy for end in ends], [[0, 0.5, 0.5], [1, 0, 0]], rtol=1e-15)
-    np.testing.assert_allclose([end.column_strategy for end in ends], [[1 / 3, 2 / 3]] * 2, rtol=1e-15)
+    np.testing.assert_allclose(
+        [end.row_strategy for end in ends], [[0, 0.5, 0.5], [1, 0, 0]], rtol=1e-15
+    )
+    np.testing.assert_allclose(
+        [end.column_strategy for end in ends], [[1 / 3, 2 / 3]] * 2, rtol=1e-15
+    )
 
 
 @pytest.mark.sampled(1)
@@ -110,12 +118,17 @@ def test_every_pure_equilibrium_is_a_vertex_of_a_face() -> None:
     faces = all_solutions(problem)
     assert [face.dimension for face in faces] == [1, 1, 1]
     assert all(tuple(face.exact_z) in face.exact_vertices for face in faces)
-    assert all(is_exact_solution(problem, vertex) for face in faces for vertex in face.exact_vertices)
+    assert all(
+        is_exact_solution(problem, vertex) for face in faces for vertex in face.exact_vertices
+    )
     equilibria = [problem.origin.recover(vertex) for face in faces for vertex in face.vertices]
     assert all(equilibrium.regret == 0.0 for equilibrium in equilibria)
     strategies = {(*e.row_strategy.tolist(), *e.column_strategy.tolist()) for e in equilibria}
     assert strategies == {(1, 0, 1, 0), (0, 1, 0, 1), (0.5, 0.5, 1, 0), (0.5, 0.5, 0, 1)}
-    assert str(faces[0]) == "z = (1/3, 1/3, 0, 1), a vertex of a face of dimension 1; others: (0, 1, 0, 1)"
+    assert (
+        str(faces[0])
+        == "z = (1/3, 1/3, 0, 1), a vertex of a face of dimension 1; others: (0, 1, 0, 1)"
+    )
 
 
 def corners(problem: LCP, pattern: tuple[str, ...]) -> set[tuple[float, ...]]:
@@ -124,7 +137,9 @@ def corners(problem: LCP, pattern: tuple[str, ...]) -> set[tuple[float, ...]]:
     fixed, free = [], []  # rows (a, b) of a @ z = b, and of a @ z ≥ b
     for i, choice in enumerate(pattern):
         unit = np.eye(n)[i]
-        bounds = [(unit, problem.lower[i])] + ([(-unit, -problem.upper[i])] if problem.upper[i] < np.inf else [])
+        bounds = [(unit, problem.lower[i])] + (
+            [(-unit, -problem.upper[i])] if problem.upper[i] < np.inf else []
+        )
         slack = (M[i], -problem.q[i])
         if choice == "zero":
             fixed.append(slack)
@@ -154,7 +169,9 @@ def test_vertices_are_those_of_a_plain_enumeration() -> None:
         problem = LCP(M, q, upper=upper)
         for face in all_solutions(problem):
             faces += face.dimension > 1
-            assert {tuple(np.round(vertex, 6) + 0.0) for vertex in face.vertices} == corners(problem, face.pattern)
+            assert {tuple(np.round(vertex, 6) + 0.0) for vertex in face.vertices} == corners(
+                problem, face.pattern
+            )
             assert len(face.vertices) == len(set(face.exact_vertices))
     assert faces > 15
 
@@ -233,7 +250,11 @@ def test_results_do_not_depend_on_the_run() -> None:
     """Two runs give the same solutions in the same order; `limit` keeps the first."""
     problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
     first, second = all_solutions(problem), all_solutions(problem)
-    assert [s.exact_z for s in first] == [s.exact_z for s in second] == sorted(s.exact_z for s in first)
+    assert (
+        [s.exact_z for s in first]
+        == [s.exact_z for s in second]
+        == sorted(s.exact_z for s in first)
+    )
     assert [s.exact_z for s in all_solutions(problem, limit=2)] == [s.exact_z for s in first[:2]]
 
 
@@ -262,7 +283,13 @@ def test_the_search_can_be_stopped_between_cases() -> None:
 
 @pytest.mark.parametrize(
     ("bounds", "choices"),
-    [((0.0, np.inf), 2), ((-np.inf, 0.0), 2), ((0.0, 1.0), 3), ((-np.inf, np.inf), 1), ((1.0, 1.0), 1)],
+    [
+        ((0.0, np.inf), 2),
+        ((-np.inf, 0.0), 2),
+        ((0.0, 1.0), 3),
+        ((-np.inf, np.inf), 1),
+        ((1.0, 1.0), 1),
+    ],
 )
 def test_every_row_has_its_choices(bounds: tuple[float, float], choices: int) -> None:
     """One-sided rows have two choices, boxes three, free and fixed rows one."""
@@ -277,7 +304,9 @@ def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
     (solution,) = all_solutions(BEYOND_DOUBLES)
     assert is_exact_solution(BEYOND_DOUBLES, solution.exact_z)
     assert solution.exact_z == (1, Fraction(1e278) / Fraction(1e-145))
-    with pytest.raises(UnsuitableProblem, match=r"z\[1\] of the exact solution is about 2\^140[56], .* exact_z"):
+    with pytest.raises(
+        UnsuitableProblem, match=r"z\[1\] of the exact solution is about 2\^140[56], .* exact_z"
+    ):
         solution.z  # noqa: B018
     assert solution.w.tolist() == [0.0, 0.0]
 
@@ -307,7 +336,9 @@ def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyP
     for result in runs:
         assert result.status is Status.STALLED
         assert result.stages[-1].name == "search"
-        assert re.search(r"not decided in \d+ cases of an exact search; all_solutions goes on", result.advice)
+        assert re.search(
+            r"not decided in \d+ cases of an exact search; all_solutions goes on", result.advice
+        )
     assert runs[0].stages == runs[1].stages
 
 

@@ -35,7 +35,9 @@ def test_watching_a_run_changes_nothing(family: str, algorithm: str) -> None:
         watched = solve(drawn, algorithm, z0=z0, record=True, **limit)
         called = solve(drawn, algorithm, z0=z0, callback=lambda sample, z: False, **limit)
         assert told(alone) == told(watched) == told(called)
-        assert alone.certificate.relative_residual == Certificate.of(drawn, alone.z).relative_residual
+        assert (
+            alone.certificate.relative_residual == Certificate.of(drawn, alone.z).relative_residual
+        )
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -56,7 +58,10 @@ def test_the_roads_agree(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_planted_solution_is_found_at_once(n: int) -> None:
     """z* and w* chosen first, bounds on both sides and free rows among them; M definite_stack, or triangular and P."""
     rng = np.random.default_rng(n)
-    for matrix in (definite_stack(1, n, n)[0][0], np.tril(rng.normal(size=(n, n)), -1) / n + np.eye(n)):
+    for matrix in (
+        definite_stack(1, n, n)[0][0],
+        np.tril(rng.normal(size=(n, n)), -1) / n + np.eye(n),
+    ):
         lower = np.where(rng.random(n) < 0.1, -INF, np.where(rng.random(n) < 0.3, -1.0, 0.0))
         upper = np.where(rng.random(n) < 0.4, np.maximum(lower, 0.0) + 1.0, INF)
         side = rng.integers(0, 3, n)
@@ -79,7 +84,9 @@ def test_a_degenerate_path_does_not_cycle() -> None:
     rng = np.random.default_rng(3)
     for _ in range(200):
         n = int(rng.integers(3, 12))
-        M = rng.integers(0, 2, (n, n)) + np.diag(rng.integers(1, 3, n)).astype(float)  # strictly copositive
+        M = rng.integers(0, 2, (n, n)) + np.diag(rng.integers(1, 3, n)).astype(
+            float
+        )  # strictly copositive
         result = solve(LCP(M, rng.integers(-1, 1, n).astype(float)), "lemke")
         assert result.is_solved
         assert result.iterations <= 1

@@ -67,7 +67,12 @@ def test_a_bad_problem_costs_that_one_alone() -> None:
     assert batch[5].infeasibility.verify()
     assert [batch.status[k] for k in (0, 6, 7)] == [Status.SOLVED] * 3
     assert not batch.all_solved
-    for k, what in ((1, r"M\[2, 3\] = nan"), (2, r"q\[0\] = inf"), (3, r"lower\[1\] = nan"), (4, "upper")):
+    for k, what in (
+        (1, r"M\[2, 3\] = nan"),
+        (2, r"q\[0\] = inf"),
+        (3, r"lower\[1\] = nan"),
+        (4, "upper"),
+    ):
         with pytest.raises(InvalidProblem, match=what):
             batch[k]
     assert np.isnan(batch.w[1]).all()
@@ -95,7 +100,12 @@ def test_shapes_that_do_not_fit_are_refused(arguments: Any, said: str) -> None:
 def test_options_are_refused_as_by_solve() -> None:
     """Threads, tolerance, starts and names."""
     M, q = definite_stack(3, 4)
-    for wrong in ({"threads": 0}, {"threads": True}, {"tolerance": -1.0}, {"z0": np.full(4, np.nan)}):
+    for wrong in (
+        {"threads": 0},
+        {"threads": True},
+        {"tolerance": -1.0},
+        {"z0": np.full(4, np.nan)},
+    ):
         with pytest.raises(InvalidOption):
             solve_batch(M, q, **wrong)
     with pytest.raises(InvalidOption, match="list of 2 starts"):
@@ -151,12 +161,17 @@ def test_ctrl_c_ends_a_batch_and_keeps_what_is_solved(monkeypatch: pytest.Monkey
         with monkeypatch.context() as patch:
             patch.setattr(sharing, "LARGEST_CHUNK", 10)
             patch.setattr(
-                batch_run, "in_chunks",
-                lambda work, *given: sharing.in_chunks(partial(interrupted_at_100, solve_chunk=work), *given),
+                batch_run,
+                "in_chunks",
+                lambda work, *given: sharing.in_chunks(
+                    partial(interrupted_at_100, solve_chunk=work), *given
+                ),
             )
             batch = solve_batch(M, q, threads=threads)
         assert set(batch.status) <= {Status.SOLVED, Status.INTERRUPTED}
-        assert threads == 2 or set(batch.status[100:]) == {Status.INTERRUPTED}  # another thread may finish all before
+        assert threads == 2 or set(batch.status[100:]) == {
+            Status.INTERRUPTED
+        }  # another thread may finish all before
         assert np.isfinite(batch.z).all()
         interrupted = np.flatnonzero(batch.status == Status.INTERRUPTED)
         assert all(batch[int(k)].status is Status.INTERRUPTED for k in interrupted[:3])
@@ -179,7 +194,9 @@ def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things() -> None:
             solve_batch([drawn], **options)
     pairs = [(np.eye(2), np.ones(2)), (np.eye(3), np.ones(3))]
     for wrong in ([drawn, (np.eye(1), [1.0])], pairs, drawn, iter([drawn])):
-        with pytest.raises(InvalidProblem, match=r"list of LCPs|write LCP\(M, q\)|many problems, got one LCP"):
+        with pytest.raises(
+            InvalidProblem, match=r"list of LCPs|write LCP\(M, q\)|many problems, got one LCP"
+        ):
             solve_batch(wrong)
     with pytest.raises(InvalidProblem, match="give its transpose"):
         solve_batch(np.ones((4, 3, 3)), np.ones((3, 4)))
@@ -237,5 +254,7 @@ def test_one_problem_takes_many_q() -> None:
         assert np.array_equal(batch.z[k], solve(problem.with_q(Q[k])).z)
     assert solve_batch(problem, Q[2:], upper=np.inf, lower=-1.0).z.round(6).tolist() == [[1.0, 1.0]]
     for one in (problem, QuadraticProgram(np.eye(2), [0.0, 0.0])):
-        with pytest.raises(InvalidProblem, match=r"needs many problems, got one .*; write solve_batch"):
+        with pytest.raises(
+            InvalidProblem, match=r"needs many problems, got one .*; write solve_batch"
+        ):
             solve_batch(one)

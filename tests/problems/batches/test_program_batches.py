@@ -47,7 +47,11 @@ def planted(kind: str, count: int, seed: int = 0) -> tuple[QuadraticProgramBatch
     n = int(rng.integers(1, 11))
     m, p = int(rng.integers(0, 2 * n + 3)), int(rng.integers(0, n // 2 + 1))
     factor = rng.normal(size=(count, n, {"semidefinite": n // 2, "linear": 0}.get(kind, n + 2)))
-    G, A, x = rng.normal(size=(count, m, n)), rng.normal(size=(count, p, n)), rng.normal(size=(count, n))
+    G, A, x = (
+        rng.normal(size=(count, m, n)),
+        rng.normal(size=(count, p, n)),
+        rng.normal(size=(count, n)),
+    )
     if kind == "integer":
         factor, G, A, x = (np.round(array) for array in (factor, G, A, x))
     if kind == "dependent" and m > 2:
@@ -58,13 +62,19 @@ def planted(kind: str, count: int, seed: int = 0) -> tuple[QuadraticProgramBatch
     P = (P + P.transpose(0, 2, 1)) / 2
     if kind == "integer":
         P += np.eye(n)
-    gap = rng.random((count, m)) * (rng.random((count, m)) < 0.6) * (1.0 + np.abs(G).max(axis=2, initial=0.0))
+    gap = (
+        rng.random((count, m))
+        * (rng.random((count, m)) < 0.6)
+        * (1.0 + np.abs(G).max(axis=2, initial=0.0))
+    )
     y = rng.random((count, m)) * (gap == 0.0) * (rng.random((count, m)) < 0.7)
     below, above = (rng.random((count, n)) * (rng.random((count, n)) < 0.6) for _ in range(2))
     lower = np.where(rng.random((count, n)) < 0.5, -INF, x - below)
     upper = np.where(rng.random((count, n)) < 0.5, INF, x + above)
     reduced = rng.random((count, n)) * ((lower == x).astype(float) - (upper == x))
-    h = np.where((rng.random((count, m)) < 0.1) & (y == 0.0), INF, np.einsum("kij,kj->ki", G, x) + gap)
+    h = np.where(
+        (rng.random((count, m)) < 0.1) & (y == 0.0), INF, np.einsum("kij,kj->ki", G, x) + gap
+    )
     v, Px = rng.normal(size=(count, p)), np.einsum("kij,kj->ki", P, x)
     c = reduced - Px - np.einsum("kij,ki->kj", G, y) - np.einsum("kij,ki->kj", A, v)
     least = ((0.5 * Px + c) * x).sum(axis=1)
@@ -74,7 +84,11 @@ def planted(kind: str, count: int, seed: int = 0) -> tuple[QuadraticProgramBatch
 def dense(count: int, n: int = 6, m: int = 12, seed: int = 0) -> tuple[Any, ...]:
     """Stacked P, c, G, h of strictly convex programs whose rows meet at a point."""
     rng = np.random.default_rng(seed)
-    factor, G, x = rng.normal(size=(count, n, n)), rng.normal(size=(count, m, n)), rng.normal(size=(count, n))
+    factor, G, x = (
+        rng.normal(size=(count, n, n)),
+        rng.normal(size=(count, m, n)),
+        rng.normal(size=(count, n)),
+    )
     P = factor @ factor.transpose(0, 2, 1) + 0.1 * np.eye(n)
     h = np.einsum("kij,kj->ki", G, x) + rng.random((count, m))
     return (P + P.transpose(0, 2, 1)) / 2, 3.0 * rng.normal(size=(count, n)), G, h
@@ -103,7 +117,9 @@ def bits(answers: ProgramBatchResult) -> list[bytes]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_planted_programs_are_solved_in_the_compiled_loop(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_planted_programs_are_solved_in_the_compiled_loop(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Every kind of row and bound, P definite, semidefinite or 0: the least value that was known before.
 
     All but a few in the loop.
@@ -151,7 +167,9 @@ def test_programs_with_one_minimum_have_it(drawn: tuple[QuadraticProgram, QPAnsw
     program, answer = drawn
     others = np.stack([program.c, -program.c, program.c + 1.0])
     vectors = (program.h, program.A, program.b, program.lower, program.upper)
-    answers = solve_batch(QuadraticProgramBatch(program.P, others, program.G, *vectors), prove_infeasibility=False)
+    answers = solve_batch(
+        QuadraticProgramBatch(program.P, others, program.G, *vectors), prove_infeasibility=False
+    )
     np.testing.assert_allclose(answers.x[0], np.array(answer.x, dtype=float), rtol=1e-5, atol=1e-5)
 
 
@@ -166,8 +184,12 @@ def test_a_controller_is_planned_again_from_many_states(monkeypatch: pytest.Monk
     b[:, :2] = rng.uniform(-1.0, 1.0, (50, 2)) @ F.T
     bound = np.tile([5.0, 1.0, 1.0], steps)
     P, c = np.diag(np.tile([1.0, 0.1, 0.01], steps)), np.zeros(3 * steps)
-    answers = solve_batch(QuadraticProgramBatch(sp.csr_array(P), c, A=sp.csr_array(A), b=b, lower=-bound, upper=bound))
-    stacked = QuadraticProgramBatch(np.stack([P] * 50), c, A=np.stack([A] * 50), b=b, lower=-bound, upper=bound)
+    answers = solve_batch(
+        QuadraticProgramBatch(sp.csr_array(P), c, A=sp.csr_array(A), b=b, lower=-bound, upper=bound)
+    )
+    stacked = QuadraticProgramBatch(
+        np.stack([P] * 50), c, A=np.stack([A] * 50), b=b, lower=-bound, upper=bound
+    )
     assert answers.all_solved
     assert bits(answers) == bits(solve_batch(stacked))
     assert not by_themselves
@@ -183,7 +205,14 @@ def test_a_bad_program_costs_that_one_alone() -> None:
     lower, upper = np.full((12, 6), -9.0), np.full((12, 6), 9.0)
     before = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=lower, upper=upper))
     P, c, G, h = (array.copy() for array in (P, c, G, h))
-    c[1, 2], h[2, 0], h[3, 1], G[4, 5, 5], P[5, 0, 0], P[6, 0, 1] = np.nan, np.nan, -INF, np.nan, np.nan, 9.0
+    c[1, 2], h[2, 0], h[3, 1], G[4, 5, 5], P[5, 0, 0], P[6, 0, 1] = (
+        np.nan,
+        np.nan,
+        -INF,
+        np.nan,
+        np.nan,
+        9.0,
+    )
     P[7] -= 100.0 * np.eye(6)
     lower[8, 3], upper[9, 0], G[10, 3, 3] = 10.0, -INF, INF
     answers = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=lower, upper=upper))
@@ -207,8 +236,11 @@ def test_a_bad_program_costs_that_one_alone() -> None:
 def test_programs_without_a_minimum_come_with_a_proof() -> None:
     """Contradicting rows, a slope without end, and one with a minimum; where no proof is wanted, none is looked for."""
     programs = QuadraticProgramBatch(
-        np.diag([1.0, 0.0]), [[0.0, 1.0], [0.0, -1.0], [0.0, 1.0]], G=[[-1.0, 0.0], [1.0, 0.0]],
-        h=[[-1.0, 0.0], [1.0, 1.0], [1.0, 1.0]], lower=[-INF, 0.0],
+        np.diag([1.0, 0.0]),
+        [[0.0, 1.0], [0.0, -1.0], [0.0, 1.0]],
+        G=[[-1.0, 0.0], [1.0, 0.0]],
+        h=[[-1.0, 0.0], [1.0, 1.0], [1.0, 1.0]],
+        lower=[-INF, 0.0],
     )
     answers = solve_batch(programs)
     assert answers.status.tolist() == [Status.INFEASIBLE, Status.UNBOUNDED, Status.SOLVED]
@@ -220,8 +252,11 @@ def test_programs_without_a_minimum_come_with_a_proof() -> None:
 
 
 @pytest.mark.full
-def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contradictions_are_proved_by_what_the_loop_has_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Rows, equations and bounds that contradict each other by Farkas multipliers chosen first: no linear program."""
+
     def never(*given: Any, **options: Any) -> Any:
         raise AssertionError("the long way was taken")
 
@@ -229,23 +264,38 @@ def test_contradictions_are_proved_by_what_the_loop_has_found(monkeypatch: pytes
     monkeypatch.setattr(no_minimum, "linear_program", never)
     rng, (P, c, G, h) = np.random.default_rng(3), dense(40)
     A, b, y = rng.normal(size=(40, 2, 6)), rng.normal(size=(40, 2)), rng.random((40, 12))
-    signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum("kij,ki->kj", A, np.ones((40, 2)))
+    signed = np.einsum("kij,ki->kj", G[:, 1:], y[:, 1:]) + np.einsum(
+        "kij,ki->kj", A, np.ones((40, 2))
+    )
     G[:, 0] = -signed  # times 1 with the others times y it leaves nothing
     h[:, 0] = -(h[:, 1:] * y[:, 1:]).sum(axis=1) - b.sum(axis=1) - 0.1
     for semidefinite in (1.0, 0.0):
-        answers = solve_batch(QuadraticProgramBatch(semidefinite * P, c, G, h, A, b, upper=np.r_[np.full(5, INF), 7.0]))
+        answers = solve_batch(
+            QuadraticProgramBatch(
+                semidefinite * P, c, G, h, A, b, upper=np.r_[np.full(5, INF), 7.0]
+            )
+        )
         assert set(answers.status) == {Status.INFEASIBLE}
-        assert all(solution.proof.verify() and solution.status is Status.INFEASIBLE for solution in answers)
+        assert all(
+            solution.proof.verify() and solution.status is Status.INFEASIBLE for solution in answers
+        )
         assert all(solution.proof.is_exact for solution in answers)
         assert np.isnan(answers.inequality).all()
-    twice = QuadraticProgramBatch(np.eye(2), np.zeros(2), A=[[1.0, 2.0], [2.0, 4.0]], b=[[1.0, 3.0], [1.0, 2.0]])
+    twice = QuadraticProgramBatch(
+        np.eye(2), np.zeros(2), A=[[1.0, 2.0], [2.0, 4.0]], b=[[1.0, 3.0], [1.0, 2.0]]
+    )
     assert solve_batch(twice).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
-    boxed = QuadraticProgramBatch(np.eye(2), np.zeros(2), [[1.0, 1.0]], [[-3.0], [-1.0]], lower=-1.0, upper=1.0)
+    boxed = QuadraticProgramBatch(
+        np.eye(2), np.zeros(2), [[1.0, 1.0]], [[-3.0], [-1.0]], lower=-1.0, upper=1.0
+    )
     assert solve_batch(boxed).status.tolist() == [Status.INFEASIBLE, Status.SOLVED]
 
 
-def test_infeasible_programs_cost_little_where_no_proof_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_infeasible_programs_cost_little_where_no_proof_is_wanted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Of a batch the engine's loop alone runs, and a look in doubles: STALLED at once, whatever lies beside them."""
+
     def never(*given: Any, **options: Any) -> Any:
         raise AssertionError("the long way was taken")
 
@@ -275,7 +325,9 @@ def test_rounding_in_the_symmetry_of_P_is_averaged_away() -> None:
     np.testing.assert_array_equal(P, own)
 
 
-def test_what_is_too_large_for_the_loop_is_solved_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_too_large_for_the_loop_is_solved_by_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """More than 400 variables, and any number of them where the algorithm is not auto; a thousand rows are not."""
     by_themselves = alone(monkeypatch)
     P, c, G, h = dense(1, 410, 20)
@@ -319,9 +371,16 @@ def test_arrays_for_all_programs_are_broadcast() -> None:
     A = rng.normal(size=(2, 6))
     one = {"P": P, "c": c, "G": G, "h": h + 5.0, "A": A, "b": A @ np.full(6, 0.1)}
     one |= {"lower": np.full(6, -2.0), "upper": 3.0}
-    whole = bits(solve_batch(QuadraticProgramBatch(**{
-        name: np.stack([np.full(6, values) if np.ndim(values) == 0 else values] * count) for name, values in one.items()
-    })))
+    whole = bits(
+        solve_batch(
+            QuadraticProgramBatch(
+                **{
+                    name: np.stack([np.full(6, values) if np.ndim(values) == 0 else values] * count)
+                    for name, values in one.items()
+                }
+            )
+        )
+    )
     for name in ("P", "c", "G", "h", "A", "b", "lower"):
         programs = QuadraticProgramBatch(**one | {name: np.stack([one[name]] * count)})
         assert len(programs) == count
@@ -357,7 +416,9 @@ def test_nothing_that_is_handed_over_is_modified() -> None:
 def test_after_the_time_limit_nothing_is_begun() -> None:
     """Those left end with MAX_SECONDS, x the point within the bounds nearest to 0, without multipliers."""
     P, c, G, h = dense(6)
-    answers = solve_batch(QuadraticProgramBatch(P, c, G, h, lower=1.0), max_seconds=0.0, prove_infeasibility=False)
+    answers = solve_batch(
+        QuadraticProgramBatch(P, c, G, h, lower=1.0), max_seconds=0.0, prove_infeasibility=False
+    )
     assert set(answers.status) == {Status.MAX_SECONDS}
     np.testing.assert_array_equal(answers.x, np.ones((6, 6)))
     assert np.isnan(answers.residual).all()
@@ -386,7 +447,9 @@ def test_empty_batches_and_programs_without_rows_or_variables() -> None:
     assert len(solve_batch(QuadraticProgramBatch(np.zeros((0, 3, 3)), np.zeros((0, 3))))) == 0
     free = solve_batch(QuadraticProgramBatch(2.0 * np.eye(2), [[2.0, -4.0]]))
     np.testing.assert_allclose(free.x, [[-1.0, 2.0]], rtol=1e-14)
-    box = solve_batch(QuadraticProgramBatch(np.zeros((2, 2)), [[2.0, -4.0]], lower=-1.0, upper=[1.0, 3.0]))
+    box = solve_batch(
+        QuadraticProgramBatch(np.zeros((2, 2)), [[2.0, -4.0]], lower=-1.0, upper=[1.0, 3.0])
+    )
     assert box.x.tolist() == [[-1.0, 3.0]]
     np.testing.assert_allclose(box.lower, [[2.0, 0.0]], rtol=1e-14)
     np.testing.assert_allclose(box.upper, [[0.0, 4.0]], rtol=1e-14)
@@ -397,21 +460,36 @@ def test_empty_batches_and_programs_without_rows_or_variables() -> None:
 
 ONE = (np.eye(2), [1.0, 2.0])
 WRONG = {
-    r"G and h belong together, got G without h": lambda: QuadraticProgramBatch(*ONE, G=[[1.0, 1.0]]),
+    r"G and h belong together, got G without h": lambda: QuadraticProgramBatch(
+        *ONE, G=[[1.0, 1.0]]
+    ),
     r"A and b belong together, got b without A": lambda: QuadraticProgramBatch(*ONE, b=[1.0]),
-    r"P must have shape \(B, 2, 2\), or \(2, 2\) for all, as c has 2 entries; got shape \(3, 3\)":
-        lambda: QuadraticProgramBatch(np.eye(3), [1.0, 2.0]),
-    r"G must have shape \(B, rows, 2\)": lambda: QuadraticProgramBatch(*ONE, G=np.ones((2, 3)), h=[1.0, 1.0]),
-    r"h must have shape \(B, m\) or \(m,\), m = 1, got shape \(2,\)":
-        lambda: QuadraticProgramBatch(*ONE, G=[[1.0, 1.0]], h=[1.0, 2.0]),
-    r"c must have shape \(B, n\) or \(n,\), got None": lambda: QuadraticProgramBatch(np.eye(2), None),
+    r"P must have shape \(B, 2, 2\), or \(2, 2\) for all, as c has 2 entries; got shape \(3, 3\)": lambda: (
+        QuadraticProgramBatch(np.eye(3), [1.0, 2.0])
+    ),
+    r"G must have shape \(B, rows, 2\)": lambda: QuadraticProgramBatch(
+        *ONE, G=np.ones((2, 3)), h=[1.0, 1.0]
+    ),
+    r"h must have shape \(B, m\) or \(m,\), m = 1, got shape \(2,\)": lambda: QuadraticProgramBatch(
+        *ONE, G=[[1.0, 1.0]], h=[1.0, 2.0]
+    ),
+    r"c must have shape \(B, n\) or \(n,\), got None": lambda: QuadraticProgramBatch(
+        np.eye(2), None
+    ),
     r"c must have .*, got the number 3.0": lambda: QuadraticProgramBatch([[1.0]], 3.0),
-    r"c must have .*, got no rectangular array": lambda: QuadraticProgramBatch(np.eye(2), [[1.0, 2.0], [1.0]]),
+    r"c must have .*, got no rectangular array": lambda: QuadraticProgramBatch(
+        np.eye(2), [[1.0, 2.0], [1.0]]
+    ),
     r"P must have shape \(B, 2, 2\).*, got None": lambda: QuadraticProgramBatch(None, [1.0, 2.0]),
-    r"G must have shape .* as c has 2 entries, got": lambda: QuadraticProgramBatch(*ONE, G=[["a", "b"]], h=[1.0]),
-    r"needs many problems, got one QuadraticProgram; write": lambda: solve_batch(QuadraticProgram(*ONE)),
-    r"must be equally long, got P 3, c 4":
-        lambda: QuadraticProgramBatch(np.stack([np.eye(2)] * 3), np.ones((4, 2))),
+    r"G must have shape .* as c has 2 entries, got": lambda: QuadraticProgramBatch(
+        *ONE, G=[["a", "b"]], h=[1.0]
+    ),
+    r"needs many problems, got one QuadraticProgram; write": lambda: solve_batch(
+        QuadraticProgram(*ONE)
+    ),
+    r"must be equally long, got P 3, c 4": lambda: QuadraticProgramBatch(
+        np.stack([np.eye(2)] * 3), np.ones((4, 2))
+    ),
     r"P must be symmetric": lambda: QuadraticProgramBatch([[1.0, 2.0], [0.0, 1.0]], [[1.0, 2.0]]),
     r"there are 1 programs, and none has the number 5": lambda: QuadraticProgramBatch(*ONE)[5],
 }
@@ -429,8 +507,11 @@ def test_what_concerns_all_programs_is_said_before_the_first() -> None:
     programs = QuadraticProgramBatch(*ONE)
     ask: Any = partial(solve_batch, programs)
     for options, words in (
-        ({"z0": [0.0, 0.0]}, "takes no z0"), ({"lower": 1.0}, "programs bring"),
-        ({"q": [1.0, 1.0]}, "programs bring q"), ({"threads": 0}, "threads"), ({"tolerance": -1.0}, "tolerance"),
+        ({"z0": [0.0, 0.0]}, "takes no z0"),
+        ({"lower": 1.0}, "programs bring"),
+        ({"q": [1.0, 1.0]}, "programs bring q"),
+        ({"threads": 0}, "threads"),
+        ({"tolerance": -1.0}, "tolerance"),
     ):
         with pytest.raises(InvalidOption, match=words):
             ask(**options)
@@ -443,7 +524,9 @@ def test_what_concerns_all_programs_is_said_before_the_first() -> None:
 def test_large_sparse_programs_stay_sparse() -> None:
     """Matrices for all are not made dense where no loop wants them."""
     n = 30_000
-    programs = QuadraticProgramBatch(sp.eye_array(n), np.ones((2, n)), sp.eye_array(1, n), [1.0], lower=0.0)
+    programs = QuadraticProgramBatch(
+        sp.eye_array(n), np.ones((2, n)), sp.eye_array(1, n), [1.0], lower=0.0
+    )
     assert sp.issparse(programs[1].P)
     answers = solve_batch(programs)
     assert answers.all_solved
@@ -459,7 +542,9 @@ def test_terms_that_cancel_excuse_an_error_beside_them_alone() -> None:
     for one, status in zip(answers, answers.status, strict=True):
         assert status == one.status
         terms = np.abs(batch.vectors["c"][0] * one.x).sum()
-        assert status is not Status.SOLVED or one.objective == pytest.approx(-1e-2, abs=1e-6 * terms)
+        assert status is not Status.SOLVED or one.objective == pytest.approx(
+            -1e-2, abs=1e-6 * terms
+        )
 
 
 def test_programs_of_a_list_are_answered_together() -> None:
@@ -467,7 +552,9 @@ def test_programs_of_a_list_are_answered_together() -> None:
     rng, programs = np.random.default_rng(3), []
     for _ in range(5):
         factor, G = rng.normal(size=(4, 4)), rng.normal(size=(3, 4))
-        programs.append(QuadraticProgram(factor @ factor.T + np.eye(4), rng.normal(size=4), G, rng.random(3)))
+        programs.append(
+            QuadraticProgram(factor @ factor.T + np.eye(4), rng.normal(size=4), G, rng.random(3))
+        )
     listed = solve_batch(programs)
     given = [{"c": one.c} for one in programs] + [{"c": np.full(4, np.nan)}]
     changed = solve_batch(programs[0], given)
@@ -486,7 +573,13 @@ def test_programs_of_a_list_are_answered_together() -> None:
 def test_answers_of_other_kinds_have_rows_too() -> None:
     """x, objective and iterations of any batch are arrays where sizes agree, and a list of x where they do not."""
     program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[2.0])
-    mixed = solve_batch([program, BoundedLeastSquares(np.eye(3)[:, :2], [1.0, 2.0, 3.0]), LCP(np.eye(2), [-1.0, 2.0])])
+    mixed = solve_batch(
+        [
+            program,
+            BoundedLeastSquares(np.eye(3)[:, :2], [1.0, 2.0, 3.0]),
+            LCP(np.eye(2), [-1.0, 2.0]),
+        ]
+    )
     np.testing.assert_allclose(mixed.x, [[0.5, 1.5], [1.0, 2.0], [1.0, 0.0]], atol=1e-9)
     np.testing.assert_allclose(mixed.objective, [-2.25, 4.5, np.nan], atol=1e-9)
     assert mixed.iterations.shape == (3,)
@@ -506,7 +599,9 @@ def test_an_algorithm_in_the_place_of_vectors_is_told_where_it_goes() -> None:
 
 def test_a_number_stands_for_a_vector_of_one() -> None:
     """A right-hand side of one row is written as a number; a wrong length is told by the advice of the batch."""
-    program = QuadraticProgram(np.eye(2), [-1.0, 0.0], A=[[1.0, 1.0]], b=[1.0], G=[[1.0, 0.0]], h=[3.0])
+    program = QuadraticProgram(
+        np.eye(2), [-1.0, 0.0], A=[[1.0, 1.0]], b=[1.0], G=[[1.0, 0.0]], h=[3.0]
+    )
     answers = solve_batch(program, [{"b": 1}, {"b": 2, "h": 1}, {"b": [1, 2]}])
     np.testing.assert_allclose(answers.x[:2], [[1.0, 0.0], [1.0, 1.0]], atol=1e-9)
     assert answers.advice == "program 2: no program: b must be a vector of length 1, got shape (2,)"

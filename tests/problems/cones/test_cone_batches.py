@@ -25,7 +25,9 @@ def never_one_by_one(problem: Any, **wishes: Any) -> Any:
     raise AssertionError("solved by itself")
 
 
-def test_a_batch_of_contacts_is_solved_in_the_loop_and_judged_as_by_solve(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_of_contacts_is_solved_in_the_loop_and_judged_as_by_solve(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Every item within the tolerance by its own certificate, open, sticking and sliding, with the answers of solve."""
     problems = contacts(200)
     with monkeypatch.context() as patch:
@@ -62,7 +64,11 @@ def test_cones_boxes_and_friction_share_a_batch_with_others() -> None:
     cones = [("box", [-1.0, 0.0], [1.0, np.inf]), ("second_order", 4)]
     mixed: list[Any] = []
     for contact in contacts(3, k=2, seed=3):
-        mixed += [contact, ConeProblem(M, rng.standard_normal(6), cones), LCP(M, rng.standard_normal(6))]
+        mixed += [
+            contact,
+            ConeProblem(M, rng.standard_normal(6), cones),
+            LCP(M, rng.standard_normal(6)),
+        ]
     batch = solve_batch(mixed)
     assert batch.all_solved
     for problem, answer in zip(mixed, batch, strict=True):
@@ -75,7 +81,12 @@ def test_what_the_loop_leaves_open_is_solved_by_itself() -> None:
     open_one = FrictionalContact(np.eye(3), [[1.0, 0.3, 0.0]], 0.5)
     sliding = FrictionalContact(np.eye(3), [[-1.0, 3.0, 4.0]], 0.5)
     batch = solve_batch([hopeless, open_one, sliding, hopeless])
-    assert [status.name for status in batch.status] == ["INFEASIBLE", "SOLVED", "SOLVED", "INFEASIBLE"]
+    assert [status.name for status in batch.status] == [
+        "INFEASIBLE",
+        "SOLVED",
+        "SOLVED",
+        "INFEASIBLE",
+    ]
     assert batch[0].proof.verify()
     assert not batch[1].z.any()
     np.testing.assert_allclose(batch[2].z, [1.0, -0.3, -0.4], atol=1e-8)
@@ -84,7 +95,10 @@ def test_what_the_loop_leaves_open_is_solved_by_itself() -> None:
 def test_problems_in_mixed_units_are_left_open_by_the_loop() -> None:
     """Kernels know of no units; these are solved by themselves, and right."""
     scale = np.diag(np.repeat([1.0, 1e12], 3))
-    odd = [FrictionalContact(scale @ one.W @ scale, scale @ one.b, one.friction) for one in contacts(3, k=2, seed=4)]
+    odd = [
+        FrictionalContact(scale @ one.W @ scale, scale @ one.b, one.friction)
+        for one in contacts(3, k=2, seed=4)
+    ]
     assert not solve_small(odd, Settings()).is_proved.any()
     assert len(solve_batch(odd)) == 3
 

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lcp_plugin import ConeProblem, FrictionalContact, InvalidOption, InvalidProblem, derivative, march, solve
+from lcp_plugin import (
+    ConeProblem,
+    FrictionalContact,
+    InvalidOption,
+    InvalidProblem,
+    derivative,
+    march,
+    solve,
+)
 
 COMPLIANCE = np.array([[1.0, 0.2, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]])
 PAD = FrictionalContact(COMPLIANCE, np.zeros(3), 0.5)
@@ -50,7 +58,9 @@ def test_free_rows_carry_a_body_s_velocity_from_step_to_step() -> None:
     carried = np.diag([-mass] * 3 + [0.0] * 3)
     done = march(problem, forcing, carried)
     np.testing.assert_allclose([z[0] for z in done.z], [0.5, 0.0], atol=1e-7)
-    np.testing.assert_allclose(done.z[1][3], 1.0, atol=1e-6)  # what is left of 2 N s when 1 N s has stopped it
+    np.testing.assert_allclose(
+        done.z[1][3], 1.0, atol=1e-6
+    )  # what is left of 2 N s when 1 N s has stopped it
 
 
 def test_what_no_march_over_cones_does_is_said() -> None:

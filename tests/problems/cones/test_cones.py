@@ -44,7 +44,12 @@ from lcp_plugin import (
 )
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.core.solving.judge import End
-from lcp_plugin.problems.cones.body_kernels import factor_of_bodies, gather_arms, step_of_bodies, structure_of_bodies
+from lcp_plugin.problems.cones.body_kernels import (
+    factor_of_bodies,
+    gather_arms,
+    step_of_bodies,
+    structure_of_bodies,
+)
 from lcp_plugin.problems.cones.certificate import criterion_of
 from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
 from lcp_plugin.problems.cones.methods import METHODS, Newton
@@ -53,21 +58,39 @@ from lcp_plugin.problems.cones.solving import ConeJudge
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 BAD: dict[str, tuple[Any, str]] = {
-    "W is not symmetric": (lambda: FrictionalContact([[1, 2, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0], 0.5), "symmetric"),
+    "W is not symmetric": (
+        lambda: FrictionalContact([[1, 2, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0], 0.5),
+        "symmetric",
+    ),
     "μ < 0": (lambda: FrictionalContact(*ONE[:2], -0.1), r"friction = -0.1"),
     "μ is NaN": (lambda: FrictionalContact(*ONE[:2], np.nan), "friction must .* but it is nan"),
-    "two coefficients": (lambda: FrictionalContact(*ONE[:2], [0.1, 0.2]), "no multiple|coefficients|shape"),
-    "four rows": (lambda: FrictionalContact(np.eye(5), np.ones(5), 0.1), "no multiple of 3, nor, in the plane, of 2"),
+    "two coefficients": (
+        lambda: FrictionalContact(*ONE[:2], [0.1, 0.2]),
+        "no multiple|coefficients|shape",
+    ),
+    "four rows": (
+        lambda: FrictionalContact(np.eye(5), np.ones(5), 0.1),
+        "no multiple of 3, nor, in the plane, of 2",
+    ),
     "b is NaN": (lambda: FrictionalContact(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
     "W is NaN": (lambda: FrictionalContact(np.diag([1, np.nan, 1]), [0, 0, 0], 0.1), "nan"),
     "b does not fit": (lambda: FrictionalContact(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
     "no tuples": (lambda: ConeProblem(np.eye(3), np.zeros(3), "second_order"), "sequence of"),
     "a name": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("second_ordr", 3)]), "second_order"),
-    "too few rows": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("second_order", 2)]), "2 rows and M has 3: too few"),
+    "too few rows": (
+        lambda: ConeProblem(np.eye(3), np.zeros(3), [("second_order", 2)]),
+        "2 rows and M has 3: too few",
+    ),
     "too many rows": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("free", 4)]), "too many"),
     "half a row": (lambda: ConeProblem(np.eye(3), np.zeros(3), [("free", 2.5)]), "whole number"),
-    "no upper bound": (lambda: ConeProblem(np.eye(1), np.zeros(1), [("box", 0.0)]), "1 numbers behind its name"),
-    "bounds in another order": (lambda: ConeProblem(np.eye(1), np.zeros(1), [("box", 1.0, 0.0)]), "lower ≤ upper"),
+    "no upper bound": (
+        lambda: ConeProblem(np.eye(1), np.zeros(1), [("box", 0.0)]),
+        "1 numbers behind its name",
+    ),
+    "bounds in another order": (
+        lambda: ConeProblem(np.eye(1), np.zeros(1), [("box", 1.0, 0.0)]),
+        "lower ≤ upper",
+    ),
     "M is not square": (lambda: ConeProblem(np.ones((2, 3)), np.zeros(2), [("free", 2)]), "square"),
 }
 
@@ -84,12 +107,16 @@ def test_bad_input_is_refused_in_words(name: str) -> None:
 def test_planted_contacts_are_solved(seed: int) -> None:
     """Open, sticking, sliding contacts and those on the edge: SOLVED, and with a definite W the planted impulses."""
     rng = np.random.default_rng(seed)
-    problem, r, _ = planted_contacts(int(rng.integers(1, 12)), int(rng.integers(1, 6)), 10.0 ** rng.uniform(0, 5), rng)
+    problem, r, _ = planted_contacts(
+        int(rng.integers(1, 12)), int(rng.integers(1, 6)), 10.0 ** rng.uniform(0, 5), rng
+    )
     result = solve(problem)
     assert result.status is Status.SOLVED, result
     assert exact_relative_residual(problem, result.z) <= 1e-8
     definite, r, _ = planted_contacts(3, 3, 10.0, rng, definite=True, most=0.3)
-    np.testing.assert_allclose(solve(definite, tolerance=1e-10).z, r, atol=1e-12 + 1e-6 * np.abs(r).max())
+    np.testing.assert_allclose(
+        solve(definite, tolerance=1e-10).z, r, atol=1e-12 + 1e-6 * np.abs(r).max()
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -97,7 +124,9 @@ def test_planted_contacts_are_solved(seed: int) -> None:
 def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
     """Cones without friction, M positive definite: each method finds the planted answer."""
     problem, _ = planted_cones(4, np.random.default_rng(seed))
-    tolerance = 1e-3 if name == "fixed_point" else 1e-8  # of an interior point, where cases are on the edge
+    tolerance = (
+        1e-3 if name == "fixed_point" else 1e-8
+    )  # of an interior point, where cases are on the edge
     result = solve(problem, name, tolerance=tolerance)
     assert result.is_solved, result
     assert exact_relative_residual(problem, result.z) <= tolerance
@@ -120,7 +149,7 @@ def test_an_interior_point_solves_what_many_contacts_determine_many_times(edge: 
     assert result.is_solved, result
     assert exact_relative_residual(problem, result.z) <= 1e-8
     assert np.abs(result.motion.body_velocities).max() <= 1e-8
-    floor = result.motion.normal[:4 * edge].sum()
+    floor = result.motion.normal[: 4 * edge].sum()
     assert floor == pytest.approx(weight, rel=1e-6)
 
 
@@ -136,7 +165,9 @@ def test_the_central_path_spares_starts_at_random(contacts: int, bodies: int, ca
 
 @pytest.mark.full  # half a minute of compilation
 @pytest.mark.parametrize("share", [0.98, 0.0])
-def test_a_path_from_near_the_answer_is_shorter(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_from_near_the_answer_is_shorter(
+    share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The path over velocities solves a wall alone: from nothing, and in fewer steps from that of a little less weight.
 
     That is what steps of a moving pile need whose impulses Newton's method does not find.
@@ -171,7 +202,12 @@ def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
     rng = np.random.default_rng(seed)
     problem: Any = planted_contacts(4, 3, 1e4, rng)[0] if seed % 2 else planted_cones(4, rng)[0]
     near = solve(problem, tolerance=1e-12).z
-    for z in (near, near * (1.0 + 1e-9), near + 1e-6 * rng.standard_normal(near.size), rng.standard_normal(near.size)):
+    for z in (
+        near,
+        near * (1.0 + 1e-9),
+        near + 1e-6 * rng.standard_normal(near.size),
+        rng.standard_normal(near.size),
+    ):
         certificate = solve(problem, z0=z, max_iterations=0).certificate
         point = certificate.point
         exact = float(exact_relative_residual(problem, point))
@@ -224,7 +260,9 @@ def test_bodies_move_as_their_impulses_say() -> None:
 def test_a_gap_lets_a_contact_close() -> None:
     """As for pyramids: 4 mm in 0.01 s allow 0.4 m/s of the 1 m/s that it falls with."""
     block = 2.0 * np.eye(2), [[0.0, 1.0]], [[1.0, 0.0]]
-    result = solve(FrictionalContact.from_contacts(block, 0.5, [0.0, -1.0], gaps=0.004, time_step=0.01))
+    result = solve(
+        FrictionalContact.from_contacts(block, 0.5, [0.0, -1.0], gaps=0.004, time_step=0.01)
+    )
     np.testing.assert_allclose(result.motion.normal, [1.2], atol=1e-8)
     assert result.motion.body_velocities is not None
     np.testing.assert_allclose(result.motion.body_velocities, [0.0, -0.4], atol=1e-8)
@@ -268,11 +306,15 @@ def test_derivatives_are_those_of_differences(seed: int) -> None:
 
     def moved(sign: float) -> Any:
         t = sign * step
-        other = FrictionalContact(problem.W + t * dW, problem.b + t * db, problem.friction + t * dmu)
+        other = FrictionalContact(
+            problem.W + t * dW, problem.b + t * db, problem.friction + t * dmu
+        )
         return solve(other, z0=result.z, tolerance=1e-13).z
 
     dz = found.jvp(dq=db, dM=dW, dfriction=dmu)
-    np.testing.assert_allclose(dz, (moved(1.0) - moved(-1.0)) / (2.0 * step), atol=1e-5 * (1.0 + np.abs(dz).max()))
+    np.testing.assert_allclose(
+        dz, (moved(1.0) - moved(-1.0)) / (2.0 * step), atol=1e-5 * (1.0 + np.abs(dz).max())
+    )
     g = rng.standard_normal(9)
     gradient = found.vjp(g)
     total = gradient.q @ db + np.sum(gradient.M.toarray() * dW) + gradient.friction @ dmu
@@ -282,7 +324,9 @@ def test_derivatives_are_those_of_differences(seed: int) -> None:
 def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
     """Saved and read back, problems of both kinds give the same answer; the command reads them."""
     contact, _, _ = planted_contacts(4, 3, 10.0, np.random.default_rng(0))
-    cones = ConeProblem(np.eye(4), [-1.0, 0.0, -2.0, 0.3], [("box", -1.0, 0.5), ("second_order", 2), ("free", 1)])
+    cones = ConeProblem(
+        np.eye(4), [-1.0, 0.0, -2.0, 0.3], [("box", -1.0, 0.5), ("second_order", 2), ("free", 1)]
+    )
     sparse = FrictionalContact(sp.csr_array(contact.W), contact.b, contact.friction)
     for problem in (contact, sparse, cones):
         problem.save(tmp_path / "p.npz")
@@ -293,36 +337,64 @@ def test_files_and_pickle_keep_the_problem(tmp_path: Path) -> None:
         contact.save(tmp_path / "p.nl")
 
 
-@pytest.mark.parametrize(("cone", "words"), [
-    (("box", np.zeros((2, 2)), np.ones((2, 2))), r"shapes \(2, 2\) and \(2, 2\); write np.ravel\(lower\)"),
-    (("box", np.zeros((4, 1)), np.ones(4)), r"shapes \(4, 1\) and \(4,\); write np.ravel\(lower\)"),
-    (("box", np.zeros(2), np.ones(3)), r"shapes \(2,\) and \(3,\); give both one length"),
-    (("box", None, 1.0), r"lower and upper of cones\[0\] must be real numbers or vectors of the box's rows, got None"),
-    (("box", np.full(4, np.nan), 1.0), r"lower of cones\[0\] must not hold NaN"),
-    (("second_order", np.inf), "must name a whole number of rows"),
-    (("free", np.nan), "must name a whole number of rows"),
-])
+@pytest.mark.parametrize(
+    ("cone", "words"),
+    [
+        (
+            ("box", np.zeros((2, 2)), np.ones((2, 2))),
+            r"shapes \(2, 2\) and \(2, 2\); write np.ravel\(lower\)",
+        ),
+        (
+            ("box", np.zeros((4, 1)), np.ones(4)),
+            r"shapes \(4, 1\) and \(4,\); write np.ravel\(lower\)",
+        ),
+        (("box", np.zeros(2), np.ones(3)), r"shapes \(2,\) and \(3,\); give both one length"),
+        (
+            ("box", None, 1.0),
+            r"lower and upper of cones\[0\] must be real numbers or vectors of the box's rows, got None",
+        ),
+        (("box", np.full(4, np.nan), 1.0), r"lower of cones\[0\] must not hold NaN"),
+        (("second_order", np.inf), "must name a whole number of rows"),
+        (("free", np.nan), "must name a whole number of rows"),
+    ],
+)
 def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) -> None:
     """Never an exception of numpy's, nor a box of as many rows as both shapes make together."""
     with pytest.raises(LCPError, match=words):
         ConeProblem(np.eye(4), -np.ones(4), [cone])
 
 
-@pytest.mark.parametrize(("changed", "words"), [
-    ({"shape": [np.inf, 4]}, "shape must hold whole numbers"), ({"shape": [4.5, 4]}, "shape must hold whole numbers"),
-    ({"indices": [np.nan, 1, 2, 3]}, "indices must hold whole numbers"), ({"indices": [9, 1, 2, 3]}, "no valid CSR"),
-    ({"indptr": [0, 1, 2, 3, np.inf]}, "indptr must hold whole numbers"),
-    ({"cone_kinds": [-1, 1]}, r"cone_kinds must be 0 to 3, got \[-1, 1\]"), ({"cone_kinds": [4, 1]}, "must be 0 to 3"),
-    ({"cone_kinds": [3]}, "cone_kinds names 1 cones"), ({"cone_kinds": 3}, "must be a vector of whole numbers"),
-    ({"cone_rows": [np.inf, 1]}, "cone_rows must be a vector of whole numbers"), ({"cone_rows": [-3, 7]}, "rows ≥ 0"),
-    ({"cone_kinds": [2, 1], "lower": [0.0]}, "lower must have shape"), ({"data": None}, "lacks the keys"),
-])
-def test_a_damaged_file_over_cones_is_told_what_is_wrong(changed: Any, words: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"shape": [np.inf, 4]}, "shape must hold whole numbers"),
+        ({"shape": [4.5, 4]}, "shape must hold whole numbers"),
+        ({"indices": [np.nan, 1, 2, 3]}, "indices must hold whole numbers"),
+        ({"indices": [9, 1, 2, 3]}, "no valid CSR"),
+        ({"indptr": [0, 1, 2, 3, np.inf]}, "indptr must hold whole numbers"),
+        ({"cone_kinds": [-1, 1]}, r"cone_kinds must be 0 to 3, got \[-1, 1\]"),
+        ({"cone_kinds": [4, 1]}, "must be 0 to 3"),
+        ({"cone_kinds": [3]}, "cone_kinds names 1 cones"),
+        ({"cone_kinds": 3}, "must be a vector of whole numbers"),
+        ({"cone_rows": [np.inf, 1]}, "cone_rows must be a vector of whole numbers"),
+        ({"cone_rows": [-3, 7]}, "rows ≥ 0"),
+        ({"cone_kinds": [2, 1], "lower": [0.0]}, "lower must have shape"),
+        ({"data": None}, "lacks the keys"),
+    ],
+)
+def test_a_damaged_file_over_cones_is_told_what_is_wrong(
+    changed: Any, words: str, tmp_path: Path
+) -> None:
     """Shapes, indices, kinds and rows that are no whole numbers, or none of a matrix; a kind of −1 counts from none."""
-    ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(tmp_path / "p.npz")
+    ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(
+        tmp_path / "p.npz"
+    )
     with np.load(tmp_path / "p.npz") as file:
         content = {**file, **changed}
-    np.savez(tmp_path / "p.npz", **{name: np.array(value) for name, value in content.items() if value is not None})
+    np.savez(
+        tmp_path / "p.npz",
+        **{name: np.array(value) for name, value in content.items() if value is not None},
+    )
     with pytest.raises(UnreadableFile, match=words):
         load_problem(tmp_path / "p.npz")
 
@@ -331,7 +403,10 @@ def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
     """Its matrix and q alone would be another problem: LCP.load says what it is, and what reads it."""
     contact, _, _ = planted_contacts(2, 3, 10.0, np.random.default_rng(0))
     cones = ConeProblem(np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])
-    for problem, words in ((contact, "contact problem with friction"), (cones, "problem over cones")):
+    for problem, words in (
+        (contact, "contact problem with friction"),
+        (cones, "problem over cones"),
+    ):
         problem.save(tmp_path / "p.npz")
         with pytest.raises(LCPError, match=rf"{words}.*load_problem\(path\) reads it"):
             LCP.load(tmp_path / "p.npz")
@@ -348,8 +423,12 @@ def test_cones_without_friction_are_not_told_of_contacts(prove_infeasibility: bo
 SQUEEZED = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 HOPELESS: dict[str, Any] = {
     "nothing moves the normal": FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5),
-    "between two walls that close": FrictionalContact(SQUEEZED @ SQUEEZED.T, [-1.0, 0, 0, -1.0, 0, 0], 0.5),
-    "beside one that slides": FrictionalContact(np.diag([1.0, 1, 1, 0, 1, 1]), [-1.0, 3, 4, -1.0, 0, 0], 0.5),
+    "between two walls that close": FrictionalContact(
+        SQUEEZED @ SQUEEZED.T, [-1.0, 0, 0, -1.0, 0, 0], 0.5
+    ),
+    "beside one that slides": FrictionalContact(
+        np.diag([1.0, 1, 1, 0, 1, 1]), [-1.0, 3, 4, -1.0, 0, 0], 0.5
+    ),
     "no M": ConeProblem(np.zeros((3, 3)), [-1.0, 0.0, 0.0], [("second_order", 3)]),
 }
 
@@ -366,7 +445,10 @@ def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
     rng = np.random.default_rng(0)
     for size in (0.0, 1.0, 10.0, 1e6):
         z = problem.projected(size * rng.standard_normal(problem.n))
-        assert solve(problem, z0=z, max_iterations=0).certificate.relative_residual >= result.proof.margin
+        assert (
+            solve(problem, z0=z, max_iterations=0).certificate.relative_residual
+            >= result.proof.margin
+        )
     assert solve(problem, prove_infeasibility=False).status is not Status.INFEASIBLE
 
 
@@ -388,7 +470,9 @@ def test_batches_mix_kinds() -> None:
 def test_a_result_tells_of_its_contacts() -> None:
     """How many are open, stick and slide, what they dissipate, how steep the impulses are."""
     told = solve(FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5)).explain()
-    assert "2 contacts: 1 open, 0 stick, 1 slide; friction and impact take 2.875 J in SI units" in told  # ½·26 − ½·4.5²
+    assert (
+        "2 contacts: 1 open, 0 stick, 1 slide; friction and impact take 2.875 J in SI units" in told
+    )  # ½·26 − ½·4.5²
     assert "leans 26.6° from its normal, the limit of friction" in told
 
 
@@ -428,12 +512,18 @@ def test_a_result_tells_of_impulses_of_any_size(size: float) -> None:
 
 def test_from_contacts_states_pyramids_or_the_cone_itself() -> None:
     """With cone="exact" bodies, gaps and all become a FrictionalContact; pyramids of many edges come near to it."""
-    data = (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]), 0.4, [1.0, 2.0, -3.0]
+    data = (
+        (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]),
+        0.4,
+        [1.0, 2.0, -3.0],
+    )
     exact = LCP.from_contacts(*data, gaps=0.01, time_step=0.1, cone="exact")
     assert isinstance(exact, FrictionalContact)
     moved = solve(exact, tolerance=1e-12).require_solved().motion.body_velocities
     speed = np.hypot(1.0, 2.0)
-    np.testing.assert_allclose(moved[:2], np.array([1.0, 2.0]) * (1.0 - 0.4 * 2.9 / speed), atol=1e-9)
+    np.testing.assert_allclose(
+        moved[:2], np.array([1.0, 2.0]) * (1.0 - 0.4 * 2.9 / speed), atol=1e-9
+    )
     pyramid = LCP.from_contacts(*data, 64, gaps=0.01, time_step=0.1)
     assert isinstance(pyramid, LCP)
     near = pyramid.origin.recover(solve(pyramid).require_solved()).body_velocities
@@ -447,12 +537,20 @@ def test_derivatives_by_bounds_and_of_the_slack(seed: int) -> None:
     """Of boxes beside cones: vjp is jvp transposed, and jvp the difference of two answers."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(7, 7))
-    M, q, low, high = A @ A.T + np.eye(7), 3.0 * rng.normal(size=7), np.full(4, -0.3), np.full(4, 0.2)
+    M, q, low, high = (
+        A @ A.T + np.eye(7),
+        3.0 * rng.normal(size=7),
+        np.full(4, -0.3),
+        np.full(4, 0.2),
+    )
     changes = {"dq": rng.normal(size=7), "dlower": rng.normal(size=7), "dupper": rng.normal(size=7)}
 
     def answer(step: float) -> Any:
         own = low + step * changes["dlower"][:4], high + step * changes["dupper"][:4]
-        return solve(ConeProblem(M, q + step * changes["dq"], [("box", *own), ("second_order", 3)]), tolerance=1e-13)
+        return solve(
+            ConeProblem(M, q + step * changes["dq"], [("box", *own), ("second_order", 3)]),
+            tolerance=1e-13,
+        )
 
     found = derivative(answer(0.0))
     dz = found.jvp(**changes)
@@ -474,11 +572,17 @@ def test_what_a_newcomer_asks_of_a_derivative_and_of_a_method() -> None:
     problem = FrictionalContact(np.eye(6), [[-1.0, 3.0, 4.0], [-2.0, 0.1, 0.0]], 0.5)
     found = derivative(solve(problem))
     np.testing.assert_array_equal(found.jvp(dfriction=0.1), found.jvp(dfriction=[0.1, 0.1]))
-    with pytest.raises(InvalidOption, match=r"takes no dmass here; known: .*dfriction.*; of a mass matrix"):
+    with pytest.raises(
+        InvalidOption, match=r"takes no dmass here; known: .*dfriction.*; of a mass matrix"
+    ):
         found.jvp(dmass=np.eye(6))
-    with pytest.raises(InvalidOption, match=r"solve takes no sweeps .*; it is of an algorithm: NPGS\(sweeps=…\)"):
+    with pytest.raises(
+        InvalidOption, match=r"solve takes no sweeps .*; it is of an algorithm: NPGS\(sweeps=…\)"
+    ):
         solve(problem, "npgs", sweeps=3)
-    with pytest.raises(InvalidOption, match=r"derivative\(answers\[k\]\) for the answer to one problem"):
+    with pytest.raises(
+        InvalidOption, match=r"derivative\(answers\[k\]\) for the answer to one problem"
+    ):
         derivative(solve_batch([problem, problem]))
     assert derivative(solve_batch([problem, problem])[1]).vjp(np.ones(6)).q.shape == (6,)
 
@@ -547,14 +651,16 @@ def test_one_group_without_an_answer_makes_all_infeasible() -> None:
     limited = solve(problem, max_iterations=20)
     assert limited.status is Status.MAX_ITERATIONS
     assert limited.iterations <= 20
-    assert violation(good, limited.z[:good.n]) <= 1e-6
+    assert violation(good, limited.z[: good.n]) <= 1e-6
 
 
 @pytest.mark.parametrize("corners", [(0.0,), (-0.5, 0.5)])
 @pytest.mark.parametrize("light", [2, 5, 10])
 @pytest.mark.parametrize("heavy", [1e6, 1e8])
 @pytest.mark.parametrize("has_foot", [True, False])
-def test_heavy_stands_on_light(heavy: float, light: int, corners: tuple[float, ...], has_foot: bool) -> None:
+def test_heavy_stands_on_light(
+    heavy: float, light: int, corners: tuple[float, ...], has_foot: bool
+) -> None:
     """A heavy box on light ones, on another heavy one or on the ground: each face carries the weight above it."""
     problem, weights = tower([heavy] * has_foot + [1.0] * light + [heavy], corners)
     result = solve(problem)
@@ -595,7 +701,11 @@ def test_derivatives_on_an_edge_are_one_sided_differences(name: str) -> None:
         q = np.array(w) - M @ z
 
         def answer(of_q: Any, M: Any = M) -> Any:
-            cone = ConeProblem(M, of_q, [("second_order", 3)]) if mu is None else FrictionalContact(M, of_q, mu)
+            cone = (
+                ConeProblem(M, of_q, [("second_order", 3)])
+                if mu is None
+                else FrictionalContact(M, of_q, mu)
+            )
             return solve(cone, tolerance=1e-13)
 
         found, moved = derivative(answer(q)), answer(q + step * dq).z
@@ -608,7 +718,9 @@ def test_a_sliding_contact_of_any_size_has_a_derivative(unit: float) -> None:
     """Squares may leave the range of doubles: 1e±170 times the velocities makes 1e±170 times the derivative."""
     result = solve(FrictionalContact(np.eye(3), unit * np.array([-1.0, 3.0, 4.0]), 0.5))
     assert not result.motion.sticks[0]
-    np.testing.assert_allclose(derivative(result).jvp(dfriction=0.1) / unit, [0.0, -0.06, -0.08], atol=1e-15)
+    np.testing.assert_allclose(
+        derivative(result).jvp(dfriction=0.1) / unit, [0.0, -0.06, -0.08], atol=1e-15
+    )
 
 
 def test_a_limit_of_1e20_is_none() -> None:
@@ -624,13 +736,17 @@ def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
     """μ‖u_T‖ = 27 nearly cancels in R, whose reference is 2e-5: SOLVED all the same, by few steps."""
     W = np.array([[3.128, -2.472], [-2.472, 3.872]])
     for algorithm in ("auto", "newton", "npgs", "interior_point", "fixed_point"):
-        result = solve(FrictionalContact(W, [-9.81e-5, -55.0], 0.5, dimension=2), algorithm).require_solved()
+        result = solve(
+            FrictionalContact(W, [-9.81e-5, -55.0], 0.5, dimension=2), algorithm
+        ).require_solved()
         assert result.iterations <= 30
         assert exact_relative_residual(result.problem, result.z) <= 1e-8
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("masses", [2.0 ** np.arange(19), 2.0 ** np.arange(20), [1.0, 1e2, 1e4, 1e6]])
+@pytest.mark.parametrize(
+    "masses", [2.0 ** np.arange(19), 2.0 ** np.arange(20), [1.0, 1e2, 1e4, 1e6]]
+)
 def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
     """Four contacts a box in space carry what is above; no start at random takes part."""
     count = len(masses)
@@ -638,7 +754,10 @@ def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
     mass = np.outer(masses, [1.0, 1.0, 1.0, 0.02, 0.02, 0.03]).ravel()
     pull = np.tile([0.0, 0.0, -0.0981, 0.0, 0.0, 0.0], count)
     result = solve(FrictionalContact((J / mass) @ J.T, J @ pull, 0.5)).require_solved()
-    carried, weights = result.motion.normal.reshape(count, 4).sum(axis=1), 0.0981 * np.cumsum(masses[::-1])[::-1]
+    carried, weights = (
+        result.motion.normal.reshape(count, 4).sum(axis=1),
+        0.0981 * np.cumsum(masses[::-1])[::-1],
+    )
     np.testing.assert_allclose(carried, weights, rtol=1e-5)
     assert "from a point nearby" not in result.explain()
 
@@ -647,7 +766,11 @@ def test_what_rounding_limits_ends_after_one_look() -> None:
     """The slack at 0 leaves the dual cone by 1e-8 of its size: alone and beside another group, no restarts."""
     M, q = np.array([[5.0, 5.0], [5.0, 10.0]]), [1.0, -1.0 - 1e-8]
     alone = solve(ConeProblem(M, q, [("second_order", 2)]))
-    both = block_diag(M, np.eye(3)), [*q, 0.0, -2.0, 0.0], [("second_order", 2), ("second_order", 3)]
+    both = (
+        block_diag(M, np.eye(3)),
+        [*q, 0.0, -2.0, 0.0],
+        [("second_order", 2), ("second_order", 3)],
+    )
     beside = solve(ConeProblem(*both))
     for result in (alone, beside):
         assert result.status is Status.PRECISION_LIMIT
@@ -669,18 +792,27 @@ def test_planted_contacts_that_jam_are_solved_along_their_friction(case: int) ->
     rng = np.random.default_rng([3, case])
     rng.random()
     contacts, bodies = SIZES[rng.integers(len(SIZES))]
-    problem, _, _ = planted_contacts(contacts, bodies, 10.0 ** rng.uniform(0.0, 5.0), rng, definite=rng.random() < 0.3)
+    problem, _, _ = planted_contacts(
+        contacts, bodies, 10.0 ** rng.uniform(0.0, 5.0), rng, definite=rng.random() < 0.3
+    )
     for algorithm in ("auto", "continuation"):
         result = solve(problem, algorithm).require_solved()
         assert exact_relative_residual(problem, result.z) <= 1e-8
         assert "from a point nearby" not in result.explain()
 
 
-@pytest.mark.parametrize(("W", "friction", "is_advised"), [
-    (np.eye(3), 0.5, False), (np.eye(3), 4.0, True), (np.diag([1.0, 1.0, 0.0]), 0.5, True),
-    (np.diag([1.0, 1.0, 0.0]), 0.0, False),
-])
-def test_less_friction_is_advised_where_it_may_help(W: Any, friction: float, is_advised: bool) -> None:
+@pytest.mark.parametrize(
+    ("W", "friction", "is_advised"),
+    [
+        (np.eye(3), 0.5, False),
+        (np.eye(3), 4.0, True),
+        (np.diag([1.0, 1.0, 0.0]), 0.5, True),
+        (np.diag([1.0, 1.0, 0.0]), 0.0, False),
+    ],
+)
+def test_less_friction_is_advised_where_it_may_help(
+    W: Any, friction: float, is_advised: bool
+) -> None:
     """Where there is much, or W is singular; a definite W with little has an answer, and another start may find it."""
     problem = FrictionalContact(W, [-1.0, 3.0, 4.0], friction)
     judge = ConeJudge(problem, Settings())
@@ -694,9 +826,16 @@ def poured(count: int, seed: int) -> tuple[Any, Any, Any, Any]:
     rng = np.random.default_rng(seed)
     J = rows_of_bodies(3 * count, count, rng)
     blocks = rng.standard_normal((count, 6, 6))
-    mass = sp.block_diag([sp.csr_array(np.eye(6) + 0.1 * (block + block.T) / 6.0) for block in blocks], format="csr")
+    mass = sp.block_diag(
+        [sp.csr_array(np.eye(6) + 0.1 * (block + block.T) / 6.0) for block in blocks], format="csr"
+    )
     tangents = np.arange(len(J)) % 3 > 0
-    return mass, sp.csr_array(J[~tangents]), sp.csr_array(J[tangents]), -np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], count)
+    return (
+        mass,
+        sp.csr_array(J[~tangents]),
+        sp.csr_array(J[tangents]),
+        -np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], count),
+    )
 
 
 @pytest.mark.full  # half a minute of compilation
@@ -705,14 +844,18 @@ def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
     """What is found by the velocities of bodies holds for W alone, from nothing and from an answer nearby."""
     *contacts, velocities = poured(30, seed)
     found = solve(FrictionalContact(tuple(contacts), velocities, 0.4)).require_solved()
-    again = solve(FrictionalContact(tuple(contacts), 1.001 * velocities, 0.4), z0=found.z).require_solved()
+    again = solve(
+        FrictionalContact(tuple(contacts), 1.001 * velocities, 0.4), z0=found.z
+    ).require_solved()
     for result in (found, again):
         alone = FrictionalContact(result.problem.W, result.problem.b, 0.4)
         assert solve(alone, z0=result.z, max_iterations=0).is_solved
 
 
 @pytest.mark.full  # half a minute of compilation
-def test_the_velocities_of_bodies_are_a_system_of_less_work(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_velocities_of_bodies_are_a_system_of_less_work(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Of bodies with three times as many contacts, from a start, a step of Newton takes less work than on W."""
     *contacts, velocities = poured(40, 0)
     problem = FrictionalContact(tuple(contacts), velocities, 0.4)
@@ -725,6 +868,7 @@ def test_the_velocities_of_bodies_are_a_system_of_less_work(monkeypatch: pytest.
 
 def from_python(helper: Any) -> Any:
     """Return a function of Python that calls a helper, which only compiled functions may."""
+
     @njit(error_model="numpy")
     def call(*arguments):  # type: ignore[no-untyped-def]
         return helper(*arguments)
@@ -740,19 +884,32 @@ def test_a_factor_of_blocks_solves_what_a_dense_one_does(seed: int) -> None:
     mass, normals, tangents, _ = poured(70, seed)
     J = sp.csr_array(sp.vstack([normals, tangents]))
     k = normals.shape[0]
-    J = sp.csr_array(J[np.concatenate([np.arange(k)[:, None], k + np.arange(2 * k).reshape(k, 2)], axis=1).ravel()])
+    J = sp.csr_array(
+        J[
+            np.concatenate(
+                [np.arange(k)[:, None], k + np.arange(2 * k).reshape(k, 2)], axis=1
+            ).ravel()
+        ]
+    )
     K = rng.standard_normal((k, 3, 3))
     K = K @ np.swapaxes(K, 1, 2) + 0.3 * rng.standard_normal((k, 3, 3))
     R, inverse = rng.standard_normal(3 * k), rng.standard_normal((k, 3, 3))
     starts, step = 3 * np.arange(k + 1), np.empty(3 * k)
-    behind = from_python(gather_arms)(starts, mass.indptr, mass.indices, J.indptr, J.indices, J.data)
+    behind = from_python(gather_arms)(
+        starts, mass.indptr, mass.indices, J.indptr, J.indices, J.data
+    )
     structure, room = from_python(structure_of_bodies)(behind, np.ones(k, np.bool_), 3)
-    assert from_python(factor_of_bodies)((mass.indptr, mass.indices, mass.data), behind, np.ones(k, np.bool_), K,
-                                         structure, room)
-    from_python(step_of_bodies)(starts, behind, structure, room, inverse, K, R, np.empty(mass.shape[0]), step)
+    assert from_python(factor_of_bodies)(
+        (mass.indptr, mass.indices, mass.data), behind, np.ones(k, np.bool_), K, structure, room
+    )
+    from_python(step_of_bodies)(
+        starts, behind, structure, room, inverse, K, R, np.empty(mass.shape[0]), step
+    )
     dense = J.toarray()
     moved = -np.einsum("kij,kj->ki", inverse, R.reshape(k, 3)).ravel()
-    system = mass.toarray() + dense.T @ np.einsum("kij,kjn->kin", K, dense.reshape(k, 3, -1)).reshape(3 * k, -1)
+    system = mass.toarray() + dense.T @ np.einsum(
+        "kij,kjn->kin", K, dense.reshape(k, 3, -1)
+    ).reshape(3 * k, -1)
     v = np.linalg.solve(system, dense.T @ moved)
     moved -= np.einsum("kij,kj->ki", K, (dense @ v).reshape(k, 3)).ravel()
     np.testing.assert_allclose(step, moved, atol=1e-10 * np.abs(moved).max())
@@ -776,14 +933,28 @@ def test_a_bad_start_of_bodies_costs_no_more_than_none() -> None:
 
 def test_a_start_beyond_all_sizes_harms_nothing() -> None:
     """From impulses of 1e300 the central path is asked at last, and nothing overflows into a warning."""
-    W = [[1.0, 0.0, 1.0, 2.0], [0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 1.0, 2.0], [2.0, 0.0, 2.0, 4.0]] + 1e-10 * np.eye(4)
+    W = [
+        [1.0, 0.0, 1.0, 2.0],
+        [0.0, 0.0, 0.0, 0.0],
+        [1.0, 0.0, 1.0, 2.0],
+        [2.0, 0.0, 2.0, 4.0],
+    ] + 1e-10 * np.eye(4)
     contacts = FrictionalContact(W, [-2.0, 0.0, 2.0, -2.0], [1.0, 0.5], dimension=2)
     assert solve(contacts, z0=np.full(4, 1e300)).is_solved
 
 
 def test_impulses_beyond_the_largest_double_are_named() -> None:
     """Of W = 1e-200 beside velocities of 1e200, alone and in a batch: it is told which unit is too small."""
-    W, b = np.stack([np.eye(3), 1e-200 * np.eye(3)]), np.array([[-1.0, 0.0, 0.0], [-1e200, 0.0, 0.0]])
-    for result in (solve(FrictionalContact(W[1], b[1], 0.5)), solve_batch(FrictionalContact(W, b, 0.5))[1]):
+    W, b = (
+        np.stack([np.eye(3), 1e-200 * np.eye(3)]),
+        np.array([[-1.0, 0.0, 0.0], [-1e200, 0.0, 0.0]]),
+    )
+    for result in (
+        solve(FrictionalContact(W[1], b[1], 0.5)),
+        solve_batch(FrictionalContact(W, b, 0.5))[1],
+    ):
         assert result.status is Status.STALLED
-        assert "|z| is at least 1e+400, beyond the largest double; next: state the unknowns" in result.advice
+        assert (
+            "|z| is at least 1e+400, beyond the largest double; next: state the unknowns"
+            in result.advice
+        )

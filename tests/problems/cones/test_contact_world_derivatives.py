@@ -21,7 +21,9 @@ from lcp_plugin.problems.sensitivity.contact_batch_derivative import ContactBatc
 STEP = 1e-6
 
 
-def drawn(count: int, rng: np.random.Generator, *, compliance: float = 0.05, k: int = 4) -> tuple[Any, Any, Any]:
+def drawn(
+    count: int, rng: np.random.Generator, *, compliance: float = 0.05, k: int = 4
+) -> tuple[Any, Any, Any]:
     """W, b and friction of one body at k contacts: singular without compliance."""
     J = rng.standard_normal((count, 3 * k, 6))
     b = (J @ rng.standard_normal((count, 6, 1)))[:, :, 0]
@@ -41,20 +43,31 @@ def test_gradients_are_those_of_differences(count: int) -> None:
     """By W, b and friction, forwards and backwards, of every world whose contacts stay what they are."""
     rng = np.random.default_rng(count)
     W, b, mu = drawn(count, rng)
-    db, dmu, dW = rng.standard_normal(b.shape), rng.standard_normal(mu.shape), rng.standard_normal(W.shape)
+    db, dmu, dW = (
+        rng.standard_normal(b.shape),
+        rng.standard_normal(mu.shape),
+        rng.standard_normal(W.shape),
+    )
     dW += dW.swapaxes(1, 2)
     found = derived(W, b, mu)
-    sides = [derived(W + h * dW, b + h * db, mu + h * dmu, z0=found.z, tolerance=1e-10) for h in (STEP, -STEP)]
+    sides = [
+        derived(W + h * dW, b + h * db, mu + h * dmu, z0=found.z, tolerance=1e-10)
+        for h in (STEP, -STEP)
+    ]
     expected, dz = (sides[0].z - sides[1].z) / (2.0 * STEP), found.jvp(dM=dW, dq=db, dfriction=dmu)
     g, gw = rng.standard_normal((2, *b.shape))
     gradient = found.vjp(g, gw)
-    total = (gradient.q * db).sum(1) + (gradient.M * dW).sum((1, 2)) + (gradient.friction * dmu).sum(1)
+    total = (
+        (gradient.q * db).sum(1) + (gradient.M * dW).sum((1, 2)) + (gradient.friction * dmu).sum(1)
+    )
     np.testing.assert_allclose(
         total, (g * dz).sum(1) + (gw * found.dw(dz, dM=dW, dq=db)).sum(1), rtol=1e-8, atol=1e-8
     )
     wrong = np.abs(dz - expected).max(1) / np.maximum(np.abs(expected).max(1), 1.0)
     assert not found.errors
-    assert (wrong > 1e-4).sum() <= 1 + count // 500  # some change their case, or are near that, within the step
+    assert (
+        wrong > 1e-4
+    ).sum() <= 1 + count // 500  # some change their case, or are near that, within the step
     assert np.median(wrong) < 1e-7
 
 
@@ -73,7 +86,9 @@ def test_each_world_has_the_derivative_that_it_has_by_itself(compliance: float) 
         assert np.flatnonzero(found.degenerate[k]).tolist() == one.degenerate.tolist()
         assert found.is_singular[k] == one.is_singular
         expected = one.jvp(dq=b[k], dM=W[k], dfriction=0.1)
-        assert np.abs(expected).max(initial=0.0) > 1e6 or close(dz[k], expected, 1e-7)  # large: in doubt
+        assert np.abs(expected).max(initial=0.0) > 1e6 or close(
+            dz[k], expected, 1e-7
+        )  # large: in doubt
         if one.degenerate.size == 0:
             own = one.vjp(g[k], gw[k])
             assert close(gradient.q[k], own.q, 1e-8)
@@ -95,7 +110,9 @@ def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
     gradient = found.vjp(g)
     for k in np.flatnonzero(sticks):
         d = np.repeat(found.batch.worlds[k].scale, 3)
-        assert close(gradient.q[k], -np.linalg.pinv(W[k] / d[:, np.newaxis], rcond=1e-12).T @ g[k] / d, 1e-8)
+        assert close(
+            gradient.q[k], -np.linalg.pinv(W[k] / d[:, np.newaxis], rcond=1e-12).T @ g[k] / d, 1e-8
+        )
         assert close(found[k].vjp(g[k]).q, gradient.q[k], 1e-8)
     assert np.abs(found.dw(found.jvp(dq=W @ r), dq=W @ r)[sticks]).max() < 1e-10
 
@@ -108,15 +125,15 @@ def test_worlds_of_different_size() -> None:
     g, gw, dq = (rng.standard_normal((15, 12)) for _ in range(3))
     for k, count in enumerate(counts):
         for rows in (b, g, gw, dq):
-            rows[k, 3 * count:] = np.nan
+            rows[k, 3 * count :] = np.nan
     found = derivative(solve_batch(FrictionalContact(W, b, mu, contacts=counts)))
     gradient, dz = found.vjp(g, gw), found.jvp(dq=dq, dfriction=1.0)
     for k, count in enumerate(counts):
         own, one = slice(3 * count), found[k]
-        assert not gradient.q[k, 3 * count:].any()
+        assert not gradient.q[k, 3 * count :].any()
         assert not gradient.friction[k, count:].any()
-        assert not gradient.M[k, :, 3 * count:].any()
-        assert not dz[k, 3 * count:].any()
+        assert not gradient.M[k, :, 3 * count :].any()
+        assert not dz[k, 3 * count :].any()
         assert close(dz[k, own], one.jvp(dq=dq[k, own], dfriction=1.0), 1e-9)
         assert close(gradient.q[k, own], one.vjp(g[k, own], gw[k, own]).q, 1e-9)
 
@@ -148,10 +165,26 @@ def test_what_the_loop_leaves_and_what_has_no_derivative() -> None:
 
 
 REFUSED: dict[str, tuple[Any, type[Exception], str]] = {
-    "g too long": (lambda found: found.vjp(np.zeros(4)), InvalidProblem, r"g must have shape \(B, n\) or \(n,\), here"),
-    "dM of one row": (lambda found: found.jvp(dM=np.zeros(3)), InvalidProblem, r"dM must have shape \(B, n, n\)"),
-    "dfriction of two": (lambda found: found.jvp(dfriction=[1.0, 2.0]), InvalidProblem, r"dfriction must have shape"),
-    "not finite": (lambda found: found.jvp(dq=[np.nan, 0.0, 0.0]), InvalidProblem, r"dq\[0, 0\] = nan"),
+    "g too long": (
+        lambda found: found.vjp(np.zeros(4)),
+        InvalidProblem,
+        r"g must have shape \(B, n\) or \(n,\), here",
+    ),
+    "dM of one row": (
+        lambda found: found.jvp(dM=np.zeros(3)),
+        InvalidProblem,
+        r"dM must have shape \(B, n, n\)",
+    ),
+    "dfriction of two": (
+        lambda found: found.jvp(dfriction=[1.0, 2.0]),
+        InvalidProblem,
+        r"dfriction must have shape",
+    ),
+    "not finite": (
+        lambda found: found.jvp(dq=[np.nan, 0.0, 0.0]),
+        InvalidProblem,
+        r"dq\[0, 0\] = nan",
+    ),
     "another name": (lambda found: found.jvp(dmass=1.0), InvalidOption, "takes no dmass here"),
 }
 

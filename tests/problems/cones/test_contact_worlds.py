@@ -23,7 +23,10 @@ ONE = np.eye(3)[None], [-1.0, 3.0, 4.0], 0.5
 
 
 def arrays(count: int, k: int = 4, seed: int = 0) -> tuple[Any, Any, Any]:
-    made = [planted_contacts(k, 2, 10.0, np.random.default_rng([seed, i]), most=1.0)[0] for i in range(count)]
+    made = [
+        planted_contacts(k, 2, 10.0, np.random.default_rng([seed, i]), most=1.0)[0]
+        for i in range(count)
+    ]
     return tuple(np.array([getattr(one, name) for one in made]) for name in ("W", "b", "friction"))  # type: ignore[return-value]
 
 
@@ -33,7 +36,9 @@ def never_one_by_one(*_: Any, **__: Any) -> Any:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("is_warm", [False, True])
-def test_worlds_are_answered_as_each_by_itself(is_warm: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worlds_are_answered_as_each_by_itself(
+    is_warm: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The bits of solve, on any number of threads, no item by itself; residuals hold with 60 digits."""
     W, b, friction = arrays(100)
     z0 = solve_batch(FrictionalContact(W, 1.01 * b, friction)).z if is_warm else None
@@ -49,7 +54,9 @@ def test_worlds_are_answered_as_each_by_itself(is_warm: bool, monkeypatch: pytes
             assert alone.z.tobytes() == batch.z[i].tobytes() == batch[i].z.tobytes()
             assert alone.iterations == batch.iterations[i] == batch[i].iterations
         assert batch[i].certificate.relative_residual <= 1e-8
-        assert exact_relative_residual(alone.problem, batch.z[i]) <= batch.relative_residual[i] <= 1e-8
+        assert (
+            exact_relative_residual(alone.problem, batch.z[i]) <= batch.relative_residual[i] <= 1e-8
+        )
         np.testing.assert_allclose(batch.w[i], batch[i].w, atol=1e-12)
         assert batch.motion.sticks[i].tolist() == batch[i].motion.sticks.tolist()
     assert "100 worlds: 100 SOLVED" in batch.explain()
@@ -68,14 +75,18 @@ def test_worlds_have_as_many_contacts_as_they_have() -> None:
     W, b, friction = arrays(12, seed=2)
     counts = np.arange(12) % 5
     for i, count in enumerate(counts):
-        W[i, 3 * count:], b[i, 3 * count:], friction[i, count:] = np.nan, np.nan, -1.0
-    batch = solve_batch(FrictionalContact(W, b.reshape(12, 4, 3), friction, contacts=counts)).require_solved()
+        W[i, 3 * count :], b[i, 3 * count :], friction[i, count:] = np.nan, np.nan, -1.0
+    batch = solve_batch(
+        FrictionalContact(W, b.reshape(12, 4, 3), friction, contacts=counts)
+    ).require_solved()
     for i, count in enumerate(counts):
         own = slice(3 * count)
-        alone = solve(FrictionalContact(W[i, own, own], b[i, own], friction[i, :count], dimension=3))
-        assert not batch.z[i, 3 * count:].any()
+        alone = solve(
+            FrictionalContact(W[i, own, own], b[i, own], friction[i, :count], dimension=3)
+        )
+        assert not batch.z[i, 3 * count :].any()
         assert batch[i].z.size == 3 * count
-        np.testing.assert_allclose(batch.z[i, :3 * count], alone.z, atol=1e-7)
+        np.testing.assert_allclose(batch.z[i, : 3 * count], alone.z, atol=1e-7)
 
 
 def test_one_world_harms_no_other() -> None:
@@ -97,7 +108,9 @@ def test_in_the_plane_by_a_method_and_within_a_time() -> None:
     worlds = FrictionalContact(W, b, 0.5, dimension=2)
     found, named = solve_batch(worlds), solve_batch(worlds, algorithm="newton")
     late = solve_batch(worlds, max_seconds=0.0)
-    np.testing.assert_allclose(found.require_solved().z, named.require_solved().z, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        found.require_solved().z, named.require_solved().z, rtol=1e-6, atol=1e-12
+    )
     assert named[1].algorithm == "newton"
     assert {*late.status} == {Status.MAX_SECONDS}
     assert not late[0].z.any()
@@ -105,11 +118,23 @@ def test_in_the_plane_by_a_method_and_within_a_time() -> None:
 
 TWO = np.zeros((2, 6))
 REFUSED: dict[str, tuple[Any, str]] = {
-    "W of another size": (lambda: FrictionalContact(np.eye(4), TWO, 0.5), r"W must have shape \(B, 6, 6\)"),
-    "b a number": (lambda: FrictionalContact(np.eye(3)[None], 1.0, 0.5), r"b must have shape \(B, d k\)"),
-    "four coefficients": (lambda: FrictionalContact(np.eye(6), TWO, np.ones(4)), r"shape \(2,\) or \(B, 2\), got"),
+    "W of another size": (
+        lambda: FrictionalContact(np.eye(4), TWO, 0.5),
+        r"W must have shape \(B, 6, 6\)",
+    ),
+    "b a number": (
+        lambda: FrictionalContact(np.eye(3)[None], 1.0, 0.5),
+        r"b must have shape \(B, d k\)",
+    ),
+    "four coefficients": (
+        lambda: FrictionalContact(np.eye(6), TWO, np.ones(4)),
+        r"shape \(2,\) or \(B, 2\), got",
+    ),
     "lengths that differ": (lambda: FrictionalContact(np.zeros((3, 6, 6)), TWO, 0.5), "W 3, b 2"),
-    "too many contacts": (lambda: FrictionalContact(np.eye(6), TWO, 0.5, contacts=[1, 3]), "from 0 to 2"),
+    "too many contacts": (
+        lambda: FrictionalContact(np.eye(6), TWO, 0.5, contacts=[1, 3]),
+        "from 0 to 2",
+    ),
 }
 
 

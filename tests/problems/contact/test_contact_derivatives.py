@@ -22,11 +22,16 @@ def given(seed: int, count: int = 3, bodies: int = 3) -> dict[str, Any]:
     """What states random contacts of falling bodies, more motions than forces, some gaps open."""
     rng = np.random.default_rng(seed)
     J = rows_of_bodies(count, bodies, rng).reshape(count, 3, -1)
-    root = np.diag(rng.uniform(0.5, 2.0, 6 * bodies)) + 0.1 * rng.standard_normal((6 * bodies, 6 * bodies))
+    root = np.diag(rng.uniform(0.5, 2.0, 6 * bodies)) + 0.1 * rng.standard_normal(
+        (6 * bodies, 6 * bodies)
+    )
     fall = 0.3 * rng.standard_normal(6 * bodies)
     fall[2::6] -= 1.0
     return {
-        "mass": root @ root.T, "rows": J, "friction": rng.uniform(0.1, 1.0, count), "velocities": fall,
+        "mass": root @ root.T,
+        "rows": J,
+        "friction": rng.uniform(0.1, 1.0, count),
+        "velocities": fall,
         "gaps": 0.002 * rng.random(count),
     }
 
@@ -34,7 +39,9 @@ def given(seed: int, count: int = 3, bodies: int = 3) -> dict[str, Any]:
 def stated(data: dict[str, Any]) -> LCP:
     rows = data["rows"]
     contacts = data["mass"], rows[:, 0], rows[:, 1:]
-    return LCP.from_contacts(contacts, data["friction"], data["velocities"], gaps=data["gaps"], time_step=STEP)
+    return LCP.from_contacts(
+        contacts, data["friction"], data["velocities"], gaps=data["gaps"], time_step=STEP
+    )
 
 
 def changed(name: str, data: dict[str, Any], rng: np.random.Generator) -> np.ndarray:
@@ -62,7 +69,9 @@ def test_a_change_of_the_data_moves_the_impulses_as_differences_do(name: str) ->
         near = stated({**data, name: data[name] + small * change})
         moved = impulses(near, solve(near, tolerance=1e-13).require_solved())
         found = impulses(problem, derivative(result).jvp(**{f"d{name}": change}))
-        assert found == pytest.approx((moved - impulses(problem, result)) / small, abs=1e-5 * (1 + abs(found).max()))
+        assert found == pytest.approx(
+            (moved - impulses(problem, result)) / small, abs=1e-5 * (1 + abs(found).max())
+        )
     assert seen == {(False, False), (True, False), (True, True)}
 
 
@@ -73,7 +82,9 @@ def test_gradients_are_the_adjoints_of_the_changes(seed: int) -> None:
     problem = stated(data)
     found, k = derivative(solve(problem, tolerance=1e-13)), 3
     weights = rng.standard_normal((k, 3))
-    g = np.concatenate([weights[:, 0], (weights[:, 1:] @ problem.origin.edges.T).ravel(), np.zeros(k)])
+    g = np.concatenate(
+        [weights[:, 0], (weights[:, 1:] @ problem.origin.edges.T).ravel(), np.zeros(k)]
+    )
     change = {name: changed(name, data, rng) for name in NAMES}
     gradient = found.vjp(g)
     by_data = sum(float(np.sum(getattr(gradient, name) * change[name])) for name in NAMES)
@@ -81,7 +92,9 @@ def test_gradients_are_the_adjoints_of_the_changes(seed: int) -> None:
     assert by_data == pytest.approx(float(g @ dz), rel=1e-9, abs=1e-9)
     bent = rng.standard_normal(problem.origin.W.shape)
     bent += bent.T
-    assert float(np.sum(gradient.W * bent)) == pytest.approx(float(g @ found.jvp(dW=bent)), rel=1e-9, abs=1e-9)
+    assert float(np.sum(gradient.W * bent)) == pytest.approx(
+        float(g @ found.jvp(dW=bent)), rel=1e-9, abs=1e-9
+    )
     by_q, by_lower, by_upper, by_M = gradient
     assert by_q is gradient.q
     assert by_M is gradient.M
@@ -96,8 +109,10 @@ def test_a_sliding_block_has_the_derivatives_of_its_closed_form() -> None:
     found, origin = derivative(solve(problem, tolerance=1e-14)), problem.origin
     weight = m * STEP * GRAVITY
     for named, normal, tangential in (
-        ({"dfriction": 1.0}, 0.0, -weight), ({"dmass": np.eye(2)}, weight / m, -0.3 * weight / m),
-        ({"dvelocities": [0.0, -1.0]}, m, -0.3 * m), ({"dgaps": 1.0}, -m / STEP, 0.3 * m / STEP),
+        ({"dfriction": 1.0}, 0.0, -weight),
+        ({"dmass": np.eye(2)}, weight / m, -0.3 * weight / m),
+        ({"dvelocities": [0.0, -1.0]}, m, -0.3 * m),
+        ({"dgaps": 1.0}, -m / STEP, 0.3 * m / STEP),
     ):
         motion = origin.recover(found.jvp(**named))
         assert motion.normal[0] == pytest.approx(normal, rel=1e-12, abs=1e-12)
@@ -106,7 +121,9 @@ def test_a_sliding_block_has_the_derivatives_of_its_closed_form() -> None:
     gradient = found.vjp(np.eye(problem.n)[-1])
     assert gradient.friction == pytest.approx([-STEP * GRAVITY], rel=1e-12)
     assert gradient.velocities == pytest.approx([1.0, 0.3], rel=1e-12)
-    assert np.diag(gradient.mass) == pytest.approx([0.3 * weight / m**2, -0.3 * weight / m**2], rel=1e-12)
+    assert np.diag(gradient.mass) == pytest.approx(
+        [0.3 * weight / m**2, -0.3 * weight / m**2], rel=1e-12
+    )
     assert gradient.gaps == pytest.approx([0.3 / STEP], rel=1e-12)
     assert found.dw(found.jvp(dfriction=1.0), dfriction=1.0)[0] == pytest.approx(0.0, abs=1e-15)
 
@@ -126,7 +143,9 @@ def test_a_gap_is_what_a_contact_may_lose_in_a_step() -> None:
             assert other.q == pytest.approx(problem.q, abs=1e-14)
         motion = origin.recover(solve(problem, tolerance=1e-12))
         assert (motion.separation >= -data["gaps"] / STEP - 1e-9).all()
-        assert motion.separation[motion.touches] == pytest.approx(-data["gaps"][motion.touches] / STEP, abs=1e-9)
+        assert motion.separation[motion.touches] == pytest.approx(
+            -data["gaps"][motion.touches] / STEP, abs=1e-9
+        )
 
 
 def test_bodies_have_velocities_after_the_impulses() -> None:
@@ -155,7 +174,11 @@ def batch_data() -> Contacts:
     rows, velocities = data["rows"], data["velocities"] + 0.2 * rng.standard_normal((5, 18))
     friction = rng.uniform(0.1, 1.0, (5, 3))
     return contact_data(
-        (data["mass"], rows[:, 0], rows[:, 1:]), friction, velocities, gaps=data["gaps"], time_step=STEP
+        (data["mass"], rows[:, 0], rows[:, 1:]),
+        friction,
+        velocities,
+        gaps=data["gaps"],
+        time_step=STEP,
     )
 
 
@@ -164,22 +187,32 @@ def test_a_batch_is_differentiated_as_its_problems_are() -> None:
     data, each = batch_data(), given(2)
     rows = each["rows"]
     problems = [
-        LCP.from_contacts((each["mass"], rows[:, 0], rows[:, 1:]), mu, u, gaps=each["gaps"], time_step=STEP)
+        LCP.from_contacts(
+            (each["mass"], rows[:, 0], rows[:, 1:]), mu, u, gaps=each["gaps"], time_step=STEP
+        )
         for mu, u in zip(data.friction, data.bodies.velocities, strict=True)  # type: ignore[union-attr]
     ]
     found = derivative(solve_batch(*data.arrays, tolerance=1e-13))
     listed = derivative(solve_batch(problems, tolerance=1e-13))
     ones = [derivative(solve(problem, tolerance=1e-13)) for problem in problems]
-    moves = {"dfriction": 1.0, "dgaps": 2.0}, {"dmass": np.eye(18)}, {"dvelocities": 1.0, "dfriction": [1.0, 0.0, -1.0]}
+    moves = (
+        {"dfriction": 1.0, "dgaps": 2.0},
+        {"dmass": np.eye(18)},
+        {"dvelocities": 1.0, "dfriction": [1.0, 0.0, -1.0]},
+    )
     for named in moves:
         expected = [one.jvp(**named) for one in ones]
         assert found.jvp(**data.changes(**named)) == pytest.approx(np.array(expected), abs=1e-8)
-        lists = {name: [values] * 5 if np.ndim(values) else values for name, values in named.items()}
+        lists = {
+            name: [values] * 5 if np.ndim(values) else values for name, values in named.items()
+        }
         assert listed.jvp(**lists) == pytest.approx(np.array(expected), abs=1e-8)
     # one a problem
     each_its_own = np.arange(15.0).reshape(5, 3)
     expected = [one.jvp(dfriction=own) for one, own in zip(ones, each_its_own, strict=True)]
-    assert found.jvp(**data.changes(dfriction=each_its_own)) == pytest.approx(np.array(expected), abs=1e-8)
+    assert found.jvp(**data.changes(dfriction=each_its_own)) == pytest.approx(
+        np.array(expected), abs=1e-8
+    )
     g = np.random.default_rng(0).standard_normal(18)
     gradient = data.gradient(found.vjp(g), found.z)
     for k, one in enumerate(ones):
@@ -201,7 +234,9 @@ def test_a_march_is_differentiated_by_what_changes_its_matrix() -> None:
     found = derivative(last(0.3))
     difference = (last(0.3 + 1e-6).z[-1] - last(0.3).z[-1]) / 1e-6
     assert found.jvp(dfriction=1.0, only_last=True) == pytest.approx(difference, abs=1e-5)
-    with pytest.raises(InvalidOption, match=r"dvelocities would change q.*dforcing=problem.origin.changes\(dvel"):
+    with pytest.raises(
+        InvalidOption, match=r"dvelocities would change q.*dforcing=problem.origin.changes\(dvel"
+    ):
         found.jvp(dvelocities=push)
     with pytest.raises(InvalidOption, match="takes no dfrction here; did you mean 'dfriction'"):
         found.jvp(dfrction=1.0)
@@ -215,21 +250,54 @@ def refused() -> dict[str, tuple[type[Exception], str, Any]]:
     of_arrays = derivative(solve_batch(*batch_data().arrays))
     option, problem = InvalidOption, InvalidProblem
     return {
-        "a typo": (option, "takes no dfricton here; did you mean 'dfriction'.*known: dM, dW, df", lambda: by_bodies.jvp(
-            dfricton=1.0)),
-        "no contacts": (option, "takes no dfriction here.*known: dM, dlower, dq", lambda: plain.jvp(dfriction=1.0)),
+        "a typo": (
+            option,
+            "takes no dfricton here; did you mean 'dfriction'.*known: dM, dW, df",
+            lambda: by_bodies.jvp(dfricton=1.0),
+        ),
+        "no contacts": (
+            option,
+            "takes no dfriction here.*known: dM, dlower, dq",
+            lambda: plain.jvp(dfriction=1.0),
+        ),
         "no gaps": (option, "takes no dgaps here.*known", lambda: by_W.jvp(dgaps=1.0)),
-        "no gaps in changes": (option, "with gaps=… and time_step=…", lambda: by_W.problem.origin.changes(dgaps=1)),
+        "no gaps in changes": (
+            option,
+            "with gaps=… and time_step=…",
+            lambda: by_W.problem.origin.changes(dgaps=1),
+        ),
         "no mass": (option, "takes no dmass here", lambda: by_W.jvp(dmass=np.eye(3))),
-        "no mass in changes": (option, "give dW = −J", lambda: by_W.problem.origin.changes(dmass=np.eye(3))),
+        "no mass in changes": (
+            option,
+            "give dW = −J",
+            lambda: by_W.problem.origin.changes(dmass=np.eye(3)),
+        ),
         "dw": (option, "takes no dfricton here", lambda: by_bodies.dw(by_bodies.z, dfricton=1.0)),
-        "arrays": (option, r"jvp\(\*\*data.changes\(dfriction=…\)\)", lambda: of_arrays.jvp(dfriction=1.0)),
-        "shape": (problem, r"dfriction must be a finite array of shape \(3,\), got \(2,\)", lambda: by_bodies.jvp(
-            dfriction=[1.0, 2.0])),
-        "bodies' shape": (problem, r"dvelocities .* shape \(18,\), got \(3, 3\)", lambda: by_bodies.jvp(
-            dvelocities=np.ones((3, 3)))),
-        "not symmetric": (problem, "dmass must be symmetric", lambda: by_bodies.jvp(dmass=np.tri(18))),
-        "not finite": (problem, "dgaps must be a finite array", lambda: by_bodies.jvp(dgaps=np.nan)),
+        "arrays": (
+            option,
+            r"jvp\(\*\*data.changes\(dfriction=…\)\)",
+            lambda: of_arrays.jvp(dfriction=1.0),
+        ),
+        "shape": (
+            problem,
+            r"dfriction must be a finite array of shape \(3,\), got \(2,\)",
+            lambda: by_bodies.jvp(dfriction=[1.0, 2.0]),
+        ),
+        "bodies' shape": (
+            problem,
+            r"dvelocities .* shape \(18,\), got \(3, 3\)",
+            lambda: by_bodies.jvp(dvelocities=np.ones((3, 3))),
+        ),
+        "not symmetric": (
+            problem,
+            "dmass must be symmetric",
+            lambda: by_bodies.jvp(dmass=np.tri(18)),
+        ),
+        "not finite": (
+            problem,
+            "dgaps must be a finite array",
+            lambda: by_bodies.jvp(dgaps=np.nan),
+        ),
     }
 
 
@@ -244,9 +312,13 @@ def test_gaps_need_a_time_step_and_gaps() -> None:
     """One without the other, another number of gaps, or a step that takes no time is refused in words."""
     body = np.eye(2), [[0, 1]], [[1, 0]]
     for words, wrong in (
-        ("time_step is missing", {"gaps": 0.1}), ("gaps is missing", {"time_step": 0.1}),
+        ("time_step is missing", {"gaps": 0.1}),
+        ("gaps is missing", {"time_step": 0.1}),
         ("time_step must be a number of seconds > 0, got 0", {"gaps": 0.1, "time_step": 0}),
-        (r"gaps must be a number, or .* of shape \(1,\).*got shape \(2,\)", {"gaps": [0, 0], "time_step": 1}),
+        (
+            r"gaps must be a number, or .* of shape \(1,\).*got shape \(2,\)",
+            {"gaps": [0, 0], "time_step": 1},
+        ),
     ):
         with pytest.raises(InvalidProblem, match=words):
             LCP.from_contacts(body, 0.5, [0.0, -1.0], **wrong)
@@ -254,7 +326,9 @@ def test_gaps_need_a_time_step_and_gaps() -> None:
 
 def test_more_friction_than_any_material_has_is_warned_of() -> None:
     """μ = 50 is a ModelWarning that says where and what may be meant, at the caller's line; 5 passes in silence."""
-    with pytest.warns(ModelWarning, match=r"friction\[1\] = 50 is more than 5.*if a percentage, divide by 100") as told:
+    with pytest.warns(
+        ModelWarning, match=r"friction\[1\] = 50 is more than 5.*if a percentage, divide by 100"
+    ) as told:
         LCP.from_contacts(np.eye(4), [0.5, 50.0], np.zeros((2, 2)))
     assert told[0].filename == __file__
     with pytest.warns(ModelWarning, match=r"friction\[0, 0\] = 30") as told:

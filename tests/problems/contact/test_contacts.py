@@ -28,13 +28,19 @@ def test_an_answer_keeps_the_conditions_of_contact_and_friction(directions: int)
         W, velocities = contacts_of_bodies(5, 4, seed)
         problem = LCP.from_contacts(W, 0.6, velocities, directions)
         motion = problem.origin.recover(solve(problem).require_solved())
-        moved = (W @ np.column_stack([motion.normal, motion.tangential]).ravel()).reshape(5, 3) + velocities
-        np.testing.assert_allclose(moved, np.column_stack([motion.separation, motion.slip]), atol=1e-12)
+        moved = (W @ np.column_stack([motion.normal, motion.tangential]).ravel()).reshape(
+            5, 3
+        ) + velocities
+        np.testing.assert_allclose(
+            moved, np.column_stack([motion.separation, motion.slip]), atol=1e-12
+        )
         assert min(motion.normal.min(), motion.separation.min()) >= -1e-7
         np.testing.assert_allclose(motion.normal * motion.separation, 0.0, atol=1e-7)
         edges = problem.origin.edges
         power = np.einsum("ct,ct->c", motion.tangential, motion.slip)
-        np.testing.assert_allclose(power, 0.6 * motion.normal * (motion.slip @ edges.T).min(axis=1), atol=1e-7)
+        np.testing.assert_allclose(
+            power, 0.6 * motion.normal * (motion.slip @ edges.T).min(axis=1), atol=1e-7
+        )
         assert (motion.sticks <= motion.touches).all()
 
 
@@ -65,9 +71,15 @@ def test_a_tower_of_ten_carries_its_weight() -> None:
     normals, tangents = np.zeros((2 * k, 3 * k)), np.zeros((2 * k, 3 * k))
     for row in range(2 * k):
         block, arm = row // 2, (-0.5, 0.5)[row % 2]
-        normals[row, 3 * block:3 * block + 3], tangents[row, 3 * block:3 * block + 3] = (0, 1, arm), (1, 0, 0.1)
+        normals[row, 3 * block : 3 * block + 3], tangents[row, 3 * block : 3 * block + 3] = (
+            (0, 1, arm),
+            (1, 0, 0.1),
+        )
         if block:
-            normals[row, 3 * block - 3:3 * block], tangents[row, 3 * block - 3:3 * block] = (0, -1, -arm), (-1, 0, 0.1)
+            normals[row, 3 * block - 3 : 3 * block], tangents[row, 3 * block - 3 : 3 * block] = (
+                (0, -1, -arm),
+                (-1, 0, 0.1),
+            )
     mass = np.diag(np.tile([1.0, 1.0, 0.1], k))
     fall = np.tile([0.0, -STEP * GRAVITY, 0.0], k)
     problem = LCP.from_contacts((mass, normals, tangents), 0.5, fall)
@@ -112,7 +124,10 @@ def test_a_start_is_carried_over_to_contacts_that_stay() -> None:
 EYE, FALL = np.eye(3), [[-1.0, 0.0, 0.0]]
 BODY = (np.eye(3), [[0, 0, 1]], [[[1, 0, 0], [0, 1, 0]]])
 MISTAKES: dict[str, tuple[str, Any]] = {
-    "negative friction": (r"friction must not be negative, but friction\[0\] = -0.5", (EYE, [-0.5], FALL)),
+    "negative friction": (
+        r"friction must not be negative, but friction\[0\] = -0.5",
+        (EYE, [-0.5], FALL),
+    ),
     "negative number": ("must not be negative, but friction = -0.5", (EYE, -0.5, FALL)),
     "friction of others": (r"array of shape \(1,\)", (EYE, [0.5, 0.5], FALL)),
     "tangents not unit": (
@@ -120,16 +135,28 @@ MISTAKES: dict[str, tuple[str, Any]] = {
         ((np.eye(3), [[0, 0, 1]], [[[2, 0, 0], [0, 1, 0]]]), 0.5, np.zeros(3)),
     ),
     "too few velocities": (r"must have shape \(2, 3\).*too few", (np.eye(6), 0.5, FALL)),
-    "too few of the bodies": (r"velocities must have shape \(3,\).*too few", (BODY, 0.5, np.zeros(2))),
+    "too few of the bodies": (
+        r"velocities must have shape \(3,\).*too few",
+        (BODY, 0.5, np.zeros(2)),
+    ),
     "too many velocities": ("too many", (EYE, 0.5, [[0.0] * 3] * 2)),
     "flat velocities": (r"must have shape \(1, 3\)", (EYE, 0.5, np.zeros(3))),
     "NaN": (r"velocities .* entry \[0, 0\] is nan", (EYE, 0.5, [[np.nan, 0.0, 0.0]])),
     "W not symmetric": ("W must be symmetric.*same J", (np.tri(3), 0.5, FALL)),
     "W not square": ("W must be square", (np.ones((3, 2)), 0.5, FALL)),
-    "mass singular": ("positive definite", ((np.diag([1.0, 1.0, 0.0]), *BODY[1:]), 0.5, np.zeros(3))),
+    "mass singular": (
+        "positive definite",
+        ((np.diag([1.0, 1.0, 0.0]), *BODY[1:]), 0.5, np.zeros(3)),
+    ),
     "two arrays": ("got 2 arrays", (BODY[:2], 0.5, FALL)),
-    "normals of other bodies": (r"normals must have shape \(k, 3\)", ((EYE, [[0, 1]], [[[1, 0]]]), 0.5, FALL)),
-    "tangents of other contacts": ("tangents must be .*k = 1", ((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL)),
+    "normals of other bodies": (
+        r"normals must have shape \(k, 3\)",
+        ((EYE, [[0, 1]], [[[1, 0]]]), 0.5, FALL),
+    ),
+    "tangents of other contacts": (
+        "tangents must be .*k = 1",
+        ((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL),
+    ),
     "odd directions": ("even number ≥ 4.*got 5", (EYE, 0.5, FALL, 5)),
     "a batch": ("contact_data", (EYE, 0.5, [FALL, FALL])),
     "batches of two lengths": ("equally long", (np.stack([EYE] * 3), 0.5, [FALL, FALL])),
@@ -155,13 +182,21 @@ def test_rotations_of_length_one_are_no_mistake() -> None:
 
 @pytest.mark.parametrize(
     "tangents",
-    [[[1, 1, 0], [0, 1, 0]], [[3, 1, 0], [0, 5, 0]], [[5, 0, 0.1], [0, 5, 0]], [[1, 0, 0], [0.6, 0.8, 0]]],
+    [
+        [[1, 1, 0], [0, 1, 0]],
+        [[3, 1, 0], [0, 5, 0]],
+        [[5, 0, 0.1], [0, 5, 0]],
+        [[1, 0, 0], [0.6, 0.8, 0]],
+    ],
     ids=["long and skew", "longer", "along the normal", "unit and skew"],
 )
 def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list[float]]) -> None:
     """What is skew is refused as well, with a way out for unknowns that are no translations."""
     bodies = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [tangents]
-    with pytest.raises(InvalidProblem, match=r"must be orthogonal unit vectors.*or, where the unknowns are no transl"):
+    with pytest.raises(
+        InvalidProblem,
+        match=r"must be orthogonal unit vectors.*or, where the unknowns are no transl",
+    ):
         LCP.from_contacts(bodies, 0.4, [0.5, 0.3, -1.0])
 
 
@@ -179,5 +214,7 @@ def test_a_batch_of_other_velocities_is_not_led_back_with_these() -> None:
     """Contacts of one problem know one set of velocities: answers of many are refused in words."""
     problem = LCP.from_contacts(np.eye(3), 0.5, FALL)
     batch = solve_batch(np.array([problem.M]), np.array([2.0 * problem.q]))
-    with pytest.raises(InvalidProblem, match=r"shape \(6,\), of one result at a time.*got \(1, 6\)"):
+    with pytest.raises(
+        InvalidProblem, match=r"shape \(6,\), of one result at a time.*got \(1, 6\)"
+    ):
         problem.origin.recover(batch)

@@ -25,7 +25,9 @@ def problem_of(data: Contacts, edges: int = 8) -> LCP:
 def cones_of(problem: LCP) -> Blocks:
     data = problem.origin
     rows = LCP(data.W, data.velocities.ravel(), lower=-np.inf, upper=np.inf)
-    return Blocks(rows, np.arange(0, rows.n + 1, 3), np.array(data.friction), has_friction=len(data.edges))
+    return Blocks(
+        rows, np.arange(0, rows.n + 1, 3), np.array(data.friction), has_friction=len(data.edges)
+    )
 
 
 @pytest.mark.parametrize("edges", [4, 6, 8, 14])
@@ -56,7 +58,9 @@ def test_the_derivative_is_that_of_differences() -> None:
     moved = np.zeros(cones.n)
     moved[rows] = way[rows]
     held = way - moved
-    np.testing.assert_allclose(J @ way[rows] + system.times(cones.slack(held) - cones.q)[rows], expected, atol=1e-5)
+    np.testing.assert_allclose(
+        J @ way[rows] + system.times(cones.slack(held) - cones.q)[rows], expected, atol=1e-5
+    )
 
 
 def test_one_contact_is_solved_in_a_sweep() -> None:
@@ -64,7 +68,9 @@ def test_one_contact_is_solved_in_a_sweep() -> None:
     rng, cases = np.random.default_rng(0), 300
     for _ in range(cases):
         W, _ = delassus(1, 1, 1.0, rng)
-        cones = cones_of(LCP.from_contacts(W, rng.uniform(0.0, 0.6), rng.standard_normal((1, 3)), 8))
+        cones = cones_of(
+            LCP.from_contacts(W, rng.uniform(0.0, 0.6), rng.standard_normal((1, 3)), 8)
+        )
         _, step = islice(NPGS(sweeps=1).iterates(cones, np.zeros(3)), 2)
         z = step.z
         assert np.abs(cones.residual(z, cones.slack(z))[0]).max() <= 1e-10 * np.abs(cones.q).max()
@@ -74,7 +80,9 @@ def test_one_contact_is_solved_in_a_sweep() -> None:
 @pytest.mark.parametrize(("count", "edges"), [(30, 8), (60, 4), (150, 6)])
 def test_auto_solves_pyramids_by_their_cones(name: str, count: int, edges: int) -> None:
     """Judged by the LCP's own criterion; watched or not with the same bits, and warm with less work."""
-    problem = problem_of(FAMILIES[name](count, count // 2, 10.0, np.random.default_rng(count)), edges)
+    problem = problem_of(
+        FAMILIES[name](count, count // 2, 10.0, np.random.default_rng(count)), edges
+    )
     result, watched = solve(problem).require_solved(), solve(problem, record=True)
     assert [stage.name for stage in result.stages] == ["pyramids"]
     assert result.z.tobytes() == watched.z.tobytes()
@@ -85,9 +93,12 @@ def test_auto_solves_pyramids_by_their_cones(name: str, count: int, edges: int) 
 def test_groups_of_contacts_in_units_of_their_own_are_solved() -> None:
     """Bodies apart whose velocities are 10³ apart, and one that stays away."""
     data = [planted(15, 8, 10.0, np.random.default_rng(seed)) for seed in range(3)]
-    W, free = np.zeros((135, 135)), np.concatenate([10.0 ** (3 * k) * one.velocities for k, one in enumerate(data)])
+    W, free = (
+        np.zeros((135, 135)),
+        np.concatenate([10.0 ** (3 * k) * one.velocities for k, one in enumerate(data)]),
+    )
     for k, one in enumerate(data):
-        W[45 * k:45 * k + 45, 45 * k:45 * k + 45] = one.W
+        W[45 * k : 45 * k + 45, 45 * k : 45 * k + 45] = one.W
     free[30:] = np.abs(free[30:])
     solve(LCP.from_contacts(W, 0.5, free, 8)).require_solved()
 
@@ -96,14 +107,21 @@ def test_groups_of_contacts_in_units_of_their_own_are_solved() -> None:
 def test_the_unit_of_impulses_changes_nothing(unit: float) -> None:
     """λ of a contact that sticks is 0, not what rounding leaves of its velocity."""
     data = planted(30, 15, 10.0, np.random.default_rng(0))
-    result = solve(LCP.from_contacts(unit * data.W, data.friction, data.velocities, 8)).require_solved()
+    result = solve(
+        LCP.from_contacts(unit * data.W, data.friction, data.velocities, 8)
+    ).require_solved()
     assert [stage.name for stage in result.stages] == ["pyramids"]
 
 
-def test_what_the_cones_leave_open_goes_the_way_of_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_cones_leave_open_goes_the_way_of_any_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Where the compiled loop proves nothing, auto does what it does with the same arrays."""
     problem = problem_of(planted(30, 15, 10.0, np.random.default_rng(0)))
     monkeypatch.setattr(small_kernels, "solve_each", lambda *_: None)
     result, other = solve(problem).require_solved(), solve(LCP(problem.M, problem.q))
-    assert [stage.name for stage in result.stages] == ["pyramids", *(stage.name for stage in other.stages)]
+    assert [stage.name for stage in result.stages] == [
+        "pyramids",
+        *(stage.name for stage in other.stages),
+    ]
     np.testing.assert_allclose(result.z, other.z, atol=1e-9)

@@ -26,7 +26,9 @@ def problem_of(data: Contacts) -> LCP:
 
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(sorted(FAMILIES)), SIZES, st.sampled_from([1.0, 1e3]), st.integers(0, 2**16))
-def test_contacts_that_have_an_answer_get_one(name: str, size: tuple[int, int], ratio: float, seed: int) -> None:
+def test_contacts_that_have_an_answer_get_one(
+    name: str, size: tuple[int, int], ratio: float, seed: int
+) -> None:
     """Of any rank of W, masses up to 10³ apart, contacts at a kink: SOLVED, and the motion keeps Coulomb's law."""
     data = FAMILIES[name](*size, ratio, np.random.default_rng(seed))
     result = solve(problem_of(data)).require_solved()
@@ -34,7 +36,12 @@ def test_contacts_that_have_an_answer_get_one(name: str, size: tuple[int, int], 
     slow = 1e-5 * np.abs(data.velocities).max()
     assert motion.normal.min() >= 0.0
     assert motion.separation.min() >= -slow
-    assert np.abs(motion.separation[motion.normal > 1e-6 * motion.normal.max(initial=1e-300)]).max(initial=0.0) <= slow
+    assert (
+        np.abs(motion.separation[motion.normal > 1e-6 * motion.normal.max(initial=1e-300)]).max(
+            initial=0.0
+        )
+        <= slow
+    )
     limit = data.friction * motion.normal
     rounding = 1e-6 * limit.max() + 1e-12 * motion.normal.max()
     assert (np.abs(motion.tangential).sum(axis=1) <= limit + rounding).all()
@@ -62,7 +69,10 @@ def test_a_batch_gives_the_bits_of_each_problem(is_warm: bool) -> None:
     assert batch.all_solved
     for k in range(len(q)):
         start = None if z0 is None else z0[k]
-        alone, watched = solve(LCP(M[k], q[k]), z0=start), solve(LCP(M[k], q[k]), z0=start, record=True)
+        alone, watched = (
+            solve(LCP(M[k], q[k]), z0=start),
+            solve(LCP(M[k], q[k]), z0=start, record=True),
+        )
         assert alone.z.tobytes() == batch.z[k].tobytes() == watched.z.tobytes()
         assert alone.iterations == batch.iterations[k] == watched.iterations
 
@@ -75,7 +85,10 @@ def test_contacts_in_other_words_are_solved(tmp_path: Path) -> None:
     stated.save(tmp_path / "contacts.npz")
     unit = np.where(np.arange(q.size) < 4, 4.0, 1.0)
     for problem in (
-        stated, stated.with_q(1.5 * q), LCP.load(tmp_path / "contacts.npz"), LCP(sp.csr_array(M), q),
+        stated,
+        stated.with_q(1.5 * q),
+        LCP.load(tmp_path / "contacts.npz"),
+        LCP(sp.csr_array(M), q),
         problem_of(contact_data(data.W, [0.0, 0.5, 0.0, 0.5], data.velocities)),
         LCP(unit[:, None] * M * unit, unit * q),
         problem_of(contact_data(data.W, 0.5, data.velocities, directions=8)),
@@ -111,13 +124,17 @@ def _changed(row: int, column: int, value: float) -> Callable[[Any, Any], LCP]:
 
 NOT_QUITE = {
     "another order": _in_another_order,
-    "islands one after the other": lambda M, q: LCP(sp.block_diag([sp.csr_array(M)] * 3, format="csr"), np.tile(q, 3)),
+    "islands one after the other": lambda M, q: LCP(
+        sp.block_diag([sp.csr_array(M)] * 3, format="csr"), np.tile(q, 3)
+    ),
     "a radius with another contact's impulse": _changed(20, 1, 0.1),
     "an edge in two contacts": _changed(20, 8, -1.0),
     "a speed that lets a normal go": _changed(0, 20, 0.1),
     "an edge in another unit than its opposite": _changed(20, 4, -2.0),
     "an edge is missing": _without_an_edge,
-    "a radius has a part of its own": lambda M, q: LCP(M, np.where(np.arange(q.size) == q.size - 1, 0.1, q)),
+    "a radius has a part of its own": lambda M, q: LCP(
+        M, np.where(np.arange(q.size) == q.size - 1, 0.1, q)
+    ),
     "a bound": lambda M, q: LCP(M, q, upper=np.where(np.arange(q.size) == 0, 50.0, np.inf)),
     "an edge of its own": lambda M, q: LCP(M, np.where(np.arange(q.size) == 4, q + 0.1, q)),
 }
@@ -141,8 +158,15 @@ def test_a_hundred_contacts_are_solved_from_scratch_and_from_their_answer() -> N
 def test_starts_of_other_contacts_are_refused() -> None:
     """Indices that no earlier contact has, or an answer of another length, are an InvalidProblem in words."""
     data = falling(2, 1, 1.0, np.random.default_rng(0))
-    for answer, same in ((np.zeros(12), [0, 2]), (np.zeros(11), [0, 1]), (np.zeros(12), [0]), (np.zeros(12), [0, -2])):
-        with pytest.raises(InvalidProblem, match="start_from needs an answer with 4 edges a contact and 2 indices"):
+    for answer, same in (
+        (np.zeros(12), [0, 2]),
+        (np.zeros(11), [0, 1]),
+        (np.zeros(12), [0]),
+        (np.zeros(12), [0, -2]),
+    ):
+        with pytest.raises(
+            InvalidProblem, match="start_from needs an answer with 4 edges a contact and 2 indices"
+        ):
             data.start_from(answer, same)
     with pytest.raises(InvalidProblem, match=r"z must have shape \(12,\)"):
         data.recover(np.zeros(11))

@@ -18,8 +18,14 @@ def scene(bodies: int, contacts: int, seed: int = 0) -> tuple[Any, Any, Any, Any
     rng = np.random.default_rng(seed)
     spread = rng.normal(size=(bodies, 3, 3))
     inertia = 0.1 * np.eye(3) + 0.02 * spread @ np.swapaxes(spread, 1, 2)
-    mass = sp.block_diag([part for m, own in zip(rng.uniform(1, 3, bodies), inertia, strict=True)
-                          for part in (sp.csr_array(m * np.eye(3)), sp.csr_array(own))], format="csr")
+    mass = sp.block_diag(
+        [
+            part
+            for m, own in zip(rng.uniform(1, 3, bodies), inertia, strict=True)
+            for part in (sp.csr_array(m * np.eye(3)), sp.csr_array(own))
+        ],
+        format="csr",
+    )
     frames = np.linalg.qr(rng.normal(size=(contacts, 3, 3)))[0]
     J = sp.lil_array((3 * contacts, 6 * bodies))
     first = rng.integers(bodies, size=contacts)
@@ -27,10 +33,17 @@ def scene(bodies: int, contacts: int, seed: int = 0) -> tuple[Any, Any, Any, Any
     for c in range(contacts):
         for body, sign in ((first[c], 1.0), (second[c], -1.0)):
             arm = rng.normal(size=3)
-            J[3 * c:3 * c + 3, 6 * body:6 * body + 6] = sign * np.hstack([frames[c], np.cross(arm, frames[c])])
+            J[3 * c : 3 * c + 3, 6 * body : 6 * body + 6] = sign * np.hstack(
+                [frames[c], np.cross(arm, frames[c])]
+            )
     J = sp.csr_array(J)
     normals = np.arange(3 * contacts) % 3 == 0
-    return sp.csr_array(mass), J[np.flatnonzero(normals)], J[np.flatnonzero(~normals)], rng.normal(size=6 * bodies)
+    return (
+        sp.csr_array(mass),
+        J[np.flatnonzero(normals)],
+        J[np.flatnonzero(~normals)],
+        rng.normal(size=6 * bodies),
+    )
 
 
 def test_sparse_and_dense_bodies_state_the_same_contacts() -> None:
@@ -45,27 +58,41 @@ def test_sparse_and_dense_bodies_state_the_same_contacts() -> None:
         np.testing.assert_allclose(problem.b, dense.b, atol=1e-12)
     one, other = solve(problem), solve(dense)
     np.testing.assert_allclose(one.motion.body_velocities, other.motion.body_velocities, atol=1e-6)
-    np.testing.assert_allclose(one.motion.body_velocities, velocities + np.linalg.solve(
-        mass.toarray(), problem.bodies.rows.T @ one.z), atol=1e-12)
+    np.testing.assert_allclose(
+        one.motion.body_velocities,
+        velocities + np.linalg.solve(mass.toarray(), problem.bodies.rows.T @ one.z),
+        atol=1e-12,
+    )
 
 
 def test_gaps_and_pyramids_take_them_too() -> None:
     """from_contacts over cones stays sparse, over pyramids it is what dense arrays give."""
     mass, normals, tangents, velocities = scene(6, 8)
-    shut = FrictionalContact.from_contacts((mass, normals, tangents), 0.5, velocities, gaps=0.02, time_step=0.1)
+    shut = FrictionalContact.from_contacts(
+        (mass, normals, tangents), 0.5, velocities, gaps=0.02, time_step=0.1
+    )
     plain = FrictionalContact((mass, normals, tangents), velocities, 0.5)
     np.testing.assert_allclose((shut.b - plain.b).reshape(-1, 3), [[0.2, 0.0, 0.0]] * 8, atol=1e-12)
-    pyramids = [LCP.from_contacts(given, 0.5, velocities) for given in (
-        (mass, normals, tangents), (mass.toarray(), normals.toarray(), tangents.toarray().reshape(8, 2, -1)))]
+    pyramids = [
+        LCP.from_contacts(given, 0.5, velocities)
+        for given in (
+            (mass, normals, tangents),
+            (mass.toarray(), normals.toarray(), tangents.toarray().reshape(8, 2, -1)),
+        )
+    ]
     np.testing.assert_array_equal(pyramids[0].csr.toarray(), pyramids[1].csr.toarray())
 
 
 def test_in_the_plane_one_tangent_a_contact() -> None:
     """Two masses on the ground, one held and one pushed beyond friction."""
     identity = sp.eye_array(4, format="csr")
-    problem = FrictionalContact((identity, identity[[1, 3]], identity[[0, 2]]), [0.0, -1.0, 1.0, -1.0], 0.5)
+    problem = FrictionalContact(
+        (identity, identity[[1, 3]], identity[[0, 2]]), [0.0, -1.0, 1.0, -1.0], 0.5
+    )
     assert problem.dimension == 2
-    np.testing.assert_allclose(solve(problem).motion.body_velocities, [0.0, 0.0, 0.5, 0.0], atol=1e-8)
+    np.testing.assert_allclose(
+        solve(problem).motion.body_velocities, [0.0, 0.0, 0.5, 0.0], atol=1e-8
+    )
 
 
 @pytest.mark.full
@@ -95,18 +122,53 @@ def test_the_inverse_goes_component_by_component() -> None:
 MASS, NORMALS, TANGENTS, VELOCITIES = scene(4, 5)
 
 
-@pytest.mark.parametrize(("given", "velocities", "words"), [
-    ((MASS, NORMALS, TANGENTS[:7]), VELOCITIES, "sparse tangents must have shape (t k, 24), t = 2 in space and 1 in"),
-    ((MASS, NORMALS[:, :9], TANGENTS), VELOCITIES, "normals must have shape (k, 24), 24 the size of the mass matrix"),
-    ((-MASS, NORMALS, TANGENTS), VELOCITIES, "the mass matrix must be positive definite"),
-    ((sp.csr_array(MASS.shape), NORMALS, TANGENTS), VELOCITIES, "the mass matrix must be positive definite"),
-    ((MASS[:, :9], NORMALS, TANGENTS), VELOCITIES, "the mass matrix must be square, got shape (24, 9)"),
-    ((MASS, 2.0 * NORMALS, TANGENTS), VELOCITIES, "must be orthogonal unit vectors, but those of contact 0 are off"),
-    ((MASS, NORMALS, TANGENTS), VELOCITIES[:7], "velocities must have shape (24,), those of the bodies, or (5, 3)"),
-    ((MASS, NORMALS), VELOCITIES, "contacts must be W, or (mass matrix, normals, tangents), got 2 arrays"),
-    ((MASS + sp.eye_array(24, k=1), NORMALS, TANGENTS), VELOCITIES, "the mass matrix must be symmetric"),
-    ((MASS * np.nan, NORMALS, TANGENTS), VELOCITIES, "the mass matrix must be finite"),
-])
+@pytest.mark.parametrize(
+    ("given", "velocities", "words"),
+    [
+        (
+            (MASS, NORMALS, TANGENTS[:7]),
+            VELOCITIES,
+            "sparse tangents must have shape (t k, 24), t = 2 in space and 1 in",
+        ),
+        (
+            (MASS, NORMALS[:, :9], TANGENTS),
+            VELOCITIES,
+            "normals must have shape (k, 24), 24 the size of the mass matrix",
+        ),
+        ((-MASS, NORMALS, TANGENTS), VELOCITIES, "the mass matrix must be positive definite"),
+        (
+            (sp.csr_array(MASS.shape), NORMALS, TANGENTS),
+            VELOCITIES,
+            "the mass matrix must be positive definite",
+        ),
+        (
+            (MASS[:, :9], NORMALS, TANGENTS),
+            VELOCITIES,
+            "the mass matrix must be square, got shape (24, 9)",
+        ),
+        (
+            (MASS, 2.0 * NORMALS, TANGENTS),
+            VELOCITIES,
+            "must be orthogonal unit vectors, but those of contact 0 are off",
+        ),
+        (
+            (MASS, NORMALS, TANGENTS),
+            VELOCITIES[:7],
+            "velocities must have shape (24,), those of the bodies, or (5, 3)",
+        ),
+        (
+            (MASS, NORMALS),
+            VELOCITIES,
+            "contacts must be W, or (mass matrix, normals, tangents), got 2 arrays",
+        ),
+        (
+            (MASS + sp.eye_array(24, k=1), NORMALS, TANGENTS),
+            VELOCITIES,
+            "the mass matrix must be symmetric",
+        ),
+        ((MASS * np.nan, NORMALS, TANGENTS), VELOCITIES, "the mass matrix must be finite"),
+    ],
+)
 def test_what_does_not_fit_is_refused_in_words(given: Any, velocities: Any, words: str) -> None:
     """Shapes, definiteness, directions, numbers."""
     with pytest.raises(InvalidProblem, match=re.escape(words)):

@@ -35,7 +35,9 @@ def test_published_optima_are_found_and_proved(name: str) -> None:
     result = solved(problem)
     assert (problem.status, result.is_global) == (cp.OPTIMAL, True)
     assert result.gap <= 1e-6
-    assert abs(problem.value - published.optimum) <= 1e-6 * abs(published.optimum) + published.accuracy
+    assert (
+        abs(problem.value - published.optimum) <= 1e-6 * abs(published.optimum) + published.accuracy
+    )
     assert result.verify()
 
 
@@ -48,7 +50,9 @@ def test_bounds_beside_a_pair_are_no_bounds_of_the_pair(
     x, y = cp.Variable(), cp.Variable(bounds=list(bounds)) if is_attribute else cp.Variable()
     others = [] if is_attribute else [bounds[0] <= y, y <= bounds[1]]
     far = -3 if bounds[0] > 0 else 3
-    problem = cp.Problem(cp.Minimize((x - far) ** 2 + (y - 3) ** 2), [complements(y >= 0, y - x >= 0), *others])
+    problem = cp.Problem(
+        cp.Minimize((x - far) ** 2 + (y - 3) ** 2), [complements(y >= 0, y - x >= 0), *others]
+    )
     assert solved(problem).verify()
     np.testing.assert_allclose(problem.value, wanted, atol=1e-9)
 
@@ -64,7 +68,10 @@ def test_two_pairs_may_give_one_variable_different_bounds() -> None:
 
 def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
     """Of an LCP with one solution it is the best, where the least multipliers of a cost of 3e9 are none."""
-    M, q = np.array([[1.0, 0.0, 0.0], [0.0, 6.0, -3.0], [0.0, -3.0, 4.0]]), np.array([-1000003.0, -1e-7, 0.0])
+    M, q = (
+        np.array([[1.0, 0.0, 0.0], [0.0, 6.0, -3.0], [0.0, -3.0, 4.0]]),
+        np.array([-1000003.0, -1e-7, 0.0]),
+    )
     lower, cost = np.append(np.zeros(3), np.full(3, -np.inf)), [1.0, -2.0, -3e9, 0.0, 0.0, 0.0]
     program = QuadraticProgram(None, cost, A=np.hstack([M, -np.eye(3)]), b=-q, lower=lower)
     result = solve(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5]))
@@ -82,7 +89,12 @@ def test_random_programs_agree_with_all_their_pieces(draws: Callable[[int], rang
         known = truth(problem)
         for prove in (True, False):
             result = minimize_over_solutions(problem, prove=prove)
-            assert result.status in (Status.SOLVED, Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED)
+            assert result.status in (
+                Status.SOLVED,
+                Status.INFEASIBLE,
+                Status.NO_SOLUTION,
+                Status.UNBOUNDED,
+            )
             assert complaints(result, known) == [], case
             if case % 4 == 0 and prove:
                 assert undetected(result) == [], case
@@ -90,13 +102,17 @@ def test_random_programs_agree_with_all_their_pieces(draws: Callable[[int], rang
 
 def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair() -> None:
     """0 ≤ z is said by the pair alone: z = −7 opposite w = 0 is no solution."""
-    program = QuadraticProgram(np.zeros((3, 3)), [1, 0, 0], A=[[1, 0, -1]], b=[1], lower=[0, -np.inf, -np.inf])
+    program = QuadraticProgram(
+        np.zeros((3, 3)), [1, 0, 0], A=[[1, 0, -1]], b=[1], lower=[0, -np.inf, -np.inf]
+    )
     result = minimize_over_solutions(EquilibriumProgram(program, [1], [2], 0, np.inf))
     assert (result.status, result.value, result.verify()) == (Status.SOLVED, 1.0, True)
     assert not replace(result, x=np.array([1.0, -7.0, 0.0])).verify()
 
 
-def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The status is user_limit, variables keep what they hold, and a bound of (y − x)² + x² + 1 is one."""
     monkeypatch.setattr(LocalSearch, "from_point", lambda self, x, cases=None: None)
     monkeypatch.setattr(LocalSearch, "from_leaders", lambda self, guess, most=None: None)
@@ -117,18 +133,26 @@ def test_bounds_from_a_monotone_lower_level_keep_every_solution() -> None:
     """0 ≤ z ⟂ M z + N x + q ≥ 0 with M ≻ 0 keeps z in an ellipsoid, whose bounds are near; verify() sees others."""
     rng = np.random.default_rng(5)
     k = 12
-    half, turned, N = rng.standard_normal((k, k)), rng.standard_normal((k, k)), rng.standard_normal((k, 2))
+    half, turned, N = (
+        rng.standard_normal((k, k)),
+        rng.standard_normal((k, k)),
+        rng.standard_normal((k, 2)),
+    )
     M, q = half @ half.T / k + 0.1 * np.eye(k) + turned - turned.T, rng.standard_normal(k)
     program = QuadraticProgram(
-        np.zeros((k + 2, k + 2)), rng.standard_normal(k + 2),
-        lower=np.append([-1, -1], np.zeros(k)), upper=np.append([1, 1], np.full(k, np.inf)),
+        np.zeros((k + 2, k + 2)),
+        rng.standard_normal(k + 2),
+        lower=np.append([-1, -1], np.zeros(k)),
+        upper=np.append([1, 1], np.full(k, np.inf)),
     )
     problem = EquilibriumProgram.of_rows(program, np.arange(2, k + 2), np.hstack([N, M]), q)
     most = tightened(problem).program.upper[2 : k + 2]
     for x in rng.uniform(-1, 1, (30, 2)):
         assert (solve(LCP(M, N @ x + q)).z <= most).all()
     S, r = 0.5 * (M + M.T), np.abs(N).sum(axis=1) - q
-    inverse = np.linalg.inv(S)  # z = S⁻¹r/2 + what is as far as it can be in the direction of one entry
+    inverse = np.linalg.inv(
+        S
+    )  # z = S⁻¹r/2 + what is as far as it can be in the direction of one entry
     largest = 0.5 * (inverse @ r + np.sqrt(float(r @ inverse @ r) * np.diag(inverse)))
     np.testing.assert_allclose(most, largest, rtol=1e-6)
     result = minimize_over_solutions(problem, prove=True)
@@ -143,7 +167,9 @@ def test_bounds_from_a_monotone_lower_level_keep_every_solution() -> None:
 def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
     """Row 0, w = −2 z₀ − 2 z₁ − 3 ≥ 0, excludes every z ≥ 0; 6e-17 in row 1 made w = −3 pass for 0."""
     M, q = [[-2.0, -2.0], [6.123233995736766e-17, -2.0]], [-3.0, 1e10]
-    problem = EquilibriumProgram.of_rows(QuadraticProgram(None, [2.0, -1.0], lower=0.0), [0, 1], M, q)
+    problem = EquilibriumProgram.of_rows(
+        QuadraticProgram(None, [2.0, -1.0], lower=0.0), [0, 1], M, q
+    )
     assert problem.excess_of_rows(np.array([0.0, 0.0, 0.0, 1e10])).max() > 0.1
     result = solve(problem, max_seconds=20)
     assert not result.is_solved
@@ -165,7 +191,9 @@ def test_the_unit_of_the_objective_changes_no_answer(unit: float, prove: bool) -
         ends = np.column_stack([lower, np.where(np.append(np.zeros(n, bool), is_zero), 0.0, upper)])
         found = linprog(costs, -W[is_zero], q[is_zero], W[~is_zero], -q[~is_zero], ends)
         best = min(best, unit * found.fun) if found.status == 0 else best
-    problem = EquilibriumProgram.of_rows(QuadraticProgram(None, cost, lower=lower, upper=upper), range(n, 2 * n), W, q)
+    problem = EquilibriumProgram.of_rows(
+        QuadraticProgram(None, cost, lower=lower, upper=upper), range(n, 2 * n), W, q
+    )
     result = minimize_over_solutions(problem, prove=prove)
     assert result.is_solved
     np.testing.assert_allclose(result.value, best, rtol=1e-6)

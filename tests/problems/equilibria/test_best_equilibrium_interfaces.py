@@ -67,10 +67,16 @@ def test_what_is_not_convex_is_found() -> None:
     solver = pe.SolverFactory("lcp_plugin")
     pe.assert_optimal_termination(solver.solve(m))
     assert pe.value(m.cost) == pytest.approx((24 / 7 - 5) ** 2 + (57 / 7) ** 2, abs=1e-6)
-    assert (solver.result.bound_by, solver.result.proof, solver.result.is_b_stationary) == ("SCIP", None, True)
+    assert (solver.result.bound_by, solver.result.proof, solver.result.is_b_stationary) == (
+        "SCIP",
+        None,
+        True,
+    )
     assert "bound by SCIP, in floating point" in solver.result.explain()
     m = bard()
-    m.bent = Complementarity(expr=complements(pe.exp(m.y) - 2 >= 0, m.x - 1.5 >= 0))  # x = 1.5 or y = log 2
+    m.bent = Complementarity(
+        expr=complements(pe.exp(m.y) - 2 >= 0, m.x - 1.5 >= 0)
+    )  # x = 1.5 or y = log 2
     pe.assert_optimal_termination(solver.solve(m))
     assert min(abs(m.x.value - 1.5), abs(pe.exp(m.y.value) - 2)) <= 1e-7
     assert solver.result.problem.excess(solver.result.x) <= 1e-7
@@ -86,7 +92,9 @@ def test_a_yes_or_no_beside_pairs() -> None:
     pe.assert_optimal_termination(solver.solve(m))
     assert (m.b.value, pe.value(m.cost)) == (1.0, pytest.approx(10.0, abs=1e-6))
     m.pair.deactivate()
-    with pytest.raises(UnsupportedModel, match="b is integer, and integers are taken beside complementarities only"):
+    with pytest.raises(
+        UnsupportedModel, match="b is integer, and integers are taken beside complementarities only"
+    ):
         solver.solve(m)
 
 
@@ -105,7 +113,9 @@ def test_what_is_not_taken_is_said() -> None:
     m.bent = pe.Constraint(expr=pe.exp(m.y) >= 1)
     with pytest.raises(UnsupportedModel, match=r"prove=True needs affine rows.*leave it out"):
         solver.solve(m, options={"prove": True})
-    with pytest.raises(InvalidOption, match="tolerance must be a number > 0 and < 1, as it is relative, got 1"):
+    with pytest.raises(
+        InvalidOption, match="tolerance must be a number > 0 and < 1, as it is relative, got 1"
+    ):
         solver.solve(bard(), options={"tolerance": 1})
     with pytest.raises(InvalidOption, match="takes no algorithm, got 'psor'"):
         solver.solve(bard(), options={"algorithm": "psor"})
@@ -121,7 +131,9 @@ def test_an_infeasible_best_has_a_proof() -> None:
     assert np.isinf(solver.result.lower_bound)
 
 
-@pytest.mark.parametrize(("fixed", "falls", "wanted"), [(0, 1, 1.0), (1, -1, -1.0), (0, -1, -np.inf), (-1, 1, np.inf)])
+@pytest.mark.parametrize(
+    ("fixed", "falls", "wanted"), [(0, 1, 1.0), (1, -1, -1.0), (0, -1, -np.inf), (-1, 1, np.inf)]
+)
 def test_a_pair_of_a_fixed_variable_holds(fixed: float, falls: float, wanted: float) -> None:
     """Fixed x at its bound leaves y ≥ 1, above it y = 1, below it nothing."""
     m = pe.ConcreteModel()
@@ -130,7 +142,10 @@ def test_a_pair_of_a_fixed_variable_holds(fixed: float, falls: float, wanted: fl
     m.pair = Complementarity(expr=complements(m.x >= 0, m.y - 1 >= 0))
     m.cost = pe.Objective(expr=m.t + falls * m.y)
     condition = pe.SolverFactory("lcp_plugin").solve(m).solver.termination_condition
-    expected = {np.inf: pe.TerminationCondition.infeasible, -np.inf: pe.TerminationCondition.unbounded}
+    expected = {
+        np.inf: pe.TerminationCondition.infeasible,
+        -np.inf: pe.TerminationCondition.unbounded,
+    }
     assert condition == expected.get(wanted, pe.TerminationCondition.optimal)
     if np.isfinite(wanted):
         assert pe.value(m.cost) == pytest.approx(wanted, abs=1e-7)

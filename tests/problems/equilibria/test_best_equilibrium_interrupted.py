@@ -23,7 +23,10 @@ def some_pairs() -> EquilibriumProgram:
     rng = np.random.default_rng(3)
     k = 5
     program = QuadraticProgram(
-        np.zeros((k + 2, k + 2)), rng.integers(-4, 5, k + 2), lower=[-1, -1] + [0] * k, upper=[1, 1] + [3] * k
+        np.zeros((k + 2, k + 2)),
+        rng.integers(-4, 5, k + 2),
+        lower=[-1, -1] + [0] * k,
+        upper=[1, 1] + [3] * k,
     )
     M, q = rng.integers(-3, 4, (k, k + 2)), rng.integers(-3, 4, k)
     return EquilibriumProgram.of_rows(program, np.arange(2, k + 2), M, q)
@@ -42,7 +45,12 @@ def interrupted(at: int) -> tuple[Any, int]:
 
     def call(frame: FrameType, event: str, _: Any) -> Any:
         is_search = frame.f_code.co_filename.endswith(("branch_and_bound.py", "relaxations.py"))
-        is_begun = frame.f_code.co_name not in ("minimize_over_solutions", "__init__", "_result", "clock")
+        is_begun = frame.f_code.co_name not in (
+            "minimize_over_solutions",
+            "__init__",
+            "_result",
+            "clock",
+        )
         return line if is_search and is_begun and is_running(frame) else None
 
     before = sys.gettrace()
@@ -70,14 +78,19 @@ def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
     assert (whole.status, whole.verify(), whole.nodes > 1) == (Status.SOLVED, True, True)
     for at in range(1, lines + 1, 97):
         result, _ = interrupted(at)
-        assert result.status is Status.INTERRUPTED or (result.status, result.value) == (Status.SOLVED, whole.value), at
+        assert result.status is Status.INTERRUPTED or (result.status, result.value) == (
+            Status.SOLVED,
+            whole.value,
+        ), at
         assert result.lower_bound <= whole.value, at
         assert result.verify() or result.bound_by == "SCIP", at
     first, _ = interrupted(1)
     assert (first.status, first.lower_bound, first.x) == (Status.INTERRUPTED, -math.inf, None)
 
 
-def test_ctrl_c_that_a_run_of_steps_has_heard_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_that_a_run_of_steps_has_heard_ends_the_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """It ends with status limit at once, and not after all other nodes."""
     real, runs = relaxations.solve_program, []
 

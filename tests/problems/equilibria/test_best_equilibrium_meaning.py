@@ -23,7 +23,10 @@ def of_matrix(X: Any) -> Any:
 def parts_of_a_matrix() -> Any:
     """The bounds of a part of a variable are those of its attributes."""
     X = cp.Variable((2, 3), nonneg=True)
-    return X, [complements(X[:, 1:], of_matrix(X)[:, 1:]), complements(X[:, 0] >= 0, X[:, 0] - 1 >= 0)]
+    return X, [
+        complements(X[:, 1:], of_matrix(X)[:, 1:]),
+        complements(X[:, 0] >= 0, X[:, 0] - 1 >= 0),
+    ]
 
 
 def with_minus() -> Any:
@@ -50,8 +53,9 @@ def boxes() -> Any:
     return x, [complements(box(x, [-1, -np.inf, -np.inf], [1, 0.5, np.inf]), 2 * x - [9, 8, 7])]
 
 
-
-@pytest.mark.parametrize("model", [parts_of_a_matrix, with_minus, expression_first, from_above, boxes])
+@pytest.mark.parametrize(
+    "model", [parts_of_a_matrix, with_minus, expression_first, from_above, boxes]
+)
 def test_a_pair_means_the_same_with_an_objective(model: Callable[[], Any]) -> None:
     """Where there is one solution both ways find it, with the duals of the pair and of the inequalities in it."""
     found = []
@@ -60,7 +64,12 @@ def test_a_pair_means_the_same_with_an_objective(model: Callable[[], Any]) -> No
         problem = cp.Problem(cp.Minimize(cp.sum(x) if with_objective else 0), pairs)
         problem.solve(method="LCP")
         assert problem.status == cp.OPTIMAL
-        inner = [side.constraint for pair in pairs for side in (pair.first, pair.second) if side.constraint is not None]
+        inner = [
+            side.constraint
+            for pair in pairs
+            for side in (pair.first, pair.second)
+            if side.constraint is not None
+        ]
         found.append([x.value, *(constraint.dual_value for constraint in [*pairs, *inner])])
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-7)
@@ -74,12 +83,19 @@ def test_an_equality_opposite_an_inequality_is_refused() -> None:
         cp.Problem(cp.Minimize(cp.square(x) + y), pairs).solve(method="LCP")
 
 
-@pytest.mark.parametrize(("F", "z", "w"), [
-    (lambda z: z - 3, 1.0, -2.0), (lambda z: 3 - z, 0.0, 3.0), (lambda z: 2 * z - 1, 0.5, 0.0),
-    (lambda z: 0 * z, 0.0, 0.0),
-])
+@pytest.mark.parametrize(
+    ("F", "z", "w"),
+    [
+        (lambda z: z - 3, 1.0, -2.0),
+        (lambda z: 3 - z, 0.0, 3.0),
+        (lambda z: 2 * z - 1, 0.5, 0.0),
+        (lambda z: 0 * z, 0.0, 0.0),
+    ],
+)
 @pytest.mark.parametrize("beside", ["nothing", "a pair and a row", "an objective"])
-def test_an_equality_opposite_bounds_is_a_pair_between_them(F: Any, z: float, w: float, beside: str) -> None:
+def test_an_equality_opposite_bounds_is_a_pair_between_them(
+    F: Any, z: float, w: float, beside: str
+) -> None:
     """As PATH takes it: 0 ≤ z ≤ 1 with F == 0 is F ≥ 0 at 0, F ≤ 0 at 1 and 0 between; a warning says so."""
     x, y = cp.Variable(2, bounds=[0, 1]), cp.Variable(nonneg=True)
     pair = complements(x, F(x) == 0)
@@ -135,7 +151,10 @@ def test_a_pair_of_nothing_says_nothing() -> None:
         x, v = cp.Variable(), cp.Variable(0)
     except ValueError:
         pytest.skip("this cvxpy has no variables of size 0")
-    problem = cp.Problem(cp.Minimize(cp.square(x - 1)), [complements(v >= 0, v >= 0), complements(x >= 0, 2 - x >= 0)])
+    problem = cp.Problem(
+        cp.Minimize(cp.square(x - 1)),
+        [complements(v >= 0, v >= 0), complements(x >= 0, 2 - x >= 0)],
+    )
     problem.solve(method="LCP")
     assert problem.value == pytest.approx(1.0)
     assert v.value.shape == (0,)

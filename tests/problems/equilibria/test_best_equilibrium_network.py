@@ -20,7 +20,9 @@ def without_scip(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.full
-def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_optimum_on_a_network_is_believed_with_scip_and_found_without(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """SCIP closes the gap, which is said; without it the same point comes from followers at fixed leaders."""
     problem, invested = network()
     problem.solve(method="LCP", max_seconds=600)
@@ -55,8 +57,15 @@ def test_what_a_few_nodes_prove_is_not_searched_by_scip(seed: int) -> None:
     M, N, q = half @ half.T + np.eye(k), rng.standard_normal((k, 2)), rng.standard_normal(k)
     box = np.append([-1, -1], np.zeros(k)), np.append([1, 1], np.full(k, np.inf))
     program = QuadraticProgram(None, rng.standard_normal(k + 2), lower=box[0], upper=box[1])
-    result = minimize_over_solutions(EquilibriumProgram.of_rows(program, np.arange(2, k + 2), np.hstack([N, M]), q))
-    assert (result.status, result.bound_by, result.outside, result.verify()) == (Status.SOLVED, "proof", None, True)
+    result = minimize_over_solutions(
+        EquilibriumProgram.of_rows(program, np.arange(2, k + 2), np.hstack([N, M]), q)
+    )
+    assert (result.status, result.bound_by, result.outside, result.verify()) == (
+        Status.SOLVED,
+        "proof",
+        None,
+        True,
+    )
     assert 0 < result.nodes <= branch_and_bound.FIRST // k
 
 
@@ -107,7 +116,11 @@ def test_without_scip_what_is_no_complementarity_problem_is_solved_too(without_s
     twice = QuadraticProgram(None, [1, 0, 0], A=[[1, -1, 0]], b=[1], lower=0)
     for program, second in ((over, [1]), (twice, [1, 2])):
         result = minimize_over_solutions(EquilibriumProgram(program, [0] * len(second), second))
-        assert (result.status, result.value, result.bound_by) == (Status.SOLVED, pytest.approx(1.0), "proof")
+        assert (result.status, result.value, result.bound_by) == (
+            Status.SOLVED,
+            pytest.approx(1.0),
+            "proof",
+        )
 
 
 def test_missing_bounds_are_named_where_the_bound_barely_moves(without_scip: None) -> None:
@@ -115,8 +128,16 @@ def test_missing_bounds_are_named_where_the_bound_barely_moves(without_scip: Non
     M, q = [[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0]  # 0 ≤ y₀ ⟂ 1 + y₁, 0 ≤ y₁ ⟂ 1 + y₀: y = 0
     results = [
         minimize_over_solutions(EquilibriumProgram.of_rows(program, [0, 1], M, q), max_nodes=0)
-        for program in (QuadraticProgram(None, [-1, -1], lower=0),
-                        QuadraticProgram(None, [-1, -1], np.eye(2), [9, 9], lower=0))
+        for program in (
+            QuadraticProgram(None, [-1, -1], lower=0),
+            QuadraticProgram(None, [-1, -1], np.eye(2), [9, 9], lower=0),
+        )
     ]
-    assert (results[0].value, results[0].lower_bound, results[1].lower_bound) == (0.0, -np.inf, pytest.approx(-18.0))
-    assert "x[0], x[1] have no upper bound; give them one, as a row of G x <= h" in results[0].advice
+    assert (results[0].value, results[0].lower_bound, results[1].lower_bound) == (
+        0.0,
+        -np.inf,
+        pytest.approx(-18.0),
+    )
+    assert (
+        "x[0], x[1] have no upper bound; give them one, as a row of G x <= h" in results[0].advice
+    )

@@ -15,7 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.linalg import aslinearoperator
 
-from lcp_plugin import BoundedLeastSquares, QuadraticProgram, Status, load_problem, solve, solve_batch
+from lcp_plugin import (
+    BoundedLeastSquares,
+    QuadraticProgram,
+    Status,
+    load_problem,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.least_squares.certificate import duality_gap
 from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
@@ -33,14 +40,24 @@ def planted(
     penalty is what the slope s = AᵀWy + ridge x then needs.
     """
     rng = np.random.default_rng(seed)
-    A, y = rng.integers(-spread, spread + 1, (m, n)).astype(float), rng.integers(-spread, spread + 1, m).astype(float)
+    A, y = (
+        rng.integers(-spread, spread + 1, (m, n)).astype(float),
+        rng.integers(-spread, spread + 1, m).astype(float),
+    )
     weights = rng.integers(1, 4, m).astype(float)
     place = rng.choice(["free", "held", "degenerate", "one side", "upper", "lower"], n)
-    x = np.where(np.isin(place, ["free", "upper", "lower"]), rng.integers(1, 5, n).astype(float), 0.0)
+    x = np.where(
+        np.isin(place, ["free", "upper", "lower"]), rng.integers(1, 5, n).astype(float), 0.0
+    )
     slope = A.T @ (weights * y)
-    A, slope = np.where(slope > 0.0, -A, A), -np.abs(slope)  # every column wants to rise; turned below where x < 0
+    A, slope = (
+        np.where(slope > 0.0, -A, A),
+        -np.abs(slope),
+    )  # every column wants to rise; turned below where x < 0
     l1 = np.abs(slope + ridge * x)
-    small = np.isin(place, ["free", "upper", "lower"]) & (slope + ridge * x > 0.0)  # too large for its slope
+    small = np.isin(place, ["free", "upper", "lower"]) & (
+        slope + ridge * x > 0.0
+    )  # too large for its slope
     x[small], place[small] = 0.0, "held"
     l1 = np.where(place == "held", np.abs(slope) + rng.integers(1, 3, n), np.abs(slope + ridge * x))
     at_bound = np.isin(place, ["upper", "lower"])
@@ -53,17 +70,30 @@ def planted(
     return A, A @ x - y, dict(lower=lower, upper=upper, weights=weights, ridge=ridge, l1=l1), x
 
 
-def exact_cost(A: Any, b: Any, x: Any, *, weights: Any, ridge: float, l1: Any, **bounds: Any) -> Fraction:
+def exact_cost(
+    A: Any, b: Any, x: Any, *, weights: Any, ridge: float, l1: Any, **bounds: Any
+) -> Fraction:
     A, b, x, weights, l1 = (list(map(Fraction, v)) if np.ndim(v) == 1 else [list(map(Fraction, row)) for row in v]
                             for v in (A, b, x, weights, l1))  # fmt: skip
-    off = [sum((a * z for a, z in zip(row, x, strict=True)), -beta) for row, beta in zip(A, b, strict=True)]
-    squares = sum(w * r * r for w, r in zip(weights, off, strict=True)) + Fraction(ridge) * sum(z * z for z in x)
+    off = [
+        sum((a * z for a, z in zip(row, x, strict=True)), -beta)
+        for row, beta in zip(A, b, strict=True)
+    ]
+    squares = sum(w * r * r for w, r in zip(weights, off, strict=True)) + Fraction(ridge) * sum(
+        z * z for z in x
+    )
     return squares / 2 + sum(a * abs(z) for a, z in zip(l1, x, strict=True))
 
 
-def exact_misfit(A: Any, b: Any, x: Any, *, lower: Any, upper: Any, weights: Any, ridge: float, l1: Any) -> float:
+def exact_misfit(
+    A: Any, b: Any, x: Any, *, lower: Any, upper: Any, weights: Any, ridge: float, l1: Any
+) -> float:
     """‖x − mid(lower, upper, prox(x − g))‖∞ ÷ ‖AᵀWb‖∞ in rational arithmetic."""
-    rows, right, at = [list(map(Fraction, row)) for row in A], list(map(Fraction, b)), list(map(Fraction, x))
+    rows, right, at = (
+        [list(map(Fraction, row)) for row in A],
+        list(map(Fraction, b)),
+        list(map(Fraction, x)),
+    )
     off = [Fraction(w) * sum((a * z for a, z in zip(row, at, strict=True)), -beta)
            for w, row, beta in zip(weights, rows, right, strict=True)]  # fmt: skip
     worst = Fraction(0)
@@ -91,13 +121,21 @@ def test_planted_lassos_are_solved_exactly(m: int, n: int, seed: int, ridge: flo
         assert exact_misfit(A, b, result.x, **rest) <= 1e-7
 
 
-@given(st.integers(2, 7), st.integers(1, 7), st.integers(0, 10**6), st.sampled_from([0.0, 1.0]), st.floats(0.0, 2.0))
+@given(
+    st.integers(2, 7),
+    st.integers(1, 7),
+    st.integers(0, 10**6),
+    st.sampled_from([0.0, 1.0]),
+    st.floats(0.0, 2.0),
+)
 def test_the_gap_of_a_lasso_bounds_what_an_x_costs_too_much(
     m: int, n: int, seed: int, ridge: float, share: float
 ) -> None:
     """Of any x, the answer as well, f(x) − min f ≤ gap, in rational arithmetic."""
     A, b, rest, x = planted(m, n, seed, ridge)
-    at = np.clip(x + share * np.random.default_rng(seed).standard_normal(n), rest["lower"], rest["upper"])
+    at = np.clip(
+        x + share * np.random.default_rng(seed).standard_normal(n), rest["lower"], rest["upper"]
+    )
     problem = BoundedLeastSquares(A, b, **rest)
     for point in (at, x):
         excess = exact_cost(A, b, point, **rest) - exact_cost(A, b, x, **rest)
@@ -117,25 +155,42 @@ def test_large_lassos_are_solved_without_doubling(form: Any, bounds: dict[str, A
     rest = {"weights": np.ones(250), "ridge": 0.0, "l1": np.full(400, l1)}
     whole = {name: np.broadcast_to(bound, 400) for name, bound in bounds.items()}
     slope = A.T @ (A @ result.x - b)
-    moved = np.clip(np.sign(result.x - slope) * np.maximum(np.abs(result.x - slope) - l1, 0.0), *whole.values())
+    moved = np.clip(
+        np.sign(result.x - slope) * np.maximum(np.abs(result.x - slope) - l1, 0.0), *whole.values()
+    )
     assert np.abs(result.x - moved).max() <= 1e-7 * np.abs(A.T @ b).max()
     assert 5 <= np.count_nonzero(result.x) <= 100
     asked = 1e-7 if form is aslinearoperator else 1e-8  # no face of an operator is solved for
     assert result.gap <= asked * result.cost
-    assert abs(float(exact_cost(A[:2], b[:2], result.x, **{**rest, "weights": np.ones(2)})) - 0.5 * (
-        np.sum((A[:2] @ result.x - b[:2]) ** 2)) - l1 * np.abs(result.x).sum()) <= 1e-9
+    assert (
+        abs(
+            float(exact_cost(A[:2], b[:2], result.x, **{**rest, "weights": np.ones(2)}))
+            - 0.5 * (np.sum((A[:2] @ result.x - b[:2]) ** 2))
+            - l1 * np.abs(result.x).sum()
+        )
+        <= 1e-9
+    )
 
 
 def test_a_convex_solver_agrees() -> None:
     """An elastic net with bounds, weights and an unpenalised column: Clarabel's answer through cvxpy."""
     rng = np.random.default_rng(8)
-    A, b, weights = rng.standard_normal((60, 30)), 3.0 * rng.standard_normal(60), rng.random(60) + 0.1
+    A, b, weights = (
+        rng.standard_normal((60, 30)),
+        3.0 * rng.standard_normal(60),
+        rng.random(60) + 0.1,
+    )
     lower, upper = np.where(np.arange(30) % 3, -INF, -0.1), np.where(np.arange(30) % 4, INF, 0.3)
     l1 = np.where(np.arange(30) == 1, 0.0, 5.0 * rng.random(30))
-    result = bounded_least_squares(A, b, lower, upper, weights=weights, ridge=0.7, l1=l1).require_solved()
+    result = bounded_least_squares(
+        A, b, lower, upper, weights=weights, ridge=0.7, l1=l1
+    ).require_solved()
     x = cp.Variable(30)
     fit = 0.5 * cp.sum_squares(cp.multiply(np.sqrt(weights), A @ x - b)) + 0.35 * cp.sum_squares(x)
-    held = [x[np.isfinite(lower)] >= lower[np.isfinite(lower)], x[np.isfinite(upper)] <= upper[np.isfinite(upper)]]
+    held = [
+        x[np.isfinite(lower)] >= lower[np.isfinite(lower)],
+        x[np.isfinite(upper)] <= upper[np.isfinite(upper)],
+    ]
     best = cp.Problem(cp.Minimize(fit + l1 @ cp.abs(x)), held).solve(solver="CLARABEL")
     assert abs(result.cost - best) <= 1e-6 * best
     np.testing.assert_allclose(result.x, x.value, atol=1e-4)
@@ -155,7 +210,10 @@ def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:
     free = result.x != 0.0
     shortest = -l1 * np.linalg.lstsq(A[:, free].T, np.sign(result.x[free]), rcond=None)[0]
     bounds = []
-    for y in (shortest, A @ result.x - b):  # scaled to |Aᵀy| ≤ l1: the one is good where little is left of b
+    for y in (
+        shortest,
+        A @ result.x - b,
+    ):  # scaled to |Aᵀy| ≤ l1: the one is good where little is left of b
         y *= l1 / max(l1, float(np.abs(A.T @ y).max()))
         bounds.append(-0.5 * (y @ y) - b @ y)
     assert result.cost <= max(bounds) * (1.0 + 1e-6)
@@ -215,7 +273,9 @@ def test_a_lasso_goes_in_and_out_as_other_least_squares_do(tmp_path: Path) -> No
 
 def test_a_transposed_matrix_is_told() -> None:
     """A b that has a number a column of A, not a row: did you mean A.T?"""
-    with pytest.raises(InvalidProblem, match=r"got shape \(2,\), and A has 3 rows .*; did you mean A.T\?"):
+    with pytest.raises(
+        InvalidProblem, match=r"got shape \(2,\), and A has 3 rows .*; did you mean A.T\?"
+    ):
         BoundedLeastSquares(np.ones((3, 2)), [1.0, 2.0])
 
 

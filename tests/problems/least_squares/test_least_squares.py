@@ -24,7 +24,13 @@ from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from lcp_plugin import Status, solve
-from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged, UnsuitableProblem
+from lcp_plugin.core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    NotConverged,
+    UnsuitableProblem,
+)
 from lcp_plugin.problems.least_squares import run
 from lcp_plugin.problems.least_squares.certificate import Optimality
 from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
@@ -36,7 +42,9 @@ from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, bounde
 INF = np.inf
 
 
-def planted(A: Any, seed: int = 0, free: float = 0.5, boxed: float = 0.0) -> tuple[Any, np.ndarray, np.ndarray, Any]:
+def planted(
+    A: Any, seed: int = 0, free: float = 0.5, boxed: float = 0.0
+) -> tuple[Any, np.ndarray, np.ndarray, Any]:
     """A with some columns' signs turned, b, upper and the answer x within [0, upper], chosen first.
 
     The residual y is chosen orthogonal to the free columns; where Aᵀy has not the sign that the bound of a column
@@ -54,7 +62,11 @@ def planted(A: Any, seed: int = 0, free: float = 0.5, boxed: float = 0.0) -> tup
     for _ in range(2):
         y -= orthogonal @ (orthogonal.T @ y)
     wrong = ~is_free & ((dense.T @ y > 0.0) == at_upper)
-    turned = A @ sp.diags_array(np.where(wrong, -1.0, 1.0)) if sp.issparse(A) else A * np.where(wrong, -1.0, 1.0)
+    turned = (
+        A @ sp.diags_array(np.where(wrong, -1.0, 1.0))
+        if sp.issparse(A)
+        else A * np.where(wrong, -1.0, 1.0)
+    )
     return turned, turned @ x - y, upper, x
 
 
@@ -62,14 +74,19 @@ def of_condition(m: int, n: int, condition: float, seed: int = 0) -> np.ndarray:
     """A dense matrix of that condition."""
     rng = np.random.default_rng(seed)
     k = min(m, n)
-    left, right = np.linalg.qr(rng.standard_normal((m, k)))[0], np.linalg.qr(rng.standard_normal((n, k)))[0]
+    left, right = (
+        np.linalg.qr(rng.standard_normal((m, k)))[0],
+        np.linalg.qr(rng.standard_normal((n, k)))[0],
+    )
     return left @ np.diag(np.logspace(0.0, -np.log10(condition), k)) @ right.T
 
 
 def random_rows(m: int, n: int, per_row: int, seed: int = 0) -> sp.csr_array:
     rng = np.random.default_rng(seed)
     rows = np.repeat(np.arange(m), per_row)
-    return sp.csr_array((rng.random(m * per_row), (rows, rng.integers(0, n, m * per_row))), shape=(m, n))
+    return sp.csr_array(
+        (rng.random(m * per_row), (rows, rng.integers(0, n, m * per_row))), shape=(m, n)
+    )
 
 
 def own_optimality(A: Any, b: Any, x: Any, lower: Any = 0.0, upper: Any = INF) -> float:
@@ -111,8 +128,12 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("lower", [0.0, -INF])
-@pytest.mark.parametrize(("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)])
-def test_rank_deficient_problems_have_an_answer_of_moderate_size(m: int, n: int, rank: int, lower: float) -> None:
+@pytest.mark.parametrize(
+    ("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)]
+)
+def test_rank_deficient_problems_have_an_answer_of_moderate_size(
+    m: int, n: int, rank: int, lower: float
+) -> None:
     """Where x is not unique an optimal one is found, not far away along what rounding leaves of singular values."""
     rng = np.random.default_rng(m + n)
     A, b = rng.standard_normal((m, rank)) @ rng.standard_normal((rank, n)), rng.standard_normal(m)
@@ -158,7 +179,9 @@ def test_conditions_hold_on_random_problems(m: int, n: int, seed: int, share: fl
     gradient = A.T @ (weights * fun) + ridge * x
     assert (lower <= x).all()
     assert (x <= upper).all()
-    assert np.abs(np.clip(gradient, x - upper, x - lower)).max() <= 1e-7 * (1.0 + np.abs(A.T @ (weights * b)).max())
+    assert np.abs(np.clip(gradient, x - upper, x - lower)).max() <= 1e-7 * (
+        1.0 + np.abs(A.T @ (weights * b)).max()
+    )
     np.testing.assert_allclose(result.fun, fun, atol=1e-12 * (1.0 + np.abs(x).max()) * 50)
     assert result.cost == pytest.approx(0.5 * (weights @ fun**2 + ridge * x @ x), abs=1e-12)
     assert ((result.active_mask == -1) == (x == lower)).all()
@@ -235,7 +258,12 @@ def test_engines_and_steps_find_the_same_answers(monkeypatch: pytest.MonkeyPatch
     for k in range(60):
         m, n = rng.integers(10, 40), rng.integers(1, 10)
         A = rng.random((m, n)) if k % 2 else rng.standard_normal((m, n))
-        b, lower, upper, weights = rng.standard_normal(m), -rng.random(n), rng.random(n), rng.random(m)
+        b, lower, upper, weights = (
+            rng.standard_normal(m),
+            -rng.random(n),
+            rng.random(n),
+            rng.random(m),
+        )
         lower[rng.random(n) < 0.3], upper[rng.random(n) < 0.3] = -INF, INF
         options: dict[str, Any] = {"weights": weights, "ridge": float(k % 3)}
         by_engines = bounded_least_squares(A, b, lower, upper, **options).require_solved()
@@ -262,7 +290,9 @@ def relaxations(m: int, n: int) -> np.ndarray:
 def test_an_inversion_for_decay_times_is_solved(m: int, n: int, noise: float) -> None:
     """Condition 1e16 and more, with and without noise: SOLVED, at no more than the cost of scipy's nnls, in a step."""
     A = relaxations(m, n)
-    b = A @ np.exp(-4.0 * np.linspace(-2.0, 2.0, n) ** 2) + noise * np.random.default_rng(2).standard_normal(m)
+    b = A @ np.exp(-4.0 * np.linspace(-2.0, 2.0, n) ** 2) + noise * np.random.default_rng(
+        2
+    ).standard_normal(m)
     result = bounded_least_squares(A, b).require_solved()
     assert result.nit <= 2
     assert result.cost <= 0.5 * nnls(A, b, maxiter=30 * n)[1] ** 2 * (1.0 + 1e-9) + 1e-24 * (b @ b)
@@ -280,7 +310,9 @@ def test_a_vandermonde_matrix_is_solved() -> None:
 def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
     """Tridiagonal, 2·10⁵ unknowns: after max_seconds=.2 no certificate is made, and nothing is said to be proved."""
     n = 200_000
-    A = sp.diags_array([np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]).tocsr()
+    A = sp.diags_array(
+        [np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
+    ).tocsr()
     b, began = np.random.default_rng(0).standard_normal(n), time.process_time()
     result = bounded_least_squares(A, b, lower, max_seconds=0.2)
     assert result.status is Status.MAX_SECONDS
@@ -303,7 +335,9 @@ def test_no_compiler_is_needed() -> None:
 # --- the gap against exact arithmetic -----------------------------------------------------------------------
 
 
-def exact_minimum(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, upper: list[Any]) -> Fraction:
+def exact_minimum(
+    A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, upper: list[Any]
+) -> Fraction:
     """The exact minimum over 0 ≤ x ≤ upper: of all faces whose equations have one answer, the best feasible one.
 
     Some minimum lies on such a face, as columns that depend on others can be moved to a bound.
@@ -318,7 +352,10 @@ def exact_minimum(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int,
         columns = [j for j in range(n) if face[j] == 1]
         right = [Fraction(int(b[i])) - sum(rows[i][j] * x[j] for j in range(n)) for i in range(m)]
         system = [
-            [sum(int(weights[i]) * rows[i][j] * rows[i][k] for i in range(m)) + ridge * (j == k) for k in columns]
+            [
+                sum(int(weights[i]) * rows[i][j] * rows[i][k] for i in range(m)) + ridge * (j == k)
+                for k in columns
+            ]
             + [sum(int(weights[i]) * rows[i][j] * right[i] for i in range(m))]
             for j in columns
         ]
@@ -327,7 +364,10 @@ def exact_minimum(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int,
             continue
         for j, value in zip(columns, found, strict=True):
             x[j] = value
-        if all(value >= 0 and (bound is None or value <= bound) for value, bound in zip(x, upper, strict=True)):
+        if all(
+            value >= 0 and (bound is None or value <= bound)
+            for value, bound in zip(x, upper, strict=True)
+        ):
             value = exact_cost(A, b, weights, ridge, x)
             best = value if best is None else min(best, value)
     assert best is not None
@@ -344,35 +384,59 @@ def eliminated(system: list[list[Fraction]]) -> list[Fraction] | None:
         system[k] = [value / system[k][k] for value in system[k]]
         for i in range(size):
             if i != k:
-                system[i] = [a - system[i][k] * c for a, c in zip(system[i], system[k], strict=True)]
+                system[i] = [
+                    a - system[i][k] * c for a, c in zip(system[i], system[k], strict=True)
+                ]
     return [row[-1] for row in system]
 
 
 def exact_cost(A: np.ndarray, b: np.ndarray, weights: np.ndarray, ridge: int, x: Any) -> Fraction:
     values = [Fraction(float(v)) if isinstance(v, float) else v for v in x]
-    rests = [sum(int(a) * v for a, v in zip(row, values, strict=True)) - int(c) for row, c in zip(A, b, strict=True)]
-    return (sum(int(w) * r * r for w, r in zip(weights, rests, strict=True)) + ridge * sum(v * v for v in values)) / 2
+    rests = [
+        sum(int(a) * v for a, v in zip(row, values, strict=True)) - int(c)
+        for row, c in zip(A, b, strict=True)
+    ]
+    return (
+        sum(int(w) * r * r for w, r in zip(weights, rests, strict=True))
+        + ridge * sum(v * v for v in values)
+    ) / 2
 
 
 @pytest.mark.parametrize("form", [np.ascontiguousarray, np.asfortranarray, sp.csr_array])
 def test_residuals_and_gradients_are_enclosed(form: Callable[[Any], Any]) -> None:
     """By rows in blocks, by columns and sparse: the exact residual and gradient lie within the proved radii."""
     rng = np.random.default_rng(2)
-    A, b, x = 10.0 ** rng.integers(-3, 4, (1100, 3)) * rng.standard_normal((1100, 3)), rng.random(1100), rng.random(3)
+    A, b, x = (
+        10.0 ** rng.integers(-3, 4, (1100, 3)) * rng.standard_normal((1100, 3)),
+        rng.random(1100),
+        rng.random(3),
+    )
     weights = rng.random(1100)
     enclosures = Enclosures(BoundedLeastSquares(form(A), b, weights=weights, ridge=0.3))
     residual = enclosures.residual(x)
     gradient = enclosures.gradient(x, residual)
-    exact = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True)) - Fraction(c)
-             for row, c in zip(A, b, strict=True)]
-    slope = [sum(Fraction(w) * Fraction(a) * r for w, a, r in zip(weights, A[:, j], exact, strict=True))
-             + Fraction(0.3) * Fraction(x[j]) for j in range(3)]
+    exact = [
+        sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True)) - Fraction(c)
+        for row, c in zip(A, b, strict=True)
+    ]
+    slope = [
+        sum(Fraction(w) * Fraction(a) * r for w, a, r in zip(weights, A[:, j], exact, strict=True))
+        + Fraction(0.3) * Fraction(x[j])
+        for j in range(3)
+    ]
     for true, (value, radius) in ((exact, residual), (slope, gradient)):
-        assert all(abs(t - Fraction(v)) <= Fraction(r) for t, v, r in zip(true, value, radius, strict=True))
+        assert all(
+            abs(t - Fraction(v)) <= Fraction(r) for t, v, r in zip(true, value, radius, strict=True)
+        )
         assert (radius <= 1e-9 * (1.0 + np.abs(A).sum())).all()
 
 
-@given(st.integers(1, 5), st.integers(1, 4), st.integers(0, 10**6), st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]))
+@given(
+    st.integers(1, 5),
+    st.integers(1, 4),
+    st.integers(0, 10**6),
+    st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]),
+)
 def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, tolerance: float) -> None:
     """In rational arithmetic, whatever the tolerance, rank, weights, ridge: cost − min ≤ gap; SOLVED is true."""
     rng = np.random.default_rng(seed)
@@ -387,8 +451,18 @@ def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, toleranc
     true_gap = exact_cost(A, b, weights, ridge, x) - exact_minimum(A, b, weights, ridge, upper)
     assert result.is_proved
     assert 0 <= true_gap <= Fraction(result.gap)
-    if result.is_solved:  # no more than the tolerance above the least, beside its cost, but for rounding
-        case = Case("", A.astype(float), b.astype(float), np.zeros(n), bound, weights.astype(float), float(ridge))
+    if (
+        result.is_solved
+    ):  # no more than the tolerance above the least, beside its cost, but for rounding
+        case = Case(
+            "",
+            A.astype(float),
+            b.astype(float),
+            np.zeros(n),
+            bound,
+            weights.astype(float),
+            float(ridge),
+        )
         assert result.optimality <= tolerance
         assert complaint(case, Exact(case), result.x, tolerance) != "FALSE"
 
@@ -402,9 +476,13 @@ def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:
     assert bounded_least_squares(np.ones((3, 2)), [1.0, 2.0, 4.0], -INF).gap <= 7.0
 
 
-def test_least_squares_in_mixed_units(capsys: pytest.CaptureFixture[str], draws: Callable[[int], range]) -> None:
+def test_least_squares_in_mixed_units(
+    capsys: pytest.CaptureFixture[str], draws: Callable[[int], range]
+) -> None:
     """Rows, columns, weights in mixed units, any rank, exact fits: no SOLVED above the least, ≤ .5 % not solved."""
-    assert campaign.main(["--cases", str(len(draws(360))), "--seed", "7", "--alone"]) == 0, capsys.readouterr().out
+    assert campaign.main(["--cases", str(len(draws(360))), "--seed", "7", "--alone"]) == 0, (
+        capsys.readouterr().out
+    )
 
 
 @given(st.integers(0, 10**6), st.sampled_from([1e-8, 1e-3]))
@@ -415,14 +493,21 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
     """
     rng = np.random.default_rng(seed)
     case = campaign.draw(campaign.KINDS[seed % 3], rng)
-    rows, columns = 2.0 ** rng.integers(-30, 31, case.b.size), 2.0 ** rng.integers(-30, 31, case.lower.size)
+    rows, columns = (
+        2.0 ** rng.integers(-30, 31, case.b.size),
+        2.0 ** rng.integers(-30, 31, case.lower.size),
+    )
     alone = bounded_least_squares(case.A, case.b, case.lower, case.upper, tolerance=tolerance)
     plain = bounded_least_squares(
         case.A, case.b, case.lower, case.upper, weights=np.ones(case.b.size), tolerance=tolerance
     )
     scaled = bounded_least_squares(
-        rows[:, None] * case.A * columns, rows * case.b, case.lower / columns, case.upper / columns,
-        weights=1.0 / (rows * rows), tolerance=tolerance,
+        rows[:, None] * case.A * columns,
+        rows * case.b,
+        case.lower / columns,
+        case.upper / columns,
+        weights=1.0 / (rows * rows),
+        tolerance=tolerance,
     )
     assert plain.status is scaled.status is alone.status
     if alone.is_solved:
@@ -438,14 +523,22 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
 @pytest.mark.parametrize("form", ["auto", "normal", "mixed"])
 @pytest.mark.parametrize("shape", [(40, 12), (9, 20), (0, 3), (3, 0)])
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
-def test_least_squares_as_a_complementarity_problem(shape: tuple[int, int], form: str, kind: Any) -> None:
+def test_least_squares_as_a_complementarity_problem(
+    shape: tuple[int, int], form: str, kind: Any
+) -> None:
     """`solve` of each form, weights, ridge and a box included, recovers the x, residual and cost of the solver."""
     rng = np.random.default_rng(sum(shape))
-    A, b, weights = kind(rng.standard_normal(shape)), rng.standard_normal(shape[0]), rng.random(shape[0])
+    A, b, weights = (
+        kind(rng.standard_normal(shape)),
+        rng.standard_normal(shape[0]),
+        rng.random(shape[0]),
+    )
     weights[:1] = 0.0
     for ridge, lower, upper in ((0.1, -0.2, 0.3), (0.0, 0.0, INF)):
         direct = bounded_least_squares(A, b, lower, upper, weights=weights, ridge=ridge)
-        problem = lcp_from_least_squares(A, b, lower, upper, weights=weights, ridge=ridge, form=form)
+        problem = lcp_from_least_squares(
+            A, b, lower, upper, weights=weights, ridge=ridge, form=form
+        )
         answer = problem.origin.recover(solve(problem, tolerance=1e-11).require_solved())
         assert answer.cost == pytest.approx(direct.cost, rel=1e-8, abs=1e-12)
         if shape[0] > shape[1] or ridge:
@@ -471,15 +564,18 @@ def test_squares_that_no_double_holds_are_not_formed(size: float) -> None:
     A, b = size * np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([2.0, 1.0, -1.0])
     problem = lcp_from_least_squares(A, b)
     assert problem.origin.form == "mixed"
-    np.testing.assert_allclose(size * problem.origin.recover(solve(problem)).x, [1.5, 0.0], atol=1e-9)
+    np.testing.assert_allclose(
+        size * problem.origin.recover(solve(problem)).x, [1.5, 0.0], atol=1e-9
+    )
     with pytest.raises(UnsuitableProblem, match='form="mixed"'):
         lcp_from_least_squares(A, b, form="normal")
 
 
-
 def test_an_lcp_needs_entries() -> None:
     """A LinearOperator and unknown forms are refused in words."""
-    with pytest.raises(UnsuitableProblem, match="a LinearOperator has none; use bounded_least_squares"):
+    with pytest.raises(
+        UnsuitableProblem, match="a LinearOperator has none; use bounded_least_squares"
+    ):
         lcp_from_least_squares(aslinearoperator(np.eye(2)), [1.0, 1.0])
     with pytest.raises(InvalidOption, match="did you mean 'mixed'"):
         lcp_from_least_squares(np.eye(2), [1.0, 1.0], form="mixt")
@@ -502,7 +598,9 @@ def test_small_columns_of_a_linear_operator_count(lower: float, upper: float) ->
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("lower", "upper"), [(-1e10, 1e10), (-1e10, INF), (-INF, INF)])
-def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(lower: float, upper: float) -> None:
+def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(
+    lower: float, upper: float
+) -> None:
     """Half the singular values × 1e-8, mixed over all columns: a gradient of 1e-8 beside a third of the cost."""
     rng = np.random.default_rng(0)
     mix = np.linalg.qr(rng.standard_normal((100, 100)))[0]
@@ -519,7 +617,11 @@ def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(lower: float, 
 def test_a_linear_operator_has_any_unit(unit: float) -> None:
     """Products whose squares overflow or underflow: the same answer in that unit."""
     A, b, _, x = planted(of_condition(60, 30, 1e1))
-    for given_A, given_b, answer in ((unit * A, unit * b, x), (A, unit * b, unit * x), (A / unit, b, unit * x)):
+    for given_A, given_b, answer in (
+        (unit * A, unit * b, x),
+        (A, unit * b, unit * x),
+        (A / unit, b, unit * x),
+    ):
         result = bounded_least_squares(aslinearoperator(given_A), given_b).require_solved()
         np.testing.assert_allclose(result.x / answer.max(), answer / answer.max(), atol=1e-6)
 
@@ -528,7 +630,11 @@ def test_a_linear_operator_has_any_unit(unit: float) -> None:
 def test_the_unit_of_the_data_changes_nothing(unit: float) -> None:
     """A and b in another unit, or x in another one: the same answer in that unit. (x = 0 is never called SOLVED.)"""
     A, b, _, x = planted(of_condition(60, 30, 1e2))
-    for given_A, given_b, answer in ((unit * A, unit * b, x), (A, unit * b, unit * x), (A / unit, b, unit * x)):
+    for given_A, given_b, answer in (
+        (unit * A, unit * b, x),
+        (A, unit * b, unit * x),
+        (A / unit, b, unit * x),
+    ):
         result = bounded_least_squares(given_A, given_b).require_solved()
         np.testing.assert_allclose(result.x / answer.max(), answer / answer.max(), atol=1e-8)
 
@@ -537,7 +643,9 @@ def test_badly_scaled_columns() -> None:
     """Columns over 20 orders of magnitude: each component is right in its own unit."""
     units = np.logspace(-10, 10, 30)
     A, b, _, x = planted(of_condition(60, 30, 1e2))
-    np.testing.assert_allclose(bounded_least_squares(A * units, b).require_solved().x * units, x, atol=1e-8)
+    np.testing.assert_allclose(
+        bounded_least_squares(A * units, b).require_solved().x * units, x, atol=1e-8
+    )
 
 
 @pytest.mark.parametrize(
@@ -586,7 +694,9 @@ def test_ctrl_c_keeps_the_best_point() -> None:
             raise KeyboardInterrupt
         return A @ x
 
-    result = bounded_least_squares(LinearOperator(A.shape, matvec=matvec, rmatvec=lambda y: A.T @ y, dtype=float), b)
+    result = bounded_least_squares(
+        LinearOperator(A.shape, matvec=matvec, rmatvec=lambda y: A.T @ y, dtype=float), b
+    )
     assert result.status is Status.INTERRUPTED
     assert 0.0 < result.cost < 0.5 * (b @ b)
 
@@ -595,7 +705,9 @@ def test_advice_names_what_is_wrong_with_an_operator() -> None:
     """Products that are not finite, or in single precision, are not blamed on the condition of A."""
     A, b, _, _ = planted(random_rows(300, 60, 8))
     adjoint = {"rmatvec": lambda y: A.T @ y, "dtype": float}
-    nan = bounded_least_squares(LinearOperator(A.shape, matvec=lambda x: np.full(300, np.nan), **adjoint), b)
+    nan = bounded_least_squares(
+        LinearOperator(A.shape, matvec=lambda x: np.full(300, np.nan), **adjoint), b
+    )
     assert nan.status is Status.STALLED
     assert nan.advice == "A x is not finite; next: let the operator's products be finite doubles"
     single = LinearOperator(A.shape, matvec=lambda x: (A @ x).astype(np.float32), **adjoint)
@@ -647,7 +759,9 @@ def test_what_is_not_a_number_proves_nothing(place: str, value: float) -> None:
         vectors[place][j] = value
         for upper in (1.0, 2.0, INF):
             bounds = np.zeros(3), np.full(3, upper)
-            found = largest_residuals(*vectors.values(), np.ones(3), *bounds, np.zeros(3), np.ones(3), True)
+            found = largest_residuals(
+                *vectors.values(), np.ones(3), *bounds, np.zeros(3), np.ones(3), True
+            )
             assert not found[0] < 0.5
             assert not found[1] < 0.5
 
@@ -666,25 +780,61 @@ A_OF_THREE = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 B_OF_THREE = np.array([2.0, 1.0, -1.0])
 INFINITE = sp.csr_array([[1.0, INF], [0.0, 1.0], [1.0, 1.0]])
 REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
-    ({"A": [1.0, 2.0, 3.0]}, InvalidProblem, r"A must be a real matrix.*shape \(3,\); write a single row"),
+    (
+        {"A": [1.0, 2.0, 3.0]},
+        InvalidProblem,
+        r"A must be a real matrix.*shape \(3,\); write a single row",
+    ),
     ({"A": np.ones((2, 2, 2))}, InvalidProblem, r"A must be a real matrix.*got shape \(2, 2, 2\)"),
     ({"A": A_OF_THREE * 1j}, InvalidProblem, "A must be a real matrix.*complex entries"),
-    ({"A": sp.csr_array(A_OF_THREE * 1j)}, InvalidProblem, "A must be a real matrix.*complex entries"),
+    (
+        {"A": sp.csr_array(A_OF_THREE * 1j)},
+        InvalidProblem,
+        "A must be a real matrix.*complex entries",
+    ),
     ({"A": np.full((3, 2), np.nan)}, InvalidProblem, r"A must be finite, but A\[0, 0\] = nan"),
     ({"A": INFINITE}, InvalidProblem, r"A must be finite, but A\[0, 1\] = inf"),
     ({"A": None}, InvalidProblem, "A must be a real matrix.*got None"),
-    ({"A": LinearOperator((3, 2), matvec=lambda x: A_OF_THREE @ x, dtype=float)}, InvalidProblem, "needs rmatvec"),
-    ({"A": aslinearoperator(A_OF_THREE * 1j)}, InvalidProblem, "A must be a real matrix.*complex entries"),
+    (
+        {"A": LinearOperator((3, 2), matvec=lambda x: A_OF_THREE @ x, dtype=float)},
+        InvalidProblem,
+        "needs rmatvec",
+    ),
+    (
+        {"A": aslinearoperator(A_OF_THREE * 1j)},
+        InvalidProblem,
+        "A must be a real matrix.*complex entries",
+    ),
     ({"b": [1.0, 2.0]}, InvalidProblem, r"b must be a vector of length 3, got shape \(2,\)"),
-    ({"b": [[1.0], [2.0], [3.0]]}, InvalidProblem, r"b must be a vector of length 3, got shape \(3, 1\)"),
+    (
+        {"b": [[1.0], [2.0], [3.0]]},
+        InvalidProblem,
+        r"b must be a vector of length 3, got shape \(3, 1\)",
+    ),
     ({"b": [[1.0], [2.0], [3.0]]}, InvalidProblem, r"write b\.ravel\(\)"),
-    ({"b": np.ones((3, 4))}, InvalidProblem, r"got shape \(3, 4\); for many right-hand sides: solve_batch\("),
-    ({"A": np.ones((3, 4)), "lower": (0, 1)}, InvalidProblem, "two arguments, not a pair: write lower=0, upper=1"),
+    (
+        {"b": np.ones((3, 4))},
+        InvalidProblem,
+        r"got shape \(3, 4\); for many right-hand sides: solve_batch\(",
+    ),
+    (
+        {"A": np.ones((3, 4)), "lower": (0, 1)},
+        InvalidProblem,
+        "two arguments, not a pair: write lower=0, upper=1",
+    ),
     ({"b": [1.0, np.nan, 2.0]}, InvalidProblem, r"b must be finite, but b\[1\] = nan"),
     ({"lower": 1.0, "upper": [2.0, 0.0]}, InvalidProblem, r"lower\[1\] = 1.0 and upper\[1\] = 0.0"),
-    ({"lower": [0.0]}, InvalidProblem, r"lower must be a number or a vector of length 2, got shape \(1,\)"),
+    (
+        {"lower": [0.0]},
+        InvalidProblem,
+        r"lower must be a number or a vector of length 2, got shape \(1,\)",
+    ),
     ({"upper": np.nan}, InvalidProblem, "upper must not hold NaN"),
-    ({"weights": [1.0, -1.0, 1.0]}, InvalidProblem, r"≥ 0, but weights\[1\] = -1.0; 0 leaves a row out"),
+    (
+        {"weights": [1.0, -1.0, 1.0]},
+        InvalidProblem,
+        r"≥ 0, but weights\[1\] = -1.0; 0 leaves a row out",
+    ),
     ({"weights": [1.0]}, InvalidProblem, "weights must be a vector of length 3"),
     ({"ridge": -1.0}, InvalidOption, "ridge must be a finite number ≥ 0, got -1.0"),
     ({"ridge": np.nan}, InvalidOption, "ridge must be a finite number ≥ 0, got nan"),
@@ -696,7 +846,9 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
 
 
 @pytest.mark.parametrize(("change", "error", "words"), REFUSED)
-def test_mistakes_are_refused_in_words(change: dict[str, Any], error: type[LCPError], words: str) -> None:
+def test_mistakes_are_refused_in_words(
+    change: dict[str, Any], error: type[LCPError], words: str
+) -> None:
     """What is wrong, where, and what is needed."""
     with pytest.raises(error, match=words):
         bounded_least_squares(**({"A": A_OF_THREE, "b": B_OF_THREE} | change))
@@ -731,7 +883,9 @@ def test_the_answer_does_not_depend_on_the_range_of_squares(of_A: float, of_b: f
             found = bounded_least_squares(matrix, b * of_b)
             assert found.status is Status.SOLVED
             np.testing.assert_allclose(found.x * (of_A / of_b), right, atol=1e-13)
-            np.testing.assert_allclose(found.fun, (A @ right - b) * of_b, rtol=1e-12, atol=1e-12 * of_b)
+            np.testing.assert_allclose(
+                found.fun, (A @ right - b) * of_b, rtol=1e-12, atol=1e-12 * of_b
+            )
             assert found.gap >= 0.0
 
 
@@ -794,7 +948,9 @@ def test_what_is_answered_as_it_stands_is_right_by_the_certificate(seed: int) ->
     rng = np.random.default_rng(seed)
     m, n = int(rng.integers(1, 40)), int(rng.integers(1, 12))
     A = np.vander(np.linspace(0.0, 1.0, m), n) if seed % 2 else rng.normal(size=(m, n))
-    problem = BoundedLeastSquares(A, A @ np.maximum(rng.normal(size=n), 0.0) + 10.0 ** -(seed % 9) * rng.normal(size=m))
+    problem = BoundedLeastSquares(
+        A, A @ np.maximum(rng.normal(size=n), 0.0) + 10.0 ** -(seed % 9) * rng.normal(size=m)
+    )
     if (found := nonnegative_as_given(problem, 1e-8)) is not None:
         x, residual, y, value = found
         judged = Optimality.of(Enclosures(problem), x, y, tolerance=1e-8)
@@ -803,12 +959,20 @@ def test_what_is_answered_as_it_stands_is_right_by_the_certificate(seed: int) ->
         np.testing.assert_array_equal(residual, A @ x - problem.b)
 
 
-FAR: dict[str, tuple[Any, Any, Any, float]] = {  # columns that cancel far out, the least cost by fractions
+FAR: dict[
+    str, tuple[Any, Any, Any, float]
+] = {  # columns that cancel far out, the least cost by fractions
     "limits for none": (
-        [[-4.0, -4.0, 1.0, -3.0], [2.0, -1.0, -1.0, 4.0]], [2.0, 4.0], {"upper": [1e19, 1e8, 1e6, 1e8]}, 0.0
+        [[-4.0, -4.0, 1.0, -3.0], [2.0, -1.0, -1.0, 4.0]],
+        [2.0, 4.0],
+        {"upper": [1e19, 1e8, 1e6, 1e8]},
+        0.0,
     ),
     "a slight penalty": (
-        [[-2.0, -3.0, -2.0], [-2.0, 2.0, -2.0], [3.0, -2.0, 3.0]], [4.0, 0.0, -3.0], {"l1": 1e-11}, 0.8864468864645788
+        [[-2.0, -3.0, -2.0], [-2.0, 2.0, -2.0], [3.0, -2.0, 3.0]],
+        [4.0, 0.0, -3.0],
+        {"l1": 1e-11},
+        0.8864468864645788,
     ),
 }
 
@@ -828,7 +992,9 @@ def test_no_large_row_elsewhere_excuses_rounding(name: str, far: float) -> None:
     """A row and a column of their own, however large, say nothing of the others."""
     A, b, bounds, least = FAR[name]
     own = {"l1": 0.0, "upper": np.inf}
-    bounds = {key: np.append(np.broadcast_to(value, len(A[0])), own[key]) for key, value in bounds.items()}
+    bounds = {
+        key: np.append(np.broadcast_to(value, len(A[0])), own[key]) for key, value in bounds.items()
+    }
     result = solve(BoundedLeastSquares(block_diag(A, 1.0), [*b, far], lower=-np.inf, **bounds))
     assert not result.is_solved or abs(result.cost - least) <= 1e-8
 
@@ -840,11 +1006,17 @@ def test_no_large_row_that_shares_columns_excuses_rounding(draws: Callable[[int]
         A, b = rng.integers(-4, 5, (2, 4)).astype(float), rng.integers(-4, 5, 2).astype(float)
         upper = np.append(10.0 ** rng.integers(5, 20, 4), np.inf)
         shared = np.append(np.full(4, 10.0 ** rng.integers(-12, -2)), 1.0)
-        rows, right = np.vstack([np.column_stack([A, np.zeros(2)]), shared]), [*b, 10.0 ** rng.integers(8, 19)]
+        rows, right = (
+            np.vstack([np.column_stack([A, np.zeros(2)]), shared]),
+            [*b, 10.0 ** rng.integers(8, 19)],
+        )
         result = solve(BoundedLeastSquares(rows, right, lower=-np.inf, upper=upper))
         least = 0.5 * np.square(A @ np.linalg.lstsq(A, b)[0] - b).sum()
-        off = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, result.x.tolist(), strict=False)) - Fraction(one)
-               for row, one in zip(A.tolist(), b.tolist(), strict=True)]
+        off = [
+            sum(Fraction(a) * Fraction(v) for a, v in zip(row, result.x.tolist(), strict=False))
+            - Fraction(one)
+            for row, one in zip(A.tolist(), b.tolist(), strict=True)
+        ]
         assert result.is_solved
         assert float(sum(one * one for one in off) / 2) <= least + 1e-6
 
@@ -865,6 +1037,9 @@ def test_a_cost_is_that_of_its_x() -> None:
     """Near columns that depend on each other x is large and the residual cancels: its cost is right to 1e-7."""
     A, b = [[2.0, 2.0], [1.0, 1.0 + 1e-12], [3.0, 3.0]], [1.0, 2.0, 3.0]
     result = solve(BoundedLeastSquares(A, b, lower=-np.inf))
-    off = [sum(Fraction(a) * Fraction(v) for a, v in zip(row, result.x.tolist(), strict=True)) - Fraction(right)
-           for row, right in zip(A, b, strict=True)]
+    off = [
+        sum(Fraction(a) * Fraction(v) for a, v in zip(row, result.x.tolist(), strict=True))
+        - Fraction(right)
+        for row, right in zip(A, b, strict=True)
+    ]
     assert result.cost == pytest.approx(float(sum(one * one for one in off) / 2), rel=1e-7)

@@ -53,12 +53,19 @@ def test_answers_that_were_not_kept_are_the_same_bits(algorithm: str, keep_every
     for k in (*range(22, -1, -1), 5, -1, 0):
         assert np.array_equal(sparse.z[k], whole.z[k])
         assert np.array_equal(sparse[k].w, whole[k].w)
-        assert (sparse[k].iterations, sparse[k].algorithm) == (whole[k].iterations, whole[k].algorithm)
+        assert (sparse[k].iterations, sparse[k].algorithm) == (
+            whole[k].iterations,
+            whole[k].algorithm,
+        )
     assert all(map(np.array_equal, sparse.z, whole.z))
     assert len(pickle.loads(pickle.dumps(heated(12, 5, algorithm="psor", keep_every=2))).z[:3]) == 3
     at_once = heated(12, 5)
     again = pickle.loads(pickle.dumps(at_once))
-    assert [step.algorithm for step in again] == [step.algorithm for step in at_once] == ["auto: banded"] * 5
+    assert (
+        [step.algorithm for step in again]
+        == [step.algorithm for step in at_once]
+        == ["auto: banded"] * 5
+    )
     np.testing.assert_array_equal(again.z[4], at_once.z[4])
 
 
@@ -70,7 +77,9 @@ def test_a_march_that_keeps_little_takes_little_memory() -> None:
         heated(500, 70, keep_every=keep_every)
         tracemalloc.start()
         before = tracemalloc.get_traced_memory()[0]
-        rod = LCP(sp.diags_array([-1.0, 4.0, -1.0], offsets=[-1, 0, 1], shape=(500, 500)), np.zeros(500))
+        rod = LCP(
+            sp.diags_array([-1.0, 4.0, -1.0], offsets=[-1, 0, 1], shape=(500, 500)), np.zeros(500)
+        )
         done = march(rod, np.broadcast_to(-1.0, (1600, 500)), keep_every=keep_every)
         taken[keep_every] = tracemalloc.get_traced_memory()[0] - before
         tracemalloc.stop()
@@ -97,7 +106,9 @@ def drawn(n: int, seed: int, width: int = 1, *, z: bool = False) -> tuple[LCP, s
 
     def banded(below: int, above: int) -> sp.csr_array:
         offsets = [k for k in range(-below, above + 1) if k]
-        return sp.csr_array(sp.diags_array([rng.normal(size=n - abs(k)) for k in offsets], offsets=offsets))
+        return sp.csr_array(
+            sp.diags_array([rng.normal(size=n - abs(k)) for k in offsets], offsets=offsets)
+        )
 
     M = banded(width, width + (0 if z else 1))
     M = -abs(M) if z else M
@@ -111,17 +122,28 @@ def drawn(n: int, seed: int, width: int = 1, *, z: bool = False) -> tuple[LCP, s
 
 def marched(problem: LCP, propagator: sp.csr_array, k: int, seed: int, **options: Any) -> March:
     rng = np.random.default_rng(seed)
-    return march(problem, rng.normal(size=(k, problem.n)), propagator, z0=rng.normal(size=problem.n), **options)
+    return march(
+        problem,
+        rng.normal(size=(k, problem.n)),
+        propagator,
+        z0=rng.normal(size=problem.n),
+        **options,
+    )
 
 
 def stacked(done: March) -> Derivative:
     """The derivative of the whole march as one problem: all steps below each other, M on the diagonal, C below it."""
     k, problem = len(done), done.problem
-    M = sp.csr_array(sp.kron(sp.eye_array(k), problem.csr) + sp.kron(sp.eye_array(k, k=-1), done.propagator))
+    M = sp.csr_array(
+        sp.kron(sp.eye_array(k), problem.csr) + sp.kron(sp.eye_array(k, k=-1), done.propagator)
+    )
     q = np.array(done.forcing)
     q[0] += done.propagator @ done.z0
     return derivative(
-        solve(LCP(M, q.ravel(), lower=np.tile(problem.lower, k), upper=np.tile(problem.upper, k)), tolerance=1e-13)
+        solve(
+            LCP(M, q.ravel(), lower=np.tile(problem.lower, k), upper=np.tile(problem.upper, k)),
+            tolerance=1e-13,
+        )
     )
 
 
@@ -130,8 +152,12 @@ CASES = {
     "band": lambda: marched(*drawn(24, 2, width=2), 5, 2),
     "kept apart": lambda: marched(*drawn(24, 2, width=2), 7, 2, keep_every=3),
     "psor": lambda: marched(*drawn(20, 3, z=True), 5, 3, algorithm="psor", tolerance=1e-13),
-    "dense": lambda: marched(LCP(grid(3).toarray(), np.zeros(9), lower=-0.2, upper=0.3), drawn(9, 4)[1], 4, 4),
-    "one by one": lambda: marched(LCP(grid(6), np.zeros(36), lower=-0.2, upper=0.3), -sp.csr_array(grid(6).T), 3, 5),
+    "dense": lambda: marched(
+        LCP(grid(3).toarray(), np.zeros(9), lower=-0.2, upper=0.3), drawn(9, 4)[1], 4, 4
+    ),
+    "one by one": lambda: marched(
+        LCP(grid(6), np.zeros(36), lower=-0.2, upper=0.3), -sp.csr_array(grid(6).T), 3, 5
+    ),
     "a wide band": lambda: marched(*drawn(40, 6, width=35), 3, 6),
 }
 
@@ -140,7 +166,9 @@ def grid(m: int) -> sp.csr_array:
     """A five-point stencil with a drift, its rows in an order with no band."""
     line = sp.diags_array([-1.0, 2.2, -0.8], offsets=[-1, 0, 1], shape=(m, m))
     rows = np.random.default_rng(0).permutation(m * m)
-    return sp.csr_array(sp.csr_array(sp.kron(line, sp.eye_array(m)) + sp.kron(sp.eye_array(m), line))[rows][:, rows])
+    return sp.csr_array(
+        sp.csr_array(sp.kron(line, sp.eye_array(m)) + sp.kron(sp.eye_array(m), line))[rows][:, rows]
+    )
 
 
 def change_of(done: March, seed: int) -> dict[str, Any]:
@@ -148,8 +176,12 @@ def change_of(done: March, seed: int) -> dict[str, Any]:
     rng, n = np.random.default_rng(seed), done.problem.n
     move = rng.normal(size=n)
     return {
-        "dM": sp.random_array((n, n), density=0.3, rng=rng), "dpropagator": rng.normal(size=(n, n)),
-        "dforcing": rng.normal(size=(len(done), n)), "dz0": rng.normal(size=n), "dlower": move, "dupper": move,
+        "dM": sp.random_array((n, n), density=0.3, rng=rng),
+        "dpropagator": rng.normal(size=(n, n)),
+        "dforcing": rng.normal(size=(len(done), n)),
+        "dz0": rng.normal(size=n),
+        "dlower": move,
+        "dupper": move,
     }
 
 
@@ -160,14 +192,23 @@ def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
     k, n, change = len(done), done.problem.n, change_of(done, 7)
     dq = np.array(change["dforcing"])
     dq[0] += change["dpropagator"] @ done.z0 + done.propagator @ change["dz0"]
-    expected = stacked(done).jvp(
-        dM=sp.kron(sp.eye_array(k), change["dM"]) + sp.kron(sp.eye_array(k, k=-1), change["dpropagator"]),
-        dq=dq.ravel(), dlower=np.tile(change["dlower"], k), dupper=np.tile(change["dupper"], k),
-    ).reshape(k, n)
+    expected = (
+        stacked(done)
+        .jvp(
+            dM=sp.kron(sp.eye_array(k), change["dM"])
+            + sp.kron(sp.eye_array(k, k=-1), change["dpropagator"]),
+            dq=dq.ravel(),
+            dlower=np.tile(change["dlower"], k),
+            dupper=np.tile(change["dupper"], k),
+        )
+        .reshape(k, n)
+    )
     found = derivative(done)
     held = [(one.free.sum() > 0, one.free.sum() < n) for one in found]
     assert all(map(all, held))
-    np.testing.assert_allclose(found.jvp(**change), expected, rtol=0, atol=1e-11 * abs(expected).max())
+    np.testing.assert_allclose(
+        found.jvp(**change), expected, rtol=0, atol=1e-11 * abs(expected).max()
+    )
     np.testing.assert_array_equal(found.jvp(**change, only_last=True), found.jvp(**change)[-1])
 
 
@@ -176,7 +217,9 @@ def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
     """⟨g, dz⟩ is what the gradients by M, forcing, propagator, z0 and bounds say, for all steps and for the last."""
     done = CASES[case]()
     found, change, rng = derivative(done), change_of(done, 8), np.random.default_rng(9)
-    change["dM"] = sp.csr_array(done.problem.csr * rng.normal(size=done.problem.csr.shape))  # on the patterns
+    change["dM"] = sp.csr_array(
+        done.problem.csr * rng.normal(size=done.problem.csr.shape)
+    )  # on the patterns
     change["dpropagator"] = sp.csr_array(done.propagator * rng.normal(size=done.propagator.shape))
     dz = found.jvp(**change)
     for g in (rng.normal(size=dz.shape), rng.normal(size=done.problem.n)):
@@ -184,9 +227,12 @@ def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
         assert gradient.M.nnz == done.problem.csr.nnz
         assert gradient.propagator.nnz == done.propagator.nnz
         terms = [
-            gradient.M.multiply(change["dM"]).sum(), gradient.propagator.multiply(change["dpropagator"]).sum(),
-            (gradient.forcing * change["dforcing"]).sum(), gradient.z0 @ change["dz0"],
-            gradient.lower @ change["dlower"], gradient.upper @ change["dupper"],
+            gradient.M.multiply(change["dM"]).sum(),
+            gradient.propagator.multiply(change["dpropagator"]).sum(),
+            (gradient.forcing * change["dforcing"]).sum(),
+            gradient.z0 @ change["dz0"],
+            gradient.lower @ change["dlower"],
+            gradient.upper @ change["dupper"],
         ]
         expected = (g * dz).sum() if g.ndim == 2 else g @ dz[-1]
         assert sum(terms) == pytest.approx(expected, rel=0, abs=1e-11 * sum(map(abs, terms)))
@@ -200,20 +246,42 @@ def test_gradients_are_those_of_differences() -> None:
     gradient = derivative(done).vjp(g)
 
     def loss(**moved: Any) -> float:
-        data = {"M": problem.csr, "lower": problem.lower, "upper": problem.upper, "forcing": done.forcing,
-                "propagator": done.propagator, "z0": done.z0, **moved}
+        data = {
+            "M": problem.csr,
+            "lower": problem.lower,
+            "upper": problem.upper,
+            "forcing": done.forcing,
+            "propagator": done.propagator,
+            "z0": done.z0,
+            **moved,
+        }
         again = LCP(data["M"], np.zeros(15), lower=data["lower"], upper=data["upper"])
-        return float((g * np.array(march(again, data["forcing"], data["propagator"], z0=data["z0"]).z)).sum())
+        return float(
+            (g * np.array(march(again, data["forcing"], data["propagator"], z0=data["z0"]).z)).sum()
+        )
 
-    for name, at in (("M", problem.csr), ("propagator", done.propagator), ("forcing", done.forcing), ("z0", done.z0)):
-        step = at.copy() if not sp.issparse(at) else sp.csr_array((rng.normal(size=at.nnz), at.indices, at.indptr))
+    for name, at in (
+        ("M", problem.csr),
+        ("propagator", done.propagator),
+        ("forcing", done.forcing),
+        ("z0", done.z0),
+    ):
+        step = (
+            at.copy()
+            if not sp.issparse(at)
+            else sp.csr_array((rng.normal(size=at.nnz), at.indices, at.indptr))
+        )
         step = rng.normal(size=at.shape) if not sp.issparse(at) else step
         slope = (loss(**{name: at + 1e-6 * step}) - loss(**{name: at - 1e-6 * step})) / 2e-6
         by = getattr(gradient, name)
-        assert slope == pytest.approx((by.multiply(step) if sp.issparse(by) else by * step).sum(), rel=1e-6)
+        assert slope == pytest.approx(
+            (by.multiply(step) if sp.issparse(by) else by * step).sum(), rel=1e-6
+        )
     shift = rng.normal(size=15)
-    slope = (loss(lower=problem.lower + 1e-6 * shift, upper=problem.upper + 1e-6 * shift)
-             - loss(lower=problem.lower - 1e-6 * shift, upper=problem.upper - 1e-6 * shift)) / 2e-6
+    slope = (
+        loss(lower=problem.lower + 1e-6 * shift, upper=problem.upper + 1e-6 * shift)
+        - loss(lower=problem.lower - 1e-6 * shift, upper=problem.upper - 1e-6 * shift)
+    ) / 2e-6
     assert slope == pytest.approx((gradient.lower + gradient.upper) @ shift, rel=1e-6)
 
 
@@ -231,25 +299,43 @@ def test_tiny_marches_in_exact_arithmetic(seed: int) -> None:
     of_propagator, dz = exact_rows(done.propagator.toarray()), [found.jvp(**change)]
     z, moved = exact(done.z0), exact(change["dz0"])
     for step, answer in enumerate(dz[0]):
-        q = [a + b for a, b in zip(exact(done.forcing[step]), product(of_propagator, z), strict=True)]
-        dq = [sum(parts) for parts in zip(exact(change["dforcing"][step]), product(exact_rows(dpropagator), z),
-                                          product(of_propagator, moved), strict=True)]
+        q = [
+            a + b for a, b in zip(exact(done.forcing[step]), product(of_propagator, z), strict=True)
+        ]
+        dq = [
+            sum(parts)
+            for parts in zip(
+                exact(change["dforcing"][step]),
+                product(exact_rows(dpropagator), z),
+                product(of_propagator, moved),
+                strict=True,
+            )
+        ]
         piece = piece_at(problem, done.z[step], found[step].free)
         M_of = piece.M
         ends = {-1: problem.lower, 1: problem.upper}
         states = [(-1 if s == LOWER else 1 if s == UPPER else 0) for s in piece.states]
         free = [i for i in range(n) if not states[i]]
 
-        def completed(x: list[Any], right: list[Any], M_of: Any = M_of, free: list[int] = free) -> list[Any]:
+        def completed(
+            x: list[Any], right: list[Any], M_of: Any = M_of, free: list[int] = free
+        ) -> list[Any]:
             rest = [-right[i] - sum(M_of[i][j] * x[j] for j in range(n)) for i in free]
-            for i, value in zip(free, solve_fractions([[M_of[i][j] for j in free] for i in free], rest), strict=True):
+            for i, value in zip(
+                free, solve_fractions([[M_of[i][j] for j in free] for i in free], rest), strict=True
+            ):
                 x[i] = value
             return x
 
-        z = completed([Fraction(float(ends[s][i])) if s else Fraction(0) for i, s in enumerate(states)], q)
+        z = completed(
+            [Fraction(float(ends[s][i])) if s else Fraction(0) for i, s in enumerate(states)], q
+        )
         right = [a + b for a, b in zip(product(exact_rows(dM), z), dq, strict=True)]
         moves = {-1: change["dlower"], 1: change["dupper"]}
-        moved = completed([Fraction(float(moves[s][i])) if s else Fraction(0) for i, s in enumerate(states)], right)
+        moved = completed(
+            [Fraction(float(moves[s][i])) if s else Fraction(0) for i, s in enumerate(states)],
+            right,
+        )
         assert distance(answer, moved) <= 1e-13
 
 
@@ -258,7 +344,9 @@ def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
     rod = LCP(sp.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(40, 40)), np.zeros(40))
     forcing = np.zeros((3, 40))
     forcing[:, :10] = -1.0
-    forcing[1, 30] = 1.0  # the others far right are 0 with w ≥ 0, and rounding decides nothing there
+    forcing[1, 30] = (
+        1.0  # the others far right are 0 with w ≥ 0, and rounding decides nothing there
+    )
     wide = march(rod, forcing, propagator=0.0)
     still = march(rod, np.zeros((3, 40)))
     found = derivative(still)
@@ -288,13 +376,17 @@ def test_tails_that_underflow_are_left_to_no_small_problem() -> None:
 
     def moved(t: float) -> np.ndarray:
         problem = LCP((1.0 + t) * M, np.zeros(n), lower=payoff + t * change["dlower"])
-        return np.array(march(problem, np.zeros((k, n)), 0.5 * t - 1.0, z0=payoff + t * change["dz0"]).z)
+        return np.array(
+            march(problem, np.zeros((k, n)), 0.5 * t - 1.0, z0=payoff + t * change["dz0"]).z
+        )
 
     np.testing.assert_allclose(dz, (moved(eps) - moved(-eps)) / (2 * eps), rtol=0, atol=1e-7)
     g = np.random.default_rng(0).normal(size=(k, n))
     gradient = found.vjp(g)
     total = gradient.M.multiply(M).sum() + 0.5 * gradient.propagator.diagonal().sum()
-    assert total + (gradient.lower + gradient.z0) @ change["dlower"] == pytest.approx((g * dz).sum(), rel=1e-10)
+    assert total + (gradient.lower + gradient.z0) @ change["dlower"] == pytest.approx(
+        (g * dz).sum(), rel=1e-10
+    )
 
 
 def test_steps_that_need_more_digits_are_taken_one_by_one() -> None:
@@ -321,7 +413,11 @@ def test_steps_that_need_more_digits_are_taken_one_by_one() -> None:
 def test_the_gradients_of_a_step_are_those_of_its_derivative() -> None:
     """One step: vjp and jvp are those of Derivative, by the same names, M and bounds included."""
     done = marched(*drawn(30, 5), 1, 3)
-    found, alone, g = derivative(done), derivative(done[0]), np.random.default_rng(0).normal(size=30)
+    found, alone, g = (
+        derivative(done),
+        derivative(done[0]),
+        np.random.default_rng(0).normal(size=30),
+    )
     ours, theirs = found.vjp(g), alone.vjp(g)
     for name in ("lower", "upper", "M"):
         one, other = (getattr(gradient, name) for gradient in (ours, theirs))
@@ -330,14 +426,20 @@ def test_the_gradients_of_a_step_are_those_of_its_derivative() -> None:
     np.testing.assert_array_equal(found[0].z, alone.z)
 
 
-@pytest.mark.parametrize(("given", "message"), [
-    ({"dz0": np.zeros(2)}, "dz0 must be"),
-    ({"dforcing": np.zeros((2, 5))}, r"dforcing must be a finite array of shape \(4, 5\), or \(5,\) for all steps"),
-    ({"dforcing": np.full((4, 5), np.nan)}, r"dforcing must be .* but dforcing\[0, 0\] is not"),
-    ({"dM": np.eye(4)}, "dM must be"),
-    ({"dpropagator": np.eye(4)}, "dpropagator must be"),
-    ({"dlower": np.inf}, "dlower must be finite"),
-])
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"dz0": np.zeros(2)}, "dz0 must be"),
+        (
+            {"dforcing": np.zeros((2, 5))},
+            r"dforcing must be a finite array of shape \(4, 5\), or \(5,\) for all steps",
+        ),
+        ({"dforcing": np.full((4, 5), np.nan)}, r"dforcing must be .* but dforcing\[0, 0\] is not"),
+        ({"dM": np.eye(4)}, "dM must be"),
+        ({"dpropagator": np.eye(4)}, "dpropagator must be"),
+        ({"dlower": np.inf}, "dlower must be finite"),
+    ],
+)
 def test_what_changes_are_refused(given: dict[str, Any], message: str) -> None:
     """Changes of another shape, or not finite; and marches that did not get to their end."""
     found = derivative(heated(5, 4))
@@ -347,12 +449,16 @@ def test_what_changes_are_refused(given: dict[str, Any], message: str) -> None:
 
 def test_what_has_no_derivative() -> None:
     """A g of another shape; a march that was not solved to its end; what is no result at all."""
-    with pytest.raises(InvalidProblem, match=r"g must be a finite array of shape \(4, 5\), or \(5,\) for the last"):
+    with pytest.raises(
+        InvalidProblem, match=r"g must be a finite array of shape \(4, 5\), or \(5,\) for the last"
+    ):
         derivative(heated(5, 4)).vjp(np.zeros((3, 5)))
     with pytest.raises(InvalidProblem, match=r"but g\[2\] is not"):
         derivative(heated(5, 4)).vjp([0.0, 0.0, np.nan, 0.0, 0.0])
     cut = heated(5, 4, algorithm="psor", max_iterations=0)
-    with pytest.raises(UnsuitableProblem, match=r"only a march solved to its end.* 1 of 4 steps, and step 0 ended"):
+    with pytest.raises(
+        UnsuitableProblem, match=r"only a march solved to its end.* 1 of 4 steps, and step 0 ended"
+    ):
         derivative(cut)
     overflown = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, propagator=-1e200)
     with pytest.raises(UnsuitableProblem, match="it took 2 of 3 steps, and step 1 q must be"):
@@ -371,7 +477,9 @@ def test_all_ways_to_ask_give_the_same() -> None:
     done = marched(*drawn(40, 1, z=True), 30, 1)
     change, g = change_of(done, 1), np.random.default_rng(0).normal(size=(30, 40))
     first, dz = derivative(done).vjp(g), derivative(done).jvp(**change)
-    steady = march(done.problem, np.broadcast_to(done.forcing[0], (5, 40)), done.propagator, z0=done.z0)
+    steady = march(
+        done.problem, np.broadcast_to(done.forcing[0], (5, 40)), done.propagator, z0=done.z0
+    )
     derivative(steady).vjp(g[0])
     derivative(steady).jvp(dforcing=g[0], dpropagator=2.0, only_last=True)
     change["dforcing"] = np.asfortranarray(change["dforcing"])
@@ -379,7 +487,9 @@ def test_all_ways_to_ask_give_the_same() -> None:
     for found in (derivative(done), derivative(again)):
         gradient = found.vjp(np.asfortranarray(g))
         for name in ("z0", "lower", "upper", "forcing"):
-            np.testing.assert_allclose(getattr(gradient, name), getattr(first, name), rtol=0, atol=1e-12)
+            np.testing.assert_allclose(
+                getattr(gradient, name), getattr(first, name), rtol=0, atol=1e-12
+            )
         np.testing.assert_allclose(found.jvp(**change), dz, rtol=0, atol=1e-11)
     assert derivative(done).vjp(g).forcing.tobytes() == first.forcing.tobytes()
 
@@ -405,7 +515,13 @@ def test_strikes_at_once_are_those_one_by_one(keep_every: int) -> None:
     alone = [march(problem.with_q(problem.q, lower=g), forcing, propagator, z0=g) for g in payoff]
     for threads in (1, 2, 3):
         found = march_many(
-            problem, forcing, propagator, lower=payoff, z0=payoff, threads=threads, keep_every=keep_every
+            problem,
+            forcing,
+            propagator,
+            lower=payoff,
+            z0=payoff,
+            threads=threads,
+            keep_every=keep_every,
         )
         assert len(found) == 41
         for ours, theirs in zip(found, alone, strict=True):
@@ -414,16 +530,29 @@ def test_strikes_at_once_are_those_one_by_one(keep_every: int) -> None:
                 assert np.array_equal(ours.z[k], theirs.z[k])
             assert np.array_equal(ours[50].w, theirs[50].w)
             assert np.array_equal(ours[50].certificate.problem.q, theirs[50].certificate.problem.q)
-            assert ours[50].certificate.relative_residual <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
-            assert (ours[50].status, ours[50].algorithm) == (theirs[50].status, theirs[50].algorithm)
+            assert (
+                ours[50].certificate.relative_residual
+                <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
+            )
+            assert (ours[50].status, ours[50].algorithm) == (
+                theirs[50].status,
+                theirs[50].algorithm,
+            )
     np.testing.assert_allclose(
-        derivative(found[7]).vjp(np.ones(120)).z0, derivative(alone[7]).vjp(np.ones(120)).z0, rtol=1e-12
+        derivative(found[7]).vjp(np.ones(120)).z0,
+        derivative(alone[7]).vjp(np.ones(120)).z0,
+        rtol=1e-12,
     )
 
 
-@pytest.mark.parametrize("make", [
-    lambda: (LCP(grid(5), np.zeros(25)), -1.0), lambda: drawn(25, 2, width=2), lambda: drawn(25, 1, z=True),
-])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: (LCP(grid(5), np.zeros(25)), -1.0),
+        lambda: drawn(25, 2, width=2),
+        lambda: drawn(25, 1, z=True),
+    ],
+)
 def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) -> None:
     """Forcings, bounds and states of their own, or one for all; where steps are hard, and on any matrix."""
     (problem, propagator), rng = make(), np.random.default_rng(3)
@@ -432,13 +561,20 @@ def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) 
     upper[:, 3] = lower[:, 3]
     found = march_many(problem, forcing, propagator, lower=lower, upper=upper, z0=states)
     for j, one in enumerate(found):
-        alone = march(problem.with_q(problem.q, lower=lower[j], upper=upper[j]), forcing[j], propagator, z0=states[j])
+        alone = march(
+            problem.with_q(problem.q, lower=lower[j], upper=upper[j]),
+            forcing[j],
+            propagator,
+            z0=states[j],
+        )
         assert one.all_solved
         for ours, theirs in zip(one.z, alone.z, strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-7 * abs(theirs).max())
     same = march_many(problem, forcing[0], propagator, z0=states)
-    assert all(np.allclose(one.z[0], march(problem, forcing[0][:1], propagator, z0=z).z[0], atol=1e-7)
-               for one, z in zip(same, states, strict=True))
+    assert all(
+        np.allclose(one.z[0], march(problem, forcing[0][:1], propagator, z0=z).z[0], atol=1e-7)
+        for one, z in zip(same, states, strict=True)
+    )
     assert [len(one) for one in march_many(problem, forcing[:, :0], propagator)] == [0] * 6
     assert len(march_many(problem, forcing[0], propagator)) == 1
 
@@ -464,8 +600,10 @@ def volatilities(n: int, k: int, count: int) -> tuple[list[LCP], np.ndarray, lis
     """American puts of one strike, each with a volatility of its own: problems, payoff, Crank–Nicolson propagators."""
     x = np.linspace(-1.0, 1.0, n)
     payoff = np.maximum(1.0 - np.exp(x), 0.0)
-    halves = [sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (s**2 * n**2 / 8 / k)
-              for s in np.linspace(0.15, 0.4, count)]
+    halves = [
+        sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * (s**2 * n**2 / 8 / k)
+        for s in np.linspace(0.15, 0.4, count)
+    ]
     problems = [LCP(sp.csr_array(sp.eye_array(n) + A), np.zeros(n), lower=payoff) for A in halves]
     return problems, payoff, [sp.csr_array(A - sp.eye_array(n)) for A in halves]
 
@@ -476,17 +614,30 @@ def test_marches_whose_matrices_differ_are_those_one_by_one(keep_every: int) -> 
     """Bit for bit, on any number of threads: M, bounds and propagators of their own, or one propagator for all."""
     problems, payoff, propagators = volatilities(120, 100, 41)
     forcing = np.zeros((100, 120))
-    alone = [march([one], forcing, [C], z0=payoff)[0] for one, C in zip(problems, propagators, strict=True)]
+    alone = [
+        march([one], forcing, [C], z0=payoff)[0]
+        for one, C in zip(problems, propagators, strict=True)
+    ]
     for threads in (1, 2, 3):
-        found = march(problems, forcing, propagators, z0=payoff, threads=threads, keep_every=keep_every)
+        found = march(
+            problems, forcing, propagators, z0=payoff, threads=threads, keep_every=keep_every
+        )
         for ours, theirs in zip(found, alone, strict=True):
             assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
             assert all(np.array_equal(ours.z[k], theirs.z[k]) for k in (0, 1, 50, 98, 99))
             assert np.array_equal(ours[50].w, theirs[50].w)
-            assert (ours[50].status, ours[50].algorithm) == (theirs[50].status, theirs[50].algorithm)
-            assert ours[50].certificate.relative_residual <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
+            assert (ours[50].status, ours[50].algorithm) == (
+                theirs[50].status,
+                theirs[50].algorithm,
+            )
+            assert (
+                ours[50].certificate.relative_residual
+                <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
+            )
     for one, C, ours in zip(problems, propagators, found, strict=True):
-        np.testing.assert_allclose(ours.z[-1], march(one, forcing, C, z0=payoff).z[-1], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            ours.z[-1], march(one, forcing, C, z0=payoff).z[-1], rtol=0, atol=1e-9
+        )
     implicit = march(problems, forcing, z0=np.stack([payoff] * 41))
     assert np.array_equal(implicit[7].z[-1], march(problems[7], forcing, z0=payoff).z[-1])
 
@@ -514,7 +665,10 @@ def test_matrices_of_any_kind_are_marched_one_by_one() -> None:
     """Patterns that differ, wide bands, dense ones, several propagators of one M: each march is that alone."""
     rng, n = np.random.default_rng(4), 25
     problems, _, propagators = volatilities(n, 10, 3)
-    tied = LCP(sp.csr_array(problems[0].csr + sp.diags_array([1.0, 1.0], offsets=[-4, 4], shape=(n, n))), np.zeros(n))
+    tied = LCP(
+        sp.csr_array(problems[0].csr + sp.diags_array([1.0, 1.0], offsets=[-4, 4], shape=(n, n))),
+        np.zeros(n),
+    )
     full = LCP(problems[1].csr.toarray() + 0.01, np.zeros(n), lower=-1.0)
     several = [problems[0], tied, problems[1], full, problems[2], LCP(2.0 * np.eye(n), np.zeros(n))]
     forcing, states = rng.normal(size=(5, n)), rng.normal(size=(6, n))
@@ -522,7 +676,11 @@ def test_matrices_of_any_kind_are_marched_one_by_one() -> None:
         theirs = march(one, forcing, z0=z0)
         assert ours.all_solved
         np.testing.assert_allclose(ours.z[-1], theirs.z[-1], rtol=0, atol=1e-7)
-    for given in (propagators, [C.toarray() for C in propagators], np.stack([C.toarray() for C in propagators])):
+    for given in (
+        propagators,
+        [C.toarray() for C in propagators],
+        np.stack([C.toarray() for C in propagators]),
+    ):
         for C, ours in zip(propagators, march(problems[0], forcing, given), strict=True):
             assert np.array_equal(ours.z[-1], march(problems[0], forcing, C).z[-1])
     for c, ours in zip((-1.0, -0.5), march(problems[0], forcing, [-1.0, -0.5]), strict=True):
@@ -533,7 +691,9 @@ def test_what_marches_of_several_matrices_refuse() -> None:
     """Other sizes, other numbers of marches, what is no LCP: in words, before the first step."""
     one, two = LCP(np.eye(3), np.zeros(3)), LCP(np.eye(2), np.zeros(2))
     forcing = np.zeros((2, 3))
-    with pytest.raises(InvalidProblem, match="must have one size, got n = 3, and 2 of problem 1; march along those"):
+    with pytest.raises(
+        InvalidProblem, match="must have one size, got n = 3, and 2 of problem 1; march along those"
+    ):
         march([one, two], forcing)
     with pytest.raises(InvalidProblem, match="must be equally long, got problem 2, propagator 3"):
         march([one, one], forcing, [np.eye(3)] * 3)
@@ -558,7 +718,10 @@ def test_the_vega_of_marches_of_several_matrices_is_a_difference() -> None:
 
     above, below = prices(sigma + step), prices(sigma - step)
     for s, one, up, down in zip(sigma, prices(sigma), above, below, strict=True):
-        vega, difference = derivative(one).jvp(dM=2 * s * A, only_last=True), (up.z[-1] - down.z[-1]) / (2 * step)
+        vega, difference = (
+            derivative(one).jvp(dM=2 * s * A, only_last=True),
+            (up.z[-1] - down.z[-1]) / (2 * step),
+        )
         assert vega.max() > 0.1
         np.testing.assert_allclose(vega, difference, rtol=0, atol=2e-3)
         assert abs(vega - difference).mean() < 1e-4
@@ -569,7 +732,10 @@ def test_what_a_march_says_of_its_answers_and_bounds() -> None:
     rod, cool = LCP([[3, -1], [-1, 3]], [0, 0]), [[-1, 0]] * 3
     assert repr(march(rod, cool).z) == "<z of 3 steps, each of shape (2,): z[k] is that of step k>"
     for algorithm in ("auto", "psor"):
-        held, stated = march(rod, cool, upper=0.4, algorithm=algorithm), march(rod.with_q(rod.q, upper=0.4), cool)
+        held, stated = (
+            march(rod, cool, upper=0.4, algorithm=algorithm),
+            march(rod.with_q(rod.q, upper=0.4), cool),
+        )
         np.testing.assert_allclose(held.z[-1], stated.z[-1], rtol=1e-7)
     with pytest.raises(InvalidOption, match="are bounds of an LCP; a FrictionalContact has none"):
         march(FrictionalContact(np.eye(3), [-1.0, 0.0, 0.0], 0.5), np.zeros((2, 3)), lower=0.0)
@@ -590,13 +756,22 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
     assert [(len(one), one[0].status) for one in late] == [(1, Status.MAX_SECONDS)] * 2
 
 
-@pytest.mark.parametrize(("given", "message"), [
-    ({"forcing": np.zeros((2, 2, 4))}, r"forcing must be .* \(m, k, n\), or \(k, n\) for all marches, n = 3, got"),
-    ({"forcing": np.full((1, 2, 3), np.nan)}, r"but forcing\[0, 0, 0\] = nan; repair that entry"),
-    ({"z0": np.zeros((4, 3))}, "must be equally long, got forcing 2, z0 4"),
-    ({"lower": np.zeros((2, 5))}, r"lower must have shape \(B, n\)"),
-    ({"propagator": np.eye(2)}, "propagator must be"),
-])
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"forcing": np.zeros((2, 2, 4))},
+            r"forcing must be .* \(m, k, n\), or \(k, n\) for all marches, n = 3, got",
+        ),
+        (
+            {"forcing": np.full((1, 2, 3), np.nan)},
+            r"but forcing\[0, 0, 0\] = nan; repair that entry",
+        ),
+        ({"z0": np.zeros((4, 3))}, "must be equally long, got forcing 2, z0 4"),
+        ({"lower": np.zeros((2, 5))}, r"lower must have shape \(B, n\)"),
+        ({"propagator": np.eye(2)}, "propagator must be"),
+    ],
+)
 def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
     """Data of other shapes or not finite, in words and before the first step."""
     with pytest.raises(InvalidProblem, match=message):
@@ -609,7 +784,13 @@ def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
 
 def test_ctrl_c_ends_all_marches() -> None:
     """What is interrupted within a step ends its march and those behind it; what was taken stays."""
-    rod, seen = LCP(sp.eye_array(300) * 3.0 + sp.eye_array(300, k=40) + sp.eye_array(300, k=-40), np.zeros(300)), [0]
+    rod, seen = (
+        LCP(
+            sp.eye_array(300) * 3.0 + sp.eye_array(300, k=40) + sp.eye_array(300, k=-40),
+            np.zeros(300),
+        ),
+        [0],
+    )
 
     def callback(*_: Any) -> None:
         seen[0] += 1
@@ -641,9 +822,15 @@ def european(steps: int, n: int = 399, *, damped: bool = True) -> tuple[np.ndarr
     A, half, payoff = black_scholes(x, 0.3), 0.5 / steps, np.maximum(1.0 - np.exp(x), 0.0)
     problem = LCP(sp.eye_array(n) + half * A, np.zeros(n), lower=-INF)
     first = march(problem, np.zeros((4 if damped else 0, n)), z0=payoff)
-    rest = march(problem, np.zeros((steps - 2 if damped else steps, n)), half * A - sp.eye_array(n),
-                 z0=first.z[-1] if damped else payoff)
-    return x, [(derivative(first), 0.0), (derivative(rest), half)] if damped else [(derivative(rest), half)]
+    rest = march(
+        problem,
+        np.zeros((steps - 2 if damped else steps, n)),
+        half * A - sp.eye_array(n),
+        z0=first.z[-1] if damped else payoff,
+    )
+    return x, [(derivative(first), 0.0), (derivative(rest), half)] if damped else [
+        (derivative(rest), half)
+    ]
 
 
 def black_scholes(x: np.ndarray, volatility: float) -> sp.sparray:
@@ -657,8 +844,10 @@ def test_damped_crank_nicolson_is_of_order_two() -> None:
     """Halving the steps behind a payoff with a kink divides the error by four, with four damped steps and only then."""
     exact, middle = european(1280)[1][-1][0].march.z[-1], slice(100, 300)
     for damped in (True, False):
-        errors = [abs(european(steps, damped=damped)[1][-1][0].march.z[-1] - exact)[middle].max()
-                  for steps in (10, 20, 40)]
+        errors = [
+            abs(european(steps, damped=damped)[1][-1][0].march.z[-1] - exact)[middle].max()
+            for steps in (10, 20, 40)
+        ]
         orders = np.log2(errors[:-1]) - np.log2(errors[1:])
         assert (np.abs(orders - 2.0) < 0.05).all() == damped
 
@@ -671,13 +860,20 @@ def test_greeks_of_a_european_put_are_those_of_the_formula() -> None:
     density = np.exp(-0.5 * d1**2) / np.sqrt(2.0 * np.pi)
     below = np.array([normal.cdf(d) for d in d1 - 0.3])
     expected = {
-        "delta": np.exp(x) * (np.array([normal.cdf(d) for d in d1]) - 1.0), "vega": np.exp(x) * density,
+        "delta": np.exp(x) * (np.array([normal.cdf(d) for d in d1]) - 1.0),
+        "vega": np.exp(x) * density,
         "rho": -np.exp(-0.05) * (1.0 - below),
     }
     by_volatility = (black_scholes(x, 0.4) - black_scholes(x, 0.2)) / 0.2  # A is quadratic in it
-    by_rate = sp.eye_array(n) - sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (2.0 * (x[1] - x[0]))
+    by_rate = sp.eye_array(n) - sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (
+        2.0 * (x[1] - x[0])
+    )
     shift, node = np.where(x < -1e-12, -np.exp(x), np.where(x < 1e-12, -0.5, 0.0)), n // 2
-    for name, dA, dz0 in (("delta", 0.0 * by_rate, shift), ("vega", by_volatility, 0.0 * x), ("rho", by_rate, 0.0 * x)):
+    for name, dA, dz0 in (
+        ("delta", 0.0 * by_rate, shift),
+        ("vega", by_volatility, 0.0 * x),
+        ("rho", by_rate, 0.0 * x),
+    ):
         dz = dz0
         for found, old in legs:
             dz = found.jvp(dM=half * dA, dpropagator=old * dA, dz0=dz, only_last=True)
@@ -685,7 +881,10 @@ def test_greeks_of_a_european_put_are_those_of_the_formula() -> None:
         g, back = np.eye(n)[node], 0.0
         for found, old in reversed(legs):
             gradient = found.vjp(g)
-            back, g = back + (half * gradient.M + old * gradient.propagator).multiply(dA).sum(), gradient.z0
+            back, g = (
+                back + (half * gradient.M + old * gradient.propagator).multiply(dA).sum(),
+                gradient.z0,
+            )
         assert back + g @ dz0 == pytest.approx(dz[node], rel=1e-10)
 
 
@@ -706,5 +905,7 @@ STIFFNESS, MASS = grid(4), sp.csr_array(sp.eye_array(16) + abs(grid(4)))
 )
 def test_a_propagator_of_the_wrong_sign_is_remarked(propagator: Any, is_remarked: bool) -> None:
     """A propagator that raises every q is remarked on with the sign of an implicit step; others are not."""
-    said = propagator_remark(LCP(STIFFNESS + sp.eye_array(16), np.zeros(16)), sp.csr_array(propagator))
+    said = propagator_remark(
+        LCP(STIFFNESS + sp.eye_array(16), np.zeros(16)), sp.csr_array(propagator)
+    )
     assert ("has propagator −1" in said) == is_remarked == bool(said)

@@ -36,7 +36,9 @@ def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
     assert done.all_solved
     assert len(done) == len(steps.forcing)
     for force, z in zip(steps.forcing, done.z, strict=True):
-        alone = solve(steps.problem.with_q(force + steps.propagator @ state), z0=state, tolerance=1e-10).z
+        alone = solve(
+            steps.problem.with_q(force + steps.propagator @ state), z0=state, tolerance=1e-10
+        ).z
         assert np.abs(z - alone).max() <= 1e-8 * max(np.abs(alone).max(), 1e-300)
         state = z
 
@@ -68,7 +70,11 @@ def test_psor_begins_a_step_with_the_relaxation_it_has_found() -> None:
     steps = marches.basket(60, 5)
     done = marched(steps)
     assert [stage.name for stage in done[-1].stages] == ["psor"]
-    alone = solve(steps.problem.with_q(steps.forcing[-1] + steps.propagator @ done.z[-2]), PSOR(), z0=done.z[-2])
+    alone = solve(
+        steps.problem.with_q(steps.forcing[-1] + steps.propagator @ done.z[-2]),
+        PSOR(),
+        z0=done.z[-2],
+    )
     assert done[-1].iterations < alone.iterations
 
 

@@ -25,7 +25,11 @@ def test_a_march_is_its_steps_one_by_one() -> None:
             assert np.array_equal(state, step.z)
             assert np.array_equal(step.z, alone.z)
             assert np.array_equal(step.w, alone.w)
-            assert (step.status, step.iterations, step.work) == (alone.status, alone.iterations, alone.work)
+            assert (step.status, step.iterations, step.work) == (
+                alone.status,
+                alone.iterations,
+                alone.work,
+            )
             assert step.certificate.relative_residual == alone.certificate.relative_residual
             z = step.z
             problem = problem.with_q(scene.advance(z))
@@ -46,7 +50,9 @@ def test_a_march_has_a_propagator_and_forces_that_change() -> None:
         steps = march(problem, -force, -before, z0=z)
         state = z
         for step, f in zip(steps, force, strict=True):
-            np.testing.assert_allclose(step.certificate.problem.q, -f - explicit @ state, atol=1e-12)
+            np.testing.assert_allclose(
+                step.certificate.problem.q, -f - explicit @ state, atol=1e-12
+            )
             state = step.require_solved().z
         assert all(0.0 < np.mean(np.abs(state) == 1.0) < 1.0 for state in steps.z[3:])
 
@@ -57,15 +63,29 @@ def test_a_march_takes_what_a_solve_takes() -> None:
     forcing, heard = np.broadcast_to(scene.problem.q, (4, scene.problem.n)), []
     plain = march(scene.problem, forcing, z0=scene.problem.lower)
     watched = march(
-        scene.problem, forcing, z0=scene.problem.lower, algorithm="psor", relaxation=1.2, record=True,
+        scene.problem,
+        forcing,
+        z0=scene.problem.lower,
+        algorithm="psor",
+        relaxation=1.2,
+        record=True,
         callback=lambda sample, z: heard.append(sample.iteration),
     )
     assert watched.all_solved
     assert len(watched) == 4
-    assert len(heard) == sum(len(result.history) > 0 and result.iterations + 1 for result in watched)
+    assert len(heard) == sum(
+        len(result.history) > 0 and result.iterations + 1 for result in watched
+    )
     for ours, theirs in zip(watched.z, plain.z, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-6)
-    late = march(scene.problem, forcing, z0=scene.problem.lower, algorithm="psor", tolerance=0.0, max_seconds=0.0)
+    late = march(
+        scene.problem,
+        forcing,
+        z0=scene.problem.lower,
+        algorithm="psor",
+        tolerance=0.0,
+        max_seconds=0.0,
+    )
     assert [result.status for result in late] == [Status.MAX_SECONDS]
     with pytest.raises(InvalidOption, match="has no option 'relaxaton'; did you mean 'relaxation'"):
         march(scene.problem, forcing, algorithm="psor", relaxaton=1.2)
@@ -73,31 +93,49 @@ def test_a_march_takes_what_a_solve_takes() -> None:
 
 def test_a_march_ends_where_a_step_is_not_solved() -> None:
     """The steps after it would start from nothing; what cannot be taken in one loop is taken by itself."""
-    problem = LCP(sp.diags_array([0.5, 1.0, 0.5], offsets=[-1, 0, 1], shape=(30, 30)), np.zeros(30), upper=1.0)
+    problem = LCP(
+        sp.diags_array([0.5, 1.0, 0.5], offsets=[-1, 0, 1], shape=(30, 30)), np.zeros(30), upper=1.0
+    )
     forcing = np.random.default_rng(0).normal(size=(5, 30))
     assert len(march(problem, forcing, 0.0)) == 5
     cut = march(problem, forcing, 0.0, max_iterations=1)
     assert len(cut) == 1
     assert not cut.all_solved
     assert cut[0].status is Status.MAX_ITERATIONS
-    idle = march(problem, np.vstack([forcing[:2], np.ones((1, 30)), forcing[2:]]), 0.0)  # z° solves the third
+    idle = march(
+        problem, np.vstack([forcing[:2], np.ones((1, 30)), forcing[2:]]), 0.0
+    )  # z° solves the third
     assert idle.all_solved
     assert len(idle) == 6
     assert not idle.z[2].any()
 
 
-@pytest.mark.parametrize(("given", "message"), [
-    ({"forcing": np.zeros(3)}, r"forcing must be .* \(k, n\), a row a step, n = 3, got shape \(3,\)"),
-    ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair that entry"),
-    ({"propagator": np.eye(2)}, r"propagator must be a number or a finite array of shape \(3, 3\), got shape \(2, 2\)"),
-    ({"propagator": np.full((3, 3), np.inf)}, "propagator must be .* got NaN or infinite entries; repair them"),
-    ({"z0": np.zeros(2)}, "z0 must be"),
-])
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"forcing": np.zeros(3)},
+            r"forcing must be .* \(k, n\), a row a step, n = 3, got shape \(3,\)",
+        ),
+        ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair that entry"),
+        (
+            {"propagator": np.eye(2)},
+            r"propagator must be a number or a finite array of shape \(3, 3\), got shape \(2, 2\)",
+        ),
+        (
+            {"propagator": np.full((3, 3), np.inf)},
+            "propagator must be .* got NaN or infinite entries; repair them",
+        ),
+        ({"z0": np.zeros(2)}, "z0 must be"),
+    ],
+)
 def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
     """Data of another shape, or not finite, in words and before the first step."""
     with pytest.raises(InvalidProblem, match=message):
         march(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((1, 3)), **given})
-    with pytest.raises(InvalidOption, match="march needs an LCP, ConeProblem or FrictionalContact, got ndarray"):
+    with pytest.raises(
+        InvalidOption, match="march needs an LCP, ConeProblem or FrictionalContact, got ndarray"
+    ):
         march(np.eye(3), np.zeros((1, 3)))
 
 

@@ -47,10 +47,15 @@ def solved(result: Result) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "x0", [(0, 0, 0, 0), (1, 1, 1, 1), (100, 100, 100, 100), (1, 0, 1, 0), (1, 0, 0, 0), (0, 1, 1, 0)]
+    "x0",
+    [(0, 0, 0, 0), (1, 1, 1, 1), (100, 100, 100, 100), (1, 0, 1, 0), (1, 0, 0, 0), (0, 1, 1, 0)],
 )
-@pytest.mark.parametrize(("F", "roots"), [(models.kojima_shindo, ROOTS), (models.josephy, {max(ROOTS)})])
-def test_kojima_shindo_and_josephy(F: Callable[..., Any], roots: set[tuple[float, ...]], x0: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(
+    ("F", "roots"), [(models.kojima_shindo, ROOTS), (models.josephy, {max(ROOTS)})]
+)
+def test_kojima_shindo_and_josephy(
+    F: Callable[..., Any], roots: set[tuple[float, ...]], x0: tuple[int, ...]
+) -> None:
     """From the starts of the literature the published solutions are found."""
     x = solved(solve_nonlinear(NonlinearProblem(F), x0, tolerance=1e-10))
     assert min(np.abs(x - root).max() for root in roots) < 1e-6
@@ -59,13 +64,17 @@ def test_kojima_shindo_and_josephy(F: Callable[..., Any], roots: set[tuple[float
 def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
     """Which of the two solutions is found depends on the start, and both are."""
     starts = np.random.default_rng(0).uniform(0, 3, (12, 4))
-    found = {tuple(solved(solve_nonlinear(NonlinearProblem(models.kojima_shindo), x0)).round(4) + 0.0) for x0 in starts}
+    found = {
+        tuple(solved(solve_nonlinear(NonlinearProblem(models.kojima_shindo), x0)).round(4) + 0.0)
+        for x0 in starts
+    }
     assert found == {tuple(np.round(root, 4)) for root in ROOTS}
 
 
 @pytest.mark.parametrize("start", [1.0, 10.0])
 @pytest.mark.parametrize(
-    ("F", "published"), [(models.NASH_5, models.NASH_5_SOLUTION), (models.NASH_10, models.NASH_10_SOLUTION)]
+    ("F", "published"),
+    [(models.NASH_5, models.NASH_5_SOLUTION), (models.NASH_10, models.NASH_10_SOLUTION)],
 )
 def test_nash_cournot(F: Callable[..., Any], published: list[float], start: float) -> None:
     """Oligopolies of 5 and 10 firms have their published equilibria; F is undefined at 0, and the result says so."""
@@ -86,7 +95,9 @@ def test_mathiesen() -> None:
 @pytest.mark.parametrize("x0", [0.0, 0.5, 5.0])
 def test_billups(x0: float) -> None:
     """A local minimum of every merit function is left by another start."""
-    x = solved(solve_nonlinear(NonlinearProblem(models.billups, lambda x: np.diag(2 * x - 2)), [x0]))
+    x = solved(
+        solve_nonlinear(NonlinearProblem(models.billups, lambda x: np.diag(2 * x - 2)), [x0])
+    )
     assert x[0] == pytest.approx(1 + np.sqrt(1.01), abs=1e-6)
 
 
@@ -143,11 +154,15 @@ def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) ->
     M = rng.standard_normal((n, n))
     M = M @ M.T + np.eye(n)
     q = rng.standard_normal(n)
-    result = solve_nonlinear(NonlinearProblem(lambda x: M @ x + q, lambda x: M), rng.standard_normal(n), tolerance=1e-6)
+    result = solve_nonlinear(
+        NonlinearProblem(lambda x: M @ x + q, lambda x: M), rng.standard_normal(n), tolerance=1e-6
+    )
     assert solved(result) is result.z
     assert result.iterations <= 3
     x = rng.standard_normal(n)
-    one = solve_nonlinear(NonlinearProblem(lambda x: M @ x + q, lambda x: M), x, max_iterations=0).certificate
+    one = solve_nonlinear(
+        NonlinearProblem(lambda x: M @ x + q, lambda x: M), x, max_iterations=0
+    ).certificate
     other = solve(LCP(M, q), z0=x, max_iterations=0, record=True).certificate
     if np.array_equal(one.z, other.z):
         either = max(other.relative_residual, one.term_residual)
@@ -162,10 +177,16 @@ def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
     """Multiplying rows of F, and measuring x in another unit, leaves the relative residual as it is."""
     rng = np.random.default_rng(seed)
     one = planted(rng, "monotone polynomial", n)
-    x, rows, unit = rng.standard_normal(n), 2.0 ** rng.integers(-20, 20, n), 2.0 ** int(rng.integers(-20, 20))
+    x, rows, unit = (
+        rng.standard_normal(n),
+        2.0 ** rng.integers(-20, 20, n),
+        2.0 ** int(rng.integers(-20, 20)),
+    )
     other = NonlinearProblem(
-        lambda y: rows * one.F(y / unit), lambda y: rows[:, None] * one.jacobian(y / unit) / unit,
-        one.lower * unit, one.upper * unit,
+        lambda y: rows * one.F(y / unit),
+        lambda y: rows[:, None] * one.jacobian(y / unit) / unit,
+        one.lower * unit,
+        one.upper * unit,
     )
     first = solve_nonlinear(one.problem, x, max_iterations=0)
     second = solve_nonlinear(other, x * unit, max_iterations=0)
@@ -190,7 +211,9 @@ def test_a_start_may_be_a_number_where_there_is_one_unknown() -> None:
     assert bounded_least_squares([[2.0]], [4.0], x0=5.0).x.round(6).tolist() == [2.0]
     with pytest.raises(InvalidOption, match=r"x0 must be a vector of length 2, got shape \(\)"):
         solve_nonlinear(NonlinearProblem(lambda x: x, lower=[0.0, 0.0]), 5.0)
-    with pytest.raises(InvalidOption, match=r"z0 must be a finite vector of length 2 \(M is 2×2\), got shape \(\)"):
+    with pytest.raises(
+        InvalidOption, match=r"z0 must be a finite vector of length 2 \(M is 2×2\), got shape \(\)"
+    ):
         solve(LCP(np.eye(2), [-4.0, 1.0]), z0=5.0)
 
 
@@ -201,9 +224,13 @@ def test_no_unknowns() -> None:
 
 @pytest.mark.parametrize("start", [0.0, 1.0, 4.0])
 @pytest.mark.parametrize(("offset", "answer"), [(1.0, 0.0), (-1.0, 1.0)])
-def test_an_infinite_slope_at_a_bound_is_no_obstacle(start: float, offset: float, answer: float) -> None:
+def test_an_infinite_slope_at_a_bound_is_no_obstacle(
+    start: float, offset: float, answer: float
+) -> None:
     """√x + c, whose slope at the bound 0 is infinite, is solved where the bound is the answer, and where it is not."""
-    problem = NonlinearProblem(lambda x: np.sqrt(x) + offset, lambda x: np.diag(0.5 / np.sqrt(x)), lower=[0.0])
+    problem = NonlinearProblem(
+        lambda x: np.sqrt(x) + offset, lambda x: np.diag(0.5 / np.sqrt(x)), lower=[0.0]
+    )
     result = solve_nonlinear(problem, [start])
     assert result.status is Status.SOLVED
     np.testing.assert_allclose(result.z, answer, atol=1e-8)
@@ -222,7 +249,9 @@ def test_a_solve_from_the_answer_is_solved_where_F_is_undefined_at_0() -> None:
 def test_steps_into_the_undefined_are_shortened() -> None:
     """The root of log x − 1, x ≥ 0, is found from both sides, although full steps lead to where log is undefined."""
     for start in (0.01, 100.0):
-        assert solved(solve_nonlinear(NonlinearProblem(lambda x: np.log(x) - 1.0), [start]))[0] == pytest.approx(np.e)
+        assert solved(solve_nonlinear(NonlinearProblem(lambda x: np.log(x) - 1.0), [start]))[
+            0
+        ] == pytest.approx(np.e)
 
 
 @pytest.mark.parametrize("start", [0.0, 50.0])
@@ -259,7 +288,9 @@ def test_differences_on_a_pattern() -> None:
     assert len(calls) <= 8
     np.testing.assert_allclose(found.toarray(), problem.derivative(x).toarray(), atol=1e-6)
     np.testing.assert_allclose(
-        solved(solve_nonlinear(by_differences, np.zeros(225))), solve_nonlinear(problem, np.zeros(225)).z, atol=1e-8
+        solved(solve_nonlinear(by_differences, np.zeros(225))),
+        solve_nonlinear(problem, np.zeros(225)).z,
+        atol=1e-8,
     )
 
 
@@ -291,13 +322,16 @@ def test_differences_see_the_unit_of_a_small_unknown() -> None:
 
 def test_rounding_of_differences_is_no_derivative() -> None:
     """At the top of a bump the derivative is 0; the last digit that its terms lose is none."""
-    problem = NonlinearProblem(lambda x: np.array([0.0145 * x[1] - 0.0175 / (1.0 + x[0] ** 2) - 0.0345, x[1]]))
+    problem = NonlinearProblem(
+        lambda x: np.array([0.0145 * x[1] - 0.0175 / (1.0 + x[0] ** 2) - 0.0345, x[1]])
+    )
     assert problem.derivative([0.0, 4.0])[0, 0] == 0.0
     assert problem.derivative([0.0, 4.0])[0, 1] == pytest.approx(0.0145)
 
 
 def test_columns_of_one_group_may_leave_the_domain_on_different_sides() -> None:
     """Each entry is taken on the side where F is defined."""
+
     def F(x: np.ndarray) -> np.ndarray:
         return np.array([(x[0] - 0.5) - (1.0 - x[0]) ** 1.5, (x[1] - 2.0) + (x[1] - 1.0) ** 1.5])
 
@@ -307,6 +341,7 @@ def test_columns_of_one_group_may_leave_the_domain_on_different_sides() -> None:
 
 def test_a_right_jacobian_beside_cancelling_terms_is_not_refused() -> None:
     """50 φ(x) − 50 is exactly 0 where φ is 1 to rounding; its derivative 4e-32 is right, and differences see none."""
+
     def F(x: np.ndarray) -> np.ndarray:
         return 50.0 / (1.0 + np.exp(-x)) - 50.0
 
@@ -332,14 +367,20 @@ def test_no_solution_is_said_honestly() -> None:
 @pytest.mark.parametrize(
     ("F", "lower"),
     [
-        (lambda x: -np.exp(-x), 0.0), (lambda x: -1 / x, 1.0), (lambda x: -1 / (1 + x) ** 3, 0.0),
-        (lambda x: 1 / (1 + x**2), -INF), (np.exp, -INF), (lambda x: np.array([x[0] - 2, -np.exp(-x[-1])]), 0.0),
+        (lambda x: -np.exp(-x), 0.0),
+        (lambda x: -1 / x, 1.0),
+        (lambda x: -1 / (1 + x) ** 3, 0.0),
+        (lambda x: 1 / (1 + x**2), -INF),
+        (np.exp, -INF),
+        (lambda x: np.array([x[0] - 2, -np.exp(-x[-1])]), 0.0),
     ],
 )
 @pytest.mark.parametrize("start", [1.0, 3.0])
 def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start: float) -> None:
     """An F that only tends to 0 has no solution, however far x runs and however flat F is there."""
-    result = solve_nonlinear(NonlinearProblem(F, lower=lower), np.full(np.size(F(np.ones(2))), start))
+    result = solve_nonlinear(
+        NonlinearProblem(F, lower=lower), np.full(np.size(F(np.ones(2))), start)
+    )
     assert result.status is Status.STALLED
     assert "an affine F" in str(result.certificate)
 
@@ -356,6 +397,7 @@ def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) ->
 
 def test_slack_at_a_bound_lends_no_tolerance() -> None:
     """x₀ runs to 7e11 where slack of 5e10 holds x₁ at its bound: row 0, flat at −0.1, is wrong in its own terms."""
+
     def F(x: np.ndarray) -> np.ndarray:
         return np.array([-(x[0] ** -3.0) - 0.1 + 0.1 * x[1], 0.1 * x[0] + x[1] - 1.0])
 
@@ -369,14 +411,24 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize("has_jacobian", [False, True])
-@pytest.mark.parametrize("x0", [
-    [0, 0, 0], [2, 0, 0], *(pytest.param(x0, marks=pytest.mark.full) for x0 in (
-        [1, 1, 1], [0.5, 0.5, 0.5], [0, 0, 1], [1, 0, 1], [3, 1, 2])),
-])
+@pytest.mark.parametrize(
+    "x0",
+    [
+        [0, 0, 0],
+        [2, 0, 0],
+        *(
+            pytest.param(x0, marks=pytest.mark.full)
+            for x0 in ([1, 1, 1], [0.5, 0.5, 0.5], [0, 0, 1], [1, 0, 1], [3, 1, 2])
+        ),
+    ],
+)
 def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobian: bool) -> None:
     """The minimum of (x₀−2)² + x₁² on x₁ ≤ (1−x₀)³, x ≥ 0, is a cusp: its multiplier runs away."""
+
     def F(z: np.ndarray) -> np.ndarray:
-        return np.array([2 * (z[0] - 2) + 3 * z[2] * (1 - z[0]) ** 2, 2 * z[1] + z[2], (1 - z[0]) ** 3 - z[1]])
+        return np.array(
+            [2 * (z[0] - 2) + 3 * z[2] * (1 - z[0]) ** 2, 2 * z[1] + z[2], (1 - z[0]) ** 3 - z[1]]
+        )
 
     def jacobian(z: np.ndarray) -> np.ndarray:
         flat = 3 * (1 - z[0]) ** 2
@@ -401,7 +453,9 @@ def test_a_negligible_unknown_needs_not_be_told() -> None:
 @pytest.mark.parametrize("none", [1e20, 9.999999999999999e19, 1e300])
 def test_a_bound_of_1e20_is_none(none: float) -> None:
     """Between −1e20 and 1e20 an equation and a bounded row have the answer that they have between infinities."""
-    problem = NonlinearProblem(lambda x: x**3 - np.array([8.0, -1.0]), lower=[-none, 0.0], upper=none)
+    problem = NonlinearProblem(
+        lambda x: x**3 - np.array([8.0, -1.0]), lower=[-none, 0.0], upper=none
+    )
     assert problem.lower.tolist() == [-INF, 0.0]
     assert problem.upper.tolist() == [INF, INF]
     result = solve_nonlinear(problem, [1.0, 1.0])
@@ -420,6 +474,7 @@ def test_a_hill_climber_finds_no_wrong_point_that_passes() -> None:
 
 def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
     """A derivative of 2e14 promises a zero 8e-9 away, nothing in the unit 100 of the other row; the zero is at .017."""
+
     def F(x: np.ndarray) -> np.ndarray:
         return np.array([1e-2 * (x[1] - 100.0) + 0.7 - 0.0128549 / x[0], x[1] - 100.0])
 
@@ -427,7 +482,10 @@ def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
         return np.array([[0.0128549 / x[0] ** 2, 1e-2], [0.0, 1.0]])
 
     problem = NonlinearProblem(F, jacobian, lower=1e-9)
-    for x, is_there in (([8e-9, 100.0 + 1e-9], False), ([0.0128549 / 0.7 + 1e-12, 100.0 + 1e-9], True)):
+    for x, is_there in (
+        ([8e-9, 100.0 + 1e-9], False),
+        ([0.0128549 / 0.7 + 1e-12, 100.0 + 1e-9], True),
+    ):
         certificate = solve_nonlinear(problem, x, max_iterations=0).certificate
         assert (certificate.term_residual <= 1e-8) == is_there
     assert solved(solve_nonlinear(problem, [8e-9, 100.0]))[0] == pytest.approx(0.0128549 / 0.7)
@@ -435,6 +493,7 @@ def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
 
 def test_a_derivative_is_not_refused_where_x_is_small() -> None:
     """The derivative of 1/x at x = 1e-12 is that of F, although F is curved on every step of the size 1."""
+
     def F(x: np.ndarray) -> np.ndarray:
         return 1.0 / x - 1e12 * np.array([0.5, 2.0])
 
@@ -447,7 +506,9 @@ def test_a_derivative_is_not_refused_where_x_is_small() -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(-10.0 / x**2)])
-def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian: Callable[..., Any] | None) -> None:
+def test_ten_by_x_less_one_is_solved_at_its_root_or_not(
+    jacobian: Callable[..., Any] | None,
+) -> None:
     """10/x − 1 from 100: what is SOLVED is 10, and never an x so far away that F = −1 there."""
     result = solve_nonlinear(NonlinearProblem(lambda x: 10.0 / x - 1.0, jacobian), [100.0])
     assert not result.is_solved or result.z[0] == pytest.approx(10.0, rel=1e-6)
@@ -457,14 +518,18 @@ def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian: Callable[..., 
 @pytest.mark.parametrize("lower", [0.0, 1e-9])
 def test_what_is_negative_everywhere_is_not_solved(lower: float) -> None:
     """−1 − 1/x has no solution in x ≥ 0."""
-    assert not solve_nonlinear(NonlinearProblem(lambda x: -1.0 - 1.0 / x, lower=lower), [1.0]).is_solved
+    assert not solve_nonlinear(
+        NonlinearProblem(lambda x: -1.0 - 1.0 / x, lower=lower), [1.0]
+    ).is_solved
 
 
 @pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
 def test_billups_by_named_algorithms(algorithm: str) -> None:
     """A linearisation without a solution is no end for a named algorithm: (x − 1)² − 1.01 from 0 is solved."""
     problem = NonlinearProblem(lambda x: (x - 1.0) ** 2 - 1.01, lambda x: np.diag(2.0 * x - 2.0))
-    assert solved(solve_nonlinear(problem, [0.0], algorithm))[0] == pytest.approx(1.0 + np.sqrt(1.01))
+    assert solved(solve_nonlinear(problem, [0.0], algorithm))[0] == pytest.approx(
+        1.0 + np.sqrt(1.01)
+    )
 
 
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(3.0 * x**2 + 2.0 * x - 2.0)])
@@ -479,13 +544,17 @@ def test_of_several_solutions_one_near_the_start_is_found(
 
 def test_lotka_volterra_stays_inside() -> None:
     """Two competitors from (0.7, 0.7) come to their interior equilibrium, not to that where both are extinct."""
-    problem = NonlinearProblem(lambda x: x * np.array([1.0 - x[0] - 0.5 * x[1], 1.0 - 0.5 * x[0] - x[1]]))
+    problem = NonlinearProblem(
+        lambda x: x * np.array([1.0 - x[0] - 0.5 * x[1], 1.0 - 0.5 * x[0] - x[1]])
+    )
     np.testing.assert_allclose(solved(solve_nonlinear(problem, [0.7, 0.7])), 2.0 / 3.0, rtol=1e-8)
 
 
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag([1.0, -1.0 / x[1] ** 2])])
 @pytest.mark.parametrize("start", [(1e10, 0.6), (0.0, 0.6)])
-def test_two_problems_in_units_of_their_own(jacobian: Callable[..., Any] | None, start: tuple[float, float]) -> None:
+def test_two_problems_in_units_of_their_own(
+    jacobian: Callable[..., Any] | None, start: tuple[float, float]
+) -> None:
     """x₀ = 1e10 and 1/x₁ = 2 are two problems, and each is solved in its own unit."""
     problem = NonlinearProblem(lambda x: np.array([x[0] - 1e10, 1.0 / x[1] - 2.0]), jacobian)
     np.testing.assert_allclose(solved(solve_nonlinear(problem, start)), [1e10, 0.5], rtol=1e-7)
@@ -495,13 +564,16 @@ def test_two_problems_in_units_of_their_own(jacobian: Callable[..., Any] | None,
 @pytest.mark.parametrize("has_jacobian", [True, False])
 def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None:
     """M. J. D. Powell 1970, no. 3 of Moré, Garbow, Hillstrom, doi:10.1145/355934.355936: both rows nearly vanish."""
+
     def F(x: np.ndarray) -> np.ndarray:
         return np.array([1e4 * x[0] * x[1] - 1.0, np.exp(-x).sum() - 1.0001])
 
     def jacobian(x: np.ndarray) -> np.ndarray:
         return np.array([[1e4 * x[1], 1e4 * x[0]], -np.exp(-x)])
 
-    x = solved(solve_nonlinear(NonlinearProblem(F, jacobian if has_jacobian else None, lower), [0.0, 1.0]))
+    x = solved(
+        solve_nonlinear(NonlinearProblem(F, jacobian if has_jacobian else None, lower), [0.0, 1.0])
+    )
     assert np.abs(F(x)).max() <= 1e-5  # the terms of both rows are about 1
     np.testing.assert_allclose(x, [1.098159e-5, 9.106147], rtol=1e-4)
 
@@ -509,7 +581,9 @@ def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None
 @pytest.mark.full
 def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced() -> None:
     """A positive diagonal is what psor needs, and where a linearisation has none auto solves it."""
-    problem = NonlinearProblem(lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0]))
+    problem = NonlinearProblem(
+        lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0])
+    )
     solved(solve_nonlinear(problem, [0.0, 0.0], "psor"))
 
 
@@ -523,7 +597,9 @@ HOPELESS = {
 @pytest.mark.full
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", HOPELESS)
-def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hopeless_nonlinear_problem_ends(
+    algorithm: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where nothing can be solved every policy ends, after a bounded number of steps, linearisations and stages."""
     stages = []
     solved_by = josephy_newton.solved_within
@@ -564,7 +640,9 @@ def test_a_hopeless_linear_problem_ends(algorithm: str, name: str) -> None:
 def test_prices_near_zero_lend_no_tolerance() -> None:
     """Where F is 1e20 at z°, prices of 1e-5, a SOLVED still means that the markets clear."""
     supply = np.array([3.0, 1.0, 0.5])
-    result = solve_nonlinear(NonlinearProblem(lambda p: supply - p**-4.0, lower=1e-5), np.full(3, 0.02))
+    result = solve_nonlinear(
+        NonlinearProblem(lambda p: supply - p**-4.0, lower=1e-5), np.full(3, 0.02)
+    )
     np.testing.assert_allclose(solved(result), supply**-0.25, rtol=1e-6)
     np.testing.assert_allclose(result.w, 0.0, atol=1e-6)
 
@@ -573,7 +651,9 @@ def test_prices_near_zero_lend_no_tolerance() -> None:
 def test_rounding_in_f_is_a_precision_limit() -> None:
     """Where F carries rounding far above the tolerance that is said, and where it is a wrong derivative it is not."""
     noisy = NonlinearProblem(
-        lambda x: (x**3 + 1e9 * np.sin(1e15 * x) * 2.0**-52) - 7.3, lambda x: np.diag(3 * x**2), lower=-INF
+        lambda x: (x**3 + 1e9 * np.sin(1e15 * x) * 2.0**-52) - 7.3,
+        lambda x: np.diag(3 * x**2),
+        lower=-INF,
     )
     result = solve_nonlinear(noisy, [3.0], tolerance=1e-12, check_jacobian=False)
     assert result.status is Status.PRECISION_LIMIT
@@ -602,6 +682,7 @@ def test_limits_record_and_callback() -> None:
 
 def test_a_callback_that_raises_is_heard() -> None:
     """What the callback and F raise reaches the caller."""
+
     def broken(*_: Any) -> Any:
         raise ZeroDivisionError
 
@@ -659,12 +740,22 @@ def test_ctrl_c_during_the_check_of_the_derivative_keeps_the_start() -> None:
 
 def test_a_step_far_past_an_exponential_is_no_progress() -> None:
     """From x₁ = 1, where eˣ is still flat, a full step goes to 35, from where Newton comes back by 1 a step."""
-    M = np.array([[22.0, 5, 7, 7, -2], [2, 19, -1, 7, 5], [-7, -1, 10, 0, -1], [-1, 3, 5, 11, 0], [-9, 3, 5, -6, 25]])
+    M = np.array(
+        [
+            [22.0, 5, 7, 7, -2],
+            [2, 19, -1, 7, 5],
+            [-7, -1, 10, 0, -1],
+            [-1, 3, 5, 11, 0],
+            [-9, 3, 5, -6, 25],
+        ]
+    )
     answer, weights = np.array([8.0, -5, 6, -6, 8]), np.array([0.25, 1, 1, 0, 1])
     q = np.array([-135.0, 39, -41, 35, -67])
     problem = NonlinearProblem(
-        lambda x: M @ x + q + weights * (np.exp(x) - np.exp(answer)), lambda x: M + np.diag(weights * np.exp(x)),
-        [1.0, -10, -1, -np.inf, 8], [np.inf, -5, 6, -6, 9],
+        lambda x: M @ x + q + weights * (np.exp(x) - np.exp(answer)),
+        lambda x: M + np.diag(weights * np.exp(x)),
+        [1.0, -10, -1, -np.inf, 8],
+        [np.inf, -5, 6, -6, 9],
     )
     result = solve_nonlinear(problem, np.zeros(5), tolerance=1e-12)
     assert result.is_solved
@@ -680,7 +771,9 @@ def test_nothing_of_the_callers_is_changed() -> None:
         assert not x.flags.writeable
         return kept
 
-    solve_nonlinear(NonlinearProblem(F, lambda x: np.eye(2), lower), x0, check_jacobian=False, max_iterations=3)
+    solve_nonlinear(
+        NonlinearProblem(F, lambda x: np.eye(2), lower), x0, check_jacobian=False, max_iterations=3
+    )
     assert x0.tolist() == [1, 1]
     assert lower.tolist() == [0, 0]
     assert kept.tolist() == [-1, 2]
@@ -689,10 +782,13 @@ def test_nothing_of_the_callers_is_changed() -> None:
 @pytest.mark.parametrize("kind", ["csr", "csc", "coo", "lil", "dok", "dia", "bsr"])
 def test_every_kind_of_sparse_derivative_is_taken(kind: str) -> None:
     """Whatever scipy's format is, the answer is the same."""
+
     def jacobian(x: np.ndarray) -> Any:
         return sp.csr_array(np.diag(3 * x**2) + np.eye(3, k=1)).asformat(kind)
 
-    result = solve_nonlinear(NonlinearProblem(lambda x: x**3 + np.append(x[1:], 0.0) - 9.0, jacobian), np.ones(3))
+    result = solve_nonlinear(
+        NonlinearProblem(lambda x: x**3 + np.append(x[1:], 0.0) - 9.0, jacobian), np.ones(3)
+    )
     np.testing.assert_allclose(result.w, 0.0, atol=1e-7)
 
 
@@ -702,17 +798,23 @@ def test_a_derivative_that_is_written_to_again_is_no_obstacle() -> None:
     shared = sp.csr_array(np.ones((4, 4)))
 
     def fresh(x: np.ndarray) -> Any:
-        return sp.csr_array((np.ravel(slopes(x).toarray()), shared.indices, shared.indptr), shape=(4, 4))
+        return sp.csr_array(
+            (np.ravel(slopes(x).toarray()), shared.indices, shared.indptr), shape=(4, 4)
+        )
 
     def refilled(x: np.ndarray) -> Any:
         shared.data[:] = fresh(x).data
         return shared
 
     start = np.array([3.0, 0.0, 5.0, 1.0])
-    one, other = (solve_nonlinear(NonlinearProblem(F, J), start, max_iterations=2) for J in (fresh, refilled))
+    one, other = (
+        solve_nonlinear(NonlinearProblem(F, J), start, max_iterations=2) for J in (fresh, refilled)
+    )
     np.testing.assert_array_equal(one.z, other.z)
     assert str(one.certificate) == str(other.certificate)
-    first, second = (NonlinearProblem(F, refilled).linearised(np.full(4, value)) for value in (1.0, 2.0))
+    first, second = (
+        NonlinearProblem(F, refilled).linearised(np.full(4, value)) for value in (1.0, 2.0)
+    )
     assert (first.M != second.M).nnz > 0
 
 
@@ -728,14 +830,26 @@ def test_the_lcp_solver_can_be_chosen() -> None:
 
 NP, run = NonlinearProblem, solve_nonlinear
 MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
-    (lambda: NP(np.eye(2)), InvalidProblem, r"F must be callable as F\(x\), got ndarray; .* LCP\(M, q\)"),
+    (
+        lambda: NP(np.eye(2)),
+        InvalidProblem,
+        r"F must be callable as F\(x\), got ndarray; .* LCP\(M, q\)",
+    ),
     (lambda: NP(np.sin, 3), InvalidProblem, "jacobian must be callable"),
     (lambda: NP(np.sin, np.diag, pattern=np.eye(2)), InvalidProblem, "leave one out"),
     (lambda: NP(np.sin, pattern=np.ones((2, 3))), InvalidProblem, "square"),
-    (lambda: NP(np.sin, lower=[0, 0], upper=[1, 1, 1]), InvalidProblem, "upper must be a number or a vec"),
+    (
+        lambda: NP(np.sin, lower=[0, 0], upper=[1, 1, 1]),
+        InvalidProblem,
+        "upper must be a number or a vec",
+    ),
     (lambda: NP(np.sin, lower=[2.0], upper=1.0), InvalidProblem, "lower ≤ upper"),
     (lambda: NP(np.sin, enclosure=3), InvalidProblem, "enclosure.interval_F must be callable"),
-    (lambda: solve(NP(np.sin)), InvalidOption, r"solve needs x0 for a NonlinearProblem: write solve\(problem, x0=…\)"),
+    (
+        lambda: solve(NP(np.sin)),
+        InvalidOption,
+        r"solve needs x0 for a NonlinearProblem: write solve\(problem, x0=…\)",
+    ),
     (lambda: run(LCP([[1]], [1]), [1]), InvalidOption, "needs a NonlinearProblem, got LCP"),
     (lambda: run(NP(np.sin, lower=[0, 0]), [1.0]), InvalidOption, "x0 must be .* length 2"),
     (lambda: run(NP(np.sin), [np.nan]), InvalidOption, r"x0\[0\] = nan"),
@@ -743,7 +857,11 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (lambda: run(NP(lambda x: x[:1]), np.ones(2)), InvalidProblem, r"length 2 .* shape \(1,\)"),
     (lambda: run(NP(lambda x: None), np.ones(2)), InvalidProblem, "got None"),
     (lambda: run(NP(lambda x: 1j * x), np.ones(2)), InvalidProblem, "complex"),
-    (lambda: run(NP(lambda x: np.log(x - 5), lower=-INF), [-1.0]), InvalidProblem, r"F\(x0\)\[0\] = nan"),
+    (
+        lambda: run(NP(lambda x: np.log(x - 5), lower=-INF), [-1.0]),
+        InvalidProblem,
+        r"F\(x0\)\[0\] = nan",
+    ),
     (lambda: run(NP(np.sin, lambda x: np.eye(3)), [1.0]), InvalidProblem, r"shape \(1, 1\)"),
     (lambda: run(NP(np.sin, lambda x: [[np.nan]]), [1.0]), InvalidProblem, "jacobian.*finite"),
     (lambda: run(NP(np.sin), np.ones(1001)), InvalidProblem, "pattern"),
@@ -752,7 +870,9 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
 
 
 @pytest.mark.parametrize(("mistake", "error", "words"), MISTAKES)
-def test_mistakes_are_refused_in_words(mistake: Callable[[], Any], error: type[Exception], words: str) -> None:
+def test_mistakes_are_refused_in_words(
+    mistake: Callable[[], Any], error: type[Exception], words: str
+) -> None:
     """Every mistake is named, with what is needed instead."""
     with pytest.raises(error, match=words):
         mistake()
@@ -790,8 +910,10 @@ def test_a_derivative_in_single_precision_is_not_refused() -> None:
     for seed in range(20):
         one = planted(np.random.default_rng(seed), "monotone polynomial", 10)
         problem = NonlinearProblem(
-            lambda x, one=one: one.F(x).astype(np.float32), lambda x, one=one: one.jacobian(x).astype(np.float32),
-            one.lower, one.upper,
+            lambda x, one=one: one.F(x).astype(np.float32),
+            lambda x, one=one: one.jacobian(x).astype(np.float32),
+            one.lower,
+            one.upper,
         )
         solve_nonlinear(problem, np.random.default_rng(seed).standard_normal(10), max_iterations=0)
 
@@ -818,17 +940,24 @@ def test_a_root_outside_the_bounds_is_not_proved() -> None:
     inside = krawczyk_bound(square(0.0).problem.linearised([0.01]), np.array([0.01]), square(0.0))
     assert inside is not None
     assert inside.infinity < 1e-16
-    outside = krawczyk_bound(square(0.05).problem.linearised([0.01]), np.array([0.01]), square(0.05))
+    outside = krawczyk_bound(
+        square(0.05).problem.linearised([0.01]), np.array([0.01]), square(0.05)
+    )
     assert outside is not None
     assert outside.proven_active.all()
     assert outside.infinity >= 0.04
-    near = krawczyk_bound(square(0.01 + 1e-9).problem.linearised([0.011]), np.array([0.011]), square(0.01 + 1e-9))
+    near = krawczyk_bound(
+        square(0.01 + 1e-9).problem.linearised([0.011]), np.array([0.011]), square(0.01 + 1e-9)
+    )
     assert near is None or near.infinity >= 0.001 - 1e-9
 
 
 def test_only_one_solution_is_within_a_bound() -> None:
     """Where Newton passes one root for another, and where a bound is no nearer than a root, nothing is claimed."""
-    for coefficients, x, lower in (([-8, -16, -8, 1, 1], 0.0, -INF), ([-1] + [0] * 19 + [1], 0.6, 0.0)):
+    for coefficients, x, lower in (
+        ([-8, -16, -8, 1, 1], 0.0, -INF),
+        ([-1] + [0] * 19 + [1], 0.6, 0.0),
+    ):
         p = np.polynomial.Polynomial(np.array(coefficients[::-1], float))
         one = Scalar(p, p.deriv())
         problem = NonlinearProblem(p, lambda x, one=one: np.diag(one.slope(x)), lower=[lower])
@@ -845,10 +974,15 @@ class Scalar(NamedTuple):
     slope: np.polynomial.Polynomial
 
     @staticmethod
-    def _ends(p: np.polynomial.Polynomial, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _ends(
+        p: np.polynomial.Polynomial, low: np.ndarray, high: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         middle, radius = (low + high) / 2, (high - low) / 2
         around = p(np.polynomial.Polynomial([middle[0], 1.0])).coef
-        reach = np.abs(around[1:]) @ radius[0] ** np.arange(1, around.size) + 1e-12 * np.abs(around).sum()
+        reach = (
+            np.abs(around[1:]) @ radius[0] ** np.arange(1, around.size)
+            + 1e-12 * np.abs(around).sum()
+        )
         return around[:1] - reach, around[:1] + reach
 
     def interval_F(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -862,9 +996,13 @@ class Scalar(NamedTuple):
 def test_a_double_root_is_not_proved() -> None:
     """Where the derivative is singular, and where F = 0 at a bound, nothing is claimed."""
     zero, one = np.zeros((1, 1)), np.ones((1, 1))
-    double = Polynomial(zero, one, zero, np.zeros(1), np.zeros(1), np.array([-INF]), np.array([INF]), np.zeros(1))
+    double = Polynomial(
+        zero, one, zero, np.zeros(1), np.zeros(1), np.array([-INF]), np.array([INF]), np.zeros(1)
+    )
     assert krawczyk_bound(double.problem.linearised([1e-9]), np.array([1e-9]), double) is None
-    degenerate = Polynomial(one, zero, zero, np.zeros(1), np.zeros(1), np.zeros(1), np.array([INF]), np.zeros(1))
+    degenerate = Polynomial(
+        one, zero, zero, np.zeros(1), np.zeros(1), np.zeros(1), np.array([INF]), np.zeros(1)
+    )
     assert krawczyk_bound(degenerate.problem.linearised([0.0]), np.array([0.0]), degenerate) is None
 
 
@@ -892,8 +1030,12 @@ def test_without_an_enclosure_nothing_is_claimed() -> None:
 def test_an_enclosure_that_contradicts_f_proves_nothing() -> None:
     """An enclosure of another function is found out at the answer, and nothing is claimed."""
     one, other = square(0.0), polynomial(np.random.default_rng(0), is_dominant=True)
-    other = Polynomial(*(array[:1, :1] if array.ndim == 2 else array[:1] + 1.0 for array in vars(other).values()))
-    result = solve_nonlinear(NonlinearProblem(one.F, one.jacobian, enclosure=other), [1.0], error_bound=True)
+    other = Polynomial(
+        *(array[:1, :1] if array.ndim == 2 else array[:1] + 1.0 for array in vars(other).values())
+    )
+    result = solve_nonlinear(
+        NonlinearProblem(one.F, one.jacobian, enclosure=other), [1.0], error_bound=True
+    )
     assert result.error_bound is None
     assert "contradicts F" in result.no_error_bound
 
@@ -911,12 +1053,16 @@ def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
     dF = rng.standard_normal(n)
 
     def answer(shift: float) -> Result:
-        moved = NonlinearProblem(lambda x: one.F(x) + shift * dF, one.jacobian, one.lower, one.upper)
+        moved = NonlinearProblem(
+            lambda x: one.F(x) + shift * dF, one.jacobian, one.lower, one.upper
+        )
         return solve_nonlinear(moved, one.x, tolerance=1e-13)
 
     found = derivative(answer(0.0))
     dx = found.jvp(dq=dF)
-    np.testing.assert_allclose(dx, (answer(step).z - answer(-step).z) / (2 * step), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        dx, (answer(step).z - answer(-step).z) / (2 * step), rtol=1e-5, atol=1e-6
+    )
     g = rng.standard_normal(n)
     assert found.vjp(g).q @ dF == pytest.approx(g @ dx, rel=1e-9, abs=1e-12)
 
@@ -932,11 +1078,17 @@ def test_a_far_start_of_a_large_problem_costs_few_factorisations():
     """−Δu = 5 eᵘ under a ceiling of 3 on 11³ points, from the ceiling, where no linearisation is worth solving."""
     m, ceiling = 11, 3.0
     line, eye = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(m, m)), sp.eye_array(m)
-    laplace = sp.kron(sp.kron(line, eye), eye) + sp.kron(sp.kron(eye, line), eye) + sp.kron(sp.kron(eye, eye), line)
+    laplace = (
+        sp.kron(sp.kron(line, eye), eye)
+        + sp.kron(sp.kron(eye, line), eye)
+        + sp.kron(sp.kron(eye, eye), line)
+    )
     laplace = sp.csr_array(laplace * (m + 1.0) ** 2)
     problem = NonlinearProblem(
-        lambda u: laplace @ u - 5.0 * np.exp(u), lambda u: sp.csr_array(laplace - sp.diags_array(5.0 * np.exp(u))),
-        lower=-np.inf, upper=np.full(m**3, ceiling),
+        lambda u: laplace @ u - 5.0 * np.exp(u),
+        lambda u: sp.csr_array(laplace - sp.diags_array(5.0 * np.exp(u))),
+        lower=-np.inf,
+        upper=np.full(m**3, ceiling),
     )
     result = solve_nonlinear(problem, np.full(m**3, ceiling + 5.0))
     assert result.status is Status.SOLVED

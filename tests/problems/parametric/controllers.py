@@ -9,7 +9,13 @@ from lcp_plugin import QuadraticProgram
 
 
 def controller(
-    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, horizon: int, force: float, room: float | np.ndarray
+    A: np.ndarray,
+    B: np.ndarray,
+    Q: np.ndarray,
+    R: np.ndarray,
+    horizon: int,
+    force: float,
+    room: float | np.ndarray,
 ) -> tuple[QuadraticProgram, dict[str, np.ndarray]]:
     """Return the program in the forces of all steps, and how c and h depend on the state.
 
@@ -26,13 +32,24 @@ def controller(
     P = forced.T @ cost @ forced + np.kron(np.eye(horizon), R)
     limits = np.tile(np.broadcast_to(room, n), horizon)
     program = QuadraticProgram(
-        (P + P.T) / 2, np.zeros(horizon * m), G=np.vstack([forced, -forced]), h=np.concatenate([limits, limits]),
-        lower=-force, upper=force,
+        (P + P.T) / 2,
+        np.zeros(horizon * m),
+        G=np.vstack([forced, -forced]),
+        h=np.concatenate([limits, limits]),
+        lower=-force,
+        upper=force,
     )
     return program, {"c": forced.T @ cost @ free, "h": np.vstack([-free, free])}
 
 
 def double_integrator(horizon: int) -> tuple[QuadraticProgram, dict[str, np.ndarray]]:
     """Bemporad, Morari, Dua, Pistikopoulos 2002: position and speed, one force."""
-    return controller(np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.5], [1.0]]), np.eye(2), np.array([[0.1]]),
-                      horizon, 1.0, 5.0)
+    return controller(
+        np.array([[1.0, 1.0], [0.0, 1.0]]),
+        np.array([[0.5], [1.0]]),
+        np.eye(2),
+        np.array([[0.1]]),
+        horizon,
+        1.0,
+        5.0,
+    )

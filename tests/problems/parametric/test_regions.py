@@ -14,7 +14,16 @@ import pytest
 import scipy.sparse as sp
 from controllers import double_integrator
 
-from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnsuitableProblem, derivative, regions, solve, trace
+from lcp_plugin import (
+    LCP,
+    InvalidOption,
+    QuadraticProgram,
+    UnsuitableProblem,
+    derivative,
+    regions,
+    solve,
+    trace,
+)
 from lcp_plugin.core.errors import UnsupportedModel
 
 
@@ -23,7 +32,9 @@ def by_daqp(program: QuadraticProgram) -> np.ndarray | None:
     P, G = (np.ascontiguousarray(sp.csr_array(one).toarray()) for one in (program.P, program.G))
     upper = np.concatenate([program.upper, program.h])
     lower = np.concatenate([program.lower, np.full(program.h.size, -1e30)])
-    x, _, flag, _ = daqp.solve(P, program.c.copy(), G, upper, lower, np.zeros(upper.size, dtype=np.int32))
+    x, _, flag, _ = daqp.solve(
+        P, program.c.copy(), G, upper, lower, np.zeros(upper.size, dtype=np.int32)
+    )
     return np.array(x) if flag == 1 else None
 
 
@@ -74,7 +85,9 @@ def test_a_narrow_range_has_its_own_regions(width: float) -> None:
 
 def test_bounds_and_equations_may_move() -> None:
     """The nearest point of a moving box on a moving line: closed form along one parameter."""
-    program = QuadraticProgram(np.eye(2), [0.0, 0.0], A=[[1.0, 1.0]], b=[0.0], lower=-1.0, upper=1.0)
+    program = QuadraticProgram(
+        np.eye(2), [0.0, 0.0], A=[[1.0, 1.0]], b=[0.0], lower=-1.0, upper=1.0
+    )
     found = regions(program, {"b": [2.0], "upper": [0.5, 0.0]}, ([-0.9], [0.9]))
     assert found.is_solved
     for theta in np.linspace(-0.9, 0.9, 19):
@@ -95,13 +108,26 @@ def test_what_is_saved_is_the_law(tmp_path: Path) -> None:
     where = found.locate(states)
     for state, k in zip(states, where, strict=True):
         if k >= 0:
-            assert (E[starts[k] : starts[k + 1]] @ state <= e[starts[k] : starts[k + 1]] + 1e-7).all()
+            assert (
+                E[starts[k] : starts[k + 1]] @ state <= e[starts[k] : starts[k + 1]] + 1e-7
+            ).all()
     found.save(tmp_path / "law.c")
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("no compiler of C here")
-    subprocess.run([compiler, "-shared", "-fPIC", "-Wall", "-Werror", "-o", tmp_path / "law.so", tmp_path / "law.c"],
-                   check=True)
+    subprocess.run(
+        [
+            compiler,
+            "-shared",
+            "-fPIC",
+            "-Wall",
+            "-Werror",
+            "-o",
+            tmp_path / "law.so",
+            tmp_path / "law.c",
+        ],
+        check=True,
+    )
     law = ctypes.CDLL(str(tmp_path / "law.so")).law
     pointer = ctypes.POINTER(ctypes.c_double)
     for state, k in zip(states, where, strict=True):
@@ -128,17 +154,38 @@ def test_it_tells_what_it_found_and_draws_it() -> None:
     assert "nothing was found" in few.explain()
 
 
-@pytest.mark.parametrize(("given", "error", "words"), [
-    (({"q": [1.0, 0.0]}, ([0.0], [1.0])), InvalidOption, "c, h, b, lower, upper may move"),
-    (({"P": np.eye(2)}, ([0.0], [1.0])), InvalidOption, "may move, not P: x is not piecewise affine in P"),
-    (({"c": [1.0]}, ([0.0], [1.0])), InvalidOption, r"change of c by each .* of shape \(2, 1\), got shape \(1,\)"),
-    (({"c": [1.0, 0.0]}, ([1.0], [0.0])), InvalidOption, "low < high"),
-    (({"c": [1.0, 0.0]}, 3), InvalidOption, "corners of a box"),
-    (({"upper": [1.0, 0.0]}, ([0.0], [1.0])), InvalidOption, r"upper\[0\] is inf and cannot move"),
-    ((7, ([0.0], [1.0])), InvalidOption, "parameters must say what depends"),
-    (({"c": np.eye(2, 9)}, (np.zeros(9), np.ones(9))), InvalidOption, "up to 6 parameters, got 9"),
-])
-def test_what_cannot_be_used_is_refused_in_words(given: Any, error: type[Exception], words: str) -> None:
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        (({"q": [1.0, 0.0]}, ([0.0], [1.0])), InvalidOption, "c, h, b, lower, upper may move"),
+        (
+            ({"P": np.eye(2)}, ([0.0], [1.0])),
+            InvalidOption,
+            "may move, not P: x is not piecewise affine in P",
+        ),
+        (
+            ({"c": [1.0]}, ([0.0], [1.0])),
+            InvalidOption,
+            r"change of c by each .* of shape \(2, 1\), got shape \(1,\)",
+        ),
+        (({"c": [1.0, 0.0]}, ([1.0], [0.0])), InvalidOption, "low < high"),
+        (({"c": [1.0, 0.0]}, 3), InvalidOption, "corners of a box"),
+        (
+            ({"upper": [1.0, 0.0]}, ([0.0], [1.0])),
+            InvalidOption,
+            r"upper\[0\] is inf and cannot move",
+        ),
+        ((7, ([0.0], [1.0])), InvalidOption, "parameters must say what depends"),
+        (
+            ({"c": np.eye(2, 9)}, (np.zeros(9), np.ones(9))),
+            InvalidOption,
+            "up to 6 parameters, got 9",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_words(
+    given: Any, error: type[Exception], words: str
+) -> None:
     """Names, shapes, boxes."""
     with pytest.raises(error, match=words):
         regions(QuadraticProgram(np.eye(2), [0.0, 0.0]), *given)
@@ -150,10 +197,18 @@ def test_where_x_is_not_unique_it_says_so() -> None:
     with pytest.raises(UnsuitableProblem, match="unique"):
         regions(flat, {"c": np.zeros((2, 1))}, ([0.0], [1.0]))
     with pytest.raises(UnsupportedModel):
-        regions(QuadraticProgram([[-1.0]], [0.0], lower=0.0, upper=1.0), {"c": [1.0]}, ([0.0], [1.0]))
+        regions(
+            QuadraticProgram([[-1.0]], [0.0], lower=0.0, upper=1.0), {"c": [1.0]}, ([0.0], [1.0])
+        )
     with pytest.raises(UnsuitableProblem, match="unique"):
-        regions(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[0.0, -1.0]), {"c": [1.0]}, ([0.0], [1.0]))
-    found = regions(QuadraticProgram([[1.0]], [0.0], lower=-1.0, upper=1.0), {"c": [1.0]}, ([0.0], [1.0]))
+        regions(
+            QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[0.0, -1.0]),
+            {"c": [1.0]},
+            ([0.0], [1.0]),
+        )
+    found = regions(
+        QuadraticProgram([[1.0]], [0.0], lower=-1.0, upper=1.0), {"c": [1.0]}, ([0.0], [1.0])
+    )
     with pytest.raises(InvalidOption, match="θ must have shape"):
         found.x_at([1.0, 2.0])
     with pytest.raises(InvalidOption, match=r"saved as \.npz or \.c"):
@@ -161,15 +216,42 @@ def test_where_x_is_not_unique_it_says_so() -> None:
 
 
 ORDINARY = {  # what a fresh reader tried: program, what moves, box, how many regions
-    "a row at 0 where x cancels": (QuadraticProgram([[5.0]], [-2.0], G=[[1.0]], h=[0.0]), {"c": [2.0]}, (-3, 3), 2),
-    "a case that ends at the box": (QuadraticProgram([[1.0]], [0.0], lower=-1, upper=1), {"c": [-1.0]}, (-1, 3), 2),
-    "bounds that cross": (QuadraticProgram([[1.0]], [0.0], lower=0, upper=1), {"upper": [1.0]}, (-2, 2), 1),
+    "a row at 0 where x cancels": (
+        QuadraticProgram([[5.0]], [-2.0], G=[[1.0]], h=[0.0]),
+        {"c": [2.0]},
+        (-3, 3),
+        2,
+    ),
+    "a case that ends at the box": (
+        QuadraticProgram([[1.0]], [0.0], lower=-1, upper=1),
+        {"c": [-1.0]},
+        (-1, 3),
+        2,
+    ),
+    "bounds that cross": (
+        QuadraticProgram([[1.0]], [0.0], lower=0, upper=1),
+        {"upper": [1.0]},
+        (-2, 2),
+        1,
+    ),
     "a row twice": (
-        QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1], [2, 2]], h=[-1, -2]), {"c": np.eye(2)}, (-2, 2), 2),
+        QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1], [2, 2]], h=[-1, -2]),
+        {"c": np.eye(2)},
+        (-2, 2),
+        2,
+    ),
     "an equation twice": (
-        QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1], [1, 1]], b=[1, 1]), {"c": [1, 0]}, (-1, 1), 1),
+        QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1], [1, 1]], b=[1, 1]),
+        {"c": [1, 0]},
+        (-1, 1),
+        1,
+    ),
     "an equation 0 = 0": (
-        QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1], [0, 0]], b=[1, 0]), {"c": [1, 0]}, (-1, 1), 1),
+        QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1], [0, 0]], b=[1, 0]),
+        {"c": [1, 0]},
+        (-1, 1),
+        1,
+    ),
     "the identity, a row that rests": (LCP(np.eye(2), [0, 0]), {"q": [[1.0], [0.0]]}, (-1, 1), 2),
 }
 
@@ -192,20 +274,32 @@ def test_units_change_no_region(unit: float) -> None:
     program, changes = double_integrator(3)
     box = [-5.0, -5.0], [5.0, 5.0]
     P, G = (np.asarray(sp.csr_array(one).toarray()) for one in (program.P, program.G))
-    other = QuadraticProgram(P / unit**2, program.c / unit, G=G / unit, h=program.h, lower=program.lower * unit,
-                             upper=program.upper * unit)
+    other = QuadraticProgram(
+        P / unit**2,
+        program.c / unit,
+        G=G / unit,
+        h=program.h,
+        lower=program.lower * unit,
+        upper=program.upper * unit,
+    )
     found = regions(other, {"c": changes["c"] / unit, "h": changes["h"]}, box)
     own = regions(program, changes, box)
     assert found.is_solved
     assert len(found) == len(own)
-    costly = QuadraticProgram(P * 1e9, program.c, G=G, h=program.h, lower=program.lower, upper=program.upper)
+    costly = QuadraticProgram(
+        P * 1e9, program.c, G=G, h=program.h, lower=program.lower, upper=program.upper
+    )
     assert len(regions(costly, {"c": changes["c"] * 1e9, "h": changes["h"]}, box)) == len(own)
 
 
 def test_more_than_one_solution_is_no_law() -> None:
     """A matrix that is no P-matrix is refused; equations that contradict each other for some θ as well."""
     with pytest.raises(UnsuitableProblem, match="no P-matrix"):
-        regions(LCP([[1.0, 3.0], [3.0, 1.0]], [-1.0, -1.0]), {"q": np.eye(2)}, ([-2.0, -2.0], [2.0, 2.0]))
+        regions(
+            LCP([[1.0, 3.0], [3.0, 1.0]], [-1.0, -1.0]),
+            {"q": np.eye(2)},
+            ([-2.0, -2.0], [2.0, 2.0]),
+        )
     twice = QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1], [1, 1]], b=[1, 1])
     with pytest.raises(UnsuitableProblem, match="depend on each other"):
         regions(twice, {"b": [1.0, 0.0]}, ([-1.0], [1.0]))
@@ -218,10 +312,17 @@ def test_integer_programs_have_the_x_of_daqp(seed: int) -> None:
     n, m, p = 3, 3, 1 + seed % 3
     B = random.integers(-2, 3, (n, n))
     program = QuadraticProgram(
-        (B @ B.T + np.eye(n)).astype(float), random.integers(-2, 3, n).astype(float),
-        G=random.integers(-2, 3, (m, n)).astype(float), h=random.integers(0, 4, m).astype(float), lower=-2.0, upper=2.0,
+        (B @ B.T + np.eye(n)).astype(float),
+        random.integers(-2, 3, n).astype(float),
+        G=random.integers(-2, 3, (m, n)).astype(float),
+        h=random.integers(0, 4, m).astype(float),
+        lower=-2.0,
+        upper=2.0,
     )
-    changes = {"c": random.integers(-2, 3, (n, p)).astype(float), "h": random.integers(-1, 2, (m, p)).astype(float)}
+    changes = {
+        "c": random.integers(-2, 3, (n, p)).astype(float),
+        "h": random.integers(-1, 2, (m, p)).astype(float),
+    }
     found = regions(program, changes, (np.full(p, -2.0), np.full(p, 2.0)))
     assert found.is_solved
     for theta in random.uniform(-2, 2, (30, p)):
@@ -236,7 +337,11 @@ def test_integer_programs_have_the_x_of_daqp(seed: int) -> None:
 @pytest.mark.parametrize("where", ["row", "bound", "cost"])
 def test_a_number_that_nobody_reaches_changes_no_region(far: float, where: str) -> None:
     """A limit of a row, an upper bound, the cost of an unknown that stays at its bound: x is daqp's without it."""
-    G, h, upper = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 2.0, 0.0]]), np.array([1.0, 2.0, 3.0]), np.ones(3)
+    G, h, upper = (
+        np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 2.0, 0.0]]),
+        np.array([1.0, 2.0, 3.0]),
+        np.ones(3),
+    )
     c = np.zeros(3)
     h[2] = far if where == "row" else 3.0
     upper[1] = far if where == "bound" else 1.0
@@ -245,8 +350,14 @@ def test_a_number_that_nobody_reaches_changes_no_region(far: float, where: str) 
     found = regions(program, {"c": np.eye(3, 2)}, ([-3.0, -3.0], [3.0, 3.0]))
     assert found.is_solved
     assert found.coverage == 1.0
-    plain = QuadraticProgram(np.eye(2), np.zeros(2), G=G[:, :2], h=np.minimum(h, 1e3), lower=-1,
-                             upper=np.minimum(upper[:2], 1e3))
+    plain = QuadraticProgram(
+        np.eye(2),
+        np.zeros(2),
+        G=G[:, :2],
+        h=np.minimum(h, 1e3),
+        lower=-1,
+        upper=np.minimum(upper[:2], 1e3),
+    )
     for theta in np.random.default_rng(0).uniform(-3, 3, (60, 2)):
         expected = by_daqp(plain.with_vectors(c=theta))
         np.testing.assert_allclose(found.x_at(theta)[:2], expected, atol=1e-6)

@@ -64,7 +64,9 @@ def test_small_paths_are_exact(seed: int) -> None:
     B = rng.integers(-2, 3, (n, n)).astype(float)
     K = rng.integers(-2, 3, (n, n)).astype(float)
     M = B @ B.T + np.eye(n) + (K - K.T)
-    problem = LCP(M, rng.integers(-4, 5, n), lower=-rng.integers(0, 2, n), upper=rng.integers(1, 4, n))
+    problem = LCP(
+        M, rng.integers(-4, 5, n), lower=-rng.integers(0, 2, n), upper=rng.integers(1, 4, n)
+    )
     dq = rng.integers(-4, 5, n).astype(float)
     path = trace(problem, {"q": dq}, -4, 4).require_solved()
     assert_pieces_join(path)
@@ -86,11 +88,16 @@ def test_monotone_paths_meet_solves(seed: int) -> None:
     path = trace(problem, {"q": dq}, 0.0, 1.0).require_solved()
     assert_pieces_join(path)
     for theta in rng.random(5):
-        point, answer = path.at(theta), solve(problem.with_q(problem.q + theta * dq)).require_solved()
+        point, answer = (
+            path.at(theta),
+            solve(problem.with_q(problem.q + theta * dq)).require_solved(),
+        )
         assert point.is_solved
         # Of several solutions of a monotone problem (M + Mᵀ) z is the same.
         symmetric = problem.M + problem.M.T
-        assert np.abs(symmetric @ (point.z - answer.z)).max() <= 1e-6 * (1.0 + np.abs(answer.z).max())
+        assert np.abs(symmetric @ (point.z - answer.z)).max() <= 1e-6 * (
+            1.0 + np.abs(answer.z).max()
+        )
 
 
 def test_a_path_back_is_the_path() -> None:
@@ -119,7 +126,9 @@ def cheapest(S: Any, mean: Any, tolerance: float) -> tuple[np.ndarray, np.ndarra
     for size in range(1, n + 1):
         for assets in itertools.combinations(range(n), size):
             own = list(assets)
-            system = np.block([[S[np.ix_(own, own)], -np.ones((size, 1))], [np.ones((1, size)), np.zeros((1, 1))]])
+            system = np.block(
+                [[S[np.ix_(own, own)], -np.ones((size, 1))], [np.ones((1, size)), np.zeros((1, 1))]]
+            )
             found = np.linalg.solve(system, np.append(tolerance * mean[own], 1.0))[:size]
             value = 0.5 * found @ S[np.ix_(own, own)] @ found - tolerance * mean[own] @ found
             if found.min() >= 0.0 and value < least:
@@ -164,7 +173,10 @@ def test_multipliers_are_affine_too() -> None:
     program = QuadraticProgram(np.eye(2), [-3, -1], G=[[1, 1]], h=[0], lower=0)
     path = trace(program, {"h": [1]}, 0, 5).require_solved()
     for piece in path.pieces:
-        ends, middle = [path.at(theta) for theta in (piece.begin, piece.end)], path.at(0.5 * (piece.begin + piece.end))
+        ends, middle = (
+            [path.at(theta) for theta in (piece.begin, piece.end)],
+            path.at(0.5 * (piece.begin + piece.end)),
+        )
         mean = 0.5 * (ends[0].solution.inequality + ends[1].solution.inequality)
         assert np.allclose(middle.solution.inequality, mean, rtol=0, atol=1e-13)
     assert path.at(1.0).solution.inequality == pytest.approx([2.0])
@@ -182,7 +194,9 @@ def test_linear_programs_move_along_faces(seed: int) -> None:
     change = rng.integers(-2, 3, n if name == "c" else m).astype(float)
     path = trace(program, {name: change}, 0, 1).require_solved()
     for theta in rng.random(5):
-        answer = solve(program.with_vectors(**{name: getattr(program, name) + theta * change})).require_solved()
+        answer = solve(
+            program.with_vectors(**{name: getattr(program, name) + theta * change})
+        ).require_solved()
         assert path.at(theta).objective == pytest.approx(answer.objective, abs=1e-7)
         assert path.at(theta).is_solved
 
@@ -198,7 +212,9 @@ def test_all_of_a_segment_solves() -> None:
 
 def test_infeasible_from_somewhere_on_comes_with_the_proof() -> None:
     """A path ends where the program has no point any more, exactly there, and what is beyond is proved."""
-    path = trace(QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[0], lower=0, upper=1), {"b": [1]}, 0, 5)
+    path = trace(
+        QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[0], lower=0, upper=1), {"b": [1]}, 0, 5
+    )
     assert path.status is Status.INFEASIBLE
     assert path.reached == pytest.approx(2.0, abs=1e-12)
     assert path.proof.verify()
@@ -219,7 +235,9 @@ def test_unbounded_from_somewhere_on_comes_with_the_proof() -> None:
 
 def test_no_solution_at_the_start() -> None:
     """Without a solution at the start there is no path, and the status is that of the start."""
-    path = trace(QuadraticProgram(np.eye(1), [0], lower=1, upper=2, A=[[1]], b=[3]), {"c": [1]}, 0, 1)
+    path = trace(
+        QuadraticProgram(np.eye(1), [0], lower=1, upper=2, A=[[1]], b=[3]), {"c": [1]}, 0, 1
+    )
     assert path.status is Status.INFEASIBLE
     assert not path.pieces
     assert path.breakpoints.size == 0
@@ -250,7 +268,9 @@ def test_lasso_path_meets_solves(shape: tuple[int, int]) -> None:
     """Every value of a penalty has the x that a solve has; wide problems too."""
     A, b = lasso(1, *shape)
     most = np.abs(A.T @ b).max()
-    path = trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-3 * most).require_solved()
+    path = trace(
+        BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-3 * most
+    ).require_solved()
     assert_pieces_join(path)
     assert not path.at(most).x.any()
     for share in (0.9, 0.5, 0.1, 0.01):
@@ -266,7 +286,9 @@ def test_lasso_path_is_that_of_lars(seed: int) -> None:
     A, b = lasso(seed, *((40, 15), (25, 50))[seed % 2])
     most = np.abs(A.T @ b).max()
     theirs, _, x = linear_model.lars_path(A, b, method="lasso", alpha_min=1e-3 * most / b.size)
-    path = trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-3 * most).require_solved()
+    path = trace(
+        BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-3 * most
+    ).require_solved()
     assert np.allclose(path.breakpoints, theirs * b.size, rtol=0, atol=1e-9 * most)
     assert np.allclose(path.x(np.clip(theirs * b.size, 1e-3 * most, most)), x.T, rtol=0, atol=1e-7)
 
@@ -276,7 +298,9 @@ def test_equal_columns_share_nothing_and_break_nothing() -> None:
     A, b = lasso(2, 30, 8)
     twice = np.hstack([A, A])
     most = np.abs(A.T @ b).max()
-    path = trace(BoundedLeastSquares(twice, b, lower=-INF), {"l1": 1}, most, 1e-2 * most).require_solved()
+    path = trace(
+        BoundedLeastSquares(twice, b, lower=-INF), {"l1": 1}, most, 1e-2 * most
+    ).require_solved()
     alone = trace(BoundedLeastSquares(A, b, lower=-INF), {"l1": 1}, most, 1e-2 * most)
     for theta in most * np.array([0.8, 0.3, 0.05]):
         assert path.at(theta).objective == pytest.approx(alone.at(theta).objective, rel=1e-12)
@@ -286,7 +310,10 @@ def test_penalties_within_bounds_weights_and_a_ridge() -> None:
     """Bounds on both sides of 0, on one side, columns without a penalty, weights and a ridge, sparse and dense."""
     rng = np.random.default_rng(5)
     A, b = lasso(5, 25, 6)
-    lower, upper = np.array([-INF, -0.5, 0.0, -2.0, -INF, -1.0]), np.array([INF, 0.5, INF, 0.0, INF, 1.0])
+    lower, upper = (
+        np.array([-INF, -0.5, 0.0, -2.0, -INF, -1.0]),
+        np.array([INF, 0.5, INF, 0.0, INF, 1.0]),
+    )
     weights, change = rng.random(25), np.array([1.0, 1, 1, 1, 0, 2])
     for matrix in (A, sp.csr_array(A)):
         problem = BoundedLeastSquares(matrix, b, lower, upper, weights=weights, ridge=0.3)
@@ -338,22 +365,80 @@ def test_a_change_costs_less_than_a_factor() -> None:
 
 
 REFUSED = [
-    (LCP(np.eye(2), [1, 1]), {"M": 1}, 0, 1, InvalidOption, "not M: z is not piecewise affine in M"),
+    (
+        LCP(np.eye(2), [1, 1]),
+        {"M": 1},
+        0,
+        1,
+        InvalidOption,
+        "not M: z is not piecewise affine in M",
+    ),
     (LCP(np.eye(2), [1, 1]), {"Q": 1}, 0, 1, InvalidOption, "did you mean 'q'"),
     (LCP(np.eye(2), [1, 1]), {}, 0, 1, InvalidOption, "along must say what moves"),
-    (LCP(np.eye(2), [1, 1]), {"q": 1}, 0, INF, InvalidOption, "stop must be a finite number, got inf"),
-    (LCP(np.eye(2), [1, 1]), {"upper": [1, 0]}, 0, 1, InvalidOption, r"upper\[0\] is inf and cannot move"),
+    (
+        LCP(np.eye(2), [1, 1]),
+        {"q": 1},
+        0,
+        INF,
+        InvalidOption,
+        "stop must be a finite number, got inf",
+    ),
+    (
+        LCP(np.eye(2), [1, 1]),
+        {"upper": [1, 0]},
+        0,
+        1,
+        InvalidOption,
+        r"upper\[0\] is inf and cannot move",
+    ),
     (QuadraticProgram([[1]], [1]), {"P": 1}, 0, 1, InvalidOption, "divide the objective by it"),
-    (QuadraticProgram([[-1]], [1], lower=0, upper=1), {"c": 1}, 0, 1, UnsupportedModel, "not convex"),
-    (BoundedLeastSquares([[1.0]], [1]), {"l1": 1}, 1, -1, InvalidOption, r"l1\[0\] = -1.0 at one end"),
-    (BoundedLeastSquares([[1.0]], [1], lower=-1, l1=1), {"lower": 1}, 0, 2, UnsuitableProblem, "changes its sign"),
-    (BoundedLeastSquares(sp.linalg.aslinearoperator(np.eye(1)), [1]), {"b": 1}, 0, 1, UnsuitableProblem, "LinearOp"),
-    ([1], {"q": 1}, 0, 1, InvalidOption, "trace needs an LCP, QuadraticProgram or BoundedLeastSquares, got list"),
+    (
+        QuadraticProgram([[-1]], [1], lower=0, upper=1),
+        {"c": 1},
+        0,
+        1,
+        UnsupportedModel,
+        "not convex",
+    ),
+    (
+        BoundedLeastSquares([[1.0]], [1]),
+        {"l1": 1},
+        1,
+        -1,
+        InvalidOption,
+        r"l1\[0\] = -1.0 at one end",
+    ),
+    (
+        BoundedLeastSquares([[1.0]], [1], lower=-1, l1=1),
+        {"lower": 1},
+        0,
+        2,
+        UnsuitableProblem,
+        "changes its sign",
+    ),
+    (
+        BoundedLeastSquares(sp.linalg.aslinearoperator(np.eye(1)), [1]),
+        {"b": 1},
+        0,
+        1,
+        UnsuitableProblem,
+        "LinearOp",
+    ),
+    (
+        [1],
+        {"q": 1},
+        0,
+        1,
+        InvalidOption,
+        "trace needs an LCP, QuadraticProgram or BoundedLeastSquares, got list",
+    ),
 ]
 
 
 @pytest.mark.parametrize(
-    ("problem", "along", "start", "stop", "error", "words"), REFUSED, ids=[case[-1] for case in REFUSED]
+    ("problem", "along", "start", "stop", "error", "words"),
+    REFUSED,
+    ids=[case[-1] for case in REFUSED],
 )
 def test_what_cannot_be_traced_is_refused_in_words(
     problem: Any, along: Any, start: float, stop: float, error: type[Exception], words: str
@@ -416,10 +501,15 @@ def test_what_is_surely_optimal_is_solved(seed: int) -> None:
     accepted = []
     for change in (0.0, 1e-9, 1e-6, 1e-4, 1e-2):
         moved = np.clip(x + change * rng.standard_normal(x.shape), stacked[1], stacked[2])
-        sure = surely_optimal(problem, moved, stacked[0], np.outer(thetas, np.ones(12)), *stacked[1:], 1e-8)
+        sure = surely_optimal(
+            problem, moved, stacked[0], np.outer(thetas, np.ones(12)), *stacked[1:], 1e-8
+        )
         accepted.append(sure.mean())
         for one in np.flatnonzero(sure):
-            assert path.family.judge(path.family.point(float(thetas[one]), moved[one])) is Status.SOLVED
+            assert (
+                path.family.judge(path.family.point(float(thetas[one]), moved[one]))
+                is Status.SOLVED
+            )
     assert accepted[0] >= 0.9
     assert accepted[-1] == 0.0
 
@@ -462,10 +552,16 @@ def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
         size = share * max(1.0, np.abs(piece.z0).max(), np.abs(piece.z1).max())
         row = int(rng.integers(piece.z0.size))
         moved = np.where(np.arange(piece.z0.size) == row, size, 0.0)
-        for change in ({"z0": piece.z0 + moved}, {"z1": piece.z1 + moved}, {"end": piece.end - share * 2.5}):
+        for change in (
+            {"z0": piece.z0 + moved},
+            {"z1": piece.z1 + moved},
+            {"end": piece.end - share * 2.5},
+        ):
             wrong = dataclasses.replace(piece, **change)
             ends = (theta for theta in (wrong.begin, wrong.end) if theta >= path.stop)
-            off = (path.family.point(theta, wrong.z_at(theta)).x - path.at(theta).x for theta in ends)
+            off = (
+                path.family.point(theta, wrong.z_at(theta)).x - path.at(theta).x for theta in ends
+            )
             if max(np.abs(one).max() for one in off) <= 2e-8:
                 continue  # within the tolerance, as a point on its bound is whichever way it is drawn
             pieces = [*path.pieces[:k], wrong, *path.pieces[k + 1 :]]
@@ -513,16 +609,30 @@ def test_units_of_cost_and_of_columns_end_no_path(size: float) -> None:
     B = rng.standard_normal((7, 7))
     units = np.where(np.arange(7) % 2, size, 1.0)
     M, q, dq = B @ B.T / 7 + np.eye(7), *(3.0 * rng.standard_normal((2, 7)))
-    rows = {"G": rng.standard_normal((3, 7)), "h": np.ones(3), "A": np.ones((1, 7)), "b": [1.0], "lower": 0}
-    trace(QuadraticProgram(size * np.eye(2), [0, 0], A=[[1, 1]], b=[1]), {"b": 1}, 0, 2).require_solved()
+    rows = {
+        "G": rng.standard_normal((3, 7)),
+        "h": np.ones(3),
+        "A": np.ones((1, 7)),
+        "b": [1.0],
+        "lower": 0,
+    }
+    trace(
+        QuadraticProgram(size * np.eye(2), [0, 0], A=[[1, 1]], b=[1]), {"b": 1}, 0, 2
+    ).require_solved()
     trace(QuadraticProgram(size * M, size * q, **rows), {"c": size * dq}, 0, 1).require_solved()
-    path = trace(LCP(M * np.outer(units, units), q * units), {"q": dq * units}, -1, 1).require_solved()
+    path = trace(
+        LCP(M * np.outer(units, units), q * units), {"q": dq * units}, -1, 1
+    ).require_solved()
     plain = trace(LCP(M, q), {"q": dq}, -1, 1).require_solved()
     assert path.breakpoints == pytest.approx(plain.breakpoints, abs=1e-9)
     assert np.allclose(path.x([-0.3, 0.6]) * units, plain.x([-0.3, 0.6]), rtol=0, atol=1e-9)
-    squares = BoundedLeastSquares(rng.standard_normal((9, 7)) * units, rng.standard_normal(9), lower=-INF)
+    squares = BoundedLeastSquares(
+        rng.standard_normal((9, 7)) * units, rng.standard_normal(9), lower=-INF
+    )
     trace(squares, {"l1": units}, 5, 0.01).require_solved()
-    trace(squares.with_vectors(lower=np.zeros(7)), {"b": rng.standard_normal(9)}, -1, 1).require_solved()
+    trace(
+        squares.with_vectors(lower=np.zeros(7)), {"b": rng.standard_normal(9)}, -1, 1
+    ).require_solved()
 
 
 def test_where_multipliers_alone_jump_x_is_not_said_to() -> None:

@@ -41,8 +41,18 @@ from lcp_plugin.modeling.stated_terms import StatedTerms
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 from lcp_plugin.problems.programs.certification import SMALL, ProgramProofs, distances
-from lcp_plugin.problems.programs.dual_bounds import DualBounds, DualPoint, _sum_above, implied_box, least_squares_above
-from lcp_plugin.problems.programs.feasible_points import FeasiblePoint, FeasiblePoints, distance_of_equations
+from lcp_plugin.problems.programs.dual_bounds import (
+    DualBounds,
+    DualPoint,
+    _sum_above,
+    implied_box,
+    least_squares_above,
+)
+from lcp_plugin.problems.programs.feasible_points import (
+    FeasiblePoint,
+    FeasiblePoints,
+    distance_of_equations,
+)
 from lcp_plugin.problems.programs.solving import solve_program
 from lcp_plugin.proofs.bounds.curvature import Curvature, constrained_curvature, curvature
 from lcp_plugin.strategies import convex_qps
@@ -110,14 +120,18 @@ def test_what_proves_is_said() -> None:
     said = certify(SIMPLE, [0.5, 1.5])
     assert re.fullmatch(
         r"no feasible x has an objective lower than this one's by more than \S+, which the multipliers prove by weak "
-        r"duality: P is positive definite", said.reason
+        r"duality: P is positive definite",
+        said.reason,
     )
 
 
-@pytest.mark.parametrize(("x", "reason"), [
-    ([0.5, 1.51], "a constraint is violated by 0.01"),
-    ([0.4, 1.4], "a feasible point has the objective -4.5, below"),
-])
+@pytest.mark.parametrize(
+    ("x", "reason"),
+    [
+        ([0.5, 1.51], "a constraint is violated by 0.01"),
+        ([0.4, 1.4], "a feasible point has the objective -4.5, below"),
+    ],
+)
 def test_what_disproves_is_said(x: list[float], reason: str) -> None:
     """A violated constraint; a better feasible point."""
     said = certify(SIMPLE, x)
@@ -141,7 +155,9 @@ def test_proofs_are_kept_with_a_program_and_left_out_of_pickles() -> None:
 def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
     """A violation within the tolerance that buys much more than the tolerance in the objective."""
     program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
-    assert certify(program, [1.0 + 9e-7], tolerance=1e-6).verdict == "proved"  # beside |c x| + xᵀP x
+    assert (
+        certify(program, [1.0 + 9e-7], tolerance=1e-6).verdict == "proved"
+    )  # beside |c x| + xᵀP x
     leaning = QuadraticProgram(None, [-1.0, 0.0], G=[[1.0, 1.0]], h=[1e6], A=[[0.0, 1.0]], b=[1e6])
     said = certify(leaning, [0.5, 1e6], tolerance=1e-6)  # a violation of 5e-7 of the row's terms
     assert said.verdict == "disproved"
@@ -154,11 +170,17 @@ PUSHED = QuadraticProgram(np.eye(2), [1, 1], G=[[-1, TINY]], h=[-1])
 SLOPING = QuadraticProgram([[1, 0], [0, 0]], [0, 1], G=[[1e-5, 1]], h=[-1], lower=-10, upper=10)
 
 
-@pytest.mark.parametrize(("program", "wrong", "right", "optimum"), [
-    (LEANING, [0.0, 10.0], [1.0, 10.0], -43.0), (PUSHED, [1e6, 1e6], [1.0, -1.0], 1.0),
-    (SLOPING, [0.0, -6.5], [0.0, -10.0], -10.0),
-])
-def test_one_odd_coefficient_proves_no_point(program: QuadraticProgram, wrong: Any, right: Any, optimum: float) -> None:
+@pytest.mark.parametrize(
+    ("program", "wrong", "right", "optimum"),
+    [
+        (LEANING, [0.0, 10.0], [1.0, 10.0], -43.0),
+        (PUSHED, [1e6, 1e6], [1.0, -1.0], 1.0),
+        (SLOPING, [0.0, -6.5], [0.0, -10.0], -10.0),
+    ],
+)
+def test_one_odd_coefficient_proves_no_point(
+    program: QuadraticProgram, wrong: Any, right: Any, optimum: float
+) -> None:
     """A coefficient of cos(π/2) or 1e-5 makes nothing small: only the optimum, known in closed form, is proved."""
     assert certify(program, wrong).verdict == "disproved"
     said = certify(program, right)
@@ -171,7 +193,11 @@ def test_one_odd_coefficient_proves_no_point(program: QuadraticProgram, wrong: A
 @pytest.mark.parametrize("place", ["limit", "bound", "cost", "coefficient", "curvature"])
 def test_one_odd_number_changes_no_verdict(place: str, number: float) -> None:
     """A limit, bound, cost, coefficient or curvature of any size that does not act: right is proved, wrong is not."""
-    P, G, h = np.diag([2.0, 2.0, 0.0]), np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]), np.array([2.0, 1e3])
+    P, G, h = (
+        np.diag([2.0, 2.0, 0.0]),
+        np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]),
+        np.array([2.0, 1e3]),
+    )
     c, upper = np.array([-2.0, -4.0, 1.0]), np.array([5.0, 5.0, 3.0])
     if place == "limit":
         h[1] = max(number, 1.0)
@@ -192,13 +218,17 @@ def test_one_odd_number_changes_no_verdict(place: str, number: float) -> None:
 def test_where_all_terms_vanish_the_comparison_is_exact() -> None:
     """At x = 0 the optimum is proved, with active rows and without; and 0 is not where another point is lower."""
     for program in (
-        QuadraticProgram(np.eye(2), [0, 0]), QuadraticProgram(None, [1, 1e-17], lower=0),
+        QuadraticProgram(np.eye(2), [0, 0]),
+        QuadraticProgram(None, [1, 1e-17], lower=0),
         QuadraticProgram(np.eye(2), [-0.3, -0.3], G=[[1, 1]], h=[0]),
         QuadraticProgram([[2, 1], [1, 3]], [-0.3, -0.7], G=[[1, 1 / 3], [0.1, 0.7]], h=[0, 0]),
     ):
         said = certify(program, [0.0, 0.0])
         assert (said.verdict, said.gap) == ("proved", 0.0)
-    assert certify(QuadraticProgram(None, [1, -1e-17], lower=0, upper=1), [0.0, 0.0]).verdict == "disproved"
+    assert (
+        certify(QuadraticProgram(None, [1, -1e-17], lower=0, upper=1), [0.0, 0.0]).verdict
+        == "disproved"
+    )
 
 
 @pytest.mark.full
@@ -212,15 +242,24 @@ def test_an_error_that_the_objective_does_not_see_is_not_proved() -> None:
     """X off by 1e-4 has an objective optimal to 1e-8; it is proved to be off, and so disproved, in words."""
     said = certify(SIMPLE, [0.5 + 1e-4, 1.5 - 1e-4])
     assert said.verdict == "disproved"
-    assert said.reason.endswith("from every optimal one, though the objective is proved to be optimal")
+    assert said.reason.endswith(
+        "from every optimal one, though the objective is proved to be optimal"
+    )
     flat = QuadraticProgram([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, -1.0, 0.0])
     assert certify(flat, [0.5, 0.5 + 1e-4, 0.0]).reason.startswith("x is proved to be")
     assert certify(flat, [0.7, 0.3, 5.0]).verdict == "proved"
 
 
-@pytest.mark.parametrize("multipliers", [
-    [1.0], ([1.0], []), ([1.0], [], [0.0, 0.0], [0.0, 0.0]), {"inequality": [1.0]}, [1.0, 0.0, 0.0, 0.0, 0.0],
-])
+@pytest.mark.parametrize(
+    "multipliers",
+    [
+        [1.0],
+        ([1.0], []),
+        ([1.0], [], [0.0, 0.0], [0.0, 0.0]),
+        {"inequality": [1.0]},
+        [1.0, 0.0, 0.0, 0.0, 0.0],
+    ],
+)
 def test_multipliers_in_every_form(multipliers: Any) -> None:
     """One array, a pair, four, names, all constraints in one array: the same verdict."""
     assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
@@ -242,15 +281,30 @@ def test_wrong_multipliers_of_a_right_x_are_told() -> None:
         assert said.lower == pytest.approx(-4.5, abs=1e-12)
 
 
-@pytest.mark.parametrize("wrong", [
-    {"inequality": [8.0, 7.0, 0.0]}, {"inequality": [0.5, 0.0, 0.5]},
-    {"inequality": [1.0, 0.0, 0.0], "lower": [7.0, 0.0], "upper": [7.0, 0.0]},
-    {"inequality": [1.0, 0.0, 0.0], "lower": [0.0, 7.0], "upper": [0.0, 7.0]},
-], ids=["a row with slack", "a row without limit", "two bounds with slack", "a bound that is none"])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"inequality": [8.0, 7.0, 0.0]},
+        {"inequality": [0.5, 0.0, 0.5]},
+        {"inequality": [1.0, 0.0, 0.0], "lower": [7.0, 0.0], "upper": [7.0, 0.0]},
+        {"inequality": [1.0, 0.0, 0.0], "lower": [0.0, 7.0], "upper": [0.0, 7.0]},
+    ],
+    ids=[
+        "a row with slack",
+        "a row without limit",
+        "two bounds with slack",
+        "a bound that is none",
+    ],
+)
 def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> None:
     """Multipliers under which the gradient vanishes are wrong all the same where their constraints leave slack."""
     program = QuadraticProgram(
-        [[2, 0], [0, 2]], [-2, -4], G=[[1, 1], [-1, -1], [1, 1]], h=[2, 9, INF], lower=[-5.0, -INF], upper=9.0
+        [[2, 0], [0, 2]],
+        [-2, -4],
+        G=[[1, 1], [-1, -1], [1, 1]],
+        h=[2, 9, INF],
+        lower=[-5.0, -INF],
+        upper=9.0,
     )
     assert certify(program, [0.5, 1.5], {"inequality": [1.0, 0.0, 0.0]}).verdict == "proved"
     said = certify(program, [0.5, 1.5], wrong)
@@ -263,7 +317,9 @@ def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance: float
     """Where a row's unit is small, so is the violation of an x that is far off: its own multipliers prove nothing."""
     n = SMALL + 20
     P = sp.diags_array(np.append(1e3, np.ones(n - 1)))
-    program = QuadraticProgram(P, np.append(-1e3, np.zeros(n - 1)), G=sp.csr_array(([1e-7], ([0], [0])), (1, n)), h=[0])
+    program = QuadraticProgram(
+        P, np.append(-1e3, np.zeros(n - 1)), G=sp.csr_array(([1e-7], ([0], [0])), (1, n)), h=[0]
+    )
     x = np.append(1.0, np.zeros(n - 1))  # the minimum of the objective alone, and −500 instead of 0
     assert certify(program, 0.0 * x, [1e10]).verdict == "proved"
     assert certify(program, x, [0.0], tolerance=tolerance).verdict == "disproved"
@@ -306,7 +362,13 @@ def test_a_row_that_overflows_is_not_met() -> None:
 
 def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
     """A row that is violated by less than what its cancellation leaves in doubles has an excess above 0."""
-    row = [-348.8201551564181, 1.908583919254138e-14, 2.650840420824661e-32, 513697.1011682231, 2.0133432009333935e-10]
+    row = [
+        -348.8201551564181,
+        1.908583919254138e-14,
+        2.650840420824661e-32,
+        513697.1011682231,
+        2.0133432009333935e-10,
+    ]
     x = [1.0, 1.0, 1.0, 0.0006790385897898772, 1.091599154672567e-09]
     value = sum((Fraction(a) * Fraction(b) for a, b in zip(row, x, strict=True)), Fraction(0))
     program = QuadraticProgram(np.zeros((5, 5)), np.zeros(5), G=[row], h=[0.0])
@@ -315,7 +377,11 @@ def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
 
 def test_least_squares_end() -> None:
     """Bounded least squares come to an end where entries differ by 1e36, and hold the bounds."""
-    rows = [[0.0, 0.0, 0.0, 1.0 / 3.0, 1.0], [0.0, 0.0, 0.0, -(2.0**60), 2.0**120], [0.0, 0.0, 0.0, -(2.0**120), 0.0]]
+    rows = [
+        [0.0, 0.0, 0.0, 1.0 / 3.0, 1.0],
+        [0.0, 0.0, 0.0, -(2.0**60), 2.0**120],
+        [0.0, 0.0, 0.0, -(2.0**120), 0.0],
+    ]
     low = np.array([-INF, -INF, -INF, 0.0, -INF])
     found = least_squares_above(sp.csr_array(rows), np.array([-7.5e-37, -1.0, -8.7e-19]), low)
     assert (found >= low).all()
@@ -352,7 +418,11 @@ def test_claims_are_proved_by_proofs_and_disproved_by_points() -> None:
         [certify(program, claim=claim).verdict for claim in ("infeasible", "unbounded")]
         for program in (infeasible, unbounded, SIMPLE)
     ]
-    assert verdicts == [["proved", "disproved"], ["disproved", "proved"], ["disproved", "disproved"]]
+    assert verdicts == [
+        ["proved", "disproved"],
+        ["disproved", "proved"],
+        ["disproved", "disproved"],
+    ]
     answer = certify(unbounded, [0.0])
     assert (answer.verdict, answer.lower) == ("disproved", None)
     assert answer.reason.startswith("the program is unbounded")
@@ -374,9 +444,15 @@ def test_a_claim_is_proved_after_a_solve_as_before(seed: int) -> None:
 
 def test_a_result_claims_what_its_status_says() -> None:
     """`certify` of a result without a minimum proves that there is none."""
-    contradicting = QuadraticProgram(np.eye(2), [1.0, 1.0], A=[[1.0, 1.0], [1.0, 1.0]], b=[1.0, 2.0])
+    contradicting = QuadraticProgram(
+        np.eye(2), [1.0, 1.0], A=[[1.0, 1.0], [1.0, 1.0]], b=[1.0, 2.0]
+    )
     falling = QuadraticProgram(None, [1.0, 1.0])
-    for program, claim in ((contradicting, "infeasible"), (falling, "unbounded"), (SIMPLE, "optimal")):
+    for program, claim in (
+        (contradicting, "infeasible"),
+        (falling, "unbounded"),
+        (SIMPLE, "optimal"),
+    ):
         found = certify(solve(program))
         assert (found.verdict, found.claim) == ("proved", claim)
 
@@ -386,7 +462,9 @@ def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
     """Constraints that contradict by less than the tolerance are met to it; by more, "infeasible" is proved."""
     program = QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[1.0, -1.0 - miss])
     claimed, answered = certify(program, claim="infeasible"), certify(program, [1.0 + miss / 2.0])
-    assert (claimed.verdict, answered.verdict) == (("unproved", "proved") if miss < 1e-6 else ("proved", "disproved"))
+    assert (claimed.verdict, answered.verdict) == (
+        ("unproved", "proved") if miss < 1e-6 else ("proved", "disproved")
+    )
     assert ("only" in claimed.reason) == (miss < 1e-6)
 
 
@@ -394,7 +472,9 @@ def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
 
 
 @given(st.integers(1, 5), st.integers(0, 5), st.integers(0, 2**31), st.booleans())
-def test_weights_leave_a_semidefinite_matrix(n: int, rank: int, seed: int, has_rounding: bool) -> None:
+def test_weights_leave_a_semidefinite_matrix(
+    n: int, rank: int, seed: int, has_rounding: bool
+) -> None:
     """P − diag(weights) has no negative eigenvalue, exactly, whether P is definite, singular or rounded."""
     rng = np.random.default_rng(seed)
     F = rng.normal(size=(n, rank)) if has_rounding else rng.integers(-3, 4, (n, rank)).astype(float)
@@ -408,7 +488,9 @@ def test_weights_leave_a_semidefinite_matrix(n: int, rank: int, seed: int, has_r
 
 @settings.get_profile("few")
 @given(st.integers(1, 4), st.integers(0, 2), st.integers(1, 3), st.integers(0, 2**31))
-def test_weights_on_the_null_space_leave_a_semidefinite_matrix(n: int, rank: int, p: int, seed: int) -> None:
+def test_weights_on_the_null_space_leave_a_semidefinite_matrix(
+    n: int, rank: int, p: int, seed: int
+) -> None:
     """P + ρ AᵀA − diag(weights) has no negative eigenvalue, exactly."""
     rng = np.random.default_rng(seed)
     F, A = rng.integers(-3, 4, (n, rank)).astype(float), rng.normal(size=(p, n))
@@ -416,14 +498,18 @@ def test_weights_on_the_null_space_leave_a_semidefinite_matrix(n: int, rank: int
     rest, rows = exact.exact_rows(F @ F.T), exact.exact_rows(A)
     for i in range(n):
         for j in range(n):
-            rest[i][j] += Fraction(found.penalty) * sum((row[i] * row[j] for row in rows), Fraction(0))
+            rest[i][j] += Fraction(found.penalty) * sum(
+                (row[i] * row[j] for row in rows), Fraction(0)
+            )
         rest[i][i] -= Fraction(float(found.weights[i]))
     assert all(minor >= 0 for minor in exact.principal_minors(rest))
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", CAMPAIGN.KINDS)
-def test_any_point_and_any_multipliers_give_a_lower_bound(kind: str, draws: Callable[[int], range]) -> None:
+def test_any_point_and_any_multipliers_give_a_lower_bound(
+    kind: str, draws: Callable[[int], range]
+) -> None:
     """As they are, repaired and solved for exactly; near the right ones and far away, of any sign."""
     finite = 0
     for seed in draws(25):
@@ -438,7 +524,11 @@ def test_any_point_and_any_multipliers_give_a_lower_bound(kind: str, draws: Call
                 at = bounds.admitted(x, y)
                 found = [bounds.value(at), bounds._exact_value(at), bounds.best(x, y)]
                 finite += np.isfinite(found[2])
-                assert all(value == -INF or Fraction(value) <= case.value for value in found), (seed, size, found)
+                assert all(value == -INF or Fraction(value) <= case.value for value in found), (
+                    seed,
+                    size,
+                    found,
+                )
     assert finite >= 2 * len(draws(25))
 
 
@@ -457,7 +547,10 @@ def test_the_bound_is_sharp_where_it_can_be() -> None:
 def test_distances_are_those_of_the_worst_optimum() -> None:
     """Where y is one from the optimum by its value, the answer may be on either side of it: both ends are attained."""
     proofs = ProgramProofs(QuadraticProgram(np.diag([2.0, 8.0]), [0.0, 0.0]))
-    for y, ends in ((1.0, (1.0, 3.0)), (-1.0, (3.0, 5.0))):  # x* is y ± 1 as far as the value tells; x = 3
+    for y, ends in (
+        (1.0, (1.0, 3.0)),
+        (-1.0, (3.0, 5.0)),
+    ):  # x* is y ± 1 as far as the value tells; x = 3
         point = FeasiblePoint(np.array([y, 0.0]), np.zeros(2), 1.0)
         near, far, _ = distances(proofs, np.array([3.0, 0.0]), [point], 0.0, slice(None))
         assert far == pytest.approx(ends[0], rel=1e-6)
@@ -480,7 +573,9 @@ def test_a_distance_is_in_proportion_to_the_error_of_x(kind: str, moved: float) 
         said = certify(case.program, x)
         assert not CAMPAIGN.faults(case, x, said), said
         rows = case.program.constraints
-        active = rows.matrix[np.isfinite(rows.limit) & (rows.is_equality | (rows.excess(case.x) >= 0.0))]
+        active = rows.matrix[
+            np.isfinite(rows.limit) & (rows.is_equality | (rows.excess(case.x) >= 0.0))
+        ]
         if np.linalg.matrix_rank(active.toarray()) == active.shape[0]:
             independent += 1
             assert said.distance is not None
@@ -494,12 +589,16 @@ def test_a_distance_by_residuals_knows_units_and_dependent_rows() -> None:
     units, x = 10.0 ** rng.integers(-4, 5, 8), rng.integers(1, 5, 8).astype(float)
     P, G = np.diag(1.0 / units), np.ones((1, 8))
     lower = np.where(np.arange(8) < 3, x, -INF)
-    c = -(P @ x + G[0]) + np.where(np.arange(8) < 3, 1.0, 0.0)  # a multiplier of 1 for the row and for each bound
+    c = -(P @ x + G[0]) + np.where(
+        np.arange(8) < 3, 1.0, 0.0
+    )  # a multiplier of 1 for the row and for each bound
     program = QuadraticProgram(P, c, G, G @ x, lower=lower)
     said = certify(program, x)
     assert said.distance is not None
     assert said.distance <= 1e-8
-    twice = certify(QuadraticProgram(P, c, np.vstack([G, G]), np.append(G @ x, G @ x), lower=lower), x)
+    twice = certify(
+        QuadraticProgram(P, c, np.vstack([G, G]), np.append(G @ x, G @ x), lower=lower), x
+    )
     assert twice.distance is not None
     assert said.distance < twice.distance
 
@@ -511,12 +610,18 @@ def test_what_bends_down_and_what_is_missed_is_taken_off() -> None:
     at = DualPoint(np.zeros(1), np.zeros(0))
     assert sagging.value(at) == pytest.approx(-1.0)
     assert sagging.value(at) <= -1.0
-    straight = DualBounds(flat, Curvature(np.zeros(1)), sagging.box)  # −s t is largest at either end of s
+    straight = DualBounds(
+        flat, Curvature(np.zeros(1)), sagging.box
+    )  # −s t is largest at either end of s
     for below, above in ((2.0, 3.0), (3.0, 2.0)):
         assert straight._loss(-np.ones(1), np.ones(1), np.array([below]), np.array([above])) >= 3.0
     assert _sum_above(np.array([1.0, 2.0**-60])) > 1.0
-    only = QuadraticProgram([[-1.0]], [0.0], A=[[1.0]], b=[1.0])  # x = 1 alone, where the objective is −½
-    held = DualBounds(only, Curvature(np.array([1.0]), penalty=2.0), (np.array([-INF]), np.array([INF])))
+    only = QuadraticProgram(
+        [[-1.0]], [0.0], A=[[1.0]], b=[1.0]
+    )  # x = 1 alone, where the objective is −½
+    held = DualBounds(
+        only, Curvature(np.array([1.0]), penalty=2.0), (np.array([-INF]), np.array([INF]))
+    )
     at = DualPoint(np.zeros(1), np.array([-1.0]))
     for found in (held.value(at), held._value_of([Fraction(0)], [Fraction(-1)])):
         assert found == pytest.approx(-0.5)
@@ -551,10 +656,14 @@ def test_implied_bounds_are_rounded_outwards() -> None:
         n = int(rng.integers(2, 7))
         row = rng.normal(size=n) * 10.0 ** rng.integers(0, 8, n)
         lower, upper = np.sort(rng.normal(size=(2, n)) * 10.0 ** rng.integers(0, 8, n), axis=0)
-        program = QuadraticProgram(np.zeros((n, n)), np.zeros(n), G=[row], h=[rng.normal()], lower=lower, upper=upper)
+        program = QuadraticProgram(
+            np.zeros((n, n)), np.zeros(n), G=[row], h=[rng.normal()], lower=lower, upper=upper
+        )
         low, high = implied_box(program)
-        least = [min(Fraction(a) * Fraction(e) for e in ends)
-                 for a, ends in zip(row, zip(lower, upper, strict=True), strict=True)]
+        least = [
+            min(Fraction(a) * Fraction(e) for e in ends)
+            for a, ends in zip(row, zip(lower, upper, strict=True), strict=True)
+        ]
         for j, a in enumerate(row.tolist()):
             end = (Fraction(float(program.h[0])) - sum(least) + least[j]) / Fraction(a)
             assert Fraction(float(high[j])) >= min(end, Fraction(float(upper[j]))) or a < 0.0
@@ -569,19 +678,29 @@ def test_a_chain_of_free_states_gets_a_bound() -> None:
     for k in range(steps):  # position, speed and force of step k
         rows[2 * k, 3 * k], rows[2 * k + 1, 3 * k + 1], rows[2 * k + 1, 3 * k + 2] = 1.0, 1.0, -0.1
         if k:
-            rows[2 * k, 3 * k - 3], rows[2 * k, 3 * k - 2], rows[2 * k + 1, 3 * k - 2] = -1.0, -0.1, -1.0
+            rows[2 * k, 3 * k - 3], rows[2 * k, 3 * k - 2], rows[2 * k + 1, 3 * k - 2] = (
+                -1.0,
+                -0.1,
+                -1.0,
+            )
     start, force = np.zeros(2 * steps), np.tile([0.0, 0.0, 1.0], steps)
     start[:2] = 1.0
     program = QuadraticProgram(
-        sp.diags_array(force), np.tile([0.01, 0.0, 0.0], steps), A=rows.tocsr(), b=start,
-        lower=np.where(force > 0.0, -1.0, -INF), upper=np.where(force > 0.0, 1.0, INF),
+        sp.diags_array(force),
+        np.tile([0.01, 0.0, 0.0], steps),
+        A=rows.tocsr(),
+        b=start,
+        lower=np.where(force > 0.0, -1.0, -INF),
+        upper=np.where(force > 0.0, 1.0, INF),
     )
     assert np.isfinite(implied_box(program)).all()
     proofs = ProgramProofs(program)
     own = proofs.own_solution
     assert own is not None
     blurred = own.equality + 1e-15 * rng.normal(size=own.equality.size)
-    assert proofs.bounds.value(proofs.bounds.admitted(own.x, blurred)) > own.objective - 1e-6 * (1 + abs(own.objective))
+    assert proofs.bounds.value(proofs.bounds.admitted(own.x, blurred)) > own.objective - 1e-6 * (
+        1 + abs(own.objective)
+    )
 
 
 def test_free_columns_are_repaired() -> None:
@@ -593,7 +712,10 @@ def test_free_columns_are_repaired() -> None:
     proofs = ProgramProofs(program)
     blurred = nu + 1e-10
     assert proofs.bounds.value(proofs.bounds.admitted(x, blurred)) == -INF
-    assert proofs.lower(x, np.zeros(0), blurred, program.objective(x)) in (-INF, pytest.approx(program.objective(x)))
+    assert proofs.lower(x, np.zeros(0), blurred, program.objective(x)) in (
+        -INF,
+        pytest.approx(program.objective(x)),
+    )
     dyadic = np.round(64 * A) / 64
     program = QuadraticProgram(np.zeros((9, 9)), -dyadic.T @ np.ones(4), A=dyadic, b=np.ones(4))
     found = ProgramProofs(program).lower(x, np.zeros(0), np.ones(4) + 1e-10, -4.0)
@@ -601,16 +723,26 @@ def test_free_columns_are_repaired() -> None:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("rows", [10, 100])  # below and above what is solved once more for a sharper bound
-def test_a_violated_answer_is_disproved_without_fractions(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+@pytest.mark.parametrize(
+    "rows", [10, 100]
+)  # below and above what is solved once more for a sharper bound
+def test_a_violated_answer_is_disproved_without_fractions(
+    monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
     """Noise that violates constraints disproves an answer by itself, with bounds of the optimal value beside it."""
-    monkeypatch.setattr(FeasiblePoints, "exactly_near", lambda *_: pytest.fail("fractions were asked"))
-    monkeypatch.setattr(FeasiblePoints, "inside", property(lambda _: pytest.fail("fractions were asked")))
+    monkeypatch.setattr(
+        FeasiblePoints, "exactly_near", lambda *_: pytest.fail("fractions were asked")
+    )
+    monkeypatch.setattr(
+        FeasiblePoints, "inside", property(lambda _: pytest.fail("fractions were asked"))
+    )
     rng = np.random.default_rng(3)
     n = 4 * rows
     factor, G, A = (rng.standard_normal(shape) for shape in ((n, n + 5), (n // 2, n), (rows, n)))
     x = rng.random(n)
-    program = QuadraticProgram(factor @ factor.T / n, rng.standard_normal(n), G, G @ x + 0.1, A, A @ x, 0.0)
+    program = QuadraticProgram(
+        factor @ factor.T / n, rng.standard_normal(n), G, G @ x + 0.1, A, A @ x, 0.0
+    )
     noisy = solve(program).x + 1e-4 * rng.standard_normal(n)
     found = certify(program, noisy)
     assert found.verdict == "disproved"
@@ -654,14 +786,19 @@ def test_what_is_called_feasible_is() -> None:
         n, m = int(rng.integers(2, 5)), int(rng.integers(1, 5))
         G, inside = rng.integers(-8, 9, (m, n)) / 8.0, rng.integers(-8, 9, n) / 8.0
         G = np.vstack([G, -G[:1] if seed % 2 else G[:0]])
-        h = G @ inside + np.concatenate([np.zeros(1), rng.integers(0, 2, m - 1) / 4.0, np.zeros(seed % 2)])
+        h = G @ inside + np.concatenate(
+            [np.zeros(1), rng.integers(0, 2, m - 1) / 4.0, np.zeros(seed % 2)]
+        )
         A = rng.integers(-8, 9, (seed % 3, n)) / 8.0
         program = QuadraticProgram(np.eye(n), np.zeros(n), G, h, A, A @ inside, lower=inside - 1.0)
         for size in (1e-12, 1e-7, 1e-3):
             found = FeasiblePoints(program).near(inside + size * rng.normal(size=n))
             if found is not None:
                 slack = (abs(program.constraints.matrix) @ found.radius).max(initial=0.0)
-                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(slack)) * 2, (seed, size)
+                assert CAMPAIGN.violation(program, found.near) <= Fraction(float(slack)) * 2, (
+                    seed,
+                    size,
+                )
 
 
 def test_a_point_between_two_vectors_has_the_larger_value() -> None:
@@ -685,11 +822,15 @@ def models() -> dict[str, cp.Problem]:
         "portfolio": cp.Problem(cp.Maximize(A[0] @ y - cp.quad_form(y, risk)), [cp.sum(y) == 1]),
         "lasso": cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b) + cp.norm1(x))),
         "linear": cp.Problem(cp.Minimize(cp.norm_inf(A @ x - b)), [x <= 1]),
-        "symmetric": cp.Problem(cp.Minimize(cp.sum_squares(z - np.array([[1.0, 2.0], [3.0, 4.0]]))), [z >= 0]),
+        "symmetric": cp.Problem(
+            cp.Minimize(cp.sum_squares(z - np.array([[1.0, 2.0], [3.0, 4.0]]))), [z >= 0]
+        ),
     }
 
 
-@pytest.mark.filterwarnings("ignore:.*is deprecated:DeprecationWarning")  # osqp's, of options that old cvxpy sends
+@pytest.mark.filterwarnings(
+    "ignore:.*is deprecated:DeprecationWarning"
+)  # osqp's, of options that old cvxpy sends
 @pytest.mark.parametrize("name", models())
 @pytest.mark.parametrize("solver", ["CLARABEL", "OSQP"])
 def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None:
@@ -792,30 +933,82 @@ PAIRS, CURVED = LCP([[2, 1], [1, 2]], [-5, 1]), NonlinearProblem(lambda x: x**3 
 
 REFUSED: list[tuple[Any, type[LCPError], str]] = [
     (lambda: certify(unsolved()), InvalidProblem, r"status is None; call problem\.solve\(\)"),
-    (lambda: certify(unsolved([lambda x: cp.norm2(x) <= 1])), UnsupportedModel, "is not piecewise linear"),
+    (
+        lambda: certify(unsolved([lambda x: cp.norm2(x) <= 1])),
+        UnsupportedModel,
+        "is not piecewise linear",
+    ),
     (lambda: certify(unsolved(integer=True)), UnsupportedModel, "is integer"),
     (lambda: certify(unsolved([lambda x: cp.sqrt(x) <= 1])), UnsupportedModel, "convex"),
-    (lambda: certify(unsolved([lambda x: complements(x >= 0, x >= 1)])), UnsupportedModel, "is_dcp"),
+    (
+        lambda: certify(unsolved([lambda x: complements(x >= 0, x >= 1)])),
+        UnsupportedModel,
+        "is_dcp",
+    ),
     (lambda: certify(cp.Problem(cp.Minimize(3))), UnsupportedModel, "no variables"),
     (lambda: certify(SIMPLE), InvalidProblem, "needs the x"),
     (lambda: certify(SIMPLE, [1.0]), InvalidProblem, r"length 2, got shape \(1,\)"),
     (lambda: certify(SIMPLE, [1.0, np.nan]), InvalidProblem, r"x\[1\] = nan"),
-    (lambda: certify(SIMPLE, [0.5, 1.5], [1.0, 2.0]), InvalidProblem, "length 1, one a row.*or 5.*got 2"),
+    (
+        lambda: certify(SIMPLE, [0.5, 1.5], [1.0, 2.0]),
+        InvalidProblem,
+        "length 1, one a row.*or 5.*got 2",
+    ),
     (lambda: certify(SIMPLE, [0.5, 1.5], [np.nan]), InvalidProblem, r"multipliers\[0\] = nan"),
-    (lambda: certify(SIMPLE, [0.5, 1.5], {"inequalities": [1.0]}), InvalidProblem, "did you mean 'inequality'"),
-    (lambda: certify(QuadraticProgram([[1, 2], [2, 1]], [0, 0]), [0.0, 0.0]), UnsupportedModel, "not convex"),
+    (
+        lambda: certify(SIMPLE, [0.5, 1.5], {"inequalities": [1.0]}),
+        InvalidProblem,
+        "did you mean 'inequality'",
+    ),
+    (
+        lambda: certify(QuadraticProgram([[1, 2], [2, 1]], [0, 0]), [0.0, 0.0]),
+        UnsupportedModel,
+        "not convex",
+    ),
     (lambda: certify(SIMPLE, claim="optimum"), InvalidOption, "did you mean 'optimal'"),
-    (lambda: certify(SIMPLE, [0.5, 1.5], tolerance=0.0), InvalidOption, "tolerance must be a number > 0"),
+    (
+        lambda: certify(SIMPLE, [0.5, 1.5], tolerance=0.0),
+        InvalidOption,
+        "tolerance must be a number > 0",
+    ),
     (lambda: certify(SIMPLE, [0.5, 1.5], max_seconds=-1), InvalidOption, "max_seconds must be"),
     (lambda: certify(unsolved(), [1.0, 2.0]), InvalidOption, "a cvxpy problem has its own"),
     (lambda: certify([[1.0]]), InvalidProblem, "got list"),
-    (lambda: certify(PAIRS, [1.0, 0.0]), InvalidProblem, r"Certificate\.of\(problem, z\).*error_bound\(problem, z\)"),
-    (lambda: certify(solve(PAIRS)), InvalidProblem, r"result\.certificate.*, error_bound\(problem, result\.z"),
-    (lambda: certify(LCP.from_qp(np.eye(2), [1, 1]).origin.recover([0, 0])), InvalidProblem, r"y\(program, solution"),
-    (lambda: certify(CURVED, [1.0]), InvalidProblem, r"solve\(problem, x0=x, max_iterations=0\)\.certificate has"),
-    (lambda: certify(solve_nonlinear(CURVED, [1.0])), InvalidProblem, r"result\.certificate has its residuals"),
-    (lambda: certify(bounded_least_squares([[1.0]], [1.0])), InvalidProblem, r"solve\(problem\)\.gap is proved"),
-    (lambda: certify(EquilibriumProgram(SIMPLE, [0], [1])), InvalidProblem, r"\(problem, prove=True\)\.verify\(\)"),
+    (
+        lambda: certify(PAIRS, [1.0, 0.0]),
+        InvalidProblem,
+        r"Certificate\.of\(problem, z\).*error_bound\(problem, z\)",
+    ),
+    (
+        lambda: certify(solve(PAIRS)),
+        InvalidProblem,
+        r"result\.certificate.*, error_bound\(problem, result\.z",
+    ),
+    (
+        lambda: certify(LCP.from_qp(np.eye(2), [1, 1]).origin.recover([0, 0])),
+        InvalidProblem,
+        r"y\(program, solution",
+    ),
+    (
+        lambda: certify(CURVED, [1.0]),
+        InvalidProblem,
+        r"solve\(problem, x0=x, max_iterations=0\)\.certificate has",
+    ),
+    (
+        lambda: certify(solve_nonlinear(CURVED, [1.0])),
+        InvalidProblem,
+        r"result\.certificate has its residuals",
+    ),
+    (
+        lambda: certify(bounded_least_squares([[1.0]], [1.0])),
+        InvalidProblem,
+        r"solve\(problem\)\.gap is proved",
+    ),
+    (
+        lambda: certify(EquilibriumProgram(SIMPLE, [0], [1])),
+        InvalidProblem,
+        r"\(problem, prove=True\)\.verify\(\)",
+    ),
 ]
 
 
@@ -851,8 +1044,11 @@ ENDATA
 def write_program(path: Path, **changes: Any) -> None:
     """The program of the doctest in the layout of arrays."""
     P, A = sp.csc_array(2.0 * np.eye(2)), sp.csc_array([[1.0, 1.0]])
-    parts = {f"{name}_{part}": getattr(matrix, part) for name, matrix in (("P", P), ("A", A))
-             for part in ("data", "indices", "indptr", "shape")}
+    parts = {
+        f"{name}_{part}": getattr(matrix, part)
+        for name, matrix in (("P", P), ("A", A))
+        for part in ("data", "indices", "indptr", "shape")
+    }
     np.savez(path, **{**parts, "q": [-2.0, -4.0], "l": [-1e20], "u": [2.0], "r": 1.0, **changes})
 
 
@@ -866,7 +1062,9 @@ def test_the_command_judges_solvers(name: str, tmp_path: Path) -> None:
     else:
         pytest.importorskip("highspy")
         path.write_text(QPS)
-    done = CliRunner().invoke(app, ["certify", str(path), "--solver", "CLARABEL,osqp", "--solver", "LCP"])
+    done = CliRunner().invoke(
+        app, ["certify", str(path), "--solver", "CLARABEL,osqp", "--solver", "LCP"]
+    )
     assert done.exit_code == 0, done.output
     assert done.stdout.count("proved to 1e-06") == 3
     content = json.loads(CliRunner().invoke(app, ["certify", str(path), "--json"]).stdout)
@@ -880,12 +1078,19 @@ def test_exit_codes_of_the_command(tmp_path: Path) -> None:
     write_program(tmp_path / "bent.npz", P_data=[2.0, -2.0])
     (tmp_path / "notes.txt").write_text("hello")
     run = CliRunner().invoke
-    assert run(app, ["certify", str(tmp_path / "two.npz"), "--solver", "OSQP", "--tolerance", "1e-18"]).exit_code == 1
+    assert (
+        run(
+            app, ["certify", str(tmp_path / "two.npz"), "--solver", "OSQP", "--tolerance", "1e-18"]
+        ).exit_code
+        == 1
+    )
     for arguments, words in (
-        (["missing.npz"], "no such file"), (["two.npz", "--solver", "OSQQ"], "no solver 'OSQQ'; known: "),
+        (["missing.npz"], "no such file"),
+        (["two.npz", "--solver", "OSQQ"], "no solver 'OSQQ'; known: "),
         (["bent.npz", "--solver", "CLARABEL"], "not convex: the smallest eigenvalue of P is -2"),
         (["two.npz", "--tolerance", "0"], "tolerance must be a number > 0"),
-        (["short.npz"], r"shape (any, 1), got shape (1, 2)"), (["two.txt"], "no such file"),
+        (["short.npz"], r"shape (any, 1), got shape (1, 2)"),
+        (["two.txt"], "no such file"),
         (["two.npz", "--solver", ","], "at least"),
         (["notes.txt"], "a program is an .npz, .mat, .qps, .mps or .nl file"),
     ):
@@ -915,7 +1120,9 @@ def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
         answer = solve_program(case).solution
         assert answer.is_optimal()
         theirs = MULTIPLIERS.largest_of_highs(case)
-        assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(theirs, 1e-6)
+        assert theirs is None or np.abs(answer.multipliers).max() <= MULTIPLIERS.MOST * max(
+            theirs, 1e-6
+        )
 
 
 def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -927,8 +1134,12 @@ def test_a_sharp_solution_is_not_sought_again(monkeypatch: pytest.MonkeyPatch) -
         return solve(problem, *args, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve_lcp", counted)
-    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_, **__: None)
-    program = QuadraticProgram([[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3])
+    monkeypatch.setattr(
+        "lcp_plugin.problems.programs.certification.solved_at_once", lambda *_, **__: None
+    )
+    program = QuadraticProgram(
+        [[2, 0], [0, 2]], [-2e-3, -4e-3], G=[[1, 1], [1, 2]], h=[2e-3, 3.5e-3]
+    )
     assert certify(program, ProgramProofs.of(program).own_solution).verdict == "proved"
     assert asked == [1e-9]
 
@@ -942,7 +1153,9 @@ def test_half_of_a_time_limit_is_left_for_the_bounds(monkeypatch: pytest.MonkeyP
         return solve(problem, *args, **options)
 
     monkeypatch.setattr("lcp_plugin.problems.programs.solving.solve_lcp", counted)
-    monkeypatch.setattr("lcp_plugin.problems.programs.certification.solved_at_once", lambda *_, **__: None)
+    monkeypatch.setattr(
+        "lcp_plugin.problems.programs.certification.solved_at_once", lambda *_, **__: None
+    )
     assert certify(SIMPLE, [0.5, 1.5], max_seconds=60.0).verdict == "proved"
     assert limits
     assert max(limits) <= 30.0
@@ -952,18 +1165,33 @@ def test_many_flat_variables_apart_from_each_other() -> None:
     """A grid whose boundary edges cost nothing: more equations than one exact solve takes, a few at each node."""
     side = 20
     number = np.arange(side * side).reshape(side, side)
-    inner = np.concatenate([np.stack([number[1:].ravel(), number[:-1].ravel()]),
-                            np.stack([number[:, 1:].ravel(), number[:, :-1].ravel()])], axis=1)
-    outer = np.concatenate([number[0], number[-1], number[:, 0], number[:, -1], number[0], number[:, 0], number[-1]])
+    inner = np.concatenate(
+        [
+            np.stack([number[1:].ravel(), number[:-1].ravel()]),
+            np.stack([number[:, 1:].ravel(), number[:, :-1].ravel()]),
+        ],
+        axis=1,
+    )
+    outer = np.concatenate(
+        [number[0], number[-1], number[:, 0], number[:, -1], number[0], number[:, 0], number[-1]]
+    )
     k = inner.shape[1]
-    A = sp.csr_array((np.concatenate([np.ones(k), -np.ones(k), np.full(outer.size, 0.3)]),
-                      (np.concatenate([inner[0], inner[1], outer]),
-                       np.concatenate([np.arange(k), np.arange(k), k + np.arange(outer.size)]))))
+    A = sp.csr_array(
+        (
+            np.concatenate([np.ones(k), -np.ones(k), np.full(outer.size, 0.3)]),
+            (
+                np.concatenate([inner[0], inner[1], outer]),
+                np.concatenate([np.arange(k), np.arange(k), k + np.arange(outer.size)]),
+            ),
+        )
+    )
     curved = np.arange(k + outer.size) < k
     rng = np.random.default_rng(0)
     v = np.round(rng.normal(size=side * side), 1)
     c = np.where(curved, rng.normal(size=curved.size), A.T @ v)
-    program = QuadraticProgram(sp.diags_array(1.0 * curved).tocsr(), c, A=A, b=A @ rng.normal(size=curved.size))
+    program = QuadraticProgram(
+        sp.diags_array(1.0 * curved).tocsr(), c, A=A, b=A @ rng.normal(size=curved.size)
+    )
     answer = ProgramProofs.of(program).own_solution
     assert answer is not None
     found = certify(program, answer)
@@ -972,7 +1200,9 @@ def test_many_flat_variables_apart_from_each_other() -> None:
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("attributes", [{"bounds": [-1, 2]}, {"nonpos": True}, {"bounds": [1.5, 2.5]}, {}])
+@pytest.mark.parametrize(
+    "attributes", [{"bounds": [-1, 2]}, {"nonpos": True}, {"bounds": [1.5, 2.5]}, {}]
+)
 def test_bounds_of_variables_hide_no_entry(attributes: dict[str, Any]) -> None:
     """An optimal x is proved to be near the optimal one, whatever attributes bound its variables."""
     x, y = cp.Variable(3, **attributes), cp.Variable(2, bounds=[-1, 3])
@@ -988,22 +1218,32 @@ def test_bounds_of_variables_hide_no_entry(attributes: dict[str, Any]) -> None:
 
 
 @given(
-    *[st.integers(-40, 40)] * 2, st.integers(-20, 20),
+    *[st.integers(-40, 40)] * 2,
+    st.integers(-20, 20),
     st.sampled_from(["right", "with multipliers", "off", "a sign", "beside slack", "a gradient"]),
 )
-def test_verdicts_do_not_depend_on_units(objective: int, row: int, unknowns: int, answer: str) -> None:
+def test_verdicts_do_not_depend_on_units(
+    objective: int, row: int, unknowns: int, answer: str
+) -> None:
     """The objective, a row, and all unknowns times powers of two: the same verdict, of x and of its multipliers."""
     P, c = np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([-6.0, -4.0])
     G, h = np.array([[1.0, 1.0], [1.0, -2.0]]), np.array([2.0, 8.0])
     x, y = np.array([2.0, 0.0]), np.array([2.0, 0.0])
-    lower, below = np.array([-np.inf, 0.0]), np.array([0.0, 0.0])  # and the bound is met without a multiplier
+    lower, below = (
+        np.array([-np.inf, 0.0]),
+        np.array([0.0, 0.0]),
+    )  # and the bound is met without a multiplier
     assert (P @ x + c + y @ G == below).all()
     x = x - np.array([0.05 * (answer == "off"), 0.0])
     y = {"a sign": -y, "beside slack": np.array([2.0, 0.5]), "a gradient": 0.9 * y}.get(answer, y)
     s, r, u = np.ldexp(1.0, [objective, row, unknowns])
     of_rows = np.array([r, 1.0])
-    scaled = QuadraticProgram(s * u * u * P, s * u * c, u * of_rows[:, None] * G, of_rows * h, lower=lower / u)
-    multipliers = None if answer in ("right", "off") else (s * y / of_rows, [], s * u * below, np.zeros(2))
+    scaled = QuadraticProgram(
+        s * u * u * P, s * u * c, u * of_rows[:, None] * G, of_rows * h, lower=lower / u
+    )
+    multipliers = (
+        None if answer in ("right", "off") else (s * y / of_rows, [], s * u * below, np.zeros(2))
+    )
     given_units = QuadraticProgram(P, c, G, h, lower=lower)
     expected = certify(given_units, x, None if multipliers is None else (y, [], below, below))
     found = certify(scaled, x / u, multipliers)

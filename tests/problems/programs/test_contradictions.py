@@ -21,7 +21,9 @@ def differences(parents: Any) -> sp.csr_array:
     """One row an arc of a tree: 1 at its node, −1 at the node before."""
     nodes, ones = np.arange(1, N), np.ones(N - 1)
     rows = np.concatenate([nodes, nodes]) - 1
-    return sp.csr_array((np.concatenate([-ones, ones]), (rows, np.concatenate([parents, nodes]))), shape=(N - 1, N))
+    return sp.csr_array(
+        (np.concatenate([-ones, ones]), (rows, np.concatenate([parents, nodes]))), shape=(N - 1, N)
+    )
 
 
 def graphs() -> dict[str, QuadraticProgram]:
@@ -34,7 +36,9 @@ def graphs() -> dict[str, QuadraticProgram]:
     supplies = rng.integers(-3, 4, N).astype(float)
     supplies[-1] += 1.0 - supplies.sum()
     return {
-        "potentials": QuadraticProgram(potentials, np.zeros(N), -path, -np.ones(N - 1), lower=0.0, upper=N - 2.5),
+        "potentials": QuadraticProgram(
+            potentials, np.zeros(N), -path, -np.ones(N - 1), lower=0.0, upper=N - 2.5
+        ),
         "flow on a path": QuadraticProgram(flows, np.zeros(N - 1), A=path.T, b=ends),
         "cheapest flow": QuadraticProgram(None, np.ones(N - 1), A=path.T, b=ends, lower=0.0),
         "flow on a tree": QuadraticProgram(flows, np.zeros(N - 1), A=tree.T, b=supplies),
@@ -46,6 +50,7 @@ def test_contradictions_on_graphs_take_no_linear_program(
     name: str, program: QuadraticProgram, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What an interior point hands back is near small integers, and these are the proof."""
+
     def never(*given: Any) -> Any:
         raise AssertionError("a linear program was asked")
 
@@ -66,7 +71,10 @@ def test_rows_that_contradict_are_infeasible_for_every_objective(algorithm: str)
     assert result.status is Status.INFEASIBLE
     assert result.proof.verify()
     assert certify(result).verdict == certify(program, claim="infeasible").verdict == "proved"
-    for other in (QuadraticProgram(P, c, rows, [1.0, 2.0]), QuadraticProgram(P, c, rows, [1.0, -1.0 - 1e-9])):
+    for other in (
+        QuadraticProgram(P, c, rows, [1.0, 2.0]),
+        QuadraticProgram(P, c, rows, [1.0, -1.0 - 1e-9]),
+    ):
         with pytest.raises(UnsupportedModel, match="not convex"):
             solve(other, algorithm)
     with pytest.raises(UnsupportedModel, match="not convex"):
@@ -83,7 +91,9 @@ def test_nearly_parallel_rows_contradict_by_what_the_tolerance_allows(
     rng = np.random.default_rng(n)
     row = rng.normal(size=n)
     other = np.nextafter(row, row + rng.choice([-1.0, 1.0], n))
-    result = solve(QuadraticProgram(np.eye(n), np.zeros(n), [sign * row, -sign * other], [1.0, -1.0 - by]))
+    result = solve(
+        QuadraticProgram(np.eye(n), np.zeros(n), [sign * row, -sign * other], [1.0, -1.0 - by])
+    )
     assert result.status is status
     assert len(result.stages) == 1
     if result.is_solved:
@@ -126,9 +136,12 @@ def test_rounding_in_the_place_of_0_is_named_at_once(P: np.ndarray, slope: float
 
 
 @pytest.mark.full
-@pytest.mark.filterwarnings("ignore:Solution may be inaccurate")  # where the interval is as wide as rounding
+@pytest.mark.filterwarnings(
+    "ignore:Solution may be inaccurate"
+)  # where the interval is as wide as rounding
 def test_dqcp_is_bisected(monkeypatch: pytest.MonkeyPatch) -> None:
     """(v₀ + 2 v₁ + 1)/(v₀ + v₁ + 1) over [0, 3]² is 1 at v₁ = 0: each of cvxpy's feasibility problems is decided."""
+
     def never(*given: Any, **options: Any) -> Any:
         raise AssertionError("a run was begun")
 
@@ -145,7 +158,9 @@ def test_dqcp_is_bisected(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_few_digits_are_found_in_multipliers() -> None:
     """Ratios of small integers are; others stay, without what is negligible."""
-    np.testing.assert_array_equal(with_few_digits(np.array([0.3, -0.45 + 1e-7, 1e-14])), [2.0, -3.0, 0.0])
+    np.testing.assert_array_equal(
+        with_few_digits(np.array([0.3, -0.45 + 1e-7, 1e-14])), [2.0, -3.0, 0.0]
+    )
     odd = np.array([1.0, np.sqrt(2.0), 1e-14])
     np.testing.assert_array_equal(with_few_digits(odd), [1.0, np.sqrt(2.0), 0.0])
 
@@ -162,5 +177,7 @@ def test_constraints_with_a_point_show_no_contradiction() -> None:
 
 def test_what_an_engine_says_of_a_program_without_its_zero_rows_is_read_as_of_that() -> None:
     """The least x² with 2 + 2e-8 ≤ x ≤ 2 − 2e-8 and 0 x ≤ −6e-9: the engine is asked with fewer rows."""
-    program = QuadraticProgram([[2.0]], [0.0], G=[[-1.0], [2.0], [0.0], [1.0]], h=[-2.00000002, 10, -6e-9, 1.99999998])
+    program = QuadraticProgram(
+        [[2.0]], [0.0], G=[[-1.0], [2.0], [0.0], [1.0]], h=[-2.00000002, 10, -6e-9, 1.99999998]
+    )
     assert not solve(program).is_solved

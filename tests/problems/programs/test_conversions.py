@@ -14,7 +14,12 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, NotConverged, solve
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp, qp_from_lcp
+from lcp_plugin.problems.programs.conversion import (
+    QuadraticProgram,
+    lcp_from_lp,
+    lcp_from_qp,
+    qp_from_lcp,
+)
 from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.reformulations.absolute_value import lcp_from_absolute_value
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
@@ -39,16 +44,27 @@ class Planted:
     upper: Any
 
     def solution(self) -> QPSolution:
-        return QPSolution(self.program, self.x, self.inequality, self.equality, self.lower, self.upper)
+        return QPSolution(
+            self.program, self.x, self.inequality, self.equality, self.lower, self.upper
+        )
 
     def agrees(self, other: QPSolution, tolerance: float) -> None:
         for name in ("x", "inequality", "equality", "lower", "upper"):
-            np.testing.assert_allclose(getattr(other, name), getattr(self, name), atol=tolerance, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(other, name), getattr(self, name), atol=tolerance, err_msg=name
+            )
 
 
 def planted(
-    seed: int, n: int = 8, m: int = 4, p: int = 2, *, rank: int | None = None, bounded: bool = True,
-    sparse: bool = False, singletons: int = 0,
+    seed: int,
+    n: int = 8,
+    m: int = 4,
+    p: int = 2,
+    *,
+    rank: int | None = None,
+    bounded: bool = True,
+    sparse: bool = False,
+    singletons: int = 0,
 ) -> Planted:
     """x, its active set and all multipliers are drawn; then c, h and b make them right.
 
@@ -154,7 +170,9 @@ def test_auto_chooses_the_form() -> None:
 def test_simple_rows_become_bounds() -> None:
     """The tightest of bounds and singleton rows stays, of either sign; empty and unlimited rows go."""
     G = [[2.0, 0, 0], [-4.0, 0, 0], [0, 1.0, 0], [0, 1.0, 0], [0, 0, 0], [1.0, 1.0, 1.0]]
-    program = QuadraticProgram(np.eye(3), [0, 0, 0], G, [2.0, 4.0, 5.0, 3.0, 1.0, np.inf], lower=[-3, -3, 0], upper=4)
+    program = QuadraticProgram(
+        np.eye(3), [0, 0, 0], G, [2.0, 4.0, 5.0, 3.0, 1.0, np.inf], lower=[-3, -3, 0], upper=4
+    )
     problem = lcp_from_qp(program)
     assert problem.origin.form == "direct"
     assert problem.lower.tolist() == [-1.0, -3.0, 0.0]
@@ -182,7 +200,9 @@ def test_multipliers_of_crowded_variables(seed: int) -> None:
 
 def test_singleton_equation_fixes_a_variable() -> None:
     """2 x = 6 becomes x = 3, and its multiplier has the sign of cvxpy's."""
-    program = QuadraticProgram(np.eye(2), [1.0, -1.0], [[1.0, 1.0]], [3.5], [[2.0, 0.0]], [6.0], lower=0)
+    program = QuadraticProgram(
+        np.eye(2), [1.0, -1.0], [[1.0, 1.0]], [3.5], [[2.0, 0.0]], [6.0], lower=0
+    )
     solution = lcp_from_qp(program).origin.recover([3.0, 0.5, 0.5])
     np.testing.assert_allclose(solution.x, [3.0, 0.5])
     np.testing.assert_allclose(solution.equality, [-2.25])
@@ -190,7 +210,9 @@ def test_singleton_equation_fixes_a_variable() -> None:
 
 
 @pytest.mark.parametrize(
-    ("G", "h"), [([[0.0, 0.0]], [-1.0]), ([[1.0, 0.0], [-1.0, 0.0]], [0.0, -1.0])], ids=["0 ≤ −1", "1 ≤ x ≤ 0"]
+    ("G", "h"),
+    [([[0.0, 0.0]], [-1.0]), ([[1.0, 0.0], [-1.0, 0.0]], [0.0, -1.0])],
+    ids=["0 ≤ −1", "1 ≤ x ≤ 0"],
 )
 def test_contradictions_stay_rows(G: Any, h: Any) -> None:
     """What cannot hold is left for a solver to find, and no x gets a good primal residual."""
@@ -224,8 +246,15 @@ def test_agrees_with_cvxpy(seed: int, solver: str, accuracy: float) -> None:
     answer = planted(seed, singletons=1)
     program = answer.program
     x = cp.Variable(program.n)
-    constraints = [program.G @ x <= program.h, program.A @ x == program.b, x >= program.lower, x <= program.upper]
-    reference = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(program.P)) + program.c @ x), constraints)
+    constraints = [
+        program.G @ x <= program.h,
+        program.A @ x == program.b,
+        x >= program.lower,
+        x <= program.upper,
+    ]
+    reference = cp.Problem(
+        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(program.P)) + program.c @ x), constraints
+    )
     reference.solve(solver=solver, **TIGHTLY[solver])
     problem = lcp_from_qp(program)
     ours = problem.origin.recover(solve(problem, **TIGHT).require_solved())
@@ -246,7 +275,10 @@ def test_round_trip_of_symmetric_problems(n: int, sparse: bool) -> None:
     factor = rng.normal(size=(n, n))
     M = factor @ factor.T
     M = (M + M.T) / 2
-    lower, upper = np.array([0.0, -np.inf, -1.0, -np.inf, 2.0])[:n], np.array([np.inf, np.inf, 1.0, 3.0, 2.0])[:n]
+    lower, upper = (
+        np.array([0.0, -np.inf, -1.0, -np.inf, 2.0])[:n],
+        np.array([np.inf, np.inf, 1.0, 3.0, 2.0])[:n],
+    )
     problem = LCP(sp.csr_array(M) if sparse else M, rng.normal(size=n), lower=lower, upper=upper)
     again = lcp_from_qp(qp_from_lcp(problem))
     np.testing.assert_array_equal(again.csr.toarray(), problem.csr.toarray())
@@ -306,7 +338,9 @@ def test_definiteness_is_proven(sparse: bool) -> None:
 
 def game_of(*payoffs: Any) -> Any:
     """What counts as a game: players with payoffs, each with his own action first."""
-    return SimpleNamespace(players=tuple(SimpleNamespace(payoff_array=payoff) for payoff in payoffs))
+    return SimpleNamespace(
+        players=tuple(SimpleNamespace(payoff_array=payoff) for payoff in payoffs)
+    )
 
 
 # --- Linear programs, games, absolute values ----------------------------------------------------------------
@@ -317,7 +351,9 @@ def test_linear_program(seed: int) -> None:
     """A planted primal-dual pair of a linear program solves its complementarity problem and is recovered."""
     answer = planted(seed, rank=0)
     program = answer.program
-    problem = lcp_from_lp(program.c, program.G, program.h, program.A, program.b, program.lower, program.upper)
+    problem = lcp_from_lp(
+        program.c, program.G, program.h, program.A, program.b, program.lower, program.upper
+    )
     z = np.concatenate([answer.x, answer.inequality, answer.equality])
     assert Certificate.of(problem, z).relative_residual < 1e-14
     answer.agrees(problem.origin.recover(z), 1e-12)
@@ -328,11 +364,19 @@ GAMES = {
     "its pure equilibrium": ([[3, 0], [0, 2]], [[2, 0], [0, 3]], [1, 0], [1, 0], (3, 2)),
     "prisoner's dilemma": ([[-1, -3], [0, -2]], [[-1, 0], [-3, -2]], [0, 1], [0, 1], (-2, -2)),
     "rock paper scissors": (
-        [[0, -1, 1], [1, 0, -1], [-1, 1, 0]], [[0, 1, -1], [-1, 0, 1], [1, -1, 0]], [1 / 3] * 3, [1 / 3] * 3, (0, 0),
+        [[0, -1, 1], [1, 0, -1], [-1, 1, 0]],
+        [[0, 1, -1], [-1, 0, 1], [1, -1, 0]],
+        [1 / 3] * 3,
+        [1 / 3] * 3,
+        (0, 0),
     ),
     "one sure thing": ([[5]], [[7]], [1], [1], (5, 7)),
     "three against two": (
-        [[2, 0], [0, 2], [0.5, 0.5]], [[0, 3], [1, 0], [5, 0]], [1 / 4, 3 / 4, 0], [1 / 2, 1 / 2], (1, 0.75),
+        [[2, 0], [0, 2], [0.5, 0.5]],
+        [[0, 3], [1, 0], [5, 0]],
+        [1 / 4, 3 / 4, 0],
+        [1 / 2, 1 / 2],
+        (1, 0.75),
     ),
 }
 
@@ -357,7 +401,10 @@ def test_bimatrix_games(name: str) -> None:
 @pytest.mark.full
 def test_a_game_of_players_is_taken_as_it_is() -> None:
     """Players hold their own action first; a game of two by three actions is that of (A, B), and so is QuantEcon's."""
-    A, B = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]]), np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])
+    A, B = (
+        np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]]),
+        np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]]),
+    )
     expected = lcp_from_bimatrix_game(A, B)
     games = [game_of(A, B.T)]
     try:
@@ -417,82 +464,188 @@ def test_absolute_value_equation_solved() -> None:
 
 EYE = np.eye(2)
 REFUSED = {
-    "P rectangular": (InvalidProblem, "P must be a real matrix of shape", lambda: QuadraticProgram([[1, 2]], [1, 2])),
+    "P rectangular": (
+        InvalidProblem,
+        "P must be a real matrix of shape",
+        lambda: QuadraticProgram([[1, 2]], [1, 2]),
+    ),
     "P not symmetric": (
-        InvalidProblem, r"P\[0, 1\] = 1.0 and P\[1, 0\] = 0.0", lambda: QuadraticProgram([[1, 1], [0, 1]], [1, 2])
+        InvalidProblem,
+        r"P\[0, 1\] = 1.0 and P\[1, 0\] = 0.0",
+        lambda: QuadraticProgram([[1, 1], [0, 1]], [1, 2]),
     ),
     "P in two units": (
-        InvalidProblem, "P must be symmetric",
+        InvalidProblem,
+        "P must be symmetric",
         lambda: QuadraticProgram([[1e20, 0, 0], [0, 1, 0.5], [0, 0.4, 1]], [1, 2, 3]),
     ),
     "P complex": (InvalidProblem, "complex", lambda: QuadraticProgram(EYE * 1j, [1, 2])),
-    "P not finite": (InvalidProblem, r"P\[1, 1\] = nan", lambda: QuadraticProgram([[1, 0], [0, np.nan]], [1, 2])),
-    "c not a vector": (InvalidProblem, r"c must be a vector.*shape \(1, 2\)", lambda: QuadraticProgram(EYE, [[1, 2]])),
+    "P not finite": (
+        InvalidProblem,
+        r"P\[1, 1\] = nan",
+        lambda: QuadraticProgram([[1, 0], [0, np.nan]], [1, 2]),
+    ),
+    "c not a vector": (
+        InvalidProblem,
+        r"c must be a vector.*shape \(1, 2\)",
+        lambda: QuadraticProgram(EYE, [[1, 2]]),
+    ),
     "c infinite": (InvalidProblem, r"c\[1\] = inf", lambda: QuadraticProgram(EYE, [1, np.inf])),
     "G transposed": (
-        InvalidProblem, r"got shape \(4, 3\); did you mean G.T\?",
+        InvalidProblem,
+        r"got shape \(4, 3\); did you mean G.T\?",
         lambda: QuadraticProgram(np.eye(4), [1, 2, 3, 4], np.ones((4, 3)), [1, 2, 3]),
     ),
     "A transposed, sparse": (
-        InvalidProblem, r"got shape \(2, 3\); did you mean A.T\?",
+        InvalidProblem,
+        r"got shape \(2, 3\); did you mean A.T\?",
         lambda: LCP.from_qp(EYE, [1, 2], A=sp.csr_array(np.ones((2, 3))), b=[1, 2, 3]),
     ),
     "ranges transposed": (
-        InvalidProblem, r"did you mean A.T\?",
+        InvalidProblem,
+        r"did you mean A.T\?",
         lambda: QuadraticProgram.from_ranges(EYE, [1, 2], np.ones((2, 3)), np.zeros(3), np.ones(3)),
     ),
     "G too wide": (
-        InvalidProblem, r"got shape \(3, 4\)$", lambda: QuadraticProgram(EYE, [1, 2], np.ones((3, 4)), [1, 2, 3])
+        InvalidProblem,
+        r"got shape \(3, 4\)$",
+        lambda: QuadraticProgram(EYE, [1, 2], np.ones((3, 4)), [1, 2, 3]),
     ),
-    "G a vector": (InvalidProblem, r"as \[\[…\]\]", lambda: QuadraticProgram(EYE, [1, 2], [1, 2], [1])),
-    "P too large": (InvalidProblem, r"shape \(2, 2\), got shape \(3, 3\)", lambda: QuadraticProgram(np.eye(3), [1, 2])),
+    "G a vector": (
+        InvalidProblem,
+        r"as \[\[…\]\]",
+        lambda: QuadraticProgram(EYE, [1, 2], [1, 2], [1]),
+    ),
+    "P too large": (
+        InvalidProblem,
+        r"shape \(2, 2\), got shape \(3, 3\)",
+        lambda: QuadraticProgram(np.eye(3), [1, 2]),
+    ),
     "not convex": (
-        UnsupportedModel, "smallest eigenvalue of P is -3", lambda: solve(QuadraticProgram(-3 * EYE, [1, 2]))
+        UnsupportedModel,
+        "smallest eigenvalue of P is -3",
+        lambda: solve(QuadraticProgram(-3 * EYE, [1, 2])),
     ),
     "not convex beside equations": (
-        UnsupportedModel, "smallest eigenvalue of P is -3",
+        UnsupportedModel,
+        "smallest eigenvalue of P is -3",
         lambda: solve(QuadraticProgram(np.diag([1.0, -3.0]), [0, 0], A=[[1, 1]], b=[1])),
     ),
     "program without a bound": (
-        NotConverged, "UNBOUNDED.*bound the unknowns where it falls",
+        NotConverged,
+        "UNBOUNDED.*bound the unknowns where it falls",
         lambda: solve(QuadraticProgram(None, [-1, 0], [[0, 1]], [1])).require_solved(),
     ),
     "contradiction": (
-        NotConverged, "INFEASIBLE.*check the data",
-        lambda: solve(QuadraticProgram(EYE, [0, 0], [[1, 1], [-1, -1]], [-1, 0.5])).require_solved(),
+        NotConverged,
+        "INFEASIBLE.*check the data",
+        lambda: solve(
+            QuadraticProgram(EYE, [0, 0], [[1, 1], [-1, -1]], [-1, 0.5])
+        ).require_solved(),
     ),
     "bound a NaN": (
-        InvalidProblem, r"lower\[1\] = nan; use -inf", lambda: QuadraticProgram(EYE, [1, 2], lower=[0, np.nan])
+        InvalidProblem,
+        r"lower\[1\] = nan; use -inf",
+        lambda: QuadraticProgram(EYE, [1, 2], lower=[0, np.nan]),
     ),
     "G without h": (InvalidProblem, "got G without h", lambda: QuadraticProgram(EYE, [1, 2], EYE)),
-    "b without A": (InvalidProblem, "got b without A", lambda: QuadraticProgram(EYE, [1, 2], b=[1])),
-    "h too short": (InvalidProblem, "h must be a vector of length 2", lambda: QuadraticProgram(EYE, [1, 2], EYE, [1])),
-    "h at −∞": (InvalidProblem, r"h\[0\] = -inf", lambda: QuadraticProgram(EYE, [1, 2], EYE, [-np.inf, 1])),
-    "b infinite": (InvalidProblem, r"b\[0\] = inf", lambda: QuadraticProgram(EYE, [1, 2], A=EYE, b=[np.inf, 1])),
-    "bounds crossed": (InvalidProblem, "lower ≤ upper", lambda: QuadraticProgram(EYE, [1, 2], lower=1, upper=0)),
-    "no program": (InvalidProblem, "needs a QuadraticProgram, got tuple", lambda: lcp_from_qp((EYE, [1, 2]))),
+    "b without A": (
+        InvalidProblem,
+        "got b without A",
+        lambda: QuadraticProgram(EYE, [1, 2], b=[1]),
+    ),
+    "h too short": (
+        InvalidProblem,
+        "h must be a vector of length 2",
+        lambda: QuadraticProgram(EYE, [1, 2], EYE, [1]),
+    ),
+    "h at −∞": (
+        InvalidProblem,
+        r"h\[0\] = -inf",
+        lambda: QuadraticProgram(EYE, [1, 2], EYE, [-np.inf, 1]),
+    ),
+    "b infinite": (
+        InvalidProblem,
+        r"b\[0\] = inf",
+        lambda: QuadraticProgram(EYE, [1, 2], A=EYE, b=[np.inf, 1]),
+    ),
+    "bounds crossed": (
+        InvalidProblem,
+        "lower ≤ upper",
+        lambda: QuadraticProgram(EYE, [1, 2], lower=1, upper=0),
+    ),
+    "no program": (
+        InvalidProblem,
+        "needs a QuadraticProgram, got tuple",
+        lambda: lcp_from_qp((EYE, [1, 2])),
+    ),
     "no LCP": (InvalidProblem, "needs an LCP, got list", lambda: qp_from_lcp([EYE])),
-    "form": (InvalidOption, "did you mean 'direct'", lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2]), "dirct")),
-    "direct with rows": (UnsuitableProblem, '"direct" needs', lambda: lcp_from_qp(planted(0).program, "direct")),
+    "form": (
+        InvalidOption,
+        "did you mean 'direct'",
+        lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2]), "dirct"),
+    ),
+    "direct with rows": (
+        UnsuitableProblem,
+        '"direct" needs',
+        lambda: lcp_from_qp(planted(0).program, "direct"),
+    ),
     "recover": (
-        InvalidProblem, "z must be a vector of length 2",
+        InvalidProblem,
+        "z must be a vector of length 2",
         lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2])).origin.recover([1]),
     ),
     "gap of a box": (
-        UnsuitableProblem, r"z\[0\] has two bounds", lambda: qp_from_lcp(LCP([[1, 1], [0, 1]], [1, 1], upper=1))
+        UnsuitableProblem,
+        r"z\[0\] has two bounds",
+        lambda: qp_from_lcp(LCP([[1, 1], [0, 1]], [1, 1], upper=1)),
     ),
-    "gap not monotone": (UnsuitableMatrix, "semidefinite", lambda: qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1]))),
+    "gap not monotone": (
+        UnsuitableMatrix,
+        "semidefinite",
+        lambda: qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1])),
+    ),
     "tolerance": (InvalidOption, "tolerance must be", lambda: planted(0).solution().is_optimal(-1)),
-    "game shapes": (InvalidProblem, r"B must be.*\(2, 2\)", lambda: lcp_from_bimatrix_game(EYE, [[1, 2]])),
-    "game, one payoff": (InvalidProblem, "B is missing: a game is .* got list alone",
-                         lambda: lcp_from_bimatrix_game([[1]])),
-    "game, payoffs twice": (InvalidProblem, "leave B out", lambda: lcp_from_bimatrix_game(game_of(EYE, EYE), EYE)),
-    "game of three": (InvalidProblem, "two players, got a game of 3",
-                      lambda: lcp_from_bimatrix_game(game_of(EYE, EYE, EYE))),
-    "game empty": (InvalidProblem, "at least one row", lambda: lcp_from_bimatrix_game(np.zeros((0, 2)), EYE)),
-    "game unsolved": (NotConverged, "row player", lambda: lcp_from_bimatrix_game(EYE, EYE).origin.recover(np.zeros(4))),
-    "AVE with eigenvalue 1": (UnsuitableMatrix, "singular", lambda: lcp_from_absolute_value(EYE, [1, 2])),
-    "AVE form": (InvalidOption, "did you mean 'mixed'", lambda: lcp_from_absolute_value(EYE, [1, 2], form="mixt")),
+    "game shapes": (
+        InvalidProblem,
+        r"B must be.*\(2, 2\)",
+        lambda: lcp_from_bimatrix_game(EYE, [[1, 2]]),
+    ),
+    "game, one payoff": (
+        InvalidProblem,
+        "B is missing: a game is .* got list alone",
+        lambda: lcp_from_bimatrix_game([[1]]),
+    ),
+    "game, payoffs twice": (
+        InvalidProblem,
+        "leave B out",
+        lambda: lcp_from_bimatrix_game(game_of(EYE, EYE), EYE),
+    ),
+    "game of three": (
+        InvalidProblem,
+        "two players, got a game of 3",
+        lambda: lcp_from_bimatrix_game(game_of(EYE, EYE, EYE)),
+    ),
+    "game empty": (
+        InvalidProblem,
+        "at least one row",
+        lambda: lcp_from_bimatrix_game(np.zeros((0, 2)), EYE),
+    ),
+    "game unsolved": (
+        NotConverged,
+        "row player",
+        lambda: lcp_from_bimatrix_game(EYE, EYE).origin.recover(np.zeros(4)),
+    ),
+    "AVE with eigenvalue 1": (
+        UnsuitableMatrix,
+        "singular",
+        lambda: lcp_from_absolute_value(EYE, [1, 2]),
+    ),
+    "AVE form": (
+        InvalidOption,
+        "did you mean 'mixed'",
+        lambda: lcp_from_absolute_value(EYE, [1, 2], form="mixt"),
+    ),
 }
 
 

@@ -87,7 +87,11 @@ def test_linear_programs_agree_with_highs(form: str) -> None:
     for seed in range(4):
         case, _ = CAMPAIGN.case("linear", seed, 0, 20)
         expected = linprog(
-            case.c, case.G, case.h, case.A if case.b.size else None, case.b if case.b.size else None,
+            case.c,
+            case.G,
+            case.h,
+            case.A if case.b.size else None,
+            case.b if case.b.size else None,
             bounds=np.column_stack([case.lower, case.upper]),
         )
         if form == "kkt":
@@ -101,7 +105,9 @@ def test_linear_programs_agree_with_highs(form: str) -> None:
 
 def test_ranges_say_what_they_say() -> None:
     """Rows with limits on both sides, one side, none, and equal ones; multipliers come back in that shape."""
-    A = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 1.0], [0.0, 1.0, 2.0], [1.0, 0.0, 3.0], [2.0, 1.0, 1.0]])
+    A = np.array(
+        [[1.0, 1.0, 0.0], [1.0, -1.0, 1.0], [0.0, 1.0, 2.0], [1.0, 0.0, 3.0], [2.0, 1.0, 1.0]]
+    )
     low, high = [-1.0, 0.5, -1e20, -INF, 1.0], [1.0, 0.5, 2.0, 1e30, INF]
     P, c = np.diag([1.0, 0.0, 2.0]), np.array([-3.0, -1.0, 1.0])
     program = QuadraticProgram.from_ranges(P, c, A, low, high, lower=[-1e20, -5.0, -5.0], upper=5.0)
@@ -111,9 +117,19 @@ def test_ranges_say_what_they_say() -> None:
     assert solution.is_optimal(1e-9)
     y = solution.row_multipliers
     assert y.shape == (5,)
-    np.testing.assert_allclose(P @ solution.x + c + A.T @ y - solution.lower + solution.upper, 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        P @ solution.x + c + A.T @ y - solution.lower + solution.upper, 0.0, atol=1e-9
+    )
     x = cp.Variable(3)
-    rows = [A[0] @ x <= 1, A[0] @ x >= -1, A[1] @ x == 0.5, A[2] @ x <= 2, A[4] @ x >= 1, x <= 5, x[1:] >= -5]
+    rows = [
+        A[0] @ x <= 1,
+        A[0] @ x >= -1,
+        A[1] @ x == 0.5,
+        A[2] @ x <= 2,
+        A[4] @ x >= 1,
+        x <= 5,
+        x[1:] >= -5,
+    ]
     problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, P, assume_PSD=True) + c @ x), rows)
     assert solution.objective == pytest.approx(problem.solve(solver=cp.HIGHS), abs=1e-6)
     value = A @ solution.x
@@ -127,19 +143,29 @@ def test_ranges_say_what_they_say() -> None:
 
 def chain(n: int, rng: np.random.Generator) -> tuple[QuadraticProgram, float]:
     """Convexity on n points: second differences, whose multipliers are as large as n² times the forces."""
-    slope = sp.csr_array(sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n)))
+    slope = sp.csr_array(
+        sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
+    )
     curvature = sp.csr_array(slope[:-1, :-1] @ slope)
     kinks = (rng.random(n - 2) < 0.02) * rng.random(n - 2)
     x = np.concatenate([[0.0, 0.0], np.cumsum(np.cumsum(kinks))]) / n
     y = n**1.5 * np.sin(np.linspace(0.0, 3.0, n - 2)) ** 2 * (curvature @ x == 0.0)
     held = curvature @ x
     c = curvature.T @ y - x
-    return QuadraticProgram(sp.eye_array(n), c, -curvature, -np.where(y > 0.0, held, 0.0)), float(0.5 * x @ x + c @ x)
+    return QuadraticProgram(sp.eye_array(n), c, -curvature, -np.where(y > 0.0, held, 0.0)), float(
+        0.5 * x @ x + c @ x
+    )
 
 
 #: Since PIQP answers LCPs its rows are left at 1.7e-7 of their terms, where 1e-7 is asked; as a program it is solved.
 LEFT_AS_AN_LCP = ("graded rows, columns", 400, 3)
-HARD = ("a chain of differences", "redundant", "free columns", "unstable control", "graded rows, columns")
+HARD = (
+    "a chain of differences",
+    "redundant",
+    "free columns",
+    "unstable control",
+    "graded rows, columns",
+)
 
 
 @pytest.mark.parametrize("largest", [60, 400])
@@ -170,11 +196,23 @@ def test_rows_and_columns_over_twelve_orders_of_magnitude(largest: int, seeds: i
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("family", "seed", "largest", "cases"), [
-    ("graded rows", 5, 400, (2,)), ("graded rows, columns", 5, 400, (0, 3, 7)), ("huge bounds", 5, 400, (4, 6, 7)),
-    ("Netlib-like", 5, 400, (0, 1, 3)), ("everything", 5, 400, (1, 2, 5)), ("graded rows, columns", 0, 800, (2, 8)),
-    ("redundant, rounded", 1, 1000, (12, 42)),  # equations of fixed unknowns, which hold but for rounding
-])
+@pytest.mark.parametrize(
+    ("family", "seed", "largest", "cases"),
+    [
+        ("graded rows", 5, 400, (2,)),
+        ("graded rows, columns", 5, 400, (0, 3, 7)),
+        ("huge bounds", 5, 400, (4, 6, 7)),
+        ("Netlib-like", 5, 400, (0, 1, 3)),
+        ("everything", 5, 400, (1, 2, 5)),
+        ("graded rows, columns", 0, 800, (2, 8)),
+        (
+            "redundant, rounded",
+            1,
+            1000,
+            (12, 42),
+        ),  # equations of fixed unknowns, which hold but for rounding
+    ],
+)
 def test_units_and_limits_that_nobody_reaches_cost_no_steps(
     family: str, seed: int, largest: int, cases: tuple[int, ...]
 ) -> None:
@@ -188,11 +226,19 @@ def test_units_and_limits_that_nobody_reaches_cost_no_steps(
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("family", "seed", "case"), [
-    ("tiny P", 7001, 42), ("tiny P", 7001, 39),  # LDLᵀ, regularised, loses P behind many small pivots
-    ("huge bounds", 7001, 43),  # minimisers reach to 1e9
-    ("redundant, rounded", 7002, 29),  # equations that contradict one another by 2e-9 of their size
-])
+@pytest.mark.parametrize(
+    ("family", "seed", "case"),
+    [
+        ("tiny P", 7001, 42),
+        ("tiny P", 7001, 39),  # LDLᵀ, regularised, loses P behind many small pivots
+        ("huge bounds", 7001, 43),  # minimisers reach to 1e9
+        (
+            "redundant, rounded",
+            7002,
+            29,
+        ),  # equations that contradict one another by 2e-9 of their size
+    ],
+)
 def test_programs_that_need_pivots_a_ridge_or_their_own_criterion_are_solved(
     family: str, seed: int, case: int
 ) -> None:
@@ -207,7 +253,9 @@ def test_programs_that_need_pivots_a_ridge_or_their_own_criterion_are_solved(
 
 def test_rows_that_contradict_by_rounding_prove_nothing() -> None:
     """A proof by a margin of 1e-12, which holds for the stored doubles alone, is no answer."""
-    program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf])
+    program = QuadraticProgram(
+        np.eye(2), [-1.0, -3.0], [[-1.0, 0.0]], [-1.0 - 1e-12], upper=[1.0, np.inf]
+    )
     assert program.facts.proof_of_no_minimum is not None
     result = solve(program)
     assert result.is_solved
@@ -228,7 +276,9 @@ def test_at_a_small_tolerance_a_program_ends_where_its_own_criterion_holds() -> 
 def test_no_contradiction_is_looked_for_beside_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """An x that meets all constraints excludes every contradiction, and a definite P falls along no direction."""
     program = QuadraticProgram(np.eye(2), [-1.0, -3.0], [[-1.0, -1.0]], [-1.0])
-    monkeypatch.setattr(no_minimum, "linear_program", lambda *_, **__: pytest.fail("a linear program"))
+    monkeypatch.setattr(
+        no_minimum, "linear_program", lambda *_, **__: pytest.fail("a linear program")
+    )
     monkeypatch.setattr(no_minimum, "FarkasProgram", lambda *_: pytest.fail("a linear program"))
     assert program.facts.accepted_proof(is_met=True) is None
     semidefinite = QuadraticProgram(np.diag([1.0, 0.0]), [-1.0, 1.0], lower=[-np.inf, 0.0])
@@ -256,7 +306,14 @@ def test_a_second_solve_starts_from_the_first(kind: str, seed: int) -> None:
     first = lcp_from_qp(program, "kkt")
     result = solve(first)
     moved = QuadraticProgram(
-        program.P, program.c * (1.0 + 1e-7), program.G, program.h, program.A, program.b, program.lower, program.upper
+        program.P,
+        program.c * (1.0 + 1e-7),
+        program.G,
+        program.h,
+        program.A,
+        program.b,
+        program.lower,
+        program.upper,
     )
     again = lcp_from_qp(moved, "kkt")
     cold, warm = solve(again), solve(again, z0=result.z)
@@ -277,7 +334,12 @@ def test_a_last_active_set_that_is_wrong_changes_no_answer(share: float) -> None
     program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
     first, again = solve(program), moved(program, share)
     cold = solve(again)
-    for start in (first.z, np.zeros(3), np.random.default_rng(2).standard_normal(first.z.size), np.zeros(first.z.size)):
+    for start in (
+        first.z,
+        np.zeros(3),
+        np.random.default_rng(2).standard_normal(first.z.size),
+        np.zeros(first.z.size),
+    ):
         warm = solve(again, z0=start)
         assert warm.is_solved
         assert warm.objective == pytest.approx(cold.objective, rel=1e-6, abs=1e-6)
@@ -290,7 +352,13 @@ def test_of_many_programs_each_goes_on_from_the_last_answer() -> None:
     with np.errstate(invalid="ignore"):
         answers = solve_many(program, [{"c": program.c * share} for share in shares])
     alone = solve(moved(program, 2e-7))
-    assert [isinstance(answer, InvalidProblem) for answer in answers] == [False, False, False, True, False]
+    assert [isinstance(answer, InvalidProblem) for answer in answers] == [
+        False,
+        False,
+        False,
+        True,
+        False,
+    ]
     assert answers[-1].objective == pytest.approx(alone.objective, rel=1e-9)
     assert alone.iterations > 1
 
@@ -301,8 +369,16 @@ def test_a_start_hides_no_proof_of_infeasibility() -> None:
     z = solve(program).z
     outside = program.with_vectors(lower=np.full(program.n, 1e6), upper=np.full(program.n, 2e6))
     assert solve(outside, z0=z).status is Status.INFEASIBLE
-    bent = QuadraticProgram(-1.0 * program.P, program.c, program.G, program.h, program.A, program.b,
-                            program.lower, program.upper)
+    bent = QuadraticProgram(
+        -1.0 * program.P,
+        program.c,
+        program.G,
+        program.h,
+        program.A,
+        program.b,
+        program.lower,
+        program.upper,
+    )
     with pytest.raises(UnsupportedModel, match="not convex"):
         solve(bent, z0=z)
 
@@ -310,7 +386,12 @@ def test_a_start_hides_no_proof_of_infeasibility() -> None:
 def test_an_infinite_limit_may_be_rounded() -> None:
     """1e20 less its last digits, as files hold it, says nothing either."""
     program = QuadraticProgram.from_ranges(
-        np.eye(2), [1.0, -1.0], [[1.0, 1.0]], [-9.999999999999998e19], [9.999999999999998e19], -9.999999999999995e19
+        np.eye(2),
+        [1.0, -1.0],
+        [[1.0, 1.0]],
+        [-9.999999999999998e19],
+        [9.999999999999998e19],
+        -9.999999999999995e19,
     )
     assert (program.h.size, program.b.size) == (0, 0)
     assert (program.lower == -INF).all()
@@ -324,7 +405,9 @@ def test_rounding_is_no_error_as_a_multiplier() -> None:
     c = -(1e-3 * x + 1e7 * v) * (1.0 + 2.0**-52)
     solution = problem.origin.recover([x])
     assert solution.is_stationary(1e-9)
-    program = QuadraticProgram([[1e-3, 0.0], [0.0, 1.0]], [c, 0.0], [[1e7, 1.0]], [1e7 * x], lower=0.0, upper=1e9)
+    program = QuadraticProgram(
+        [[1e-3, 0.0], [0.0, 1.0]], [c, 0.0], [[1e7, 1.0]], [1e7 * x], lower=0.0, upper=1e9
+    )
     solution = lcp_from_qp(program, "kkt").origin.recover([x, 0.0, v])
     assert max(solution.lower[0], solution.upper[0]) <= 2.0**-50 * abs(c)
     assert solution.error <= 1e-9
@@ -369,12 +452,20 @@ def test_a_flat_direction_hides_no_error_of_the_objective() -> None:
     assert right.is_optimal(1e-9)
 
 
-@pytest.mark.parametrize("part", ["primal", "equation", "bound", "complementarity", "sign", "infinite"])
+@pytest.mark.parametrize(
+    "part", ["primal", "equation", "bound", "complementarity", "sign", "infinite"]
+)
 def test_the_row_residual_sees_every_condition(part: str) -> None:
     """A violation of one condition by 1e-3 in a row of its own is seen at about that size."""
     huge = 1e9
     program = QuadraticProgram(
-        np.zeros((3, 3)), [0.0, 1.0, huge], [[1.0, 0.0, 0.0]], [0.0], [[0.0, 1.0, 0.0]], [0.0], lower=[-1.0, -INF, 0.0]
+        np.zeros((3, 3)),
+        [0.0, 1.0, huge],
+        [[1.0, 0.0, 0.0]],
+        [0.0],
+        [[0.0, 1.0, 0.0]],
+        [0.0],
+        lower=[-1.0, -INF, 0.0],
     )
     x, y, v, low = np.zeros(3), np.zeros(1), np.full(1, -1.0), np.array([0.0, 0.0, huge])
     if part == "primal":
@@ -471,7 +562,9 @@ def test_a_contradiction_is_found_in_any_units(seed: int) -> None:
     h = rng.normal(size=m)
     h[0] -= (h @ y + 1.0) / y[0]
     rows, columns = 10.0 ** rng.integers(-5, 6, m), 10.0 ** rng.integers(-4, 5, n)
-    proof = prove_infeasible(QuadraticProgram(np.eye(n), np.ones(n), rows[:, None] * G * columns, rows * h))
+    proof = prove_infeasible(
+        QuadraticProgram(np.eye(n), np.ones(n), rows[:, None] * G * columns, rows * h)
+    )
     assert proof is not None
     assert proof.verify()
 
@@ -485,7 +578,10 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
     A = np.abs(rng.standard_normal((n // 2, n)))
     bounds: dict[str, Any] = {"G": -np.diag(unit), "h": np.zeros(n)}
     if kind == "inequality":
-        bounds = {"G": np.vstack([A, bounds["G"]]), "h": np.concatenate([np.full(n // 2, -1.0), np.zeros(n)])}
+        bounds = {
+            "G": np.vstack([A, bounds["G"]]),
+            "h": np.concatenate([np.full(n // 2, -1.0), np.zeros(n)]),
+        }
     else:
         sign = -1.0 if kind == "equality below" else 1.0
         bounds |= {"A": sign * A, "b": np.full(n // 2, -sign)}
@@ -494,16 +590,26 @@ def test_one_row_is_enough(kind: str, n: int) -> None:
     assert isinstance(proof, QPInfeasibility)
     assert proof.program is program
     assert proof.verify()
-    of_rows, of_bounds = np.split(np.array(proof.multipliers, dtype=bool), [program.constraints.rows])
+    of_rows, of_bounds = np.split(
+        np.array(proof.multipliers, dtype=bool), [program.constraints.rows]
+    )
     assert not of_bounds.any()
     assert of_rows.sum() == n + 1
 
 
-@pytest.mark.parametrize(("program", "word"), [
-    (QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, -1.0]), "infeasible"),
-    (QuadraticProgram(None, [1.0, 1.0], [[1.0, 1.0], [1.0, -1.0]], [-1.0, -1.0]), "unbounded"),
-])
-def test_a_run_that_a_proof_ends_says_so(program: Any, word: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("program", "word"),
+    [
+        (
+            QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, -1.0]),
+            "infeasible",
+        ),
+        (QuadraticProgram(None, [1.0, 1.0], [[1.0, 1.0], [1.0, -1.0]], [-1.0, -1.0]), "unbounded"),
+    ],
+)
+def test_a_run_that_a_proof_ends_says_so(
+    program: Any, word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """With verbose=True and without, an infeasible program has no multipliers, and the last line names the proof."""
     watched, quiet = solve(program, verbose=True), solve(program)
     end = capsys.readouterr().out.splitlines()[-1]
@@ -529,7 +635,11 @@ def contradicting(n: int) -> QuadraticProgram:
 def falling(n: int) -> QuadraticProgram:
     """A dense program with P of half the rank that falls without end along one direction."""
     rng = np.random.default_rng(n)
-    factor, G, d = rng.standard_normal((n, n // 2)), rng.standard_normal((n // 2, n)), rng.standard_normal(n)
+    factor, G, d = (
+        rng.standard_normal((n, n // 2)),
+        rng.standard_normal((n // 2, n)),
+        rng.standard_normal(n),
+    )
     Q = np.linalg.qr(factor)[0]
     d -= Q @ (Q.T @ d)
     d /= np.linalg.norm(d)
@@ -541,16 +651,22 @@ def test_a_program_without_a_minimum_is_solved_alike_again() -> None:
     """The proof that it keeps changes no later call: algorithm, steps and x are those of the first."""
     rows = sp.csr_array(([1.0, 1.0], ([0, 0], [0, 1])), shape=(1, 500))
     for program in (
-        QuadraticProgram(sp.eye_array(500), np.ones(500), rows, [-1.0], lower=0.0), contradicting(12), falling(12),
+        QuadraticProgram(sp.eye_array(500), np.ones(500), rows, [-1.0], lower=0.0),
+        contradicting(12),
+        falling(12),
     ):
         first, again = solve(program), solve(program)
         assert first.status is again.status is not Status.SOLVED
         assert (first.algorithm, first.iterations, first.x.tobytes()) == (
-            again.algorithm, again.iterations, again.x.tobytes()
+            again.algorithm,
+            again.iterations,
+            again.x.tobytes(),
         )
 
 
-def test_a_proof_that_time_has_cut_short_is_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_proof_that_time_has_cut_short_is_looked_for_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A limit that leaves no time for the linear program says nothing of a later call."""
     program = contradicting(12)
     with time_limit(0.0), monkeypatch.context() as patched:
@@ -560,11 +676,18 @@ def test_a_proof_that_time_has_cut_short_is_looked_for_again(monkeypatch: pytest
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("made", "status", "n"), [
-    (contradicting, Status.INFEASIBLE, 150), (contradicting, Status.INFEASIBLE, 450),
-    (falling, Status.UNBOUNDED, 150), (falling, Status.UNBOUNDED, 450),
-])
-def test_large_dense_programs_are_proved_infeasible_before_methods_creep(made: Any, status: Status, n: int) -> None:
+@pytest.mark.parametrize(
+    ("made", "status", "n"),
+    [
+        (contradicting, Status.INFEASIBLE, 150),
+        (contradicting, Status.INFEASIBLE, 450),
+        (falling, Status.UNBOUNDED, 150),
+        (falling, Status.UNBOUNDED, 450),
+    ],
+)
+def test_large_dense_programs_are_proved_infeasible_before_methods_creep(
+    made: Any, status: Status, n: int
+) -> None:
     """In seconds, where interior points end: a proof that counts, within a radius, is not searched for in fractions."""
     result = solve(made(n), max_seconds=60.0)
     assert result.status is status
@@ -634,11 +757,15 @@ NONCONVEX = {
 }
 
 
-@pytest.mark.parametrize(("P", "c", "value"), [
-    (np.diag([1.0, -3e-15]), [1, 0], -0.5), (np.diag([1.0, -3e-15]), [1, 1], -1.5),
-    (np.diag([1.0, -1e-9]), [1, 1], -1.5),
-    (np.array([[1, 1 + 1e-8, 0], [1 + 1e-8, 1, 0], [0, 0, 4]]), [1, 1, 0], -0.5),
-])
+@pytest.mark.parametrize(
+    ("P", "c", "value"),
+    [
+        (np.diag([1.0, -3e-15]), [1, 0], -0.5),
+        (np.diag([1.0, -3e-15]), [1, 1], -1.5),
+        (np.diag([1.0, -1e-9]), [1, 1], -1.5),
+        (np.array([[1, 1 + 1e-8, 0], [1 + 1e-8, 1, 0], [0, 0, 4]]), [1, 1, 0], -0.5),
+    ],
+)
 def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value: float) -> None:
     """An eigenvalue of −1e-7 beside its rows, or one that nothing that acts would notice; the advice says so."""
     n = len(c)
@@ -665,7 +792,9 @@ def test_a_force_elsewhere_excuses_no_saddle(force: float) -> None:
     for first in (P[0, 0], 1.0, 0.0):
         P[0, 0] = first
         with contextlib.suppress(UnsupportedModel):
-            assert not solve(QuadraticProgram(P, [force, 0, 0], lower=-np.ones(3), upper=np.ones(3))).is_solved
+            assert not solve(
+                QuadraticProgram(P, [force, 0, 0], lower=-np.ones(3), upper=np.ones(3))
+            ).is_solved
 
 
 def test_an_optimum_of_0_is_an_optimum() -> None:
@@ -695,12 +824,17 @@ def test_an_exact_fit_is_optimal(rows: int, bounded: bool) -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "piqp", "daqp", "newton", "lemke"])
-@pytest.mark.parametrize(("P", "c", "bound"), [
-    ([[1e10 - 4, 2e10 + 2], [2e10 + 2, 4e10 - 1]], [0.2, -0.1], 1.0),
-    ([[1 - 4e-9, 2 + 2e-9], [2 + 2e-9, 4 - 1e-9]], [2e-10, -1e-10], 1e6),
-    ([[1 - 4e-12, 2 + 2e-12], [2 + 2e-12, 4 - 1e-12]], [2e-13, -1e-13], 1e6),
-])
-def test_a_curvature_that_is_rounding_beside_its_rows_may_act(P: Any, c: Any, bound: float, algorithm: str) -> None:
+@pytest.mark.parametrize(
+    ("P", "c", "bound"),
+    [
+        ([[1e10 - 4, 2e10 + 2], [2e10 + 2, 4e10 - 1]], [0.2, -0.1], 1.0),
+        ([[1 - 4e-9, 2 + 2e-9], [2 + 2e-9, 4 - 1e-9]], [2e-10, -1e-10], 1e6),
+        ([[1 - 4e-12, 2 + 2e-12], [2 + 2e-12, 4 - 1e-12]], [2e-13, -1e-13], 1e6),
+    ],
+)
+def test_a_curvature_that_is_rounding_beside_its_rows_may_act(
+    P: Any, c: Any, bound: float, algorithm: str
+) -> None:
     """Along (2, −1) these fall; what is stationary there is no minimum, by whatever method."""
     program = QuadraticProgram(P, c, lower=[-bound] * 2, upper=[bound] * 2)
     assert not solve(program, algorithm).is_solved
@@ -713,10 +847,14 @@ def test_data_of_single_precision_are_convex_enough() -> None:
     P = np.cov(rng.standard_normal((20, 40)).T.astype(np.float32)).astype(np.float32).astype(float)
     gains = 0.3 * rng.random(40)
     x = cp.Variable(40)
-    other = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) - gains @ x), [cp.sum(x) == 1, x >= 0])
+    other = cp.Problem(
+        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) - gains @ x), [cp.sum(x) == 1, x >= 0]
+    )
     other.solve(solver=cp.CLARABEL)
     for unit in (1.0, 1e6, 1e-6):
-        result = solve(QuadraticProgram(unit * P, -unit * gains, A=np.ones((1, 40)), b=[1], lower=np.zeros(40)))
+        result = solve(
+            QuadraticProgram(unit * P, -unit * gains, A=np.ones((1, 40)), b=[1], lower=np.zeros(40))
+        )
         assert result.is_solved
         assert abs(result.objective / unit - other.value) <= 1e-6 * abs(other.value)
 
@@ -726,8 +864,13 @@ def test_data_of_single_precision_are_convex_enough() -> None:
 def test_a_program_that_is_clearly_not_convex_is_refused(name: str, form: str) -> None:
     """A negative eigenvalue beyond rounding is refused with a value and advice, whatever the form."""
     P, words = NONCONVEX[name]
-    with pytest.raises(UnsupportedModel, match=f"not convex: (the )?{words}.*a stationary point need not be a minimum"):
-        LCP.from_qp(P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0, form=form)
+    with pytest.raises(
+        UnsupportedModel,
+        match=f"not convex: (the )?{words}.*a stationary point need not be a minimum",
+    ):
+        LCP.from_qp(
+            P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0, form=form
+        )
 
 
 @pytest.mark.parametrize("rank", [1, 3, 7])
@@ -740,7 +883,9 @@ def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool
         B = rng.standard_normal((rank, 12)) * np.where(rng.random(12) < 0.3, 1e-9, 1.0)
         P = scale * (B.T @ B)
         P = np.maximum(P, P.T)
-        problem = LCP.from_qp(sp.csr_array(P) if is_sparse else P, P @ rng.standard_normal(12), lower=-9.0, upper=9.0)
+        problem = LCP.from_qp(
+            sp.csr_array(P) if is_sparse else P, P @ rng.standard_normal(12), lower=-9.0, upper=9.0
+        )
         assert problem.origin.program.facts.is_shown_convex
         solution = problem.origin.recover(solve(problem, tolerance=1e-12))
         assert solution.is_optimal(1e-6) == solution.is_stationary(1e-6)
@@ -782,18 +927,34 @@ def test_a_stationary_point_of_a_nonconvex_program_is_not_optimal() -> None:
 
 def test_an_unbounded_direction_needs_a_feasible_point() -> None:
     """A direction of descent beside contradicting constraints is infeasible, never unbounded."""
-    program = QuadraticProgram(np.zeros((2, 2)), [-1.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, -1.0])
+    program = QuadraticProgram(
+        np.zeros((2, 2)), [-1.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, -1.0]
+    )
     assert prove_unbounded(program) is None
     assert isinstance(proof_of_no_minimum(program), QPInfeasibility)
 
 
-@pytest.mark.parametrize(("program", "along"), [
-    (QuadraticProgram(None, [-1e8, -1.0], lower=0.0, upper=[1.0, np.inf]), (0, 1)),
-    (QuadraticProgram(None, [1.0, 1e-10], A=[[1.0, 0.0]], b=[1.0]), (0, -1)),
-    (QuadraticProgram(None, [-1.0, 0.0, -1e8], [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0]], [0.0, 0.0],
-                      upper=[np.inf, np.inf, 1.0]), (1, 1, 0)),
-], ids=["beside a large cost", "a small cost", "rows that cancel"])
-def test_an_exact_descent_counts_beside_its_own_costs(program: QuadraticProgram, along: Any) -> None:
+@pytest.mark.parametrize(
+    ("program", "along"),
+    [
+        (QuadraticProgram(None, [-1e8, -1.0], lower=0.0, upper=[1.0, np.inf]), (0, 1)),
+        (QuadraticProgram(None, [1.0, 1e-10], A=[[1.0, 0.0]], b=[1.0]), (0, -1)),
+        (
+            QuadraticProgram(
+                None,
+                [-1.0, 0.0, -1e8],
+                [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0]],
+                [0.0, 0.0],
+                upper=[np.inf, np.inf, 1.0],
+            ),
+            (1, 1, 0),
+        ),
+    ],
+    ids=["beside a large cost", "a small cost", "rows that cancel"],
+)
+def test_an_exact_descent_counts_beside_its_own_costs(
+    program: QuadraticProgram, along: Any
+) -> None:
     """However small a cost is beside the others: what falls for ever along it alone is unbounded, exactly."""
     point = np.zeros(program.n) if not program.b.size else np.array([1.0, 0.0])
     proof = QPUnboundedness(program, tuple(map(Fraction, point)), tuple(map(Fraction, along)))
@@ -805,7 +966,9 @@ def test_an_exact_descent_counts_beside_its_own_costs(program: QuadraticProgram,
 
 def test_recover_tells_the_status() -> None:
     """origin.recover(result).status: optimal by residuals, infeasible and unbounded by proof, otherwise unknown."""
-    infeasible = lcp_from_qp(QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [0.0, -1.0]), "kkt")
+    infeasible = lcp_from_qp(
+        QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [0.0, -1.0]), "kkt"
+    )
     assert infeasible.origin.recover(np.zeros(4)).status == "infeasible"
     unbounded = lcp_from_lp([-1.0, 0.0], G=[[1.0, -1.0]], h=[0.0])
     assert unbounded.origin.recover(np.zeros(3)).status == "unbounded"
@@ -838,9 +1001,14 @@ def test_repair_solves_exactly_and_moves_only_what_it_may(size: int) -> None:
 
 
 # test_lp_bound_attr asks that bounds do not become rows, which is not wanted; test_cvxpy_programs.py solves it.
-@pytest.mark.parametrize("name", [
-    n for n in dir(StandardTestLPs) if n.startswith("test_lp") and n not in ("test_lp_7", "test_lp_bound_attr")
-])
+@pytest.mark.parametrize(
+    "name",
+    [
+        n
+        for n in dir(StandardTestLPs)
+        if n.startswith("test_lp") and n not in ("test_lp_7", "test_lp_bound_attr")
+    ],
+)
 def test_cvxpy_s_own_linear_tests_pass(name: str) -> None:
     """Each of cvxpy's StandardTestLPs passes, infeasible and unbounded ones included (lp_7 needs another package)."""
     getattr(StandardTestLPs, name)(solver=QPSolver, algorithm=INTERIOR)
@@ -851,7 +1019,8 @@ def test_merely_convex_models(objective: str) -> None:
     """Linear and merely convex cvxpy models agree with HiGHS or Clarabel in value and are feasible."""
     x = cp.Variable(3)
     goal = {
-        "linear": cp.sum(x), "merely convex": cp.square(x[0] - x[1]) + cp.sum(x),
+        "linear": cp.sum(x),
+        "merely convex": cp.square(x[0] - x[1]) + cp.sum(x),
         "absolute values": cp.norm1(x - np.array([3.0, -1.0, 0.5])) + cp.sum_squares(x[:2]),
     }[objective]
     constraints = [x >= 0, x[0] + x[1] + x[2] >= 1, x[0] - x[2] <= 3, x[1] - x[2] == -0.25]
@@ -864,7 +1033,9 @@ def test_merely_convex_models(objective: str) -> None:
 
 def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
     """Rows that contradict each other by rounding: no point is feasible, and the words do not say that one is."""
-    found = solve(QuadraticProgram(None, [-1.0, -1.0, -1.0], [[-4, -1, 2], [4, 1, -2]], [2e6, -2000000.001]))
+    found = solve(
+        QuadraticProgram(None, [-1.0, -1.0, -1.0], [[-4, -1, 2], [4, 1, -2]], [2e6, -2000000.001])
+    )
     assert found.status is Status.UNBOUNDED
     assert found.proof is not None
     assert 0.0 < found.proof.violation <= 1e-9
@@ -899,7 +1070,9 @@ def test_a_sparse_dense_and_empty_program() -> None:
     rng = np.random.default_rng(1)
     P, G = np.diag([1.0, 0.0, 2.0]), rng.normal(size=(4, 3))
     answers = [
-        solve_program(QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR).solution
+        solve_program(
+            QuadraticProgram(wrap(P), np.ones(3), wrap(G), np.ones(4), lower=-2.0), INTERIOR
+        ).solution
         for wrap in (np.asarray, sp.csr_array)
     ]
     np.testing.assert_allclose(answers[0].objective, answers[1].objective, atol=1e-9)
@@ -914,7 +1087,9 @@ def test_rounding_does_not_make_a_program_nonconvex() -> None:
     answer = solve_program(program, INTERIOR).solution
     np.testing.assert_allclose(answer.x, [1.0, 0.0, 0.0], atol=1e-9)
     with pytest.raises(UnsupportedModel, match="not convex"):
-        solve_program(QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR)
+        solve_program(
+            QuadraticProgram(np.diag([1.0, -1e-6]), [0.0, 0.0], lower=-1, upper=1), INTERIOR
+        )
 
 
 # --- Optimality conditions written by hand ----------------------------------------------------------------------
@@ -930,12 +1105,18 @@ def is_monotone(constraints: list[Any]) -> bool:
 def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: float) -> None:
     """Stationarity, feasibility and pairs of a QP, whichever way its equations are turned: monotone, right value."""
     rng = np.random.default_rng(rank)
-    F, G, A, x0 = rng.normal(size=(8, rank)), rng.normal(size=(5, 8)), rng.normal(size=(3, 8)), rng.normal(size=8)
+    F, G, A, x0 = (
+        rng.normal(size=(8, rank)),
+        rng.normal(size=(5, 8)),
+        rng.normal(size=(3, 8)),
+        rng.normal(size=8),
+    )
     P, h, b = F @ F.T, G @ x0 + rng.random(5), A @ x0
     c = -(P @ x0 + G.T @ rng.random(5) + A.T @ rng.normal(size=3))
     x, inequality, equality = cp.Variable(8), cp.Variable(5), cp.Variable(3)
     constraints = [
-        complements(inequality >= 0, h - G @ x >= 0), turned * (A @ x - b) == 0,
+        complements(inequality >= 0, h - G @ x >= 0),
+        turned * (A @ x - b) == 0,
         turned * (P @ x + c + G.T @ inequality + A.T @ equality) == 0,
     ]
     assert is_monotone(constraints)
@@ -943,7 +1124,9 @@ def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: fl
     problem.solve(algorithm=INTERIOR, tolerance=1e-10)
     assert problem.status == "optimal"
     answer = solve_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
-    assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(answer.objective, rel=1e-8, abs=1e-8)
+    assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(
+        answer.objective, rel=1e-8, abs=1e-8
+    )
 
 
 @pytest.mark.parametrize("model", ["support vectors", "portfolio"])
@@ -956,21 +1139,30 @@ def test_models_declared_with_complements(model: str) -> None:
         y = np.sign(points[:, 0] + 0.3 * rng.normal(size=20))
         Q = (y[:, None] * points) @ (y[:, None] * points).T
         constraints = [complements(box(x, 0.0, 1.0), Q @ x - 1 + y * offset), y @ x == 0]
-        goal, ordinary = 0.5 * cp.quad_form(x, Q, assume_PSD=True) - cp.sum(x), [x >= 0, x <= 1, y @ x == 0]
+        goal, ordinary = (
+            0.5 * cp.quad_form(x, Q, assume_PSD=True) - cp.sum(x),
+            [x >= 0, x <= 1, y @ x == 0],
+        )
     else:
         gain, S = rng.uniform(0.0, 0.2, 20), rng.normal(size=(20, 15))
         S = S @ S.T / 20
         constraints = [
-            complements(x >= 0, S @ x - gain * price + offset >= 0), complements(price >= 0, gain @ x - 0.1 >= 0),
+            complements(x >= 0, S @ x - gain * price + offset >= 0),
+            complements(price >= 0, gain @ x - 0.1 >= 0),
             cp.sum(x) == 1,
         ]
-        goal, ordinary = 0.5 * cp.quad_form(x, S, assume_PSD=True), [x >= 0, cp.sum(x) == 1, gain @ x >= 0.1]
+        goal, ordinary = (
+            0.5 * cp.quad_form(x, S, assume_PSD=True),
+            [x >= 0, cp.sum(x) == 1, gain @ x >= 0.1],
+        )
     assert is_monotone(constraints)
     problem = ComplementarityProblem(constraints)
     problem.solve(algorithm=INTERIOR, tolerance=1e-10)
     assert problem.status == "optimal"
     value = float(goal.value)
-    assert value == pytest.approx(cp.Problem(cp.Minimize(goal), ordinary).solve(solver=cp.CLARABEL), abs=1e-6)
+    assert value == pytest.approx(
+        cp.Problem(cp.Minimize(goal), ordinary).solve(solver=cp.CLARABEL), abs=1e-6
+    )
 
 
 # --- Infeasible, and by how much ---------------------------------------------------------------------------------
@@ -980,7 +1172,9 @@ ROUNDED = [-1.227, -1.1546, -1.1391, -2.9916]  # an equation of rounded data: ·
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("form", ["auto", "kkt"])
-@pytest.mark.parametrize("c", [[1.0, 1.0, 1.0, 1.0], [-1.5, -0.5, 0.5, 1.5], [-1.0, -1.0, -1.0, -1.0]])
+@pytest.mark.parametrize(
+    "c", [[1.0, 1.0, 1.0, 1.0], [-1.5, -0.5, 0.5, 1.5], [-1.0, -1.0, -1.0, -1.0]]
+)
 @pytest.mark.parametrize("P", [np.eye(4), np.diag([1.0, 0.0, 0.0, 0.0]), np.zeros((4, 4))])
 def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> None:
     """A program whose equation contradicts the bounds by 9e-16: x = 0, not infeasible, at the limit of precision."""
@@ -990,8 +1184,10 @@ def test_infeasible_by_rounding_is_solved(P: Any, c: list[float], form: str) -> 
     solution = problem.origin.recover(result)
     assert np.abs(solution.x).max() < 1e-6
     x = cp.Variable(4, nonneg=True)
-    program = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + np.array(c) @ x),
-                         [np.array(ROUNDED) @ x == 8.9e-16])
+    program = cp.Problem(
+        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + np.array(c) @ x),
+        [np.array(ROUNDED) @ x == 8.9e-16],
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of inaccuracy
         program.solve(solver=QPSolver)
@@ -1018,7 +1214,9 @@ def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
 def test_a_proof_beats_what_holds_relative_to_x(size: float) -> None:
     """x₁ − x₂ = 1 and x₁ − x₂ = 2: at x = 1e6 both hold to 5e-7 of their terms, and the exact proof says infeasible."""
-    program = QuadraticProgram(np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0])
+    program = QuadraticProgram(
+        np.zeros((2, 2)), [0.0, 0.0], A=[[1.0, -1.0], [1.0, -1.0]], b=[1.0, 2.0]
+    )
     proof = program.facts.accepted_proof()
     assert proof is not None
     near = QPSolution(program, [size + 1.5, size], [], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
@@ -1037,7 +1235,9 @@ def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
     P[0, 0] *= 10.0 ** random.integers(0, 13)
     c = random.standard_normal(4) * (random.random(4) < 0.6)
     c[0] *= 1e6 if seed % 3 == 0 else 1.0
-    program = QuadraticProgram(P * np.outer(units, units), c * units, lower=-1.0 / units, upper=1.0 / units)
+    program = QuadraticProgram(
+        P * np.outer(units, units), c * units, lower=-1.0 / units, upper=1.0 / units
+    )
     try:
         result = solve(program)
     except UnsupportedModel:

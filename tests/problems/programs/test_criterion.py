@@ -20,7 +20,12 @@ from lcp_plugin.problems.programs.criterion import Errors, program_goal
 
 register_with_qpsolvers()
 
-HALF_SPACES = np.diag([2.0, 2.0]), np.array([-300.0, -500.0]), np.array([[3.0, 1.0], [1.0, 4.0]]), np.array([10.0, 10])
+HALF_SPACES = (
+    np.diag([2.0, 2.0]),
+    np.array([-300.0, -500.0]),
+    np.array([[3.0, 1.0], [1.0, 4.0]]),
+    np.array([10.0, 10]),
+)
 NEAREST = [30 / 11, 20 / 11]  # of these, whatever is far away
 FAR = [1e20, 9.999999999999999e19, 1e30, np.inf]
 
@@ -46,7 +51,9 @@ def by_other_vectors(far: float) -> Any:
 
 def by_batch(far: float) -> Any:
     P, c, G, h = HALF_SPACES
-    programs = QuadraticProgramBatch([P, P], c, [*G, [1.0, 0.0]], [*h, far], lower=[-far, 0.0], upper=far)
+    programs = QuadraticProgramBatch(
+        [P, P], c, [*G, [1.0, 0.0]], [*h, far], lower=[-far, 0.0], upper=far
+    )
     answers = solve_batch(programs)
     np.testing.assert_array_equal(answers.x[0], answers.x[1])
     return answers.x[0]
@@ -54,18 +61,24 @@ def by_batch(far: float) -> Any:
 
 def by_qpsolvers(far: float) -> Any:
     P, c, G, h = HALF_SPACES
-    return qpsolvers.solve_qp(P, c, G, h, lb=np.array([-far, 0.0]), ub=np.full(2, far), solver="lcp_plugin")
+    return qpsolvers.solve_qp(
+        P, c, G, h, lb=np.array([-far, 0.0]), ub=np.full(2, far), solver="lcp_plugin"
+    )
 
 
 def by_cvxpy(far: float) -> Any:
     P, c, G, h = HALF_SPACES
     x = cp.Variable(2, bounds=[-far, far])
-    cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, P) + c @ x), [G @ x <= h, x[0] <= min(far, 1e300)]).solve(QPSolver)
+    cp.Problem(
+        cp.Minimize(0.5 * cp.quad_form(x, P) + c @ x), [G @ x <= h, x[0] <= min(far, 1e300)]
+    ).solve(QPSolver)
     return x.value
 
 
 @pytest.mark.parametrize("far", FAR)
-@pytest.mark.parametrize("answer", [by_bounds, by_rows, by_other_vectors, by_batch, by_qpsolvers, by_cvxpy])
+@pytest.mark.parametrize(
+    "answer", [by_bounds, by_rows, by_other_vectors, by_batch, by_qpsolvers, by_cvxpy]
+)
 def test_limits_of_1e20_say_nothing(answer: Callable[[float], Any], far: float) -> None:
     """By every way in, an upper limit of 1e20 and beyond is none, as ∞ is, and so is a lower one of −1e20."""
     np.testing.assert_allclose(answer(far), NEAREST, rtol=1e-9)
@@ -73,10 +86,16 @@ def test_limits_of_1e20_say_nothing(answer: Callable[[float], Any], far: float) 
 
 def test_limits_of_1e20_are_kept_as_infinite() -> None:
     """What a program shows of them is ∞; a right-hand side of −1e20 says something, and stays."""
-    program = QuadraticProgram([[0.0]], [1.0], [[1.0], [-1.0]], [1e20, -1e20], lower=-1e20, upper=1e30)
-    np.testing.assert_array_equal([*program.h, *program.lower, *program.upper], [np.inf, -1e20, -np.inf, np.inf])
+    program = QuadraticProgram(
+        [[0.0]], [1.0], [[1.0], [-1.0]], [1e20, -1e20], lower=-1e20, upper=1e30
+    )
+    np.testing.assert_array_equal(
+        [*program.h, *program.lower, *program.upper], [np.inf, -1e20, -np.inf, np.inf]
+    )
     for P in (np.zeros((1, 1)), np.zeros((1, 1, 1))):
-        batch = QuadraticProgramBatch(P, [[1.0]], [[1.0], [-1.0]], [1e20, -1e20], lower=-1e20, upper=1e30)
+        batch = QuadraticProgramBatch(
+            P, [[1.0]], [[1.0], [-1.0]], [1e20, -1e20], lower=-1e20, upper=1e30
+        )
         assert repr(batch[0]) == repr(program)
 
 
@@ -88,11 +107,25 @@ VALUE = 1300 / 121 - 19000 / 11
 RIGHT = {
     "a row of 1e16": (QuadraticProgram(P, C, [*G, [1, 0]], [*H, 1e16], lower=0.0), VALUE),
     "bounds of 1e19": (QuadraticProgram(P, C, G, H, lower=0.0, upper=1e19), VALUE),
-    "cos(π/2)": (QuadraticProgram(None, [-3, -4], [[1, np.cos(np.pi / 2)]], [1], lower=-10, upper=10), -43.0),
-    "1e-5 in a row": (QuadraticProgram(np.diag([1, 0]), [0, 1], [[1e-5, 1]], [-1], lower=-10, upper=10), -10.0),
-    "noise": (QuadraticProgram(np.diag([1, 0, 0, 1]), [0, 1, 1, -1], NOISE, [-1, -1], lower=-10, upper=10), -10.0),
+    "cos(π/2)": (
+        QuadraticProgram(None, [-3, -4], [[1, np.cos(np.pi / 2)]], [1], lower=-10, upper=10),
+        -43.0,
+    ),
+    "1e-5 in a row": (
+        QuadraticProgram(np.diag([1, 0]), [0, 1], [[1e-5, 1]], [-1], lower=-10, upper=10),
+        -10.0,
+    ),
+    "noise": (
+        QuadraticProgram(
+            np.diag([1, 0, 0, 1]), [0, 1, 1, -1], NOISE, [-1, -1], lower=-10, upper=10
+        ),
+        -10.0,
+    ),
     "an empty row": (
-        QuadraticProgram([[1.000000001]], [-3.0], [[0], [2], [0]], [0, -4, 1], lower=-1e19, upper=1e10), 8.000000002
+        QuadraticProgram(
+            [[1.000000001]], [-3.0], [[0], [2], [0]], [0, -4, 1], lower=-1e19, upper=1e10
+        ),
+        8.000000002,
     ),
     "no costs": (QuadraticProgram(None, [0.0], [[-1], [-1], [-1]], [-1, -1, 0], lower=-1e20), 0.0),
 }
@@ -112,17 +145,26 @@ def test_numbers_that_users_write(name: str) -> None:
 
 def test_a_small_cost_of_a_free_unknown_is_unbounded() -> None:
     """Of x₁ + 1e-10 x₂ with x₁ = 1, however small the cost of x₂ is beside that of x₁."""
-    assert solve(QuadraticProgram(None, [1.0, 1e-10], A=[[1.0, 0.0]], b=[1.0])).status is Status.UNBOUNDED
+    assert (
+        solve(QuadraticProgram(None, [1.0, 1e-10], A=[[1.0, 0.0]], b=[1.0])).status
+        is Status.UNBOUNDED
+    )
 
 
 # --- The judge, attacked: wrong answers whose measures an earlier form called small ----------------------------------
 
 ONE_ROW = QuadraticProgram(None, [1.0, 1.0, 1e9], [[-1.0, -1.0, -1.0]], [-1.0], lower=0.0)
-TWICE = QuadraticProgram(None, [1.0, 0.0], A=[[0.0, 1.0], [0.0, 1.0]], b=[1.0, 1.0], lower=[0.0, -np.inf])
+TWICE = QuadraticProgram(
+    None, [1.0, 0.0], A=[[0.0, 1.0], [0.0, 1.0]], b=[1.0, 1.0], lower=[0.0, -np.inf]
+)
 AT_A_BOUND = QuadraticProgram(None, [1.0, 0.0], A=[[0.0, 1.0]], b=[1.0], lower=[0.0, 1.0])
 IDLE = QuadraticProgram(np.diag([4.0, 0.0]), [3.0, 0.0], [[-1.0, 0.0]], [0.0])
-NEARLY_IDLE = QuadraticProgram(np.diag([1.0, 0.0]), [-4.0, 0.0], [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [2.0, 1.0, 4.0])
-LEVEL = QuadraticProgram([[0.01, 0.03], [0.03, 0.09]], [-1.0, 0.0])  # P d = 0 but for rounding, d = (3, −1)
+NEARLY_IDLE = QuadraticProgram(
+    np.diag([1.0, 0.0]), [-4.0, 0.0], [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [2.0, 1.0, 4.0]
+)
+LEVEL = QuadraticProgram(
+    [[0.01, 0.03], [0.03, 0.09]], [-1.0, 0.0]
+)  # P d = 0 but for rounding, d = (3, −1)
 FELL = {
     "a slack of cost 1e9": (ONE_ROW, [500, 0, 0], [1, 0, 0, 1e9 - 1, 0, 0, 0]),
     "its bounds hold all": (ONE_ROW, [500, 0, 0], [0, 1, 1, 1e9, 0, 0, 0]),
@@ -133,9 +175,21 @@ FELL = {
     "a row and a wrong sign cancel": (AT_A_BOUND, [7, 1], [-1e8, 0, -1e8, 0, 0]),
     "an idle unknown is huge": (IDLE, [-0.75, -1e9], [0, 0, 0, 0, 0]),
     "an unknown in idle rows is huge": (NEARLY_IDLE, [4, -1.34e8], [0, 0, 0, 0, 0, 0, 0]),
-    "a multiplier of 1e-22 wakes a huge unknown": (NEARLY_IDLE, [4, -1e14], [0, 0, 1e-22, 0, 0, 0, 0]),
-    "a multiplier of 1e-16 wakes a huge unknown": (NEARLY_IDLE, [4, -4e11], [0, 0, 1e-16, 0, 0, 0, 0]),
-    "a multiplier of 1e-14 wakes a huge unknown": (NEARLY_IDLE, [4, -4e9], [0, 0, 1e-14, 0, 0, 0, 0]),
+    "a multiplier of 1e-22 wakes a huge unknown": (
+        NEARLY_IDLE,
+        [4, -1e14],
+        [0, 0, 1e-22, 0, 0, 0, 0],
+    ),
+    "a multiplier of 1e-16 wakes a huge unknown": (
+        NEARLY_IDLE,
+        [4, -4e11],
+        [0, 0, 1e-16, 0, 0, 0, 0],
+    ),
+    "a multiplier of 1e-14 wakes a huge unknown": (
+        NEARLY_IDLE,
+        [4, -4e9],
+        [0, 0, 1e-14, 0, 0, 0, 0],
+    ),
     "the cost is beneath rounding of P x": (LEVEL, [3e30, -1e30], [0, 0, 0, 0]),
     "xᵀP x is beyond doubles": (LEVEL, [3e197, -1e197], [0, 0, 0, 0]),
 }
@@ -163,7 +217,12 @@ def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
 
 def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
     """At x = 1e41 along P d = 0, xᵀP x is rounding: an optimum of −2.667 is not found there."""
-    P = [[8.0, 10.0, -4.0, -6.0], [10.0, 13.0, -3.0, -9.0], [-4.0, -3.0, 10.0, -3.0], [-6.0, -9.0, -3.0, 9.0]]
+    P = [
+        [8.0, 10.0, -4.0, -6.0],
+        [10.0, 13.0, -3.0, -9.0],
+        [-4.0, -3.0, 10.0, -3.0],
+        [-6.0, -9.0, -3.0, 9.0],
+    ]
     G = [[4.0, -3.0, 2.0, -1.0], [3.0, 3.0, 4.0, -2.0], [1.0, -4.0, -3.0, -4.0]]
     c = [-3.0000000000000004e-08, 1e-08, 4e-08, -4e-08]
     for algorithm in ("auto", "clarabel"):
@@ -173,15 +232,26 @@ def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
 
 def test_an_objective_is_right_where_its_terms_cancel() -> None:
     """½ xᵀP x + cᵀx of a singular P far out, by fractions: rounding of its terms was 378 times the value."""
-    P = np.array([[13.0, 3.0, 6.0, -10.0], [3.0, 10.0, 9.0, -4.0], [6.0, 9.0, 9.0, -6.0], [-10.0, -4.0, -6.0, 8.0]])
+    P = np.array(
+        [
+            [13.0, 3.0, 6.0, -10.0],
+            [3.0, 10.0, 9.0, -4.0],
+            [6.0, 9.0, 9.0, -6.0],
+            [-10.0, -4.0, -6.0, 8.0],
+        ]
+    )
     c = np.array([-45.9999999999998, -57.9999999999999, -60.0000000000001, 44.0000000000001])
     x = np.array([-9999999997.636364, -9999999994.90909, 10000000000.0, -10000000000.0])
     exact = [Fraction(value) for value in x.tolist()]
     linear = sum(Fraction(cost) * one for cost, one in zip(c.tolist(), exact, strict=True))
     curved = sum(Fraction(P[i, j]) * exact[i] * exact[j] for i in range(4) for j in range(4)) / 2
     for form in (P, sp.csr_array(P)):
-        assert QuadraticProgram(form, c).objective(x) == pytest.approx(float(linear + curved), rel=1e-12)
-    batch = solve_batch([QuadraticProgram(P, cost, lower=-1e10, upper=1e10) for cost in (c, 2.0 * c)])
+        assert QuadraticProgram(form, c).objective(x) == pytest.approx(
+            float(linear + curved), rel=1e-12
+        )
+    batch = solve_batch(
+        [QuadraticProgram(P, cost, lower=-1e10, upper=1e10) for cost in (c, 2.0 * c)]
+    )
     assert batch.objective == pytest.approx([one.objective for one in batch], rel=1e-12)
 
 
@@ -221,7 +291,9 @@ def test_products_that_cancel_hide_no_cost(algorithm: str, kind: Any) -> None:
 def test_products_that_cancel_hide_no_cost_in_a_batch() -> None:
     """Each of a batch is judged as by itself."""
     P, c, G, h = NEARLY_SINGULAR
-    for answer in solve_batch([QuadraticProgram(P, c, G, h), QuadraticProgram(P, c, G, np.multiply(h, 2.0))]):
+    for answer in solve_batch(
+        [QuadraticProgram(P, c, G, h), QuadraticProgram(P, c, G, np.multiply(h, 2.0))]
+    ):
         assert wrong_by((P, c, G, answer.program.h), answer.x) <= 1e-6 or not answer.is_solved
 
 
@@ -231,7 +303,12 @@ def nearly_singular(rng: Generator) -> tuple[Any, ...]:
     B = rng.integers(-3, 4, (int(rng.integers(1, n)), n)) * (rng.random((1, n)) < 0.7)
     P = B.T @ B + np.diag(least * 10.0 ** rng.integers(-2, 3, n) ** (rng.random() < 0.5))
     c = rng.integers(-3, 4, n) * 10.0 ** rng.integers(-6, 2, n) + 0.1 * 3 * (rng.random() < 0.3)
-    return P, c, rng.integers(-2, 3, (m, n)).astype(float), rng.integers(-3, 4, m) * 10.0 ** rng.integers(0, 7, m)
+    return (
+        P,
+        c,
+        rng.integers(-2, 3, (m, n)).astype(float),
+        rng.integers(-3, 4, m) * 10.0 ** rng.integers(0, 7, m),
+    )
 
 
 def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
@@ -243,8 +320,16 @@ def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
     P = np.diag(np.append(np.zeros(n), 10.0 ** rng.uniform(-13, 0)))
     P[:n, :n] = basis @ np.diag(sizes) @ basis.T
     P = 0.5 * (P + P.T) + least * np.diag(np.append(np.ones(n), 0.0))
-    c, m = np.append(basis @ 10.0 ** rng.uniform(-8, 1, n), -(10.0 ** rng.uniform(-3, 3))), int(rng.integers(0, 3))
-    return P, c, rng.integers(-2, 3, (m, n + 1)).astype(float), abs(rng.normal(size=m)) * 10.0 ** rng.integers(0, 12, m)
+    c, m = (
+        np.append(basis @ 10.0 ** rng.uniform(-8, 1, n), -(10.0 ** rng.uniform(-3, 3))),
+        int(rng.integers(0, 3)),
+    )
+    return (
+        P,
+        c,
+        rng.integers(-2, 3, (m, n + 1)).astype(float),
+        abs(rng.normal(size=m)) * 10.0 ** rng.integers(0, 12, m),
+    )
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-9, 1e-12])

@@ -29,10 +29,15 @@ def afresh(given: QuadraticProgram) -> QuadraticProgram:
 
 def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
     """Return other vectors, some bounds and limits of which come or go."""
-    slack = np.where(rng.random(given.h.size) < 0.2, np.inf, given.h + rng.uniform(0.0, 1.0, given.h.size))
+    slack = np.where(
+        rng.random(given.h.size) < 0.2, np.inf, given.h + rng.uniform(0.0, 1.0, given.h.size)
+    )
     return {
-        "c": given.c + rng.normal(size=given.n), "h": slack, "b": given.b + rng.integers(0, 2, given.b.size),
-        "lower": np.where(rng.random(given.n) < 0.2, -np.inf, given.lower - 0.5), "upper": given.upper + 0.25,
+        "c": given.c + rng.normal(size=given.n),
+        "h": slack,
+        "b": given.b + rng.integers(0, 2, given.b.size),
+        "lower": np.where(rng.random(given.n) < 0.2, -np.inf, given.lower - 0.5),
+        "upper": given.upper + 0.25,
     }
 
 
@@ -68,7 +73,9 @@ def test_the_matrix_of_the_conditions_is_shared() -> None:
 
 def test_rows_that_contradict_their_bounds_come_and_go() -> None:
     """A row that is a bound in one program, and no bound in the next as it contradicts another, is seen as such."""
-    first = QuadraticProgram(np.eye(2), [1.0, 1.0], G=[[1.0, 0.0], [-1.0, 0.0], [1.0, 1.0]], h=[1.0, 0.0, 5.0])
+    first = QuadraticProgram(
+        np.eye(2), [1.0, 1.0], G=[[1.0, 0.0], [-1.0, 0.0], [1.0, 1.0]], h=[1.0, 0.0, 5.0]
+    )
     assert lcp_from_qp(first).n == lcp_from_qp(afresh(first)).n
     crossed = first.with_vectors(h=[1.0, -2.0, 5.0])
     assert FoldedRows.of(crossed).left.tolist() == [0, 1, 2]
@@ -107,7 +114,10 @@ def test_a_full_or_empty_array_is_compressed_as_scipy_does() -> None:
 
 def exactly(row: Any, x: Any) -> Fraction:
     """Return a sum of products without rounding."""
-    return sum((Fraction(a) * Fraction(v) for a, v in zip(row.tolist(), x.tolist(), strict=True)), Fraction(0))
+    return sum(
+        (Fraction(a) * Fraction(v) for a, v in zip(row.tolist(), x.tolist(), strict=True)),
+        Fraction(0),
+    )
 
 
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
@@ -115,7 +125,9 @@ def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
     """Where terms cancel, the primal and the dual residual are at least the exact ones, and larger by a rounding."""
     rng = np.random.default_rng(2)
     for _ in range(20):
-        P, G, A = (np.ldexp(rng.normal(size=(4, 4)), rng.integers(-20, 21, (4, 4))) for _ in range(3))
+        P, G, A = (
+            np.ldexp(rng.normal(size=(4, 4)), rng.integers(-20, 21, (4, 4))) for _ in range(3)
+        )
         P, (x, equality, lower, upper), inequality = P + P.T, rng.normal(size=(4, 4)), rng.random(4)
         lower, upper, h, b = np.abs(lower), np.abs(upper), G @ x, A @ x
         c = -(P @ x + G.T @ inequality + A.T @ equality - lower + upper)
@@ -125,13 +137,18 @@ def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
         y = np.concatenate([x, inequality, equality, lower, upper, [1.0]])
         rows = np.vstack([np.column_stack([G, -h]), np.column_stack([A, -b])])
         for residual, sums, at in (
-            (solution.primal_residual, rows, np.append(x, 1.0)), (solution.dual_residual, columns, y),
+            (solution.primal_residual, rows, np.append(x, 1.0)),
+            (solution.dual_residual, columns, y),
         ):
-            errors = [abs(exactly(row, at)) / Fraction(float(np.abs(row * at).max())) for row in sums]
+            errors = [
+                abs(exactly(row, at)) / Fraction(float(np.abs(row * at).max())) for row in sums
+            ]
             if sums is rows:  # an inequality may hold
-                errors[:4] = [error for error, row in zip(errors, rows[:4], strict=False) if exactly(row, at) > 0]
+                errors[:4] = [
+                    error
+                    for error, row in zip(errors, rows[:4], strict=False)
+                    if exactly(row, at) > 0
+                ]
             exact = max(errors)
             assert exact * (1 - Fraction(1, 2**50)) <= Fraction(residual)
             assert Fraction(residual) <= exact + Fraction(1, 2**40)
-
-

@@ -24,7 +24,9 @@ class DistinctRows(ReductionStep):
     @classmethod
     def of(cls, program: QuadraticProgram) -> DistinctRows | None:
         """Return that of a program; None where no row is stated twice."""
-        stated = np.column_stack([program.matrices.rows.toarray(), np.append(program.h, program.b)])[: program.h.size]
+        stated = np.column_stack(
+            [program.matrices.rows.toarray(), np.append(program.h, program.b)]
+        )[: program.h.size]
         left = np.sort(np.unique(stated, axis=0, return_index=True)[1])
         if left.size == program.h.size:
             return None
@@ -48,7 +50,8 @@ class DistinctRows(ReductionStep):
 
 
 STEPS: dict[str, Callable[[QuadraticProgram], ReductionStep | None]] = {
-    "simple rows": FoldedRows.of, "doubled rows": DistinctRows.of,
+    "simple rows": FoldedRows.of,
+    "doubled rows": DistinctRows.of,
 }
 
 
@@ -72,7 +75,9 @@ def program_with_all(seed: int, *, contradicts: bool = False) -> QuadraticProgra
     lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
     lower[[3, 4]] = upper[[3, 4]] = inside[[3, 4]]
     lower[0] = -20.0
-    return QuadraticProgram(P, rng.standard_normal(n), G, h, A, rng.standard_normal(3), lower, upper)
+    return QuadraticProgram(
+        P, rng.standard_normal(n), G, h, A, rng.standard_normal(3), lower, upper
+    )
 
 
 def whole_stack(program: QuadraticProgram) -> Reduction:
@@ -118,8 +123,14 @@ def test_a_direction_of_descent_of_what_is_left_is_one_of_the_program() -> None:
     """Along with fixed variables, a direction and its point come back."""
     P = np.diag([0.0, 0.0, 1.0, 0.0])
     program = QuadraticProgram(
-        P, [-1.0, 0.0, 0.0, 1.0], G=[[0.0, -2.0, 0.0, 0.0]], h=[1.0], A=[[0.0, 1.0, 3.0, 1.0]], b=[2.0],
-        lower=[-np.inf, -np.inf, -np.inf, 0.1], upper=[np.inf, 4.0, np.inf, 0.1],
+        P,
+        [-1.0, 0.0, 0.0, 1.0],
+        G=[[0.0, -2.0, 0.0, 0.0]],
+        h=[1.0],
+        A=[[0.0, 1.0, 3.0, 1.0]],
+        b=[2.0],
+        lower=[-np.inf, -np.inf, -np.inf, 0.1],
+        upper=[np.inf, 4.0, np.inf, 0.1],
     )
     reduction = Reduction(program).then(FoldedRows.of)
     assert len(reduction.steps) == 1
@@ -145,7 +156,11 @@ def test_sweeps_take_residuals_that_equations_define(name: str) -> None:
     (m, n), lower = (12, 6), np.append(np.full(12, -np.inf), np.zeros(6))
     A, b = rng.standard_normal((m, n)), rng.standard_normal(m)
     program = QuadraticProgram(
-        np.diag(np.append(np.ones(m), np.zeros(n))), np.zeros(m + n), A=np.hstack([np.eye(m), -A]), b=-b, lower=lower
+        np.diag(np.append(np.ones(m), np.zeros(n))),
+        np.zeros(m + n),
+        A=np.hstack([np.eye(m), -A]),
+        b=-b,
+        lower=lower,
     )
     found, right = solve(program, name), solve(program)
     assert found.is_solved

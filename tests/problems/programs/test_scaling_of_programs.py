@@ -22,13 +22,18 @@ NAMES = ("primal_residual", "dual_residual", "duality_gap")
 
 
 @pytest.mark.parametrize("tolerance", [1e-8, 1e-12])
-@pytest.mark.parametrize(("c", "rows"), [
-    ([-1e-6], {"lower": -1.0}),
-    ([-1.0], {"G": [[-1e6]], "h": [1e6]}),
-    ([-1e12, 0.0], {"A": [[1.0, -1.0]], "b": [0.0]}),
-    *(([-1.0, 0.0], {"A": [[s, -s]], "b": [0.0]}) for s in (1e-12, 1e-9, 1e-6, 1e6, 1e9, 1e12)),
-])
-def test_what_falls_for_ever_is_unbounded_in_any_unit(c: list[float], rows: dict[str, Any], tolerance: float) -> None:
+@pytest.mark.parametrize(
+    ("c", "rows"),
+    [
+        ([-1e-6], {"lower": -1.0}),
+        ([-1.0], {"G": [[-1e6]], "h": [1e6]}),
+        ([-1e12, 0.0], {"A": [[1.0, -1.0]], "b": [0.0]}),
+        *(([-1.0, 0.0], {"A": [[s, -s]], "b": [0.0]}) for s in (1e-12, 1e-9, 1e-6, 1e6, 1e9, 1e12)),
+    ],
+)
+def test_what_falls_for_ever_is_unbounded_in_any_unit(
+    c: list[float], rows: dict[str, Any], tolerance: float
+) -> None:
     """However small the slope, however large the row: UNBOUNDED, with a proof that verifies exactly."""
     result = solve(QuadraticProgram(None, c, **rows), tolerance=tolerance)
     assert result.status is Status.UNBOUNDED
@@ -65,11 +70,21 @@ def test_errors_are_the_same_bits_in_units_of_rows_and_of_the_objective() -> Non
         x, y, v = rng.normal(size=n), np.abs(rng.normal(size=m)), rng.normal(size=p)
         low = np.abs(rng.normal(size=n))
         size, rows = 2.0 ** rng.integers(-30, 31), 2.0 ** rng.integers(-30, 31, m + p)
-        first = QPSolution(QuadraticProgram(P, c, G, h, A, b, lower=-1.0), x, y, v, low, np.zeros(n))
-        other = QuadraticProgram(
-            size * P, size * c, rows[:m, None] * G, rows[:m] * h, rows[m:, None] * A, rows[m:] * b, lower=-1.0
+        first = QPSolution(
+            QuadraticProgram(P, c, G, h, A, b, lower=-1.0), x, y, v, low, np.zeros(n)
         )
-        second = QPSolution(other, x, size * y / rows[:m], size * v / rows[m:], size * low, np.zeros(n))
+        other = QuadraticProgram(
+            size * P,
+            size * c,
+            rows[:m, None] * G,
+            rows[:m] * h,
+            rows[m:, None] * A,
+            rows[m:] * b,
+            lower=-1.0,
+        )
+        second = QPSolution(
+            other, x, size * y / rows[:m], size * v / rows[m:], size * low, np.zeros(n)
+        )
         assert [getattr(first, name) for name in NAMES] == [getattr(second, name) for name in NAMES]
 
 
@@ -77,7 +92,12 @@ def test_errors_are_the_same_in_units_of_unknowns_far_apart() -> None:
     """Unknowns in units of 2^±30 are judged in those that the data show: errors of the same size within 2^8."""
     rng = np.random.default_rng(0)
     n, m = 8, 6
-    factor, G, x, y = rng.normal(size=(n, n)), rng.normal(size=(m, n)), rng.normal(size=n), np.abs(rng.normal(size=m))
+    factor, G, x, y = (
+        rng.normal(size=(n, n)),
+        rng.normal(size=(m, n)),
+        rng.normal(size=n),
+        np.abs(rng.normal(size=m)),
+    )
     P, h, c = factor @ factor.T, -1.0 - np.abs(rng.normal(size=m)), rng.normal(size=n)
     P = (P + P.T) / 2
     units = 2.0 ** rng.choice([-30, 30], n)
@@ -98,10 +118,16 @@ def test_right_hand_sides_that_are_rounding_name_no_unit() -> None:
     assert np.abs(result.x).max() < 1e-6
 
 
-@pytest.mark.parametrize(("program", "status"), [
-    (QuadraticProgram(None, [-1.0], lower=-1.0), Status.UNBOUNDED),
-    (QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, 0.5]), Status.INFEASIBLE),
-])
+@pytest.mark.parametrize(
+    ("program", "status"),
+    [
+        (QuadraticProgram(None, [-1.0], lower=-1.0), Status.UNBOUNDED),
+        (
+            QuadraticProgram(np.eye(2), [0.0, 0.0], [[1.0, 1.0], [-1.0, -1.0]], [-1.0, 0.5]),
+            Status.INFEASIBLE,
+        ),
+    ],
+)
 def test_the_table_ends_in_the_verdict(
     program: QuadraticProgram, status: Status, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,7 +157,9 @@ def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
     assert len(lines) == len(scaled_programs.WHAT)
 
 
-@pytest.mark.parametrize("far", [{"upper": [np.inf, 1e15]}, {"upper": [np.inf, 1e19]}, "row"], ids=str)
+@pytest.mark.parametrize(
+    "far", [{"upper": [np.inf, 1e15]}, {"upper": [np.inf, 1e19]}, "row"], ids=str
+)
 @pytest.mark.parametrize("by", [1e-3, 1e-5])
 def test_a_far_limit_hides_no_contradiction(far: Any, by: float) -> None:
     """x₁ ≤ 1 and x₁ ≥ 1 + 1e-5 contradict, whatever limit of x₂ nobody reaches."""
@@ -156,8 +184,12 @@ def test_a_large_cost_hides_no_descent(cost: float) -> None:
 @pytest.mark.parametrize("far", [-1e13, -1e15, -1e16, -1e19])
 def test_an_unknown_far_out_excuses_no_row_that_it_has_no_part_in(far: float) -> None:
     """x₂ = −1 by one row and x₁ at a bound of −1e19: right where −1 is permitted, contradictory where it is −10."""
-    programs = [QuadraticProgram(None, [3.0, 2.0], A=[[0.0, -2.0]], b=[b], lower=[far, -1.0], upper=[3.0, np.inf])
-                for b in (2.0, 20.0)]
+    programs = [
+        QuadraticProgram(
+            None, [3.0, 2.0], A=[[0.0, -2.0]], b=[b], lower=[far, -1.0], upper=[3.0, np.inf]
+        )
+        for b in (2.0, 20.0)
+    ]
     met, contradictory = map(solve, programs)
     assert met.status is Status.SOLVED
     assert met.x.tolist() == [far, -1.0]
@@ -168,26 +200,42 @@ def test_an_unknown_far_out_excuses_no_row_that_it_has_no_part_in(far: float) ->
 
 def test_a_row_of_rounding_is_met_or_proved_not_to_be() -> None:
     """1e-13 x + (1 + 1e-13) y ≤ −1e-13 over 0 ≤ x, y ≤ 3: x = 0 within rounding, or a proof, and at once."""
-    result = solve(QuadraticProgram(None, [1.0, 1.0], G=[[1e-13, 1.0 + 1e-13]], h=[-1e-13], lower=0.0, upper=3.0))
+    result = solve(
+        QuadraticProgram(
+            None, [1.0, 1.0], G=[[1e-13, 1.0 + 1e-13]], h=[-1e-13], lower=0.0, upper=3.0
+        )
+    )
     assert result.proof is not None or np.abs(result.x).max() <= 1e-12
 
 
-@pytest.mark.parametrize(("diagonal", "lower", "upper", "expected"), [
-    ([1.0, 2.0], -np.inf, np.inf, True),
-    ([1.0, 0.0], -np.inf, np.inf, False),
-    ([1.0, 0.0], [-np.inf, 0.0], np.inf, False),
-    ([1.0, 0.0], [-np.inf, 0.0], [np.inf, 1.0], True),
-])
-def test_what_falls_nowhere_needs_no_proof(diagonal: list[float], lower: Any, upper: Any, expected: bool) -> None:
+@pytest.mark.parametrize(
+    ("diagonal", "lower", "upper", "expected"),
+    [
+        ([1.0, 2.0], -np.inf, np.inf, True),
+        ([1.0, 0.0], -np.inf, np.inf, False),
+        ([1.0, 0.0], [-np.inf, 0.0], np.inf, False),
+        ([1.0, 0.0], [-np.inf, 0.0], [np.inf, 1.0], True),
+    ],
+)
+def test_what_falls_nowhere_needs_no_proof(
+    diagonal: list[float], lower: Any, upper: Any, expected: bool
+) -> None:
     """Where P curves all unknowns without two bounds, an answer within the tolerance is sure; elsewhere it is not."""
     program = QuadraticProgram(np.diag(diagonal), [-diagonal[0], 0.0], lower=lower, upper=upper)
-    nearly = QPSolution(program, np.array([1.0 + 1e-7, 0.0]), np.zeros(0), np.zeros(0), np.zeros(2), np.zeros(2))
+    nearly = QPSolution(
+        program, np.array([1.0 + 1e-7, 0.0]), np.zeros(0), np.zeros(0), np.zeros(2), np.zeros(2)
+    )
     assert nearly.is_stationary()
     assert program.facts.falls_nowhere is expected
     assert nearly.is_sure() is expected
 
-@pytest.mark.parametrize(("says", "looked_for"), [(Hint.OPTIMAL, set()), (Hint.INFEASIBLE, {"_proof"})])
-def test_an_optimal_answer_asks_for_no_proof_of_a_contradiction(says: Hint, looked_for: set[str]) -> None:
+
+@pytest.mark.parametrize(
+    ("says", "looked_for"), [(Hint.OPTIMAL, set()), (Hint.INFEASIBLE, {"_proof"})]
+)
+def test_an_optimal_answer_asks_for_no_proof_of_a_contradiction(
+    says: Hint, looked_for: set[str]
+) -> None:
     """Its constraints hold to 1e-8, and its gradient is 0: a contradiction is looked for where an engine calls one."""
     program = QuadraticProgram(None, [1.0, 0.0], A=[[1.0, 1.0]], b=[2.0], lower=0.0)
     x, y = np.array([0.0, 2.0 * (1.0 + 1e-8)]), np.array([0.0, 1.0, 0.0, 0.0, 0.0])
@@ -213,20 +261,27 @@ def test_a_slope_within_the_tolerance_is_looked_at() -> None:
 def test_an_unknown_in_no_row_has_the_unit_of_the_others(exponent: int, curvature: float) -> None:
     """One unknown in a row or in P, one that only falls: UNBOUNDED, whatever unit both of them are in."""
     s = 2.0**exponent
-    program = QuadraticProgram(np.diag([curvature * s * s, 0.0]), [-s, -s], G=[[s, 0.0]], h=[1.0], lower=[0.0, 0.0])
+    program = QuadraticProgram(
+        np.diag([curvature * s * s, 0.0]), [-s, -s], G=[[s, 0.0]], h=[1.0], lower=[0.0, 0.0]
+    )
     assert solve(program).status is Status.UNBOUNDED
 
 
-@pytest.mark.parametrize(("P", "c", "h", "said"), [
-    (np.eye(2), [1.0, 1.0], 1e200, Status.SOLVED),
-    (np.eye(2), [1.0, 1.0], 0.0, Status.SOLVED),
-    (np.diag([1.0, 0.0]), [1.0, 1.0], -1.0, Status.SOLVED),
-    (np.diag([1.0, 0.0]), [1.0, 1.0], 1e200, Status.UNBOUNDED),
-    (None, [1.0, 1.0], 1e200, Status.UNBOUNDED),
-    (np.eye(2), [1.0, 1.0], -1.0, None),
-    (np.eye(2), [1.0, 0.0], -1.0, None),
-])
-def test_numbers_beyond_the_range_of_doubles_are_no_answer(P: Any, c: list[float], h: float, said: Status) -> None:
+@pytest.mark.parametrize(
+    ("P", "c", "h", "said"),
+    [
+        (np.eye(2), [1.0, 1.0], 1e200, Status.SOLVED),
+        (np.eye(2), [1.0, 1.0], 0.0, Status.SOLVED),
+        (np.diag([1.0, 0.0]), [1.0, 1.0], -1.0, Status.SOLVED),
+        (np.diag([1.0, 0.0]), [1.0, 1.0], 1e200, Status.UNBOUNDED),
+        (None, [1.0, 1.0], 1e200, Status.UNBOUNDED),
+        (np.eye(2), [1.0, 1.0], -1.0, None),
+        (np.eye(2), [1.0, 0.0], -1.0, None),
+    ],
+)
+def test_numbers_beyond_the_range_of_doubles_are_no_answer(
+    P: Any, c: list[float], h: float, said: Status
+) -> None:
     """−1e-200 x ≤ h: a status and finite x, or a refusal that names the multiplier, 1e400; never a warning."""
     program = QuadraticProgram(P, c, G=[[0.0, -1e-200]], h=[h])
     if said is None:

@@ -24,14 +24,19 @@ INF = np.inf
 MEASURED = ("primal_residual", "dual_residual", "duality_gap")
 
 
-def planted(n: int, rows: int, equations: int, rank: int, seed: int) -> tuple[QuadraticProgram, np.ndarray, float]:
+def planted(
+    n: int, rows: int, equations: int, rank: int, seed: int
+) -> tuple[QuadraticProgram, np.ndarray, float]:
     """Return a program of the answer x and of the value that it has: chosen first, then c, h, b and the bounds."""
     rng = np.random.default_rng(seed)
     factor = rng.standard_normal((n, rank))
     P, G, A = factor @ factor.T, rng.standard_normal((rows, n)), rng.standard_normal((equations, n))
     x = np.round(rng.standard_normal(n), 3)
     multipliers = np.where(rng.random(rows) < 0.5, rng.random(rows) + 0.1, 0.0)
-    lower, upper = np.where(rng.random(n) < 0.3, x, -INF), np.where(rng.random(n) < 0.5, x + 1.0, INF)
+    lower, upper = (
+        np.where(rng.random(n) < 0.3, x, -INF),
+        np.where(rng.random(n) < 0.5, x + 1.0, INF),
+    )
     at_lower = np.where(lower == x, rng.random(n), 0.0)
     h = G @ x + np.where(multipliers > 0.0, 0.0, rng.random(rows) + 0.1)
     c = -(P @ x + G.T @ multipliers + A.T @ rng.standard_normal(equations)) + at_lower
@@ -40,10 +45,15 @@ def planted(n: int, rows: int, equations: int, rank: int, seed: int) -> tuple[Qu
 
 
 @given(
-    n=st.integers(1, 25), rows=st.integers(0, 20), equations=st.integers(0, 4), lacks=st.integers(0, 3),
+    n=st.integers(1, 25),
+    rows=st.integers(0, 20),
+    equations=st.integers(0, 4),
+    lacks=st.integers(0, 3),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_answers_chosen_first_are_found(n: int, rows: int, equations: int, lacks: int, seed: int) -> None:
+def test_answers_chosen_first_are_found(
+    n: int, rows: int, equations: int, lacks: int, seed: int
+) -> None:
     """The value is the planted one, and so is x where P is positive definite; each measure bounds the program's own."""
     equations = min(equations, n - 1)
     program, x, value = planted(n, rows, equations, max(n - lacks, 0), seed)
@@ -54,7 +64,14 @@ def test_answers_chosen_first_are_found(n: int, rows: int, equations: int, lacks
     if lacks == 0 and np.linalg.cond(program.P) < 1e6:
         assert np.allclose(solution.x, x, rtol=0.0, atol=1e-6)
     if result.is_compiled:
-        anew = QPSolution(program, solution.x, solution.inequality, solution.equality, solution.lower, solution.upper)
+        anew = QPSolution(
+            program,
+            solution.x,
+            solution.inequality,
+            solution.equality,
+            solution.lower,
+            solution.upper,
+        )
         for name in MEASURED[:2]:
             assert getattr(anew, name) <= getattr(solution, name)
         assert anew.is_optimal(1e-8)
@@ -86,7 +103,9 @@ def test_its_result_is_that_of_a_complementarity_problem() -> None:
     assert result.is_solved
     assert result.certificate.relative_residual <= 1e-14
     assert "daqp" in result.explain()
-    assert "piqp" in solve_program(program, "interior_point").explain()  # which interior_point is, of a program
+    assert (
+        "piqp" in solve_program(program, "interior_point").explain()
+    )  # which interior_point is, of a program
     assert result.to_content()["status"] == "SOLVED"
 
 
@@ -99,7 +118,9 @@ def test_a_record_changes_no_bit() -> None:
 
 
 @pytest.mark.parametrize("wish", [{"verbose": True}, {"callback": lambda *_: None}])
-def test_who_watches_sees_every_step(wish: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+def test_who_watches_sees_every_step(
+    wish: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
     """A log and a callback are of steps taken one by one."""
     program, _, value = planted(6, 4, 1, 6, 3)
     result = solve_program(program, **wish)
@@ -127,11 +148,19 @@ def test_what_has_no_answer_gets_none(data: dict[str, Any], status: str) -> None
     assert program.facts.accepted_proof() is not None
 
 
-@pytest.mark.parametrize(("h", "b", "status"), [
-    ([], [0.0, 0.0], Status.SOLVED), ([2.0], [0.0], Status.SOLVED), ([], [1.0], Status.INFEASIBLE),
-    ([-1.0], [0.0], Status.INFEASIBLE), ([9.0, 0.0, -7.0, 2.0], [7.0], Status.INFEASIBLE),
-])
-def test_a_program_without_unknowns_is_what_its_rows_say(h: list[float], b: list[float], status: Status) -> None:
+@pytest.mark.parametrize(
+    ("h", "b", "status"),
+    [
+        ([], [0.0, 0.0], Status.SOLVED),
+        ([2.0], [0.0], Status.SOLVED),
+        ([], [1.0], Status.INFEASIBLE),
+        ([-1.0], [0.0], Status.INFEASIBLE),
+        ([9.0, 0.0, -7.0, 2.0], [7.0], Status.INFEASIBLE),
+    ],
+)
+def test_a_program_without_unknowns_is_what_its_rows_say(
+    h: list[float], b: list[float], status: Status
+) -> None:
     """All variables of a file may be fixed: 0 = 0 and 0 <= 2 hold, 0 = 1 and 0 <= -1 are proved not to."""
     rows = [np.zeros((len(right), 0)) for right in (h, b)]
     program = QuadraticProgram(np.zeros((0, 0)), np.zeros(0), rows[0], h, rows[1], b)
@@ -155,8 +184,14 @@ def test_a_program_and_its_complementarity_problem_agree() -> None:
         A = np.vstack([program.A, program.A.sum(axis=0), rng.standard_normal((8 * (k % 2), 8))])
         x = solve_program(program).solution.x
         redundant = QuadraticProgram(
-            program.P, program.c, np.vstack([program.G, program.G]), np.append(program.h, program.h),
-            A, A @ x, program.lower, program.upper,
+            program.P,
+            program.c,
+            np.vstack([program.G, program.G]),
+            np.append(program.h, program.h),
+            A,
+            A @ x,
+            program.lower,
+            program.upper,
         )
         problem = lcp_from_qp(redundant)
         result = solve(problem)
@@ -178,7 +213,9 @@ def test_a_program_and_its_complementarity_problem_agree() -> None:
         ({"algorithm": "neton"}, "newton"),
     ],
 )
-def test_what_is_wrong_is_refused_before_anything_is_solved(wish: dict[str, Any], words: str) -> None:
+def test_what_is_wrong_is_refused_before_anything_is_solved(
+    wish: dict[str, Any], words: str
+) -> None:
     """A wrong option is no less wrong for a small program."""
     with pytest.raises(LCPError, match=words):
         solve_program(planted(5, 3, 1, 5, 2)[0], **wish)
@@ -194,8 +231,16 @@ def test_a_small_cost_and_a_far_bound_hide_nothing(algorithm: str, cost: float, 
     value = -0.5 - cost * far
     solution = solve_program(program, algorithm).solution
     assert solution.status != "optimal" or solution.objective == pytest.approx(value, rel=2e-6)
-    batch = solve_batch(QuadraticProgramBatch(program.P, [program.c] * 2, program.G, program.h, lower=program.lower,
-                                              upper=program.upper))
+    batch = solve_batch(
+        QuadraticProgramBatch(
+            program.P,
+            [program.c] * 2,
+            program.G,
+            program.h,
+            lower=program.lower,
+            upper=program.upper,
+        )
+    )
     for one, status in zip(batch, batch.status, strict=True):
         assert status != "optimal" or one.objective == pytest.approx(value, rel=2e-6)
 
@@ -243,7 +288,11 @@ def test_the_complementarity_problem_is_made_when_somebody_asks() -> None:
     infeasible = solve(QuadraticProgram(np.eye(2), [0, 0], G=[[1, 1], [-1, -1]], h=[-1, 0.5]))
     assert solved.is_compiled
     assert infeasible.is_compiled
-    for result in (*(pickle.loads(pickle.dumps(one)) for one in (solved, infeasible)), solved, infeasible):
+    for result in (
+        *(pickle.loads(pickle.dumps(one)) for one in (solved, infeasible)),
+        solved,
+        infeasible,
+    ):
         assert result.status == result.lcp_result.status
         assert result.w.shape == result.z.shape == result.certificate.z.shape
     assert solved.certificate.relative_residual <= 1e-14
@@ -261,7 +310,9 @@ def test_a_contradiction_that_is_kept_answers_the_compiled_call_only() -> None:
     assert result.is_compiled
     assert result.seconds > 0.0
     for options in ({"algorithm": "lemke"}, {"record": True}, {"max_iterations": 1}):
-        first, second = (solve(program, **options) for program in (QuadraticProgram(*arrays), solved))
+        first, second = (
+            solve(program, **options) for program in (QuadraticProgram(*arrays), solved)
+        )
         assert first.algorithm == second.algorithm
         assert len(first.history) == len(second.history)
 
@@ -278,7 +329,9 @@ def test_one_function_judges_dense_sparse_and_stacked_programs(seed: int) -> Non
     x, y = np.clip(rng.normal(size=n), lower, upper), rng.normal(size=m + p)
     below, above = np.maximum(rng.normal(size=(2, n)), 0.0)
     dense = QuadraticProgram(P, c, C[:m], d[:m], C[m:], d[m:], lower, upper)
-    sparse = QuadraticProgram(sp.csr_array(P), c, sp.csr_array(C[:m]), d[:m], sp.csr_array(C[m:]), d[m:], lower, upper)
+    sparse = QuadraticProgram(
+        sp.csr_array(P), c, sp.csr_array(C[:m]), d[:m], sp.csr_array(C[m:]), d[m:], lower, upper
+    )
     multipliers = np.concatenate([y, below, above])
     one, other = (Errors.of(program, x, multipliers) for program in (dense, sparse))
     np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
@@ -287,8 +340,15 @@ def test_one_function_judges_dense_sparse_and_stacked_programs(seed: int) -> Non
     stack = np.stack([x, 2.0 * x]), np.stack([y, y])
     with np.errstate(all="ignore"):
         both = measured(
-            Terms.of_dense(P[None], C[None], *stack), c, d, m, lower, upper, *stack,
-            np.stack([below, below]), np.stack([above, above]),
+            Terms.of_dense(P[None], C[None], *stack),
+            c,
+            d,
+            m,
+            lower,
+            upper,
+            *stack,
+            np.stack([below, below]),
+            np.stack([above, above]),
         )
     beside_own_terms = np.array([measure[0] for measure in both])
     assert (beside_own_terms >= np.array(one) * (1.0 - 1e-9) - 1e-12).all()
@@ -300,18 +360,31 @@ def test_one_function_judges_dense_sparse_and_stacked_programs(seed: int) -> Non
 def test_bounds_of_the_errors_are_none_less_and_small_at_an_answer(seed: int) -> None:
     """What is judged by sums of terms is judged so by the largest of them: at answers, near them, and far away."""
     rng = np.random.default_rng(seed)
-    program = planted(int(rng.integers(1, 9)), int(rng.integers(0, 9)), int(rng.integers(0, 3)), 4, seed)[0]
+    program = planted(
+        int(rng.integers(1, 9)), int(rng.integers(0, 9)), int(rng.integers(0, 3)), 4, seed
+    )[0]
     found = solve_program(program).solution
     for size in (0.0, 1e-12, 1e-6, 1.0):
-        x = np.clip(found.x * (1.0 + size * rng.normal(size=program.n)), program.lower, program.upper)
-        y = found.multipliers * np.maximum(1.0 + size * rng.normal(size=found.multipliers.size), 0.0)
+        x = np.clip(
+            found.x * (1.0 + size * rng.normal(size=program.n)), program.lower, program.upper
+        )
+        y = found.multipliers * np.maximum(
+            1.0 + size * rng.normal(size=found.multipliers.size), 0.0
+        )
         exact, above = Errors.of(program, x, y), Errors.above(program, x, y)
         assert (np.array(above) >= exact).all()
-        assert size > 0.0 or program.h.size + program.b.size == 0 or above.largest < 1e-9 or exact.largest > 1e-12
+        assert (
+            size > 0.0
+            or program.h.size + program.b.size == 0
+            or above.largest < 1e-9
+            or exact.largest > 1e-12
+        )
 
 
 @pytest.mark.parametrize(("h", "status"), [(1.0, Status.SOLVED), (-1.0, Status.INFEASIBLE)])
-def test_rows_without_unknowns_hold_or_do_not_under_a_limit_of_seconds(h: float, status: Status) -> None:
+def test_rows_without_unknowns_hold_or_do_not_under_a_limit_of_seconds(
+    h: float, status: Status
+) -> None:
     """0 ≤ 1 is solved and 0 ≤ −1 is not, although no engine takes a program without unknowns."""
     program = QuadraticProgram(np.zeros((0, 0)), np.zeros(0), G=np.zeros((1, 0)), h=[h])
     assert solve(program, max_seconds=10.0).status is status

@@ -39,10 +39,16 @@ def assert_each(found: BatchDerivative, seed: int = 0) -> None:
         loss = 1e2 * EPSILON * condition(found, k)
         for name in ("q", "lower", "upper"):
             ours, theirs = getattr(gradient, name)[k], getattr(own, name)
-            assert np.abs(ours - theirs).max(initial=0.0) <= loss * (1.0 + np.abs(own.q).max(initial=0.0)), name
+            assert np.abs(ours - theirs).max(initial=0.0) <= loss * (
+                1.0 + np.abs(own.q).max(initial=0.0)
+            ), name
         change = one.jvp(dq=dq[k], dlower=dlower[k], dupper=dupper[k])
-        assert np.abs(dz[k] - change).max(initial=0.0) <= loss * (1.0 + np.abs(change).max(initial=0.0))
-        assert np.abs(found.z[k] - one.z).max(initial=0.0) <= loss * (1.0 + np.abs(one.z).max(initial=0.0))
+        assert np.abs(dz[k] - change).max(initial=0.0) <= loss * (
+            1.0 + np.abs(change).max(initial=0.0)
+        )
+        assert np.abs(found.z[k] - one.z).max(initial=0.0) <= loss * (
+            1.0 + np.abs(one.z).max(initial=0.0)
+        )
         assert found.free[k].tolist() == one.free.tolist()
 
 
@@ -67,9 +73,14 @@ def test_problems_of_any_sizes_and_kinds() -> None:
     for k, n in enumerate((1, 3, 7, 30, 300)):
         M, q, lower, upper = (array[0] for array in planted(1, n, k, symmetric=bool(k % 2)))
         problems.append(LCP(M, q, lower=lower, upper=upper))
-    chain = sp.diags_array([-np.ones(39), np.full(40, 2.5), -np.ones(39)], offsets=[-1, 0, 1], format="csr")
+    chain = sp.diags_array(
+        [-np.ones(39), np.full(40, 2.5), -np.ones(39)], offsets=[-1, 0, 1], format="csr"
+    )
     rng = np.random.default_rng(0)
-    problems += [LCP(chain, rng.normal(size=40)), LCP([[2.0, 0.0], [0.0, 1.0]], [-1.0, 1.0], upper=0.25)]
+    problems += [
+        LCP(chain, rng.normal(size=40)),
+        LCP([[2.0, 0.0], [0.0, 1.0]], [-1.0, 1.0], upper=0.25),
+    ]
     found = derivative(solve_batch(problems))
     assert_each(found)
     g = [np.ones(problem.n) for problem in problems]
@@ -178,7 +189,9 @@ def test_planted_kinks(seed: int) -> None:
 def test_zero_rows_that_are_free_together_with_a_kink() -> None:
     """Where holding the degenerate rows leaves a singular block, those are free, as one by one."""
     M = np.array([[[0.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, 0.0, 1.0]]])
-    found = derivative(solve_batch(M, np.array([[0.0, 1.0, -2.0]]), lower=[-INF, 0.0, 0.0], z0=[1.0, 0.0, 1.0]))
+    found = derivative(
+        solve_batch(M, np.array([[0.0, 1.0, -2.0]]), lower=[-INF, 0.0, 0.0], z0=[1.0, 0.0, 1.0])
+    )
     assert found.degenerate.tolist() == [[False, True, False]]
     gradient = found.vjp([1.0, 2.0, 3.0])
     assert np.isfinite(gradient.q).all()
@@ -192,7 +205,12 @@ def contacts(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     A, E, M = np.zeros((20, 12)), np.kron(np.eye(4), np.ones((4, 1))), np.zeros((count, 24, 24))
     for c in range(4):
         A[c, 3 * c] = 1.0
-        A[4 + 4 * c : 8 + 4 * c, 3 * c + 1 : 3 * c + 3] = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
+        A[4 + 4 * c : 8 + 4 * c, 3 * c + 1 : 3 * c + 3] = [
+            [1.0, 0.0],
+            [0.0, 1.0],
+            [-1.0, 0.0],
+            [0.0, -1.0],
+        ]
     root = rng.normal(size=(count, 12, 12))
     M[:, :20, :20] = A @ (root @ root.transpose(0, 2, 1)) @ A.T
     M[:, 4:20, 20:], M[:, 20:, 4:20] = E, -E.T
@@ -215,7 +233,9 @@ def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
         own = one.vjp(g[k])
         assert found.free[k].tolist() == one.free.tolist()
         for name in ("q", "lower", "upper"):
-            assert getattr(gradient, name)[k] == pytest.approx(getattr(own, name), rel=1e-9, abs=1e-11)
+            assert getattr(gradient, name)[k] == pytest.approx(
+                getattr(own, name), rel=1e-9, abs=1e-11
+            )
         assert one.is_unique is False or not one.advice
 
 
@@ -295,12 +315,17 @@ def test_a_change_that_fails_spoils_no_gradient() -> None:
     assert np.isnan(found.jvp(dq=-1.0 * np.ones(1))).ravel().tolist() == [True, False]
     assert list(found.errors) == [0]
     after = found.vjp([[2.0], [3.0]])
-    assert all(np.array_equal(getattr(after, name), getattr(before, name)) for name in ("q", "lower", "upper", "M"))
+    assert all(
+        np.array_equal(getattr(after, name), getattr(before, name))
+        for name in ("q", "lower", "upper", "M")
+    )
 
 
 def test_batches_of_nothing() -> None:
     """No problems, and problems without unknowns."""
-    assert derivative(solve_batch(np.zeros((0, 3, 3)), np.zeros((0, 3)))).vjp(np.ones(3)).M.shape == (0, 3, 3)
+    assert derivative(solve_batch(np.zeros((0, 3, 3)), np.zeros((0, 3)))).vjp(
+        np.ones(3)
+    ).M.shape == (0, 3, 3)
     empty = derivative(solve_batch(np.zeros((2, 0, 0)), np.zeros((2, 0))))
     assert empty.jvp(dq=np.zeros((2, 0))).shape == (2, 0)
     assert len(derivative(solve_batch([]))) == 0
@@ -309,12 +334,30 @@ def test_batches_of_nothing() -> None:
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda found: found.vjp(np.ones((3, 4))), r"g must have shape .*here \(5, 4\) or \(4,\), got shape \(3, 4\)"),
-        (lambda found: found.vjp(np.ones(3)), r"g must have shape \(B, n\) or \(n,\), here .*, got shape \(3,\)"),
-        (lambda found: found.vjp(np.full((5, 4), np.nan)), r"g must be finite, but g\[0, 0\] = nan"),
-        (lambda found: found.vjp(np.ones(4), np.full(4, INF)), r"gw must be finite, but gw\[0, 0\] = inf"),
-        (lambda found: found.jvp(dM=np.ones((5, 4))), r"dM must be finite|dM must be a real matrix of shape \(4, 4\)"),
-        (lambda found: found.jvp(dM=np.ones((4, 4, 4))), r"dM must have shape \(B, n, n\) or \(n, n\), here"),
+        (
+            lambda found: found.vjp(np.ones((3, 4))),
+            r"g must have shape .*here \(5, 4\) or \(4,\), got shape \(3, 4\)",
+        ),
+        (
+            lambda found: found.vjp(np.ones(3)),
+            r"g must have shape \(B, n\) or \(n,\), here .*, got shape \(3,\)",
+        ),
+        (
+            lambda found: found.vjp(np.full((5, 4), np.nan)),
+            r"g must be finite, but g\[0, 0\] = nan",
+        ),
+        (
+            lambda found: found.vjp(np.ones(4), np.full(4, INF)),
+            r"gw must be finite, but gw\[0, 0\] = inf",
+        ),
+        (
+            lambda found: found.jvp(dM=np.ones((5, 4))),
+            r"dM must be finite|dM must be a real matrix of shape \(4, 4\)",
+        ),
+        (
+            lambda found: found.jvp(dM=np.ones((4, 4, 4))),
+            r"dM must have shape \(B, n, n\) or \(n, n\), here",
+        ),
         (lambda found: found.jvp(dM=np.full((5, 4, 4), INF)), "dM must be finite"),
         (lambda found: found.jvp(dlower="no"), "dlower must have shape"),
     ],
@@ -328,15 +371,23 @@ def test_what_is_refused(call: Any, said: str) -> None:
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda found: found.vjp([np.ones(2)]), "g must be a list of 2 vectors, one a problem, got 1"),
-        (lambda found: found.vjp([np.ones(2), np.ones(2)]), r"g\[1\] must be a finite vector of length 1"),
+        (
+            lambda found: found.vjp([np.ones(2)]),
+            "g must be a list of 2 vectors, one a problem, got 1",
+        ),
+        (
+            lambda found: found.vjp([np.ones(2), np.ones(2)]),
+            r"g\[1\] must be a finite vector of length 1",
+        ),
         (lambda found: found.vjp(np.ones(())), "g must be a list"),
         (lambda found: found.jvp(dM=[np.eye(2)]), "dM must be a list of 2 matrices"),
     ],
 )
 def test_what_a_list_of_sizes_refuses(call: Any, said: str) -> None:
     """Lists of another length, vectors of another size, what is no list."""
-    found = derivative(solve_batch([LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), LCP([[1.0]], [-1.0])]))
+    found = derivative(
+        solve_batch([LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), LCP([[1.0]], [-1.0])])
+    )
     with pytest.raises(InvalidProblem, match=said):
         call(found)
 

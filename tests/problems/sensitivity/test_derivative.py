@@ -37,7 +37,9 @@ def piece_of(found: Derivative, z=None) -> Piece:
     return piece_at(found.problem, found.z if z is None else np.array(z, dtype=float), found.free)
 
 
-def check_against(piece: Piece, found: Derivative, seed: int = 0, accuracy: float = ACCURACY) -> None:
+def check_against(
+    piece: Piece, found: Derivative, seed: int = 0, accuracy: float = ACCURACY
+) -> None:
     """Both products, in all data and to all data, are those of the piece."""
     rng = np.random.default_rng(seed)
     change, (g, gw) = Change.drawn(piece.problem.n, rng), rng.normal(size=(2, piece.problem.n))
@@ -46,7 +48,12 @@ def check_against(piece: Piece, found: Derivative, seed: int = 0, accuracy: floa
     assert distance(gradient.q, exact.q) <= accuracy
     assert distance(np.r_[gradient.lower, gradient.upper], exact.lower + exact.upper) <= accuracy
     places = piece.problem.csr.tocoo()
-    assert distance(gradient.M.data, [exact.M[i][j] for i, j in zip(places.row, places.col, strict=True)]) <= accuracy
+    assert (
+        distance(
+            gradient.M.data, [exact.M[i][j] for i, j in zip(places.row, places.col, strict=True)]
+        )
+        <= accuracy
+    )
 
 
 # --- Exactness ----------------------------------------------------------------------------------------------
@@ -63,7 +70,9 @@ def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
     assert piece.is_strict
     assert found.degenerate.size == 0
     M = problem.csr.toarray()[np.ix_(piece.free, piece.free)]
-    check_against(piece, found, accuracy=ACCURACY * (np.linalg.cond(M, np.inf) if piece.free else 1.0))
+    check_against(
+        piece, found, accuracy=ACCURACY * (np.linalg.cond(M, np.inf) if piece.free else 1.0)
+    )
 
 
 @settings.get_profile("few")
@@ -80,7 +89,9 @@ def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
     change = Change(np.zeros((problem.n, problem.n)), dq, np.zeros(problem.n), np.zeros(problem.n))
     exact, dz = piece.jvp(change), found.jvp(dq=dq)
     F = piece.free
-    terms = abs(np.linalg.inv(problem.csr.toarray()[np.ix_(F, F)])) @ abs(problem.csr.toarray()[np.ix_(F, F)])
+    terms = abs(np.linalg.inv(problem.csr.toarray()[np.ix_(F, F)])) @ abs(
+        problem.csr.toarray()[np.ix_(F, F)]
+    )
     size = terms @ abs(dz[F])
     assert all(
         abs(Fraction(dz[i]) - exact[i]) <= Fraction(1e-12 * size[k]) for k, i in enumerate(F)
@@ -104,14 +115,21 @@ def test_differences_within_an_active_set_are_derivatives(drawn, data) -> None:
     """The solution is affine in q and the bounds: (z(t) − z)/t in fractions, t so small that no row changes."""
     problem, z = drawn
     n, t = problem.n, 2.0**-20
-    dq, db = (np.array(data.draw(st.lists(st.integers(-3, 3), min_size=n, max_size=n)), float) for _ in range(2))
-    moved = LCP(problem.M, problem.q + t * dq, lower=problem.lower + t * db, upper=problem.upper + t * db)
+    dq, db = (
+        np.array(data.draw(st.lists(st.integers(-3, 3), min_size=n, max_size=n)), float)
+        for _ in range(2)
+    )
+    moved = LCP(
+        problem.M, problem.q + t * dq, lower=problem.lower + t * db, upper=problem.upper + t * db
+    )
     after = exact_solution(moved).z
     exact = [(a - b) / Fraction(t) for a, b in zip(after, z, strict=True)]
     found = found_of(problem)
     dz = found.jvp(dq=dq, dlower=db, dupper=db)
     far = max(map(abs, exact), default=0)
-    if far * Fraction(t) * 100 < 1:  # entries are integers: nothing changes its state on so short a way
+    if (
+        far * Fraction(t) * 100 < 1
+    ):  # entries are integers: nothing changes its state on so short a way
         F = piece_of(found, z).free
         M = problem.csr.toarray()[np.ix_(F, F)]
         assert distance(dz, exact) <= ACCURACY * (np.linalg.cond(M, np.inf) if F else 1.0)
@@ -138,7 +156,11 @@ def test_the_products_are_adjoint(drawn, seed) -> None:
     dz = found.jvp(dM=dM, dq=dq, dlower=dlower, dupper=dupper)
     gradient = found.vjp(g, gw)
     terms = np.r_[
-        gradient.q * dq, gradient.lower * dlower, gradient.upper * dupper, gradient.M.data * dM.data, -g * dz,
+        gradient.q * dq,
+        gradient.lower * dlower,
+        gradient.upper * dupper,
+        gradient.M.data * dM.data,
+        -g * dz,
         -gw * found.dw(dz, dM=dM, dq=dq),
     ]
     assert abs(terms.sum()) <= 1e-13 * max(1.0, condition / 100.0) * abs(terms).sum()
@@ -204,10 +226,15 @@ def test_planted_degenerate_rows_are_named(drawn, seed) -> None:
     problem, z = drawn
     found = found_of(problem)
     piece = piece_of(found, z)
-    strict = Piece(problem, tuple(
-        (UPPER if z[i] == problem.upper[i] else LOWER) if problem.lower[i] != problem.upper[i]
-        and z[i] in (problem.lower[i], problem.upper[i]) else state for i, state in enumerate(piece.states)
-    ))
+    strict = Piece(
+        problem,
+        tuple(
+            (UPPER if z[i] == problem.upper[i] else LOWER)
+            if problem.lower[i] != problem.upper[i] and z[i] in (problem.lower[i], problem.upper[i])
+            else state
+            for i, state in enumerate(piece.states)
+        ),
+    )
     assert strict.is_solution
     assert found.degenerate.tolist() == strict.degenerate
     if strict.degenerate:
@@ -249,7 +276,9 @@ def test_one_sided_derivatives_differ_by_side() -> None:
 
 def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
     """M_FF is singular, M_(F∪β) is not: vjp takes the degenerate rows as free, and says so."""
-    problem = LCP([[0.0, 1.0], [-1.0, 1.0]], [-1.0, 2.0], lower=[-np.inf, 1.0])  # solved by all z₀ ≤ 3, z₁ = 1
+    problem = LCP(
+        [[0.0, 1.0], [-1.0, 1.0]], [-1.0, 2.0], lower=[-np.inf, 1.0]
+    )  # solved by all z₀ ≤ 3, z₁ = 1
     found = Derivative(problem, np.array([3.0, 1.0]), np.zeros(2))
     assert found.degenerate.tolist() == [1]
     assert found.is_unique is False
@@ -261,10 +290,17 @@ def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
 def test_a_row_is_degenerate_to_the_rounding_of_others() -> None:
     """w₀ = z₁, and z₁ = 0 comes out as 4e-16 where z₂ = 3 cancels: row 0 is degenerate, however small its own terms."""
     problem = LCP(
-        [[2.0, 1.0, 0.0], [0.0, 5.0, 3.0], [0.0, 3.0, 4.0]], [0.0, -9.0, -12.0], lower=[0.0, -1.0, 2.0],
+        [[2.0, 1.0, 0.0], [0.0, 5.0, 3.0], [0.0, 3.0, 4.0]],
+        [0.0, -9.0, -12.0],
+        lower=[0.0, -1.0, 2.0],
         upper=[1.0, 1.0, 4.0],
     )
-    for start in ([0.0, 4.4408921e-16, 3.0], [0.0, -1e-15, 3.0], [0.0, 0.0, 3.0], [1e-17, 1e-18, 3.0 - 4e-16]):
+    for start in (
+        [0.0, 4.4408921e-16, 3.0],
+        [0.0, -1e-15, 3.0],
+        [0.0, 0.0, 3.0],
+        [1e-17, 1e-18, 3.0 - 4e-16],
+    ):
         found = derivative(solve(problem, z0=start))
         assert found.degenerate.tolist() == [0]
         assert found.jvp(dq=[-1.0, 0.0, 0.0]) == pytest.approx([0.5, 0.0, 0.0], abs=1e-15)
@@ -276,8 +312,12 @@ def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
     """Where w = ∓3e-11 at a bound of 10⁶ is lost in z − w/d, the row is free all the same, three units away."""
     M = np.array([[1e-11, 1.0], [0.0, 1.0]])
     z = np.array([1e6 + 3.0 * side, 1.0])
-    bounds = {"lower": [1e6, 0.0]} if side > 0.0 else {"lower": [-np.inf, 0.0], "upper": [1e6, np.inf]}
-    found = Derivative(LCP(M, -M @ z, **bounds), np.array([1e6, 1.0]), np.array([-3e-11 * side, 0.0]))
+    bounds = (
+        {"lower": [1e6, 0.0]} if side > 0.0 else {"lower": [-np.inf, 0.0], "upper": [1e6, np.inf]}
+    )
+    found = Derivative(
+        LCP(M, -M @ z, **bounds), np.array([1e6, 1.0]), np.array([-3e-11 * side, 0.0])
+    )
     assert found.free.all()
     assert found.z == pytest.approx(z, abs=1e-4)
     check_against(piece_of(found), found, accuracy=1e-4)
@@ -291,8 +331,12 @@ def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float)
     rng = np.random.default_rng(3)
     for k, family in itertools.product(range(9), ("h_plus", "definite", "chain")):
         problem = campaign.drawn(family, campaign.KINDS[k % 3], 8, rng)
-        result = solve(LCP(problem.csr * scale, problem.q * scale, lower=problem.lower, upper=problem.upper), "pgs",
-                       tolerance=tolerance, max_iterations=20_000)
+        result = solve(
+            LCP(problem.csr * scale, problem.q * scale, lower=problem.lower, upper=problem.upper),
+            "pgs",
+            tolerance=tolerance,
+            max_iterations=20_000,
+        )
         if result.status is not Status.SOLVED:
             continue
         found = derivative(result)
@@ -307,7 +351,9 @@ def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float)
 @pytest.mark.parametrize("state", [LOWER, FREE, UPPER])
 def test_all_rows_alike(n: int, state: int) -> None:
     """No rows, one and five: all free, all at the lower, all at the upper bound."""
-    problem = LCP(2.0 * np.eye(n) - 0.5 * np.eye(n, k=1), np.full(n, -4.0 * state), lower=-1.0, upper=1.0)
+    problem = LCP(
+        2.0 * np.eye(n) - 0.5 * np.eye(n, k=1), np.full(n, -4.0 * state), lower=-1.0, upper=1.0
+    )
     found = found_of(problem)
     assert np.array_equal(found.free, np.full(n, state == FREE))
     assert found.is_unique is True
@@ -332,7 +378,9 @@ def test_a_singular_block_has_the_derivative_of_least_change(root: list[list[flo
 
 def test_least_change_is_the_same_in_any_units_of_a_symmetric_matrix() -> None:
     """Bit for bit between powers of two, since its diagonal shows them."""
-    M = np.array([[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]]) @ np.array([[1.0, 4.0, 7.0], [2.0, 5.0, 8.0]])
+    M = np.array([[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]]) @ np.array(
+        [[1.0, 4.0, 7.0], [2.0, 5.0, 8.0]]
+    )
     answers = []
     for exponents in ([-20.0, 0.0, 20.0], [15.0, -24.0, 7.0]):
         unit = np.exp2(exponents)
@@ -372,7 +420,10 @@ def test_a_nearly_singular_block_is_solved_as_its_condition_allows(small: float)
 def test_units_far_apart_are_no_singularity() -> None:
     """A regular block whose unknowns are measured in units 10¹² apart is solved, a singular one is not."""
     M = np.array([[1.02e-11, 0.0, 4e-1], [-9e-8, 7.3e4, 2e3], [3e-13, 1.8e-2, 6e-1]])
-    for block, is_singular in ((M, False), (np.array([[1e-9, 1e3], [1e-3, 1e9]]) * (1.0 + 1e-16), True)):
+    for block, is_singular in (
+        (M, False),
+        (np.array([[1e-9, 1e3], [1e-3, 1e9]]) * (1.0 + 1e-16), True),
+    ):
         system = FreeSystem(Matrix(block), np.ones(len(block), np.bool_))
         assert system.is_singular == is_singular
 
@@ -407,7 +458,10 @@ def test_krylov_steps_solve_as_a_factor_does(drift: float, monkeypatch) -> None:
     assert np.abs(iterated[0] - direct[0]).max() <= 1e-11 * np.abs(direct[0]).max()
     for one, other in ((iterated[1].q, direct[1].q), (iterated[1].lower, direct[1].lower)):
         assert np.abs(one - other).max() <= 1e-11 * np.abs(other).max()
-    assert np.abs(iterated[1].M.data - direct[1].M.data).max() <= 1e-11 * np.abs(direct[1].M.data).max()
+    assert (
+        np.abs(iterated[1].M.data - direct[1].M.data).max()
+        <= 1e-11 * np.abs(direct[1].M.data).max()
+    )
 
 
 def test_degenerate_rows_of_a_large_problem() -> None:
@@ -432,7 +486,8 @@ def test_degenerate_rows_of_a_large_problem() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given_one", "words"), [(KINK, "LCP"), (None, "NoneType"), ([1.0, 0.0], "list"), (derivative, "function")]
+    ("given_one", "words"),
+    [(KINK, "LCP"), (None, "NoneType"), ([1.0, 0.0], "list"), (derivative, "function")],
 )
 def test_what_is_no_result_is_refused(given_one: object, words: str) -> None:
     """InvalidOption says what was given and what to write."""
@@ -443,7 +498,10 @@ def test_what_is_no_result_is_refused(given_one: object, words: str) -> None:
 def test_what_is_not_solved_has_no_derivative() -> None:
     """UnsuitableProblem names the status and gives its advice."""
     stopped = solve(LCP(convection(20, 0.0), -np.ones(400)), "pgs", max_iterations=1)
-    with pytest.raises(UnsuitableProblem, match="only a solution has a derivative, and this run ended MAX_ITERATIONS"):
+    with pytest.raises(
+        UnsuitableProblem,
+        match="only a solution has a derivative, and this run ended MAX_ITERATIONS",
+    ):
         derivative(stopped)
     infeasible = solve(LCP([[-1.0]], [-1.0]))
     with pytest.raises(UnsuitableProblem, match=infeasible.status.name):
@@ -481,7 +539,9 @@ def test_what_is_handed_over_stays_as_it_is() -> None:
 
 def grid(size: int) -> sp.csr_array:
     """The five-point Laplacian."""
-    second = sp.diags_array([-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1])
+    second = sp.diags_array(
+        [-np.ones(size - 1), 2 * np.ones(size), -np.ones(size - 1)], offsets=[-1, 0, 1]
+    )
     eye = sp.eye_array(size)
     return sp.csr_array(sp.kron(eye, second) + sp.kron(second, eye))
 
@@ -515,7 +575,9 @@ def test_a_block_in_uneven_units_is_factorised_at_once() -> None:
     expected = sp.linalg.spsolve(sp.csc_array(L), right)
     for transposed in (False, True):
         x = system.solve(unit * right, transposed=transposed)
-        np.testing.assert_allclose(unit * x, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            unit * x, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max()
+        )
 
 
 @pytest.mark.parametrize("diagonal", [1e-6, 1e-9, 1e-12])
@@ -524,7 +586,9 @@ def test_a_tiny_diagonal_entry_makes_no_row_degenerate(diagonal: float) -> None:
     M, z = np.array([[diagonal, 1.0], [-1.0, 1.0]]), np.array([1e-9, 1.0])
     found = derivative(solve(LCP(M, -M @ z)))
     assert found.degenerate.size == 0
-    np.testing.assert_allclose(found.jvp(dq=[0, 1]), -np.linalg.solve(M, [0, 1]), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(
+        found.jvp(dq=[0, 1]), -np.linalg.solve(M, [0, 1]), rtol=1e-9, atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("q", [-1e19, 1e19, -1e-17, 1e-9])

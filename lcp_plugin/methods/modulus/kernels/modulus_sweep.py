@@ -49,5 +49,9 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
         if r > largest or r != r or slack != slack:
             largest = r if slack == slack else slack
         z[i] = rows[i, 1] + positive
-        new[i] = xi - (2.0 * relaxation * (w - rows[i, 3] * (positive - xi)) + acceleration * c) * rows[i, 4]
+        new[i] = (
+            xi
+            - (2.0 * relaxation * (w - rows[i, 3] * (positive - xi)) + acceleration * c)
+            * rows[i, 4]
+        )
     return largest

@@ -20,7 +20,21 @@ from ....core.kernels.floats import NEGLIGIBLE_DIAGONAL, SURELY_RIGHT
 from ....core.kernels.rows import clamp, residual_of_row, wrong_part
 from .small_systems import row_times, solve_free
 from .tableau import follow_path
-from .workspace import AT_LOWER, AT_UPPER, BETWEEN, FOUND, KEPT, LOWER, SCALE, SIDE, STATE, UPPER, Q, W, Z
+from .workspace import (
+    AT_LOWER,
+    AT_UPPER,
+    BETWEEN,
+    FOUND,
+    KEPT,
+    LOWER,
+    SCALE,
+    SIDE,
+    STATE,
+    UPPER,
+    Q,
+    W,
+    Z,
+)
 
 SWEEP, ROUND, PIVOT, OVER, BEGINNING, UNUSUAL = 0, 1, 2, 3, 4, 5
 ALL, NONE_YET, ONE_MORE = -1, 0, 1  # steps that a call takes: the first two begin, the last goes on
@@ -56,7 +70,12 @@ def look_at(M, k, real):  # type: ignore[no-untyped-def]
         is_usable = d > 0.0 and d >= NEGLIGIBLE_DIAGONAL * largest
         is_positive &= is_usable
         real[SCALE, i] = d if is_usable else largest if largest > 0.0 else 1.0
-    return nonzeros if nonzeros else 1, most < USUAL[1] and least > USUAL[0], is_positive, difference == 0.0
+    return (
+        nonzeros if nonzeros else 1,
+        most < USUAL[1] and least > USUAL[0],
+        is_positive,
+        difference == 0.0,
+    )
 
 
 @helper
@@ -96,7 +115,9 @@ def moved(M, k, real, point, has_slack):  # type: ignore[no-untyped-def]
     if not is_same:
         slack(M, k, real, Z)
     for i in range(n):
-        r = abs(residual_of_row(real[W, i] / real[SCALE, i], real[Z, i], real[LOWER, i], real[UPPER, i]))
+        r = abs(
+            residual_of_row(real[W, i] / real[SCALE, i], real[Z, i], real[LOWER, i], real[UPPER, i])
+        )
         largest = r if not r <= largest else largest
     return largest
 
@@ -108,7 +129,11 @@ def take(q, lower, upper, item, real, n):  # type: ignore[no-untyped-def]
         item if q.shape[0] > 1 else 0, item if lower.shape[0] > 1 else 0, item if upper.shape[0] > 1 else 0
     )  # fmt: skip
     for i in range(n):
-        real[Q, i], real[LOWER, i], real[UPPER, i] = q[of_q, i], lower[of_lower, i], upper[of_upper, i]
+        real[Q, i], real[LOWER, i], real[UPPER, i] = (
+            q[of_q, i],
+            lower[of_lower, i],
+            upper[of_upper, i],
+        )
         real[Z, i] = clamp(0.0, real[LOWER, i], real[UPPER, i])
 
 
@@ -195,7 +220,9 @@ def ends(M, k, real, is_dense):  # type: ignore[no-untyped-def]
             is_small |= (abs(h) < MAY_UNDERFLOW) & (a != 0.0) & (b != 0.0)
             total, errors, size = with_term(total, errors, size, h, a, b)
         high, slip = of_terms(total, errors, size, terms)
-        smallest, largest = row_ends(high, slip, real[SCALE, i], real[Z, i], real[LOWER, i], real[UPPER, i])
+        smallest, largest = row_ends(
+            high, slip, real[SCALE, i], real[Z, i], real[LOWER, i], real[UPPER, i]
+        )
         largest = np.inf if is_small else largest
         least, most = smallest if smallest > least else least, largest if largest > most else most
     return least, most
@@ -244,8 +271,28 @@ def enclosed(M, k, real, size, least, most, is_dense, tolerance):  # type: ignor
 
 @kernel
 def run_all(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, starts, sweeps, rounds, pivots, tolerance, max_iterations, first, end, steps,
-    real, whole, matrix, z, residual, terms, made, work, needs_path,
+    M,
+    q,
+    lower,
+    upper,
+    starts,
+    sweeps,
+    rounds,
+    pivots,
+    tolerance,
+    max_iterations,
+    first,
+    end,
+    steps,
+    real,
+    whole,
+    matrix,
+    z,
+    residual,
+    terms,
+    made,
+    work,
+    needs_path,
 ):
     """Solve the problems first ≤ item < end of a batch; an array with one row in front stands for all of them.
 
@@ -264,12 +311,18 @@ def run_all(  # type: ignore[no-untyped-def]
             limit = max_iterations if steps == ALL else 0
             take(q, lower, upper, item, real, n)
             nonzeros, is_usual, may_sweep, is_symmetric = look_at(M, k, real)
-            whole[STATE, IS_SYMMETRIC], whole[STATE, NONZEROS], whole[STATE, PHASE] = is_symmetric, nonzeros, UNUSUAL
+            whole[STATE, IS_SYMMETRIC], whole[STATE, NONZEROS], whole[STATE, PHASE] = (
+                is_symmetric,
+                nonzeros,
+                UNUSUAL,
+            )
             is_dense = is_kept_dense(nonzeros, n)
             if is_usual and is_enclosed:
                 least, most = ends(M, k, real, is_dense)
             has_start = starts.shape[1] > 0 and most > 0.0
-            after = _begin(starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n)
+            after = _begin(
+                starts, item, sweeps, rounds, pivots, may_sweep, has_start, real, whole, n
+            )
             work[item, after] = n * n / nonzeros
             if is_usual and most == 0.0:
                 residual[item], terms[item] = 0.0, 0.0
@@ -291,7 +344,9 @@ def run_all(  # type: ignore[no-untyped-def]
                 made[item, phase] += 1
                 work[item, phase] += touched / whole[STATE, NONZEROS]
             count += 1
-            residual[item], terms[item] = enclosed(M, k, real, size, least, most, is_dense, tolerance)
+            residual[item], terms[item] = enclosed(
+                M, k, real, size, least, most, is_dense, tolerance
+            )
             if residual[item] <= tolerance and terms[item] <= tolerance:
                 break
         for i in range(n):
@@ -301,7 +356,22 @@ def run_all(  # type: ignore[no-untyped-def]
 
 @kernel
 def follow_all(  # type: ignore[no-untyped-def]
-    M, q, lower, upper, tolerance, first, end, real, whole, matrix, z, residual, terms, made, work, needs_path
+    M,
+    q,
+    lower,
+    upper,
+    tolerance,
+    first,
+    end,
+    real,
+    whole,
+    matrix,
+    z,
+    residual,
+    terms,
+    made,
+    work,
+    needs_path,
 ):
     """Follow Lemke's path to its end where `needs_path` says so; all the rest as in `run_all`, to which it adds."""
     n = M.shape[1]
@@ -319,7 +389,9 @@ def follow_all(  # type: ignore[no-untyped-def]
         size = moved(M, k, real, FOUND, False)
         for i in range(n):
             real[KEPT, i] = real[Z, i]
-        if solve_free(M, k, real, whole, matrix, is_symmetric) >= 0:  # once more on the problem's own data
+        if (
+            solve_free(M, k, real, whole, matrix, is_symmetric) >= 0
+        ):  # once more on the problem's own data
             after = moved(M, k, real, FOUND, False)
             size = after if after <= size else moved(M, k, real, KEPT, False)
         made[item, PIVOT] += 1

@@ -35,7 +35,9 @@ def solve_free(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-unty
     for attempt in range(0 if is_symmetric else 1, 2):
         if is_solved:
             break
-        for p in range(free):  # a symmetric block stays as it is; rows of another are divided by their SCALE
+        for p in range(
+            free
+        ):  # a symmetric block stays as it is; rows of another are divided by their SCALE
             i = whole[FREE, p]
             unit = 1.0 if attempt == 0 else real[SCALE, i]
             for j in range(free):
@@ -112,7 +114,12 @@ def eliminate(matrix, n, free, is_symmetric=False):  # type: ignore[no-untyped-d
             for j in range(end, free + 1):
                 matrix[n + p, j] = matrix[begin + p, j]
         for i in range(end, free):
-            a, b, c, d = matrix[i, begin], matrix[i, begin + 1], matrix[i, begin + 2], matrix[i, begin + 3]
+            a, b, c, d = (
+                matrix[i, begin],
+                matrix[i, begin + 1],
+                matrix[i, begin + 2],
+                matrix[i, begin + 3],
+            )
             if abs(a) + abs(b) + abs(c) + abs(d) == 0.0:  # of another island
                 continue
             for j in range(i if is_symmetric else end, free + 1):

@@ -44,7 +44,9 @@ from .workspace import (
 
 SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
 TIE = 1e-12
-DOUBTFUL = 1e-9  # of the largest entry in its column: a pivot so small is taken in a new tableau only
+DOUBTFUL = (
+    1e-9  # of the largest entry in its column: a pivot so small is taken in a new tableau only
+)
 ADDED_AT_ONCE_UP_TO = 64  # rows: such a tableau stays in the cache
 OWN_BOUND, NOTHING = -1, -2
 NOT_STARTED = -1  # SIDE of no cell
@@ -68,7 +70,9 @@ def follow_path(M, k, real, whole, matrix, limit):  # type: ignore[no-untyped-de
         for i in range(n):
             real[KEPT, i] += level
         is_fresh = level > 0.0  # no constant: numba would compile the kernel anew for it
-        outcome, _driven, _value, _direction, made = pivots(real, whole, matrix, n, 2 * n, level, -1.0, is_fresh, limit)
+        outcome, _driven, _value, _direction, made = pivots(
+            real, whole, matrix, n, 2 * n, level, -1.0, is_fresh, limit
+        )
     if outcome != SOLVED:
         return -1
     _end(real, whole, n)
@@ -111,10 +115,16 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
             _bring_up_to_date(matrix, n, factors, rows, held, whole[CANDIDATE, c])
         if count > 1:
             row = _first_in_order(whole, matrix, n, column, direction, count)
-        if row >= 0 and not (is_fresh and made == 0) and abs(matrix[row, column]) < DOUBTFUL * largest:
+        if (
+            row >= 0
+            and not (is_fresh and made == 0)
+            and abs(matrix[row, column]) < DOUBTFUL * largest
+        ):
             outcome = LOST
             break
-        left, driven, value, direction = _move(real, whole, matrix, n, driven, value, direction, row, column, step)
+        left, driven, value, direction = _move(
+            real, whole, matrix, n, driven, value, direction, row, column, step
+        )
         made += 1
         if row >= 0:
             _hold(matrix, n, factors[held], rows[held], row, column)
@@ -129,7 +139,10 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
         if left == 2 * n:
             outcome = SOLVED
             break
-        entered, is_back = BETWEEN if driven < n else AT_LOWER if direction > 0.0 else AT_UPPER, True
+        entered, is_back = (
+            BETWEEN if driven < n else AT_LOWER if direction > 0.0 else AT_UPPER,
+            True,
+        )
         for i in range(n):
             is_back &= whole[START, i] == (entered if i == driven % n else whole[SIDE, i])
         outcome = RETURNED if is_back else GOING_ON
@@ -176,7 +189,9 @@ def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
         e, f, g, h = factors[4, i], factors[5, i], factors[6, i], factors[7, i]
         for j in range(n + 1):
             first = (a * rows[0, j] + b * rows[1, j]) + (c * rows[2, j] + d * rows[3, j])
-            matrix[i, j] += first + ((e * rows[4, j] + f * rows[5, j]) + (g * rows[6, j] + h * rows[7, j]))
+            matrix[i, j] += first + (
+                (e * rows[4, j] + f * rows[5, j]) + (g * rows[6, j] + h * rows[7, j])
+            )
 
 
 @inlined
@@ -210,7 +225,10 @@ def _begin(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
         lower, upper, largest = real[LOWER, i], real[UPPER, i], 0.0
         for j in range(n):
             largest = max(largest, abs(M[k, i, j]))
-        real[UNIT, i], real[ROW_UNIT, i] = 1.0, 2.0 ** np.floor(0.5 - np.log2(largest)) if largest > 0.0 else 1.0
+        real[UNIT, i], real[ROW_UNIT, i] = (
+            1.0,
+            2.0 ** np.floor(0.5 - np.log2(largest)) if largest > 0.0 else 1.0,
+        )
         if lower == -np.inf and upper == np.inf:
             return False
         real[BASE, i] = upper if lower == -np.inf else lower
@@ -296,7 +314,9 @@ def _share(whole, matrix, n, column, direction, c, j):  # type: ignore[no-untype
     row, at = whole[CANDIDATE, c], whole[PLACE, n + j]
     if row == OWN_BOUND:
         return 0.0
-    return (matrix[row, at - n] if at >= n else -1.0 if at == row else 0.0) / (direction * matrix[row, column])
+    return (matrix[row, at - n] if at >= n else -1.0 if at == row else 0.0) / (
+        direction * matrix[row, column]
+    )
 
 
 @helper

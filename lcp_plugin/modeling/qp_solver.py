@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
-from cvxpy.constraints import NonNeg, Zero
 from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector, checked_right_side, checked_vector, same_for_all
+from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem
 from ..core.settings import Status
 from ..problems.programs.no_minimum import QPInfeasibility
@@ -25,7 +23,6 @@ from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solution import QPSolution
 from ..problems.programs.solving import solve_program
 from ._compat import CVXPY_STATUS, UnsolvableModel, name_of, solver_errors, stand_before, statistics
-from .compiled_program import CompiledProgram
 from .stated_terms import Claim, dense_value, measure, refusal
 
 NO_INTEGERS = (
@@ -36,7 +33,6 @@ NEEDS_CONES = (
     "what cvxpy makes of this problem is no quadratic program: it has cones, as sizes of complex numbers are; choose "
     "another solver, as solver=cp.CLARABEL"
 )
-MATRICES = "lcp_plugin.matrices"  # the key of P, F and A, checked, in the program's data
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 BEGUN = "begun from the last answer; warm_start=False begins anew"
 MATRIX_KEYS = (settings.P, settings.F, settings.A)
@@ -46,9 +42,6 @@ MOST_NAMED = 5  # constraints that a contradiction lists
 SAME = (
     10.0  # times what is called optimal: beyond, the user's problem is another one than the program
 )
-
-
-_compiled: WeakKeyDictionary[Any, CompiledProgram | None] = WeakKeyDictionary()
 
 
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
@@ -99,47 +92,13 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         return "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem."
 
     def apply(self, problem: Any) -> Any:
-        """Return the data of the program that cvxpy compiled, as its own interface does, and what leads back."""
+        """Return the data of the compiled program and the way back, as every solver of cvxpy does."""
         if problem.is_mixed_integer():
             raise UnsolvableModel(NO_INTEGERS)
-        if problem not in _compiled:
-            _compiled[problem] = CompiledProgram.of(problem)
-        compiled = _compiled[problem]
-        if compiled is None or not self.accepts(problem):
-            try:
-                return super().apply(problem)
-            except SolverError as error:
-                raise UnsolvableModel(NEEDS_CONES) from error
-        found, dims = compiled.present(), problem.cone_dims
-        equations, inequalities = (
-            [c for c in problem.constraints if type(c) is kind] for kind in (Zero, NonNeg)
-        )
-        data = {
-            self.DIMS: dims,
-            settings.PARAM_PROB: problem,
-            settings.P: found.P,
-            settings.Q: found.q,
-            settings.A: found.A,
-            settings.B: found.b,
-            settings.F: found.F,
-            settings.G: found.g,
-            settings.BOOL_IDX: [],
-            settings.INT_IDX: [],
-            settings.LOWER_BOUNDS: problem.lower_bounds,
-            settings.UPPER_BOUNDS: problem.upper_bounds,
-            "n_var": found.q.size,
-            "n_eq": found.b.size,
-            "n_ineq": found.g.size,
-            MATRICES: found.matrices,
-        }
-        return data, {
-            self.VAR_ID: problem.x.id,
-            self.DIMS: dims,
-            self.IS_MIP: problem.is_mixed_integer(),
-            settings.OFFSET: found.d,
-            self.EQ_CONSTR: equations,
-            self.NEQ_CONSTR: inequalities,
-        }
+        try:
+            return super().apply(problem)
+        except SolverError as error:
+            raise UnsolvableModel(NEEDS_CONES) from error
 
     def solve_via_data(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, solver_cache: Any = None
@@ -164,15 +123,14 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any
     ) -> SolverAnswer:
         options = {**SOLVE_OPTIONS, **solver_opts}
-        before: _Solved | None = cache.get(self.name())
-        compiled = _Solved.of(data, before)
-        program, guess = compiled.program, before.z if warm_start and before is not None else None
+        guess = cache.get(self.name()) if warm_start else None
+        program = quadratic_program(data)
         algorithm = options.pop("algorithm", "auto")
         found = solve_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
         if guess is not None and "z0" not in options and not found.is_compiled:
             found = replace(found, begun=BEGUN)
-        # What was solved at once begins anew, and has no z: no complementarity problem was made.
-        cache[self.name()] = compiled._replace(z=None if found.is_compiled else found.z)
+        # An external solver leaves no z: no complementarity problem was made.
+        cache[self.name()] = None if found.is_compiled else found.z
         if verbose:
             settings.LOGGER.info(found.explain())
         return SolverAnswer(found, found.solution, CVXPY_STATUS[found.status], found.goal)
@@ -242,25 +200,6 @@ class SolverAnswer:
         return Claim(value, limit, float(left.sum()), float(np.abs(y) @ left))
 
 
-class _Solved(NamedTuple):
-    """The program of a problem's last solve, and an answer, if there is one."""
-
-    program: QuadraticProgram
-    z: FloatVector | None = None
-
-    @classmethod
-    def of(cls, data: Any, before: _Solved | None) -> _Solved:
-        """Return cvxpy's problem data as a program; the matrices of an earlier one where no parameter moved them.
-
-        A parameter changes vectors as a rule, and matrices are what takes time.
-        """
-        if before is None or data.get(MATRICES) is not before.program.matrices:
-            return cls(quadratic_program(data))
-        _require_plain(data)
-        program = before.program.with_vectors(data[settings.Q], data[settings.G], data[settings.B])
-        return before._replace(program=program)
-
-
 def _too_far_apart(data: Any) -> str:
     """Return that some coefficients of cvxpy's problem data are too far from 1 to be multiplied; "" where none is."""
     sizes = np.abs(np.concatenate([data[key].data for key in MATRIX_KEYS if data[key] is not None]))
@@ -276,14 +215,7 @@ def _too_far_apart(data: Any) -> str:
 def quadratic_program(data: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
     _require_plain(data)
-    n, matrices = int(data["n_var"]), data.get(MATRICES)
-    P, F, A = (data[key] for key in MATRIX_KEYS)
-    if matrices is not None and P is matrices.P and F is matrices.G and A is matrices.A:
-        c, b = (checked_vector(data[key], key, None) for key in (settings.Q, settings.B))
-        h = checked_right_side(data[settings.G], settings.G, None)
-        return QuadraticProgram.with_matrices(
-            matrices, c, h, b, same_for_all(-np.inf, n), same_for_all(np.inf, n)
-        )
+    n, (P, F, A) = int(data["n_var"]), (data[key] for key in MATRIX_KEYS)
     P, F, A = (
         sp.csr_array((rows, n)) if matrix is None else matrix
         for rows, matrix in ((n, P), (int(data["n_ineq"]), F), (int(data["n_eq"]), A))

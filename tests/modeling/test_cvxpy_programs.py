@@ -119,61 +119,6 @@ def test_cvxpy_s_own_bounded_programs_are_solved(name: str) -> None:
     helper.verify_primal_values(4)
 
 
-def compiled_problems() -> dict[str, Any]:
-    """Problems with parameters in every place, and without any; each with the parameters to move."""
-    rng = np.random.default_rng(9)
-    x, X, t = cp.Variable(4), cp.Variable((2, 3)), cp.Variable()
-    p, A, s = cp.Parameter(4), cp.Parameter((3, 4)), cp.Parameter(nonneg=True)
-    rows = [x >= -1, cp.sum(x) == 1, cp.norm1(x) <= 5]
-    return {
-        "no parameter": (cp.Problem(cp.Minimize(cp.norm1(x - 1) + cp.sum_squares(x)), rows), []),
-        "no rows": (cp.Problem(cp.Minimize(cp.sum_squares(x - rng.normal(size=4)))), []),
-        "limits": (
-            cp.Problem(cp.Minimize(cp.sum_squares(x) + t), [*rows, x <= t + p, x[:2] == p[:2]]),
-            [p],
-        ),
-        "costs": (cp.Problem(cp.Maximize(p @ x - s * cp.norm1(x)), rows), [p, s]),
-        "rows": (
-            cp.Problem(cp.Minimize(cp.sum(cp.huber(A @ x - 1)) + s), [*rows, A @ x <= 2]),
-            [A, s],
-        ),
-        "matrices": (
-            cp.Problem(
-                cp.Minimize(cp.sum_squares(X @ A - 1) + cp.norm1(X)),
-                [X[0] >= X[1], X[:, 0] <= p[:2]],
-            ),
-            [A, p],
-        ),
-    }
-
-
-@pytest.mark.parametrize("name", compiled_problems())
-def test_the_program_is_the_one_that_cvxpy_s_interface_makes(name: str) -> None:
-    """Every number, limit and name is cvxpy's own, at every value of the parameters, zero ones too."""
-    problem, parameters = compiled_problems()[name]
-    rng = np.random.default_rng(10)
-    for scale in (1.0, 0.0, 2.0):
-        for parameter in parameters:
-            parameter.value = scale * np.abs(rng.normal(size=parameter.shape))
-        data, _, inverse = problem.get_problem_data(QPSolver)
-        stated = cp.Problem(
-            problem.objective, problem.constraints
-        )  # with its quadratic terms, none of them or not
-        theirs, back = super(type(QPSolver), QPSolver).apply(
-            stated.get_problem_data(QPSolver, solver_opts={"use_quad_obj": True})[0]["param_prob"]
-        )
-        for key in ("P", "A", "F"):
-            np.testing.assert_array_equal(data[key].toarray(), theirs[key].toarray())
-        for key in ("q", "b", "G"):
-            np.testing.assert_array_equal(data[key], theirs[key])
-        for key in ("dims", "n_var", "n_eq", "n_ineq", "lower_bounds", "upper_bounds"):
-            assert str(data[key]) == str(theirs[key])
-        assert inverse[-1]["offset"] == back["offset"]
-        problem.solve(solver=QPSolver)
-        value = problem.value
-        assert problem.solve(solver=cp.CLARABEL) == pytest.approx(value, abs=1e-5)
-
-
 # --- Measured on the problem as stated --------------------------------------------------------------------------------
 
 

@@ -155,29 +155,6 @@ def test_a_parameter_changes_numbers_only(where: str) -> None:
                 np.testing.assert_allclose(ours.dual_value, theirs.dual_value, atol=1e-6)
 
 
-def test_matrices_that_the_host_changes_in_place_are_not_taken_for_the_old_ones() -> None:
-    """A host that writes new numbers into the arrays of the last solve is answered for the new numbers."""
-    problem, _ = nnls()
-    own = problem.get_problem_data(QPSolver)[0]
-    data = super(type(QPSolver), QPSolver).apply(own["param_prob"])[0]
-    cache: dict[str, Any] = {}
-    first = QPSolver.solve_via_data(data, True, False, {}, cache)
-    assert cache["LCP"].program is first.solution.program
-    data["P"].data *= 4.0
-    second = QPSolver.solve_via_data(data, True, False, {}, cache)
-    assert second.solution.program.matrices is not first.solution.program.matrices
-    np.testing.assert_allclose(
-        second.solution.program.P.diagonal(), 4.0 * first.solution.program.P.diagonal()
-    )
-    third = QPSolver.solve_via_data({**own, "P": 9.0 * own["P"]}, True, False, {}, cache)
-    np.testing.assert_allclose(
-        third.solution.program.P.diagonal(), 9.0 * first.solution.program.P.diagonal()
-    )
-    if "lcp_plugin.matrices" in own:  # made by us, and kept
-        with pytest.raises(ValueError, match="read-only"):
-            own["P"].data *= 4.0
-
-
 def test_a_limit_keeps_the_values_and_warns() -> None:
     """max_iterations and max_seconds end as user_limit with values kept."""
     for limit in ({"max_iterations": 0}, {"max_seconds": 0.0}):

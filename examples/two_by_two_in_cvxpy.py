@@ -21,7 +21,6 @@ import typer
 
 from lcp_plugin import complements
 from lcp_plugin.evidence.drawing import STYLE
-from lcp_plugin.modeling.registration import ComplementarityProblem
 
 M = np.array([[2.0, 1.0], [1.0, 2.0]])
 q = np.array([-5.0, 1.0])
@@ -41,8 +40,8 @@ def main(out: Path = Path()) -> None:
     """Solve the problem, compare with the answer by hand, and draw the four cones into the folder OUT."""
     z = cp.Variable(2)
     pair = complements(z >= 0, M @ z + q >= 0)
-    problem = ComplementarityProblem([pair])
-    problem.solve(tolerance=1e-12)
+    problem = cp.Problem(cp.Minimize(0), [pair])
+    problem.solve(method="LCP", tolerance=1e-12)
     print(f"{problem.status}: z = {z.value.round(6)}, w = {pair.dual_value.round(6)}")
     print(f"check: all four cases by hand differ by {abs(z.value - by_hand()).max():.1e}")
 

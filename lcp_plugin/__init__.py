@@ -53,7 +53,7 @@ _MOVED = {  # public names of before: these still work for one release, with a w
     "evidence.study": "study",
     "interfaces.qpsolvers": "register_with_qpsolvers",
     "interfaces.quantecon": "lemke",
-    "modeling.registration": "ComplementarityProblem is_complementarity_problem register",
+    "modeling.registration": "is_complementarity_problem register",
     "problems.batches.batch": "solve_many",
     "problems.batches.batch_run": "BatchResult",
     "problems.batches.program_batch": "ProgramBatchResult",

@@ -24,7 +24,6 @@ from lcp_plugin import (
     complements,
     friction_cone,
 )
-from lcp_plugin.modeling.registration import ComplementarityProblem
 
 INF = np.inf
 NO_ANSWER = (Status.STALLED, Status.MAX_ITERATIONS)
@@ -275,7 +274,7 @@ def on_cones(name: str, problem: Any, ends: Any, x: Any = None) -> Sample:
         z = cp.Variable(problem.n)
         F = problem.rows.csr @ z + problem.q
         if isinstance(problem, FrictionalContact):
-            return ComplementarityProblem(complements(friction_cone(z, problem.friction), F))
+            return cp.Problem(cp.Minimize(0), [complements(friction_cone(z, problem.friction), F)])
         pairs = []
         for first, end in zip(problem.starts[:-1], problem.starts[1:], strict=True):
             own = slice(first, end)
@@ -285,7 +284,7 @@ def on_cones(name: str, problem: Any, ends: Any, x: Any = None) -> Sample:
                     cp.SOC(z[first], z[first + 1 : end]) if end - first > 1 else side, F[own]
                 )
             )
-        return ComplementarityProblem(pairs)
+        return cp.Problem(cp.Minimize(0), pairs)
 
     return Sample(name, type(problem).__name__, problem, ends, x, in_cvxpy, None)
 

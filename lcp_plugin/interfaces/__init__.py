@@ -72,9 +72,8 @@ What any other of its solvers has found, here x = (0.5, 1.5), `certify` judges:
 
 Take it where a model already is a ``CvxpyLayer``: a matrix of parameters may stand in the objective. Take our own
 layers, ``help("lcp_plugin.interfaces.learn")``, where M and q are at hand, for JAX, and for many small problems: 128
-programs of 10 variables in a box took them a tenth of the time, forwards and backwards. Of a cvxpy problem that is no
-layer, ``problem.solve(method="LCP", requires_grad=True)`` and ``problem.backward()`` give the gradients by its
-parameters.
+programs of 10 variables in a box took them a tenth of the time, forwards and backwards. Of a cvxpy model with
+complementarities ``lcp_plugin.derivative(problem)`` gives the gradients by its parameters.
 
 **QuantEcon** ``lemke`` has the parameters and the result of ``quantecon.optimize.lcp_lemke``, which needs not be there.
 

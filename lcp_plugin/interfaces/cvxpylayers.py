@@ -25,14 +25,19 @@ except ImportError:
 
 from ..auto import asked_of_solve
 from ..core.checks import FloatVector
-from ..core.errors import LCPError, NotConverged, UnsupportedModel
-from ..modeling.program_derivative import in_words_of_programs
+from ..core.errors import LCPError, NotConverged, UnsuitableProblem, UnsupportedModel
 from ..problems.programs.conversion import conditions
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import solve_program
 from ..problems.sensitivity import Derivative
 
 __all__ = ["LCPSolver"]
+
+NOT_UNIQUE = (
+    "the minimum of the program, or its multipliers, are not determined by the active constraints alone: these are "
+    "linearly dependent, or the objective is flat between them; drop redundant constraints, or make the objective "
+    "strictly convex"
+)
 
 OTHER_CONES = {
     "soc": "second-order cones",
@@ -111,8 +116,10 @@ class SolvedProgram(NamedTuple):
     ) -> tuple[FloatVector | None, FloatVector, FloatVector]:
         """Return the gradients by the numbers of P, q and [A b], from those by x and y."""
         n, p = self.layout.n, self.layout.equations
-        with in_words_of_programs():
+        try:
             by_q = self.at.vjp(np.concatenate([dx, dy[p:], dy[:p]])).q
+        except UnsuitableProblem as error:
+            raise UnsuitableProblem(NOT_UNIQUE) from error
         of_x, of_rows = (
             by_q[:n],
             np.concatenate([by_q[self.x.size + dy.size - p :], by_q[n : n + dy.size - p]]),

@@ -384,8 +384,8 @@ class _Model:
         if name not in forms:
             raise UnsupportedModel(
                 f"SCIP knows no {name}, so that no global bound is found; write it with products, quotients, powers, "
-                "exp, log, sqrt, sin and cos, or leave out the objective and use requires_grad=True for a local "
-                "search"
+                "exp, log, sqrt, sin and cos, or leave out the objective and use derivative(problem) for a "
+                "local search"
             )
         return forms[name](*u)
 

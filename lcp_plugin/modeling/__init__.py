@@ -1,7 +1,6 @@
 """The cvxpy side: complementarity between expressions, quadratic programs, and who judges the status.
 
-**What you may write** in the list of ``cp.Problem(cp.Minimize(0), [...])``, solved with ``method="LCP"``, or of
-``ComplementarityProblem([...])``, which needs neither objective nor method:
+**What you may write** in the list of ``cp.Problem(cp.Minimize(0), [...])``, solved with ``method="LCP"``:
 
 - ``complements(x >= 0, F >= 0)``: in either order; both sides have one shape, nothing is broadcast.
 - ``complements(F >= 0, G >= 0)`` with two expressions, affine or not: an unknown s == F is added, and s ≥ 0 goes with
@@ -27,10 +26,9 @@ have no solution gets the status "infeasible", and the proof is ``problem.solver
 >>> import cvxpy as cp
 >>> import numpy as np
 >>> from lcp_plugin import box, complements
->>> from lcp_plugin.modeling.registration import ComplementarityProblem
 >>> x, y = cp.Variable(2), cp.Variable()
 >>> pair = complements(box(x, 0, [1, 4]), 2 * x - y - [3, 1])
->>> _ = ComplementarityProblem([pair, y == cp.sum(x) / 2]).solve()
+>>> _ = cp.Problem(cp.Minimize(0), [pair, y == cp.sum(x) / 2]).solve(method="LCP")
 >>> x.value.round(6), pair.dual_value.round(6), pair.violation() < 1e-8
 (array([1., 1.]), array([-2.,  0.]), True)
 
@@ -103,10 +101,10 @@ included; then ``method="LCP"`` is known too.
 >>> problem.status, problem.solver_stats.extra_stats.status.name
 ('optimal', 'SOLVED')
 
-Their status is judged by the program's own residuals; then the objective and the constraints that you stated are
-measured at the values found. A contradiction is a ``SolverError`` that says what differs. Infeasible and unbounded are
-not said without a proof; cvxpy is believed that the program is the problem. Bounds that cvxpy derives for its own
-variables are not used. All this is in units of the program's data, never relative to x: row i's
+Their status is judged by the residuals of the program that cvxpy compiles; ``certify(problem)`` measures the objective
+and the constraints as you stated them. Infeasible and unbounded are not said without a proof; after
+``method="LCP"`` ``extra_stats.contradiction`` names the constraints that contradict one another. Bounds that cvxpy
+derives for its own variables are not used. All this is in units of the program's data, never relative to x: row i's
 violation counts beside max_j |a_ij| + |b_i|, and a program is infeasible only where every x violates some row by more
 than what is called optimal (1e-7 by default).
 
@@ -115,29 +113,28 @@ than what is called optimal (1e-7 by default).
 >>> lcp_plugin.certify(problem).verdict
 'proved'
 
-**Derivatives.** After ``problem.solve(method="LCP", requires_grad=True)``, of models and of programs alike,
-``problem.backward()`` sets ``parameter.gradient`` from ``variable.gradient`` (ones by default), and
-``problem.derivative()`` sets ``variable.delta`` from ``parameter.delta`` (zeros by default), as cvxpy documents them.
+**Derivatives.** After a solve of a model, ``lcp_plugin.derivative(problem)`` differentiates variables and dual values
+by parameters: ``vjp`` takes gradients by variables and constraints (for their dual values) and returns those by
+parameters, ``jvp`` takes changes of parameters and returns those of variables and dual values.
 
 >>> x, rate, load = cp.Variable(2), cp.Parameter(value=2.0), cp.Parameter(2, value=[6.0, -1.0])
 >>> pair = complements(x >= 0, rate**2 * x - load >= 0)
->>> problem = ComplementarityProblem([pair])
->>> _ = problem.solve(requires_grad=True)
->>> problem.backward()  # x = (load / rate², 0)
->>> load.gradient, float(rate.gradient)
+>>> problem = cp.Problem(cp.Minimize(0), [pair])
+>>> _ = problem.solve(method="LCP")
+>>> found = lcp_plugin.derivative(problem)
+>>> gradients = found.vjp({x: [1.0, 1.0]})  # x = (load / rate², 0)
+>>> gradients[load], float(gradients[rate])
 (array([0.25, 0.  ]), -1.5)
->>> rate.delta = 0.01
->>> problem.derivative()
->>> x.delta.round(12), pair.dual_variables[0].delta.round(12)
+>>> changes = found.jvp({rate: 0.01})
+>>> changes[x].round(12), changes[pair].round(12)
 (array([-0.015,  0.   ]), array([0., 0.]))
 
-- In a model parameters may stand in M, q, bounds, friction and definitions, and need not enter affinely; a program
-  must follow cvxpy's DPP rules. Integer, Boolean, symmetric, PSD, diagonal, sparse and complex parameters are refused.
-- Dual values take part: ``constraint.dual_variables[0]`` has a ``gradient``, none by default, and gets a ``delta``. For
-  a function of them alone set the gradients of the variables to zeros.
-- Derivatives are at the values of the solve: a parameter that has changed since counts from the next solve on. A solve
-  without ``requires_grad=True``, or by another solver, leaves none behind.
-- Where an entry is at a bound and its w is zero, ``derivative`` gives the one-sided change, and ``backward`` the
-  gradient of one of the pieces that meet there (an element of the B-subdifferential). Whether a model's solution is
-  such a place, ``lcp_plugin.derivative(problem.solver_stats.extra_stats).is_unique`` says.
+- Parameters may stand in M, q, bounds, friction and definitions, and need not enter affinely. Integer, Boolean,
+  symmetric, PSD, diagonal, sparse and complex parameters are refused.
+- The parameters must have the values of the solve; otherwise `derivative` asks you to solve again.
+- Where an entry is at a bound and its w is zero, ``jvp`` gives the one-sided change, and ``vjp`` the gradient of one of
+  the pieces that meet there (an element of the B-subdifferential). Whether a model's solution is such a place,
+  ``lcp_plugin.derivative(problem.solver_stats.extra_stats).is_unique`` says.
+- Quadratic programs: use cvxpy's own ``problem.solve(requires_grad=True)``, or state the optimality conditions with
+  ``complements``.
 """

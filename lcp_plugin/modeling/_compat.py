@@ -1,16 +1,9 @@
-"""What we need of cvxpy's inside: where its atoms live, and their values without making sparse constants dense.
-
-Who answers for the derivatives of a problem is decided here, too. cvxpy looks for what diffcp left in a private cache;
-nothing is put there. Problem.backward and Problem.derivative are wrapped instead, and ask us where the solution that
-the problem has is one of ours: any later solve gives it another, and cvxpy answers as if we were not there.
-"""
+"""What we need of cvxpy's inside: where its atoms live, and their values without making sparse constants dense."""
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
-from functools import partial, wraps
 from importlib import import_module
 from typing import Any
 
@@ -289,59 +282,3 @@ def statistics(result: Any) -> dict[str, Any]:
         settings.NUM_ITERS: result.iterations,
         settings.EXTRA_STATS: result,
     }
-
-
-DERIVATIVES = ("backward", "derivative")
-#: By the problem: its solution as one of our solves left it, and what answers for its derivatives, or None.
-_answering: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
-
-
-def set_answering(problem: Any, answering: Any) -> None:
-    """Let an object with the methods `backward(problem)` and `derivative(problem)` answer for the present solution."""
-    _answering[problem] = (problem.solution, answering)
-
-
-def clear_answering(problem: Any) -> None:
-    """Forget who answers, before a solve."""
-    _answering.pop(problem, None)
-
-
-def refuse_without_derivatives() -> None:
-    """Raise where this release of cvxpy has no derivatives that could be answered for."""
-    missing = [name for name in (*DERIVATIVES, "solution") if not hasattr(cp.Problem, name)]
-    if missing:
-        raise UnsupportedModel(
-            f"cvxpy {cp.__version__} has no Problem.{missing[0]}, and requires_grad=True needs it; use a release from "
-            "1.6 to 1.9, or lcp_plugin.derivative on problem.solver_stats.extra_stats"
-        )
-
-
-def stand_before(name: str, method: Callable[..., Any]) -> None:
-    """Call ``method(own, problem, …)`` in the place of a method of cp.Problem; once, however often this is called.
-
-    A solver never sees the problem that its user stated: ``unpack_results`` does, where the answer is measured on it.
-    What leads from there to gradients, ``backward`` and ``derivative``, knows no other solver than cvxpy's own.
-    """
-    own = getattr(cp.Problem, name, None)
-    if own is not None and not hasattr(own, "is_lcp_plugin_s"):
-        stated = wraps(own)(lambda problem, *args, **kwargs: method(own, problem, *args, **kwargs))
-        stated.is_lcp_plugin_s = True  # type: ignore[attr-defined]
-        setattr(cp.Problem, name, stated)
-
-
-def answer_derivatives() -> None:
-    """Let our solutions answer for their derivatives."""
-    for name in DERIVATIVES:
-        stand_before(name, partial(_asking, name))
-
-
-def _asking(name: str, own: Any, problem: Any, *args: Any, **kwargs: Any) -> Any:
-    solution, answering = _answering.get(problem, (None, None))
-    if solution is None or solution is not problem.solution:
-        return own(problem, *args, **kwargs)
-    if answering is None:
-        raise UnsupportedModel(
-            f"{name} needs a solve with requires_grad=True, and the last one was without; write "
-            'problem.solve(method="LCP", requires_grad=True)'
-        )
-    return getattr(answering, name)(problem)

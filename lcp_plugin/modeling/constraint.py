@@ -117,10 +117,9 @@ def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None)
     Examples
     --------
     >>> import cvxpy as cp
-    >>> from lcp_plugin.modeling.registration import ComplementarityProblem
     >>> r = cp.Variable(3)
-    >>> problem = ComplementarityProblem(complements(friction_cone(r, 0.5), r + [-1, 3, 4]))
-    >>> _ = problem.solve()
+    >>> pair = complements(friction_cone(r, 0.5), r + [-1, 3, 4])
+    >>> _ = cp.Problem(cp.Minimize(0), [pair]).solve(method="LCP")
     >>> r.value.round(6)
     array([ 1. , -0.3, -0.4])
     """
@@ -155,7 +154,7 @@ def complements(first: Any, second: Any) -> Complements:
     Returns
     -------
     Complements
-        For ``cp.Problem(cp.Minimize(0), [...]).solve(method="LCP")`` or ``ComplementarityProblem([...])``.
+        For ``cp.Problem(cp.Minimize(0), [...]).solve(method="LCP")``.
 
     Raises
     ------
@@ -165,11 +164,10 @@ def complements(first: Any, second: Any) -> Complements:
     Examples
     --------
     >>> import cvxpy as cp
-    >>> from lcp_plugin.modeling.registration import ComplementarityProblem
     >>> M = np.array([[2, 1], [1, 2]])
     >>> x = cp.Variable(2)
-    >>> problem = ComplementarityProblem([complements(x >= 0, M @ x + [-5, 1] >= 0)])
-    >>> _ = problem.solve()
+    >>> problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + [-5, 1] >= 0)])
+    >>> _ = problem.solve(method="LCP")
     >>> x.value.round(6)
     array([2.5, 0. ])
     """

@@ -60,6 +60,10 @@ class Elimination:
         """Return all unknowns."""
         return z if self.expansion is None else self.expansion @ z + self.offset
 
+    def expand_change(self, dz: FloatVector) -> FloatVector:
+        """Return the change of all unknowns."""
+        return dz if self.expansion is None else self.expansion @ dz
+
     def expand_slack(self, w: FloatVector) -> FloatVector:
         """Return w with 0 for the unknowns that belong to an equation."""
         whole = np.zeros(self.offset.size)

@@ -1,6 +1,6 @@
-"""``problem.backward()`` and ``problem.derivative()`` after our solves, and what they ask of a solved model.
+"""The derivative of the solution of a cvxpy model by its parameters: ``lcp_plugin.derivative(problem)``.
 
-The derivative of its solution by its parameters is the LCP's own, at the solution, and that of its data. With z held,
+It is the LCP's own at the solution, and that of the LCP's data by the parameters. With z held,
 all that M and q have to do with a parameter is in the residual F(x; p) = M(p) z + q(p): with μ the gradient by q,
 dL = μᵀ ∂F/∂p, wherever in F the parameter stands. Definitions that were put in come back as rows of their own:
 D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/∂p.
@@ -8,10 +8,10 @@ D u + … = 0 for the defined unknowns u moves them by −D⁻¹ ∂(D u + …)/
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -20,14 +20,20 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from ..core.checks import FloatVector
-from ..core.errors import UnsupportedModel
+from ..core.errors import UnsuitableProblem, UnsupportedModel
 from ..core.solving.result import Result
+from ..problems.cones.data import Blocks
+from ..problems.nonlinear.data import NonlinearProblem
 from . import _compat
 from .expressions.program import Program
 from .model import Model
 from .reading import Reader, restricting_attribute
+from .registration import build_from, is_complementarity_problem
 
 Changes = dict[int, Any]
+SAME = (
+    1e-8  # of z and w: a larger difference of w shows that parameters have changed since the solve
+)
 
 
 class ParametricRows:
@@ -98,29 +104,33 @@ def _spans(leaves: Changes) -> tuple[dict[int, slice], int]:
 
 
 class ModelDerivative:
-    """The derivative at the solution of a model of complementarities.
+    """The derivative of variables and dual values by parameters; made by ``lcp_plugin.derivative(problem)``.
 
     Parameters
     ----------
     model : Model
     result : Result
-    known : dict
-        From the id of a parameter to the value with which the model was solved.
+    parameters : list of cvxpy.Parameter
     """
 
-    def __init__(self, model: Model, result: Result, known: Changes) -> None:
-        self._model, self._result, self._known = model, result, known
+    def __init__(self, model: Model, result: Result, parameters: list[Any]) -> None:
+        self._model, self._result, self._parameters = model, result, parameters
 
-    def pushed(self, changes: Changes) -> tuple[Changes, list[tuple[Any, Any]]]:
-        """Return the change of each variable, by its id, and of each dual value, with its constraint.
+    def jvp(self, changes: Mapping[Any, Any]) -> dict[Any, Any]:
+        """Return the change of each variable, and of the dual value of each constraint, by parameter changes.
 
         Parameters
         ----------
         changes : dict
-            From the id of a parameter to its change.
+            From a parameter to its change, in its shape; the others do not change.
+
+        Raises
+        ------
+        UnsupportedModel
+            Where a key is no parameter of the model, or a change is not finite or has another shape.
         """
         model, at = self._model, self._at
-        changed = self._parametric.change(changes)
+        changed = self._parametric.change(self._checked(changes, self._parameters, "change"))
         rows, moved = changed[self._rows], np.zeros(model.elimination.offset.size)
         if self._definitions is not None:
             matrix, defining, solved = self._definitions
@@ -128,41 +138,43 @@ class ModelDerivative:
             rows = rows + matrix @ moved
         h = model.sources.signs * rows[self._left]
         dlower, dupper = np.split(self._bounds @ changed, 2)
-        of_friction = (
-            {"dfriction": self._friction @ changed} if self._model.sources.friction else {}
-        )
+        of_friction = {"dfriction": self._friction @ changed} if model.sources.friction else {}
         dz = at.jvp(dq=h, dlower=dlower, dupper=dupper, **of_friction)
         dw = model.elimination.expand_slack(at.dw(dz, dq=h))
-        du = (
-            moved + dz
-            if model.elimination.expansion is None
-            else moved + model.elimination.expansion @ dz
-        )
-        duals = []
+        du = moved + model.elimination.expand_change(dz)
+        values = model.split(du)
+        found = {variable: values[variable.id] for variable in model.variables}
         for report in model.reports:
             change = report.scale * (dw if report.is_slack else du)[report.columns]
             if report.expression is not None:
                 change = change + changed[self._parametric.spans[id(report.expression)]]
-            duals.append((report.constraint, change.reshape(report.shape, order="F")))
-        return model.split(du), duals
+            found[report.constraint] = change.reshape(report.shape, order="F")
+        return found
 
-    def pulled(self, by_variable: Changes, by_dual: Changes) -> Changes:
-        """Return the gradients by the parameters, by their ids, of a function of variables and dual values.
+    def vjp(self, gradients: Mapping[Any, Any]) -> dict[Any, Any]:
+        """Return the gradient by each parameter of a function of the solution.
 
         Parameters
         ----------
-        by_variable, by_dual : dict
-            From the id of a variable, or of a constraint, to the gradient in its shape.
+        gradients : dict
+            From a variable, or a constraint for its dual value, to the function's gradient by it; 0 for the others.
+
+        Raises
+        ------
+        UnsupportedModel
+            Where a key is neither, or a gradient is not finite or has another shape.
         """
         model, total = self._model, np.zeros(self._parametric.size)
+        owners = [*model.variables, *(report.constraint for report in model.reports)]
+        given = self._checked(gradients, owners, "gradient")
         by_unknown, by_slack = np.zeros((2, model.elimination.offset.size))
         for variable in model.variables:
             first = model.offsets[variable.id]
             by_unknown[first : first + variable.size] = np.ravel(
-                by_variable[variable.id], order="F"
+                given.get(variable.id, 0.0), order="F"
             )
         for report in model.reports:
-            if (own := by_dual.get(report.constraint.id)) is not None:
+            if (own := given.get(report.constraint.id)) is not None:
                 own = np.ravel(own, order="F")
                 np.add.at(
                     by_slack if report.is_slack else by_unknown, report.columns, report.scale * own
@@ -181,7 +193,31 @@ class ModelDerivative:
         total += self._bounds.T @ np.concatenate([gradient.lower, gradient.upper])
         if model.sources.friction:
             total += self._friction.T @ gradient.friction
-        return self._parametric.gradient(total)
+        found = self._parametric.gradient(total)
+        return {one: found.get(one.id, np.zeros(one.shape)) for one in self._parameters}
+
+    @staticmethod
+    def _checked(given: Mapping[Any, Any], owners: list[Any], what: str) -> Changes:
+        """Return the arrays that a user gave, by the ids of their owners."""
+        found: Changes = {}
+        for owner, value in given.items():
+            if not any(owner is one for one in owners):
+                raise UnsupportedModel(
+                    f"{_compat.name_of(owner)} has no {what} here; give one of "
+                    f"{', '.join(map(_compat.name_of, owners))}"
+                )
+            array = np.asarray(value)
+            if (
+                array.dtype.kind not in "fiu"
+                or array.shape != owner.shape
+                or not np.isfinite(array).all()
+            ):
+                raise UnsupportedModel(
+                    f"the {what} of {_compat.name_of(owner)} must be finite real numbers of its shape {owner.shape}, "
+                    f"got {value!r}"
+                )
+            found[owner.id] = array.astype(np.float64)
+        return found
 
     @cached_property
     def _at(self) -> Any:  # a Derivative, or a ConeDerivative
@@ -201,7 +237,7 @@ class ModelDerivative:
             for part in (source.expression, source.lower, source.upper)
         ]
         shifts = [report.expression for report in self._model.reports]
-        known = {**self._known, **self._model.values(self._at.z)}
+        known = self._model.values(self._at.z)
         every = [*sources.functions, *stated, *shifts, *(one for one, _ in sources.friction)]
         return ParametricRows([one for one in every if isinstance(one, cp.Expression)], known)
 
@@ -276,87 +312,52 @@ class ModelDerivative:
         return sp.csr_array((np.ones(stated.size), (stated, places[stated])), shape=shape)
 
 
-class SolutionMap(Protocol):
-    """How a solution changes with parameters, in both directions."""
+def derivative_of(problem: Any) -> ModelDerivative:
+    """Return the derivative of a solved cvxpy model; see :func:`lcp_plugin.derivative`.
 
-    def pushed(self, changes: Changes) -> tuple[Changes, list[tuple[Any, Any]]]:
-        """Return the changes of variables and of dual values."""
-
-    def pulled(self, by_variable: Changes, by_dual: Changes) -> Changes:
-        """Return the gradients by parameters."""
-
-
-class Differentiable:
-    """A solution that answers for `backward` and `derivative` of its problem.
-
-    Parameters
-    ----------
-    solution : SolutionMap
-    parameters : list of cvxpy.Parameter
-    constraints : list of cvxpy constraint
-        Those whose dual values may have a gradient.
+    Raises
+    ------
+    UnsupportedModel
+        Where the problem has no complementarity, its last solve was not ours, its parameters have other values now,
+        or a parameter has entries that are tied to each other.
+    UnsuitableProblem
+        Where the last solve found no solution.
     """
-
-    def __init__(
-        self, solution: SolutionMap, parameters: list[Any], constraints: list[Any]
-    ) -> None:
-        self._solution, self._parameters, self._constraints = solution, parameters, constraints
-
-    def backward(self, problem: Any) -> None:
-        """Set the gradients of all parameters from those of variables and dual variables; a variable has 1 by default.
-
-        Raises
-        ------
-        UnsupportedModel
-            Where a gradient has not the shape of its variable, or is not finite.
-        """
-        by_variable = {
-            variable.id: _checked(variable, "gradient", 1.0) for variable in problem.variables()
-        }
-        duals = {constraint.id: constraint.dual_variables[0] for constraint in self._constraints}
-        by_dual = {
-            key: _checked(dual, "gradient", 0.0)
-            for key, dual in duals.items()
-            if dual.gradient is not None
-        }
-        gradients = self._solution.pulled(by_variable, by_dual)
-        for parameter in self._parameters:
-            parameter.gradient = np.zeros(parameter.shape) + gradients.get(parameter.id, 0.0)
-
-    def derivative(self, problem: Any) -> None:
-        """Set the changes of all variables and dual variables from those of the parameters; 0 by default.
-
-        Raises
-        ------
-        UnsupportedModel
-            Where a change has not the shape of its parameter, or is not finite.
-        """
-        changes = {
-            parameter.id: _checked(parameter, "delta", 0.0) for parameter in self._parameters
-        }
-        moved, duals = self._solution.pushed(changes)
-        for variable in problem.variables():
-            variable.delta = moved.get(variable.id, np.zeros(variable.shape))
-        for constraint, change in duals:
-            constraint.dual_variables[0].delta = change
-
-
-def _checked(leaf: Any, name: str, default: float) -> Any:
-    """Return what a user set as gradient or delta of a leaf."""
-    given = getattr(leaf, name)
-    if given is None:
-        return np.full(leaf.shape, default)
-    values = given.toarray() if hasattr(given, "toarray") else np.asarray(given)
-    if (
-        values.dtype.kind not in "fiu"
-        or values.shape != leaf.shape
-        or not np.isfinite(values).all()
-    ):
+    if not is_complementarity_problem(problem):
         raise UnsupportedModel(
-            f"the {name} of {leaf.name()} must be finite real numbers of its shape {leaf.shape}, got {given!r}; leave "
-            f"it None for {default:g} everywhere"
+            "derivative takes a cvxpy problem with complementarities; of a program use cvxpy's "
+            "problem.solve(requires_grad=True), or state its optimality conditions with complements"
         )
-    return values.astype(np.float64)
+    parameters = differentiable_parameters(problem)
+    result = getattr(problem.solver_stats, "extra_stats", None)
+    if not isinstance(result, Result):
+        raise UnsupportedModel(
+            'derivative needs a solution of complementarities alone; call problem.solve(method="LCP") first, with the '
+            "objective cp.Minimize(0)"
+        )
+    if not result.is_solved:
+        raise UnsuitableProblem(
+            f"only a solution has a derivative, and this run ended {result.status.name}: {result.advice}"
+        )
+    model = build_from(problem)
+    if not _is_solved_by(model, result):
+        raise UnsupportedModel(
+            "the parameters have other values than at the last solve; solve the problem again"
+        )
+    return ModelDerivative(model, result, parameters)
+
+
+def _is_solved_by(model: Model, result: Result) -> bool:
+    """Return whether the result is that of the model with the present values of its parameters."""
+    now, z, w = model.problem, result.z, result.w
+    rows = now.rows if isinstance(now, Blocks) else now
+    then = result.problem if isinstance(now, Blocks) else result.certificate.problem
+    slack = now.value(z) if isinstance(now, NonlinearProblem) else rows.M @ z + rows.q
+    size = 1.0 + np.abs(z).max(initial=0.0) + np.abs(w).max(initial=0.0)
+    return bool((np.abs(slack - w) <= SAME * size).all()) and all(
+        np.array_equal(getattr(now, name, 0.0), getattr(then, name, 0.0))
+        for name in ("lower", "upper", "friction")
+    )
 
 
 def differentiable_parameters(problem: Any) -> list[Any]:
@@ -384,12 +385,6 @@ def differentiable_parameters(problem: Any) -> list[Any]:
             raise UnsupportedModel(
                 f"parameter {parameter.name()} has the attribute {name!r}, so that its entries cannot move freely "
                 "and have no gradients of their own; use a plain parameter, nonneg or with bounds, and build the "
-                "matrix from it, or leave requires_grad out"
+                "matrix from it"
             )
     return parameters
-
-
-def values_of_parameters(parameters: list[Any]) -> Changes:
-    """Return copies of the present values by the ids of the parameters."""
-    values = {parameter.id: _compat.leaf_value(parameter) for parameter in parameters}
-    return {key: value.copy() for key, value in values.items() if value is not None}

@@ -2,66 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from cvxpy import settings
-from cvxpy.error import SolverError
 from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
-from ..core.errors import InvalidProblem
-from ..core.settings import Status
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solution import QPSolution
 from ..problems.programs.solving import solve_program
-from ._compat import CVXPY_STATUS, UnsolvableModel, name_of, solver_errors, stand_before, statistics
-from .stated_terms import Claim, dense_value, measure, refusal
+from ._compat import CVXPY_STATUS, name_of, solver_errors, statistics
+from .stated_terms import dense_value
 
-NO_INTEGERS = (
-    "QPSolver knows no integers, and this problem needs some; choose another solver, "
-    "as solver=cp.HIGHS or cp.SCIP"
-)
-NEEDS_CONES = (
-    "what cvxpy makes of this problem is no quadratic program: it has cones, as sizes of complex numbers are; choose "
-    "another solver, as solver=cp.CLARABEL"
-)
 SOLVE_OPTIONS = {"tolerance": 1e-9}
 BEGUN = "begun from the last answer; warm_start=False begins anew"
 MATRIX_KEYS = (settings.P, settings.F, settings.A)
-ORDINARY = (1e-100, 1e100)  # numbers whose products are doubles
 DIGITS = 0.005  # of which the last of three digits is at least a tenth
 MOST_NAMED = 5  # constraints that a contradiction lists
-SAME = (
-    10.0  # times what is called optimal: beyond, the user's problem is another one than the program
-)
 
 
 class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     """Solves convex quadratic programs, linear ones included, through their linear complementarity problem.
 
-    The status is judged by the program's own residuals, then values are measured on the problem as it was stated;
-    infeasible and unbounded are said only with a proof, ``problem.solver_stats.extra_stats.proof``; of an infeasible
-    problem the duals are the multipliers that prove it, and ``extra_stats.contradiction`` names the constraints, where
-    cvxpy passes them on (1.9 does, 1.6 does not).
+    The status is judged by the program's own residuals. Infeasible and unbounded come with a proof,
+    ``problem.solver_stats.extra_stats.proof``; cvxpy ≥ 1.9 passes on the multipliers that prove infeasibility as dual
+    values, and `conflicting_constraints` names the constraints that have some.
 
     Stateless: cvxpy keeps the compiled problem under the solver object, and uses the first one for ever. Options
     go to ``solve``: ``algorithm``, ``tolerance``, ``max_iterations``, ``max_seconds``,
     ``threads`` and the algorithm's own.
     """
 
-    MIP_CAPABLE = (
-        True  # or cvxpy refuses in words that name no solver; `apply` refuses in better ones
-    )
-    #: cvxpy ≥ 1.9 derives bounds of its own for solvers that take some, wrong ones among them; the rows that a
-    #: user's bounds become otherwise are folded back at the cost of a look.
+    #: cvxpy ≥ 1.9 infers bounds, some of them wrong, for solvers with BOUNDED_VARIABLES. We decline; simple rows
+    #: become bounds again in our reduction.
     BOUNDED_VARIABLES = False
 
     def __call__(self) -> _LCPQuadraticSolver:
@@ -78,12 +58,6 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         """Return "LCP"."""
         return "LCP"
 
-    def can_solve(self, problem_form: Any) -> bool:
-        """Return that the problem can become a quadratic program, as cvxpy ≥ 1.9 asks; raise why it cannot."""
-        if super().can_solve(problem_form):
-            return True
-        raise refusal(problem_form._problem) or UnsolvableModel(NEEDS_CONES)
-
     def import_solver(self) -> None:
         """Do nothing: it is here."""
 
@@ -91,33 +65,14 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         """Return where the methods come from."""
         return "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem."
 
-    def apply(self, problem: Any) -> Any:
-        """Return the data of the compiled program and the way back, as every solver of cvxpy does."""
-        if problem.is_mixed_integer():
-            raise UnsolvableModel(NO_INTEGERS)
-        try:
-            return super().apply(problem)
-        except SolverError as error:
-            raise UnsolvableModel(NEEDS_CONES) from error
-
     def solve_via_data(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, solver_cache: Any = None
     ) -> Any:
         """Return the answer to the program in cvxpy's form."""
         cache = {} if solver_cache is None else solver_cache
-        try:
-            with (
-                np.errstate(over="ignore"),
-                solver_errors(),
-            ):  # what overflows becomes infinite, and is refused as such
-                answer = self._answer(data, warm_start, verbose, solver_opts, cache)
-        except InvalidProblem as error:
-            if not (words := _too_far_apart(data)):
-                raise
-            raise UnsolvableModel(words) from error
-        if answer.result.status is Status.STALLED and (words := _too_far_apart(data)):
-            raise UnsolvableModel(words)
-        return answer
+        # Overflow becomes infinite, and is refused as such.
+        with np.errstate(over="ignore"), solver_errors():
+            return self._answer(data, warm_start, verbose, solver_opts, cache)
 
     def _answer(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any
@@ -133,7 +88,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         cache[self.name()] = None if found.is_compiled else found.z
         if verbose:
             settings.LOGGER.info(found.explain())
-        return SolverAnswer(found, found.solution, CVXPY_STATUS[found.status], found.goal)
+        return SolverAnswer(found, found.solution, CVXPY_STATUS[found.status])
 
     def invert(self, solution: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
@@ -173,65 +128,21 @@ def _farkas(proof: QPInfeasibility) -> QPSolution:
 
 @dataclass(frozen=True, eq=False)
 class SolverAnswer:
-    """What a run found: the result, the program's own solution, cvxpy's word for it, and what is called optimal."""
+    """What a run found: the result, the program's own solution, and cvxpy's word for it."""
 
     result: Any  # a QuadraticProgramResult, or None where unknowns are only counted
     solution: QPSolution
     status: str
-    goal: float
-
-    def claim(self, value: float) -> Claim | None:
-        """Return what is claimed of the values that the user's variables have; None where nothing is.
-
-        Parameters
-        ----------
-        value : float
-            Of the user's objective, as cvxpy makes it of this answer.
-        """
-        if self.status not in (settings.OPTIMAL, settings.OPTIMAL_INACCURATE):
-            return None  # none or, where a limit came first, the best so far, which is claimed to be nothing
-        solution, rows = self.solution, self.solution.program.constraints
-        errors = (self.goal, solution.error)
-        limit = SAME * (self.goal if self.status == settings.OPTIMAL else float(np.max(errors)))
-        left = np.where(np.isfinite(rows.limit), rows.matrix @ solution.x - rows.limit, 0.0)
-        left = SAME * np.where(rows.is_equality, np.abs(left), np.maximum(left, 0.0))
-        left = np.minimum(left, limit * rows.unit)  # more is no answer to the program either
-        y = np.concatenate([solution.inequality, solution.equality, solution.lower, solution.upper])
-        return Claim(value, limit, float(left.sum()), float(np.abs(y) @ left))
-
-
-def _too_far_apart(data: Any) -> str:
-    """Return that some coefficients of cvxpy's problem data are too far from 1 to be multiplied; "" where none is."""
-    sizes = np.abs(np.concatenate([data[key].data for key in MATRIX_KEYS if data[key] is not None]))
-    sizes = sizes[sizes > 0.0]
-    if not ((sizes > ORDINARY[1]) | (sizes < ORDINARY[0])).any():
-        return ""
-    return (
-        "some coefficients of the program that cvxpy made are too far from 1 to be multiplied in double "
-        f"precision, {sizes.min():.3g} to {sizes.max():.3g}; write the problem in other units"
-    )
 
 
 def quadratic_program(data: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
-    _require_plain(data)
     n, (P, F, A) = int(data["n_var"]), (data[key] for key in MATRIX_KEYS)
     P, F, A = (
         sp.csr_array((rows, n)) if matrix is None else matrix
         for rows, matrix in ((n, P), (int(data["n_ineq"]), F), (int(data["n_eq"]), A))
     )
     return QuadraticProgram(P, data[settings.Q], G=F, h=data[settings.G], A=A, b=data[settings.B])
-
-
-def _require_plain(data: Any) -> None:
-    """Raise where the program has integers, or bounds, which may be ones that cvxpy derived."""
-    if len(data.get(settings.BOOL_IDX, ())) or len(data.get(settings.INT_IDX, ())):
-        raise UnsolvableModel(NO_INTEGERS)
-    if data.get(settings.LOWER_BOUNDS) is not None or data.get(settings.UPPER_BOUNDS) is not None:
-        raise SolverError(
-            "this release of cvxpy sends bounds of variables to a solver that takes none, and they may be bounds that "
-            "it derived itself; state them as constraints"
-        )
 
 
 class Entries(NamedTuple):
@@ -300,10 +211,7 @@ class ProgramEntries(NamedTuple):
         }
         inequality, equality = np.split(1.0 + np.arange(rows.rows), [program.h.size])
         counted = QPSolution(program, nothing, inequality, equality, nothing, nothing)
-        found = (
-            chain.invert(SolverAnswer(None, counted, settings.OPTIMAL, np.inf), inverse).dual_vars
-            or {}
-        )
+        found = chain.invert(SolverAnswer(None, counted, settings.OPTIMAL), inverse).dual_vars or {}
         duals = {
             one.id: Entries.of(found[one.id], program.n, one.dual_variables[0].shape)
             for one in problem.constraints
@@ -339,28 +247,22 @@ def _entries_of(variable: Any, columns: dict[int, int], chain: Any, inverse: Any
 QPSolver = _LCPQuadraticSolver()
 
 
-def _measured(
-    own: Callable[..., Any], problem: Any, solution: Any, chain: Any, inverse_data: Any
-) -> None:
-    """Unpack as cvxpy does, and measure what is ours on the user's own expressions."""
-    own(problem, solution, chain, inverse_data)
-    if not isinstance(solution, SolverAnswer):
-        return
-    if solution.result is not None and isinstance(proof := solution.result.proof, QPInfeasibility):
-        named = replace(solution.result, contradiction=_contradiction(problem, proof))
-        problem.solver_stats.extra_stats = named
-    elif (claim := solution.claim(problem.solution.opt_val)) is not None:
-        measure(problem, claim)
-
-
 def _rounded_down(value: float) -> str:
     """Return three digits of a lower bound that are no more than it."""
     text = f"{value:.3g}"
     return text if float(text) <= value else f"{value * (1.0 - DIGITS):.3g}"
 
 
-def _contradiction(problem: Any, proof: QPInfeasibility) -> str:
-    """Return the user's constraints that contradict one another, the heaviest first, and by how much they do."""
+def conflicting_constraints(problem: Any, proof: QPInfeasibility) -> str:
+    """Return the constraints of an infeasible problem that have a multiplier, the largest first, and their violation.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        Solved by QPSolver: its dual values are the multipliers that prove infeasibility.
+    proof : QPInfeasibility
+        ``problem.solver_stats.extra_stats.proof``.
+    """
     weights = []
     for constraint in problem.constraints:
         dual = constraint.dual_value
@@ -378,6 +280,3 @@ def _contradiction(problem: Any, proof: QPInfeasibility) -> str:
         return ""
     what = "contradict one another" if len(weights) > 1 else "cannot hold"
     return f"{named}{left} {what}: every point violates a constraint by {_rounded_down(proof.least_violation)} or more"
-
-
-stand_before("unpack_results", _measured)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import warnings
 import weakref
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 from cvxpy import settings
-from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.zero import Equality, Zero
 from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
@@ -19,28 +19,18 @@ from cvxpy.reductions.solution import Solution
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.result import Result
+from ..problems.programs.no_minimum import QPInfeasibility
 from ._compat import (
     CVXPY_STATUS,
-    answer_derivatives,
-    clear_answering,
     name_of,
-    refuse_without_derivatives,
-    set_answering,
     solver_errors,
     statistics,
 )
 from .assembly import solve_from
 from .builder import Builder, warn
 from .constraint import Complements, box, complements
-from .model import Model, ModelBatch, contradiction, solve_for
-from .model_derivative import (
-    Differentiable,
-    ModelDerivative,
-    differentiable_parameters,
-    values_of_parameters,
-)
-from .program_derivative import ProgramDerivative, refuse_undisciplined
-from .qp_solver import QPSolver
+from .model import Model, contradiction
+from .qp_solver import QPSolver, conflicting_constraints
 from .stated_terms import refusal
 
 METHODS = ("LCP", "lcp")
@@ -54,7 +44,6 @@ def register() -> None:
     """
     for name in METHODS:
         cp.Problem.register_solve(name, solve_model)
-    answer_derivatives()
 
 
 def is_complementarity_problem(problem: Any) -> bool:
@@ -73,93 +62,6 @@ def is_complementarity_problem(problem: Any) -> bool:
     return isinstance(problem, cp.Problem) and any(
         isinstance(c, Complements) for c in problem.constraints
     )
-
-
-class ComplementarityProblem(cp.Problem):  # type: ignore[misc]
-    """A cvxpy problem that is nothing but complementarities and equalities.
-
-    Parameters
-    ----------
-    constraints : list
-        Of :func:`complements` and equalities; a single one need not stand in a list.
-
-    Raises
-    ------
-    UnsupportedModel
-        Where something in the list is no constraint.
-
-    Examples
-    --------
-    >>> import cvxpy as cp
-    >>> from lcp_plugin import complements
-    >>> x = cp.Variable()
-    >>> problem = ComplementarityProblem([complements(x >= 0, 2 * x - 3 >= 0)])
-    >>> problem.solve(tolerance=1e-12), problem.status, float(x.value)
-    (0.0, 'optimal', 1.5)
-    """
-
-    def __init__(self, constraints: Any) -> None:
-        super().__init__(cp.Minimize(0), _listed(constraints))
-
-    def solve(self, algorithm: Any = "auto", **options: Any) -> Any:
-        """Solve as ``cp.Problem.solve(method="LCP")`` does; see :func:`solve_model`."""
-        if options.pop("method", "LCP") not in METHODS:
-            raise UnsupportedModel(
-                'a ComplementarityProblem is solved by method="LCP" only; leave the method out'
-            )
-        return solve_model(self, algorithm=algorithm, **options)
-
-    def solve_batch(self, parameters: Mapping[cp.Parameter, Any], **options: Any) -> ModelBatch:
-        """Solve for many values of the parameters at once; parameters and variables keep their values.
-
-        Parameters
-        ----------
-        parameters : dict
-            From a parameter to its stacked values, shape (B, *its shape).
-        **options
-            As for :func:`lcp_plugin.solve_batch`.
-
-        Returns
-        -------
-        ModelBatch
-            ``value(x)`` are the stacked values of the variable x, ``batch`` has status and residuals.
-
-        Examples
-        --------
-        >>> import cvxpy as cp
-        >>> from lcp_plugin import complements
-        >>> x, load = cp.Variable(), cp.Parameter()
-        >>> problem = ComplementarityProblem(complements(x >= 0, 2 * x - load >= 0))
-        >>> problem.solve_batch({load: [3.0, -1.0, 5.0]}).value(x).tolist()
-        [1.5, 0.0, 2.5]
-        """
-        return solve_for(self, parameters, build_from, options)
-
-    def copy(self, args: Any = None, id_objects: Any = None) -> ComplementarityProblem:
-        """Return a problem with the same constraints."""
-        return ComplementarityProblem(list(self.constraints if args is None else args[1]))
-
-
-def _listed(constraints: Any) -> list[Any]:
-    """Return the constraints as a list, or raise naming what is none."""
-    if isinstance(constraints, Constraint):
-        return [constraints]
-    try:
-        if isinstance(constraints, (str, cp.Expression)):
-            raise TypeError("it can be looped over, but is no list")
-        listed = list(constraints)
-    except TypeError as error:
-        raise UnsupportedModel(
-            f"a ComplementarityProblem needs a list of constraints, got {constraints!r}; write "
-            "[complements(x >= 0, F >= 0)]"
-        ) from error
-    for constraint in listed:
-        if not isinstance(constraint, Constraint):
-            raise UnsupportedModel(
-                f"a ComplementarityProblem needs constraints, and its list holds {constraint!r}; write complements(…) "
-                "or an equality of expressions"
-            )
-    return listed
 
 
 def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
@@ -194,7 +96,7 @@ def build_from(problem: Any) -> Model:
     if not isinstance(problem, cp.Problem):
         kind = type(problem).__name__
         raise UnsupportedModel(
-            f"a cvxpy problem is needed, got {kind}; write ComplementarityProblem([…])"
+            f"a cvxpy problem is needed, got {kind}; write cp.Problem(cp.Minimize(0), […])"
         )
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
@@ -214,12 +116,11 @@ def lcp_stated_by(problem: Any) -> LCP:
 
 
 def stated_in_cvxpy(problem: LCP) -> Any:
-    """Return the ComplementarityProblem in one variable z that states an LCP."""
-    if problem.n == 0:  # older versions of cvxpy have no empty variables
-        return ComplementarityProblem([])
+    """Return the cvxpy problem in one variable z that states an LCP."""
     z = cp.Variable(problem.n, name="z")
     F = problem.csr @ z + problem.q
-    return ComplementarityProblem([complements(box(z, problem.lower, problem.upper), F)])
+    pair = complements(box(z, problem.lower, problem.upper), F)
+    return cp.Problem(cp.Minimize(0), [pair])
 
 
 def solve_model(
@@ -229,7 +130,6 @@ def solve_model(
     warm_start: bool = True,
     verbose: bool = False,
     solver: Any = None,
-    requires_grad: bool = False,
     **options: Any,
 ) -> Any:
     """Solve a complementarity problem, or an ordinary quadratic program, stated in cvxpy.
@@ -245,8 +145,6 @@ def solve_model(
         Print the run as :func:`lcp_plugin.solve` does, then tell its story through cvxpy's logger.
     solver : None
         There because cvxpy passes it; there is no other solver to choose.
-    requires_grad : bool
-        Let ``problem.backward()`` and ``problem.derivative()`` differentiate this solution afterwards.
     **options
         Options of :func:`lcp_plugin.solve` and of the algorithm.
 
@@ -267,35 +165,28 @@ def solve_model(
             raise UnsupportedModel(
                 f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…'
             )
-        clear_answering(problem)
-        if requires_grad:
-            refuse_without_derivatives()
-        return _solve_model(problem, algorithm, warm_start, bool(verbose), requires_grad, options)
+        if options.pop("requires_grad", False):
+            raise UnsupportedModel(
+                'method="LCP" takes no requires_grad; call lcp_plugin.derivative(problem) after the solve'
+            )
+        return _solve_model(problem, algorithm, warm_start, bool(verbose), options)
 
 
 def _solve_model(
-    problem: Any,
-    algorithm: Any,
-    warm_start: bool,
-    verbose: bool,
-    requires_grad: bool,
-    options: dict[str, Any],
+    problem: Any, algorithm: Any, warm_start: bool, verbose: bool, options: dict[str, Any]
 ) -> Any:
     """Solve what is a complementarity problem as one, and else a program."""
-    if not is_complementarity_problem(problem) and not isinstance(problem, ComplementarityProblem):
-        run = _differentiable_program if requires_grad else _program
-        return run(problem, warm_start, verbose, {"algorithm": algorithm, **options})
+    if not is_complementarity_problem(problem):
+        return _program(problem, warm_start, verbose, {"algorithm": algorithm, **options})
     _refuse_flags(options)
     if not problem.objective.args[0].is_constant():
-        return _best(problem, algorithm, verbose, warm_start, requires_grad, options)
-    parameters = differentiable_parameters(problem) if requires_grad else []
-    known = values_of_parameters(parameters) if requires_grad else {}
+        return _best(problem, algorithm, verbose, warm_start, options)
     try:
         model = build_from(problem)
     except NotSquare as error:
-        if algorithm != "auto" or requires_grad:
+        if algorithm != "auto":
             raise
-        return _any(problem, error, bool(verbose), warm_start, options)
+        return _any(problem, error, verbose, warm_start, options)
     start = model.start() if warm_start and "z0" not in options else None
     result = solve_from(
         model.problem, start, {"algorithm": algorithm, "verbose": verbose, **options}
@@ -303,11 +194,6 @@ def _solve_model(
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)
-    answering = None
-    if requires_grad:
-        constraints = [report.constraint for report in model.reports]
-        answering = Differentiable(ModelDerivative(model, result, known), parameters, constraints)
-    set_answering(problem, answering)
     return problem.value
 
 
@@ -330,7 +216,6 @@ def _best(
     algorithm: Any,
     verbose: bool,
     warm_start: bool,
-    requires_grad: bool,
     options: dict[str, Any],
 ) -> Any:
     """Find the best of all solutions."""
@@ -341,10 +226,10 @@ def _best(
             f"the objective {name_of(problem.objective.args[0])} stands beside a complementarity over cones, and "
             "nothing searches for the best of its solutions; write cp.Minimize(0) for any of them"
         )
-    if algorithm != "auto" or requires_grad:
-        what = "requires_grad=True" if requires_grad else f"algorithm={algorithm!r}"
-        rest = "; for a local search leave out the objective" if requires_grad else "; leave it out"
-        raise UnsupportedModel(f"{what} does not go with an objective beside complementarity{rest}")
+    if algorithm != "auto":
+        raise UnsupportedModel(
+            f"algorithm={algorithm!r} does not go with an objective beside complementarity; leave it out"
+        )
     return solve_for_the_best(problem, verbose, warm_start, options)
 
 
@@ -363,25 +248,11 @@ def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, A
         if (refused := refusal(problem)) is None:
             raise
         raise refused from error
-    set_answering(problem, None)
+    result = problem.solver_stats.extra_stats
+    if isinstance(result.proof, QPInfeasibility):
+        named = conflicting_constraints(problem, result.proof)
+        problem.solver_stats.extra_stats = replace(result, contradiction=named)
     return value
-
-
-def _differentiable_program(
-    problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]
-) -> Any:
-    """Solve a quadratic program by cvxpy's three public steps, and keep what its derivatives need."""
-    _refuse_flags(options)
-    parameters = differentiable_parameters(problem)
-    known = values_of_parameters(parameters)
-    data, chain, inverse_data = problem.get_problem_data(QPSolver, verbose=verbose)
-    refuse_undisciplined(chain)
-    answer = chain.solve_via_data(problem, data, warm_start, verbose, options)
-    solution = ProgramDerivative(problem, data, chain, inverse_data, answer, known)
-    problem.unpack_results(answer, chain, inverse_data)
-    solution.confirm(problem)
-    set_answering(problem, Differentiable(solution, parameters, solution.constraints))
-    return problem.value
 
 
 def _refuse_flags(options: Mapping[str, Any]) -> None:

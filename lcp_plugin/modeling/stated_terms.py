@@ -1,14 +1,7 @@
-"""The objective and the constraints of a cvxpy problem as its user stated them, at the values of his variables.
-
-A solver only sees a program that cvxpy derived. An error in the derivation is invisible in it, however exact the answer
-is. So an answer is measured on the expressions themselves: the objective has the value that the solver claims, no
-constraint and no attribute is violated. That no other point is better is proved of the program, and cvxpy is believed
-that it is the problem.
-"""
+"""The objective and the constraints of a cvxpy problem as its user stated them, at the values of his variables."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,15 +10,12 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
-from cvxpy.error import SolverError
 from numpy.typing import NDArray
 
 from ._compat import SUM, UnsolvableModel, attribute_bounds, leaf_value, name_of, postorder
 
 EQUATIONS = (Equality, Zero)
 INEQUALITIES = (Inequality, NonPos, NonNeg)
-#: What atoms of cvxpy raise at values that they do not expect, for instance sparse ones of diagonal variables.
-CANNOT_BE_EVALUATED = (ValueError, TypeError, IndexError, NotImplementedError, ArithmeticError)
 
 
 class StatedTerms(NamedTuple):
@@ -97,76 +87,6 @@ def _size(roots: list[Any], values: dict[int, Any], k: int) -> float:
         if len(parts) == 2 and not is_sum:
             size = max(size, float(parts[0].max(initial=0.0) * parts[1].max(initial=0.0)))
     return size
-
-
-class Claim(NamedTuple):
-    """What a solver says of the values that it gives the variables.
-
-    Attributes
-    ----------
-    value : float
-        Of the user's objective.
-    tolerance : float
-        Of the terms of an expression: what its value or violation may be off by.
-    slip, miss : float
-        By how much all rows of the program are violated, and by how much that may change its objective: so much may
-        the user's expressions differ from the program's as well, where their own terms are smaller.
-    """
-
-    value: float
-    tolerance: float
-    slip: float
-    miss: float
-
-
-def measure(problem: Any, claim: Claim) -> None:
-    """Hold an answer, which is in the variables, against the problem itself; warn where cvxpy cannot evaluate that.
-
-    Raises
-    ------
-    SolverError
-        Saying what differs; the problem has no answer then.
-    """
-    if any(variable.is_complex() for variable in problem.variables()):
-        return
-    try:
-        with np.errstate(all="ignore"):
-            what = _disagreement(problem, StatedTerms.of(problem), claim)
-    except CANNOT_BE_EVALUATED as error:
-        what = None
-        warnings.warn(
-            "QPSolver's answer is that of the program which cvxpy made; it could not be judged on the problem "
-            f"itself, because cvxpy fails to evaluate it: {error}",
-            stacklevel=2,
-        )
-    if what is not None:
-        status = problem.status
-        problem._clear_solution()
-        raise SolverError(
-            f"QPSolver's answer to the program that cvxpy {cp.__version__} made of this problem is {status!r}, but "
-            f"the problem itself contradicts: {what}. The program is not the problem, or too ill-conditioned; "
-            "write the expression in another way, or compare with another solver"
-        )
-
-
-def _disagreement(problem: Any, terms: StatedTerms, claim: Claim) -> str | None:
-    claimed, limit = sense_of(problem) * claim.value, claim.tolerance
-    miss = abs(terms.goal - claimed)
-    if not miss <= claim.miss and not miss <= limit * max(terms.size(0), abs(claimed)):
-        return (
-            f"its objective is {terms.goal:.9g} at the values of its variables, not {claimed:.9g}"
-        )
-    for k, (constraint, violation) in enumerate(
-        zip(problem.constraints, terms.violated(problem), strict=True)
-    ):
-        if not violation <= claim.slip and not violation <= limit * terms.size(k + 1):
-            return f"its constraint {name_of(constraint)} is violated by {violation:.3g}"
-    for variable in problem.variables():
-        if not (error := attribute_error(variable)) <= claim.slip:
-            largest = float(np.abs(dense_value(leaf_value(variable))).max(initial=0.0))
-            if not error <= limit * largest:
-                return f"its variable {variable.name()} misses its own attributes by {error:.3g}"
-    return None
 
 
 def attribute_error(variable: Any) -> float:

@@ -135,9 +135,9 @@ def complementarity_models(
     Returns
     -------
     strategy of (cvxpy.Problem, dict)
-        The model is a ``ComplementarityProblem`` or a ``cp.Problem`` with the objective 0, in one variable, "x". It is
-        stated in one of the ways that ``complements`` knows: with x >= 0 on either side, a variable's attribute,
-        x >= l, a box, or free with F == 0. The dict has the exact value of the variable by its name:
+        The model is a ``cp.Problem`` with the objective 0, in one variable, "x". It is stated in one of the ways that
+        ``complements`` knows: with x >= 0 on either side, a variable's attribute, x >= l, a box, or free with F == 0.
+        The dict has the exact value of the variable by its name:
         ``model.var_dict["x"].value`` should be near it.
 
     Raises
@@ -167,7 +167,7 @@ def complementarity_models(
         import cvxpy as cp
 
         from ..modeling.constraint import box, complements
-        from ..modeling.registration import ComplementarityProblem, register
+        from ..modeling.registration import register
 
         register()
         M, form = sp.csr_array(draw(chosen)), draw(st.sampled_from(FORMS))
@@ -185,11 +185,7 @@ def complementarity_models(
             "free": (x, F == 0),
         }
         pair = complements(*pairs.get(form, (x >= lower, F >= 0)))
-        return (
-            cp.Problem(cp.Minimize(0), [pair])
-            if draw(st.booleans())
-            else ComplementarityProblem([pair])
-        ), {"x": z}
+        return cp.Problem(cp.Minimize(0), [pair]), {"x": z}
 
     return model()
 

@@ -37,7 +37,6 @@ from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.core.solving.advice import advice_of_run
 from lcp_plugin.core.tuning import PIVOTED_UP_TO
 from lcp_plugin.methods.direct import FallbackOrder
-from lcp_plugin.modeling.registration import ComplementarityProblem
 from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
@@ -561,8 +560,12 @@ def test_an_equation_too_many_is_told_the_way_out() -> None:
     """Prices that sum to one beside all markets: drop a market, or a free multiplier, which solves the model."""
     p, scale = cp.Variable(2), cp.Variable()
     with pytest.raises(LCPError, match=r"sum\(p\) == 1, drop a market .* free multiplier"):
-        ComplementarityProblem([complements(p >= 0, p - 0.5 >= 0), cp.sum(p) == 1]).solve()
-    problem = ComplementarityProblem([complements(p >= 0, p - 0.25 + scale >= 0), cp.sum(p) == 1])
-    problem.solve()
+        cp.Problem(cp.Minimize(0), [complements(p >= 0, p - 0.5 >= 0), cp.sum(p) == 1]).solve(
+            method="LCP"
+        )
+    problem = cp.Problem(
+        cp.Minimize(0), [complements(p >= 0, p - 0.25 + scale >= 0), cp.sum(p) == 1]
+    )
+    problem.solve(method="LCP")
     assert problem.status == "optimal"
     np.testing.assert_allclose(p.value, [0.5, 0.5], atol=1e-8)

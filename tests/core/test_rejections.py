@@ -38,7 +38,6 @@ from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.curves import Report, performance_profile
 from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.stability import Atlas, stability_atlas
-from lcp_plugin.modeling.registration import ComplementarityProblem
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 BUILTIN_BASE = {
@@ -991,7 +990,6 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "report save": lambda p, wrong: REPORT.save(wrong),
     "profile save": lambda p, wrong: performance_profile([REPORT]).save(wrong),
     "atlas save": lambda p, wrong: Atlas((), ()).save(wrong),
-    "ComplementarityProblem": lambda p, wrong: ComplementarityProblem(wrong),
 }
 REPORT = Report("", "", 1, 1, "residual", 1e-8, 1, 0.0, ())
 

@@ -61,6 +61,7 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),
     "problems.cones.frictional_contact": ({"files"}, "save() of many worlds with contact"),
     "problems.programs.certification": ({"modeling"}, "certify takes a cvxpy problem as well"),
+    "problems.sensitivity": ({"modeling"}, "derivative takes a cvxpy problem as well"),
     "problems.equilibria.branch_and_bound": (
         {"scip"},
         "SCIP is asked where it is installed, in expressions",

@@ -62,7 +62,6 @@ from lcp_plugin.interfaces.nl.answers import CODES
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.kinds import KINDS, options_of
 from lcp_plugin.modeling._compat import CVXPY_STATUS
-from lcp_plugin.modeling.registration import ComplementarityProblem
 from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.march.march_many import march_many
 from lcp_plugin.proofs.guarantees import convergence_guarantee
@@ -743,8 +742,8 @@ def begun_in_python() -> Any:
 
 def begun_in_cvxpy() -> Any:
     x = cp.Variable(value=[-1.0], shape=1)
-    problem = ComplementarityProblem(complements(x >= 0, cp.log(x) + 1 >= 0))
-    problem.solve()
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.log(x) + 1 >= 0)])
+    problem.solve(method="LCP")
     return problem.solver_stats.extra_stats
 
 

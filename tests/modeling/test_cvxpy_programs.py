@@ -1,27 +1,19 @@
-"""Programs stated in cvxpy: bounds that cvxpy infers are not used, and every answer is measured as stated."""
+"""Programs stated in cvxpy: bounds that cvxpy infers are not used, statuses come with proofs."""
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from campaigns import cvxpy_programs
-from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from scipy.optimize import nnls
 
 from lcp_plugin import QPSolver, Status, complements
-from lcp_plugin.modeling import qp_solver
 from lcp_plugin.modeling._compat import CVXPY_STATUS
-from lcp_plugin.modeling.stated_terms import EQUATIONS, StatedTerms
-from lcp_plugin.problems.programs.conversion import QuadraticProgram
 
 SolverError = cp.error.SolverError
 CASES = 40
@@ -71,15 +63,6 @@ def test_a_hinge_loss_has_its_minimum(first: Any) -> None:
     assert problem.status == "optimal"
 
 
-def test_bounds_that_cvxpy_sends_are_refused() -> None:
-    """Bounds of variables that come beside the rows are nobody's: SolverError, not an answer."""
-    data = hinge_loss().get_problem_data(QPSolver)[0]
-    assert data["lower_bounds"] is None
-    assert data["upper_bounds"] is None
-    with pytest.raises(SolverError, match="sends bounds"):
-        qp_solver.quadratic_program({**data, "lower_bounds": np.zeros(data["n_var"])})
-
-
 @pytest.mark.parametrize(
     "kind",
     [
@@ -119,9 +102,6 @@ def test_cvxpy_s_own_bounded_programs_are_solved(name: str) -> None:
     helper.verify_primal_values(4)
 
 
-# --- Measured on the problem as stated --------------------------------------------------------------------------------
-
-
 def losses() -> Any:
     x = cp.Variable(3)
     a = np.array([1.0, -2.0, 0.5])
@@ -141,36 +121,6 @@ def endless() -> Any:
 
 
 PROBLEMS = {"optimal": losses, "infeasible": impossible, "unbounded": endless}
-Tamper = Callable[[QuadraticProgram], QuadraticProgram]
-
-
-def changed(program: QuadraticProgram, **parts: Any) -> QuadraticProgram:
-    names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
-    return QuadraticProgram(**{**{name: getattr(program, name) for name in names}, **parts})
-
-
-def without_equations(program: QuadraticProgram) -> QuadraticProgram:
-    return changed(program, A=0.0 * program.A, b=0.0 * program.b)
-
-
-def without_single_rows(program: QuadraticProgram) -> QuadraticProgram:
-    single = np.diff(sp.csr_array(program.G).indptr) == 1
-    return changed(program, h=np.where(single, np.inf, program.h))
-
-
-def tighter(program: QuadraticProgram) -> QuadraticProgram:
-    return changed(program, h=program.h - 0.25)
-
-
-#: What an error of the host might do to the program so that its answer is none, and the kind of problem.
-PLANTED: dict[str, tuple[str, Tamper]] = {
-    "equations lost": ("optimal", without_equations),
-    "bounds lost": ("optimal", without_single_rows),
-    "another cost": ("optimal", lambda p: changed(p, c=p.c + 0.5)),
-    "another curvature": ("optimal", lambda p: changed(p, P=1.25 * p.P)),
-    "limits moved": ("optimal", tighter),
-    "feasible by an error": ("infeasible", lambda p: changed(p, h=p.h + 1.0)),
-}
 
 
 @pytest.mark.parametrize("status", PROBLEMS)
@@ -180,132 +130,6 @@ def test_an_untouched_program_passes(status: str) -> None:
     for _ in range(2):
         problem.solve(solver=QPSolver)
         assert problem.status == status
-
-
-@pytest.mark.parametrize("planted", PLANTED)
-@pytest.mark.parametrize("how", [{"solver": QPSolver}, {"method": "LCP"}], ids=["solver", "method"])
-def test_a_program_that_is_not_the_problem_is_never_optimal(
-    planted: str, how: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An error planted between the problem and the program, which its answer shows, ends in SolverError."""
-    status, tamper = PLANTED[planted]
-    problem, original = PROBLEMS[status](), qp_solver.quadratic_program
-    monkeypatch.setattr(qp_solver, "quadratic_program", lambda data: tamper(original(data)))
-    with pytest.raises(SolverError, match="the problem itself contradicts"):
-        problem.solve(**how)
-    assert problem.status is None
-    assert problem.variables()[0].value is None
-
-
-@pytest.mark.parametrize("planted", PLANTED)
-def test_a_re_solve_is_judged_as_a_first_solve_is(
-    planted: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The same errors show where they come with new vectors only, to a program whose matrices were right before."""
-    status, tamper = PLANTED[planted]
-    problem, original = PROBLEMS[status](), QuadraticProgram.with_vectors
-    problem.solve(solver=QPSolver)
-    monkeypatch.setattr(
-        QuadraticProgram, "with_vectors", lambda *args, **kwargs: tamper(original(*args, **kwargs))
-    )
-    whole = qp_solver.quadratic_program  # which a re-solve begins with again before cvxpy 1.8
-    monkeypatch.setattr(qp_solver, "quadratic_program", lambda data: tamper(whole(data)))
-    with pytest.raises(SolverError, match="the problem itself contradicts"):
-        problem.solve(solver=QPSolver)
-    assert problem.status is None
-
-
-@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
-def test_a_violation_shows_in_any_unit(unit: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A limit that the program lost is missed by the answer, however small the numbers are."""
-    x, original = cp.Variable(), qp_solver.quadratic_program
-    problem = cp.Problem(cp.Minimize(cp.abs(x - 3 * unit)), [x <= unit])
-    assert problem.solve(solver=QPSolver) == pytest.approx(2 * unit, rel=1e-6)
-    tampered = cp.Problem(problem.objective, problem.constraints)
-    monkeypatch.setattr(
-        qp_solver, "quadratic_program", lambda data: without_single_rows(original(data))
-    )
-    with pytest.raises(SolverError, match="is violated by"):
-        tampered.solve(solver=QPSolver)
-
-
-def test_the_problem_s_terms_have_the_values_that_cvxpy_gives_them() -> None:
-    """At the values of the variables the objective and slacks are cvxpy's own: shared, constant, scalar, sparse."""
-    rng = np.random.default_rng(6)
-    X, y, z = cp.Variable((2, 3)), cp.Variable(3, nonneg=True), cp.Variable()
-    p = cp.Parameter(3, value=rng.normal(size=3))
-    shared = X.T @ np.array([1.0, -2.0]) + cp.multiply(p, y) / 2.0
-    sparse = sp.csc_array(np.diag([1.0, 0.0, 3.0]))
-    constraints = [
-        shared <= 1 + cp.abs(p),
-        cp.vstack([shared, y]) >= X - z,
-        cp.sum(X, axis=0) == sparse @ y,
-        z >= p[0],
-        cp.constraints.NonNeg(2 - z),
-        cp.constraints.Zero(cp.hstack([z, y]) - 1),
-        cp.Constant(1.0) <= 2.0 + 0 * z,
-    ]
-    loss = cp.sum_squares(shared) + cp.norm1(X) + 3.0
-    for objective in (cp.Minimize(loss), cp.Maximize(-cp.max(shared)), cp.Minimize(0)):
-        problem = cp.Problem(objective, constraints)
-        for variable in problem.variables():
-            variable.value = np.abs(rng.normal(size=variable.shape))
-        terms = StatedTerms.of(problem)
-        assert terms.goal == objective.args[0].value * (
-            -1.0 if isinstance(objective, cp.Maximize) else 1.0
-        )
-        for constraint, slack in zip(constraints, terms.slacks, strict=True):
-            violation = (
-                np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
-            )
-            np.testing.assert_allclose(violation, constraint.residual, atol=1e-14)
-
-
-def test_an_error_of_cvxpy_s_own_is_found() -> None:
-    """Every cvxpy so far compiles vstack of a bare diag transposed: other solvers' answer violates its constraint."""
-    X = cp.Variable((2, 2))
-    doubled = cp.vstack([cp.diag(X), cp.diag(X)])
-    problem = cp.Problem(
-        cp.Minimize(cp.sum_squares(X)), [doubled == np.array([[1.0, 1.0], [1.5, 1.5]])]
-    )
-    problem.solve(solver=cp.CLARABEL)
-    if problem.status == "infeasible":
-        pytest.skip("this cvxpy compiles it as stated")
-    assert problem.constraints[0].violation().max() > 0.4
-    with pytest.raises(SolverError, match="is violated by"):
-        problem.solve(solver=QPSolver)
-
-
-def test_other_solvers_are_left_alone() -> None:
-    """Problems for other solvers pass untouched through the method that measures ours."""
-    problem = losses()
-    data, chain, inverse = problem.get_problem_data(cp.OSQP)
-    problem.unpack_results(chain.solve_via_data(problem, data, solver_opts={}), chain, inverse)
-    assert problem.status == "optimal"
-    data, chain, inverse = problem.get_problem_data(QPSolver)
-    raw = chain.solve_via_data(problem, data, solver_opts={})
-    problem.unpack_results(raw, chain, inverse)
-    assert problem.status == "optimal"
-    moved = replace(raw, solution=replace(raw.solution, x=raw.solution.x + 0.01))
-    with pytest.raises(SolverError, match="contradicts"):
-        problem.unpack_results(moved, chain, inverse)
-
-
-def test_what_cannot_be_evaluated_is_not_judged_and_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Where an atom of cvxpy fails at a value, the program's answer stands, with a warning."""
-    x = cp.Variable(3)
-    norm = cp.norm1(x)
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(x - 1)), [norm <= 1])
-
-    def failing(self: Any, values: Any) -> Any:
-        raise ValueError("kth out of bounds")
-
-    monkeypatch.setattr(type(norm), "numeric", failing)
-    with pytest.warns(UserWarning, match="could not be judged .* kth out of bounds"):
-        problem.solve(solver=QPSolver)
-    assert problem.value == pytest.approx(4 / 3, abs=1e-6)
 
 
 # --- What a person finds afterwards ----------------------------------------------------------------------------------
@@ -361,12 +185,8 @@ def test_a_refusal_has_its_reason(name: str) -> None:
     problem, reason = refused()[name]
     with pytest.raises(SolverError, match=reason):
         problem.solve(method="LCP")
-    with pytest.raises(SolverError) as raised:
+    with pytest.raises(SolverError):
         problem.solve(solver=QPSolver)
-    if (
-        hasattr(QpSolver, "can_solve") and name != "integer"
-    ):  # before 1.9, and of integers, cvxpy has words of its own
-        assert re.search(reason, str(raised.value))
 
 
 @pytest.mark.parametrize("algorithm", ["psor", "pgs", "npgs", "npsor", "newton", "interior_point"])

@@ -15,16 +15,15 @@ from fresh_process import printed_by
 
 from lcp_plugin import (
     LCP,
-    InvalidProblem,
     ModelWarning,
     QPSolver,
     UnsupportedModel,
     box,
     complements,
     solve,
+    solve_batch,
 )
 from lcp_plugin.modeling.registration import (
-    ComplementarityProblem,
     build,
     is_complementarity_problem,
 )
@@ -140,16 +139,18 @@ def test_verbose_prints_the_run_and_speaks_through_the_logger_of_cvxpy(
     told: list[str] = []
     monkeypatch.setattr(cp.settings.LOGGER, "info", lambda message, *_: told.append(message))
     x = cp.Variable(nonneg=True)
-    problem = ComplementarityProblem([complements(x >= 0, 2 * x - 3 >= 0)])
-    problem.solve()
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, 2 * x - 3 >= 0)])
+    problem.solve(method="LCP")
     assert told == []
     assert capsys.readouterr().out == ""
-    problem.solve(verbose=True)
+    problem.solve(method="LCP", verbose=True)
     assert told == [problem.solver_stats.extra_stats.explain()]
     header, _, *_, end = capsys.readouterr().out.splitlines()
     assert header.startswith("LCP(n=1, ")
     assert end.startswith("SOLVED: ")
-    ComplementarityProblem([complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(verbose=True)
+    cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(
+        method="LCP", verbose=True
+    )
     assert "\njosephy_newton: each iteration replaces F by its tangent" in capsys.readouterr().out
     program = cp.Problem(cp.Minimize(cp.square(x - 1)))
     program.solve(method="LCP")
@@ -234,14 +235,14 @@ def test_matrix_is_extracted_exactly_and_left_alone() -> None:
     np.testing.assert_array_equal(problem.q, -np.ones(100))
 
 
-def test_complementarity_problem_and_its_copies() -> None:
-    """ComplementarityProblem solves by itself; copy, deepcopy and pickle solve to the same values."""
+def test_copies_of_a_model_are_models() -> None:
+    """Copy, deepcopy and pickle of a problem with complementarities solve to the same values."""
     x = cp.Variable(3)
-    problem = ComplementarityProblem([complements(x >= 0, M @ x + Q >= 0)])
-    assert problem.solve(algorithm="pgs", tolerance=1e-12) == 0.0
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
+    assert problem.solve(method="LCP", algorithm="pgs", tolerance=1e-12) == 0.0
     for other in (copy.copy(problem), copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
         assert is_complementarity_problem(other)
-        other.solve(tolerance=1e-12)
+        other.solve(method="LCP", tolerance=1e-12)
         np.testing.assert_allclose(other.variables()[0].value, PLAIN.z, atol=1e-10)
     assert "complements" in str(problem)
     assert not is_complementarity_problem(cp.Problem(cp.Minimize(x[0]), [x >= 0]))
@@ -380,7 +381,9 @@ def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:
         UnsupportedModel,
         match=r"^1e\+200 <= 1e-200 [*@] x keeps a variable beyond the largest double",
     ):
-        ComplementarityProblem([complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)]).solve()
+        cp.Problem(cp.Minimize(0), [complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)]).solve(
+            method="LCP"
+        )
 
 
 LATER = """
@@ -423,8 +426,8 @@ def test_a_cvxpy_that_cannot_be_imported_is_waited_for(tmp_path: Path) -> None:
 def test_a_run_says_that_it_began_from_the_last_answer() -> None:
     """A second solve says where it began, of models and of programs; the first does not, nor one that began anew."""
     x, weights = cp.Variable(3), np.random.default_rng(0).standard_normal((3, 3))
-    affine = ComplementarityProblem([complements(x >= 0, M @ x + Q >= 0)])
-    smooth = ComplementarityProblem([complements(x >= 0, cp.exp(x) + M @ x + Q >= 0)])
+    affine = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
+    smooth = cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.exp(x) + M @ x + Q >= 0)])
     program = cp.Problem(cp.Minimize(cp.quad_form(x, weights.T @ weights) + Q @ x), [x >= 0])
     for problem, first in ((affine, None), (smooth, None), (program, "psor")):
         x.value, wishes = (
@@ -436,7 +439,7 @@ def test_a_run_says_that_it_began_from_the_last_answer() -> None:
             problem.solve(method="LCP", warm_start=start, **wishes)
             told.append("begun from" in str(problem.solver_stats.extra_stats))
         assert told == [False, True, False], problem
-    affine.solve(z0=np.ones(3))
+    affine.solve(method="LCP", z0=np.ones(3))
     assert "begun from" not in str(affine.solver_stats.extra_stats)
 
 
@@ -459,7 +462,7 @@ def test_round_trip_through_cvxpy(name: str) -> None:
     for attribute in ("q", "lower", "upper"):
         np.testing.assert_array_equal(getattr(back, attribute), getattr(problem, attribute))
     stated = problem.to_cvxpy()
-    stated.solve(tolerance=1e-12)
+    stated.solve(method="LCP", tolerance=1e-12)
     if problem.n:
         np.testing.assert_allclose(
             stated.variables()[0].value, solve(problem, "pgs", tolerance=1e-13).z, atol=1e-10
@@ -611,8 +614,8 @@ def test_a_bound_that_a_pair_implies_may_be_stated(has_bound_x: bool, state: Any
     """W == M @ x + q with w declared nonneg is the model that it is without the attribute."""
     for has_bound_w in (False, True):
         x, w, equation = pair_of_named(has_bound_x, has_bound_w)
-        problem = ComplementarityProblem([equation, state(x, w)])
-        problem.solve(tolerance=1e-12)
+        problem = cp.Problem(cp.Minimize(0), [equation, state(x, w)])
+        problem.solve(method="LCP", tolerance=1e-12)
         assert problem.status == "optimal"
         np.testing.assert_allclose([x.value, w.value], [[2.5, 0.0], [0.0, 3.5]], atol=1e-9)
 
@@ -627,7 +630,7 @@ def test_bounds_implied_from_above_are_recognised(sign: float) -> None:
         with pytest.raises(UnsupportedModel, match=r"w\[0\] has bounds that the rest"):
             model(*constraints)
     else:
-        assert ComplementarityProblem(constraints).solve() == 0.0
+        assert cp.Problem(cp.Minimize(0), constraints).solve(method="LCP") == 0.0
         np.testing.assert_allclose(x.value, [-1.5, -0.5], atol=1e-7)
 
 
@@ -639,8 +642,8 @@ def test_a_bound_that_an_equation_implies_may_be_stated(value: Any, expected: li
     for write in (lambda h: h, lambda h: h >= 0):
         h = cp.Variable(3, nonneg=True)
         F = np.array([[2.0, 1.0], [1.0, 2.0]]) @ h[:2] + [-5.0, 1.0]
-        ComplementarityProblem([complements(write(h[:2]), F), h[2] == value(h)]).solve(
-            tolerance=1e-12
+        cp.Problem(cp.Minimize(0), [complements(write(h[:2]), F), h[2] == value(h)]).solve(
+            method="LCP", tolerance=1e-12
         )
         np.testing.assert_allclose(h.value, expected, atol=1e-9)
 
@@ -658,11 +661,11 @@ def test_an_equation_outside_the_bounds_is_told() -> None:
 def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
     """complements(x, F) with x without bounds means F == 0: said where the model is solved, in the caller's line."""
     x = cp.Variable(2, name="x")
-    problem = ComplementarityProblem([complements(x, other(x))])
+    problem = cp.Problem(cp.Minimize(0), [complements(x, other(x))])
     with pytest.warns(
         ModelWarning, match=r"x has no bounds, so that complements\(x, F\) means F == 0"
     ) as caught:
-        problem.solve()
+        problem.solve(method="LCP")
     assert [warning.filename for warning in caught] == [__file__]
     with pytest.warns(ModelWarning) as caught:
         cp.Problem(cp.Minimize(0), [complements(other(x), x)]).solve(method="LCP")
@@ -681,9 +684,9 @@ def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
 def test_what_is_meant_is_not_warned_of(state: Any) -> None:
     """A free variable beside == 0, a box or a bound raises no warning, nor do bounds that are stated as infinite."""
     x = cp.Variable(2)
-    assert ComplementarityProblem([state(x)]).solve() == 0.0
+    assert cp.Problem(cp.Minimize(0), [state(x)]).solve(method="LCP") == 0.0
     free = cp.Variable(2, bounds=[-np.inf, np.inf])
-    assert ComplementarityProblem([complements(free, free - 1)]).solve() == 0.0
+    assert cp.Problem(cp.Minimize(0), [complements(free, free - 1)]).solve(method="LCP") == 0.0
 
 
 def test_an_inequality_opposite_two_bounds_is_refused() -> None:
@@ -736,28 +739,19 @@ def test_solving_again_and_again_keeps_no_more() -> None:
 def test_parameters_of_a_box_belong_to_the_problem() -> None:
     """A bound may be a parameter: it is among problem.parameters() and read anew at every solve."""
     x, low = cp.Variable(2), cp.Parameter(value=-1.0)
-    problem = ComplementarityProblem([complements(box(x, low, 2), x + 5)])
+    problem = cp.Problem(cp.Minimize(0), [complements(box(x, low, 2), x + 5)])
     assert [parameter.id for parameter in problem.parameters()] == [low.id]
     for value in (-1.0, 0.5):
         low.value = value
-        problem.solve()
+        problem.solve(method="LCP")
         np.testing.assert_allclose(x.value, value)
-
-
-def test_a_single_constraint_needs_no_list() -> None:
-    """ComplementarityProblem(complements(…)) is the problem with that one pair; any iterable of constraints will do."""
-    x = cp.Variable()
-    for constraints in (pair_of(x), (pair_of(x),), iter([pair_of(x)])):
-        ComplementarityProblem(constraints).solve(tolerance=1e-12)
-        assert x.value == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(
     ("act", "pattern"),
     [
-        (lambda p: p.solve(method="dccp"), "method"),
-        (lambda p: p.solve(gp=True), "gp"),
-        (lambda p: p.solve(solver="OSQP"), "solver"),
+        (lambda p: p.solve(method="LCP", gp=True), "gp"),
+        (lambda p: p.solve(method="LCP", solver="OSQP"), "solver"),
         (lambda p: LCP.from_cvxpy(3), "cvxpy problem is needed, got int"),
         (lambda p: complements(None, p.variables()[0]), "None"),
         (
@@ -778,11 +772,6 @@ def test_a_single_constraint_needs_no_list() -> None:
         (lambda p: box([[1, 2], [3]], 0, 1), "no cvxpy expression"),
         (lambda p: complements("x", p.variables()[0]), "no cvxpy expression"),
         (lambda p: complements(p.constraints[0], p.variables()[0]), "constraint itself"),
-        (lambda p: ComplementarityProblem(p.variables()[0]), "list of constraints"),
-        (lambda p: ComplementarityProblem(None), "list of constraints, got None"),
-        (lambda p: ComplementarityProblem("pairs"), "list of constraints, got 'pairs'"),
-        (lambda p: ComplementarityProblem([True]), "its list holds True"),
-        (lambda p: ComplementarityProblem([p.constraints]), "its list holds"),
     ],
 )
 def test_misuse_is_told(act: Any, pattern: str) -> None:
@@ -790,28 +779,23 @@ def test_misuse_is_told(act: Any, pattern: str) -> None:
     x = cp.Variable(3)
     x.value = np.zeros(3)
     with pytest.raises(UnsupportedModel, match=pattern):
-        act(ComplementarityProblem([pair_of(x)]))
+        act(cp.Problem(cp.Minimize(0), [pair_of(x)]))
 
 
-def test_stacked_parameters_are_solved_as_one_batch() -> None:
-    """A Cournot market for many loads and a matrix parameter: the values of single solves, whatever was set before."""
+def test_models_of_many_parameters_are_solved_as_one_batch() -> None:
+    """A Cournot market for many loads and a matrix parameter: a batch of its LCPs has the values of single solves."""
     rng = np.random.default_rng(0)
     x, y = cp.Variable(3, nonneg=True), cp.Variable()
-    load, slope = cp.Parameter(3, value=np.ones(3)), cp.Parameter((3, 3), value=np.eye(3))
-    problem = ComplementarityProblem([complements(x, slope @ x + y - load), y == 0.5 * cp.sum(x)])
-    loads = rng.normal(size=(20, 3))
-    slopes = np.array([np.eye(3) + 0.1 * rng.random((3, 3)) for _ in loads])
-    stacked = problem.solve_batch({load: loads, slope: slopes}, tolerance=1e-10)
-    assert stacked.batch.all_solved
-    assert load.value.tolist() == [1.0] * 3
-    assert x.value is None
-    for k in (0, 7, 19):
-        load.value, slope.value = loads[k], slopes[k]
-        problem.solve(tolerance=1e-10)
-        np.testing.assert_allclose(stacked.value(x)[k], x.value, atol=1e-9)
-        np.testing.assert_allclose(stacked.value(y)[k], y.value, atol=1e-9)
-    for wrong in ({load: loads[0]}, {load: loads, slope: slopes[:5]}, {}):
-        with pytest.raises(InvalidProblem):
-            problem.solve_batch(wrong)
-    with pytest.raises(UnsupportedModel, match="no variable of the problem"):
-        stacked.value(cp.Variable())
+    load, slope = cp.Parameter(3), cp.Parameter((3, 3))
+    pair = complements(x, slope @ x + y - load)
+    problem = cp.Problem(cp.Minimize(0), [pair, y == 0.5 * cp.sum(x)])
+    stated, values = [], []
+    for _ in range(5):
+        load.value, slope.value = rng.normal(size=3), np.eye(3) + 0.1 * rng.random((3, 3))
+        stated.append(LCP.from_cvxpy(problem))
+        problem.solve(method="LCP", tolerance=1e-10)
+        values.append(x.value)
+    batch = solve_batch(stated, tolerance=1e-10)
+    assert batch.all_solved
+    for one, z, value in zip(stated, batch.z, values, strict=True):
+        np.testing.assert_allclose(one.origin.values(z)[x.id], value, atol=1e-9)

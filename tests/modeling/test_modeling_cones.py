@@ -18,10 +18,10 @@ from lcp_plugin import (
     LCPError,
     box,
     complements,
+    derivative,
     friction_cone,
     solve,
 )
-from lcp_plugin.modeling.registration import ComplementarityProblem
 
 RNG = np.random.default_rng(3)
 
@@ -31,12 +31,18 @@ def definite(n: int) -> Any:
     return A @ A.T + np.eye(n)
 
 
+def solved(*constraints: Any, **options: Any) -> Any:
+    problem = cp.Problem(cp.Minimize(0), list(constraints))
+    problem.solve(method="LCP", **options)
+    return problem
+
+
 def test_a_convex_program_over_cones_has_the_same_answer_in_cvxpy() -> None:
     """Of min ½ zᵀM z + qᵀz over a cone: complementarity is its optimality condition, duals included."""
     M, q = definite(4), RNG.standard_normal(4)
     z = cp.Variable(4)
     pair = complements(cp.SOC(z[0], z[1:]), M @ z + q)
-    ComplementarityProblem(pair).solve(tolerance=1e-10)
+    solved(pair, tolerance=1e-10)
     found = z.value
     soc = cp.SOC(z[0], z[1:])
     cp.Problem(cp.Minimize(0.5 * cp.quad_form(z, cp.psd_wrap(M)) + q @ z), [soc]).solve(
@@ -57,15 +63,15 @@ def test_several_cones_beside_boxes_and_equations_make_one_cone_problem(axis: in
     cone = cp.SOC(t, X) if axis == 0 else cp.SOC(t, X.T, axis=1)
     F = 3.0 * cp.vstack([cp.reshape(t, (1, 3), order="F"), X]) + q + 0.1 * cp.sum(y)
     pairs = [complements(cone, F), complements(y >= 0, 2 * y + X[0, :2] - total - [1.0, -4.0] >= 0)]
-    problem = ComplementarityProblem([*pairs, total == 0.1 * cp.sum(X)])
-    problem.solve(tolerance=1e-10)
+    problem = cp.Problem(cp.Minimize(0), [*pairs, total == 0.1 * cp.sum(X)])
+    problem.solve(method="LCP", tolerance=1e-10)
     assert problem.status == "optimal"
     assert isinstance(problem.solver_stats.extra_stats.problem, ConeProblem)
     assert max(pair.violation() for pair in pairs) <= 1e-8
     assert (np.linalg.norm(X.value, axis=0) <= t.value + 1e-8).all()
     np.testing.assert_allclose(pairs[0].dual_value, F.value, atol=1e-8)
     assert pairs[0].residual.shape == (3, 3)
-    problem.solve()
+    problem.solve(method="LCP")
     assert "begun from the values" in problem.solver_stats.extra_stats.begun
 
 
@@ -75,8 +81,8 @@ def test_two_cones_of_expressions_complement_each_other() -> None:
     A, q = definite(3), RNG.standard_normal(3)
     first, second = cp.SOC((A @ x)[0] + 1, (A @ x)[1:]), cp.SOC(x[0] + q[0], x[1:] + q[1:])
     pair = complements(first, second)
-    problem = ComplementarityProblem(pair)
-    problem.solve(tolerance=1e-10)
+    problem = cp.Problem(cp.Minimize(0), [pair])
+    problem.solve(method="LCP", tolerance=1e-10)
     z, w = A @ x.value + [1, 0, 0], x.value + q
     assert pair.violation() <= 1e-8
     assert abs(z @ w) <= 1e-8
@@ -90,12 +96,12 @@ def test_friction_in_cvxpy_is_frictional_contact() -> None:
     """By velocities of bodies as definitions, with parameters for μ and the push; again after they change."""
     J, push, mu = RNG.standard_normal((6, 4)), cp.Parameter(4), cp.Parameter(2)
     r, v = cp.Variable(6), cp.Variable(4)
-    problem = ComplementarityProblem(
-        [complements(friction_cone(r, mu), J @ v), v == push + J.T @ r]
+    problem = cp.Problem(
+        cp.Minimize(0), [complements(friction_cone(r, mu), J @ v), v == push + J.T @ r]
     )
     for scale in (1.0, 2.0):
         push.value, mu.value = scale * np.array([1.0, -2.0, 0.5, 1.0]), np.array([0.3, 0.9]) * scale
-        problem.solve(tolerance=1e-10)
+        problem.solve(method="LCP", tolerance=1e-10)
         expected = solve(
             FrictionalContact(J @ J.T, J @ push.value, mu.value), tolerance=1e-10
         ).require_solved()
@@ -109,9 +115,9 @@ def test_a_plane_contact_has_two_rows() -> None:
     """Their d is told by the number of coefficients, or by `dimension`."""
     for given in ({"friction": [0.5]}, {"friction": 0.5, "dimension": 2}):
         r = cp.Variable(2)
-        ComplementarityProblem(
-            complements(friction_cone(r, **given), r - np.array([1.0, -0.25]))
-        ).solve()
+        cp.Problem(
+            cp.Minimize(0), [complements(friction_cone(r, **given), r - np.array([1.0, -0.25]))]
+        ).solve(method="LCP")
         np.testing.assert_allclose(r.value, [1.0, -0.25], atol=1e-7)
 
 
@@ -120,7 +126,7 @@ def test_the_order_of_the_sides_is_free() -> None:
     for side in (lambda r: cp.SOC(r[0], r[1:]), lambda r: friction_cone(r, 1.0)):
         r = cp.Variable(3)
         pair = complements(r - np.array([1.0, -3.0, -4.0]), side(r))
-        ComplementarityProblem(pair).solve()
+        solved(pair)
         np.testing.assert_allclose(
             pair.dual_value, r.value - np.array([1.0, -3.0, -4.0]), atol=1e-8
         )
@@ -144,37 +150,36 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "no contacts": (lambda: friction_cone(cp.Variable(7), 1.0), "multiple of"),
     "coefficients": (lambda: friction_cone(cp.Variable(6), [1.0, 2.0, 3.0], dimension=3), "one a contact of 3 rows"),
     "a smooth side": (
-        lambda: ComplementarityProblem(complements(cp.SOC(t, x), cp.exp(cp.hstack([t, x])))).solve(), "must be affine"
+        lambda: solved(complements(cp.SOC(t, x), cp.exp(cp.hstack([t, x])))), "must be affine"
     ),
     "a smooth pair beside": (
-        lambda: ComplementarityProblem(
-            [complements(cp.SOC(t, x), cp.hstack([t, x])), complements(y >= 0, cp.exp(y) >= 2)]
-        ).solve(), "beside affine sides only",
+        lambda: solved(complements(cp.SOC(t, x), cp.hstack([t, x])), complements(y >= 0, cp.exp(y) >= 2)),
+        "beside affine sides only",
     ),
     "friction beside a pair": (
-        lambda: ComplementarityProblem([complements(friction_cone(y, 1.0), y - 1), complements(x >= 0, x)]).solve(),
+        lambda: solved(complements(friction_cone(y, 1.0), y - 1), complements(x >= 0, x)),
         "contact with friction has impulses alone",
     ),
     "negative friction": (
-        lambda: ComplementarityProblem(complements(friction_cone(y, -1.0), y - 1)).solve(), "not be negative"
+        lambda: solved(complements(friction_cone(y, -1.0), y - 1)), "not be negative"
     ),
     "an objective": (
         lambda: cp.Problem(cp.Minimize(t), [complements(cp.SOC(t, x), cp.hstack([t, x]))]).solve(method="LCP"),
         "nothing searches for the best",
     ),
     "bounds of entries": (
-        lambda: ComplementarityProblem(
-            complements(cp.SOC(t, z := cp.Variable(2, nonneg=True)), cp.hstack([t, z]))
-        ).solve(), "bounds of their own",
+        lambda: solved(complements(cp.SOC(t, z := cp.Variable(2, nonneg=True)), cp.hstack([t, z]))),
+        "bounds of their own",
     ),
     "LCP.from_cvxpy": (
-        lambda: LCP.from_cvxpy(ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1))), "takes no cones"
+        lambda: LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [complements(friction_cone(y, 1.0), y - 1)])),
+        "takes no cones",
     ),
     "an option": (
-        lambda: ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1)).solve(relaxation=1), "has no option"
+        lambda: solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1), "has no option"
     ),
     "a bound of the error": (
-        lambda: ComplementarityProblem(complements(friction_cone(y, 1.0), y - 1)).solve(tolerance_on="error"),
+        lambda: solved(complements(friction_cone(y, 1.0), y - 1), tolerance_on="error"),
         "nothing bounds the error over cones",
     ),
 }  # fmt: skip
@@ -192,7 +197,7 @@ def test_t_may_be_declared_nonnegative() -> None:
     """The cone says so anyway."""
     t, x = cp.Variable(nonneg=True), cp.Variable(2)
     pair = complements(cp.SOC(t, x), cp.hstack([t, x]) - np.array([0.0, 2.0, 0.0]))
-    ComplementarityProblem([pair, complements(box(y, 0, 1), y - 3)]).solve()
+    solved(pair, complements(box(y, 0, 1), y - 3))
     np.testing.assert_allclose([t.value, *x.value], [1.0, 1.0, 0.0], atol=1e-7)
 
 
@@ -209,7 +214,7 @@ def with_friction(rng: Any) -> tuple[Any, list[Any]]:
         complements(friction_cone(r[:9], 2 * same), u[:9]),
         complements(friction_cone(r[9:], each**2), u[9:]),
     ]
-    return ComplementarityProblem(pairs), [b, same, each]
+    return cp.Problem(cp.Minimize(0), pairs), [b, same, each]
 
 
 def with_boxes(rng: Any) -> tuple[Any, list[Any]]:
@@ -220,25 +225,26 @@ def with_boxes(rng: Any) -> tuple[Any, list[Any]]:
     low, high = cp.Parameter(3, value=[-0.1, -0.2, -9.0]), cp.Parameter(3, value=[9.0, 0.1, 9.0])
     F = scale**2 * (M @ cp.hstack([z, y])) + q
     side = A @ s + q[:3]
-    return ComplementarityProblem(
+    return cp.Problem(
+        cp.Minimize(0),
         [
             complements(cp.SOC(z[0], z[1:]), F[:4]),
             complements(box(y, low, high), F[4:]),
             complements(cp.SOC(side[0], side[1:]), scale * s - [2.0, 1.0, 0.0]),
-        ]
+        ],
     ), [q, scale, low, high]
 
 
 @pytest.mark.parametrize("make", [with_friction, with_boxes])
 @pytest.mark.parametrize("seed", range(5))
 def test_gradients_over_cones_agree_with_differences_of_solves(make: Any, seed: int) -> None:
-    """By friction, by bounds, by what stands in F; of variables and of duals; backward is derivative transposed."""
+    """By friction, by bounds, by what stands in F; of variables and of duals; vjp is jvp transposed."""
     rng = np.random.default_rng(seed)
     problem, parameters = make(rng)
     pair = problem.constraints[0]
 
     def solved() -> np.ndarray:
-        problem.solve(tolerance=1e-11, requires_grad=True)
+        problem.solve(method="LCP", tolerance=1e-11)
         assert problem.status == "optimal"
         return np.concatenate(
             [*(np.ravel(one.value, order="F") for one in problem.variables()), pair.dual_value]
@@ -246,24 +252,20 @@ def test_gradients_over_cones_agree_with_differences_of_solves(make: Any, seed: 
 
     solved()
     values = [parameter.value for parameter in parameters]
-    for parameter in parameters:
-        parameter.delta = rng.standard_normal(parameter.shape)
-    deltas = [parameter.delta for parameter in parameters]
-    problem.derivative()
-    pushed = np.concatenate(
-        [
-            *(np.ravel(one.delta, order="F") for one in problem.variables()),
-            pair.dual_variables[0].delta,
-        ]
-    )
+    deltas = [rng.standard_normal(parameter.shape) for parameter in parameters]
+    found, owners = derivative(problem), [*problem.variables(), pair]
+    changed = found.jvp(dict(zip(parameters, deltas, strict=True)))
+    pushed = np.concatenate([np.ravel(changed[one], order="F") for one in owners])
     weights = rng.standard_normal(pushed.size)
-    first = 0
-    for leaf in [*problem.variables(), pair.dual_variables[0]]:
-        leaf.gradient = weights[first : first + leaf.size].reshape(leaf.shape, order="F")
-        first += leaf.size
-    problem.backward()
+    parts = np.split(weights, np.cumsum([changed[one].size for one in owners])[:-1])
+    gradients = found.vjp(
+        {
+            one: part.reshape(changed[one].shape, order="F")
+            for one, part in zip(owners, parts, strict=True)
+        }
+    )
     pulled = sum(
-        np.sum(parameter.gradient * delta)
+        np.sum(gradients[parameter] * delta)
         for parameter, delta in zip(parameters, deltas, strict=True)
     )
     np.testing.assert_allclose(pulled, weights @ pushed, rtol=1e-7, atol=1e-9)

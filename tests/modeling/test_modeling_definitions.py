@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from lcp_plugin import box, complements
 from lcp_plugin.modeling.equations import Affine, known_ranges
-from lcp_plugin.modeling.registration import ComplementarityProblem, build
+from lcp_plugin.modeling.registration import build
 
 N = 6
 
@@ -27,8 +27,8 @@ def planted(seed: int = 0, n: int = N) -> tuple[Any, Any, Any, Any]:
 
 
 def solved(constraints: list[Any], **options: Any) -> Any:
-    problem = ComplementarityProblem(constraints)
-    problem.solve(tolerance=1e-12, **options)
+    problem = cp.Problem(cp.Minimize(0), constraints)
+    problem.solve(method="LCP", tolerance=1e-12, **options)
     assert problem.status == "optimal"
     return problem
 
@@ -132,11 +132,11 @@ def test_parameters_and_a_second_solve() -> None:
     M, q, x_true, w_true = planted(5)
     shift = cp.Parameter(N, value=np.zeros(N))
     x, w = cp.Variable(N), cp.Variable(N)
-    problem = ComplementarityProblem([complements(x >= 0, w >= 0), w == M @ x + q - shift])
-    problem.solve(tolerance=1e-12)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, w >= 0), w == M @ x + q - shift])
+    problem.solve(method="LCP", tolerance=1e-12)
     np.testing.assert_allclose(w.value, w_true, atol=1e-8)
     shift.value = M @ np.ones(N)
-    problem.solve(tolerance=1e-12)
+    problem.solve(method="LCP", tolerance=1e-12)
     np.testing.assert_allclose(np.minimum(x.value, w.value), 0.0, atol=1e-9)
     np.testing.assert_allclose(w.value, M @ x.value + q - shift.value, atol=1e-9)
     assert np.abs(x.value - x_true).max() > 0.1

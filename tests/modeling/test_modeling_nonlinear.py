@@ -20,14 +20,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import root
 
-from lcp_plugin import NonlinearProblem, Status, box, complements
+from lcp_plugin import NonlinearProblem, Status, box, complements, derivative
 from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
 from lcp_plugin.modeling.expressions import functions
 from lcp_plugin.modeling.expressions import intervals as iv
 from lcp_plugin.modeling.expressions.program import Program
 from lcp_plugin.modeling.reading import Reader
 from lcp_plugin.modeling.registration import (
-    ComplementarityProblem,
     build,
     is_complementarity_problem,
 )
@@ -685,13 +684,11 @@ def test_two_nonlinear_sides_have_derivatives_by_parameters() -> None:
         x, p = cp.Variable(), cp.Parameter(value=3.0)
         sides = [p * cp.exp(x) - 9 >= 0, cp.exp(x) - 1 >= 0]
         pair = complements(*(sides[::-1] if swap else sides))
-        problem = solved([pair], requires_grad=True)
-        problem.backward()
-        assert p.gradient == pytest.approx(-1 / 3)
-        p.delta = 1.0
-        problem.derivative()
-        assert x.delta == pytest.approx(-1 / 3)
-        assert pair.dual_variables[0].delta == pytest.approx(0.0 if swap else -1.0, abs=1e-9)
+        found = derivative(solved([pair]))
+        assert found.vjp({x: 1.0})[p] == pytest.approx(-1 / 3)
+        changed = found.jvp({p: 1.0})
+        assert changed[x] == pytest.approx(-1 / 3)
+        assert changed[pair] == pytest.approx(0.0 if swap else -1.0, abs=1e-9)
 
 
 def test_existence_is_proved_where_both_sides_are_nonlinear() -> None:
@@ -706,8 +703,8 @@ def test_existence_is_proved_where_both_sides_are_nonlinear() -> None:
 def test_an_exponent_may_become_one_and_another_again() -> None:
     """Where a parameter makes a power affine, what was read then is not taken for the power of the next value."""
     x, exponent = cp.Variable(2), cp.Parameter(nonneg=True)
-    problem = ComplementarityProblem(
-        complements(x >= 0, cp.power(x, exponent) - np.array([4.0, 9.0]) >= 0)
+    problem = cp.Problem(
+        cp.Minimize(0), [complements(x >= 0, cp.power(x, exponent) - np.array([4.0, 9.0]) >= 0)]
     )
     for power, answer in (
         (1.0, [4.0, 9.0]),
@@ -716,15 +713,15 @@ def test_an_exponent_may_become_one_and_another_again() -> None:
         (0.5, [16.0, 81.0]),
     ):
         exponent.value = power
-        problem.solve()
+        problem.solve(method="LCP")
         assert np.allclose(x.value, answer)
 
 
 def test_parameters_are_read_at_every_solve() -> None:
     """A factor, an exponent and a bound are parameters: each solve has their present values."""
     x, factor, exponent, bound = cp.Variable(), cp.Parameter(), cp.Parameter(), cp.Parameter()
-    problem = ComplementarityProblem(
-        complements(box(x, bound, np.inf), factor * cp.power(x, exponent) - 8)
+    problem = cp.Problem(
+        cp.Minimize(0), [complements(box(x, bound, np.inf), factor * cp.power(x, exponent) - 8)]
     )
     x.value = 1.0
     for a, p, low, answer in (
@@ -734,7 +731,7 @@ def test_parameters_are_read_at_every_solve() -> None:
         (4.0, 1, 0.0, 2.0),
     ):
         factor.value, exponent.value, bound.value = a, p, low
-        problem.solve(tolerance=1e-12)
+        problem.solve(method="LCP", tolerance=1e-12)
         assert x.value == pytest.approx(answer, abs=1e-9)
 
 
@@ -763,28 +760,28 @@ def test_violation_is_measured_on_the_expressions() -> None:
 def test_start_is_the_value_of_the_variables() -> None:
     """Of two solutions the one near the start is found; a start where F is not defined is replaced."""
     x = cp.Variable()
-    problem = ComplementarityProblem(complements(box(x, -10, 10), x**2 - 4))
+    problem = cp.Problem(cp.Minimize(0), [complements(box(x, -10, 10), x**2 - 4)])
     x.value = 1.0
-    problem.solve()
+    problem.solve(method="LCP")
     assert x.value == pytest.approx(2.0)
-    problem.solve(warm_start=False, z0=[-10.0])
+    problem.solve(method="LCP", warm_start=False, z0=[-10.0])
     assert x.value == pytest.approx(-10.0)
-    other = ComplementarityProblem(complements(x >= 0, cp.log(x) + 1 >= 0))
+    other = cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.log(x) + 1 >= 0)])
     x.value = -1.0
-    other.solve()
+    other.solve(method="LCP")
     assert x.value == pytest.approx(math.exp(-1))
 
 
 def test_solutions_have_derivatives_by_parameters() -> None:
-    """Backward and derivative agree with differences of solutions; a parameter stands in every kind of atom."""
+    """Vjp and jvp agree with differences of solutions; a parameter stands in every kind of atom."""
     x, y, p, r = cp.Variable(2, nonneg=True), cp.Variable(), cp.Parameter(2), cp.Parameter()
     x.value, y.value = np.ones(2), 1.0
     pair = complements(x, cp.exp(cp.multiply(p, x)) + x**3 / r - 3 * y)
-    problem = ComplementarityProblem([pair, y**3 + r * y == 2 * r + cp.sum(x) * cp.exp(-r)])
+    problem = cp.Problem(cp.Minimize(0), [pair, y**3 + r * y == 2 * r + cp.sum(x) * cp.exp(-r)])
 
     def solution(at: Any) -> Any:
         p.value, r.value = at[:2], at[2]
-        problem.solve(tolerance=1e-13, requires_grad=True)
+        problem.solve(method="LCP", tolerance=1e-13)
         return np.append(x.value, y.value)
 
     at, step = np.array([0.5, 0.8, 1.3]), 1e-5
@@ -792,11 +789,13 @@ def test_solutions_have_derivatives_by_parameters() -> None:
         [(solution(at + e) - solution(at - e)) / (2 * step) for e in step * np.eye(3)]
     )
     solution(at)
-    problem.backward()
-    np.testing.assert_allclose(np.append(p.gradient, r.gradient), slopes.sum(axis=1), rtol=1e-7)
-    p.delta, r.delta = np.array([0.3, -1.0]), 0.5
-    problem.derivative()
-    np.testing.assert_allclose(np.append(x.delta, y.delta), [0.3, -1.0, 0.5] @ slopes, rtol=1e-7)
+    found = derivative(problem)
+    gradients = found.vjp({x: np.ones(2), y: 1.0})
+    np.testing.assert_allclose(np.append(gradients[p], gradients[r]), slopes.sum(axis=1), rtol=1e-7)
+    changed = found.jvp({p: np.array([0.3, -1.0]), r: 0.5})
+    np.testing.assert_allclose(
+        np.append(changed[x], changed[y]), [0.3, -1.0, 0.5] @ slopes, rtol=1e-7
+    )
 
 
 def test_existence_is_proved_through_the_intervals() -> None:
@@ -867,20 +866,19 @@ def test_what_is_refused_is_refused_in_words(case: str) -> None:
     """Names the culprit, and says what to do."""
     make, pattern = REFUSED[case]
     with pytest.raises(UnsupportedModel, match=pattern):
-        ComplementarityProblem([make()]).solve()
+        cp.Problem(cp.Minimize(0), [make()]).solve(method="LCP")
 
 
 def test_roads_for_affine_models_refuse_nonlinear_ones() -> None:
-    """solve_batch and LCP.from_cvxpy say that they need affine sides; a wrong option is named."""
+    """LCP.from_cvxpy says that it needs affine sides; a wrong option is named."""
     from lcp_plugin import LCP
 
     x, p = cp.Variable(), cp.Parameter(value=1.0)
-    problem = ComplementarityProblem(complements(x >= 0, cp.exp(x) - 2 * p >= 0))
-    for road in (lambda: problem.solve_batch({p: [1.0, 2.0]}), lambda: LCP.from_cvxpy(problem)):
-        with pytest.raises(UnsupportedModel, match="affine sides"):
-            road()
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.exp(x) - 2 * p >= 0)])
+    with pytest.raises(UnsupportedModel, match="affine sides"):
+        LCP.from_cvxpy(problem)
     with pytest.raises(InvalidOption, match=r"'relaxation'.*tolerance"):
-        problem.solve(relaxation=1.7)
+        problem.solve(method="LCP", relaxation=1.7)
 
 
 def test_no_start_is_said_in_words() -> None:
@@ -888,16 +886,16 @@ def test_no_start_is_said_in_words() -> None:
     x = cp.Variable()
     x.value = -1.0
     with pytest.raises(LCPError, match=r"start|x0"):
-        ComplementarityProblem(complements(x >= -10, cp.log(x - 5))).solve()
+        cp.Problem(cp.Minimize(0), [complements(x >= -10, cp.log(x - 5))]).solve(method="LCP")
 
 
 @pytest.mark.full
 def test_a_model_without_solution_is_not_called_solved() -> None:
     """exp(x) + 1 = 0 has none: the status is honest, and x keeps the best iterate."""
     x = cp.Variable()
-    problem = ComplementarityProblem([cp.exp(x) + 1 == 0])
+    problem = cp.Problem(cp.Minimize(0), [complements(x, cp.exp(x) + 1 == 0)])
     with pytest.warns(UserWarning, match="inaccurate"):
-        problem.solve(max_iterations=30)
+        problem.solve(method="LCP", max_iterations=30)
     assert problem.status in ("user_limit", "optimal_inaccurate")
     assert x.value is not None
 
@@ -911,5 +909,5 @@ def test_a_wrong_rule_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(atom_rules.SMOOTH, type(cp.exp(X)), atom_rules._elementary(wrong))
     x = cp.Variable()
     with pytest.raises(cp.error.SolverError, match="contradicts its own answer"):
-        ComplementarityProblem(complements(x >= 0, cp.exp(x) - 3 >= 0)).solve()
+        cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(method="LCP")
     assert x.value is None

@@ -23,7 +23,6 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.modeling.registration import ComplementarityProblem
 
 TOLERANCE = 1e-6
 Published = dict[str, Any]
@@ -67,7 +66,7 @@ def in_cvxpy(of: Published, name: str) -> np.ndarray:
         pairs = [complements(z[bounded] >= low[bounded], F[bounded] >= 0)] + [F[free] == 0] * bool(
             free.size
         )
-    ComplementarityProblem(pairs).solve()
+    cp.Problem(cp.Minimize(0), pairs).solve(method="LCP")
     return z.value
 
 

@@ -12,7 +12,6 @@ import scipy.sparse as sp
 from published_problems import CONTACTS, errors_of_contact, needs_files, read
 
 from lcp_plugin import FrictionalContact, complements, friction_cone, solve, solve_batch
-from lcp_plugin.modeling.registration import ComplementarityProblem
 
 pytestmark = needs_files
 TOLERANCE = 1e-6
@@ -38,7 +37,9 @@ def in_a_batch(of: Published) -> np.ndarray:
 
 def in_cvxpy(of: Published) -> np.ndarray:
     r = cp.Variable(of["q"].size)
-    ComplementarityProblem(complements(friction_cone(r, of["mu"]), of["M"] @ r + of["q"])).solve()
+    cp.Problem(
+        cp.Minimize(0), [complements(friction_cone(r, of["mu"]), of["M"] @ r + of["q"])]
+    ).solve(method="LCP")
     return r.value
 
 

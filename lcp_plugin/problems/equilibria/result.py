@@ -275,7 +275,7 @@ class EquilibriumResult(Answer):
             advice = (
                 "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
                 f"installed, or does not load; next: {GLOBAL}; for a local way leave out the objective and "
-                "differentiate the followers: requires_grad=True in cvxpy, derivative(result)"
+                "differentiate the followers: derivative(problem) in cvxpy, derivative(result)"
             )
         elif self.status not in LIMITS:
             return advice

@@ -121,6 +121,10 @@ def derivative(
         return MarchDerivative(result, Derivative)
     if isinstance(result, ContactBatchResult):
         return ContactBatchDerivative(result, derivative)
+    if type(result).__module__.startswith("cvxpy."):
+        from ...modeling.model_derivative import derivative_of
+
+        return derivative_of(result)
     if not isinstance(result, Result):
         raise InvalidOption(refusal("derivative", result))
     if not result.is_solved:

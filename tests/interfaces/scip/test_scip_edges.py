@@ -21,7 +21,7 @@ from pyomo.mpec import complements as complementary
 from sol_files import read_sol
 
 import lcp_plugin.pyomo
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, derivative
 from lcp_plugin.commands import ampl, cli
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnsupportedModel
 from lcp_plugin.interfaces import scip
@@ -127,7 +127,7 @@ def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path:
         assert result.x is not None
         assert result.problem.excess(result.x) <= 1e-7
         assert "pip install 'lcp_plugin[global]'" in result.advice
-        assert "requires_grad=True" in result.advice
+        assert "derivative(problem)" in result.advice
     found = answered_by_ampl(toll_in_pyomo(), tmp_path)
     assert found.code == 500
     assert "pip install 'lcp_plugin[global]'" in found.message
@@ -145,14 +145,11 @@ def test_the_followed_advice_of_a_local_way_arrives_where_scip_does(without_scip
         cp.Minimize(0), [complements(flow >= 0, costs - least >= 0), cp.sum(flow) == 10]
     )
     for _ in range(12):
-        followers.solve(method="LCP", requires_grad=True)
-        flow.gradient, least.gradient = np.array([float(toll.value), 0.0]), 0.0  # of toll · flow₀
-        followers.backward()
-        toll.value = float(toll.value) + 0.5 * (float(toll.gradient) + float(flow.value[0]))
+        followers.solve(method="LCP")
+        gradients = derivative(followers).vjp({flow: [float(toll.value), 0.0]})  # of toll · flow₀
+        toll.value = float(toll.value) + 0.5 * (float(gradients[toll]) + float(flow.value[0]))
     assert float(toll.value) == pytest.approx(4.5, abs=1e-4)
     assert float(toll.value) * flow.value[0] == pytest.approx(13.5, abs=1e-3)
-    with pytest.raises(UnsupportedModel, match="for a local search leave out the objective"):
-        Toll().solved(requires_grad=True)
 
 
 def failing(monkeypatch: pytest.MonkeyPatch, times: int, error: Exception) -> None:

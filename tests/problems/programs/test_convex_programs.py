@@ -32,7 +32,7 @@ from lcp_plugin import (
 from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior_point import InteriorPoint
-from lcp_plugin.modeling.registration import ComplementarityProblem, build
+from lcp_plugin.modeling.registration import build
 from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.programs import no_minimum
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
@@ -1120,8 +1120,8 @@ def test_conditions_written_by_hand_are_a_monotone_problem(rank: int, turned: fl
         turned * (P @ x + c + G.T @ inequality + A.T @ equality) == 0,
     ]
     assert is_monotone(constraints)
-    problem = ComplementarityProblem(constraints)
-    problem.solve(algorithm=INTERIOR, tolerance=1e-10)
+    problem = cp.Problem(cp.Minimize(0), constraints)
+    problem.solve(method="LCP", algorithm=INTERIOR, tolerance=1e-10)
     assert problem.status == "optimal"
     answer = solve_program(QuadraticProgram(P, c, G, h, A, b), INTERIOR).solution
     assert 0.5 * x.value @ P @ x.value + c @ x.value == pytest.approx(
@@ -1156,8 +1156,8 @@ def test_models_declared_with_complements(model: str) -> None:
             [x >= 0, cp.sum(x) == 1, gain @ x >= 0.1],
         )
     assert is_monotone(constraints)
-    problem = ComplementarityProblem(constraints)
-    problem.solve(algorithm=INTERIOR, tolerance=1e-10)
+    problem = cp.Problem(cp.Minimize(0), constraints)
+    problem.solve(method="LCP", algorithm=INTERIOR, tolerance=1e-10)
     assert problem.status == "optimal"
     value = float(goal.value)
     assert value == pytest.approx(

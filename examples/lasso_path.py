@@ -68,7 +68,7 @@ def main(out: Path = Path()) -> None:
     x, parameter = cp.Variable(GENES), cp.Parameter(nonneg=True)
     model = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(A @ x - b) + parameter * cp.norm1(x)))
     stated = trace(model, parameter, most, best).require_solved()
-    in_cvxpy = abs(stated.at(best)[x] - chosen.x).max()
+    in_cvxpy = abs(stated.value(x, best) - chosen.x).max()
     print(
         f"check: twenty solves differ from the path by at most {max(differences):.1e}, and cvxpy's by {in_cvxpy:.1e}"
     )

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, UnsupportedModel
 from ..core.lcp import LCP
-from ..problems.parametric.families import PathPoint, Piece
-from ..problems.parametric.path import Path, Slope
+from ..problems.parametric.path import Path
 from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
 from ._compat import dense, leaf_value, name_of
@@ -28,146 +27,51 @@ MATRICES = {LCP: ("M",), QuadraticProgram: ("P", "G", "A")}
 Back = Callable[[Any], dict[int, Any]]
 
 
-class ModelPoint:
-    """The solution of a cvxpy problem at one value of the parameter; ``point[x]`` is that of a variable.
-
-    Attributes
-    ----------
-    parameter : float
-    inner : PathPoint
-        Of the LCP or program behind it: status, residuals, multipliers.
-    objective : float
-        Of the problem as it was stated.
-    """
-
-    def __init__(
-        self, parameter: float, inner: PathPoint, values: dict[int, Any], objective: float
-    ) -> None:
-        self.parameter, self.inner, self._values, self.objective = (
-            parameter,
-            inner,
-            values,
-            objective,
-        )
-
-    @property
-    def status(self) -> Any:
-        """What the criterion says."""
-        return self.inner.status
-
-    @property
-    def is_solved(self) -> bool:
-        """True where the status is SOLVED."""
-        return self.inner.is_solved
-
-    def __getitem__(self, variable: cp.Variable) -> Any:
-        """Return the value of a variable, in its shape."""
-        return _of_variable(self._values, variable)
-
-    def __repr__(self) -> str:
-        return (
-            f"ModelPoint({self.parameter:.9g}, {self.status.name}, objective {self.objective:.9g})"
-        )
-
-
-class ModelSlope:
-    """How the solution of a cvxpy problem changes with the parameter; ``slope[x]`` is that of a variable.
-
-    Attributes
-    ----------
-    inner : Slope
-        Of the LCP or program behind it, with the multipliers.
-    objective : float or None
-        Of the problem as it was stated; None for complementarity, which has none.
-    """
-
-    def __init__(self, inner: Slope, values: dict[int, Any], objective: float | None) -> None:
-        self.inner, self._values, self.objective = inner, values, objective
-
-    def __getitem__(self, variable: cp.Variable) -> Any:
-        """Return how a variable changes, in its shape."""
-        return _of_variable(self._values, variable)
-
-    def __repr__(self) -> str:
-        return f"ModelSlope(objective {self.objective})"
-
-
-def _of_variable(values: dict[int, Any], variable: cp.Variable) -> Any:
-    if variable.id not in values:
-        raise UnsupportedModel(
-            f"{name_of(variable)} is no variable of the problem; ask for one of its own"
-        )
-    return values[variable.id]
-
-
 class ModelPath(Path):
-    """The path of a cvxpy problem: that of the LCP or program behind it, with values by variable.
+    """The path of a cvxpy problem: that of the LCP or program behind it, with values of variables and the objective.
 
-    ``path.at(θ)[x]`` is the value of a variable, ``path.value(x, thetas)`` many of them; pieces and x are those of what
-    cvxpy compiles the problem to.
+    Pieces, ``at(θ)`` and ``derivative(θ)`` are those of the LCP or program that cvxpy's problem becomes.
     """
 
     _problem: Any
-    _moved: Moved
+    _line: ParameterLine
     _back: Back
 
     @classmethod
-    def of(cls, path: Path, problem: Any, moved: Moved, back: Back) -> ModelPath:
+    def of(cls, path: Path, problem: Any, line: ParameterLine, back: Back) -> ModelPath:
         """Return a path with the way back."""
         made = cls.__new__(cls)
-        made.__dict__.update(path.__dict__, _problem=problem, _moved=moved, _back=back)
+        made.__dict__.update(path.__dict__, _problem=problem, _line=line, _back=back)
         return made
 
-    def at(self, theta: float) -> ModelPoint:  # type: ignore[override]
-        """Return the solution at θ; ``path.at(θ)[x]`` is the value of a variable."""
-        inner = super().at(theta)
-        values, objective = self._stated(theta, self.piece_at(theta))
-        return ModelPoint(float(theta), inner, values, objective)
+    def value(self, variable: cp.Variable, theta: ArrayLike) -> Any:
+        """Return the value of a variable at θ, in its shape; at k values of θ shape (k, *its shape)."""
+        found = [self._values(one) for one in np.ravel(np.asarray(theta, float)).tolist()]
+        if any(variable.id not in values for values in found):
+            raise UnsupportedModel(
+                f"{name_of(variable)} is no variable of the problem; ask for one of its own"
+            )
+        return np.reshape([one[variable.id] for one in found], (*np.shape(theta), *variable.shape))
 
-    def _stated(self, theta: float, piece: Piece) -> tuple[dict[int, Any], float]:
-        """Return the variables at θ on a piece, and the objective as it was stated."""
-        variables = self._problem.variables()
+    def objective(self, theta: float) -> float:
+        """Return the value of the objective as it was stated, at θ."""
+        variables, values = self._problem.variables(), self._values(theta)
         before = [one.value for one in variables]
-        with self._moved.to(float(theta)):
-            values = self._back(piece.z_at(float(theta)))
-            try:
-                for variable in variables:
-                    variable.save_value(values[variable.id])
-                objective = float(dense(self._problem.objective.value))
-            finally:
-                for variable, value in zip(variables, before, strict=True):
-                    variable.save_value(value)
-        return values, objective
+        try:
+            for variable in variables:
+                variable.save_value(values[variable.id])
+            with self._line.to(theta):
+                return float(dense(self._problem.objective.value))
+        finally:
+            for variable, value in zip(variables, before, strict=True):
+                variable.save_value(value)
 
-    def derivative(self, theta: float, *, side: str = "ahead") -> ModelSlope:  # type: ignore[override]
-        """Return how the solution at θ changes with θ; ``path.derivative(θ)[x]`` is that of a variable.
-
-        Variables are affine on a piece. The objective as it was stated is ± that of the program and a term affine in θ.
-        """
-        inner = super().derivative(theta, side=side)
-        piece = self.piece_at(theta, is_behind=side == "behind")
-        ends = (piece.begin, piece.end) if piece.end != piece.begin else (self.start, self.start)
-        (first, one), (last, other) = (self._stated(end, piece) for end in ends)
-        length = ends[1] - ends[0]
-        rates = {
-            key: (last[key] - value) / length if length else np.zeros_like(value)
-            for key, value in first.items()
-        }
-        if inner.objective is None or not length:
-            return ModelSlope(inner, rates, inner.objective)
-        sign = -1.0 if isinstance(self._problem.objective, cp.Maximize) else 1.0
-        own = [sign * (self.family.point(end, piece.z_at(end)).objective or 0.0) for end in ends]
-        offset = ((other - own[1]) - (one - own[0])) / length
-        return ModelSlope(inner, rates, sign * inner.objective + offset)
-
-    def value(self, variable: cp.Variable, thetas: ArrayLike) -> Any:
-        """Return the values of a variable at many θ, shape (k, *its shape)."""
-        return np.array(
-            [self.at(float(theta))[variable] for theta in np.atleast_1d(np.asarray(thetas))]
-        )
+    def _values(self, theta: float) -> dict[int, Any]:
+        with self._line.to(theta):
+            return self._back(self.piece_at(theta).z_at(theta))
 
 
-class Moved:
+class ParameterLine:
     """Parameters that are their values plus θ times a direction.
 
     Parameters
@@ -237,18 +141,18 @@ def trace_model(
     UnsupportedModel
         Where the parameter stands in a matrix, or not affinely.
     """
-    moved = Moved(problem, along)
+    line = ParameterLine(problem, along)
     stated = _pairs if is_complementarity_problem(problem) else _program
     other = stop if stop != start else start + 1.0
     values = (start, other, start + BETWEEN * (other - start))
     found = []
     for theta in values:
-        with moved.to(theta):
+        with line.to(theta):
             found.append(stated(problem))
     (first, back), (last, _), (middle, _) = found
     base, directions = _line(first, last, middle, values)
     path = trace_stated(base, directions, start, stop, tolerance)
-    return ModelPath.of(path, problem, moved, back)
+    return ModelPath.of(path, problem, line, back)
 
 
 def _pairs(problem: Any) -> tuple[LCP, Back]:

@@ -19,8 +19,8 @@ def test_lasso_in_cvxpy_follows_its_penalty() -> None:
     for theta in (6.0, 2.0, 0.3):
         penalty.value = theta
         problem.solve(solver=QPSolver)
-        assert np.abs(path.at(theta)[x] - x.value).max() <= 1e-6
-        assert path.at(theta).objective == pytest.approx(problem.value, rel=1e-8)
+        assert np.abs(path.value(x, theta) - x.value).max() <= 1e-6
+        assert path.objective(theta) == pytest.approx(problem.value, rel=1e-8)
     assert penalty.value == 0.3
     assert path.value(x, [1.0, 2.0]).shape == (2, 6)
 
@@ -36,8 +36,8 @@ def test_frontier_in_cvxpy_is_said_to_end_nowhere() -> None:
     path = trace(problem, tolerance, 0, 100).require_solved()
     tolerance.value = 3.0
     problem.solve(solver=QPSolver)
-    assert np.abs(path.at(3.0)[x] - x.value).max() <= 1e-6
-    assert path.at(3.0).objective == pytest.approx(problem.value, rel=1e-7)
+    assert np.abs(path.value(x, 3.0) - x.value).max() <= 1e-6
+    assert path.objective(3.0) == pytest.approx(problem.value, rel=1e-7)
 
 
 def test_pairs_follow_a_load() -> None:
@@ -49,8 +49,8 @@ def test_pairs_follow_a_load() -> None:
     )
     path = trace(problem, {load: [0.0, -1.0]}, 0, 6).require_solved()
     assert path.breakpoints == pytest.approx([0.0, 3.5, 6.0])
-    assert path.at(4.5)[x] == pytest.approx([13 / 6, 2 / 3])
-    assert float(path.at(4.5)[y]) == pytest.approx(13 / 6 + 3 * (1 - 4.5))
+    assert path.value(x, 4.5) == pytest.approx([13 / 6, 2 / 3])
+    assert float(path.value(y, 4.5)) == pytest.approx(13 / 6 + 3 * (1 - 4.5))
     assert load.value.tolist() == [-5.0, 1.0]
 
 
@@ -82,26 +82,9 @@ def test_what_is_not_affine_is_refused_in_words() -> None:
     with pytest.raises(InvalidOption, match="is a Parameter"):
         trace(plain, "v", 1, 2)
     with pytest.raises(UnsupportedModel, match="no variable of the problem"):
-        trace(cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= p]), p, 1, 2).at(1.5)[cp.Variable()]
-
-
-def test_derivatives_are_those_of_the_problem_as_it_was_stated() -> None:
-    """Signs of Maximize, constants that move, and variables in their shapes."""
-    x, y, g = cp.Variable(), cp.Variable(2), cp.Parameter(value=1.0)
-    path = trace(cp.Problem(cp.Maximize(g * x - x**2), [x <= 1, x >= 0]), g, 0.0, 4.0)
-    assert path.derivative(1.0).objective == pytest.approx(0.5)
-    assert path.derivative(1.0)[x] == pytest.approx(0.5)
-    assert path.derivative(3.0).objective == pytest.approx(1.0)
-    assert path.derivative(2.0, side="behind")[x] == pytest.approx(0.5)
-    constant = trace(cp.Problem(cp.Minimize(x**2 + 2 * g), [x >= 1]), g, 0.0, 4.0)
-    assert constant.derivative(1.0).objective == pytest.approx(2.0)
-    assert constant.derivative(1.0)[x] == pytest.approx(0.0, abs=1e-12)
-    shaped = trace(
-        cp.Problem(cp.Minimize(cp.sum_squares(y - np.array([1, 2]))), [cp.sum(y) <= g]), g, 0.0, 2.0
-    )
-    assert shaped.derivative(1.0)[y] == pytest.approx([0.5, 0.5])
-    with pytest.raises(UnsupportedModel, match="no variable"):
-        shaped.derivative(1.0)[x]
+        trace(cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= p]), p, 1, 2).value(
+            cp.Variable(), 1.5
+        )
 
 
 def test_parameters_that_bend_or_may_not_move_are_said() -> None:

@@ -36,8 +36,8 @@ def trace(problem: Any, along: Any, start: float, stop: float, *, tolerance: flo
     along : mapping, or a cvxpy Parameter
         What moves, and how much for θ + 1: ``{"q": dq}`` and bounds of an LCP; c, h, b and bounds of a program; b, l1
         and bounds of least squares. A number moves all entries alike. Of a problem of cvxpy a scalar Parameter, whose
-        value θ is, or ``{parameter: direction}``, added to its present value; then ``path.value(x, θ)`` is the value of a
-        variable.
+        value θ is, or ``{parameter: direction}``, added to its present value; then
+        ``path.value(x, θ)`` is the value of a variable.
     start, stop : float
         Either may be the larger one.
     tolerance : float

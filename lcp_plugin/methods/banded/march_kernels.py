@@ -124,9 +124,9 @@ def _multiply(below, centre, above, x, y):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _next_offset(
+def _next_offset(  # type: ignore[no-untyped-def]
     propagator_indptr, propagator_indices, propagator_data, forcing, z, ratios, q, y, total
-):  # type: ignore[no-untyped-def]
+):
     """Fill q = forcing + C z, and y with what is right of the rows that are eliminated from the last to the first."""
     n, marches = z.shape
     is_common = forcing.shape[1] == 1

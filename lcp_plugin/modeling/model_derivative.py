@@ -349,9 +349,9 @@ def derivative_of(problem: Any) -> ModelDerivative:
 
 def _is_solved_by(model: Model, result: Result) -> bool:
     """Return whether the result is that of the model with the present values of its parameters."""
-    now, z, w = model.problem, result.z, result.w
-    rows = now.rows if isinstance(now, Blocks) else now
-    then = result.problem if isinstance(now, Blocks) else result.certificate.problem
+    now: Any = model.problem
+    z, w, rows = result.z, result.w, now.rows if isinstance(now, Blocks) else now
+    then: Any = result.certificate.problem if rows is now else getattr(result, "problem", None)
     slack = now.value(z) if isinstance(now, NonlinearProblem) else rows.M @ z + rows.q
     size = 1.0 + np.abs(z).max(initial=0.0) + np.abs(w).max(initial=0.0)
     return bool((np.abs(slack - w) <= SAME * size).all()) and all(

@@ -53,18 +53,21 @@ class ModelPath(Path):
             )
         return np.reshape([one[variable.id] for one in found], (*np.shape(theta), *variable.shape))
 
-    def objective(self, theta: float) -> float:
-        """Return the value of the objective as it was stated, at θ."""
-        variables, values = self._problem.variables(), self._values(theta)
-        before = [one.value for one in variables]
+    def objective(self, thetas: ArrayLike) -> FloatVector:
+        """Return the value of the objective as it was stated, at many θ, shape (k,)."""
+        variables = self._problem.variables()
+        before, found = [one.value for one in variables], []
         try:
-            for variable in variables:
-                variable.save_value(values[variable.id])
-            with self._line.to(theta):
-                return float(dense(self._problem.objective.value))
+            for theta in np.ravel(np.asarray(thetas, float)).tolist():
+                values = self._values(theta)
+                for variable in variables:
+                    variable.save_value(values[variable.id])
+                with self._line.to(theta):
+                    found.append(float(dense(self._problem.objective.value)))
         finally:
             for variable, value in zip(variables, before, strict=True):
                 variable.save_value(value)
+        return np.array(found)
 
     def _values(self, theta: float) -> dict[int, Any]:
         with self._line.to(theta):

@@ -77,6 +77,9 @@ def derivative(
 ) -> Derivative | BatchDerivative | ContactBatchDerivative | MarchDerivative | ConeDerivative:
     """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
+    Of a cvxpy problem with complementarities, solved by ``method="LCP"``, it is that by the parameters; see
+    ``help("lcp_plugin.modeling")``.
+
     Parameters
     ----------
     result : Result or BatchResult or ContactBatchResult or March
@@ -124,7 +127,8 @@ def derivative(
     if type(result).__module__.startswith("cvxpy."):
         from ...modeling.model_derivative import derivative_of
 
-        return derivative_of(result)
+        of_model: Any = derivative_of(result)
+        return of_model
     if not isinstance(result, Result):
         raise InvalidOption(refusal("derivative", result))
     if not result.is_solved:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -41,6 +41,9 @@ from ..march.march_derivative import MarchDerivative
 from .batch_derivative import CHANGES, BatchDerivative
 from .contact_batch_derivative import ContactBatchDerivative
 from .free_solutions import one_sided, solution, words_on_singular
+
+if TYPE_CHECKING:
+    from ...modeling.model_derivative import ModelDerivative
 
 
 class Gradient(NamedTuple):
@@ -74,7 +77,14 @@ def derivative(result: March) -> MarchDerivative: ...
 @np.errstate(under="ignore")
 def derivative(
     result: Result | BatchResult | ContactBatchResult | March,
-) -> Derivative | BatchDerivative | ContactBatchDerivative | MarchDerivative | ConeDerivative:
+) -> (
+    Derivative
+    | BatchDerivative
+    | ContactBatchDerivative
+    | MarchDerivative
+    | ConeDerivative
+    | ModelDerivative
+):
     """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
 
     Of a cvxpy problem with complementarities, solved by ``method="LCP"``, it is that by the parameters; see
@@ -127,8 +137,7 @@ def derivative(
     if type(result).__module__.startswith("cvxpy."):
         from ...modeling.model_derivative import derivative_of
 
-        of_model: Any = derivative_of(result)
-        return of_model
+        return derivative_of(result)
     if not isinstance(result, Result):
         raise InvalidOption(refusal("derivative", result))
     if not result.is_solved:

@@ -168,15 +168,12 @@ class Single(EndsWithItsCase):
 
 
 class Auto(EndsWithItsCase):
-    """What is predicted to need the least work; where `prove_infeasibility` is False, without a look for proofs.
-
-    Where `looks_at_cases` is False, a solution near the start is wanted: no search looks for another one.
-    """
+    """What is predicted to need the least work; where `prove_infeasibility` is False, without a look for proofs."""
 
     name = chosen = "auto"
 
-    def __init__(self, *, prove_infeasibility: bool = True, looks_at_cases: bool = True) -> None:
-        self._prove_infeasibility, self.looks_at_cases = prove_infeasibility, looks_at_cases
+    def __init__(self, *, prove_infeasibility: bool = True) -> None:
+        self._prove_infeasibility = prove_infeasibility
         self._direct: FallbackOrder | None = None
 
     def first(self, problem: LCP) -> Choice:
@@ -284,7 +281,6 @@ class Auto(EndsWithItsCase):
         return FallbackOrder(
             problem,
             prove_infeasibility=self._prove_infeasibility,
-            looks_at_cases=self.looks_at_cases,
         )
 
 
@@ -391,12 +387,10 @@ def policy_for(
     *,
     on_ranks: bool = False,
     prove_infeasibility: bool = True,
-    looks_at_cases: bool = True,
 ) -> Policy:
     """Return the policy that the caller's `algorithm` and options mean, where the rows lie on several ranks or on one.
 
-    Where `prove_infeasibility` is False, it has no stage that looks for a proof that there is no solution; where
-    `looks_at_cases` is, none that looks for a solution anywhere.
+    Where `prove_infeasibility` is False, it has no stage that looks for a proof that there is no solution.
 
     Raises
     ------
@@ -426,7 +420,7 @@ def policy_for(
             from .ranks.auto import AutoOnRanks
 
             return AutoOnRanks()
-        return Auto(prove_infeasibility=prove_infeasibility, looks_at_cases=looks_at_cases)
+        return Auto(prove_infeasibility=prove_infeasibility)
     if isinstance(algorithm, type):
         name = algorithm.__name__
         raise UnknownAlgorithm(

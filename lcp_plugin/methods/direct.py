@@ -15,17 +15,14 @@
 | −M an M-matrix, no upper bounds | first of all largest_point: one linear solve, which decides it |
 | sparse, few rows with a bound | first condensed, where that is less than ten factors |
 
-Where the diagonal is negative throughout, as where M has the wrong sign, newton is left out beyond n = 5000. Before
-them a problem with at most 24 rows that leave a choice, but for convex programs, has a first look at all cases in
-doubles, compiled (``search``): a solution, or Farkas vectors that only need to be verified, in less time than any other
-method takes; some ten milliseconds at the most. Each runs until it ends; but where no theorem promises an end, newton
-and lemke have a turn of so many steps or pivots, and wait, where they need more, until all others have had theirs
-(:class:`FallbackOrder`). Where a factor is too large by the counts of its columns, newton and interior_point are left
-out, but not of programs. A row that contradicts its bounds by itself brings `feasibility` to the front: it looks for a
-proof that there is no solution (n ≤ 5000); so does a factor of a sparse symmetric M that meets a pivot of 0, of a
-structure that nothing holds, at any n. lemke takes n ≤ 6000 (beyond, psor comes back at the end, until it stalls),
-`search` looks at the cases of problems with n ≤ 60 until a counted number of operations; what doubles leave open goes
-to exact arithmetic where at most 24 rows leave a choice.
+Where the diagonal is negative throughout, as where M has the wrong sign, newton is left out beyond n = 5000. Each
+runs until it ends; but where no theorem promises an end, newton and lemke have a turn of so many steps or pivots, and
+wait, where they need more, until all others have had theirs (:class:`FallbackOrder`). Where a factor is too large by
+the counts of its columns, newton and interior_point are left out, but not of programs. A row that contradicts its
+bounds by itself brings `feasibility` to the front: it looks for a proof that there is no solution (n ≤ 5000); so does
+a factor of a sparse symmetric M that meets a pivot of 0, of a structure that nothing holds, at any n. lemke takes n ≤
+6000 (beyond, psor comes back at the end, until it stalls), `search` enumerates the cases in exact arithmetic (n ≤ 60,
+at most 24 rows that leave a choice), up to a counted number of operations.
 """
 
 from __future__ import annotations
@@ -33,7 +30,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -81,7 +77,6 @@ GAME_PIVOTS = (
 def direct_methods(problem: LCP) -> Iterator[Choice]:
     """Yield the methods that factorise, pivot or search, in the order of the table."""
     left_out: list[str] = []
-    yield from _first_look(problem, prove_infeasibility=True)
     yield from _by_prospects(problem, True, left_out)
     yield from _at_last(problem, True, left_out)
 
@@ -89,8 +84,7 @@ def direct_methods(problem: LCP) -> Iterator[Choice]:
 class FallbackOrder:
     """The direct methods one after the other; those whose turn is over go on where all others have failed.
 
-    Each has at most two turns, so that there is an end. Where `prove_infeasibility` is False, nothing looks for proofs;
-    where `looks_at_cases` is, nothing looks for solutions but those that lie near the start.
+    Each has at most two turns, so that there is an end. Where `prove_infeasibility` is False, nothing looks for proofs.
 
     Attributes
     ----------
@@ -98,16 +92,11 @@ class FallbackOrder:
         What has been left out so far because it takes no problem as large, and up to where it goes.
     """
 
-    def __init__(
-        self, problem: LCP, *, prove_infeasibility: bool = True, looks_at_cases: bool = True
-    ) -> None:
+    def __init__(self, problem: LCP, *, prove_infeasibility: bool = True) -> None:
         self._problem, self._waiting = problem, list[Choice]()
         self.left_out: list[str] = []
-        by_prospects = _by_prospects(problem, prove_infeasibility, self.left_out)
+        self._coming = _by_prospects(problem, prove_infeasibility, self.left_out)
         self._last = _at_last(problem, prove_infeasibility, self.left_out)
-        self._coming = chain(
-            _first_look(problem, prove_infeasibility) if looks_at_cases else (), by_prospects
-        )
         self._now: Choice | None = None
 
     def first(self) -> Choice | None:
@@ -167,27 +156,9 @@ def has_had_its_turn(stage: Stage, turn: float, problem: LCP, goal: float) -> bo
     return stage.iterations >= turn and stage.steps_to_go(goal) > turn
 
 
-def may_be_searched(problem: LCP) -> bool:
-    """Return whether a first look at all cases is worth its time.
-
-    A convex program is a matter of convex methods, which give the multipliers that its users expect.
-    """
-    from .search import is_searchable
-
-    return is_searchable(problem) and not is_of_convex_program(problem.origin)
-
-
 def is_of_convex_program(origin: Any) -> bool:
     """Return whether a problem of this origin states a convex program: only such are converted."""
     return bool(getattr(origin, "is_of_convex_program", False))
-
-
-def _first_look(problem: LCP, prove_infeasibility: bool) -> Iterator[Choice]:
-    from .search.stages import ExhaustiveSearch
-
-    if may_be_searched(problem) and not is_game(problem):
-        why = "so few unknowns that every choice of bounds can be tried"
-        yield Choice(ExhaustiveSearch(is_first=True, prove_infeasibility=prove_infeasibility), why)
 
 
 def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> Iterator[Choice]:
@@ -314,14 +285,14 @@ def _up_to(what: str, most: int, problem: LCP) -> str:
 
 def _at_last(problem: LCP, prove_infeasibility: bool, words: list[str]) -> Iterator[Choice]:
     """Yield what is tried where all else has failed; add to the words as `_by_prospects` does."""
-    from .search import LARGEST_SIZE
+    from .search import LARGEST_CHOICES, is_searchable
     from .search.stages import ExhaustiveSearch
 
-    if problem.n <= LARGEST_SIZE:
+    if is_searchable(problem):
         search = ExhaustiveSearch(prove_infeasibility=prove_infeasibility)
         yield Choice(search, "few enough unknowns to try every choice of bounds to the end")
     else:
-        words.append(_up_to("the exhaustive search", LARGEST_SIZE, problem))
+        words.append(f"the exhaustive search (up to {LARGEST_CHOICES} rows that leave a choice)")
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Choice(last_resort(problem), "the direct methods failed: sweeps to the end")
 

@@ -406,23 +406,10 @@ MECHANISMS = (
         "methods/search/stages.py:LargestPoint proofs/verdicts/report.py:is_negated_m_matrix",
     ),
     Mechanism(
-        "first search",
-        "all cases of few unknowns before other direct methods",
-        {f"{DIRECT}:may_be_searched": says(False)},
-        "methods/direct.py:may_be_searched methods/direct.py:_first_look methods/search/kernels.py",
-    ),
-    Mechanism(
         "search",
         "all cases of few unknowns: solutions and proofs",
-        {f"{DIRECT}:may_be_searched": says(False), f"{DIRECT}:_at_last": without("search")},
+        {f"{DIRECT}:_at_last": without("search")},
         "methods/search",
-    ),
-    Mechanism(
-        "whole tree",
-        "a search for all solutions is exact where a pass in doubles leaves cases open",
-        {"methods.search:whole_tree": says(None)},
-        "methods/search/outlines.py:whole_tree",
-        "methods/search/test_all_cases.py::test_an_exact_search_for_all_is_left_the_open_cases",
     ),
     Mechanism(
         "motions",

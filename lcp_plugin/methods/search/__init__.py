@@ -16,9 +16,8 @@ from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...proofs.exact.rational import exact_slack
 from ...proofs.exact.simplex import Effort
-from ...proofs.no_solution.infeasibility import Case, NoSolution
+from ...proofs.no_solution.infeasibility import NoSolution
 from .explorer import Explorer, Face, Point, extreme_points
-from .outlines import whole_tree
 
 __all__ = [
     "Effort",
@@ -158,17 +157,11 @@ def search(
 
 
 def explore(
-    problem: LCP, effort: Effort, *, first_only: bool = True, tree: Case | None = None
+    problem: LCP, effort: Effort, *, first_only: bool = True
 ) -> Iterator[Solutions | NoSolution | None]:
-    """Yield None after each case that was looked at, and within long ones, and at last what `search` returns.
-
-    For callers with a clock, or a limit of what they count in `effort`. Of a tree that is given only those cases are
-    looked at that it leaves open, or closes with what does not hold.
-    """
+    """Yield None after each case and within long ones, then the result of `search`; `effort` counts the work."""
     _require_small(problem)
-    if tree is None and not first_only:
-        tree = whole_tree(problem)
-    explorer = Explorer(problem, effort, first_only=first_only, tree=tree)
+    explorer = Explorer(problem, effort, first_only=first_only)
     for _ in explorer.run():
         yield None
     if explorer.faces:

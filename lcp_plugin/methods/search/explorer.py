@@ -14,7 +14,7 @@ from ...core.lcp import LCP
 from ...proofs.exact.rational import integer_matrix, slack_bounds
 from ...proofs.exact.simplex import Bound, Effort, ExactSimplex
 from ...proofs.no_solution.infeasibility import Case
-from ...proofs.no_solution.proof import FIXED, LOWER, SLACKLESS, UPPER, Choices, row_choices
+from ...proofs.no_solution.proof import FIXED, LOWER, SLACKLESS, UPPER, row_choices
 
 Point = tuple[Fraction, ...]
 
@@ -39,9 +39,7 @@ class Face:
 class Explorer:
     """A depth-first search that ends with the faces found and, where there are none, the tree that proves it."""
 
-    def __init__(
-        self, problem: LCP, effort: Effort, *, first_only: bool, tree: Case | None = None
-    ) -> None:
+    def __init__(self, problem: LCP, effort: Effort, *, first_only: bool) -> None:
         self.problem, self.effort = problem, effort
         self.first_only = first_only
         self.n = problem.n
@@ -56,7 +54,7 @@ class Explorer:
         self.root_bounds = [self.simplex.bounds(x) for x in range(2 * self.n)]
         self.weights = [max(map(abs, row[:-1]), default=0) or 1 for row in self.simplex.rows]
         self.faces: list[Face] = []
-        self.tree = tree or Case()
+        self.tree = Case()
         self.nodes = 0
         self.path: list[tuple[int, str]] = []
 
@@ -84,13 +82,7 @@ class Explorer:
                 return
 
     def _examined(self, case: Case) -> Generator[None, None, list[str]]:
-        """Close the case, record its face, or split it, unless that is done; return the branches to look at."""
-        if case.branches:
-            return list(case.branches)
-        if case.y is not None and Choices(self.problem, dict(self.path)).excluded_by(
-            dict(enumerate(case.y))
-        ):
-            return []
+        """Close the case, record its face, or split it; return the branches to look at."""
         case.y = yield from self.simplex.infeasibility_proof()
         if case.y is not None:
             return []

@@ -1,7 +1,4 @@
-"""Feasibility and exhaustive search as stages of a run: they end it with a solution or with a proof.
-
-The cases are looked at in doubles, compiled: a solution, or a tree for exact arithmetic to check.
-"""
+"""Feasibility and exhaustive search as stages of a run: they end it with a solution or with a proof."""
 
 from __future__ import annotations
 
@@ -19,20 +16,15 @@ from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...proofs.exact.simplex import QUANTUM
-from ...proofs.no_solution.infeasibility import Case, find_infeasibility
+from ...proofs.no_solution.infeasibility import find_infeasibility
 from ...proofs.no_solution.proof import Infeasibility
 from ...systems.free_systems import FreeSystem
-from . import Effort, NoSolution, Solutions, explore, is_searchable
-from .outlines import MOST_ENTRIES, outline
+from . import Effort, NoSolution, Solutions, explore
 
 SLIGHTLY = 1e-2  # of a contradiction, spent on the rounding of its proof
 CASES_A_STEP = 50
 MOST_EXACT = 20_000
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds
-FIRST_ENTRIES, FIRST_PRODUCTS = (
-    1e7,
-    QUANTUM,
-)  # some ten milliseconds: no more than the methods after it take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,52 +106,29 @@ class LargestPoint(Algorithm):
 
 @dataclass(frozen=True, kw_only=True)
 class ExhaustiveSearch(Algorithm):
-    """Branch and bound over z_i = bound, w_i = 0: in doubles, compiled; what these do not prove, in exact arithmetic.
+    """Branch and bound over z_i = bound, w_i = 0 in exact arithmetic (Cottle, Pang, Stone, §1.3).
 
-    n ≤ 60; exactly: at most 24 rows that leave a choice (Cottle, Pang, Stone, §1.3). A step is all cases in doubles,
-    then at most 50, each an exact linear program.
+    n ≤ 60, at most 24 rows that leave a choice. A step is at most 50 cases, each an exact linear program.
 
     Parameters
     ----------
-    is_first : bool
-        A look before other methods, with less patience; what it leaves open is said by another one at the end.
     prove_infeasibility : bool
-        Where False, the pass in doubles looks for a solution and nothing is proved.
+        If False, it looks for a solution and proves nothing.
     """
 
-    is_first: bool = False
     prove_infeasibility: bool = True
 
     name: ClassVar[str] = "search"
     is_monotone: ClassVar[bool] = False
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield z0 while it searches, then the solution, or z0 with the proof; end where that takes too much."""
+        """Yield z0 during the search, then the solution, or z0 with the proof; end if that takes too much."""
         return without_warnings(self._steps(problem, z0))
 
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         yield Step(z0, work=0.0)
-        seen = outline(problem, FIRST_ENTRIES if self.is_first else MOST_ENTRIES)
-        step = Step(z0 if seen.z is None else seen.z, work=seen.entries / max(problem.nonzeros, 1))
-        if seen.tree is not None and self.prove_infeasibility:
-            proof = NoSolution(problem, seen.tree, seen.cases)
-            step.proof = proof.infeasibility or proof
-        elif seen.tree is not None:
-            step.least_residual, step.remark = (
-                seen.least_residual,
-                "in double precision every case contradicts",
-            )
-        yield step
-        is_proved = (
-            step.proof is not None and step.proof.exact
-        )  # but the contradiction is too small for the run
-        if self.prove_infeasibility and not is_proved and is_searchable(problem):
-            yield from self._exactly(problem, z0, seen.tree)
-
-    def _exactly(self, problem: LCP, z0: FloatVector, tree: Case | None) -> Iterator[Step]:
-        """Yield z0 while exact arithmetic looks at all cases, or at those of a tree that are not closed."""
         effort, reported = Effort(), Effort()
-        for outcome in explore(problem, effort, tree=tree):
+        for outcome in explore(problem, effort):
             is_due = (
                 effort.cases - reported.cases >= CASES_A_STEP
                 or effort.products - reported.products >= QUANTUM
@@ -173,13 +142,9 @@ class ExhaustiveSearch(Algorithm):
                     step.z = np.clip(outcome.solutions[0].z, problem.lower, problem.upper)
                 except UnsuitableProblem as error:
                     step.remark = f"a search of all cases found a solution, but {error}"
-            elif isinstance(outcome, NoSolution):
+            elif isinstance(outcome, NoSolution) and self.prove_infeasibility:
                 step.proof = outcome.infeasibility or outcome
-            elif effort.cases >= MOST_EXACT or effort.products >= (
-                FIRST_PRODUCTS if self.is_first else MOST_PRODUCTS
-            ):
-                if self.is_first:
-                    return
+            elif effort.cases >= MOST_EXACT or effort.products >= MOST_PRODUCTS:
                 step.remark = (
                     f"not decided in {effort.cases} cases of an exact search; all_solutions goes on"
                 )

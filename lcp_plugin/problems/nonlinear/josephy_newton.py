@@ -335,7 +335,7 @@ class LinearPolicy(Policy):
     """What solves a linearisation: the caller's policy without a look for proofs; pivots are its last resort."""
 
     def __init__(self, algorithm: str | Algorithm) -> None:
-        self._policy = policy_for(algorithm, {}, prove_infeasibility=False, looks_at_cases=False)
+        self._policy = policy_for(algorithm, {}, prove_infeasibility=False)
         self.name, self.chosen = self._policy.name, self._policy.chosen
 
     def first(self, problem: LCP) -> Choice:

@@ -1,4 +1,4 @@
-"""The look at all cases in doubles, and what it gives: solutions, proofs, or neither (prove_infeasibility=False)."""
+"""Small problems are decided: a solution, a proof that there is none, or neither (prove_infeasibility=False)."""
 
 from __future__ import annotations
 
@@ -8,15 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from campaigns.search import random_problem
 
 from lcp_plugin import LCP, InvalidOption, Status, solve, solve_batch
-from lcp_plugin.methods.search import NoSolution, Solutions, all_solutions, explore, search
-from lcp_plugin.methods.search.outlines import outline, whole_tree
-from lcp_plugin.methods.search.stages import FIRST_ENTRIES
-from lcp_plugin.proofs.exact.simplex import Effort
-from lcp_plugin.proofs.no_solution.infeasibility import Case
-from lcp_plugin.proofs.no_solution.proof import Choices
 
 PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION)
 
@@ -76,24 +69,6 @@ def test_the_status_agrees_with_all_complementary_bases(n: int) -> None:
         assert solve(problem, prove_infeasibility=False).is_solved is result.is_solved
 
 
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("block", range(6))
-def test_what_doubles_exclude_is_never_believed_unverified(block: int) -> None:
-    """Degenerate problems with boxes, free and fixed rows: the tree, repaired exactly, ends as the search does."""
-    for case in range(60):
-        M, q, lower, upper = random_problem(np.random.default_rng([31, block, case]), largest=4)
-        problem = LCP(M, q, lower=lower, upper=upper)
-        seen, truth = outline(problem, FIRST_ENTRIES), search(problem)
-        if seen.tree is not None and NoSolution(problem, seen.tree).verify():
-            assert isinstance(truth, NoSolution)
-        repaired = [
-            outcome for outcome in explore(problem, Effort(), tree=seen.tree) if outcome is not None
-        ][-1]
-        assert type(repaired) is type(truth)
-        if isinstance(repaired, NoSolution):
-            assert repaired.verify()
-
-
 @pytest.mark.parametrize("n", [3, 6, 8, 12])
 def test_planted_problems_are_never_infeasible(n: int) -> None:
     """Integer data, a solution with active, inactive and degenerate rows: solved, with a look for proofs or without."""
@@ -103,8 +78,6 @@ def test_planted_problems_are_never_infeasible(n: int) -> None:
         z = np.where(rng.random(n) < 0.5, rng.integers(1, 4, n), 0).astype(float)
         w = np.where((z == 0) & (rng.random(n) < 0.7), rng.integers(1, 4, n), 0).astype(float)
         problem = LCP(M, w - M @ z)
-        seen = outline(problem, FIRST_ENTRIES)
-        assert seen.tree is None or not NoSolution(problem, seen.tree).verify()
         for prove_infeasibility in (True, False):
             result = solve(problem, prove_infeasibility=prove_infeasibility)
             assert result.is_solved
@@ -131,16 +104,6 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     assert "not proved infeasible: you asked for no proof" in result.advice
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("seed", [0, 1, 3, 4])
-def test_solutions_are_looked_for_where_no_proof_is(seed: int) -> None:
-    """What the search of all cases finds with proofs, it finds with prove_infeasibility=False: it saves no answers."""
-    rng, n = np.random.default_rng(seed), 40
-    M, z = rng.standard_normal((n, n)), np.where(rng.random(n) < 0.5, rng.random(n), 0.0)
-    problem = LCP(M, np.where(z > 0.0, 0.0, rng.random(n)) - M @ z)
-    assert solve(problem, prove_infeasibility=False).status is Status.SOLVED
-
-
 def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
     """With a record of the steps the run is driven, and ends after the look at all cases as well."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
@@ -149,7 +112,6 @@ def test_a_watched_run_without_prove_infeasibility_ends_alike() -> None:
     assert result.status is Status.STALLED
     assert result.stages[-1].name == "search"
     assert "not proved infeasible: you asked for no proof" in result.advice
-    assert "in double precision every case contradicts" in result.advice
 
 
 @pytest.mark.sampled(1)
@@ -182,15 +144,6 @@ def test_a_contradiction_within_the_tolerance_ends_nothing() -> None:
     assert solve(problem, prove_infeasibility=False, tolerance=1e-5).is_solved
 
 
-def test_the_look_ends_by_counted_work() -> None:
-    """No case is begun after so many entries of the tableau, and nothing is concluded then."""
-    rng = np.random.default_rng(0)
-    problem = LCP(rng.standard_normal((24, 24)), rng.standard_normal(24))
-    assert outline(problem, FIRST_ENTRIES).entries > 1e4
-    cut = outline(problem, 1.0)
-    assert (cut.z, cut.tree, cut.least_residual, cut.cases) == (None, None, 0.0, 2)
-
-
 def test_prove_infeasibility_is_true_or_false() -> None:
     """Anything else is refused by name."""
     for call in (
@@ -199,68 +152,3 @@ def test_prove_infeasibility_is_true_or_false() -> None:
     ):
         with pytest.raises(InvalidOption, match="prove_infeasibility must be True or False"):
             call()
-
-
-@pytest.mark.full
-def test_beyond_the_exact_search_what_doubles_exclude_is_proved_or_left_open() -> None:
-    """More than 24 rows with a choice: a tree of doubles that cannot be verified is no proof, and nothing is raised."""
-    n, random = 40, np.random.default_rng(40)
-    M = random.standard_normal((n, n))
-    M[:2] = 0.0
-    M[0, 0], M[1, 0] = 1.0, -1.0  # z₀ ≥ 1, z₀ ≤ 1 − ε
-    for gap in (1e-3, 1e-16, 1e-18):
-        q = random.standard_normal(n)
-        q[:2] = -1.0, 1.0 - gap
-        result = solve(LCP(M, q))
-        assert not result.has_no_solution or result.infeasibility.verify()
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_all_cases_of_a_game_but_its_equilibria_are_closed_in_doubles(seed: int) -> None:
-    """Of 8 × 8 normal payoffs; each Farkas vector holds exactly, and what is left open are the solutions."""
-    rng = np.random.default_rng(seed)
-    problem = LCP.from_game(rng.standard_normal((8, 8)), rng.standard_normal((8, 8)))
-
-    def open_leaves(case: Case, path: dict[int, str]) -> int:
-        if case.branches:
-            return sum(
-                open_leaves(branch, {**path, case.row: choice})
-                for choice, branch in case.branches.items()
-            )
-        return (
-            1
-            if case.y is None
-            else int(not Choices(problem, path).excluded_by(dict(enumerate(case.y))))
-        )
-
-    assert open_leaves(whole_tree(problem), {}) == len(all_solutions(problem))
-
-
-@pytest.mark.parametrize("seed", range(60))
-def test_all_solutions_with_the_pass_in_doubles_are_those_without(seed: int) -> None:
-    """Of small integers, with ties, boxes and free rows: the same faces, by their vertices, or no solution."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(2, 7))
-    M, q, chances = rng.integers(-2, 3, (n, n)), rng.integers(-2, 3, n), rng.random((2, n))
-    lower, upper = np.where(chances[0] < 0.2, -np.inf, 0.0), np.where(chances[1] < 0.3, 2.0, np.inf)
-    problem = LCP(M, q, lower=lower, upper=upper)
-    plain = next(
-        one for one in explore(problem, Effort(), first_only=False, tree=Case()) if one is not None
-    )
-    found = []
-    for outcome in (search(problem, first_only=False), plain):
-        solutions = outcome.solutions if isinstance(outcome, Solutions) else ()
-        found.append(sorted((one.exact_vertices, one.dimension) for one in solutions))
-    assert found[0] == found[1]
-
-
-def test_an_exact_search_for_all_is_left_the_open_cases() -> None:
-    """Of a game of 8 × 8 the exact simplex method multiplies less than a quarter of what it does with all cases."""
-    rng = np.random.default_rng(0)
-    problem = LCP.from_game(rng.standard_normal((8, 8)), rng.standard_normal((8, 8)))
-    efforts = []
-    for tree in (None, Case()):
-        effort = Effort()
-        list(explore(problem, effort, first_only=False, tree=tree))
-        efforts.append(effort.products)
-    assert efforts[0] < efforts[1] / 4

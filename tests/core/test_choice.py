@@ -508,7 +508,7 @@ def test_an_infeasible_problem_ends_with_its_proof() -> None:
         result = solve(problem, name)
         assert result.status is Status.INFEASIBLE
         assert result.infeasibility.verify()
-        assert result.stages[-1].name == ("search" if name == "auto" else "feasibility")
+        assert result.stages[-1].name == "feasibility"
         assert str(result.infeasibility) in result.explain()
     swept = solve(problem, "pgs")
     assert swept.status not in (Status.SOLVED, Status.INFEASIBLE)

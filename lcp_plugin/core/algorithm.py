@@ -46,9 +46,6 @@ class Step:
     least_residual : float
         No z has a smaller relative residual, as doubles say, without a proof: where the run asks for less, `auto`
         spends no work on other methods.
-    successor : Algorithm, optional
-        The same algorithm with what it has learned of M so far, for a problem of the same M and a q nearby; said again
-        where it has learned more.
     """
 
     z: FloatVector
@@ -60,7 +57,6 @@ class Step:
     remark: str = ""
     label: str = ""
     least_residual: float = 0.0
-    successor: Algorithm | None = None
 
 
 @dataclass(slots=True)

@@ -12,8 +12,6 @@
 | any other: frictional contact | lemke, interior_point, feasibility, newton, search |
 | any other, sparse, n > 500, diagonal > 0 | newton, interior_point, feasibility, lemke |
 | any other, sparse, n > 2000 | interior_point, newton, feasibility, lemke |
-| −M an M-matrix, no upper bounds | first of all largest_point: one linear solve, which decides it |
-| sparse, few rows with a bound | first condensed, where that is less than ten factors |
 
 Where the diagonal is negative throughout, as where M has the wrong sign, newton is left out beyond n = 5000. Each
 runs until it ends; but where no theorem promises an end, newton and lemke have a turn of so many steps or pivots, and
@@ -50,18 +48,16 @@ from ..core.tuning import (
     SEMIDEFINITENESS_UP_TO,
 )
 from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
-from ..proofs.verdicts.report import is_negated_m_matrix, is_negative
+from ..proofs.verdicts.report import is_negative
 from ..systems.factors import sizes_of_factor
 from .interior_point import InteriorPoint, monotone_rows
 from .lemke import Lemke, has_components_that_fit
 from .lemke.games import is_game
-from .newton.condensed import Condensed, condensing_passes
 from .newton.semismooth_newton import Newton
 
 # Turns of lemke, in pivots by n, and of newton, in steps.
 FIRST_PIVOTS = 8  # n by these come before an interior point on a dense M: a tenth of its work; a portfolio takes n/25
 FULL_SHARE = 0.25  # of n² entries: however it is stored, a factor of such an M is a dense one
-FEWEST_FACTORS = 10  # that an interior point makes as a rule, beside the one that condensing does
 PIVOTS = 2.0
 PIVOTS_BEFORE_PIQP_UP_TO = (
     2000  # rows: of frictional contact a path takes .1 (600 rows) to .4 (1 800) of PIQP's time
@@ -136,14 +132,10 @@ class FallbackOrder:
 def factor_passes(problem: LCP) -> float:
     """Return about how many passes over a sparse M factors take at the most; ∞ where one is too large.
 
-    Of an interior point, or to condense twice: either is twice what it takes as a rule. An operation of a factor is
+    Of an interior point, twice what it takes as a rule. An operation of a factor is
     reckoned as an entry of a sweep: it takes .15 (cubes) to 2.5 times as long (strips).
     """
-    return min(_passes_of_factors(problem, INTERIOR_STEPS), 2.0 * condensing_passes(problem))
-
-
-def _passes_of_factors(problem: LCP, count: int) -> float:
-    return count * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
+    return INTERIOR_STEPS * sizes_of_factor(problem.matrix)[1] / max(problem.nonzeros, 1)
 
 
 def has_had_its_turn(stage: Stage, turn: float, problem: LCP, goal: float) -> bool:
@@ -163,16 +155,13 @@ def is_of_convex_program(origin: Any) -> bool:
 
 def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> Iterator[Choice]:
     """Yield the methods in the order of the table; add to the words what is left out for its size."""
-    from .search.stages import FeasibilityCheck, LargestPoint
+    from .search.stages import FeasibilityCheck
 
     lemke = Choice(Lemke(), "pivoting needs no property of M")
     if is_game(problem):
         yield replace(
             lemke, because="a game: Lemke and Howson's paths, one a label", turn=GAME_PIVOTS
         )
-    if is_negated_m_matrix(problem.matrix) and bool((problem.upper == np.inf).all()):
-        why = "−M is an M-matrix: z = −M⁻¹q solves it, or nothing does"
-        yield Choice(LargestPoint(prove_infeasibility=prove_infeasibility), why)
     is_kkt = getattr(problem.origin, "form", "") == "kkt"
     newton = Choice(Newton(), "guesses what is at a bound, solves for the rest")
     why = "steps strictly between the bounds; suits M, which is monotone or may be"
@@ -187,9 +176,6 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     )
     row = contradictory_row(problem) if prove_infeasibility else None
     is_contradictory = row is not None and row.excludes(EPSILON)
-    passes = math.inf if is_kkt or is_contradictory else condensing_passes(problem)
-    if passes < math.inf and passes < _passes_of_factors(problem, FEWEST_FACTORS):
-        yield Choice(Condensed(), "few rows have a bound: one factor eliminates the others")
     if is_contradictory:
         yield replace(check, because="one row contradicts its bounds by itself")
     elif prove_infeasibility and not problem.is_dense and seems_unheld(problem):

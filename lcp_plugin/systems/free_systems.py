@@ -143,21 +143,6 @@ class FreeSystem:
         )
         return None if best is None else self._extended(best)
 
-    def solve_as_is(self, right: FloatVector) -> FloatVector:
-        """Return M_FF⁻¹ right, shape (|F|,) or (|F|, k), by the factor of a regular block, without refinement."""
-        factor = self._factor
-        if factor is None:
-            raise ValueError("the block is singular: ask is_singular first")
-        self.work += factor.solve_work * (right.shape[1] if right.ndim == 2 else 1)
-        if (
-            right.ndim == 2 and self._is_badly_scaled
-        ):  # whose rows and columns are scaled one right-hand side at a time
-            return np.column_stack(
-                [factor.solve(np.ascontiguousarray(column)) for column in right.T]
-            )
-        x: FloatVector = factor.solve(right)
-        return x
-
     @cached_property
     def pseudo_inverse(self) -> Any | None:
         """The Moore–Penrose inverse of a block of at most 500 rows, of scaled M, shape (|F|, |F|).

@@ -394,18 +394,6 @@ MECHANISMS = (
     ),
     # --- LCPs: the direct methods
     Mechanism(
-        "condensed",
-        "unknowns without bounds eliminated by one factor",
-        {"methods.newton.condensed:condensing_passes": says(math.inf)},
-        "methods/newton/condensed.py",
-    ),
-    Mechanism(
-        "largest point",
-        "−M an M-matrix: one system decides",
-        {"proofs.verdicts.report:is_negated_m_matrix": says(False)},
-        "methods/search/stages.py:LargestPoint proofs/verdicts/report.py:is_negated_m_matrix",
-    ),
-    Mechanism(
         "search",
         "all cases of few unknowns: solutions and proofs",
         {f"{DIRECT}:_at_last": without("search")},
@@ -912,7 +900,7 @@ MECHANISMS = (
         "a step of a march begins with what ended the one before",
         {"problems.march.marching:StepPolicy.following": says(None)},
         "problems/march/marching.py",
-        "problems/march/test_march_beginnings.py::test_rows_without_bounds_are_eliminated_once",
+        "problems/march/test_march_beginnings.py::test_what_has_become_slow_is_left",
     ),
     Mechanism(
         "march loop",

@@ -107,7 +107,7 @@ def test_what_would_do_the_same_is_not_met(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(measuring, "inputs", lambda: iter([one()]))
     found = measuring.meetings([*NAMES])
     assert found["small loop"] == [["tiny", "0"]]
-    assert found["condensed"] == found["units"] == []
+    assert found["banded"] == []
 
 
 def test_false_answers_are_seen() -> None:

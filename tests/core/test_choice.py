@@ -19,7 +19,6 @@ from lcp_plugin.core.matrix.symmetry import mean_coupling
 from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.gallery.stencil import stencil_matrix
 from lcp_plugin.methods.direct import direct_methods, factor_passes
-from lcp_plugin.methods.newton.condensed import condensing_passes
 from lcp_plugin.problems.programs.conversion import lcp_from_lp
 
 TARGET = 1e-8
@@ -406,65 +405,6 @@ def test_after_a_proof_within_a_radius_nobody_has_a_second_turn() -> None:
 
 
 # --- Few rows with a bound -------------------------------------------------------------------------------------------
-
-
-def plate(side: int, few: int) -> tuple[LCP, np.ndarray]:
-    """A plate held at its edge over that many supports, each pressed, just touched or apart, and its z."""
-    A = stencil_matrix((side, side), 4.0, (-1.0, -1.0), (-1.0, -1.0))
-    M, rng = sp.csr_array(A @ A), np.random.default_rng(0)
-    rows = rng.choice(side**2, few, replace=False)
-    z, w, lower = rng.normal(size=side**2), np.zeros(side**2), np.full(side**2, -np.inf)
-    lower[rows] = z[rows] - np.where(np.arange(few) % 3 == 2, 0.5, 0.0)
-    w[rows] = np.where(np.arange(few) % 3 == 0, 1.0, 0.0)
-    return LCP(M, w - M @ z, lower=lower), z
-
-
-def test_few_rows_with_a_bound_are_condensed_before_an_interior_point() -> None:
-    """One factor eliminates the others: auto says so, finds the z it was made for, and makes no second factor."""
-    problem, z = plate(30, 6)
-    result = solve(problem)
-    assert result.is_solved
-    assert names(result)[-1] == "condensed"
-    assert "one factor eliminates the others" in result.explain()
-    np.testing.assert_allclose(result.z, z, atol=1e-5)
-    assert result.stages[-1].work <= 1.5 * condensing_passes(problem)
-
-
-def test_what_is_not_condensed() -> None:
-    """Rows with a bound that cost more than ten factors, that are many, none, or of a program; a dense M."""
-    problem, _ = plate(30, 6)
-    assert order(problem)[0] == "condensed"
-    assert condensing_passes(plate(30, 90)[0]) < np.inf
-    assert "condensed" not in order(plate(30, 91)[0])  # a tenth of the rows and one
-    wide = LCP(
-        stencil_matrix((20, 300), 4.0, (-1.0, -1.0), (-1.0, -1.0)), np.zeros(6000), lower=-np.inf
-    )
-    assert "condensed" not in order(wide)
-    many = LCP(wide.M, wide.q, lower=np.where(np.arange(6000) % 15 == 0, 0.0, -np.inf))
-    assert condensing_passes(many) < np.inf
-    assert "condensed" not in order(many)
-    dense = LCP(np.eye(300) + 1.0, np.ones(300), lower=np.where(np.arange(300) < 3, 0.0, -np.inf))
-    assert condensing_passes(dense) == np.inf
-    assert factor_passes(problem) == 2.0 * condensing_passes(problem) < np.inf
-
-
-def test_where_the_rows_without_bounds_are_singular_others_follow() -> None:
-    """Beside a string that nothing holds, there is no factor to eliminate them by: auto goes on and solves."""
-    problem, z = plate(30, 6)
-    ones = np.ones(200)
-    string = scattered(
-        sp.diags_array([-ones[1:], np.r_[1.0, 2.0 * ones[2:], 1.0], -ones[1:]], offsets=[-1, 0, 1])
-    )
-    M = sp.block_diag([problem.M, string], format="csr")
-    both = LCP(
-        M,
-        np.r_[problem.q, -string @ np.arange(200.0)],
-        lower=np.r_[problem.lower, np.full(200, -np.inf)],
-    )
-    result = solve(both)
-    assert result.is_solved
-    assert "condensed" in names(result)[:-1]
-    np.testing.assert_allclose(result.z[:900], z, atol=1e-5)
 
 
 # --- What runs end with ------------------------------------------------------------------------------------------

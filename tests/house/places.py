@@ -57,8 +57,6 @@ NAMED = {
         "eliminate_definitions",
         "without_known",
         "fixed_and_free",
-        "Condensed",
-        "_FreePart",
         "CanonicalBox",
         "Reduction",
     ),

@@ -43,8 +43,7 @@ class Stage:
     several; `least_residual` is that of its steps; `settles`, that steps have said their residuals may rise for a
     while; `has_no_solution_nearby`, that a step has proved that no z within a radius, far beyond the data, is a
     solution; `z` is the latest iterate, as long as the stage lasts; `moves` counts the unknowns that came to a bound or
-    left it, window by window, where the policy watches them; `successor`, what its algorithm would be with all that it
-    has learned.
+    left it, window by window, where the policy watches them.
     """
 
     algorithm: Algorithm
@@ -56,7 +55,6 @@ class Stage:
     settles: bool = False
     has_no_solution_nearby: bool = False
     z: FloatVector | None = None
-    successor: Algorithm | None = None
     residuals: list[tuple[int, float]] = field(default_factory=list)
     parts: list[tuple[str, int, float]] = field(default_factory=list)
     moves: list[int] = field(default_factory=list)

@@ -393,7 +393,6 @@ class RunState:
         self.work += step.work
         stage.take(step.label, 0 if is_first else 1, step.work)
         stage.remark = step.remark or stage.remark
-        stage.successor = step.successor or stage.successor
         stage.least_residual = max(stage.least_residual, step.least_residual)
         stage.settles = stage.settles or step.is_settling
         self.iteration = max(self.iteration + (not is_first), 0)

@@ -67,10 +67,6 @@ class _InPlace(_Relaxation):
 
     runs_on_ranks: ClassVar[bool] = True
 
-    def first_trial(self) -> float:
-        """Return the ω that automatic relaxation tries first; 1 where it has none in mind."""
-        return 1.0
-
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
         from ..kernels import splitting_sweeps as kernels
@@ -78,8 +74,8 @@ class _InPlace(_Relaxation):
         matrix, M = problem.matrix, problem.matrix.csr_rows
         pivots = require_positive_diagonal(problem, self.name)
         fixed, _ = self.weights()
-        adaptive = AdaptiveRelaxation(self.first_trial()) if fixed is None else None
-        relaxation, reported = 1.0 if fixed is None else fixed, self.first_trial()
+        adaptive = AdaptiveRelaxation(1.0) if fixed is None else None
+        relaxation = 1.0 if fixed is None else fixed
         if matrix.is_coupled and has_symmetric_entries(matrix):
             pivots = pivots + pivot_weight(M, matrix.fetch, relaxation)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
@@ -98,16 +94,11 @@ class _InPlace(_Relaxation):
                 largest = change if not change <= largest else largest  # a NaN stays
                 total += change_sum
             is_settling = adaptive is not None and adaptive.is_settling
-            learned = None
-            if adaptive and adaptive.wanted != reported:
-                reported = adaptive.wanted
-                learned = ContinuedPSOR(sweep=self.sweep, first_relaxation=reported)
             yield Step(
                 own,
                 increment=matrix.largest_of(largest),
                 work=float(len(passes)),
                 is_settling=is_settling,
-                successor=learned,
             )
             if adaptive:
                 relaxation = adaptive.after(matrix.total_of(total), z)
@@ -152,23 +143,6 @@ class PSOR(_InPlace):
     def weights(self) -> tuple[float, float] | tuple[None, None]:
         """Return (ω, ω), or None for each where ω is "auto"."""
         return (None, None) if isinstance(self.relaxation, str) else self.splitting()
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContinuedPSOR(PSOR):
-    """PSOR with automatic relaxation, which begins with what it has found on a problem of the same M and a q nearby.
-
-    Parameters
-    ----------
-    first_relaxation : float
-        ω of the first trial.
-    """
-
-    first_relaxation: float = 1.0
-
-    def first_trial(self) -> float:
-        """Return it."""
-        return self.first_relaxation
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,19 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from ...core.algorithm import Algorithm, Step, without_warnings
-from ...core.certificates.criterion import reference_residual
 from ...core.checks import FloatVector
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.matrix.matrix import Matrix
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...proofs.exact.simplex import QUANTUM
 from ...proofs.no_solution.infeasibility import find_infeasibility
-from ...proofs.no_solution.proof import Infeasibility
-from ...systems.free_systems import FreeSystem
 from . import Effort, NoSolution, Solutions, explore
 
-SLIGHTLY = 1e-2  # of a contradiction, spent on the rounding of its proof
 CASES_A_STEP = 50
 MOST_EXACT = 20_000
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds
@@ -48,60 +43,6 @@ class FeasibilityCheck(Algorithm):
             yield Step(
                 z0, least_residual=proof.margin
             )  # of all z within its radius: no method goes on beyond
-
-
-@dataclass(frozen=True, kw_only=True)
-class LargestPoint(Algorithm):
-    """z = −M⁻¹q, where −M is an M-matrix and no z has an upper bound: a solution, or there is none.
-
-    (−M)⁻¹ ≥ 0, so that w = M z + q ≥ 0 means z ≤ x = −M⁻¹q. Where x ≥ lower, it is a solution, with w = 0. Elsewhere
-    c = max(lower − x, 0) and y = −M⁻ᵀc ≥ 0 contradict: yᵀw = cᵀ(x − z) ≤ cᵀ(x − lower) < 0 for every z ≥ lower.
-    (Least elements: Cottle, Pang, Stone, §3.11.)
-
-    Parameters
-    ----------
-    prove_infeasibility : bool
-        Where False, or above the size up to which proofs are looked for, the contradiction is reported as doubles have
-        it.
-    """
-
-    prove_infeasibility: bool = True
-
-    name: ClassVar[str] = "largest_point"
-    is_monotone: ClassVar[bool] = False
-
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, −M⁻¹q within the bounds, then the start once more with what excludes a solution."""
-        return without_warnings(self._steps(problem, z0))
-
-    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        yield Step(z0, work=0.0)
-        system = FreeSystem(Matrix(-problem.csr), np.ones(problem.n, np.bool_))
-        x = system.solve(problem.q)
-        if x is None:
-            return
-        yield Step(np.maximum(x, problem.lower), work=system.work / max(problem.nonzeros, 1))
-        short = np.maximum(problem.lower - x, 0.0)
-        y = self._multipliers(problem, system, x, short) if short.any() else None
-        if y is None:
-            return
-        if self.prove_infeasibility and problem.n <= LINEAR_PROGRAM_UP_TO:
-            yield Step(z0, proof=Infeasibility.of(problem, dict(enumerate(y.tolist()))))
-            return
-        margin = float(short @ short / (y @ (problem.residual_scale * reference_residual(problem))))
-        remark = "in double precision no z within its bounds has w ≥ 0"
-        yield Step(z0, least_residual=margin, remark=remark)
-
-    @staticmethod
-    def _multipliers(
-        problem: LCP, system: FreeSystem, x: FloatVector, short: FloatVector
-    ) -> FloatVector | None:
-        """Return y > 0 with −Mᵀy = c, and a little more than that where z has a bound, for what rounds in it."""
-        is_bounded = problem.lower > -np.inf
-        distances = float(np.where(is_bounded, np.abs(x - problem.lower), 0.0).sum())
-        more = SLIGHTLY * float(short @ short) / distances
-        y = system.solve(short + more * is_bounded, transposed=True)
-        return y if y is not None and bool((y > 0.0).all()) else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -301,7 +301,7 @@ def take_steps(
                     found = solve_any(step, algorithm, {**wishes, **left, **start})
                 done.all_solved = found.is_solved
                 if of_step is not None and found.is_solved:
-                    begin = of_step.following(problem, first + before, total - first - before - 1)
+                    begin = of_step.following(problem, first + before)
                 done._take(found.z, found, begin)
             state = done.z[-1]
         except InvalidProblem as error:

@@ -1,11 +1,8 @@
 """The policy of a march in time under algorithm="auto": a step begins with what ended the one before.
 
 Steps of one M and nearby q resemble each other. The first one begins anywhere, the second one near its answer, as all
-that follow do: both ask as `auto` does. From then on a step begins with the iteration that ended the one before, and
-with what it has found (psor: its relaxation); whether another one takes over is for `auto` to say.
-
-Where few rows have a bound, as in contact, the others are eliminated once for all steps (`condensed`), if that is
-predicted to take less than the steps to come would at the cost of the last.
+that follow do: both ask as `auto` does. From then on a step begins with the iteration that ended the one before;
+whether another one takes over is for `auto` to say.
 """
 
 from __future__ import annotations
@@ -16,10 +13,8 @@ from ...auto import Auto
 from ...core.algorithm import Algorithm
 from ...core.lcp import LCP
 from ...core.policy.stages import Choice, Stage
-from ...methods.newton.condensed import Condensed, condensing_passes
 
 AS_BEFORE = "it finished the step before"
-ELIMINATED = "few rows have a bound: the others are eliminated, once for all steps"
 ITERATIVE = ("npsor", "psor", "multigrid")
 
 
@@ -43,25 +38,18 @@ class StepPolicy(Auto):
         """Return what the step before leaves, or what `auto` begins with."""
         if self._begin is None:
             return super().first(problem)
-        return Choice(self._begin, ELIMINATED if isinstance(self._begin, Condensed) else AS_BEFORE)
+        return Choice(self._begin, AS_BEFORE)
 
     def next_step(
         self, problem: LCP, stages: Sequence[Stage], goal: float, failed: bool
     ) -> Choice | None:
-        """Return what `auto` chooses; where nothing can be eliminated, it begins."""
+        """Return what `auto` chooses."""
         self._stages = stages
-        if len(stages) == 1 and isinstance(self._begin, Condensed):
-            return super().first(problem) if failed else None
         return super().next_step(problem, stages, goal, failed)
 
-    def following(self, problem: LCP, step: int, left: int) -> Algorithm | None:
-        """Return what the next step begins with, after that number, which is solved, when so many are left."""
+    def following(self, problem: LCP, step: int) -> Algorithm | None:
+        """Return the method with which the step after this one begins; None: `auto` chooses."""
         if not self._stages:  # solved at once
             return self._begin
-        last = self._stages[-1]
-        if last.algorithm.name == Condensed.name:
-            return Condensed()
-        if condensing_passes(problem) <= left * sum(stage.work for stage in self._stages):
-            return Condensed()
-        algorithm = last.successor or last.algorithm
+        algorithm = self._stages[-1].algorithm
         return algorithm if step > 0 and algorithm.name in ITERATIVE else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 
 import marches
@@ -12,7 +11,6 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, Status, gallery, march, solve
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
-from lcp_plugin.methods.newton.condensed import Condensed
 from lcp_plugin.problems.march.marching import StepPolicy
 
 SMALL = {
@@ -65,19 +63,6 @@ def test_later_steps_begin_with_what_finished_the_second() -> None:
         assert step.stages[0].because == "it finished the step before"
 
 
-def test_psor_begins_a_step_with_the_relaxation_it_has_found() -> None:
-    """The steps of a march by psor take fewer sweeps than each alone, which looks for the relaxation anew."""
-    steps = marches.basket(60, 5)
-    done = marched(steps)
-    assert [stage.name for stage in done[-1].stages] == ["psor"]
-    alone = solve(
-        steps.problem.with_q(steps.forcing[-1] + steps.propagator @ done.z[-2]),
-        PSOR(),
-        z0=done.z[-2],
-    )
-    assert done[-1].iterations < alone.iterations
-
-
 def test_what_has_become_slow_is_left() -> None:
     """A step whose predecessor's method does not get there is solved by another, with which the next one begins."""
     problem = gallery.build("obstacle_2d", size=40).problem
@@ -86,7 +71,7 @@ def test_what_has_become_slow_is_left() -> None:
     assert found.status is Status.SOLVED
     assert found.stages[0].name == "psor"
     assert len(found.stages) > 1
-    after = policy.following(problem, 7, 5)
+    after = policy.following(problem, 7)
     assert after is None or after.name == found.stages[-1].name
 
 
@@ -114,36 +99,6 @@ def test_where_steps_teach_nothing_a_march_costs_no_more(make: Callable[..., LCP
         work += solve(problem.with_q(forcing[k] + 0.1 * state), z0=state).work
         state = done.z[k]
     assert sum(step.work for step in done) <= 1.1 * work
-
-
-def test_rows_without_bounds_are_eliminated_once() -> None:
-    """In a contact march one factor serves all later steps: each takes one round, a few passes over M."""
-    steps = SMALL["contact"]()
-    done = marched(steps)
-    assert [step.algorithm for step in done[1:]] == ["auto: condensed"] * (len(done) - 1)
-    for step in done[2:]:
-        assert step.iterations <= 2
-        assert step.work < 0.1 * done[0].work
-    again = marched(steps)
-    assert again[1].work < 0.1 * done[1].work
-    np.testing.assert_array_equal(again[1].z, done[1].z)
-
-
-def test_a_march_that_has_condensed_goes_through_pickle() -> None:
-    """A march by condensation is the same after pickle; answers that were not kept are computed once more."""
-    done = marched(SMALL["contact"](), keep_every=3)
-    again = pickle.loads(pickle.dumps(done))
-    np.testing.assert_array_equal(np.array(list(done.z)), np.array(list(again.z)))
-    assert [step.status for step in again] == [Status.SOLVED] * len(done)
-
-
-def test_what_cannot_be_condensed_is_left_to_auto() -> None:
-    """Where the block of the rows without bounds is singular, auto takes the step."""
-    problem = LCP([[0.0, 1.0], [-1.0, 2.0]], [-1.0, 3.0], lower=[-np.inf, 0.0])
-    policy = StepPolicy(Condensed(), prove_infeasibility=True)
-    found = solve(problem, policy)
-    assert found.status is Status.SOLVED
-    assert found.stages[0].name == "condensed"
 
 
 def test_time_that_runs_out_keeps_the_steps_before() -> None:

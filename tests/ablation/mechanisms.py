@@ -195,21 +195,6 @@ def only_start() -> Instead:
     return Instead(lambda old: lambda start, *_: iter([start]))
 
 
-def no_starts(old: Any) -> Any:
-    return lambda path, z, restarts, **named: old(path, z, 0, **named)
-
-
-def if_arbitrary(old: Any, note: Callable[[], None]) -> Any:
-    def starts(path: Any, z: Any, restarts: int, **named: Any) -> Any:
-        principled = sum(1 for _ in old(path, z, 0, **named))
-        for k, start in enumerate(old(path, z, restarts, **named)):
-            if k >= principled:
-                note()
-            yield start
-
-    return starts
-
-
 def without_engines(*names: str) -> Instead:
     """The engines that are asked but for those of these names."""
     return yielding(lambda _, engine: engine.name not in names)
@@ -446,12 +431,6 @@ MECHANISMS = (
         "PIQP on the program of an LCP",
         {f"{DIRECT}:_by_prospects": without("interior_point")},
         "methods/interior_point.py",
-    ),
-    Mechanism(
-        "lemke's starts",
-        "arbitrary starts after the principled ones",
-        {"methods.lemke.pivoting_path:starts": Instead(no_starts, if_arbitrary)},
-        "methods/lemke/pivoting_path.py:_random_cell",
     ),
     Mechanism(
         "games",

@@ -61,7 +61,7 @@ class Lemke(Algorithm):
     Notes
     -----
     The path is followed on 0 ≤ z ≤ u: an upper bound is a bound of the variables, not a row. Free rows are
-    eliminated where their block is well conditioned and split into two nonnegative variables elsewhere. Of a given
+    eliminated if their block is well conditioned; otherwise each becomes two nonnegative variables. Of a given
     z0 the active set is tried before, by one factor: where q has moved a little it is often the answer; else z0
     changes nothing. Connected components of the problem are solved one by one. Ties are broken lexicographically, so
     no basis comes twice. A path from r > 0 ends in a solution where M is a P-matrix or all bounds are finite, and for

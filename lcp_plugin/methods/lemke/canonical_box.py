@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from ...core.deadline import is_over
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.scaling import Exponents, scaled, scaling_of
@@ -19,8 +18,6 @@ FloatMatrix = NDArray[np.float64]
 IndexVector = NDArray[np.intp]
 
 WELL_CONDITIONED = 1e8
-SMALLEST_PIVOT = 1e-7
-LARGEST_GROWTH = 1e6
 LARGEST_OFFSET = 1000  # exponent up to which the scale of a row may take its q
 
 
@@ -36,8 +33,8 @@ class CanonicalBox:
         max |q_i| is about 1; upper > 0.
     offset : ndarray, shape (n,)
     rows : ndarray, shape (k,)
-        The variable of the problem that each canonical variable is, up to shift, sign and scale; one that was split is
-        there twice.
+        The variable of the problem that each canonical variable is, up to shift, sign and scale; split ones are there
+        twice.
     step : ndarray, shape (k,)
         By how much that variable changes when the canonical one grows by 1; negative where the bounds change places.
     eliminated : ndarray, shape (g,)
@@ -84,8 +81,8 @@ class CanonicalBox:
 def canonical_box(problem: LCP) -> CanonicalBox:
     """Return the problem in canonical form; M is made dense.
 
-    Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows whose block can be
-    inverted stably are eliminated; the others become the difference of two nonnegative variables.
+    Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows are eliminated
+    if their block is well conditioned; otherwise each free variable becomes the difference of two nonnegative ones.
     """
     M, row_scale, column_scale = _equilibrated(problem.matrix)
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
@@ -146,116 +143,42 @@ def _without_free_rows(
     keep: IndexVector,
     is_free: NDArray[np.bool_],
 ) -> CanonicalBox:
-    free = np.flatnonzero(is_free)
-    if not free.size:
-        size = power_of_two(np.abs(q).max(initial=0.0))
-        none, nothing = np.empty(0, dtype=np.intp), np.empty((0, keep.size))
-        return CanonicalBox(M, q / size, upper / size, base, keep, unit[keep] * size, none, nothing)
-    gone_rows, gone = _pivot_rows_and_columns(M, free)
-    # Free rows and free variables may be paired in any way, so those that remain are.
-    kept, kept_rows = np.setdiff1d(free, gone), np.setdiff1d(free, gone_rows)
-    stays = np.concatenate([np.flatnonzero(~is_free), kept])
-    stays_rows = np.concatenate([np.flatnonzero(~is_free), kept_rows])
-    split = np.arange(stays.size - kept.size, stays.size)
-    reduced, constant, upper = M[np.ix_(stays_rows, stays)], q[stays_rows], upper[stays]
-    offset, elimination = base.copy(), np.empty((0, stays.size))
-    if gone.size:
-        others = np.column_stack([M[np.ix_(gone_rows, stays)], q[gone_rows]])
-        solved = np.linalg.solve(M[np.ix_(gone_rows, gone)], others)
-        elimination = -solved[:, :-1]
-        offset[keep[gone]] -= solved[:, -1] * unit[keep[gone]]
-        reduced = reduced + M[np.ix_(stays_rows, gone)] @ elimination
-        constant = constant - M[np.ix_(stays_rows, gone)] @ solved[:, -1]
-    if split.size:
-        reduced = np.block(
-            [[reduced, -reduced[:, split]], [-reduced[split], reduced[np.ix_(split, split)]]]
-        )
-        constant = np.concatenate([constant, -constant[split]])
-        elimination = np.hstack([elimination, -elimination[:, split]])
-        upper = np.concatenate([upper, np.full(split.size, np.inf)])
-    size = power_of_two(np.abs(constant).max(initial=0.0))
-    rows = keep[np.concatenate([stays, stays[split]])]
-    step = unit[rows] * size
-    step[stays.size :] *= -1.0
+    free, stays = np.flatnonzero(is_free), np.flatnonzero(~is_free)
+    eliminated = _solved(M, q, free, stays)
+    offset, gone, elimination = base.copy(), free[:0], np.empty((0, keep.size))
+    rows, step = keep, unit[keep]
+    if eliminated is None:  # z_i = z_i⁺ − z_i⁻ on the free rows
+        M = np.block([[M, -M[:, free]], [-M[free], M[np.ix_(free, free)]]])
+        q, upper = np.concatenate([q, -q[free]]), np.concatenate([upper, upper[free]])
+        rows, step = np.concatenate([rows, rows[free]]), np.concatenate([step, -step[free]])
+        elimination = np.empty((0, q.size))
+    elif free.size:
+        gone, elimination = free, eliminated[:, :-1]
+        offset[keep[free]] += eliminated[:, -1] * unit[keep[free]]
+        to = M[np.ix_(stays, free)]
+        M, q = M[np.ix_(stays, stays)] + to @ elimination, q[stays] + to @ eliminated[:, -1]
+        upper, rows, step = upper[stays], rows[stays], step[stays]
+    size = power_of_two(np.abs(q).max(initial=0.0))
     elimination = elimination * (unit[keep[gone]] * size)[:, None]
     return CanonicalBox(
-        reduced, constant / size, upper / size, offset, rows, step, keep[gone], elimination
+        M, q / size, upper / size, offset, rows, step * size, keep[gone], elimination
     )
 
 
-def is_well_conditioned(block: FloatMatrix) -> bool:
-    """Return whether the inverse of the block can be trusted to about half of the digits."""
+def _solved(
+    M: FloatMatrix, q: FloatVector, free: IndexVector, stays: IndexVector
+) -> FloatMatrix | None:
+    """Return the free variables as −M_FF⁻¹ (M_FR, q_F), shape (f, r + 1); None if that block is ill-conditioned."""
+    if not free.size:
+        return np.empty((0, stays.size + 1))
     try:
-        inverse = np.linalg.inv(block)
+        inverse = np.linalg.inv(M[np.ix_(free, free)])
     except np.linalg.LinAlgError:
-        return False
-    return bool(np.linalg.norm(inverse, 1) * np.linalg.norm(block, 1) < WELL_CONDITIONED)
-
-
-def invertible_part(M: FloatMatrix, rows: IndexVector) -> IndexVector:
-    """Return the given rows if their principal block is well conditioned, else a part of them found by pivoting."""
-    if rows.size == 0 or is_well_conditioned(M[np.ix_(rows, rows)]):
-        return rows
-    chosen, _ = _principal_pivots(M[np.ix_(rows, rows)])
-    return rows[chosen]
-
-
-def _pivot_rows_and_columns(M: FloatMatrix, free: IndexVector) -> tuple[IndexVector, IndexVector]:
-    """Return as many free rows and free columns as stable pivots can invert, principal ones first.
-
-    A principal block keeps a positive semidefinite matrix so when it is eliminated; another need not.
-    """
-    if free.size == 0 or is_well_conditioned(M[np.ix_(free, free)]):
-        return free, free
-    chosen, remainder = _principal_pivots(M[np.ix_(free, free)])
-    left = np.setdiff1d(np.arange(free.size), chosen)
-    rows, columns = left.copy(), left.copy()
-    more_rows: list[int] = []
-    more_columns: list[int] = []
-    while remainder.size and np.abs(remainder).max() > SMALLEST_PIVOT:
-        i, j = np.unravel_index(int(np.abs(remainder).argmax()), remainder.shape)
-        more_rows.append(int(rows[i]))
-        more_columns.append(int(columns[j]))
-        remainder = remainder - np.outer(remainder[:, j], remainder[i] / remainder[i, j])
-        remainder = np.delete(np.delete(remainder, i, axis=0), j, axis=1)
-        rows, columns = np.delete(rows, i), np.delete(columns, j)
-    picked = [*chosen.tolist()]
-    return free[np.array(picked + more_rows, dtype=np.intp)], free[
-        np.array(picked + more_columns, dtype=np.intp)
-    ]
-
-
-def _principal_pivots(block: FloatMatrix) -> tuple[IndexVector, FloatMatrix]:
-    """Return indices of a principal submatrix that stable 1 × 1 and 2 × 2 pivots can invert, and what they leave.
-
-    The order is Bunch and Parlett's. Where a run's time ends, so does this: nobody will ask for the rest.
-    """
-    left = np.arange(block.shape[0])
-    chosen: list[int] = []
-    while left.size and not is_over():
-        pivot = _largest_pivot(block)
-        if pivot is None:
-            break
-        rest = np.setdiff1d(np.arange(left.size), pivot)
-        block = block[np.ix_(rest, rest)] - block[np.ix_(rest, pivot)] @ np.linalg.solve(
-            block[np.ix_(pivot, pivot)], block[np.ix_(pivot, rest)]
-        )
-        chosen.extend(left[pivot].tolist())
-        left = left[rest]
-    return np.array(sorted(chosen), dtype=np.intp), block
-
-
-def _largest_pivot(block: FloatMatrix) -> IndexVector | None:
-    """Return one or two indices with a large principal minor; None if there is none worth a pivot."""
-    size = np.abs(block)
-    largest = float(size.max())
-    if not SMALLEST_PIVOT < largest < LARGEST_GROWTH:
         return None
-    i = int(size.diagonal().argmax())
-    paired = np.minimum(size, size.T)
-    j, k = (int(index) for index in np.unravel_index(int(paired.argmax()), paired.shape))
-    if j == k or size[i, i] >= 0.5 * paired[j, k]:
-        return np.array([i]) if size[i, i] >= 1e-3 * largest else None
-    square = block[np.ix_([j, k], [j, k])]
-    determinant = square[0, 0] * square[1, 1] - square[0, 1] * square[1, 0]
-    return np.array([j, k]) if abs(determinant) > 1e-3 * float(np.abs(square).max()) ** 2 else None
+    condition = np.linalg.norm(inverse, 1) * np.linalg.norm(M[np.ix_(free, free)], 1)
+    if not condition < WELL_CONDITIONED:
+        return None
+    solution: FloatMatrix = -np.linalg.solve(
+        M[np.ix_(free, free)], np.column_stack([M[np.ix_(free, stays)], q[free]])
+    )
+    return solution

@@ -1,6 +1,6 @@
 """Paths of complementary pivoting: where they start, how far they are, whether their numbers still hold.
 
-They start along covering vectors, in cells, at the labels of a game.
+They start along covering vectors or at the labels of a game.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
 from ..small.kernels import tableau
-from ..small.kernels.tableau import GOING_ON, LOST, NOT_STARTED, RETURNED, SOLVED
+from ..small.kernels.tableau import GOING_ON, LOST, SOLVED
 from ..small.kernels.workspace import (
     AT_LOWER,
     AT_UPPER,
@@ -26,11 +26,9 @@ from ..small.kernels.workspace import (
     OTHER,
     PLACE,
     SIDE,
-    START,
     WIDTH,
     shapes,
 )
-from .canonical_box import invertible_part
 from .games import bimatrix_players
 
 FloatMatrix = NDArray[np.float64]
@@ -68,7 +66,6 @@ class Path:
             self.whole[OTHER, : n + 1],
             self.whole[SIDE, :n],
         )
-        self.start_side = self.whole[START, :n]
         self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
         self.entries = self._reported = 0.0  # touched so far, and up to when that was asked last
         self.fresh_for = max(FRESH_FOR, n)
@@ -91,19 +88,6 @@ class Path:
             covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max()))
         )
 
-    def start_in_cell(self, side: Any, z: FloatVector, w: FloatVector) -> bool:
-        """Start at t = 1 from a complementary pair with the vector r that makes it exact; False if that is singular.
-
-        `side` names the cell; z and w must lie strictly inside it.
-        """
-        n = self.n
-        basis = np.where(side == BETWEEN, np.arange(n), n + np.arange(n))
-        is_started = self.start_at_vertex(
-            w - self.M @ z - self.q, basis, side, 2 * n, -1.0, level=1.0
-        )
-        self.start_side[:] = self.side
-        return is_started
-
     def start_at_vertex(
         self,
         covering: FloatVector,
@@ -118,7 +102,6 @@ class Path:
         self.covering = self.columns[:, self.n] = covering
         self.basis[:], self.side[:] = basis, side
         self.driven, self.value, self.direction = driven, level, direction
-        self.start_side[:] = NOT_STARTED
         self.pivots = 0
         return self._renew()
 
@@ -135,7 +118,7 @@ class Path:
         A ray, and a pivot too small to trust, are looked at again with a new tableau.
         """
         outcome = self._run(limit)
-        if outcome in (SOLVED, RETURNED):
+        if outcome == SOLVED:
             return outcome
         is_doubtful = outcome != GOING_ON and self.age > 0
         if not self._is_sound(is_doubtful):
@@ -317,40 +300,8 @@ def starts(path: Path, restarts: int) -> Iterator[Start]:
     if np.ptp(size) > 0.0:
         yield partial(Path.start_along, covering=size)
     generator = np.random.default_rng(0)
-    for k in range(restarts):
-        if k % 4 == 0:
-            covering = np.full(n, 2.0**-6)
-            covering[(k // 4) % n] = 1.0
-            yield partial(Path.start_along, covering=covering)
-        elif k % 4 == 2:
-            yield partial(Path.start_along, covering=np.exp2(generator.uniform(-4.0, 4.0, size=n)))
-        else:
-            yield _random_cell(path, generator)
-
-
-def _random_cell(path: Path, generator: np.random.Generator) -> Start:
-    """Return a start in an arbitrary cell; its path may lead anywhere, which is the purpose."""
-    n = path.n
-    is_between = generator.random(n) < generator.uniform(0.1, 0.9)
-    size = np.exp2(generator.uniform(-3.0, 3.0, size=n))
-    share = generator.uniform(0.1, 0.9, size=n)
-    is_between = _regular_part(path.M, is_between)
-    side = np.where(is_between, BETWEEN, AT_LOWER)
-    inside = np.where(path.upper < np.inf, share * path.upper, size)
-    return partial(
-        Path.start_in_cell,
-        side=side,
-        z=np.where(is_between, inside, 0.0),
-        w=np.where(is_between, 0.0, size),
-    )
-
-
-def _regular_part(M: NDArray[np.float64], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the chosen rows, or those of them whose block stable pivots can invert, shape (n,)."""
-    rows = np.flatnonzero(chosen)
-    kept = np.zeros_like(chosen)
-    kept[invertible_part(M, rows)] = True
-    return kept
+    for _ in range(restarts):
+        yield partial(Path.start_along, covering=np.exp2(generator.uniform(-4.0, 4.0, size=n)))
 
 
 def _lemke_howson(path: Path, players: NDArray[np.bool_], k: int) -> bool:

@@ -35,7 +35,6 @@ from .workspace import (
     PLACE,
     ROW_UNIT,
     SIDE,
-    START,
     UNIT,
     UPPER,
     WIDTH,
@@ -49,8 +48,7 @@ DOUBTFUL = (
 )
 ADDED_AT_ONCE_UP_TO = 64  # rows: such a tableau stays in the cache
 OWN_BOUND, NOTHING = -1, -2
-NOT_STARTED = -1  # SIDE of no cell
-GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
+GOING_ON, SOLVED, RAY, LOST = 0, 1, 2, 3
 
 
 @helper
@@ -64,7 +62,6 @@ def follow_path(M, k, real, whole, matrix, limit):  # type: ignore[no-untyped-de
         return -1
     level, made, outcome = 0.0, 0, SOLVED
     for i in range(n):
-        whole[START, i] = NOT_STARTED
         level = max(level, -real[KEPT, i] if whole[SIDE, i] != FIXED else 0.0)
     if level > 0.0:
         for i in range(n):
@@ -90,7 +87,7 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
     Parameters
     ----------
     real, whole, matrix : arrays
-        KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE, START; the tableau. All but WIDTH and START are updated.
+        KEPT, LOW, HIGH, WIDTH; BASIC, OTHER, PLACE, SIDE; the tableau. All but WIDTH are updated.
     is_fresh : bool
         The tableau has just been computed: a first pivot is taken however small it is.
     """
@@ -138,14 +135,6 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
             held = 0
         if left == 2 * n:
             outcome = SOLVED
-            break
-        entered, is_back = (
-            BETWEEN if driven < n else AT_LOWER if direction > 0.0 else AT_UPPER,
-            True,
-        )
-        for i in range(n):
-            is_back &= whole[START, i] == (entered if i == driven % n else whole[SIDE, i])
-        outcome = RETURNED if is_back else GOING_ON
     for i in range(n):
         _bring_up_to_date(matrix, n, factors, rows, held, i)
     return outcome, driven, value, direction, made

@@ -19,7 +19,6 @@ WIDTH, BASE, ROW_UNIT, UNIT, LOW, HIGH, DISTANCE, HELD_AT = np.arange(8, 16)
 
 # Rows of `whole`.
 SIDE, STATE, FREE, BASIC, PLACE, OTHER, CANDIDATE = 0, 1, 2, 3, 4, 5, 6
-START = FREE  # SIDE of the cell where a path began, which it must not come back to
 
 HELD = 8  # pivots whose products are added to a large tableau at once; their columns and rows lie behind it in `matrix`
 

@@ -96,7 +96,7 @@ class Algorithm(ABC):
     `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
     `problem.matrix` for what holds of all rows; `is_monotone` False says that rises of the residual are legal, and
     that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
-    run whose best residual stands still; `why_no_start` is said of a start that is given and not used.
+    run whose best residual stands still.
 
     A method of your own needs a `name` and `iterates(problem, z0)`; clock, tolerance and status are `solve`'s. Of its
     problem it may use, and must not change:
@@ -140,7 +140,6 @@ class Algorithm(ABC):
     is_monotone: ClassVar[bool] = True
     ends_with_a_case: ClassVar[bool] = False  # where it is True, a run adds no last linear system
     is_watched: ClassVar[bool] = False
-    why_no_start: ClassVar[str] = ""
 
     @property
     def takes_scaled(self) -> bool:
@@ -148,10 +147,6 @@ class Algorithm(ABC):
 
         True of what scaling does not change, and of what it helps: factorisations, pivots, interior points.
         """
-        return True
-
-    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
-        """Return whether the run depends on the start z0, shape (n,), where that is another than z°."""
         return True
 
     @abstractmethod

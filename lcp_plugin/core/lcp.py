@@ -24,7 +24,7 @@ from .deadline import Lock
 from .errors import InvalidProblem
 from .kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind
 from .matrix.matrix import Matrix
-from .representation import described_lcp, lcp_repr
+from .representation import described_lcp
 
 if TYPE_CHECKING:
     from ..problems.cones.frictional_contact import FrictionalContact
@@ -508,8 +508,7 @@ class LCP:
 
         return load_on_ranks(LCP, path, comm)
 
-    __repr__ = lcp_repr
-    __str__ = described_lcp
+    __repr__ = described_lcp
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""

@@ -73,14 +73,6 @@ class InteriorPoint(Algorithm):
     reference: ClassVar[str] = "Schwan, Jiang, Kuhn, Jones 2023, doi:10.1109/CDC49753.2023.10383915"
     is_monotone: ClassVar[bool] = False
     ends_with_a_case: ClassVar[bool] = True
-    why_no_start: ClassVar[str] = (
-        "z0 was not used: interior_point begins anew, but where the residual of z0 is at most a tenth of that of the "
-        "point of the bounds nearest to 0"
-    )
-
-    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
-        """Return whether the case that z0 shows is tried."""
-        return is_near(problem, z0)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, points of descents, and those of engines after the solution of the system of their case."""
@@ -89,7 +81,7 @@ class InteriorPoint(Algorithm):
         yield from without_warnings(self._steps(problem, z))
 
     def _steps(self, problem: LCP, z: FloatVector) -> Iterator[Step]:
-        if self.uses_start(problem, z):
+        if is_near(problem, z):
             yield from _cases(problem, z, 1)
         operations, speed = problem.n**3 / 3.0, DENSE_OPERATIONS
         if not problem.is_dense:

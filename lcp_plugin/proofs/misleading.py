@@ -64,9 +64,10 @@ def _stiffness(result: Result) -> str:
             return ""
         further = "" if result.tolerance_on == "error" else ', and ask for tolerance_on="error"'
         return f"stiff: the error may be {factor:.0e} times the residual; trust the bound{further}"
-    spread = result.certificate.scale_spread
     if not result.is_solved:
         return ""
+    scale = result.certificate.problem.residual_scale
+    spread = float(scale.max(initial=1.0) / scale.min(initial=np.inf))
     if not spread > 1e6:
         return _nearness_to_singular(result)
     stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"

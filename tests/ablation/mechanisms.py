@@ -358,14 +358,6 @@ MECHANISMS = (
         "core/test_scaling.py::test_the_residual_tells_right_from_wrong_in_any_units",
     ),
     Mechanism(
-        "row signs",
-        "equations of free unknowns in the sign in which M may be monotone",
-        {"core.matrix.row_signs:monotone_signs": says(None)},
-        "core/matrix/row_signs.py:monotone_signs core/matrix/row_signs.py:with_row_signs "
-        "core/matrix/row_signs.py:_spread core/matrix/row_signs.py:_has_minors",
-        "core/test_row_signs.py::test_a_method_does_the_same_however_an_equation_is_signed",
-    ),
-    Mechanism(
         "last system",
         "long runs end with the linear system of the case they found",
         {"auto:EndsWithItsCase.last_system": says(None)},

@@ -17,7 +17,6 @@ from test_driver import TRAP
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
-    Certificate,
     LCPError,
     NonlinearProblem,
     QuadraticProgram,
@@ -25,10 +24,8 @@ from lcp_plugin import (
     Status,
     certify,
     complements,
-    derivative,
     error_bound,
     gallery,
-    march,
     prepare,
     solve,
 )
@@ -109,14 +106,14 @@ FOLLOWED: list[tuple[LCP, dict[str, Any], list[str]]] = [
     ),
     (FAR, {"algorithm": "psor", "relaxation": 1.9}, ["auto"]),
     (FAR, {"algorithm": "npj"}, ["auto"]),
-    (TRAPPED, {"algorithm": "npsor", "scaling": None}, ["auto", "scaling"]),
+    (TRAPPED, {"algorithm": "npsor", "scaling": None}, ["auto"]),
     (
         TRAPPED,
         {"algorithm": "npsplitting", "scaling": None, "max_iterations": 1},
-        ["auto", "scaling"],
+        ["auto"],
     ),
     # a limit
-    (TRAPPED, {"algorithm": "npsor", "scaling": None, "max_iterations": 5}, ["auto", "scaling"]),
+    (TRAPPED, {"algorithm": "npsor", "scaling": None, "max_iterations": 5}, ["auto"]),
     (FAR, {"algorithm": "npsor", "max_iterations": 5}, ["auto"]),
 ]
 
@@ -209,13 +206,13 @@ def test_auto_is_not_advised_to_itself() -> None:
     result = solve(problem)
     assert result.status is Status.STALLED
     assert calls_in(result.advice) == []
-    assert "another start z0 may lead elsewhere" in result.advice
-    assert "not the exhaustive search (up to n = 60; n = 90 here)" in result.advice
+    assert "try another start z0" in result.advice
+    assert "not the exhaustive search" in result.advice
     assert solve(problem, z0=z + 1e-6).is_solved
 
 
 @pytest.mark.parametrize(
-    ("n", "named"), [(60, ()), (61, LEFT_OUT[:1]), (5001, LEFT_OUT[:3]), (6001, LEFT_OUT)]
+    ("n", "named"), [(24, ()), (25, LEFT_OUT[:1]), (5001, LEFT_OUT[:3]), (6001, LEFT_OUT)]
 )
 def test_what_auto_leaves_out_for_its_size_is_told(n: int, named: tuple[str, ...]) -> None:
     """Each with the size up to which it goes; nothing where all are tried."""
@@ -228,57 +225,9 @@ def test_what_auto_leaves_out_for_its_size_is_told(n: int, named: tuple[str, ...
     while following is not None and following.algorithm.name != "psor":
         following = order.after([replace(stage, algorithm=following.algorithm)], 1e-8, failed=True)
     assert {told.partition(" (")[0] for told in order.left_out} == set(named)
-    assert all(f"n = {n} here" in told for told in order.left_out)
-    said = advice_of_run(LCP([[1.0]], [1.0]), "auto", (), 1e-8, {}, order.left_out)[Status.STALLED]
+    said = advice_of_run(LCP([[1.0]], [1.0]), "auto", (), {}, order.left_out)[Status.STALLED]
     assert all(told in said for told in order.left_out)
     assert (", but not " in said) == bool(named)
-
-
-def test_a_slack_that_overflows_at_once_is_told() -> None:
-    """M z + q beyond doubles at the bounds: M and q, divided by one large number, state the same and are solved."""
-    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
-    advice = advice_of(lambda: solve(LCP(M * 1e200, q, lower=1e200)))
-    assert advice.endswith("divide M and q by the same number")
-    assert solve(LCP(M, q / 1e200, lower=1e200)).is_solved
-
-
-@pytest.mark.parametrize("form", [np.asarray, sp.csr_array])
-def test_boundary_values_written_as_rows_are_told_how_to_be_no_kinks(form: Any) -> None:
-    """Of a solve and of a march, in one line; without the bounds the answer is the same and no row degenerate."""
-    n = 9
-    M = 3.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    M[[0, -1]] = np.eye(n)[[0, -1]]
-    lower, forcing = np.full(n, 0.2), np.full((4, n), -0.1)
-    lower[[0, -1]], forcing[:, [0, -1]] = 1.0, -1.0
-    propagator = -np.diag([0.0, *np.ones(n - 2), 0.0])
-    problem = LCP(form(M), forcing[0], lower=lower)
-    run, result = march(problem, forcing, propagator), solve(problem)
-    for said in (run.explain(), result.explain()):
-        assert said.count("M has nothing but a diagonal entry in rows 0 and 8, where") == 1
-        assert "leave its bounds out (lower = -inf, upper = inf)" in said
-    assert len(derivative(run).degenerate) == 8
-    lower[[0, -1]] = -np.inf
-    free = LCP(form(M), forcing[0], lower=lower)
-    without, answer = march(free, forcing, propagator), solve(free)
-    np.testing.assert_allclose(np.array(without.z), np.array(run.z), atol=1e-12)
-    assert not len(derivative(without).degenerate)
-    assert not derivative(answer).degenerate.size
-    assert "diagonal entry" not in without.explain() + answer.explain()
-
-
-@pytest.mark.parametrize("algorithm", ["auto", "psor", "newton", "lemke", "interior_point"])
-def test_an_answer_beyond_doubles_is_told_as_a_question_of_units(algorithm: str) -> None:
-    """M·10⁻²⁰⁰ and q·10²⁰⁰: no other start or algorithm, but by what to divide; so divided the problem is solved."""
-    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
-    advice = advice_of(lambda: solve(LCP(M * 1e-200, q * 1e200), algorithm))
-    assert "z0" not in advice
-    assert calls_in(advice) == []
-    by_M, by_q = re.findall(r"divide M by (\S+), q by (\S+), and z", advice)[0]
-    solved = solve(
-        LCP(M * 1e-200 / float(by_M), q * 1e200 / float(by_q)), algorithm
-    ).require_solved()
-    np.testing.assert_allclose(solved.z, [1.0, 0.0], atol=1e-6)
-    assert "divide M" not in solve(LCP(M, q), algorithm, max_iterations=0).advice
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])
@@ -307,27 +256,6 @@ def test_a_start_that_is_the_answer_is_said(size: int, algorithm: str) -> None:
     assert "where it begins the residual is within the tolerance already" in again.explain()
     assert "0 iterations" in again.explain()
     assert "where it begins" not in answer.explain()
-
-
-@pytest.mark.parametrize(
-    ("problem", "point"),
-    [
-        (LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0]), "z = 0"),
-        (
-            LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0], lower=[1.0, -np.inf]),
-            "the point of the bounds nearest to 0",
-        ),
-    ],
-)
-def test_the_residual_is_told_beside_a_point(problem: LCP, point: str) -> None:
-    """The point that explain() names has the relative residual 1; where that point is the answer none is named."""
-    result = solve(problem)
-    assert (
-        f"relative residual {result.residual:.3e}, tolerance 1e-08 (1 at {point})"
-        in result.explain()
-    )
-    assert Certificate.of(problem, problem.nearest_to_zero).relative_residual == pytest.approx(1.0)
-    assert "(1 at" not in solve(LCP([[1.0]], [1.0])).explain()
 
 
 STAGE_LINES = {
@@ -387,39 +315,6 @@ def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
     assert "npsor" not in result.explain()
 
 
-def test_what_does_not_go_on_does_not_say_so() -> None:
-    """Pivots begin anew from a poor start: only the limit can be raised."""
-    problem = gallery.obstacle_2d(size=40).problem
-    advice = advice_of(lambda: solve(problem, "lemke", max_iterations=1))
-    assert (
-        advice
-        == 'the iteration limit came first; next: try algorithm="auto", or raise max_iterations'
-    )
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    ("algorithm", "words"),
-    [
-        ("interior_point", "z0 was not used"),
-        ("lemke", "z0 was not used but for its active set, which lemke tries"),
-    ],
-)
-def test_a_start_that_changes_nothing_is_said(algorithm: str, words: str) -> None:
-    """Where a given z0 changes nothing explain() says so; where it is used, or none was given, it does not."""
-    problem = gallery.obstacle_2d(size=40).problem
-    z0 = np.random.default_rng(0).random(problem.n)
-    begun, plain = solve(problem, algorithm, z0=z0), solve(problem, algorithm)
-    assert begun.z.tobytes() == plain.z.tobytes()
-    assert (
-        plain.work <= begun.work <= 1.001 * plain.work
-    )  # what an active set costs that is not the answer's
-    assert words in begun.explain()
-    assert "z0 was not used" not in plain.explain()
-    for other in ("newton", "psor", "auto", "multigrid", "banded"):
-        assert "z0 was not used" not in solve(problem, other, z0=z0, max_iterations=50).explain()
-
-
 def test_lemke_uses_a_start_near_the_solution() -> None:
     """From a z0 with a small residual lemke needs a fraction of its pivots, and says nothing."""
     problem = gallery.obstacle_2d(size=20).problem
@@ -427,7 +322,6 @@ def test_lemke_uses_a_start_near_the_solution() -> None:
     assert not solve(problem, "lemke", max_pivots=30, prove_infeasibility=False).is_solved
     begun = solve(problem, "lemke", z0=answer * (1.0 + 1e-4), max_pivots=30)
     assert begun.is_solved
-    assert "z0 was not used" not in begun.explain()
 
 
 def test_interior_point_uses_a_start_where_m_is_dense_and_symmetric() -> None:
@@ -438,7 +332,6 @@ def test_interior_point_uses_a_start_where_m_is_dense_and_symmetric() -> None:
     plain = solve(problem, "interior_point")
     begun = solve(problem, "interior_point", z0=plain.z * (1.0 + 1e-4))
     assert begun.work < plain.work
-    assert "z0 was not used" not in begun.explain()
 
 
 def test_the_remedy_of_a_guarantee_is_followed() -> None:
@@ -449,16 +342,6 @@ def test_the_remedy_of_a_guarantee_is_followed() -> None:
     uncovered = convergence_guarantee(CONTACT, "npsor")
     assert 'algorithm="auto"' in uncovered.remedy
     assert solve(CONTACT).is_solved
-
-
-def test_the_other_algorithm_for_a_large_product_is_another_one() -> None:
-    """Where the product of z and w is large, lemke is named, and its product is not; nor is it named to itself."""
-    problem = LCP([[0.0, 1.0], [0.0, 0.0]], [-1.0, 0.0])
-    result = solve(problem, "newton")
-    assert "complementarity" in result.explain()
-    assert 'try another algorithm ("lemke" for a small problem)' in result.explain()
-    assert solve(problem, "lemke").certificate.complementarity < 1e-6
-    assert "try another algorithm" not in replace(result, algorithm="lemke").explain()
 
 
 def test_what_a_program_is_told_runs() -> None:

@@ -398,7 +398,6 @@ def test_after_a_proof_within_a_radius_nobody_has_a_second_turn() -> None:
     J, v = rng.normal(size=(72, 12)), rng.normal(size=(24, 3)) - [1.0, 0.0, 0.0]
     result = solve(LCP.from_contacts(J @ J.T, 0.5, v))
     assert result.status is Status.STALLED
-    assert "infeasible up to" in result.advice
     assert "check the data" in result.advice
     names = [stage.name for stage in result.stages]
     assert names.index("feasibility") == len(names) - 1

@@ -63,8 +63,7 @@ def test_no_method_stops_at_a_component_that_is_wrong(name: str) -> None:
 def test_the_certificate_names_the_worst_component() -> None:
     """The worst row is that of the component that is wrong beside its own reference, not of the largest residual."""
     certificate = Certificate.of(FAR_APART, [1e10 - 1.0, 0.6])
-    assert (certificate.components, certificate.worst_index) == (2, 1)
-    assert "the worst of 2 components: that of row 1" in str(certificate)
+    assert certificate.worst_index == 1
 
 
 def test_the_worst_component_is_named_by_what_is_proved() -> None:

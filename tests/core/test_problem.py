@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from drawn_scaling import scaled_lcps
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -28,7 +27,6 @@ from lcp_plugin import (
     InvalidProblem,
     LCPError,
     solve,
-    strategies,
 )
 from lcp_plugin.core import checks
 from lcp_plugin.core.matrix.matrix import Matrix, fact
@@ -640,46 +638,6 @@ def same(one: Any, other: Any) -> bool:
         return False
     first, second = ((given.toarray() if sp.issparse(given) else given) for given in (one, other))
     return first.shape == second.shape and first.tobytes() == second.tobytes()
-
-
-@given(
-    problem=scaled_lcps(
-        strategies.lcps(strategies.h_plus_matrices() | strategies.z_matrices().map(sp.csr_array))
-        | strategies.lcps(bounds=True),
-        300,
-        300,
-    )
-)
-def test_the_repr_of_a_small_problem_is_that_problem(problem: LCP) -> None:
-    """What repr(problem) says can be pasted, and is the same problem bit for bit, kept in the same way."""
-    again = eval(repr(problem), {"LCP": LCP, "csr_array": sp.csr_array, "inf": np.inf})
-    assert all(
-        same(getattr(problem, name), getattr(again, name)) for name in ("M", "q", "lower", "upper")
-    )
-
-
-@settings(max_examples=40)
-@given(drawn=strategies.convex_qps(equalities=1))
-def test_the_repr_of_a_small_program_is_that_program(drawn: Any) -> None:
-    """What repr(program) says can be pasted, and is the same program bit for bit."""
-    program = drawn[0]
-    again = eval(
-        repr(program),
-        {"QuadraticProgram": QuadraticProgram, "csr_array": sp.csr_array, "inf": np.inf},
-    )
-    names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
-    names = [name for name in names if getattr(program, name).shape[0]]
-    assert all(same(getattr(program, name), getattr(again, name)) for name in names)
-
-
-@pytest.mark.parametrize(
-    "bound", [-0.0, [0.0, -0.0, 0.0, -0.0], [-np.inf, 0.1 + 0.2, -1e-320, 0.0]]
-)
-def test_the_repr_keeps_each_bit_of_a_bound(bound: Any) -> None:
-    """Zeros keep their signs, infinite and subnormal bounds their values."""
-    problem = LCP(A, Q, lower=bound)
-    again = eval(repr(problem), {"LCP": LCP, "csr_array": sp.csr_array, "inf": np.inf})
-    assert same(problem.lower, again.lower)
 
 
 def test_a_refused_matrix_leaves_no_problem() -> None:

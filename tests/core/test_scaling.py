@@ -26,7 +26,6 @@ from lcp_plugin.algorithms import create
 from lcp_plugin.core.matrix.matrix import Matrix
 from lcp_plugin.core.matrix.scaling import scaling_of
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.core.solving.advice import advice_beside_a_wrong_row, advice_of_run
 from lcp_plugin.problems.batches import batch_run
 
 FAR = 2.0**20  # the units of unknowns are powers of two between its inverse and it
@@ -127,27 +126,6 @@ def test_a_flow_in_its_own_unit_shows_none() -> None:
         rows = np.exp2(np.random.default_rng(0).integers(-20, 21, 200))
         found = scaling_of(Matrix(rows[:, None] * flow(kind, 200)))
         assert found is None
-
-
-def test_what_the_guard_refuses_is_said_with_its_row() -> None:
-    """A row that is wrong in its own terms is named, with what to do."""
-    M, q, z = answered(grid, 3)
-    rows, of_z = random_scaling(3, z.size)
-    problem = measured(M, q, rows, of_z)
-    certificate = Certificate.of(problem, (z + 0.5) * of_z)
-    i = int(np.argmax(certificate.term_residuals))
-    assert certificate.term_residuals[i] > 1e-4
-    assert f"w[{i}] = " in certificate.wrong_row
-    words = advice_beside_a_wrong_row(
-        advice_of_run(problem, create("psor", {}), (), 1e-8, {}), certificate.wrong_row
-    )
-    for status in (Status.STALLED, Status.MAX_ITERATIONS, Status.MAX_SECONDS):
-        begin = "the residual is small enough, but a row is wrong beside its own terms q_i and m_ij z_j: w["
-        assert words[status].startswith(begin)
-        assert 'try algorithm="auto"' in words[status]
-        assert "raise the tolerance" not in words[status]
-    assert "units" in words[Status.STALLED]
-    assert "raise max_iterations" in words[Status.MAX_ITERATIONS]
 
 
 def test_a_large_grid_in_mixed_units_goes_to_multigrid() -> None:

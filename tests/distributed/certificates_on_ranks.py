@@ -22,10 +22,7 @@ NUMBERS = (
     "natural_residual",
     "euclidean_residual",
     "bound_violation",
-    "slack_violation",
     "complementarity",
-    "backward_error",
-    "scale_spread",
 )
 
 

@@ -36,7 +36,6 @@ from ..checks import BoolVector, FloatVector, read_only
 from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, TINY
 from ..lcp import LCP
 from ..matrix.matrix import Matrix, fact
-from ..matrix.row_signs import with_row_signs
 from ..matrix.scaling import Scaling, is_representable, scaling_of, times_power
 from ..matrix.structure import Components, IntVector, connected_components
 from .row_residuals import (
@@ -254,9 +253,7 @@ class CommonScaling:
     exponents : array of int, shape (own,), or None
         ẑ_i = 2^exponents_i z_i; None where ẑ = z.
     row_exponents : array of int, shape (own,), or None
-        ŵ_i = 2^row_exponents_i w_i, or minus that where signs_i = −1.
-    signs : array of ±1, shape (n,), or None
-        Of rows of free unknowns, whose residual is the same with either (:mod:`lcp_plugin.core.matrix.row_signs`).
+        ŵ_i = 2^row_exponents_i w_i.
     answered : array of bool, shape (own,), or None
         The rows of components that z° solves, as far as double precision can tell; None where there are none.
     least : float
@@ -272,16 +269,11 @@ class CommonScaling:
     answered: BoolVector | None = None
     least: float = 0.0
     is_scaled: bool = False
-    signs: FloatVector | None = None
 
     @classmethod
     def of(cls, problem: LCP, least: float = 0.0) -> CommonScaling:
         """Return those of a problem; where a number would overflow in them, the problem's own."""
-        return cls._in(RowScaling.of(problem), problem, least)._with_row_signs()
-
-    def _with_row_signs(self) -> CommonScaling:
-        turned = _turned(self.problem)
-        return self if turned is None else replace(self, problem=turned[0], signs=turned[1])
+        return cls._in(RowScaling.of(problem), problem, least)
 
     @classmethod
     def _in(cls, scaling: RowScaling | None, problem: LCP, least: float) -> CommonScaling:
@@ -357,7 +349,7 @@ class CommonScaling:
     @cached_property
     def of_caller(self) -> CommonScaling:
         """The same on the caller's matrix; itself where M needs no scaling."""
-        return self._in(None, self.stated, self.least)._with_row_signs() if self.is_scaled else self
+        return self._in(None, self.stated, self.least) if self.is_scaled else self
 
     def steps(self, choice: Choice, z: FloatVector) -> Iterator[Step]:
         """Yield the steps of a choice from z in this scaling, taken where its algorithm wants to take them."""
@@ -375,13 +367,9 @@ class CommonScaling:
     @property
     def row_factors(self) -> list[Fraction] | None:
         """What the rows' multipliers of a proof in this scaling are multiplied by in the caller's; None where by 1."""
-        if self.row_exponents is None and self.signs is None:
+        if self.row_exponents is None:
             return None
-        exponents = (
-            [0] * self.stated.n if self.row_exponents is None else self.row_exponents.tolist()
-        )
-        signs = [1] * self.stated.n if self.signs is None else self.signs.astype(int).tolist()
-        return [sign * Fraction(2) ** k for sign, k in zip(signs, exponents, strict=True)]
+        return [Fraction(2) ** k for k in self.row_exponents.tolist()]
 
     @property
     def is_identity(self) -> bool:
@@ -448,22 +436,6 @@ def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LC
     scaled.lower, scaled.upper = read_only(lower), read_only(upper)  # checked, in the caller's unit
     scaled.origin, scaled.criterion = problem.origin, problem.criterion
     return scaled
-
-
-def _turned(problem: LCP) -> tuple[LCP, FloatVector] | None:
-    """Return the problem with its rows of free unknowns turned where that may make M monotone, and their signs."""
-    free = (problem.lower == -np.inf) & (problem.upper == np.inf)
-    if problem.is_distributed or problem.criterion is not None or not free.any():
-        return None
-    found = with_row_signs(problem.matrix, free.tobytes())
-    if found is None:
-        return None
-    matrix, signs = found
-    if scaling_of(problem.matrix) is None:
-        scaling_of.keep(matrix, None)
-    turned = LCP(matrix, problem.q * signs)
-    turned.lower, turned.upper, turned.origin = problem.lower, problem.upper, problem.origin
-    return turned, signs
 
 
 def _exponents(problem: LCP, several: Components, most: FloatVector) -> IntVector:

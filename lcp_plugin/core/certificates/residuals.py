@@ -13,7 +13,6 @@ from ..checks import BoolVector, FloatVector, read_only, restored
 from ..errors import InvalidProblem
 from ..kind import refusal
 from ..lcp import LCP
-from ..matrix.scaling import times_power
 from ..matrix.structure import connected_components
 from ..rounding import gamma
 from .criterion import (
@@ -49,21 +48,13 @@ MEASURED = (
     "term_residual",
     "natural_residual",
     "euclidean_residual",
-    "backward_error",
     "bound_violation",
-    "slack_violation",
     "complementarity",
-    "relative_complementarity",
-    "scale_spread",
     "is_at_rounding_level",
     "is_limited_by_rounding",
 )
 GAINED = 1e-2  # of the reference
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem that a program was made into, too
-LARGE_PRODUCT, LARGE_BESIDE = (
-    1e-2,
-    1e4,
-)  # of ‖r(z°)‖², and of that times the relative residual: worth a word
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +79,14 @@ class Certificate:
         that M needs (:mod:`lcp_plugin.core.certificates.criterion`).
     term_residual : float
         How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`).
-    components : int
-        How many components there are.
     natural_residual : float
         ‖z − mid(lower, upper, z − w)‖∞, unscaled; the number other solvers print.
     euclidean_residual : float
         ‖z − mid(lower, upper, z − w)‖₂; the paper's Res.
     bound_violation : float
         How far z lies outside [lower, upper], in the unit of z.
-    slack_violation : float
-        How far w has a sign that no z within the bounds could allow, in the unit of w.
     complementarity : float
         max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
-    relative_complementarity : float
-        The same with w_i/d_i for w_i, over ‖r_P(z°)‖∞², P the component of row i. Invariant as the relative residual
-        is. The residual is about the smaller factor, so that this product can be large while the residual is small.
     worst_index : int
         The row of the largest residual relative to the ‖r_P(z°)‖∞ of its component: it names the worst one; −1 for an
         empty problem.
@@ -218,12 +202,6 @@ class Certificate:
         """‖r(z)‖∞ of the worst component, of all in mixed units, in the unit of z, as measured in double precision."""
         return self._worst[0]
 
-    @property
-    def components(self) -> int:
-        """How many connected components the graph of M has."""
-        several = connected_components(self.problem.matrix)
-        return 1 if several is None else several.total
-
     @cached_property
     def relative_residual(self) -> float:
         """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all components, rounded upwards; 0 for 0/0."""
@@ -272,14 +250,6 @@ class Certificate:
         if answers is None or (answers and settings.tolerance < SMALL):
             return self.meets(settings)
         return answers
-
-    @property
-    def wrong_row(self) -> str:
-        """Which row is the most wrong in its own terms, in words; '' of a problem without rows."""
-        if not self.z.size:
-            return ""
-        i = int(np.argmax(self.term_residuals))
-        return f"w[{i}] = {self.w[i]:.1e} with z[{i}] = {self.z[i]:.1e}, where its terms are {self._terms[i]:.1e}"
 
     @cached_property
     def _terms(self) -> FloatVector:
@@ -351,28 +321,12 @@ class Certificate:
         return float(np.nextafter(norm * (1.0 + gamma(terms)), np.inf)) if norm else norm
 
     @cached_property
-    def backward_error(self) -> float:
-        """max_i |r_i| / (|z_i| + (|M||z| + |q|)_i / d_i), invariant under row and column scaling."""
-        with np.errstate(all="ignore"):
-            residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            size = np.abs(self.z) + self._terms / self._scale
-            return self._largest(np.where(residual == 0.0, 0.0, residual / size))
-
-    @cached_property
     def bound_violation(self) -> float:
         """max_i of lower_i − z_i, z_i − upper_i and 0."""
         problem = self.problem
         with np.errstate(all="ignore"):
             outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
         return self._largest(np.maximum(outside, 0.0))
-
-    @cached_property
-    def slack_violation(self) -> float:
-        """The largest part of w with a sign that the row's bounds never allow."""
-        problem = self.problem
-        positive = np.where(problem.lower == -np.inf, np.maximum(self.w, 0.0), 0.0)
-        negative = np.where(problem.upper == np.inf, np.maximum(-self.w, 0.0), 0.0)
-        return self._largest(np.maximum(positive, negative))
 
     @cached_property
     def _products(self) -> FloatVector:
@@ -391,47 +345,12 @@ class Certificate:
         return self._largest(self._products)
 
     @cached_property
-    def relative_complementarity(self) -> float:
-        """max_i of those products with w_i/d_i for w_i, over ‖r(z°)‖∞²; 0 for 0/0."""
-        reference = for_each_row(self.problem, self.references[1])
-        with np.errstate(all="ignore"):
-            products = self._products / self._scale
-        products = times_power(
-            products, None if self._scaling is None else -2 * self._scaling.column
-        )
-        return self._largest(over(over(products, reference), reference))
-
-    @property
-    def large_product(self) -> str:
-        """Which (z_i − bound_i) w_i is large though the residual is small, in words; empty where none is."""
-        if not self.relative_complementarity > max(
-            LARGE_PRODUCT, LARGE_BESIDE * self.relative_residual
-        ):
-            return ""
-        if self.problem.is_distributed:
-            return "a z_i far from its bound has a w_i that is not 0: large beside the residual"
-        i = int(np.argmax(self._products / self._scale))
-        bound = self.problem.lower[i] if self.w[i] > 0.0 else self.problem.upper[i]
-        distance = abs(self.z[i] - bound)
-        return f"z[{i}] is {distance:.1e} from its bound and w[{i}] = {self.w[i]:.1e}: large beside the residual"
-
-    @cached_property
     def rounding_floor(self) -> FloatVector:
         """What rounding alone can make of each residual: k_i ε (|M||z| + |q|)_i / d_i, shape (n,).
 
         k_i = nonzeros of row i + 2; below this level a residual in double precision says nothing.
         """
         return rounding_floor(self.problem, self._terms, self._scale)
-
-    @cached_property
-    def scale_spread(self) -> float:
-        """The largest d_i divided by the smallest, in the scaling of the criterion; 1 for an empty problem."""
-        scaling, scale = self._scaling, self._scale
-        scale = scale if scaling is None else np.ldexp(scale, scaling.row + scaling.column)
-        extremes = scale.max(initial=-np.inf), -scale.min(initial=np.inf)
-        most, minus_least = self.problem.matrix.each_largest(*map(float, extremes))
-        with np.errstate(over="ignore"):
-            return float(np.divide(most, -minus_least)) if self.problem.n else 1.0
 
     @cached_property
     def is_at_rounding_level(self) -> bool:
@@ -465,27 +384,15 @@ class Certificate:
         references = np.maximum(for_each_row(self.problem, self.references[0]), floors)
         return self.problem.matrix.largest_of(largest_ratio(rows, references))
 
-    @property
-    def _worst_component(self) -> str:
-        """Which of several components is the worst, in words; empty where there is one."""
-        count = self.components
-        return (
-            f"the worst of {count} components: that of row {self.worst_index}" if count > 1 else ""
-        )
-
     def __str__(self) -> str:
         lines = [
-            ("relative residual", self.relative_residual, self._worst_component),
-            ("natural residual", self.natural_residual, ""),
-            ("bound violation", self.bound_violation, ""),
-            ("slack violation", self.slack_violation, ""),
-            ("complementarity", self.complementarity, self.large_product),
-            ("backward error", self.backward_error, ""),
-            ("term residual", self.term_residual, ""),
+            ("relative residual", self.relative_residual),
+            ("natural residual", self.natural_residual),
+            ("bound violation", self.bound_violation),
+            ("complementarity", self.complementarity),
+            ("term residual", self.term_residual),
         ]
-        return "\n".join(
-            f"{name:<18} {value:.3e}{remark and f'  ({remark})'}" for name, value, remark in lines
-        )
+        return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
 
 
 def _largest(values: FloatVector) -> float:

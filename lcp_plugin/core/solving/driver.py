@@ -97,7 +97,7 @@ def fused(
     found = algorithm.solve_fused(problem, start, tolerance, settings.max_iterations)
     if found is None:
         return None
-    is_as_stated = scaling.is_connected and scaling.is_identity and scaling.signs is None
+    is_as_stated = scaling.is_connected and scaling.is_identity
     if is_as_stated:  # the kernel has enclosed the residual of the whole
         certificate = Certificate.enclosed(
             scaling.stated, found.z, found.residual, found.term_residual

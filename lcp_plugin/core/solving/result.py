@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +11,6 @@ from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
 from ..representation import in_words
 from ..settings import Status
-from .advice import advice_on_given_rows
 from .answer import NEXT, Answer
 
 if TYPE_CHECKING:
@@ -181,46 +179,10 @@ class Result(Answer):
         advice = self._advice.get(self.status, self.status.value)
         if self.is_solved or self.has_no_solution:
             happened, begins, to_do = advice.partition(NEXT)
-            known = [
-                happened,
-                *self._of_which("z"),
-                *(self._sign() if self.has_no_solution else []),
-            ]
-            return "; ".join(known) + begins + to_do
+            return "; ".join([happened, *self._of_which("z")]) + begins + to_do
         remarks = [stage.remark for stage in self.stages if stage.remark]
         happened, begins, to_do = advice.partition(NEXT)
-        return (
-            "; ".join([*self._small_contradiction(), happened, *remarks, *self._sign()])
-            + begins
-            + to_do
-        )
-
-    def _sign(self) -> list[str]:
-        """Return what the diagonal of M says where it is negative throughout; of an LCP."""
-        from ...proofs.verdicts.report import sign_remark
-
-        remark = (
-            "" if self.certificate.is_linearised else sign_remark(self.certificate.problem.matrix)
-        )
-        return [remark] if remark else []
-
-    def _small_contradiction(self) -> list[str]:
-        """Return by how much the stored doubles have no solution, where that is less than the tolerance sees."""
-        if self.infeasibility is None or self.has_no_solution:
-            return []
-        return [
-            self.infeasibility.how_small(
-                self.tolerance, self.absolute_tolerance, self.certificate.scaled_residual
-            )
-        ]
-
-    def _given_rows(self) -> list[str]:
-        """Return what to do with rows that give z and are kinks of it, of an LCP."""
-        problem = self.certificate.problem
-        said = (
-            "" if self.certificate.is_linearised else advice_on_given_rows(problem, self.z, self.w)
-        )
-        return [said] if said else []
+        return "; ".join([happened, *remarks]) + begins + to_do
 
     def explain(self) -> str:
         """Return what happened, how sure that is and what to do next, a line each; then why, and what ran."""
@@ -229,16 +191,11 @@ class Result(Answer):
         lines = [*self._verdict(), *self._course(), *stage_lines(self.stages)]
         if self.is_solved:
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
-            lines += [
-                *(f"the stored doubles are {small}" for small in self._small_contradiction()),
-                *self._sign(),
-            ]
-            lines += self._given_rows()
         if self.infeasibility is not None and not self.has_no_solution:
             lines.append(str(self.infeasibility))
         if self.no_error_bound:
             lines.append(f"no error bound: {self.no_error_bound}")
-        return "\n".join([*lines, *what_may_mislead(self), *self._complementarity()])
+        return "\n".join([*lines, *what_may_mislead(self)])
 
     def _effort(self) -> str:
         matrix = "F′" if self.certificate.is_linearised else "M"
@@ -258,42 +215,13 @@ class Result(Answer):
             lines = [known, residual]
         else:
             lines = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
-        if beside := self._beside:
-            lines[-1 if self.tolerance_on == "error" else 0] += f" ({beside})"
         return "\n".join(["; ".join(lines), *proven])
-
-    @property
-    def _beside(self) -> str:
-        """Return which point has the relative residual 1, where one of this process is known to."""
-        problem = self.certificate.problem
-        if self.certificate.is_linearised or problem.is_distributed:
-            return ""
-        if not 0.0 < self.certificate.references[0].max(initial=0.0) < math.inf:
-            return ""
-        return f"1 at {'the point of the bounds nearest to 0' if problem.nearest_to_zero.any() else 'z = 0'}"
 
     @property
     def _or_absolute(self) -> str:
         if not self.absolute_tolerance:
             return ""
         return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"
-
-    def _complementarity(self) -> list[str]:
-        """Return a line where z was accepted and a product of z and w is large."""
-        if (
-            self.status not in (Status.SOLVED, Status.PRECISION_LIMIT)
-            or not self.certificate.large_product
-        ):
-            return []
-        other = (
-            ""
-            if "lemke" in self.algorithm
-            else 'try another algorithm ("lemke" for a small problem) or '
-        )
-        return [
-            f"complementarity {self.certificate.complementarity:.1e}: {self.certificate.large_product}; where the "
-            f"product counts, {other}begin from a z0 near a smaller z"
-        ]
 
     def to_content(self) -> dict[str, Any]:
         """Return what :meth:`to_json` writes, as a dictionary."""
@@ -313,7 +241,6 @@ class Result(Answer):
             "natural_residual": certificate.natural_residual,
             "euclidean_residual": certificate.euclidean_residual,
             "bound_violation": certificate.bound_violation,
-            "slack_violation": certificate.slack_violation,
             "complementarity": certificate.complementarity,
             "work": self.work,
             "setup_seconds": self.setup_seconds,

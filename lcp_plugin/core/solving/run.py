@@ -21,7 +21,7 @@ from ..lcp import LCP
 from ..policy.policy import Policy, name_of, with_reasons
 from ..policy.stages import CheckSchedule, Choice, Progress, Stage
 from ..settings import Settings, Status
-from .advice import NOTHING_TO_DO, advice_beside_a_wrong_row, advice_of_run, unused_start
+from .advice import NOTHING_TO_DO, advice_of_run
 from .judge import FAILED, End, Judge
 from .result import BoundOrReason, Result, Sample, StageRecord
 from .run_log import Header, RunLog
@@ -299,10 +299,6 @@ class Run:
         stages = state.records()
         if status is Status.SOLVED and state.iteration <= 0 and self.incumbent.z is not None:
             stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
-        elif isinstance(self.judge.asked, LCP) and (
-            unused := unused_start(self.problem, self.policy.chosen, start)
-        ):
-            stages = (*stages[:-1], *(stage._replace(remark=unused) for stage in stages[-1:]))
         result = Result(
             z=certificate.z,
             w=certificate.w,
@@ -332,16 +328,8 @@ class Run:
         words, policy, settings = dict(self.judge.words), self.policy, self.settings
         if isinstance(self.judge.asked, LCP) and status is not Status.SOLVED:
             words = advice_of_run(
-                self.problem,
-                policy.chosen,
-                self.state.stages,
-                settings.goal,
-                words,
-                policy.left_out,
+                self.problem, policy.chosen, self.state.stages, words, policy.left_out
             )
-            goal, least = settings.goal, settings.least_reference
-            if certificate.relative_above(least) <= goal < certificate.term_above(goal * least):
-                words = advice_beside_a_wrong_row(words, certificate.wrong_row)
         if not settings.prove_infeasibility:
             stalled = words.get(Status.STALLED, Status.STALLED.value)
             words[Status.STALLED] = f"{stalled}; not proved infeasible: you asked for no proof"

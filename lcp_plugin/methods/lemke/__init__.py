@@ -86,9 +86,6 @@ class Lemke(Algorithm):
     )
     is_monotone: ClassVar[bool] = False
     ends_with_a_case: ClassVar[bool] = True
-    why_no_start: ClassVar[str] = (
-        "z0 was not used but for its active set, which lemke tries at first; newton begins from any z0"
-    )
 
     max_pivots: int | None = None
     restarts: int | None = None
@@ -100,10 +97,6 @@ class Lemke(Algorithm):
             )
             if not is_count and value is not None:
                 raise InvalidOption(f"lemke: {option} must be a whole number ≥ 0, got {value!r}")
-
-    def uses_start(self, problem: LCP, z0: FloatVector) -> bool:
-        """Return whether its active set is likely to be that of the answer."""
-        return is_near(problem, z0)
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then the z of the path after each block of pivots, last the solution if one was found.

@@ -178,7 +178,5 @@ def _solved(
     condition = np.linalg.norm(inverse, 1) * np.linalg.norm(M[np.ix_(free, free)], 1)
     if not condition < WELL_CONDITIONED:
         return None
-    solution: FloatMatrix = -np.linalg.solve(
-        M[np.ix_(free, free)], np.column_stack([M[np.ix_(free, stays)], q[free]])
-    )
-    return solution
+    right = np.column_stack([M[np.ix_(free, stays)], q[free]])
+    return np.asarray(np.linalg.solve(M[np.ix_(free, free)], -right), dtype=np.float64)

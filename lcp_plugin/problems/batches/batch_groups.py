@@ -110,8 +110,6 @@ def answers_in_common_scaling(group: Group, phases: Phases, settings: Settings) 
         for name in ("q", "lower", "upper")
     ]
     M, starts = group.M, group.starts
-    if scaling.signs is not None:
-        M = M * scaling.signs.reshape(count, n, 1)
     if starts.shape[1]:
         starts = read_only(scaling.inward(group.vectors("starts")[0].reshape(-1)).reshape(count, n))
     least, most = scaling.references

@@ -101,10 +101,6 @@ class NoImpulse:
         """Return whether no point at all could be called SOLVED."""
         return self.margin > tolerance and not absolute_tolerance
 
-    def how_small(self, tolerance: float, absolute_tolerance: float, residual: float) -> str:
-        """Return what to say where the contradiction is smaller than the tolerance."""
-        return f"no point solves it exactly, one may to {self.margin:.1e}, which the tolerance {tolerance:.1e} allows"
-
     def __str__(self) -> str:
         blocks = np.unique(self.problem.block_of_row[self.y != 0.0])
         named = ", ".join(map(str, blocks[:5])) + (

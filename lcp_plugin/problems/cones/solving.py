@@ -20,14 +20,13 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.kind import Kind
-from ...core.lcp import LCP
 from ...core.matrix.structure import Components, connected_components
 from ...core.matrix.symmetry import is_symmetric_to_rounding
 from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.representation import in_words
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.advice import NOTHING_TO_DO, beyond_doubles
+from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result, StageRecord, stage_lines
 from ...core.solving.run import Callback, Run
@@ -527,9 +526,7 @@ class ConeJudge(Judge):
     def verdict(self, certificate: Certificate, end: End, *, is_chain: bool) -> Status:
         """Return the status; advise less friction only where a solution need not exist."""
         status = super().verdict(certificate, end, is_chain=is_chain)
-        if status is Status.STALLED and (far := self._beyond_doubles()):
-            self.words = {**self.words, status: f"no method reduces the residual further; {far}"}
-        elif status is Status.STALLED and self._may_lack_an_answer(certificate.worst_index):
+        if status is Status.STALLED and self._may_lack_an_answer(certificate.worst_index):
             self.words = {
                 **self.words,
                 status: (
@@ -539,16 +536,6 @@ class ConeJudge(Judge):
                 ),
             }
         return status
-
-    def _beyond_doubles(self) -> str:
-        """Return what to do where a contact that closes asks for an impulse beyond the largest double, or ''."""
-        problem, upper = self.problem, np.zeros(self.problem.n)
-        upper[problem.starts[:-1]] = np.inf
-        return (
-            beyond_doubles(LCP(problem.rows.csr, problem.q, upper=upper))
-            if problem.has_friction
-            else ""
-        )
 
     def _may_lack_an_answer(self, block: int) -> bool:
         """Return whether contacts of that block's component have much friction, or a W that is not definite."""

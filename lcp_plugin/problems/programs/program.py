@@ -30,7 +30,6 @@ from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.scaling import fitted_units
 from ...core.matrix.symmetry import is_its_mirror, mismatch
-from ...core.representation import REPR_UP_TO, bounds_repr, matrix_repr
 from ...core.rounding import compensated_pair, compensated_product
 from .constraints import Constraints
 from .contradictions import contradicting_multipliers, margin_in_doubles, with_few_digits
@@ -321,16 +320,6 @@ class QuadraticProgram:
         return float(compensated_product(row, np.tile(point, 3))[0][0])
 
     def __repr__(self) -> str:
-        """Return the call that makes a small program again, bit for bit; of a large one, what `str` says."""
-        if not max(self.n, self.h.size, self.b.size) <= REPR_UP_TO:
-            return str(self)
-        given = [matrix_repr(self.P), repr(self.c.tolist())]
-        for (A, b), (rows, limits) in (((self.G, self.h), "Gh"), ((self.A, self.b), "Ab")):
-            given += [f"{rows}={matrix_repr(A)}", f"{limits}={b.tolist()}"] if b.size else []
-        bounds = bounds_repr(self.lower, self.upper, least=-np.inf)
-        return f"QuadraticProgram({', '.join([*given, *bounds])})"
-
-    def __str__(self) -> str:
         m, p = self.h.size, self.b.size
         averaged = f", asymmetry {self.asymmetry:.1e} averaged away" if self.asymmetry else ""
         rows = f"{m} inequalit{'y' if m == 1 else 'ies'}, {p} equalit{'y' if p == 1 else 'ies'}"

@@ -187,29 +187,6 @@ class NoSolutionProof:
             tolerance / self.margin + absolute_tolerance / self.absolute_margin < 1.0 - EPSILON
         )
 
-    def how_small(self, tolerance: float, absolute_tolerance: float, residual: float) -> str:
-        """Return by how much there is no solution, where that is less than a run with these tolerances sees.
-
-        Parameters
-        ----------
-        tolerance, absolute_tolerance : float
-        residual : float
-            Of the z that was found, in its unit.
-        """
-        what = "infeasible" if self.status is Status.INFEASIBLE else "without solution"
-        if self.is_rounding:
-            return (
-                f"{what}, but only by {self.absolute_margin:.0e} in the unit of z: rounding beside the largest "
-                f"number in q; absolute_tolerance={1.1 * max(residual, self.absolute_margin):.1e} accepts z"
-            )
-        if (radius := getattr(self, "radius", np.inf)) < np.inf:
-            return f"{what} up to ‖z‖∞ = {radius:.0e}"
-        if self.margin > tolerance and absolute_tolerance:
-            return f"{what}, but only by {self.absolute_margin:.0e} in the unit of z"
-        if self.margin > tolerance:
-            return f"{what} beside its own data, but not beside those of the program that it was made from"
-        return f"{what}, but only by {self.margin:.0e} relative"
-
     @cached_property
     def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
         """The least relative residual, the least one, and that in the scaling of the criterion; None for ∞."""
@@ -388,11 +365,6 @@ class Infeasibility(NoSolutionProof):
         yield Choices(problem, {}).closing(
             self._found, float(sizes[np.isfinite(sizes)].max(initial=least)), first
         )
-
-    def how_small(self, tolerance: float, absolute_tolerance: float, residual: float) -> str:
-        """Return the same, and which unknowns nothing holds."""
-        said = super().how_small(tolerance, absolute_tolerance, residual)
-        return f"{said}: nothing holds {moved_unknowns(self.y)}" if self.is_free_motion else said
 
     @cached_property
     def is_free_motion(self) -> bool:

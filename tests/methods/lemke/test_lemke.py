@@ -60,7 +60,6 @@ TEXTBOOK: dict[str, tuple[Any, Any]] = {
     "zero diagonal, skew": ([[0, -1, 2], [1, 0, -1], [-2, 1, 0]], [3, -1, 1]),
     "degenerate q": ([[1, -1, -1], [-1, 1, -1], [-1, -1, 4]], [0, 3, -3]),
     "copositive": ([[1, 2, 0], [0, 1, 2], [2, 0, 0.5]], [-1, -2, 1]),
-    "only one of many pieces": ([[-1, 2], [2, -1]], [1, -3]),
     "negative scalar": ([[-2]], [3]),
 }
 

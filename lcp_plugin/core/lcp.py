@@ -71,7 +71,7 @@ class LCP:
     --------
     >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
     >>> problem
-    LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    LCP(n=2, nonzeros=4, bounds 0 ≤ z)
     >>> problem.slack([2.5, 0])
     array([0. , 3.5])
     """

@@ -88,7 +88,7 @@ class QuadraticProgram:
     --------
     >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
     >>> program
-    QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])
+    QuadraticProgram(n=2, 1 inequality, 0 equalities)
     >>> print(program)
     QuadraticProgram(n=2, 1 inequality, 0 equalities)
     >>> program.objective([0.5, 1.5])

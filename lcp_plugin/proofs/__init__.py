@@ -57,8 +57,8 @@ proved lower bound of at most the tolerance, unless x is proved to be wrong alth
 
 **No solution.** ``result.infeasibility`` proves it for the stored doubles, and ``verify()`` checks it again. Its
 ``margin`` is the smallest relative residual that it leaves to any z, in the units of SOLVED; with
-``tolerance_on="error"`` any proof counts, however small that is. If it is within the tolerance the methods go on, and the
-proof stays in the result.
+``tolerance_on="error"`` any proof counts, however small that is. If it is within the tolerance the methods go on, and
+the proof stays in the result.
 "auto" looks for a proof where its methods find no solution, and so does a run with newton, interior_point or lemke;
 sweeps alone end STALLED or DIVERGED.
 """

@@ -339,7 +339,7 @@ def _banded() -> Algorithm:
     """Return the rounds on a narrow band."""
     from .methods.banded import Banded
 
-    return Banded(hands_over=True)
+    return Banded()
 
 
 def _is_clearly_dominant(problem: LCP) -> bool:

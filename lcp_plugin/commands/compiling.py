@@ -23,7 +23,7 @@ from ..core.settings import checked_threads
 from ..problems.batches.batch import solve_batch
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
-from ..problems.march.march_many import march, march_many
+from ..problems.march.march_many import march
 from ..problems.programs.stacked_programs import QuadraticProgramBatch
 from ..problems.sensitivity import derivative
 from ..proofs.bounds.error_bounds import error_bound
@@ -78,9 +78,6 @@ def compile_part(part: str) -> None:
         steps = derivative(march(sparse, np.zeros((2, sparse.n)), algorithm=part))
         steps.vjp(np.ones(sparse.n))
         steps.jvp(dz0=np.ones(sparse.n))
-        put = gallery.build("american_put", size=20).problem
-        march_many(put, np.zeros((2, 1, 20)))
-        march_many([put, LCP(2.0 * put.csr, put.q)], np.zeros((1, 20)))  # with an M each
     else:
         for problem in (sparse, dense):
             error_bound(problem, solve(problem, "auto" if part == "others" else part).z)

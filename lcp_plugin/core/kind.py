@@ -17,10 +17,8 @@ from .errors import InvalidOption, did_you_mean
 FUNCTIONS = (
     "solve",
     "solve_batch",
-    "solve_many",
     "prepare",
     "march",
-    "march_many",
     "trace",
     "regions",
     "derivative",

@@ -875,9 +875,9 @@ MECHANISMS = (
     ),
     Mechanism(
         "march loop",
-        "steps of banded marches in one compiled loop",
-        {"problems.march:_fused": nothing()},
-        "problems/march/__init__.py:_fused methods/banded/march_kernels.py",
+        "steps on narrow bands, judged a block at a time",
+        {"problems.march:take_steps_together": says(None)},
+        "problems/march/__init__.py:take_steps_together problems/march/on_band.py",
     ),
     # --- paths
     Mechanism(

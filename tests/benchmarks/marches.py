@@ -29,7 +29,7 @@ from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.solving.result import Result
 from lcp_plugin.problems.march import March
-from lcp_plugin.problems.march.march_many import march, march_many
+from lcp_plugin.problems.march.march_many import march
 from lcp_plugin.problems.sensitivity import derivative
 
 SCENES: dict[str, tuple[Callable[[], marches.Steps], Callable[[], marches.Steps]]] = {
@@ -73,7 +73,7 @@ def _puts(n: int, steps: int, count: int) -> Iterator[str]:
         ]
 
     def together() -> list[March]:
-        return march_many(problem, forcing, lower=payoffs, z0=payoffs, threads=1)
+        return march(problem, forcing, lower=payoffs, z0=payoffs)
 
     def taken(work: Callable[[], Any]) -> float:
         began = time.process_time()
@@ -128,17 +128,14 @@ def _strikes(n: int, steps: int, count: int) -> Iterator[str]:
             )
         return V.T
 
-    def by_march(threads: int) -> Callable[[], list[March]]:
-        return lambda: march_many(
-            problem, forcing, lower=payoffs, z0=payoffs, threads=threads, keep_every=steps
-        )
+    def by_march() -> list[March]:
+        return cast("list[March]", march(problem, forcing, lower=payoffs, z0=payoffs))
 
-    march_many(problem, forcing[:2], lower=payoffs[:2], z0=payoffs[:2])  # compile
+    march(problem, forcing[:2], lower=payoffs[:2], z0=payoffs[:2])  # compile
     ways = {
         "numpy's loop": by_numpy,
         "solve_banded": by_lapack,
-        "march_many, 1 thread": by_march(1),
-        "march_many, 2 threads": by_march(2),
+        "march": by_march,
     }
     slowest, answers = 0.0, {}
     for name, way in ways.items():
@@ -151,15 +148,14 @@ def _strikes(n: int, steps: int, count: int) -> Iterator[str]:
         tracemalloc.stop()
         yield (
             f"{count} strikes × {n} × {steps}, {name:<22} {wall:.2f} s, processor {taken:.2f} s, "
-            f"numpy's loop ÷ this {slowest / (wall if '2' in name else taken):.1f}, {memory:.0f} MB"
+            f"numpy's loop ÷ this {slowest / taken:.1f}, {memory:.0f} MB"
         )
-    one, two = (answers[f"march_many, {k}"] for k in ("1 thread", "2 threads"))
+    one = answers["march"]
     change = max(
         abs(done.z[-1] - V).max() for done, V in zip(one, answers["numpy's loop"], strict=True)
     )
-    same = all(np.array_equal(a.z[-1], b.z[-1]) for a, b in zip(one, two, strict=True))
     solved = sum(status.name == "SOLVED" for done in one for status in done.status)
-    yield f"{solved} of {count * steps} steps SOLVED, change {change:.0e}, the same bits on two threads: {same}"
+    yield f"{solved} of {count * steps} steps SOLVED, change {change:.0e}"
 
 
 def _volatilities(n: int, steps: int, count: int) -> Iterator[str]:
@@ -189,12 +185,10 @@ def _volatilities(n: int, steps: int, count: int) -> Iterator[str]:
                 np.maximum((V[i] - below * V[i - 1]) * inverse[i], bound[i], out=V[i])
         return V.T
 
-    def by_march(keep_every: int) -> list[March]:
+    def by_march() -> list[March]:
         each = zip(below, centre, above, strict=True)
         problems = [LCP(matrix(*one), np.zeros(n), lower=floor) for one in each]
-        return cast(
-            "list[March]", march(problems, forcing, z0=floor, threads=1, keep_every=keep_every)
-        )
+        return cast("list[March]", march(problems, forcing, z0=floor))
 
     def vega(one: March, a: float, c: float) -> FloatVector:
         return derivative(one).jvp(dM=matrix(a, -a - c, c), only_last=True)
@@ -206,8 +200,7 @@ def _volatilities(n: int, steps: int, count: int) -> Iterator[str]:
     taken, answers = {}, {}
     for name, way in {
         "numpy's loop": by_numpy,
-        "prices": lambda: by_march(steps),
-        "kept": lambda: by_march(1),
+        "prices": by_march,
     }.items():
         began = time.process_time()
         answers[name] = way()

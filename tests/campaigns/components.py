@@ -42,7 +42,6 @@ from exact_components import references_of_rows, relative_residual
 from lcp_plugin import LCP, Status, derivative, error_bound, march, solve, solve_batch
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.problems.batches.batch import solve_many
 
 Generator = np.random.Generator
 Vector = np.ndarray
@@ -511,21 +510,6 @@ def as_dense(problem: LCP, order: Vector, units: Vector) -> LCP:
     return LCP(M, q, lower=lower, upper=upper)
 
 
-def many_offsets(case: Case, rng: Generator) -> list[str]:
-    """solve_many: the bits of single solves."""
-    problem = case.problem
-    factors = np.exp2(rng.integers(-20, 21, (3, case.labels.max() + 1)))[:, case.labels]
-    Q = [problem.q, *(problem.q * row for row in factors)]
-    bad: list[str] = []
-    for q, found in zip(Q, solve_many(problem, Q), strict=True):
-        one = problem.with_q(q)
-        bad += differences("many", solve(one), found)
-        bad += ["many: false SOLVED"] * (
-            found.is_solved and ExactData(one).is_lie(found.z.tolist(), TOLERANCE)
-        )
-    return bad
-
-
 def marched(case: Case, rng: Generator) -> list[str]:
     """A march: the bits of single steps."""
     problem = case.problem
@@ -664,7 +648,6 @@ def differentiated(case: Case, rng: Generator) -> list[str]:
 ASKED: tuple[Asked, ...] = (
     recorded,
     in_batches,
-    many_offsets,
     marched,
     filed,
     through_cvxpy,

@@ -20,13 +20,11 @@ from lcp_plugin import (
     LCPError,
     NonlinearProblem,
     QuadraticProgram,
-    Result,
     Status,
     certify,
     complements,
     error_bound,
     gallery,
-    prepare,
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class, create
@@ -34,7 +32,6 @@ from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.core.solving.advice import advice_of_run
 from lcp_plugin.core.tuning import PIVOTED_UP_TO
 from lcp_plugin.methods.direct import FallbackOrder
-from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.programs.conversion import lcp_from_qp
 from lcp_plugin.proofs.guarantees import convergence_guarantee
@@ -406,15 +403,6 @@ def test_least_squares_that_stop_are_told_what_helps() -> None:
     assert first.status is Status.MAX_ITERATIONS
     assert "go on from x0=result.x" in first.advice
     assert bounded_least_squares(A, b, x0=first.x).is_solved
-
-
-def test_batches_give_the_same_advice() -> None:
-    """Items that are not solved are told what a solve of their own is told."""
-    problem, _ = hard()
-    alone = solve(problem, "npsor")
-    [one] = solve_many(prepare(problem), problem.q[:, None], "npsor")
-    assert isinstance(one, Result)
-    assert one.advice == alone.advice
 
 
 def test_every_named_algorithm_exists() -> None:

@@ -15,7 +15,6 @@ from lcp_plugin import LCP, Certificate, Status, derivative, error_bound, march,
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.criterion import CommonScaling, references_of_components
 from lcp_plugin.core.matrix.structure import connected_components
-from lcp_plugin.problems.batches.batch import solve_many
 
 TOLERANCE = 1e-8
 FAR_APART = LCP(np.eye(2), [-1e10, -0.5])
@@ -195,9 +194,6 @@ def test_batches_have_the_bits_of_single_solves() -> None:
             assert batch.z[k].tobytes() == one.z.tobytes()
             assert batch.iterations[k] == one.iterations
             assert not is_lie(problems[k], batch.z[k])
-    for q_k, result in zip(q, solve_many(problems[1], list(q)), strict=True):
-        one = solve(problems[1].with_q(q_k))
-        assert (result.z.tobytes(), result.iterations) == (one.z.tobytes(), one.iterations)
 
 
 def test_marches_take_each_step_in_units_of_its_own() -> None:

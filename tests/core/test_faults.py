@@ -20,9 +20,8 @@ from relations import bits, data_of, surroundings
 
 from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, gallery, prepare, solve
 from lcp_plugin.algorithms import REGISTRY, Step
-from lcp_plugin.core.errors import LCPError, UnsuitableMatrix, UnsuitableProblem
+from lcp_plugin.core.errors import LCPError
 from lcp_plugin.core.splittings.projected_type import NPSOR
-from lcp_plugin.problems.batches.batch import solve_many
 
 ALL = ["auto", *REGISTRY]
 EVERY_ALGORITHM = pytest.mark.parametrize("name", ALL)
@@ -88,30 +87,6 @@ def test_a_time_limit_ends_in_an_honest_status(name: str, limit: float) -> None:
     assert np.isfinite(result.z).all()
     assert (result.z >= problem.lower).all()
     assert bits(solve(problem, name).z) == fresh_bits(name)
-
-
-def test_a_batch_passes_on_what_is_no_fault_of_a_column() -> None:
-    """In solve_many a bad column stands in its place; what a callback raises ends the batch; a second one is whole."""
-    problem = prepare(LCP([[4.0, -1.0], [-1.0, 4.0]], [0.0, 0.0]))
-    Q = np.array([[-1.0, np.nan, -3.0], [1.0, 0.0, -2.0]])
-
-    def raises(sample: Any, z: np.ndarray) -> None:
-        raise Stop
-
-    with pytest.raises(Stop):
-        solve_many(problem, Q, callback=raises)
-
-    for kind in (InvalidProblem, UnsuitableMatrix, UnsuitableProblem):
-
-        def refuses(sample: Any, z: np.ndarray, kind: type[LCPError] = kind) -> None:
-            raise kind("mine")
-
-        with pytest.raises(kind, match=r"^mine$"):
-            solve_many(problem, Q, callback=refuses)
-    answers = solve_many(problem, Q)
-    assert [type(answer).__name__ for answer in answers] == ["Result", "InvalidProblem", "Result"]
-    for k in (0, 2):
-        assert bits(answers[k].z) == bits(solve(LCP([[4.0, -1.0], [-1.0, 4.0]], Q[:, k])).z)
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------------------------------
@@ -449,7 +424,7 @@ def everything(problem: LCP) -> tuple[bytes, ...]:
         found += bits(solve(problem, name, max_iterations=200).z)
     report, bound = analyze(problem.M), error_bound(problem, problem.nearest_to_zero)
     found += bits(report.v, report.margin, bound.componentwise, bound.infinity)
-    return found + bits(*(answer.z for answer in solve_many(problem, [problem.q, 2.0 * problem.q])))
+    return found + bits(solve(problem.with_q(2.0 * problem.q)).z)
 
 
 def scene() -> LCP:

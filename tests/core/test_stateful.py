@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from relations import bits, data_of, surroundings
 
-from lcp_plugin import LCP, InvalidProblem, Status, analyze, error_bound, prepare, solve
-from lcp_plugin.problems.batches.batch import solve_many as solve_batch
+from lcp_plugin import LCP, Status, analyze, error_bound, prepare, solve
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -105,15 +104,10 @@ class Life(RuleBasedStateMachine):
         assert data_of(self.problem) == before
 
     @rule(name=st.sampled_from(["auto", "npsor", "newton", "lemke"]))
-    def solve_many(self, name: str) -> None:
-        """A batch with a bad column gives the bits of each column alone, and the error in its place."""
-        q = self.problem.q
-        Q = [q, np.full(q.size, np.nan), 2.0 * q]
-        one, bad, two = solve_batch(self.problem, Q, name)
-        assert isinstance(bad, InvalidProblem)
-        for answer, column in ((one, q), (two, 2.0 * q)):
-            assert bits(answer.z) == bits(solve(self.fresh().with_q(column), name).z)
-        self.check(one.z)
+    def solve_with_another_q(self, name: str) -> None:
+        """The shared facts about M give the bits of a fresh problem."""
+        z = solve(self.problem.with_q(2.0 * self.problem.q), name).z
+        assert bits(z) == bits(solve(self.fresh().with_q(2.0 * self.problem.q), name).z)
 
     @rule()
     def analyze(self) -> None:

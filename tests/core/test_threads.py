@@ -24,7 +24,6 @@ from lcp_plugin.core.certificates import row_residuals
 from lcp_plugin.core.certificates.row_residuals import residual_ends_of
 from lcp_plugin.core.kernels.threads import share, threads_for, threads_now
 from lcp_plugin.core.settings import Settings, checked_threads
-from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.many.chunks import in_chunks
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
@@ -272,18 +271,12 @@ def in_solve(algorithm: Any, **options: Any) -> Any:
     return solve(TWO, algorithm, **options)
 
 
-def in_solve_many(algorithm: Any, **options: Any) -> Any:
-    return solve_many(TWO, [TWO.q], algorithm, **options)
-
-
 def in_a_nonlinear_solve(algorithm: Any, **options: Any) -> Any:
     problem = NonlinearProblem(lambda x: TWO.M @ x + TWO.q)
     return solve_nonlinear(problem, [3.0, 3.0], algorithm, **options)
 
 
-@pytest.mark.parametrize(
-    "run", [in_solve, in_solve_many, in_a_nonlinear_solve], ids=lambda run: run.__name__
-)
+@pytest.mark.parametrize("run", [in_solve, in_a_nonlinear_solve], ids=lambda run: run.__name__)
 def test_threads_of_a_solve_are_what_was_asked_for(run: Callable[..., Any]) -> None:
     """So many, all that may be used by default, and one again afterwards."""
     assert counted(run, threads=3) == 3
@@ -311,7 +304,6 @@ def test_wrong_numbers_of_threads_are_refused(wrong: Any) -> None:
     for attempt in (
         lambda: solve(TWO, threads=wrong),
         lambda: prepare(TWO, threads=wrong),
-        lambda: solve_many(TWO, [TWO.q], threads=wrong),
         lambda: solve_nonlinear(problem, [1.0], threads=wrong),
     ):
         with pytest.raises(

@@ -77,14 +77,12 @@ NAMED = {
     ),
     "a derivative": ("Derivative", "settle", "solve_steps"),
     "many": (
-        "solve_many",
         "solve_batch",
         "MixedRun",
         "BatchRun",
         "ProgramBatchRun",
         "QuadraticProgramBatch",
         "march",
-        "march_many",
     ),
 }
 FOLDERS = {  # where such a name means that job; everywhere where none is given

@@ -39,9 +39,9 @@ from lcp_plugin import (
     gallery,
     prepare,
     solve,
+    solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step
-from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 TESTS = Path(__file__).parents[1]
@@ -257,8 +257,6 @@ def test_runs_agree(name: str) -> None:
     shared = prepare(problem)
     solve(shared.with_q(-2.0 * problem.q), name)
     assert bits(solve(shared, name, record=True).z) == first
-    (answer,) = solve_many(shared, [problem.q], name)
-    assert bits(answer.z) == first
 
 
 def test_threads_agree() -> None:
@@ -316,7 +314,7 @@ def test_nothing_given_changes(form: str) -> None:
     inner = data_of(problem)
     for name in ("auto", *BOUNDED):
         solve(problem, name, z0=z0, record=True, error_bound=True)
-    solve_many(prepare(problem), Q)
+    solve_batch(problem, Q.T[:2])
     analyze(M)
     error_bound(problem, z0)
     convergence_guarantee(problem, "npsor")
@@ -429,8 +427,8 @@ def test_refusals_are_ours(tmp_path: Path) -> None:
         lambda: solve(TWO, callback=3),
         lambda: solve(TWO, "psor", relax=1.0),
         lambda: solve(LCP([[0.0]], [1.0]), "psor"),
-        lambda: solve_many(TWO, 7),
-        lambda: solve_many(7, [[1.0]]),
+        lambda: solve_batch(TWO, "7"),
+        lambda: solve_batch(7, [[1.0]]),
         lambda: analyze([[1.0, 2.0]]),
         lambda: error_bound(TWO, [1.0]),
         lambda: LCP.load(tmp_path / "nothing.npz"),

@@ -62,8 +62,6 @@ from lcp_plugin.interfaces.nl.answers import CODES
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.kinds import KINDS, options_of
 from lcp_plugin.modeling._compat import CVXPY_STATUS
-from lcp_plugin.problems.batches.batch import solve_many
-from lcp_plugin.problems.march.march_many import march_many
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 CLOSE = 1e-5
@@ -135,16 +133,6 @@ def by_batch(sample: Sample, folder: Path) -> None:
             confirm(answer, sample)
 
 
-def by_many(sample: Sample, folder: Path) -> None:
-    given = (
-        [{}, {"c": sample.problem.c}]
-        if sample.kind == "QuadraticProgram"
-        else [sample.problem.q] * 2
-    )
-    for answer in solve_many(sample.problem, given):
-        confirm(answer, sample)
-
-
 def by_prepare(sample: Sample, folder: Path) -> None:
     confirm(solve(prepare(sample.problem)), sample)
 
@@ -178,9 +166,9 @@ def by_regions(sample: Sample, folder: Path) -> None:
 
 
 def by_marches(sample: Sample, folder: Path) -> None:
-    for done in march_many(sample.problem, np.stack([[sample.problem.q] * 2] * 2), 0.0):
+    for done in march(sample.problem, np.stack([[sample.problem.q] * 2] * 2), 0.0):
         confirm(done[0], sample)
-    for done in march_many([sample.problem] * 2, np.stack([sample.problem.q] * 2), [0.0, 0.0]):
+    for done in march([sample.problem] * 2, np.stack([sample.problem.q] * 2), [0.0, 0.0]):
         confirm(done[0], sample)
 
 
@@ -412,10 +400,8 @@ def by_command_report(sample: Sample, folder: Path) -> None:
 TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "solve": by_solve,
     "solve_batch": by_batch,
-    "solve_many": by_many,
     "prepare": by_prepare,
     "march": by_march,
-    "march_many": by_marches,
     "trace": by_trace,
     "regions": by_regions,
     "derivative": by_derivative,
@@ -443,10 +429,8 @@ TRIALS: dict[str, Callable[[Sample, Path], None]] = {
 }
 REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "solve_batch": lambda p, _: solve_batch([p]),
-    "solve_many": lambda p, _: solve_many(p, [[1.0, 1.0]]),
     "prepare": lambda p, _: prepare(p),
     "march": lambda p, _: march(p, [[1.0, 1.0]]),
-    "march_many": lambda p, _: march_many(p, [[1.0, 1.0]]),
     "trace": lambda p, _: trace(p, {"q": 1}, 0, 1),
     "regions": lambda p, _: regions(p, {"q": [[1.0]]}, ([0.0], [1.0])),
     "derivative": lambda _, answer: derivative(answer()),
@@ -525,13 +509,11 @@ def test_worlds_with_contact_work_or_are_refused_in_words(tmp_path: Path) -> Non
         assert derivative(answers).vjp(np.ones((2, 3))).M.shape == (2, 3, 3)
     answers = pickle.loads(pickle.dumps(solve_batch(worlds)))
     assert answers[1].is_solved
-    words = [*REFUSALS.keys() - {"solve_batch", "solve_many", "derivative", "certify", "study"}]
+    words = [*REFUSALS.keys() - {"solve_batch", "derivative", "certify", "study"}]
     for refuse in (lambda p, _: solve(p), *(REFUSALS[way] for way in words)):
         with pytest.raises(LCPError, match="FrictionalContact") as caught:
             refuse(worlds, lambda: answers)  # type: ignore[no-untyped-call]
         assert "solve_batch" in str(caught.value)
-    with pytest.raises(LCPError, match="solve_batch"):
-        solve_many(worlds, [[1.0, 1.0]])
     with pytest.raises(LCPError, match="study needs an LCP"):
         study(worlds, ["lemke"])
     for way in COMMANDS[:-1]:
@@ -711,7 +693,7 @@ def test_a_sequence_of_no_answers(no: Any) -> None:
 
 def test_no_marches() -> None:
     """They have no answer, as a batch of no problems has none."""
-    assert march_many(LCP(np.eye(2), [0, 0]), np.zeros((0, 3, 2))) == []
+    assert march(LCP(np.eye(2), [0, 0]), np.zeros((0, 3, 2))) == []
 
 
 def test_derivative_names_the_answer_that_it_takes() -> None:

@@ -1,73 +1,47 @@
-"""Active sets of banded problems, in compiled rounds: O(n) each."""
+"""Active sets of banded problems, one factorization of the band by LAPACK per round."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
 
-from ...core.algorithm import Algorithm, FusedSolve, Step, check_flag
-from ...core.certificates.criterion import within
-from ...core.certificates.row_residuals import ratio_upwards
-from ...core.checks import FloatVector, read_only
+from ...core.algorithm import Algorithm, Step
+from ...core.checks import FloatVector
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.structure import IntVector
 from ...core.tuning import BANDED_PASSES, BANDED_ROUNDS, BOXED_ROUNDS
 from ...systems.factors import Bands, bands
 from ...systems.graph import bandwidth
 
 DIRECT_COST = 3.0  # passes over a tridiagonal M: the contacts, the other rows, the residual
-
-
-class FusedMarches(NamedTuple):
-    """Steps that one compiled loop has taken.
-
-    Attributes
-    ----------
-    steps : int
-        How many there are.
-    answers : array, shape (m, k, n)
-        Those of the kept steps.
-    before, last : arrays, shape (m, n)
-        The states before the last step, where there is one, and after it.
-    solve_of : callable
-        Called with the numbers of a march and a step, and its answer, returns its fused solve.
-    """
-
-    steps: int
-    answers: FloatVector
-    before: FloatVector
-    last: FloatVector
-    solve_of: Callable[[int, int, FloatVector], FusedSolve]
+TURNS = 30  # direct rounds in which the sides take turns
+TRIES = 10  # rounds without fewer wrong rows or fewer rows at bounds
 
 
 @dataclass(frozen=True, kw_only=True)
 class Banded(Algorithm):
-    """Active sets of a banded M, by compiled rounds: solve for the rows off their bounds, then change what is wrong.
+    """Active sets of a banded M: solve for the rows off their bounds, then change the wrong rows.
 
     Notes
     -----
     A round is a factorisation of the free block, with pivots from the column, within the band: O(n) on a narrow one.
-    Then all wrong rows change, those whose z leaves the bounds or whose w has the wrong sign; where that makes neither
-    them nor the rows at bounds fewer for a while, half of them by lot, up to 200 times. On M-matrices bounded on one
-    side the changes are monotone and finite. An active set that comes out again has its z refined once. A start says
-    which bounds hold at first.
+    Then all wrong rows change, those whose z leaves the bounds or whose w has the wrong sign. On M-matrices bounded on
+    one side the changes are monotone and finite. A settled active set has its z refined once. A start says which bounds
+    hold at first.
 
     Where M is tridiagonal and no entry off the diagonal is positive, the rows at their bounds on one side are found
     directly, in O(n), those at the other side held: bounds on one side take one round, boxes some, in which the sides
     take turns. Where 30 turns have not settled it, one side stays: on an M-matrix z is monotone then, and rows only
     leave the other side, so that it ends. The direct part is the method of Brennan and Schwartz where the contact set
     is one interval at an end, Cryer's in general.
-
-    Parameters
-    ----------
-    hands_over : bool
-        Whether to end after a few changes by lot, as where another method is to follow.
 
     References
     ----------
@@ -93,11 +67,6 @@ class Banded(Algorithm):
     is_monotone: ClassVar[bool] = False
     ends_with_a_case: ClassVar[bool] = True
 
-    hands_over: bool = False
-
-    def __post_init__(self) -> None:
-        check_flag(self, "hands_over")
-
     def predicted_passes(self, problem: LCP, sweeps: float) -> float:
         """Return those of as many rounds as there usually are; ∞ where M is dense."""
         return math.inf if problem.is_dense else _predicted_passes(problem.matrix)
@@ -113,212 +82,12 @@ class Banded(Algorithm):
         return f"M is an M-matrix, {what}: the changes are monotone and finite (Chandrasekaran 1970, Cryer 1983)"
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, and then z of one active set after the other; end where no other is to be tried."""
-        from . import kernels
-
-        band, n = self._bands(problem), problem.n
-        if n == 0:
-            yield Step(z0, 0.0)
-            return
-        costs = *_costs(band, problem), 1.0
-        vectors, sets, memory = (
-            np.empty((4, n)),
-            np.empty((4, n), np.int8),
-            np.empty(kernels.SLOTS, np.int64),
-        )
-        memory[kernels.WAY], goes_on = kernels.BEGINNING, True
-        given = (
-            band.entries,
-            band.below,
-            band.is_tridiagonal_z,
-            band.weights,
-            problem.residual_scale,
-            problem.q,
-            problem.lower,
-            problem.upper,
-            z0,
-            vectors,
-            sets,
-            memory,
-            np.empty((n, band.entries.shape[0])),
-            self._halves(),
-        )
-        while goes_on:
-            residual, goes_on = kernels.step(*given)
-            yield Step(z0, residual, work=costs[memory[kernels.LAST_WAY]])
-
-    def solve_fused(
-        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
-    ) -> FusedSolve | None:
-        """Return the answer of the same rounds in one call."""
-        return self.fused_solves(
-            problem, problem.q[None].copy(), z0[None].copy(), tolerance, max_iterations
-        )[0]
-
-    def fused_solves(
-        self,
-        problem: LCP,
-        Q: FloatVector,
-        Z: FloatVector,
-        tolerance: float,
-        max_iterations: int,
-        propagator: Any = None,
-    ) -> list[FusedSolve | None]:
-        """Return the fused solve of each row of Q, one after the other in one compiled loop.
-
-        Parameters
-        ----------
-        problem : LCP
-            Gives M and the bounds.
-        Q, Z : arrays, shape (k, n)
-            Offsets, and starts within the bounds; the latter are overwritten by the answers, and read-only then.
-        tolerance, max_iterations
-            As for `solve_fused`, of each.
-        propagator : CSR array, shape (n, n), optional
-            The march in time: Q[k] becomes Q[k] + propagator @ z of the row before, and that z its start. Where a row
-            does not converge, the next ones have to wait, None.
-        """
-        k, n = Q.shape
-        if n == 0 or (
-            problem.is_dense and n > 1
-        ):  # the products of an ndarray are BLAS's, summed in its own order
-            return [None] * k
-        from .kernels import run_all
-
-        band, M = self._bands(problem), problem.csr
-        rounds, ends = np.empty((k, 2), np.int64), np.empty((k, 3))
-        arrays = [M.indptr[:0], M.indices[:0], M.data[:0]]
-        if propagator is not None:
-            index = M.indptr.dtype
-            arrays = [
-                propagator.indptr.astype(index),
-                propagator.indices.astype(index),
-                propagator.data,
-            ]
-        arrays = [
-            read_only(array) for array in arrays
-        ]  # one signature with a propagator and without
-        run_all(
-            band.entries,
-            band.below,
-            band.is_tridiagonal_z,
-            band.weights,
-            problem.residual_scale,
-            M.indptr,
-            M.indices,
-            M.data,
-            *arrays,
-            Q,
-            problem.lower,
-            problem.upper,
-            problem.nearest_to_zero,
-            tolerance,
-            max_iterations,
-            self._halves(),
-            Z,
-            rounds,
-            ends,
-        )
-        costs = _costs(band, problem)
-        Z.flags.writeable = False  # they are judged
-        found: list[FusedSolve | None] = []
-        for z, (largest, least, terms), (direct, blocks) in zip(
-            Z, ends.tolist(), rounds.tolist(), strict=True
-        ):
-            residual, work = ratio_upwards(largest, least), _work(costs, direct, blocks)
-            part = self.name, direct + blocks, work
-            is_solved = within(residual, terms, tolerance)
-            found.append(FusedSolve(z, residual, terms, work, (part,)) if is_solved else None)
-        return found
-
-    def fused_marches(
-        self,
-        problems: Sequence[LCP],
-        forcing: FloatVector,
-        propagators: Sequence[Any],
-        lower: FloatVector,
-        upper: FloatVector,
-        z: FloatVector,
-        kept: IntVector,
-        tolerance: float,
-        max_iterations: int,
-    ) -> FusedMarches:
-        """Return the first steps of some marches, as many as have converged in all of them.
-
-        Parameters
-        ----------
-        problems : sequence of LCP
-            Give M, tridiagonal, with no positive entry off the diagonal: one for all, or that of each on one pattern.
-        forcing : array, shape (k, n, m), or (k, n, 1) for all marches, k = 1 for all steps
-        propagators : sequence of CSR arrays, shape (n, n)
-            One for all, or that of each on one pattern.
-        lower, upper, z : arrays, shape (n, m)
-            Bounds, and the states before the first step; there are at most `march_kernels.MARCHES`.
-        kept : array of int, shape (k,)
-            For each step its number among those whose answers are kept, −1 where they are not.
-        tolerance, max_iterations
-            As for `solve_fused`, of each step.
-        """
-        from .march_kernels import MARCHES, march_all
-
-        def filled(rows: FloatVector) -> FloatVector:
-            return np.ascontiguousarray(
-                rows[..., np.minimum(np.arange(MARCHES), rows.shape[-1] - 1)]
-            )
-
-        first, C, (n, m) = problems[0], propagators[0], z.shape
-        are_one = len(problems) == len(propagators) == 1
-
-        def values(each: Iterable[FloatVector]) -> FloatVector:
-            return next(iter(each)) if are_one else filled(np.stack(list(each), axis=-1))
-
-        answers, rounds = (
-            np.empty((m, kept.max(initial=-1) + 1, n)),
-            np.empty((len(kept), MARCHES), np.int64),
-        )
-        ends, states = np.empty((*rounds.shape, 2)), np.empty((3, n, MARCHES))
-        lower, upper = filled(lower), filled(upper)
-        states[0] = filled(z)
-        whole = [
-            A.astype(np.int64) for A in (first.csr.indptr, first.csr.indices, C.indptr, C.indices)
-        ]
-        steps = march_all(
-            *values(self._bands(one).entries for one in problems),
-            values(one.residual_scale for one in problems),
-            *whole[:2],
-            values(one.csr.data for one in problems),
-            *whole[2:],
-            values(one.data for one in propagators),
-            np.ascontiguousarray(forcing) if forcing.shape[-1] == 1 else filled(forcing),
-            lower,
-            upper,
-            np.clip(0.0, lower, upper),
-            tolerance,
-            max_iterations,
-            kept,
-            states,
-            answers,
-            rounds,
-            ends,
-        )
-        answers.flags.writeable = False  # they are judged
-        costs = _costs(self._bands(first), first)
-
-        def solve_of(march: int, step: int, z: FloatVector) -> FusedSolve:
-            count, (largest, least) = int(rounds[step, march]), ends[step, march].tolist()
-            work = _work(costs, count, 0)
-            part = self.name, count, work
-            return FusedSolve(
-                z, ratio_upwards(largest, least), 0.0, work, (part,)
-            )  # rows are right to rounding
-
-        before, last = (states[k % 3].T[:m] for k in (steps - 1, steps))
-        return FusedMarches(steps, answers, before, last, solve_of)
-
-    def _halves(self) -> int:
-        from .kernels import FEW_HALVES, HALVES
-
-        return FEW_HALVES if self.hands_over else HALVES
+        """Yield the start, then z of one active set after the other; end if no other is to be tried."""
+        band = self._bands(problem)
+        work = 0.0
+        for z, residual in active_sets(problem, band, problem.q, z0):
+            yield Step(z, residual, work=work or 1.0)
+            work = (band.below + 2.0) * band.entries.size / max(problem.nonzeros, 1)
 
     def _bands(self, problem: LCP) -> Bands:
         band = bands(problem.matrix)
@@ -347,17 +116,140 @@ def _predicted_passes(matrix: Matrix) -> float:
     return rounds * cost * (below + above + 1.0) * matrix.n / max(matrix.nonzeros, 1)
 
 
-def _work(costs: tuple[float, float], direct: int, blocks: int) -> float:
-    """Return the work of a run, added up as single steps are."""
-    work = 1.0
-    for cost, count in zip(costs, (direct, blocks), strict=True):
-        for _ in range(count):
-            work += cost
-    return work
+def active_sets(
+    problem: LCP, band: Bands, q: FloatVector, z0: FloatVector
+) -> Iterator[tuple[FloatVector, float]]:
+    """Yield z, shape (n,), and its ‖r(z)‖∞: the start, then the z of one active set per round.
+
+    A round solves w = 0 on the free rows, the others at their bounds, and takes z into the bounds. Then every row
+    changes whose z leaves the bounds or whose w has the wrong sign. If M is tridiagonal with off-diagonal entries ≤ 0,
+    the rows at the bound of one side are found directly, with those at the other side held; the sides take turns, and
+    from round TURNS on one side stays, so that rows only leave the other one. A settled active set is solved again
+    with its residual as the right-hand side. The rounds end there, at a singular block, or if neither the wrong rows
+    nor the rows at bounds have become fewer in TRIES rounds.
+
+    Parameters
+    ----------
+    problem : LCP
+        The matrix and the bounds.
+    band : Bands
+        Of its matrix.
+    q, z0 : arrays, shape (n,)
+    """
+    lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
+    is_fixed = lower == upper
+
+    def measured(z: FloatVector) -> tuple[FloatVector, NDArray[np.int8], float]:
+        """Return w, the bounds that z − w/d reaches (−1, 0, 1) and ‖r(z)‖∞."""
+        w = problem.matrix.array @ z + q
+        step, above, beyond = w / scale, z - lower, z - upper
+        side = (beyond >= step).astype(np.int8)
+        side[is_fixed | (above <= step)] = -1
+        return w, side, float(np.abs(np.clip(step, beyond, above)).max(initial=0.0))
+
+    w, target, residual = measured(z0)
+    yield z0, residual
+    side = 1 if np.isfinite(lower).sum() >= np.isfinite(upper).sum() else -1
+    is_direct, patience, fewest_wrong, fewest_held = band.is_tridiagonal_z, TRIES, np.inf, np.inf
+    for k in itertools.count() if q.size else ():
+        state, z = target, None
+        if is_direct:
+            state, z = _contacts(problem, band, q, target, side)
+            is_direct = z is not None
+        if z is None:
+            z = solve_on_band(band, state, np.where(state < 0, lower, upper), q)
+        if z is None:
+            return
+        w, target, residual = measured(z)
+        wrong = np.flatnonzero(state != target)
+        inside = np.clip(z, lower, upper)
+        yield inside, residual if (inside == z).all() else measured(inside)[2]
+        if not wrong.size:
+            if (step := solve_on_band(band, state, np.zeros(q.size), w)) is not None:
+                z = np.clip(z + step, lower, upper)
+                yield z, measured(z)[2]
+            return
+        if is_direct:
+            is_far = (state[wrong] == side) | (target[wrong] == side)
+            is_direct = bool(is_far.any()) and k < TURNS + q.size
+            side = -side if is_direct and k < TURNS else side
+        if not is_direct:
+            target = np.where(state == -target, 0, target).astype(np.int8)
+            held = np.count_nonzero(target)
+            is_better = wrong.size < fewest_wrong or held < fewest_held
+            patience = TRIES if is_better else patience - 1
+            fewest_wrong, fewest_held = min(wrong.size, fewest_wrong), min(held, fewest_held)
+            if patience < 0:
+                return
 
 
-def _costs(band: Bands, problem: LCP) -> tuple[float, float]:
-    """Return the work of a round on the direct way and on the other, in passes over M."""
-    width, n = band.entries.shape
-    passes = width * n / max(problem.nonzeros, 1)
-    return DIRECT_COST * passes, (band.below + 2.0) * passes
+def _contacts(
+    problem: LCP, band: Bands, q: FloatVector, target: NDArray[np.int8], side: int
+) -> tuple[NDArray[np.int8], FloatVector | None]:
+    """Return the active set whose rows at the bound of side −side are found directly, and its z; None if it fails."""
+    near, far = (problem.lower, problem.upper)[::side]
+    is_held = (problem.lower == problem.upper) | (target == side)
+    value = np.where(is_held, far, near)[None]
+    z, is_free = solve_one_sided(band.entries[None], q[None], side, value, is_held[None])
+    if z is None:
+        return target, None
+    return np.where(is_free[0], 0, np.where(is_held, side, -side)).astype(np.int8), z[0]
+
+
+def solve_one_sided(
+    bands: FloatVector,
+    Q: FloatVector,
+    side: int,
+    value: FloatVector,
+    is_held: NDArray[np.bool_],
+) -> tuple[FloatVector | None, NDArray[np.bool_]]:
+    """Return z and the free rows, shapes (m, n), of tridiagonal problems with bounds on one side; None if it fails.
+
+    Parameters
+    ----------
+    bands : array, shape (1, 3, n) or (m, 3, n)
+        ``Bands.entries`` of one M, or of each M; no positive entry off the diagonal.
+    Q : array, shape (m, n)
+    side : int
+        1 for lower bounds, −1 for upper ones.
+    value : array, shape (m, n)
+        The bounds, ±∞ for none.
+    is_held : array of bool, shape (m, n)
+        The rows that stay at their value.
+    """
+    from . import kernels
+
+    Z, is_free = np.empty(Q.shape), np.empty(Q.shape, np.bool_)
+    count = kernels.solve_one_sided(bands, Q, float(side), value, is_held, is_free, Z)
+    return Z if count == len(Q) else None, is_free
+
+
+def solve_on_band(
+    band: Bands, state: NDArray[np.int8], value: FloatVector, q: FloatVector
+) -> FloatVector | None:
+    """Return x with M x + q = 0 on the rows with state 0 and x = value on the others; None if that block is singular.
+
+    Parameters
+    ----------
+    band : Bands
+        Of M.
+    state : array of int, shape (n,)
+    value, q : arrays, shape (n,)
+    """
+    is_held, n = state != 0, q.size
+    entries = np.where(is_held, 0.0, band.entries * band.weights)
+    entries[band.below, is_held] = 1.0
+    right = np.where(is_held, value, -q * band.weights)
+    if len(entries) == 3 and band.below == 1:
+        x, info = lapack.dgtsv(entries[0, 1:], entries[1], entries[2, :-1], right)[3:]
+    else:
+        above = len(entries) - 1 - band.below
+        columns = np.zeros(
+            (band.below + len(entries), n)
+        )  # LAPACK's layout, with room for its pivots
+        for k, row in enumerate(entries):
+            offset = k - band.below
+            first, last = max(offset, 0), n + min(offset, 0)
+            columns[band.below + above - offset, first:last] = row[first - offset : last - offset]
+        x, info = lapack.dgbsv(band.below, above, columns, right)[2:]
+    return x if info == 0 and np.isfinite(x).all() else None

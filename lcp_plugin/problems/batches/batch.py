@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...auto import asked_of_solve, solve_lcp
 from ...core.algorithm import Algorithm
-from ...core.errors import InvalidOption, InvalidProblem, LCPError, UnknownAlgorithm
+from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
-from ...core.settings import Settings, Status, checked_threads
-from ...core.solving.result import Result
+from ...core.settings import Settings, checked_threads
 from ...methods.banded import Banded
 from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.program import QuadraticProgram
-from ..programs.solving import QuadraticProgramResult, prepare_program, programs_for
+from ..programs.solving import prepare_program, programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchResult, BatchRun
@@ -332,118 +330,3 @@ def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None
         )
     if not (q is None and lower is None and upper is None):
         raise InvalidOption(f"{what} bring q and their bounds; write {remedy} for others")
-
-
-@overload
-def solve_many(
-    problem: LCP,
-    Q: ArrayLike | Sequence[ArrayLike],
-    algorithm: str | Algorithm = "auto",
-    **options: Any,
-) -> list[Result | LCPError]: ...
-@overload
-def solve_many(
-    problem: QuadraticProgram,
-    Q: Sequence[Mapping[str, ArrayLike]],
-    algorithm: str | Algorithm = "auto",
-    **options: Any,
-) -> list[QuadraticProgramResult | LCPError]: ...
-def solve_many(problem: Any, Q: Any, algorithm: str | Algorithm = "auto", **options: Any) -> Any:
-    """Return the results for many q and one M: for each column of Q a Result, or the error that refuses it.
-
-    Parameters
-    ----------
-    problem : LCP or QuadraticProgram
-        Gives M and the bounds; its own q is not used. Of a program all that an entry of Q does not name.
-    Q : array, shape (n, k), or a sequence of k vectors; of a program a sequence of k mappings
-        A vector of another length, or with NaN in it, is an InvalidProblem in its place and does not stop the rest.
-        Mappings hold what ``program.with_vectors`` takes, as ``{"b": …}`` for a controller's next state; the active
-        set of an answer is tried first for the next one.
-    algorithm, **options
-        As for :func:`lcp_plugin.solve`.
-
-    Returns
-    -------
-    list of Result, or QuadraticProgramResult, or LCPError
-        Of length k; shorter only where a run was INTERRUPTED, which ends the batch.
-
-    Raises
-    ------
-    UnknownAlgorithm, InvalidOption
-        What concerns all columns, before the first.
-    InvalidProblem
-        Where Q is no collection of vectors, or none of them has length n: a transposed Q, for one.
-    Exception
-        What a callback raises, whatever it is, as in :func:`lcp_plugin.solve`.
-
-    Examples
-    --------
-    >>> answers = solve_many(LCP([[2, 1], [1, 2]], [0, 0]), [[-5, 1], [np.nan, 0], [1, 1]])
-    >>> [type(answer).__name__ for answer in answers], answers[0].z.round(6)
-    (['Result', 'InvalidProblem', 'Result'], array([2.5, 0. ]))
-    >>> program = prepare(QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[2]))
-    >>> [answer.x.tolist() for answer in solve_many(program, [{"b": [2]}, {"b": [4]}])]
-    [[1.0, 1.0], [2.0, 2.0]]
-    """
-    if isinstance(problem, QuadraticProgram):
-        found = solve_batch(problem, Q, algorithm=algorithm, **options)
-        return [found.errors[k] if k in found.errors else found[k] for k in range(len(found))]
-    if not isinstance(problem, LCP):
-        raise InvalidOption(refusal("solve_many", problem))
-    columns, callback = _columns(Q, problem.n), options.get("callback")
-    asked_of_solve(algorithm, options)  # what is wrong for all is refused before the first
-    if callable(callback):
-        callback = options["callback"] = _CallersOwn(callback)
-    answers: list[Result | LCPError] = []
-    for q in columns:
-        try:
-            answers.append(found := solve_lcp(problem.with_q(q), algorithm, **options))
-        except (InvalidOption, UnknownAlgorithm):
-            raise
-        except LCPError as error:
-            if isinstance(callback, _CallersOwn) and error is callback.raised:
-                raise
-            answers.append(error)
-        else:
-            if found.status is Status.INTERRUPTED:
-                break
-    return answers
-
-
-class _CallersOwn:
-    """The caller's function, which remembers what it raised: that is no refusal of ours."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-        self.raised: BaseException | None = None
-
-    def __call__(self, *arguments: Any) -> bool:
-        try:
-            return bool(self._function(*arguments))
-        except BaseException as error:
-            self.raised = error
-            raise
-
-
-def _columns(Q: Any, n: int) -> list[Any]:
-    need = f"Q must be an array of shape (n, k), n = {n}, or a list of vectors of length {n}"
-    if isinstance(Q, np.ndarray) and Q.ndim == 2:
-        if Q.shape[0] != n:
-            hint = "; its rows are vectors of that length: give Q.T" if Q.shape[1] == n else ""
-            raise InvalidProblem(f"{need}, got an array of shape {Q.shape}{hint}")
-        return [np.ascontiguousarray(column) for column in Q.T]
-    if isinstance(Q, np.ndarray) or not isinstance(Q, Sequence) or isinstance(Q, str):
-        shape = f"an array of shape {Q.shape}" if isinstance(Q, np.ndarray) else type(Q).__name__
-        raise InvalidProblem(f"{need}, got {shape}")
-    lengths = {_length(q) for q in Q}
-    if Q and n not in lengths:
-        hint = "; they are as many as rows: give the columns" if len(Q) == n else ""
-        found = ", ".join(map(str, sorted(lengths)))
-        raise InvalidProblem(f"{need}, got a list of {len(Q)} with lengths {found}{hint}")
-    return list(Q)
-
-
-def _length(q: Any) -> int:
-    if isinstance(q, np.ndarray):
-        return q.size
-    return len(q) if hasattr(q, "__len__") else 1

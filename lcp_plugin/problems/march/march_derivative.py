@@ -19,42 +19,69 @@ from ...core.checks import (
     FloatVector,
     finite_vector,
     is_number,
-    read_only,
     real_array,
     rectangular_matrix,
 )
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...core.kernels.floats import EPSILON
 from ...core.kind import changes_by_name
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
-from ...systems.factors import BANDED_UP_TO, bands
+from ...methods.banded import solve_on_band
+from ...systems.factors import BANDED_UP_TO, Bands, bands
 from ...systems.graph import bandwidth
 from . import BLOCK, March
 
 if TYPE_CHECKING:
     from ..sensitivity import Derivative
 
+STEPS = 6  # rounds of active sets; from a solved problem one or two settle all rows
+SETTLED = 2.0**-26  # relative to z, of the last change: the next one would be rounding
+LEFT = 2.0**-20  # relative to the last change, more than it leaves of the error
+CLEAR = 64.0  # times the rounding error
+BACKWARD = 2.0**-40  # relative residual of a stable solution
+CANCELLED = 2.0**40  # terms relative to their sum: the block is about singular
+KINK = 2  # times the side of a row at this bound with w = 0
+NEGLIGIBLE = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
 CHANGES = ("dM", "dforcing", "dpropagator", "dz0", "dlower", "dupper", "only_last")
 
 
 class Band(NamedTuple):
-    """What the compiled loops take of a narrow band: the matrix by its diagonals and by rows, and the propagator."""
+    """The matrix of a march on a narrow band, its bands, and the propagator; or the transposed ones."""
 
-    band: Any
-    rows: Any
-    propagator: Any
+    M: sp.csr_array
+    size: sp.csr_array
+    entries: Bands
+    propagator: sp.csr_array
 
     @classmethod
     def of(cls, matrix: Matrix, propagator: sp.csr_array) -> Band | None:
-        """Return it, None where the band is not narrow."""
-        if (
-            sum(bandwidth(matrix) or (matrix.n, matrix.n)) > BANDED_UP_TO
-            or (band := bands(matrix)) is None
-        ):
+        """Return it, None if the band is not narrow."""
+        width = sum(bandwidth(matrix) or (matrix.n, matrix.n))
+        if width > BANDED_UP_TO or (entries := bands(matrix)) is None:
             return None
-        given = band.entries, band.below, band.is_tridiagonal_z, band.weights
-        return cls(given, _by_rows(matrix.csr), _by_rows(propagator))
+        return cls(matrix.csr, abs(matrix.csr), entries, propagator)
+
+    def solve(
+        self, state: NDArray[np.int8], value: FloatVector, right: FloatVector
+    ) -> tuple[FloatVector, FloatVector, float] | None:
+        """Return the x that is `value` on the rows with a state and solves M x + right = 0 on the others.
+
+        Also M x + right, and its rounding error in units of the rows. None if the block of the free rows is about
+        singular: its residual is not rounding, or its terms cancel.
+        """
+        x = solve_on_band(self.entries, state, value, right)
+        if x is None:
+            return None
+        is_free, unit = state == 0, self.entries.weights
+        w, size = self.M @ x + right, (self.size @ np.abs(x) + np.abs(right)) * unit
+        terms = np.max(size[is_free], initial=0.0)
+        given = np.abs(self.M @ np.where(is_free, 0.0, x) + right) * unit
+        is_regular = np.max(
+            np.abs(w[is_free]) * unit[is_free], initial=0.0
+        ) <= BACKWARD * terms and terms <= CANCELLED * np.max(given[is_free], initial=0.0)
+        return (x, w, EPSILON * float(terms)) if is_regular else None
 
 
 def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVector:
@@ -63,50 +90,75 @@ def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVe
     return sums
 
 
-def _by_rows(A: sp.csr_array) -> Any:
-    return (
-        A.indptr.astype(np.int64),
-        A.indices.astype(np.int64),
-        read_only(A.data),
-    )  # one signature of a loop
+class Steps:
+    """Some steps that follow each other; `here` are their numbers.
 
+    On a narrow band each solution is first computed once more on its free rows, and its rows are told apart: −1 at the
+    lower bound, 0 between, 1 at the upper one, ∓2 if w = 0 there as well. A step with rows that rounding leaves open,
+    or with a free block that is about singular, is left to its Derivative.
 
-class CompiledSteps:
-    """Some steps that follow each other, by the compiled loops as far as these go; `here` are their numbers.
-
-    `states`, shape (count + 1, n), are the one before the first of them, whose number is `first`, and the answers.
+    Parameters
+    ----------
+    whole : MarchDerivative
+    first : int
+        The number of the first step.
+    states : array, shape (count + 1, n)
+        The state before the first step, and the solutions.
     """
 
     def __init__(self, whole: MarchDerivative, first: int, states: FloatVector) -> None:
-        self.whole, self.march, self.band, self.states = whole, whole.march, whole.band, states
+        self.whole, self.march, self.states = whole, whole.march, states
         march, count = whole.march, len(states) - 1
         self.here = slice(first, first + count)
-        self.q = np.array(march.forcing[self.here], order="C")
-        self.z, self.sides = states[1:].copy(), np.zeros((count, states.shape[1]), np.int8)
+        self.q = march.forcing[self.here] + (march.propagator @ states[:-1].T).T
+        self.z, self.sides = states[1:].copy(), np.full((count, states.shape[1]), KINK, np.int8)
         self._of_step: tuple[int, Derivative] | None = None
         self.is_plain = np.zeros(count, np.bool_)
-        if self.band is None:
-            self.q += (march.propagator @ states[:-1].T).T
-        else:
-            from .kernels import settle
-
-            problem = march.problem
-            settle(
-                self.band.band,
-                *self.band.rows,
-                problem.residual_scale,
-                self.band.propagator,
-                self.states,
-                self.q,
-                problem.lower,
-                problem.upper,
-                self.z,
-                self.sides,
-                self.is_plain,
-            )
+        if whole.band is not None:
+            with np.errstate(all="ignore"):
+                self._settle(whole.band)
 
     def __len__(self) -> int:
         return len(self.z)
+
+    def _settle(self, band: Band) -> None:
+        """Solve each step on its free rows until their set stays, and tell its rows apart."""
+        problem, z, sides = self.march.problem, self.z, self.sides
+        lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
+        change, are_settled = np.zeros(z.shape), np.zeros(len(z), np.bool_)
+        rounding = EPSILON * (np.diff(band.M.indptr) + 1)
+        is_open = np.ones(len(z), np.bool_)
+        for _ in range(STEPS):
+            w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
+            above, below = z - lower, upper - z
+            nearest = np.minimum(above, below) * scale
+            is_negligible = (nearest < NEGLIGIBLE) & (np.abs(w) < NEGLIGIBLE)
+            found = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
+            found = np.where(is_negligible, np.where(above <= below, -1, 1), found)
+            found = np.where(lower == upper, np.where(w < 0.0, 1, -1), found)
+            ended = is_open & are_settled & (found == sides).all(axis=1)
+            size *= rounding
+            near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
+            is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
+            is_kink = is_negligible | ((nearest <= size) & (np.abs(w) <= size) & ~is_clear)
+            self.is_plain |= ended & (is_clear | is_kink).all(axis=1)
+            kinks = np.where(below < above, KINK, -KINK)
+            sides[ended] = np.where(is_kink & (lower != upper), kinks, found)[ended]
+            is_open &= ~ended
+            for k in np.flatnonzero(is_open):
+                sides[k] = state = found[k]
+                bound = np.where(state < 0, lower, upper)
+                step = solve_on_band(band.entries, state, np.where(state, bound - z[k], 0.0), w[k])
+                if step is None:
+                    is_open[k] = False
+                    continue
+                z[k] = np.where(state, bound, z[k] + step)
+                change[k] = np.abs(step)
+                are_settled[k] = np.max(change[k], initial=0.0) <= SETTLED * np.max(
+                    np.abs(z[k]), initial=0.0
+                )
+            if not is_open.any():
+                return
 
     def at(self, k: int) -> Derivative:
         """Return the derivative of a step by its own data."""
@@ -116,7 +168,7 @@ class CompiledSteps:
         return self._of_step[1]
 
     def degenerate(self, k: int) -> NDArray[np.intp]:
-        """Return the degenerate rows of a step; of a side, 2 says that w = 0 there."""
+        """Return the degenerate rows of a step."""
         return (
             np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain[k] else self.at(k).degenerate
         )
@@ -130,74 +182,47 @@ class CompiledSteps:
         dupper: FloatVector,
         before: FloatVector,
     ) -> FloatVector:
-        """Return the changes of the answers, and write the last one over that of the state before the first step."""
-        given = np.broadcast_to(dforcing, self.z.shape)
-        right = np.array(
-            given + (dpropagator @ self.states[:-1].T).T + (dM @ self.z.T).T, order="C"
-        )
-
-        def alone(k: int) -> FloatVector:
-            dq = (
-                given[k]
-                + dpropagator @ self.states[k]
-                + self.march.propagator @ before
-                + dM @ self.at(k).z
-            )
-            return self.at(k).jvp(dq=dq, dlower=dlower, dupper=dupper)
-
-        return self._solved(
-            self.whole.band, right, (dlower, dupper), before, np.zeros((2, before.size)), alone, 1
-        )
+        """Return the changes of the solutions, and write the last one over that of the state before the first step."""
+        given = np.broadcast_to(dforcing, self.z.shape) + (dpropagator @ self.states[:-1].T).T
+        right, dz, band = given + (dM @ self.z.T).T, np.empty(self.z.shape), self.whole.band
+        for k, side in enumerate(self.sides):
+            moved, found = self.march.propagator @ before, None
+            if band is not None and self.is_plain[k]:
+                value = np.where(side < 0, dlower, np.where(side > 0, dupper, 0.0))
+                found = band.solve(side, value, right[k] + moved)
+            if found is not None:  # a degenerate row stays at its bound if its slack agrees
+                dz[k], w, rounding = found
+                slack = np.where(side > 0, w, -w) * band.entries.weights  # type: ignore[union-attr]
+                if (slack[np.abs(side) == KINK] > rounding).any():
+                    found = None
+            if found is None:
+                alone = self.at(k)
+                dq = given[k] + moved + dM @ alone.z
+                dz[k] = alone.jvp(dq=dq, dlower=dlower, dupper=dupper)
+            before[:] = dz[k]
+        return dz
 
     def vjp(self, g: FloatVector, after: FloatVector, of_bounds: FloatVector) -> FloatVector:
         """Return the gradients by q, and add those by both bounds, shape (2, n).
 
-        `after` is the gradient by q of the step behind these, 0 where there is none; then that of the first of these.
+        `after` is the gradient by q of the step behind these, 0 if there is none; then that of the first of these.
         """
-        nothing = np.zeros(after.size)
-
-        def alone(k: int) -> FloatVector:
-            found, self.z[k] = self.at(k).vjp(g[k] + self.march.propagator.T @ after), self.at(k).z
-            of_bounds[:] += found.lower, found.upper
-            return found.q
-
-        return self._solved(
-            self.whole.transposed, g, (nothing, nothing), after, of_bounds, alone, -1
-        )
-
-    def _solved(
-        self,
-        band: Band | None,
-        right: FloatVector,
-        values: tuple[FloatVector, FloatVector],
-        carried: FloatVector,
-        of_bounds: FloatVector,
-        alone: Callable[[int], FloatVector],
-        way: int,
-    ) -> FloatVector:
-        """Return x of each step, as the compiled loop has it, and that of the steps that it leaves alone."""
-        x, k = np.empty(right.shape), 0 if way > 0 else len(self) - 1
-        while 0 <= k < len(self):
-            if band is not None:
-                from .kernels import solve_steps
-
-                k = solve_steps(
-                    band.band,
-                    band.propagator,
-                    right,
-                    *values,
-                    self.sides,
-                    self.is_plain,
-                    k,
-                    way,
-                    carried,
-                    x,
-                    of_bounds,
-                )
-            if 0 <= k < len(self):
-                x[k] = carried[:] = alone(k)
-                k += way
-        return x
+        by_q, band = np.empty(self.z.shape), self.whole.transposed
+        for k in reversed(range(len(self))):
+            side, right = self.sides[k], g[k] + self.march.propagator.T @ after
+            found = None
+            if band is not None and self.is_plain[k]:
+                found = band.solve(side, np.zeros(side.size), right)
+            if found is not None:
+                by_q[k], w, _ = found
+                of_bounds[:] += np.where(side < 0, w, 0.0), np.where(side > 0, w, 0.0)
+            else:
+                alone = self.at(k)
+                gradient, self.z[k] = alone.vjp(right), alone.z
+                of_bounds[:] += gradient.lower, gradient.upper
+                by_q[k] = gradient.q
+            after[:] = by_q[k]
+        return by_q
 
 
 class MarchGradient:
@@ -251,10 +276,8 @@ class MarchDerivative:
 
     Notes
     -----
-    Steps on a narrow band are gone through in one compiled loop. A step with rows that are about degenerate, or with a
-    free block that is about singular, is left to its Derivative, and so are all steps of other problems.
-
-    Answers that the march has not kept are computed once more, from the kept one before, and forgotten again.
+    A step on a narrow band is one banded system. A step with rows that are about degenerate, or with a free block that
+    is about singular, is left to its Derivative, and so are all steps of other problems.
     """
 
     def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
@@ -429,7 +452,7 @@ class MarchDerivative:
 
     def _back(
         self, g: FloatVector, after: FloatVector, of_bounds: FloatVector
-    ) -> Iterator[tuple[CompiledSteps, FloatVector]]:
+    ) -> Iterator[tuple[Steps, FloatVector]]:
         """Yield the steps from the last to the first, some at a time, with their gradients by q."""
         for part in self._parts(backwards=True):
             own = np.zeros(part.z.shape)
@@ -439,29 +462,22 @@ class MarchDerivative:
                 own[-1] = g
             yield part, part.vjp(own, after, of_bounds)
 
-    def _parts(self, *, backwards: bool = False) -> Iterator[CompiledSteps]:
+    def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
         """Yield the steps, some at a time, with what has been found out about each."""
-        whole, every = self.march, BLOCK if self.march.keep_every == 1 else self.march.keep_every
-        starts = range(0, len(whole), every)
+        march = self.march
+        starts = range(0, len(march), BLOCK)
         for first in reversed(starts) if backwards else starts:
-            begin, part = whole.part(first)
-            end = min(first + every, len(whole))
-            states = np.array(
-                [
-                    part.z0 if first == begin else part.z[first - begin - 1],
-                    *part.z[first - begin : end - begin],
-                ]
-            )
-            yield CompiledSteps(self, first, states)
+            before = march.z[first - 1] if first else march.z0
+            yield Steps(self, first, np.array([before, *march.z[first : first + BLOCK]]))
 
     @cached_property
     def band(self) -> Band | None:
-        """What the compiled loops take, where M is a narrow band."""
+        """The march's band, None if M has no narrow one."""
         return Band.of(self.march.problem.matrix, self.march.propagator)
 
     @cached_property
     def transposed(self) -> Band | None:
-        """What the compiled loop backwards takes: of the transposed matrices."""
+        """The same of the transposed matrices."""
         return Band.of(
             Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T)
         )

@@ -12,9 +12,7 @@ NONLINEAR_PROBLEM = Kind(
         "prove_infeasibility=": "nothing proves a nonlinear problem infeasible, leave it out",
         "tolerance_on=": "error_bound=True proves a solution near x, given an enclosure",
         "solve_batch": "write [solve(problem, x0=…) for problem in problems]",
-        "solve_many": "write [solve(problem, x0=…) for problem in problems]",
         "march": "write solve(problem, x0=result.x) for each step",
-        "march_many": "write solve(problem, x0=result.x) for each step",
         "Certificate.of": "solve(problem, x0=x, max_iterations=0).certificate is that of x",
         "error_bound": "solve(problem, x0=x, error_bound=True).error_bound proves a solution near x, given an "
         "enclosure",

@@ -8,7 +8,6 @@ QUADRATIC_PROGRAM = Kind(
     (
         "solve",
         "solve_batch",
-        "solve_many",
         "prepare",
         "trace",
         "regions",

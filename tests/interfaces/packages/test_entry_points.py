@@ -28,7 +28,6 @@ from lcp_plugin.algorithms import (
 )
 from lcp_plugin.commands.cli import app
 from lcp_plugin.engines import ENGINES
-from lcp_plugin.problems.batches.batch import solve_many
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8")
@@ -70,10 +69,6 @@ def test_an_installed_algorithm_is_found_by_name(install: Install) -> None:
     assert result.algorithm == "extragradient"
     assert np.allclose(result.z, [0.75, 0.0], atol=1e-7)
     assert create("extragradient", {"step": 0.5}) == algorithm_class("extragradient")(step=0.5)  # type: ignore[call-arg]
-    assert all(
-        getattr(one, "is_solved", False)
-        for one in solve_many(PROBLEM, [[-1, 0], [0, 1]], "extragradient")
-    )
     with pytest.raises(
         InvalidOption, match=r"extragradient has no option 'stpe'; did you mean 'step'\?"
     ):

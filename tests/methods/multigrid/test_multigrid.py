@@ -13,10 +13,8 @@ from scipy.sparse.linalg import spsolve
 from lcp_plugin import (
     LCP,
     InvalidOption,
-    InvalidProblem,
     Result,
     Status,
-    UnknownAlgorithm,
     UnsuitableMatrix,
     gallery,
     solve,
@@ -25,7 +23,7 @@ from lcp_plugin.core.kernels import threads
 from lcp_plugin.evidence.contestants import fresh
 from lcp_plugin.gallery.stencil import balanced_matrix
 from lcp_plugin.methods.multigrid import SMOOTHERS, Multigrid
-from lcp_plugin.problems.batches.batch import prepare, solve_many
+from lcp_plugin.problems.batches.batch import prepare
 from lcp_plugin.systems.hierarchy import galerkin, grids, levels, sweeps, vectors
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
 from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
@@ -531,82 +529,6 @@ def test_prepare_fills_the_cache_that_with_q_shares() -> None:
     )  # no positive diagonal: no hierarchy, no error
     with pytest.raises(InvalidOption, match="prepare needs an LCP or QuadraticProgram, got list"):
         prepare([1.0])  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("algorithm", ["auto", "multigrid", "npsor"])
-def test_solve_many_answers_every_column(algorithm: str) -> None:
-    """Each column gets what a solve of its own gets; NaN and a wrong length stay in their places."""
-    problem = LCP([[4.0, -1.0], [-1.0, 4.0]], [0.0, 0.0])
-    columns = [[-3.0, 5.0], [np.nan, 0.0], [1.0, 2.0, 3.0], [-1.0, -1.0], "no vector"]
-    answers = solve_many(problem, columns, algorithm)
-    assert [isinstance(answer, Result) for answer in answers] == [True, False, False, True, False]
-    assert all(isinstance(answers[k], InvalidProblem) for k in (1, 2, 4))
-    assert "length 2" in str(answers[2])
-    for k in (0, 3):
-        assert np.array_equal(answers[k].z, solve(problem.with_q(columns[k]), algorithm).z)
-
-
-def test_solve_many_takes_an_array_by_columns() -> None:
-    """Column k of an (n, k) array is the k-th q; options reach every solve; a callback can end the batch."""
-    problem = LCP(np.diag([1.0, 2.0, 4.0]), np.zeros(3))
-    Q = -np.arange(12.0).reshape(3, 4)
-    answers = solve_many(problem, Q, "multigrid", tolerance=1e-12)
-    for k, answer in enumerate(answers):
-        np.testing.assert_allclose(answer.z, -Q[:, k] / problem.diagonal, rtol=1e-12)
-    stopped = solve_many(problem, Q[:, 1:], "npsor", callback=lambda sample, z: True)
-    assert [answer.status for answer in stopped] == [Status.INTERRUPTED]
-    assert solve_many(problem, np.zeros((3, 0))) == []
-
-
-@pytest.mark.parametrize("Q", [np.zeros(3), np.zeros((3, 2, 1)), 7.0, "text", {1: 2}])
-def test_solve_many_refuses_what_is_no_collection(Q: object) -> None:
-    """One vector, a number or a text is refused as a whole."""
-    with pytest.raises(
-        InvalidProblem, match=r"shape \(n, k\), n = 3, or a list of vectors of length 3, got"
-    ):
-        solve_many(LCP(np.eye(3), np.zeros(3)), Q)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("Q", "words"),
-    [
-        (
-            np.ones((25, 3)),
-            r"got an array of shape \(25, 3\); its rows are vectors of that length: give Q\.T",
-        ),
-        (np.ones((4, 5)), r"n = 3, or a list .* of length 3, got an array of shape \(4, 5\)$"),
-        (
-            list(np.ones((3, 25))),
-            r"got a list of 3 with lengths 25; they are as many as rows: give the columns",
-        ),
-        ([[1.0, 2.0], np.ones(4)], r"got a list of 2 with lengths 2, 4$"),
-    ],
-)
-def test_solve_many_says_where_no_column_fits(Q: Any, words: str) -> None:
-    """A transposed Q, or one of another problem, is refused once and in words, not with an error a column."""
-    with pytest.raises(InvalidProblem, match=words):
-        solve_many(LCP(np.eye(3), np.zeros(3)), Q)
-
-
-def test_solve_many_keeps_the_error_of_one_column_in_its_place() -> None:
-    """A vector of another length, or with NaN, does not stop the rest."""
-    answers = solve_many(LCP(np.eye(3), np.zeros(3)), [-np.ones(3), np.ones(2), np.full(3, np.nan)])
-    assert [type(answer).__name__ for answer in answers] == [
-        "Result",
-        "InvalidProblem",
-        "InvalidProblem",
-    ]
-
-
-def test_solve_many_raises_what_concerns_all_columns() -> None:
-    """A wrong algorithm or option is raised, not repeated in every place."""
-    problem = LCP(np.eye(2), np.zeros(2))
-    with pytest.raises(UnknownAlgorithm):
-        solve_many(problem, np.ones((2, 2)), "multigird")
-    with pytest.raises(InvalidOption):
-        solve_many(problem, np.ones((2, 2)), "multigrid", smother="pgs")
-    answers = solve_many(LCP([[0.0, 1.0], [1.0, 0.0]], [0.0, 0.0]), np.ones((2, 2)), "psor")
-    assert all(isinstance(answer, UnsuitableMatrix) for answer in answers)
 
 
 BLOCKS = [(grids, "SMALLEST_BLOCK", 64), (grids, "SHARED_FROM", 64), (grids, "SMALLEST_PIECE", 64)]

@@ -15,7 +15,6 @@ from small_families import FAMILIES, definite_stack, draw, told
 from lcp_plugin import LCP, InvalidProblem, QuadraticProgram, Status, march, solve, solve_batch
 from lcp_plugin.core.errors import InvalidOption
 from lcp_plugin.problems.batches import batch_run
-from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.many import chunks as sharing
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
@@ -175,15 +174,6 @@ def test_ctrl_c_ends_a_batch_and_keeps_what_is_solved(monkeypatch: pytest.Monkey
         assert np.isfinite(batch.z).all()
         interrupted = np.flatnonzero(batch.status == Status.INTERRUPTED)
         assert all(batch[int(k)].status is Status.INTERRUPTED for k in interrupted[:3])
-
-
-def test_many_right_hand_sides_are_a_batch() -> None:
-    """solve_many gives the results of solve, whether it is watched or not."""
-    M, q = definite_stack(4, 7)
-    prepared = LCP(M[0], q[0])
-    for options in ({}, {"record": True}, {"callback": lambda sample, z: False}):
-        for one, answer in zip(q, solve_many(prepared, list(q), **options), strict=True):
-            assert told(answer) == told(solve(prepared.with_q(one), **options))
 
 
 def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things() -> None:

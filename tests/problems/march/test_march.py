@@ -1,9 +1,7 @@
-"""Marches in time: what is kept of them, what they give for derivatives."""
+"""Marches in time: several at once, and their derivatives."""
 
 from __future__ import annotations
 
-import pickle
-import tracemalloc
 from collections.abc import Callable
 from fractions import Fraction
 from statistics import NormalDist
@@ -26,10 +24,8 @@ from lcp_plugin import (
     march,
     solve,
 )
-from lcp_plugin.methods.banded import Banded
 from lcp_plugin.problems.march import March, propagator_remark
 from lcp_plugin.problems.march.march_derivative import MarchDerivative
-from lcp_plugin.problems.march.march_many import march_many
 from lcp_plugin.problems.sensitivity import Derivative
 
 # --- What is kept ---------------------------------------------------------------------------------------------
@@ -41,57 +37,6 @@ def heated(n: int, k: int, seed: int = 0, **options: Any) -> March:
     A = sp.diags_array([-1.0, 2.5, -1.2], offsets=[-1, 0, 1], shape=(n, n))
     problem = LCP(sp.eye_array(n) + A, np.zeros(n), lower=-1.0, upper=1.0)
     return march(problem, rng.normal(scale=2.0, size=(k, n)), z0=rng.normal(size=n), **options)
-
-
-@pytest.mark.parametrize("algorithm", ["auto", "psor"])
-@pytest.mark.parametrize("keep_every", [2, 7, 10, 23, 100])
-def test_answers_that_were_not_kept_are_the_same_bits(algorithm: str, keep_every: int) -> None:
-    """Whatever is kept, z and results are those of a march that keeps all, in any order of looking."""
-    whole = heated(12, 23, algorithm=algorithm)
-    sparse = heated(12, 23, algorithm=algorithm, keep_every=keep_every)
-    assert (len(sparse), sparse.all_solved) == (23, True)
-    for k in (*range(22, -1, -1), 5, -1, 0):
-        assert np.array_equal(sparse.z[k], whole.z[k])
-        assert np.array_equal(sparse[k].w, whole[k].w)
-        assert (sparse[k].iterations, sparse[k].algorithm) == (
-            whole[k].iterations,
-            whole[k].algorithm,
-        )
-    assert all(map(np.array_equal, sparse.z, whole.z))
-    assert len(pickle.loads(pickle.dumps(heated(12, 5, algorithm="psor", keep_every=2))).z[:3]) == 3
-    at_once = heated(12, 5)
-    again = pickle.loads(pickle.dumps(at_once))
-    assert (
-        [step.algorithm for step in again]
-        == [step.algorithm for step in at_once]
-        == ["auto: banded"] * 5
-    )
-    np.testing.assert_array_equal(again.z[4], at_once.z[4])
-
-
-@pytest.mark.full
-def test_a_march_that_keeps_little_takes_little_memory() -> None:
-    """Of 1600 steps, one in 40 kept, no more than a tenth of what keeping all takes."""
-    taken = {}
-    for keep_every in (1, 40):
-        heated(500, 70, keep_every=keep_every)
-        tracemalloc.start()
-        before = tracemalloc.get_traced_memory()[0]
-        rod = LCP(
-            sp.diags_array([-1.0, 4.0, -1.0], offsets=[-1, 0, 1], shape=(500, 500)), np.zeros(500)
-        )
-        done = march(rod, np.broadcast_to(-1.0, (1600, 500)), keep_every=keep_every)
-        taken[keep_every] = tracemalloc.get_traced_memory()[0] - before
-        tracemalloc.stop()
-        assert len(done) == 1600
-    assert taken[40] <= 0.1 * taken[1]
-
-
-def test_what_keep_every_refuses() -> None:
-    """Anything but a positive integer, in words."""
-    for wrong in (0, -3, 2.5, True, "all"):
-        with pytest.raises(InvalidOption, match="keep_every must be an integer ≥ 1, got"):
-            heated(3, 2, keep_every=wrong)
 
 
 # --- Derivatives ----------------------------------------------------------------------------------------------
@@ -150,7 +95,6 @@ def stacked(done: March) -> Derivative:
 CASES = {
     "tridiagonal M-matrix": lambda: marched(*drawn(20, 1, z=True), 6, 1),
     "band": lambda: marched(*drawn(24, 2, width=2), 5, 2),
-    "kept apart": lambda: marched(*drawn(24, 2, width=2), 7, 2, keep_every=3),
     "psor": lambda: marched(*drawn(20, 3, z=True), 5, 3, algorithm="psor", tolerance=1e-13),
     "dense": lambda: marched(
         LCP(grid(3).toarray(), np.zeros(9), lower=-0.2, upper=0.3), drawn(9, 4)[1], 4, 4
@@ -483,7 +427,7 @@ def test_all_ways_to_ask_give_the_same() -> None:
     derivative(steady).vjp(g[0])
     derivative(steady).jvp(dforcing=g[0], dpropagator=2.0, only_last=True)
     change["dforcing"] = np.asfortranarray(change["dforcing"])
-    again = marched(*drawn(40, 1, z=True), 30, 1, keep_every=7)
+    again = marched(*drawn(40, 1, z=True), 30, 1)
     for found in (derivative(done), derivative(again)):
         gradient = found.vjp(np.asfortranarray(g))
         for name in ("z0", "lower", "upper", "forcing"):
@@ -506,38 +450,27 @@ def strikes(n: int, k: int, count: int) -> tuple[LCP, np.ndarray, sp.csr_array]:
     return LCP(sp.csr_array(sp.eye_array(n) + A / (2 * k)), np.zeros(n)), payoff, propagator
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("keep_every", [1, 9])
-def test_strikes_at_once_are_those_one_by_one(keep_every: int) -> None:
-    """Bit for bit, on any number of threads, with results that say the same."""
+def test_strikes_at_once_are_those_one_by_one() -> None:
+    """Several strikes at once give the bits of single marches, and results with the same status and residual."""
     problem, payoff, propagator = strikes(120, 100, 41)
     forcing = np.zeros((100, 120))
     alone = [march(problem.with_q(problem.q, lower=g), forcing, propagator, z0=g) for g in payoff]
-    for threads in (1, 2, 3):
-        found = march_many(
-            problem,
-            forcing,
-            propagator,
-            lower=payoff,
-            z0=payoff,
-            threads=threads,
-            keep_every=keep_every,
+    found = march(problem, forcing, propagator, lower=payoff, z0=payoff)
+    assert len(found) == 41
+    for ours, theirs in zip(found, alone, strict=True):
+        assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
+        for k in (0, 1, 50, 98, 99):
+            assert np.array_equal(ours.z[k], theirs.z[k])
+        assert np.array_equal(ours[50].w, theirs[50].w)
+        assert np.array_equal(ours[50].certificate.problem.q, theirs[50].certificate.problem.q)
+        assert (
+            ours[50].certificate.relative_residual
+            <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
         )
-        assert len(found) == 41
-        for ours, theirs in zip(found, alone, strict=True):
-            assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
-            for k in (0, 1, 50, 98, 99):
-                assert np.array_equal(ours.z[k], theirs.z[k])
-            assert np.array_equal(ours[50].w, theirs[50].w)
-            assert np.array_equal(ours[50].certificate.problem.q, theirs[50].certificate.problem.q)
-            assert (
-                ours[50].certificate.relative_residual
-                <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
-            )
-            assert (ours[50].status, ours[50].algorithm) == (
-                theirs[50].status,
-                theirs[50].algorithm,
-            )
+        assert (ours[50].status, ours[50].algorithm) == (
+            theirs[50].status,
+            theirs[50].algorithm,
+        )
     np.testing.assert_allclose(
         derivative(found[7]).vjp(np.ones(120)).z0,
         derivative(alone[7]).vjp(np.ones(120)).z0,
@@ -559,7 +492,7 @@ def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) 
     forcing, states = rng.normal(scale=5.0, size=(6, 8, 25)), rng.normal(size=(6, 25))
     lower, upper = -rng.uniform(0.1, 1.0, (6, 25)), rng.uniform(0.1, 1.0, (6, 25))
     upper[:, 3] = lower[:, 3]
-    found = march_many(problem, forcing, propagator, lower=lower, upper=upper, z0=states)
+    found = march(problem, forcing, propagator, lower=lower, upper=upper, z0=states)
     for j, one in enumerate(found):
         alone = march(
             problem.with_q(problem.q, lower=lower[j], upper=upper[j]),
@@ -570,13 +503,12 @@ def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) 
         assert one.all_solved
         for ours, theirs in zip(one.z, alone.z, strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-7 * abs(theirs).max())
-    same = march_many(problem, forcing[0], propagator, z0=states)
+    same = march(problem, forcing[0], propagator, z0=states)
     assert all(
         np.allclose(one.z[0], march(problem, forcing[0][:1], propagator, z0=z).z[0], atol=1e-7)
         for one, z in zip(same, states, strict=True)
     )
-    assert [len(one) for one in march_many(problem, forcing[:, :0], propagator)] == [0] * 6
-    assert len(march_many(problem, forcing[0], propagator)) == 1
+    assert [len(one) for one in march(problem, forcing[:, :0], propagator)] == [0] * 6
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -588,7 +520,7 @@ def test_contacts_on_either_side_are_those_one_by_one(side: float, count: int) -
     A = sp.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(n, n)) * 0.4
     problem, forcing = LCP(sp.csr_array(sp.eye_array(n) + A), np.zeros(n)), np.full((k, n), 1e-3)
     payoffs = np.maximum(np.linspace(-0.2, 0.2, 17)[:count, None] - side * x, 0.0)
-    found = march_many(problem, forcing, lower=payoffs, z0=payoffs, keep_every=5)
+    found = march(problem, forcing, lower=payoffs, z0=payoffs)
     for payoff, ours in zip(payoffs, found, strict=True):
         theirs = march(problem.with_q(problem.q, lower=payoff), forcing, z0=payoff)
         assert ours.all_solved
@@ -609,56 +541,33 @@ def volatilities(n: int, k: int, count: int) -> tuple[list[LCP], np.ndarray, lis
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("keep_every", [9, 1])
-def test_marches_whose_matrices_differ_are_those_one_by_one(keep_every: int) -> None:
-    """Bit for bit, on any number of threads: M, bounds and propagators of their own, or one propagator for all."""
+def test_marches_whose_matrices_differ_are_those_one_by_one() -> None:
+    """Marches with different M, bounds and propagators give the bits of single marches."""
     problems, payoff, propagators = volatilities(120, 100, 41)
     forcing = np.zeros((100, 120))
     alone = [
         march([one], forcing, [C], z0=payoff)[0]
         for one, C in zip(problems, propagators, strict=True)
     ]
-    for threads in (1, 2, 3):
-        found = march(
-            problems, forcing, propagators, z0=payoff, threads=threads, keep_every=keep_every
+    found = march(problems, forcing, propagators, z0=payoff)
+    for ours, theirs in zip(found, alone, strict=True):
+        assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
+        assert all(np.array_equal(ours.z[k], theirs.z[k]) for k in (0, 1, 50, 98, 99))
+        assert np.array_equal(ours[50].w, theirs[50].w)
+        assert (ours[50].status, ours[50].algorithm) == (
+            theirs[50].status,
+            theirs[50].algorithm,
         )
-        for ours, theirs in zip(found, alone, strict=True):
-            assert (len(ours), ours.all_solved, ours.error) == (100, True, None)
-            assert all(np.array_equal(ours.z[k], theirs.z[k]) for k in (0, 1, 50, 98, 99))
-            assert np.array_equal(ours[50].w, theirs[50].w)
-            assert (ours[50].status, ours[50].algorithm) == (
-                theirs[50].status,
-                theirs[50].algorithm,
-            )
-            assert (
-                ours[50].certificate.relative_residual
-                <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
-            )
+        assert (
+            ours[50].certificate.relative_residual
+            <= 2.0 * theirs[50].certificate.relative_residual + 1e-300
+        )
     for one, C, ours in zip(problems, propagators, found, strict=True):
         np.testing.assert_allclose(
             ours.z[-1], march(one, forcing, C, z0=payoff).z[-1], rtol=0, atol=1e-9
         )
     implicit = march(problems, forcing, z0=np.stack([payoff] * 41))
     assert np.array_equal(implicit[7].z[-1], march(problems[7], forcing, z0=payoff).z[-1])
-
-
-def test_the_compiled_loop_takes_a_shared_matrix_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Marches of one M and one propagator share its factor, whoever made the list; others have their own."""
-    given = []
-
-    def observed(self: Banded, problems: Any, forcing: Any, propagators: Any, *rest: Any) -> Any:
-        given.append((len(problems), len(propagators)))
-        return taken(self, problems, forcing, propagators, *rest)
-
-    taken = Banded.fused_marches
-    monkeypatch.setattr(Banded, "fused_marches", observed)
-    problems, payoff, propagators = volatilities(60, 5, 3)
-    forcing = np.zeros((5, 60))
-    march(problems[0], forcing, z0=np.stack([payoff] * 3))
-    march([problems[0]] * 3, forcing, propagators[0], z0=payoff)
-    march(problems, forcing, z0=payoff)
-    march(problems[0], forcing, propagators, z0=payoff)
-    assert given == [(1, 1), (1, 1), (3, 3), (3, 3)]
 
 
 def test_matrices_of_any_kind_are_marched_one_by_one() -> None:
@@ -699,7 +608,9 @@ def test_what_marches_of_several_matrices_refuse() -> None:
         march([one, one], forcing, [np.eye(3)] * 3)
     with pytest.raises(InvalidProblem, match="must be equally long, got problem 2, z0 3"):
         march([one, one], forcing, z0=np.zeros((3, 3)))
-    with pytest.raises(InvalidOption, match="march_many needs an LCP, got ndarray"):
+    with pytest.raises(
+        InvalidOption, match="march needs an LCP, ConeProblem or FrictionalContact, got ndarray"
+    ):
         march([one, np.eye(3)], forcing)
     assert march([], forcing) == []
 
@@ -728,9 +639,8 @@ def test_the_vega_of_marches_of_several_matrices_is_a_difference() -> None:
 
 
 def test_what_a_march_says_of_its_answers_and_bounds() -> None:
-    """Its z says how many there are; bounds given to one march are those of its problem."""
+    """Bounds given to one march are those of its problem."""
     rod, cool = LCP([[3, -1], [-1, 3]], [0, 0]), [[-1, 0]] * 3
-    assert repr(march(rod, cool).z) == "<z of 3 steps, each of shape (2,): z[k] is that of step k>"
     for algorithm in ("auto", "psor"):
         held, stated = (
             march(rod, cool, upper=0.4, algorithm=algorithm),
@@ -746,13 +656,13 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
     rod = LCP(sp.diags_array([-1.0, 2.5, -1.0], offsets=[-1, 0, 1], shape=(6, 6)), np.zeros(6))
     forcing = np.full((3, 4, 6), -1.0)
     forcing[1, 2:] = -1.7e308
-    found = march_many(rod, forcing, -0.5)
+    found = march(rod, forcing, -0.5)
     assert [len(one) for one in found] == [4, len(found[1]), 4]
     assert [one.all_solved for one in found] == [True, False, True]
     assert len(found[1]) < 4
-    cut = march_many(rod, forcing[[0, 2]], -0.5, algorithm="psor", max_iterations=0)
+    cut = march(rod, forcing[[0, 2]], -0.5, algorithm="psor", max_iterations=0)
     assert [(len(one), one.all_solved) for one in cut] == [(1, False)] * 2
-    late = march_many(rod, forcing[[0, 2]], -0.5, max_seconds=0.0)
+    late = march(rod, forcing[[0, 2]], -0.5, max_seconds=0.0)
     assert [(len(one), one[0].status) for one in late] == [(1, Status.MAX_SECONDS)] * 2
 
 
@@ -775,11 +685,13 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
 def test_what_many_marches_refuse(given: dict[str, Any], message: str) -> None:
     """Data of other shapes or not finite, in words and before the first step."""
     with pytest.raises(InvalidProblem, match=message):
-        march_many(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((2, 2, 3)), **given})
-    with pytest.raises(InvalidOption, match="march_many needs an LCP, got ndarray"):
-        march_many(np.eye(3), np.zeros((1, 3)))
+        march(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((2, 2, 3)), **given})
+    with pytest.raises(
+        InvalidOption, match="march needs an LCP, ConeProblem or FrictionalContact, got ndarray"
+    ):
+        march(np.eye(3), np.zeros((1, 3)))
     with pytest.raises(InvalidOption, match="march has no option 'tol'"):
-        march_many(LCP(np.eye(3), np.zeros(3)), np.zeros((1, 3)), tol=1e-3)
+        march(LCP(np.eye(3), np.zeros(3)), np.zeros((1, 3)), tol=1e-3)
 
 
 def test_ctrl_c_ends_all_marches() -> None:
@@ -798,7 +710,7 @@ def test_ctrl_c_ends_all_marches() -> None:
             raise KeyboardInterrupt
 
     forcing = np.random.default_rng(0).normal(size=(3, 30, 300))
-    done = march_many(rod, forcing, algorithm="psor", callback=callback)
+    done = march(rod, forcing, algorithm="psor", callback=callback)
     assert seen[0] == 10
     assert not any(one.all_solved for one in done)
 

@@ -33,7 +33,6 @@ from lcp_plugin.algorithms import Algorithm, Step
 from lcp_plugin.core.deadline import time_limit
 from lcp_plugin.methods.interior_point import InteriorPoint
 from lcp_plugin.modeling.registration import build
-from lcp_plugin.problems.batches.batch import solve_many
 from lcp_plugin.problems.programs import no_minimum
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_lp, lcp_from_qp
 from lcp_plugin.problems.programs.no_minimum import (
@@ -343,24 +342,6 @@ def test_a_last_active_set_that_is_wrong_changes_no_answer(share: float) -> None
         warm = solve(again, z0=start)
         assert warm.is_solved
         assert warm.objective == pytest.approx(cold.objective, rel=1e-6, abs=1e-6)
-
-
-def test_of_many_programs_each_goes_on_from_the_last_answer() -> None:
-    """`solve_many` finds what each has by itself; one that fails passes."""
-    program, _ = CAMPAIGN.case("redundant", 4, 0, 400)
-    shares: list[Any] = [1.0, 1.0 + 1e-7, 1.0 - 1e-7, np.inf, 1.0 + 2e-7]
-    with np.errstate(invalid="ignore"):
-        answers = solve_many(program, [{"c": program.c * share} for share in shares])
-    alone = solve(moved(program, 2e-7))
-    assert [isinstance(answer, InvalidProblem) for answer in answers] == [
-        False,
-        False,
-        False,
-        True,
-        False,
-    ]
-    assert answers[-1].objective == pytest.approx(alone.objective, rel=1e-9)
-    assert alone.iterations > 1
 
 
 def test_a_start_hides_no_proof_of_infeasibility() -> None:

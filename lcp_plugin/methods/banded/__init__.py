@@ -178,7 +178,10 @@ def active_sets(
             held = np.count_nonzero(target)
             is_better = wrong.size < fewest_wrong or held < fewest_held
             patience = TRIES if is_better else patience - 1
-            fewest_wrong, fewest_held = min(wrong.size, fewest_wrong), min(held, fewest_held)
+            fewest_wrong, fewest_held = (
+                min(float(wrong.size), fewest_wrong),
+                min(float(held), fewest_held),
+            )
             if patience < 0:
                 return
 

@@ -126,7 +126,8 @@ class Marches:
         step = W / self.scale[j]
         np.minimum(step, Z - self.lower[j], out=step)
         np.maximum(step, Z - self.upper[j], out=step)
-        return np.abs(step, out=step)
+        residual: FloatVector = np.abs(step, out=step)
+        return residual
 
     def _rounding(self, T: FloatVector) -> FloatVector:
         """Return a bound of the rounding error of w/d, w with the terms T."""

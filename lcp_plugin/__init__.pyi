@@ -31,7 +31,6 @@ from .problems.equilibria.equilibrium_program import EquilibriumProgram as Equil
 from .problems.least_squares.data import BoundedLeastSquares as BoundedLeastSquares
 from .problems.march.march_many import march as march
 from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
-from .problems.parametric.exploring import regions as regions
 from .problems.parametric.tracing import trace as trace
 from .problems.programs.certification import certify as certify
 from .problems.programs.program import QuadraticProgram as QuadraticProgram

@@ -20,7 +20,6 @@ FUNCTIONS = (
     "prepare",
     "march",
     "trace",
-    "regions",
     "derivative",
     "certify",
     "Certificate.of",
@@ -161,8 +160,6 @@ def _remedy(way: str, given: Any, takes_programs: bool) -> str:
         return "write derivative(answers[k]) for the answer to one problem"
     if way == "derivative" and hasattr(given, "breakpoints"):
         return "write path.derivative(theta)"
-    if way == "regions":
-        return "state its arrays as a QuadraticProgram; trace(problem, parameter, start, stop) follows one parameter"
     if way == "derivative":
         return "write derivative(solve(problem))"
     if way == "certify" and hasattr(given, "is_stationary"):

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import InvalidOption, UnsuitableProblem
-from .drawing import HEIGHTS, require_matplotlib, styled
+from .drawing import require_matplotlib, styled
 
 if TYPE_CHECKING:
     from ..problems.parametric.path import Path
-    from ..problems.parametric.regions import Regions
 
 MOST_LINES, NAMED, BETWEEN = (
     40,
@@ -119,73 +118,3 @@ def _draw_active(axes: Any, path: Path) -> None:
             )
     axes.set_ylabel("rows")
     axes.legend(fontsize=7.5, loc="best")
-
-
-def plot_regions(found: Regions, *, axes: Any = None, component: int = 0) -> Any:
-    """Return matplotlib's axes with the regions of two parameters, coloured by one unknown; of one its law.
-
-    Parameters
-    ----------
-    found : Regions
-    axes : Axes, optional
-    component : int
-        Which unknown.
-
-    Raises
-    ------
-    UnsuitableProblem
-        Where there are more than two parameters.
-    InvalidOption
-        Where there is no such unknown.
-    """
-    require_matplotlib()
-    if found.low.size > 2:
-        raise UnsuitableProblem(
-            f"{found.low.size} parameters cannot be drawn in a plane; regions of two of them can"
-        )
-    if not isinstance(component, int) or not 0 <= component < found.n:
-        raise InvalidOption(
-            f"component must be a whole number from 0 to {found.n - 1}, got {component!r}"
-        )
-    import matplotlib.pyplot as plt
-    from matplotlib.collections import PolyCollection
-
-    with styled():
-        if axes is None:
-            _, axes = plt.subplots(figsize=(5.6, 4.6), layout="constrained")
-        width = found.high - found.low
-        corners = [region.vertices * width + found.low for region in found]
-        F, g = found.laws
-        if found.low.size == 1:
-            for k, ends in enumerate(corners):
-                axes.plot(
-                    ends[:, 0], ends[:, 0] * F[k, component, 0] + g[k, component], linewidth=1.6
-                )
-            axes.set(xlabel="θ", ylabel=f"x[{component}]")
-            return axes
-        points: list[Any] = []
-        values: list[Any] = []
-        triangles: list[tuple[int, int, int]] = []
-        for k, own in enumerate(
-            one[np.argsort(np.arctan2(*(one - one.mean(axis=0)).T[::-1]))] for one in corners
-        ):
-            first = sum(len(before) for before in points)
-            points.append(own)
-            values.append(own @ F[k, component] + g[k, component])
-            triangles += [(first, first + j, first + j + 1) for j in range(1, len(own) - 1)]
-        every = np.concatenate(points)
-        drawn = axes.tripcolor(
-            *every.T,
-            triangles,
-            np.concatenate(values),
-            shading="gouraud",
-            cmap=HEIGHTS,
-            rasterized=True,
-        )
-        axes.add_collection(
-            PolyCollection(points, facecolors="none", edgecolors="white", linewidths=0.7)
-        )
-        axes.figure.colorbar(drawn, ax=axes, label=f"x[{component}]").outline.set_visible(False)
-        axes.set(xlabel="θ[0]", ylabel="θ[1]", title=f"{len(found)} regions")
-        axes.grid(visible=False)
-    return axes

@@ -29,7 +29,6 @@ from lcp_plugin import (
     Status,
     certify,
     march,
-    regions,
     solve,
     solve_batch,
     trace,
@@ -486,47 +485,6 @@ def paths() -> Iterator[Input]:
     stated |= {f"family {case}": partial(family, case) for case in range(16)}
     for name, state in stated.items():
         yield Input("paths", name, state, lambda one: trace(*one), judge)
-
-
-def laws() -> Iterator[Input]:
-    """Regions of a controller and of programs of small whole numbers, judged at drawn parameters by single solves."""
-    from problems.parametric.controllers import double_integrator
-
-    rng = np.random.default_rng(SEED)
-
-    def whole_numbers(case: int) -> Any:
-        drawn = np.random.default_rng([SEED, case])
-        n, m, p = 3, 3, 1 + case % 3
-        B = drawn.integers(-2, 3, (n, n))
-        G, h = drawn.integers(-2, 3, (m, n)), drawn.integers(0, 4, m)
-        program = QuadraticProgram(
-            B @ B.T + np.eye(n), drawn.integers(-2, 3, n), G=G, h=h, lower=-2.0, upper=2.0
-        )
-        changes = {"c": drawn.integers(-2, 3, (n, p)), "h": drawn.integers(-1, 2, (m, p))}
-        return program, changes, (np.full(p, -2.0), np.full(p, 2.0))
-
-    def judge(stated: Any, found: Any) -> str:
-        low, high = stated[2]
-        for theta in rng.uniform(low, high, (30, len(low))):
-            x, result = found.x_at(theta), solve(found.at(theta))
-            if not result.is_solved:
-                continue
-            if np.isnan(x).any():
-                return FALSE if found.is_solved else OPEN
-            if np.abs(x - result.x).max() > ALIKE * (1.0 + np.abs(x).max()):
-                return FALSE
-        return SOLVED if found.is_solved else OPEN
-
-    stated: dict[str, Callable[[], Any]] = {
-        f"double integrator {horizon}": lambda horizon=horizon: (
-            *double_integrator(horizon),
-            ([-5.0, -5.0], [5.0, 5.0]),
-        )
-        for horizon in (3, 6)
-    }
-    stated |= {f"whole numbers {case}": partial(whole_numbers, case) for case in range(15)}
-    for name, state in stated.items():
-        yield Input("laws", name, state, lambda one: regions(*one), judge)
 
 
 def batches_of_programs() -> Iterator[Input]:
@@ -1350,7 +1308,6 @@ SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "obstacles": obstacles,
     "marches": marches,
     "paths": paths,
-    "laws": laws,
     "batches": batches,
     "batches of programs": batches_of_programs,
     "published programs": published_programs,

@@ -253,32 +253,6 @@ def no_point(old: Any) -> Any:
     return by_piqp
 
 
-def solved_once(old: Any) -> Any:
-    """Regions: a solve to begin with, none behind a facet."""
-
-    def solved(family: Any, theta: Any) -> Any:
-        if "_begun" in vars(family):
-            return None
-        if (case := old(family, theta)) is not None:
-            family._begun = True
-        return case
-
-    return solved
-
-
-def remembered(old: Any) -> Any:
-    def solved(family: Any, theta: Any) -> Any:
-        family._answer = old(family, theta)
-        return family._answer
-
-    return solved
-
-
-def of_answers_alone(old: Any) -> Any:
-    """Regions: that of the case of an answer."""
-    return lambda family, case: old(family, case) if case is family._answer else None
-
-
 def if_pyramids(old: Any, note: Callable[[], None]) -> Any:
     def first(self: Any, problem: Any) -> Any:
         found = old(self, problem)
@@ -920,20 +894,6 @@ MECHANISMS = (
         {f"{PARAMETRIC}.families:Family.is_solved_beside": says(False)},
         "problems/parametric/families.py:Family.is_solved_beside",
         "problems/parametric/test_trace.py::test_terms_that_cancel_at_a_breakpoint_stall_no_path",
-    ),
-    Mechanism(
-        "behind a facet",
-        "a solve behind a facet where one change of the case leads to no region",
-        {f"{PARAMETRIC}.exploring:_Family.solved": Instead(solved_once)},
-    ),
-    Mechanism(
-        "one change",
-        "the next region is that of the case with one change, without a solve",
-        {
-            f"{PARAMETRIC}.exploring:_Family.solved": Instead(remembered),
-            f"{PARAMETRIC}.exploring:_Family._region": Instead(of_answers_alone),
-        },
-        claim="problems/parametric/test_regions.py::test_a_narrow_range_has_its_own_regions",
     ),
     Mechanism(
         "batch loop",

@@ -57,7 +57,6 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
     "problems.contact": ({"cones"}, "auto begins with the cones behind a pyramid's LCP"),
     "problems.parametric.path": ({"evidence"}, "plot() of a path"),
     "problems.parametric.tracing": ({"modeling"}, "trace takes a cvxpy problem as well"),
-    "problems.parametric.regions": ({"evidence"}, "plot() of regions"),
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),
     "problems.cones.frictional_contact": ({"files"}, "save() of many worlds with contact"),
     "problems.programs.certification": ({"modeling"}, "certify takes a cvxpy problem as well"),

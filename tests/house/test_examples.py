@@ -78,7 +78,6 @@ CHECKS = [
         f"vega differs from a central difference by at most {NUMBER}, relatively",
         2e-3,
     ),
-    ("explicit_controller", f"along four drives the forces differ from daqp's by {NUMBER}", 1e-9),
     (
         "designed_contact",
         f"in a random direction the gradient differs from a difference by {NUMBER}, ",

@@ -7,7 +7,6 @@ import pickle
 import signal
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,7 +33,6 @@ from lcp_plugin import (
     Status,
     UnsuitableMatrix,
     UnsuitableProblem,
-    UnsupportedModel,
     all_solutions,
     analyze,
     certify,
@@ -44,7 +42,6 @@ from lcp_plugin import (
     load_problem,
     march,
     prepare,
-    regions,
     solve,
     solve_batch,
     trace,
@@ -153,16 +150,6 @@ def by_trace(sample: Sample, folder: Path) -> None:
     assert path.status.name in repr(path)
     if path.is_solved and sample.x is not None:
         assert np.allclose(path.at(0.5).x, sample.x, atol=1e-6)
-
-
-def by_regions(sample: Sample, folder: Path) -> None:
-    name = "q" if sample.kind == "LCP" else "c"
-    change = np.zeros((getattr(sample.problem, name).size, 1))
-    found = None
-    with suppress(UnsuitableProblem, UnsupportedModel):  # no solution, more than one, or not convex
-        found = regions(sample.problem, {name: change}, ([-1.0], [1.0]))
-    if found is not None and found.is_solved and sample.x is not None:
-        assert np.allclose(found.x_at([0.5]), sample.x, atol=1e-6)
 
 
 def by_marches(sample: Sample, folder: Path) -> None:
@@ -403,7 +390,6 @@ TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "prepare": by_prepare,
     "march": by_march,
     "trace": by_trace,
-    "regions": by_regions,
     "derivative": by_derivative,
     "certify": by_certify,
     "Certificate.of": by_certificate,
@@ -432,7 +418,6 @@ REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "prepare": lambda p, _: prepare(p),
     "march": lambda p, _: march(p, [[1.0, 1.0]]),
     "trace": lambda p, _: trace(p, {"q": 1}, 0, 1),
-    "regions": lambda p, _: regions(p, {"q": [[1.0]]}, ([0.0], [1.0])),
     "derivative": lambda _, answer: derivative(answer()),
     "certify": lambda p, answer: certify(p, answer().x),
     "Certificate.of": lambda p, _: Certificate.of(p, [1.0, 1.0]),

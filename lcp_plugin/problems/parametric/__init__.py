@@ -1,4 +1,4 @@
-"""Problems that depend on parameters: the exact path of the solution along one, its regions over several.
+"""Problems that depend on one parameter: the exact path of the solution.
 
 z(θ) of a linear complementarity problem whose q and bounds are affine in θ is piecewise affine. So are x and the
 multipliers of a quadratic program, and x of a least squares problem with a penalty.
@@ -6,8 +6,6 @@ multipliers of a quadratic program, and x of a least squares problem with a pena
 | file | what is in it |
 |---|---|
 | `tracing` | :func:`lcp_plugin.trace` |
-| `exploring` | :func:`lcp_plugin.regions` |
-| `regions` | what that returns: polyhedra, laws, where a point lies, a picture, C |
 | `path` | what it returns |
 | `families` | which data of a kind may move, its complementarity problem at θ, and the way back |
 | `stacked_lasso` | which of many least squares are optimal beyond doubt |

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.residuals import Certificate
-from ...core.checks import BoolVector, FloatVector, checked_vector, is_number, read_only, real_array
+from ...core.checks import BoolVector, FloatVector, checked_vector, is_number, read_only
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
@@ -183,7 +183,7 @@ class CrossedBounds:
 
 
 class Family:
-    """Problems whose vectors are those of `problem` plus θ times a direction, or plus several, with θ of shape (p,).
+    """Problems whose vectors are those of `problem` plus θ times a direction.
 
     Parameters
     ----------
@@ -193,8 +193,6 @@ class Family:
     ends : (float, float)
         The values of θ that a path is for.
     tolerance : float
-    p : int
-        How many parameters there are where changes are by several; 0 on a path.
 
     Attributes
     ----------
@@ -208,58 +206,38 @@ class Family:
     FIXED: ClassVar[dict[str, str]] = {}
 
     def __init__(
-        self, problem: Any, along: Any, ends: tuple[float, float], tolerance: float, p: int = 0
+        self, problem: Any, along: Any, ends: tuple[float, float], tolerance: float
     ) -> None:
-        self.problem, self.settings, self.ends, self.p = (
-            problem,
-            Settings(tolerance=tolerance),
-            ends,
-            max(p, 1),
-        )
-        self._word = "parameters" if p else "along"
+        self.problem, self.settings, self.ends = problem, Settings(tolerance=tolerance), ends
         if not isinstance(along, Mapping) or not along:
-            what = (
-                f'what depends on θ, as {{"{self.MOVES[0]}": change}}'
-                if p
-                else 'what moves, as {"q": direction}'
-            )
-            raise InvalidOption(f"{self._word} must say {what}, got {along!r}")
-        self.directions = {
-            str(name): self._checked(name, change, p) for name, change in along.items()
-        }
+            raise InvalidOption(f'along must say what moves, as {{"q": direction}}, got {along!r}')
+        self.directions = {str(name): self._checked(name, change) for name, change in along.items()}
 
-    def _checked(self, name: str, change: Any, p: int) -> FloatVector:
-        """Return the change of a vector, shape (size,), or (size, p) of several parameters."""
+    def _checked(self, name: str, change: Any) -> FloatVector:
+        """Return the change of a vector for θ + 1, shape (size,)."""
         kind = type(self.problem).__name__
         if name in self.FIXED:
             raise InvalidOption(f"vectors of {kind} may move, not {name}: {self.FIXED[name]}")
         if name not in self.MOVES:
             raise InvalidOption(
-                f"{self._word}={{{name!r}: …}} names nothing that moves in {kind}"
+                f"along={{{name!r}: …}} names nothing that moves in {kind}"
                 f"{did_you_mean(name, self.MOVES)}; {', '.join(self.MOVES)} may move"
             )
         now: FloatVector = getattr(self.problem, name)
-        if p:
-            need = f"the change of {name} by each of the {p} parameters must be finite, of shape ({now.size}, {p})"
-            step = real_array(change, need)
-            step = step[:, np.newaxis] if step.ndim == 1 == p else step
-            if step.shape != (now.size, p) or not np.isfinite(step).all():
-                raise InvalidOption(f"{need}, got shape {np.shape(change)}")
-        else:
-            step = (
-                np.full(now.shape, float(change))
-                if is_number(change)
-                else checked_vector(change, name, now.size)
-            )
-        moved = ~np.isfinite(now) & (step.T != 0.0)
+        step = (
+            np.full(now.shape, float(change))
+            if is_number(change)
+            else checked_vector(change, name, now.size)
+        )
+        moved = ~np.isfinite(now) & (step != 0.0)
         if moved.any() and is_number(change):
             step = np.where(
                 np.isfinite(now), step, 0.0
             )  # one number moves all bounds that there are
         elif moved.any():
-            i = int(np.argwhere(moved)[0][-1])
+            i = int(np.argmax(moved))
             raise InvalidOption(
-                f"{name}[{i}] is {now[i]} and cannot move; let {self._word}[{name!r}][{i}] be 0"
+                f"{name}[{i}] is {now[i]} and cannot move; let along[{name!r}][{i}] be 0"
             )
         return read_only(step)
 
@@ -269,19 +247,19 @@ class Family:
         return True
 
     def pair(self, name: str) -> FloatVector:
-        """Return a vector of the problem as (constant, slope), shape (1 + p, size)."""
+        """Return a vector of the problem as (constant, slope), shape (2, size)."""
         now = getattr(self.problem, name)
-        return np.vstack([now, self.directions.get(name, np.zeros((now.size, self.p))).T])
+        return np.array([now, self.directions.get(name, np.zeros(now.size))])
 
-    def moved(self, theta: Any) -> dict[str, FloatVector]:
+    def moved(self, theta: float) -> dict[str, FloatVector]:
         """Return the vectors that move, at θ."""
         moved = {
-            name: getattr(self.problem, name) + np.dot(step, theta)
+            name: getattr(self.problem, name) + theta * step
             for name, step in self.directions.items()
         }
         if moved.keys() & set(BOUNDS):  # which may cross by rounding, where they meet
             lower, upper = (moved.get(name, getattr(self.problem, name)) for name in BOUNDS)
-            size = sum(np.abs(self.pair(name)).T @ np.append(1.0, np.abs(theta)) for name in BOUNDS)
+            size = sum(np.abs(self.pair(name)).T @ [1.0, abs(theta)] for name in BOUNDS)
             crossed = (lower > upper) & (
                 lower - upper <= MET * np.where(np.isfinite(size), size, 0.0)
             )

@@ -10,7 +10,6 @@ QUADRATIC_PROGRAM = Kind(
         "solve_batch",
         "prepare",
         "trace",
-        "regions",
         "certify",
         "pickle",
         *LANGUAGES,

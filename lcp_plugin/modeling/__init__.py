@@ -35,8 +35,7 @@ have no solution gets the status "infeasible", and the proof is ``problem.solver
 **Smooth nonlinear expressions** may stand wherever an affine one may, on both sides of a pair too: products and
 quotients of variables, real powers, ``exp log log1p logistic entr xexp rel_entr kl_div``, ``geo_mean prod sum_squares
 quad_form quad_over_lin log_sum_exp``, and whatever is affine around and inside them. Convexity plays no role. Then the
-model is solved by :func:`lcp_plugin.problems.nonlinear.solving.solve_nonlinear`, whose options hold, and
-``error_bound=True`` proves a solution nearby where it can.
+model is solved by :func:`lcp_plugin.problems.nonlinear.solving.solve_nonlinear`, whose options hold.
 
 - The run begins at the values of the variables, so set ``x.value``. Where F or its derivative is not finite there, or a
   variable has no value, it begins at the point of the bounds nearest to 0, or else to 1.

@@ -193,7 +193,7 @@ class Assembly:
             problem = LCP(*_arranged(pairs, equations, places, signs), **bounds)
         else:
             program = program.rearranged(places, signs)
-            problem = NonlinearProblem(program.value, program.jacobian, **bounds, enclosure=program)
+            problem = NonlinearProblem(program.value, program.jacobian, **bounds)
         return Arrangement(problem, elimination, (stored[0], stored[1]), places, signs, matched)
 
     def _derivatives(self, program: Program, pairs: int) -> tuple[sp.csr_array, sp.csr_array]:

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ..core.certificates.row_residuals import magnitude
 from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
 from ..core.lcp import LCP
@@ -163,7 +164,7 @@ def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
     Parameters
     ----------
     model : Model
-        Whose variables have the values of z; the enclosure of a nonlinear one says how much rounding may change F.
+        Whose variables have the values of z.
     z, w : array, shape (n,)
     """
     sources, elimination, problem = model.sources, model.elimination, model.problem
@@ -177,19 +178,16 @@ def contradiction(model: Model, z: FloatVector, w: FloatVector) -> str | None:
     for k, columns in sources.slacks.items():
         values[k] = values[k] - unknowns[columns]
     theirs = np.concatenate([*values, np.zeros(0)])
-    expected, width, terms = np.zeros((3, theirs.size))
+    expected, terms = np.zeros((2, theirs.size))
     left = np.delete(np.arange(theirs.size), sources.matrices[0].shape[0] + elimination.rows)[
         sources.places
     ]
     expected[left] = sources.signs * w
     if not isinstance(problem, NonlinearProblem):
         terms = np.concatenate([abs(matrix) @ np.abs(unknowns) for matrix in sources.matrices])
-    elif problem.enclosure is not None:
-        lower, upper = problem.enclosure.interval_F(z, z)
-        width[left] = upper - lower
-    allowed = (
-        DISAGREEMENT * (terms + np.abs(theirs) + np.abs(expected)) + 100.0 * width
-    )  # further out
+    else:
+        terms[left] = magnitude(problem.linearised(z), z)
+    allowed = DISAGREEMENT * (terms + np.abs(theirs) + np.abs(expected))
     wrong = np.flatnonzero(np.isfinite(expected) & ~(np.abs(theirs - expected) <= allowed))
     if not wrong.size:
         return None

@@ -1144,32 +1144,6 @@ def vanishing_slopes(count: int = 15) -> Iterator[Input]:
         )
 
 
-def proved_nonlinear(count: int = 15) -> Iterator[Input]:
-    """Nonlinear answers whose error is to be proved."""
-    from polynomial_families import is_violated, polynomial
-
-    def near(case: int) -> Any:
-        rng = np.random.default_rng([SEED, case])
-        one = polynomial(rng, is_dominant=case % 2 == 0)
-        return one, one.x + 0.01 * rng.standard_normal(one.x.size)
-
-    def by_bound(stated: Any, result: Any) -> str:
-        if not result.is_solved or result.error_bound is None:
-            return OPEN
-        return (
-            FALSE if is_violated(stated[0], result.z, result.error_bound.componentwise) else PROVED
-        )
-
-    for case in range(count):
-        yield Input(
-            "nonlinear, proved",
-            str(case),
-            partial(near, case),
-            lambda stated: solve_nonlinear(stated[0].problem, stated[1], error_bound=True),
-            by_bound,
-        )
-
-
 # --- by name --------------------------------------------------------------------------------------------------------
 
 
@@ -1328,7 +1302,6 @@ SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "piles in time": moving_piles,
     "nonlinear": nonlinear,
     "nonlinear, vanishing": vanishing_slopes,
-    "nonlinear, proved": proved_nonlinear,
     "methods by name": named_methods,
     "engines by name": named_engines,
     "cones by name": named_over_cones,

@@ -758,12 +758,6 @@ MECHANISMS = (
         "problems/nonlinear/josephy_newton.py:_NewtonRun._descended",
         f"{NONLINEAR}::test_of_several_solutions_one_near_the_start_is_found",
     ),
-    Mechanism(
-        "Krawczyk",
-        "proves a solution of a nonlinear problem near an answer",
-        {"problems.nonlinear.krawczyk:krawczyk_bound": says(None)},
-        "problems/nonlinear/krawczyk.py",
-    ),
     # --- equilibria
     Mechanism(
         "own nodes",

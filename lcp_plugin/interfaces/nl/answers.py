@@ -11,8 +11,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
+from ...core.certificates.row_residuals import magnitude
 from ...core.checks import BoolVector, FloatVector
 from ...core.errors import InvalidOption
+from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.representation import in_words
 from ...core.settings import Settings, Status
@@ -199,9 +201,9 @@ class ComplementarityModel(NLModel):
     def _contradiction(self, duals: FloatVector, values: Evaluation, result: Result) -> str:
         """Return what the values of the rows say against those computed; else nothing."""
         content, widths = self.content, np.zeros(self._size)
-        if isinstance(self.problem, NonlinearProblem) and self.problem.enclosure is not None:
-            low, high = self.problem.enclosure.interval_F(result.z, result.z)
-            widths[self.unknowns[self.arrangement.elimination.kept]] = high - low
+        if isinstance(self.problem, NonlinearProblem):
+            terms = magnitude(self.problem.linearised(result.z), result.z)
+            widths[self.unknowns[self.arrangement.elimination.kept]] = EPSILON * terms
         is_pair = content.partners >= 0
         is_equation = ~is_pair & (content.row_lower == content.row_upper)
         at_equations = np.abs(np.delete(result.w, np.flatnonzero(self._is_of_pair)))
@@ -241,9 +243,7 @@ class ComplementarityModel(NLModel):
         if not isinstance(problem, NonlinearProblem) or not kept.any() or not result.is_solved:
             return result
         lower, upper = np.where(kept, -np.inf, problem.lower), np.where(kept, np.inf, problem.upper)
-        free = NonlinearProblem(
-            problem.F, problem.jacobian, lower, upper, enclosure=problem.enclosure
-        )
+        free = NonlinearProblem(problem.F, problem.jacobian, lower, upper)
         found = solve_from(free, None, {**options, "z0": result.z})
         beyond = np.maximum(problem.lower - found.z, found.z - problem.upper)[kept]
         is_inside = bool((beyond <= OUTSIDE * (1.0 + np.abs(found.z[kept]))).all())

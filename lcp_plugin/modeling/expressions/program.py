@@ -12,19 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
 from .functions import Function
-from .intervals import EnclosedProduct, added, multiplied
 from .rows import Compiler, Indices, Rows, assembled
-
-#: Numbers, shape (1, k), or the lower and upper ends of intervals, shape (2, k).
-Ends: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,17 +36,11 @@ class Combination:
     matrix: sp.csr_array
     offset: FloatVector
 
-    def __call__(self, quantities: Ends) -> Ends:
+    def __call__(self, quantities: FloatVector) -> FloatVector:
         """Return the combinations of these quantities."""
-        if len(quantities) == 1:
-            values: FloatVector = self.matrix @ quantities[0]
-            values += self.offset
-            return values[None]
-        return np.array(self._enclosed((quantities[0], quantities[1]), self.offset))
-
-    @cached_property
-    def _enclosed(self) -> EnclosedProduct:
-        return EnclosedProduct(self.matrix)
+        values: FloatVector = self.matrix @ quantities
+        values += self.offset
+        return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,27 +62,25 @@ class Level:
         """The number of functions."""
         return int(self.arguments[0].offset.size)
 
-    def values(self, arguments: list[Ends]) -> Ends:
+    def values(self, arguments: list[FloatVector]) -> FloatVector:
         """Return the values of the functions at the first and the second arguments."""
         result = np.empty_like(arguments[0])
         for function, span in self.spans:
-            evaluate = function.value if len(result) == 1 else function.interval
-            result[:, span] = evaluate(*(u[:, span] for u in arguments[: function.arguments]))
+            result[span] = function.value(*(u[span] for u in arguments[: function.arguments]))
         return result
 
-    def derivatives(self, arguments: list[Ends]) -> list[Ends]:
+    def derivatives(self, arguments: list[FloatVector]) -> list[FloatVector]:
         """Return the derivatives by the first and by the second arguments."""
         found = [np.empty_like(u) for u in arguments]
         for function, span in self.spans:
-            evaluate = function.derivatives if len(found[0]) == 1 else function.interval_derivatives
-            slopes = evaluate(*(u[:, span] for u in arguments[: function.arguments]))
+            slopes = function.derivatives(*(u[span] for u in arguments[: function.arguments]))
             for whole, slope in zip(found, slopes, strict=False):
-                whole[:, span] = slope
+                whole[span] = slope
         return found
 
 
 class Program:
-    """A map from n unknowns to m results, with its derivatives and with intervals of both.
+    """A map from n unknowns to m results, with its derivatives.
 
     Attributes
     ----------
@@ -152,8 +139,7 @@ class Program:
 
     def quantities(self, x: FloatVector) -> FloatVector:
         """Return the unknowns and the values of all functions, level by level."""
-        found: FloatVector = self._swept(x[None])[0][0]
-        return found
+        return self._swept(x)[0]
 
     def rearranged(self, places: Indices, signs: FloatVector) -> Program:
         """Return the program whose result k is signs[k] times the result places[k] of this one."""
@@ -162,33 +148,21 @@ class Program:
 
     def value(self, x: FloatVector) -> FloatVector:
         """Return F(x), shape (m,)."""
-        value: FloatVector = self._values(x[None])[0]
-        return value
-
-    def interval_F(self, lower: FloatVector, upper: FloatVector) -> tuple[FloatVector, FloatVector]:
-        """Return an interval that contains F(x) for every x in [lower, upper], the program's numbers being exact."""
-        ends = self._values(np.array([lower, upper]))
-        return ends[0], ends[1]
+        with np.errstate(all="ignore"):
+            return self.result(self._swept(x)[0])
 
     def jacobian(self, x: FloatVector) -> sp.csr_array:
         """Return F′(x) as CSR, shape (m, n), its pattern the same for every x; its indices are not to be changed."""
-        return self._patterns[-1].matrix(self._derivative(x[None])[0])
-
-    def interval_jacobian(
-        self, lower: FloatVector, upper: FloatVector
-    ) -> tuple[sp.csr_array, sp.csr_array]:
-        """Return lower and upper ends of F′(x) for every x in [lower, upper], on the pattern of the Jacobian."""
-        lowest, highest = map(self._patterns[-1].matrix, self._derivative(np.array([lower, upper])))
-        return lowest, highest
+        return self._patterns[-1].matrix(self._derivative(x))
 
     def change(self, x: FloatVector, dx: FloatVector) -> FloatVector:
         """Return F′(x) dx without the Jacobian."""
         with np.errstate(all="ignore"):
-            arguments, moved = self._swept(x[None])[1], np.zeros(self._count)
+            arguments, moved = self._swept(x)[1], np.zeros(self._count)
             moved[: self.n] = dx
             for level, span, values in zip(self.levels, self._spans, arguments, strict=True):
                 first, second = (
-                    slope[0] * (argument.matrix @ moved)
+                    slope * (argument.matrix @ moved)
                     for slope, argument in zip(
                         level.derivatives(values), level.arguments, strict=True
                     )
@@ -201,51 +175,43 @@ class Program:
     def gradient(self, x: FloatVector, by_result: FloatVector) -> FloatVector:
         """Return F′(x)ᵀ by_result without the Jacobian."""
         with np.errstate(all="ignore"):
-            arguments, total = self._swept(x[None])[1], np.zeros(self._count)
+            arguments, total = self._swept(x)[1], np.zeros(self._count)
             total += self.result.matrix.T @ by_result
             for level, span, values in zip(
                 self.levels[::-1], self._spans[::-1], arguments[::-1], strict=True
             ):
                 for slope, argument in zip(level.derivatives(values), level.arguments, strict=True):
-                    total += argument.matrix.T @ (slope[0] * total[span][: slope.shape[1]])
+                    total += argument.matrix.T @ (slope * total[span][: slope.size])
             return total[: self.n]
 
     @property
     def _count(self) -> int:
         return int(self.result.matrix.shape[1])
 
-    def _values(self, x: Ends) -> Ends:
-        with np.errstate(all="ignore"):
-            return self.result(self._swept(x)[0])
-
-    def _swept(self, x: Ends) -> tuple[Ends, list[list[Ends]]]:
+    def _swept(self, x: FloatVector) -> tuple[FloatVector, list[list[FloatVector]]]:
         """Return all quantities, and the arguments of each level."""
-        quantities, arguments = (
-            np.zeros((len(x), self._count)),
-            [],
-        )  # a level takes none of those that come after it
-        quantities[:, : self.n] = x
+        quantities, arguments = np.zeros(self._count), []  # a level takes none that come after it
+        quantities[: self.n] = x
         for level, span in zip(self.levels, self._spans, strict=True):
             arguments.append([argument(quantities) for argument in level.arguments])
-            quantities[:, span] = level.values(arguments[-1])
+            quantities[span] = level.values(arguments[-1])
         return quantities, arguments
 
-    def _derivative(self, x: Ends) -> Ends:
-        """Return the entries of the Jacobian, or intervals of them."""
+    def _derivative(self, x: FloatVector) -> FloatVector:
+        """Return the entries of the Jacobian."""
         with np.errstate(all="ignore"):
-            entries, arguments = np.ones((len(x), self._patterns[-1].stop)), self._swept(x)[1]
+            entries, arguments = np.ones(self._patterns[-1].stop), self._swept(x)[1]
             for level, pattern, values in zip(self.levels, self._patterns, arguments, strict=False):
                 first, second = (
-                    _product(pattern.repeated(slope), combined(entries[:, : pattern.start]))
+                    pattern.repeated(slope) * combined(entries[: pattern.start])
                     for slope, combined in zip(
                         level.derivatives(values), pattern.combined, strict=True
                     )
                 )
-                count = second.shape[1]
-                first[:, :count] = _sum(first[:, :count], second)
-                entries[:, pattern.start : pattern.stop] = first
+                first[: second.size] += second
+                entries[pattern.start : pattern.stop] = first
             last = self._patterns[-1]
-            return last.combined[0](entries[:, : last.start])
+            return last.combined[0](entries[: last.start])
 
     @cached_property
     def _patterns(self) -> list[_Pattern]:
@@ -283,14 +249,6 @@ def _combination(rows: Sequence[Rows], first: Mapping[int, int], count: int) -> 
         matrix.sum_duplicates()
         matrix.eliminate_zeros()
     return Combination(matrix, offset)
-
-
-def _product(a: Ends, b: Ends) -> Ends:
-    return a * b if len(a) == 1 else np.array(multiplied((a[0], a[1]), (b[0], b[1])))
-
-
-def _sum(a: Ends, b: Ends) -> Ends:
-    return a + b if len(a) == 1 else np.array(added((a[0], a[1]), (b[0], b[1])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,9 +292,9 @@ class _Pattern:
         ]
         self._n = n
 
-    def repeated(self, values: Ends) -> Ends:
+    def repeated(self, values: FloatVector) -> FloatVector:
         """Return what belongs to each function once an entry of its derivative."""
-        return np.repeat(values, self._lengths[: values.shape[1]], axis=1)
+        return np.repeat(values, self._lengths[: values.size])
 
     @cached_property
     def _index(self) -> tuple[Any, Any]:

@@ -1,4 +1,4 @@
-"""Nonlinear complementarity problems: F, steps by linearisation, certificate, proof; here, what takes the kind."""
+"""Nonlinear complementarity problems: F, steps by linearisation, certificate; here, what takes the kind."""
 
 from ...core.kind import Kind
 
@@ -10,12 +10,12 @@ NONLINEAR_PROBLEM = Kind(
     {
         "z0=": "a start is called x0 here",
         "prove_infeasibility=": "nothing proves a nonlinear problem infeasible, leave it out",
-        "tolerance_on=": "error_bound=True proves a solution near x, given an enclosure",
+        "error_bound=": "nothing bounds the error of a nonlinear problem, leave it out",
+        "tolerance_on=": "nothing bounds the error of a nonlinear problem, leave it out",
         "solve_batch": "write [solve(problem, x0=…) for problem in problems]",
         "march": "write solve(problem, x0=result.x) for each step",
         "Certificate.of": "solve(problem, x0=x, max_iterations=0).certificate is that of x",
-        "error_bound": "solve(problem, x0=x, error_bound=True).error_bound proves a solution near x, given an "
-        "enclosure",
+        "error_bound": "nothing bounds the error of a nonlinear problem; compare solutions from several starts",
         "certify": "solve(problem, x0=x, max_iterations=0).certificate has the residuals of any x",
         "save": "it is made of functions: state it in cvxpy, Pyomo or AMPL, whose .nl files are read",
         "qpsolvers": "its program has no place for it: write solve(problem, x0=…)",

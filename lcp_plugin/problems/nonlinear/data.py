@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,18 +25,6 @@ from ...core.kind import Kind
 from ...core.lcp import LCP
 from . import NONLINEAR_PROBLEM
 from .differences import Differences
-
-Interval = tuple[FloatVector, FloatVector]
-
-
-class Enclosure(Protocol):
-    """What proofs need to know of F: intervals that its values and derivatives cannot leave, rounding included."""
-
-    def interval_F(self, low: FloatVector, high: FloatVector) -> Interval:
-        """Return a lower and an upper end of every F_i over the box low ≤ x ≤ high, shape (n,) each."""
-
-    def interval_jacobian(self, low: FloatVector, high: FloatVector) -> tuple[Any, Any]:
-        """Return CSR arrays of lower and upper ends of every ∂F_i/∂x_j over the box, shape (n, n), one pattern."""
 
 
 class UndefinedDerivativeError(InvalidProblem):
@@ -64,9 +52,6 @@ class NonlinearProblem:
     pattern : sparse array, shape (n, n), optional
         Where the derivative may be other than 0: its stored entries, whatever their values. Only without `jacobian`;
         without both every entry is taken, up to n = 1000.
-    enclosure : Enclosure, optional
-        An object with ``interval_F(low, high)`` and ``interval_jacobian(low, high)``, by which an error bound can be
-        proved; see :func:`lcp_plugin.problems.nonlinear.krawczyk.krawczyk_bound`.
 
     Raises
     ------
@@ -92,18 +77,14 @@ class NonlinearProblem:
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
         pattern: Any = None,
-        *,
-        enclosure: Enclosure | None = None,
     ) -> None:
-        self.F, self.jacobian, self.enclosure = _callable(F, "F"), jacobian, enclosure
+        self.F, self.jacobian = _callable(F, "F"), jacobian
         if jacobian is not None:
             _callable(jacobian, "jacobian")
             if pattern is not None:
                 raise InvalidProblem(
                     "pattern is for differences, and a jacobian was given as well; leave one out"
                 )
-        for name in ("interval_F", "interval_jacobian") if enclosure is not None else ():
-            _callable(getattr(enclosure, name, None), f"enclosure.{name}")
         self.pattern = None if pattern is None else _pattern(pattern)
         sizes = [np.shape(bound) for bound in (lower, upper) if np.ndim(bound)]
         sizes += [] if self.pattern is None else [self.pattern.shape[:1]]
@@ -240,7 +221,7 @@ class NonlinearProblem:
     def __repr__(self) -> str:
         how = "differences" if self.jacobian is None else "jacobian given"
         size = "any" if self.n is None else self.n
-        return f"NonlinearProblem(n={size}, {how}{', enclosure given' if self.enclosure is not None else ''})"
+        return f"NonlinearProblem(n={size}, {how})"
 
 
 def _finite(derivative: Any, name: str, n: int) -> Any:

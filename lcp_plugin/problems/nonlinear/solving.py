@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +18,7 @@ from ...core.kernels.threads import threads_for
 from ...core.policy.stages import Choice
 from ...core.settings import Settings, Status, checked_callback
 from ...core.solving.judge import End, Judge
-from ...core.solving.result import BoundOrReason, Result
+from ...core.solving.result import Result
 from ...core.solving.run import Callback, Run
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations, NonlinearProblem
@@ -50,7 +47,6 @@ def solve_nonlinear(
     absolute_tolerance: float = 0.0,
     record: bool = False,
     callback: Callback | None = None,
-    error_bound: bool = False,
     check_jacobian: bool = True,
     threads: int | None = None,
     verbose: bool = False,
@@ -79,9 +75,6 @@ def solve_nonlinear(
         In the unit of x, as for :func:`lcp_plugin.solve`; such a row need not be right in its own terms either.
     record, callback
         As for :func:`lcp_plugin.solve`, a sample each Newton step.
-    error_bound : bool
-        Prove a solution near x and bound its distance, where the problem has an enclosure; computed when it is looked
-        at. It speaks of the only solution within that distance of x.
     check_jacobian : bool
         Compare a `jacobian` that was given with differences of F near the start.
     threads : int, optional
@@ -130,9 +123,8 @@ def solve_nonlinear(
         max_seconds,
         absolute_tolerance,
         record,
-        error_bound,
-        threads,
-        verbose,
+        threads=threads,
+        verbose=verbose,
     )
     policy_for(algorithm, {})
     checked_callback(callback)
@@ -228,41 +220,10 @@ class NonlinearJudge(Judge):
         """Return the relative residual of z."""
         return self.certificate_of(z).relative_above(self.settings.least_reference)
 
-    def bound_at_the_end(
-        self, certificate: Certificate
-    ) -> BoundOrReason | Callable[[], BoundOrReason]:
-        """Return how a solution near the answer is proved."""
-        return partial(_proved, certificate) if self.settings.error_bound else BoundOrReason()
 
-
-UNLIKELY_ROUNDING = 1e-6  # relative to 1 + |F|
 TANGENTS = (
     "each iteration replaces F by its tangent at x and solves the linear problem that this gives"
 )
-
-
-def _proved(certificate: Any) -> BoundOrReason:
-    from .krawczyk import krawczyk_bound
-
-    enclosure, value = certificate.nonlinear.enclosure, certificate.value
-    if enclosure is None:
-        return BoundOrReason(
-            None, "nothing bounds the derivatives of F; give NonlinearProblem an enclosure"
-        )
-    low, high = enclosure.interval_F(certificate.z, certificate.z)
-    rounding = UNLIKELY_ROUNDING * (1.0 + np.abs(value))
-    outside = ~((low - rounding <= value) & (value <= high + rounding))
-    if outside.any():
-        i = int(np.flatnonzero(outside)[0])
-        return BoundOrReason(
-            None,
-            f"the enclosure contradicts F: F(z)[{i}] = {value[i]} is not in its interval there, "
-            f"[{low[i]}, {high[i]}]; correct one of them",
-        )
-    bound = krawczyk_bound(certificate.problem, certificate.z, enclosure)
-    if bound is None:
-        return BoundOrReason(None, "no box around z could be proved to hold exactly one solution")
-    return BoundOrReason(bound)
 
 
 @np.errstate(all="ignore")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import nonlinear_models as models
 import numpy as np
@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nonlinear_families import KINDS, planted
-from polynomial_families import Polynomial, is_violated, polynomial
+from polynomial_families import polynomial
 
 from lcp_plugin import LCP, NonlinearProblem, Result, Status, derivative, solve
 from lcp_plugin.algorithms import REGISTRY
@@ -30,7 +30,6 @@ from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.nonlinear import josephy_newton
 from lcp_plugin.problems.nonlinear.certificate import shares_of_unknowns, term_residuals
 from lcp_plugin.problems.nonlinear.differences import Differences
-from lcp_plugin.problems.nonlinear.krawczyk import krawczyk_bound
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 INF = np.inf
@@ -844,7 +843,6 @@ MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
         "upper must be a number or a vec",
     ),
     (lambda: NP(np.sin, lower=[2.0], upper=1.0), InvalidProblem, "lower ≤ upper"),
-    (lambda: NP(np.sin, enclosure=3), InvalidProblem, "enclosure.interval_F must be callable"),
     (
         lambda: solve(NP(np.sin)),
         InvalidOption,
@@ -916,128 +914,6 @@ def test_a_derivative_in_single_precision_is_not_refused() -> None:
             one.upper,
         )
         solve_nonlinear(problem, np.random.default_rng(seed).standard_normal(10), max_iterations=0)
-
-
-@settings.get_profile("few")
-@given(SEEDS, st.booleans())
-def test_proofs_hold(seed: int, is_dominant: bool) -> None:
-    """A bound holds the exact rational solution, and a solution that is the only one nearby is proved."""
-    one = polynomial(np.random.default_rng(seed), is_dominant=is_dominant)
-    result = solve_nonlinear(one.problem, one.x, error_bound=True)
-    solved(result)
-    if np.abs(result.z - one.x).max() < 1e-6 and result.error_bound is not None:
-        assert not is_violated(one, result.z, result.error_bound.componentwise)
-    assert not is_dominant or result.error_bound is not None
-
-
-def square(lower: float) -> Polynomial:
-    none, zero, one = np.zeros(1), np.zeros((1, 1)), np.ones((1, 1))
-    return Polynomial(zero, one, zero, none, none - 1e-4, none + lower, none + INF, none + 0.01)
-
-
-def test_a_root_outside_the_bounds_is_not_proved() -> None:
-    """x² = 1e-4 has no solution at 0.01 where x ≥ 0.05: what is proved from there is the one at the bound."""
-    inside = krawczyk_bound(square(0.0).problem.linearised([0.01]), np.array([0.01]), square(0.0))
-    assert inside is not None
-    assert inside.infinity < 1e-16
-    outside = krawczyk_bound(
-        square(0.05).problem.linearised([0.01]), np.array([0.01]), square(0.05)
-    )
-    assert outside is not None
-    assert outside.proven_active.all()
-    assert outside.infinity >= 0.04
-    near = krawczyk_bound(
-        square(0.01 + 1e-9).problem.linearised([0.011]), np.array([0.011]), square(0.01 + 1e-9)
-    )
-    assert near is None or near.infinity >= 0.001 - 1e-9
-
-
-def test_only_one_solution_is_within_a_bound() -> None:
-    """Where Newton passes one root for another, and where a bound is no nearer than a root, nothing is claimed."""
-    for coefficients, x, lower in (
-        ([-8, -16, -8, 1, 1], 0.0, -INF),
-        ([-1] + [0] * 19 + [1], 0.6, 0.0),
-    ):
-        p = np.polynomial.Polynomial(np.array(coefficients[::-1], float))
-        one = Scalar(p, p.deriv())
-        problem = NonlinearProblem(p, lambda x, one=one: np.diag(one.slope(x)), lower=[lower])
-        assert krawczyk_bound(problem.linearised([x]), np.array([x]), one) is None
-    bound = krawczyk_bound(problem.linearised([1e-3]), np.array([1e-3]), one)
-    assert bound is not None
-    assert bound.proven_active.all()
-
-
-class Scalar(NamedTuple):
-    """Encloses a polynomial and its derivative on an interval by the sizes of its Taylor terms at the middle."""
-
-    value: np.polynomial.Polynomial
-    slope: np.polynomial.Polynomial
-
-    @staticmethod
-    def _ends(
-        p: np.polynomial.Polynomial, low: np.ndarray, high: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        middle, radius = (low + high) / 2, (high - low) / 2
-        around = p(np.polynomial.Polynomial([middle[0], 1.0])).coef
-        reach = (
-            np.abs(around[1:]) @ radius[0] ** np.arange(1, around.size)
-            + 1e-12 * np.abs(around).sum()
-        )
-        return around[:1] - reach, around[:1] + reach
-
-    def interval_F(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._ends(self.value, low, high)
-
-    def interval_jacobian(self, low: np.ndarray, high: np.ndarray) -> tuple[Any, Any]:
-        least, most = self._ends(self.slope, low, high)
-        return sp.csr_array(np.diag(least)), sp.csr_array(np.diag(most))
-
-
-def test_a_double_root_is_not_proved() -> None:
-    """Where the derivative is singular, and where F = 0 at a bound, nothing is claimed."""
-    zero, one = np.zeros((1, 1)), np.ones((1, 1))
-    double = Polynomial(
-        zero, one, zero, np.zeros(1), np.zeros(1), np.array([-INF]), np.array([INF]), np.zeros(1)
-    )
-    assert krawczyk_bound(double.problem.linearised([1e-9]), np.array([1e-9]), double) is None
-    degenerate = Polynomial(
-        one, zero, zero, np.zeros(1), np.zeros(1), np.zeros(1), np.array([INF]), np.zeros(1)
-    )
-    assert krawczyk_bound(degenerate.problem.linearised([0.0]), np.array([0.0]), degenerate) is None
-
-
-def test_dominance_proves_what_is_too_large_for_an_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second test proves the same solutions, where rows are dominated."""
-    monkeypatch.setattr("lcp_plugin.problems.nonlinear.krawczyk.DENSE_UP_TO", 0)
-    proved = 0
-    for seed in range(20):
-        one = polynomial(np.random.default_rng(seed), is_dominant=True)
-        x = one.x + 1e-6 * np.random.default_rng(seed).standard_normal(one.x.size)
-        bound = krawczyk_bound(one.problem.linearised(x), x, one)
-        proved += bound is not None
-        assert bound is None or not is_violated(one, x, bound.componentwise)
-    assert proved >= 18
-
-
-def test_without_an_enclosure_nothing_is_claimed() -> None:
-    """error_bound=True on a problem without an enclosure says in words what is missing."""
-    result = solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), error_bound=True)
-    assert result.error_bound is None
-    assert "enclosure" in result.explain()
-    assert derivative(result).is_unique is None
-
-
-def test_an_enclosure_that_contradicts_f_proves_nothing() -> None:
-    """An enclosure of another function is found out at the answer, and nothing is claimed."""
-    one, other = square(0.0), polynomial(np.random.default_rng(0), is_dominant=True)
-    other = Polynomial(
-        *(array[:1, :1] if array.ndim == 2 else array[:1] + 1.0 for array in vars(other).values())
-    )
-    result = solve_nonlinear(
-        NonlinearProblem(one.F, one.jacobian, enclosure=other), [1.0], error_bound=True
-    )
-    assert result.error_bound is None
-    assert "contradicts F" in result.no_error_bound
 
 
 # --- derivatives -------------------------------------------------------------------------------------------------

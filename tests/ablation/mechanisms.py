@@ -743,21 +743,6 @@ MECHANISMS = (
         {f"{STEPS}.start_elsewhere": says(False)},
         "problems/nonlinear/josephy_newton.py:_NewtonRun.start_elsewhere",
     ),
-    Mechanism(
-        "proximal",
-        "linearisations with a larger diagonal",
-        {f"{STEPS}._proximal": says(None)},
-        "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal "
-        "problems/nonlinear/josephy_newton.py:_NewtonRun._proximal_point",
-        f"{NONLINEAR}::test_steps_that_are_far_too_long_are_shortened",
-    ),
-    Mechanism(
-        "descent",
-        "steepest descent at last",
-        {f"{STEPS}._descended": says(None)},
-        "problems/nonlinear/josephy_newton.py:_NewtonRun._descended",
-        f"{NONLINEAR}::test_of_several_solutions_one_near_the_start_is_found",
-    ),
     # --- equilibria
     Mechanism(
         "own nodes",

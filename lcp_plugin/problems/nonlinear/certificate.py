@@ -334,7 +334,9 @@ def term_residuals(
 
 
 def shares_of_unknowns(problem: LCP, x: FloatVector, value: FloatVector) -> FloatVector:
-    """Return the largest |m_ij x_j| / T_i over the rows that have to vanish, shape (n,); ∞ at a bound.
+    """Return the largest |m_ij x_j| / T_i over the rows that have to vanish, shape (n,).
+
+    ∞ at a bound, and for an unknown that no such row depends on.
 
     At a bound is x_i also where it is nearer to it than F_i asks for.
 
@@ -357,4 +359,4 @@ def shares_of_unknowns(problem: LCP, x: FloatVector, value: FloatVector) -> Floa
         parts = np.abs(rows.data * x[rows.indices]) / np.repeat(terms, np.diff(rows.indptr))
     shares = np.zeros(x.size)
     np.maximum.at(shares, rows.indices, np.nan_to_num(parts))
-    return np.where(is_between, shares, np.inf)
+    return np.where(is_between & (shares > 0.0), shares, np.inf)

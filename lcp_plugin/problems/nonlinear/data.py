@@ -35,8 +35,7 @@ class NonlinearProblem:
     """Find x with lower ≤ x ≤ upper and F(x) complementary to it.
 
     For every row i: F_i(x) ≥ 0 where x_i = lower_i, F_i(x) = 0 where lower_i < x_i < upper_i, and F_i(x) ≤ 0 where
-    x_i = upper_i. A row with bounds (−∞, ∞) is an equation. Nothing is called before ``solve(problem, x0=…)`` needs
-    it.
+    x_i = upper_i. A row with bounds (−∞, ∞) is an equation. Nothing is called before ``solve`` needs it.
 
     Parameters
     ----------

@@ -27,33 +27,21 @@ from ...core.solving.driver import fused
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
 from ...methods.lemke import Lemke
-from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister, phi_jacobian
+from ...methods.newton.semismooth_newton import Linearised, fischer_burmeister
 from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations
 
 SUFFICIENT = 1e-4
-SHORTER, SHORTER_OF_DESCENT = 16, 30  # times a step is shortened
-HALVINGS, FAR = (
-    4,
-    1e3,
-)  # after so many, where the merit is still so much larger than it should be, to a tenth
-EXPLODED = 1e5  # times as much slack is no progress, whatever the merit says
+SHORTER = 30  # times a step is halved
 MEMORY = 4  # the line search compares with the worst of so many points
-SHIFTS = (
-    1e-3,
-    1e-1,
-    10.0,
-)  # of the residual scale: where the LCP has no solution, or its step does not help
+SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal steps
 FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
 SMALLEST_TOLERANCE = 1e-14
 ENOUGH = 0.1  # of what the run asks for: no linearisation need be solved to less
 PATIENCE = 25  # steps without a residual clearly below those of the window before it
 WINDOW, GAIN = 12, 0.95  # after a jump a long way back may begin
-RESTARTS, SMALL = (
-    6,
-    1000,
-)  # unknowns: beyond them a new start, and steps without progress, are too expensive
-FACTORS = {"newton": 12}  # without half the residual, on a large linearisation
+RESTARTS, SMALL = 6, 1000  # starts; unknowns, beyond which a new start is too expensive
+FACTORS = 12  # of Newton without half the residual, on a large linearisation
 PATHS = 2  # of pivots
 
 
@@ -76,10 +64,9 @@ class JosephyNewton(Algorithm):
     -----
     The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, beside the largest entry of each row of F′
     here: a diagonal that vanishes with x, as that of a convex power does at 0, says nothing about a point far away.
-    A step is shortened until F is defined and ‖Φ‖ falls below the worst of the last four points. Where that takes more
-    than 16 trials, these are tried in turn: the LCP of F′(x) + μD, D the residual scale (proximal); the steepest
-    descent of ‖Φ‖. Both must lower ‖Φ‖ at x, or they climb and descend in turn. Where nothing helps x is a stationary
-    point of ‖Φ‖, and small problems start again elsewhere. A large linearisation is given up after 12 active sets
+    A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four points; a full step is taken also
+    if it halves the residual. If no step helps, the LCP of F′(x) + μD is solved for larger and larger μ, D the residual
+    scale (proximal steps); then small problems start elsewhere. A large linearisation is given up after 12 active sets
     without half the residual.
 
     References
@@ -118,8 +105,6 @@ class _NewtonRun:
         self.recent: deque[Linearisation] = deque([start], maxlen=MEMORY)
         self.work, self.starts = 1.0, 0
         self.weights = _weights(start, options.compared_with)
-        self.tried = math.inf  # the merit of the last trial
-        self.is_regularised = False  # since a linearisation was not solved
         self.random = np.random.default_rng(0)
 
     def step(self) -> Step:
@@ -160,7 +145,7 @@ class _NewtonRun:
                 x = self.first.x + size * self.random.standard_normal(problem.n) * 0.5 * self.starts
             point = self._at(np.clip(x, problem.lower, problem.upper))
             if point.is_defined:
-                self.here, self.is_regularised = point, False
+                self.here = point
                 self.recent = deque([point], maxlen=MEMORY)
                 self.options.points.keep(point)
                 return True
@@ -169,72 +154,31 @@ class _NewtonRun:
     # --- one step ----------------------------------------------------------------------------------------
 
     def _following(self) -> Linearisation | None:
-        """Return the next point, or None where nothing helps, time is over, or rounding explains what is left."""
-        lcp = self.here.lcp
+        """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
         if not self._residuals(self.here).any():
             return None
-        here, worst = self._merit(self.here), max(self._merit(point) for point in self.recent)
-        for find, least in (
-            (self._newton, worst),
-            (self._proximal, here),
-            (self._descended, here),
-        ):
-            found = find(lcp, least)
+        for shift in SHIFTS:
+            target = self._solution(shift)
+            found = None if target is None else self._searched(target, is_newton=shift == 0.0)
             if found is not None or is_over() or self._is_at_floor():
                 return found
         return None
 
-    def _newton(self, lcp: LCP, worst: float) -> Linearisation | None:
-        if self.is_regularised:
-            target = self._proximal_point(lcp, min(SHIFTS[1], self._relative(self.here)))
-        else:
-            target = self._solution(lcp, self.here.value)
-            self.is_regularised = target is None
-        return None if target is None else self._searched(target, worst)
-
-    def _along(self, direction: FloatVector, lcp: LCP, worst: float) -> Linearisation | None:
-        """Return the first point in that direction, projected, that is accepted."""
-        for k in range(SHORTER_OF_DESCENT):
-            x = np.clip(self.here.x + 0.5**k * direction, lcp.lower, lcp.upper)
-            if (found := self._accepted(x, worst, SUFFICIENT * 0.5**k)) is not None:
-                return found
-        return None
-
-    def _proximal(self, lcp: LCP, worst: float) -> Linearisation | None:
-        targets = (self._proximal_point(lcp, shift) for shift in SHIFTS)
-        found = (self._searched(target, worst) for target in targets if target is not None)
-        return next((point for point in found if point is not None), None)
-
-    def _proximal_point(self, lcp: LCP, shift: float) -> FloatVector | None:
-        """Return the solution of the LCP of F′(x) + shift D, which leaves F(x) as it is."""
-        added = shift * lcp.residual_scale
-        M = lcp.M + sp.diags_array(added) if sp.issparse(lcp.M) else lcp.M + np.diag(added)
-        return self._solution(LCP(M, lcp.q, lower=lcp.lower, upper=lcp.upper), self.here.value)
-
-    def _descended(self, lcp: LCP, worst: float) -> Linearisation | None:
-        """Return a point along the steepest descent of Φ."""
-        phi = self._phi(lcp, self.here)
-        jacobian = phi_jacobian(lcp, phi, 0.0, lcp.matrix.row_largest)
-        return self._along(-(jacobian.T @ (self.weights**2 * phi.value)), lcp, worst)
-
-    def _searched(self, target: FloatVector, worst: float) -> Linearisation | None:
-        """Return the first point on the way to the target that is accepted."""
-        direction, length = target - self.here.x, 1.0
+    def _searched(self, target: FloatVector, *, is_newton: bool) -> Linearisation | None:
+        """Return the first point on the way to the target that is better."""
+        here = self.here
+        worst = max(map(self._merit, self.recent)) if is_newton else self._merit(here)
         for k in range(SHORTER):
-            x = target if k == 0 else self.here.x + length * direction
-            if (found := self._accepted(x, worst, length)) is not None:
-                return found
-            length *= 0.1 if k >= HALVINGS and self.tried > FAR * worst else 0.5
+            x = target if k == 0 else here.x + 0.5**k * (target - here.x)
+            point, least = self._at(x), (1.0 - SUFFICIENT * 0.5**k) * worst
+            is_better = self._merit(point) <= least or (k == 0 and self._halves(point))
+            if is_better and point.is_defined and not np.array_equal(x, here.x):
+                return point
         return None
 
-    def _accepted(self, x: FloatVector, worst: float, length: float) -> Linearisation | None:
-        """Return x where F is defined there and the merit falls."""
-        point = self._at(x)
-        self.tried = math.inf if self._overshoots(point, worst) else self._merit(point)
-        is_less = self.tried <= (1.0 - SUFFICIENT * length) * worst
-        return (
-            point if is_less and point.is_defined and not np.array_equal(x, self.here.x) else None
-        )
+    def _halves(self, point: Linearisation) -> bool:
+        """Return whether the residual at a point is at most half of that here."""
+        return point.is_defined and self._relative(point) <= 0.5 * self._relative(self.here)
 
     def _at(self, x: FloatVector) -> Linearisation:
         self.work += 1.0
@@ -255,18 +199,6 @@ class _NewtonRun:
     def _is_at_floor(self) -> bool:
         return NonlinearCertificate.at(self.here, self.options.compared_with).is_limited_by_rounding
 
-    def _overshoots(self, point: Linearisation, worst: float) -> bool:
-        """Return whether slack between the bounds, of which Φ sees no more than how far they are, has exploded."""
-        lcp = self.here.lcp
-        is_between = (lcp.lower < point.x) & (point.x < lcp.upper)
-        there, here = (
-            np.abs(self.weights * one.value / lcp.matrix.row_largest).max(
-                initial=0.0, where=is_between
-            )
-            for one in (point, self.here)
-        )
-        return bool(there > EXPLODED * max(worst, here))
-
     @staticmethod
     def _residuals(point: Linearisation) -> FloatVector:
         """Return ‖r_P‖∞ of each component."""
@@ -285,11 +217,16 @@ class _NewtonRun:
             return size
         return NonlinearCertificate.at(point, self.options.compared_with).relative_residual
 
-    def _solution(self, lcp: LCP, w: FloatVector) -> FloatVector | None:
-        """Return a solution of M (x⁺ − x) + w on the bounds, as sharp as the residual here deserves, or None.
+    def _solution(self, shift: float) -> FloatVector | None:
+        """Return a solution of (M + shift D)(x⁺ − x) + F(x) on the bounds, as sharp as the residual deserves, or None.
 
         It is solved for x⁺ − x: the residual at x is then the reference, and of several solutions one near x is found.
         """
+        lcp, w = self.here.lcp, self.here.value
+        if shift:
+            added = sp.diags_array(shift * lcp.residual_scale)
+            M = lcp.M + (added if sp.issparse(lcp.M) else added.toarray())
+            lcp = LCP(M, lcp.q, lower=lcp.lower, upper=lcp.upper)
         x = self.here.x
         step = lcp.with_q(w, lower=lcp.lower - x, upper=lcp.upper - x)
         relative = self._relative(self.here)
@@ -375,20 +312,17 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
 
 
 class _Patience:
-    """Ends a run in which many factorisations have not halved the residual."""
+    """A callback that ends a run in which Newton has not halved the residual for many factorizations."""
 
     def __init__(self) -> None:
         self.lowest, self.idle, self.before = math.inf, 0, 0
 
     def __call__(self, sample: Sample, z: FloatVector) -> bool:
         """Return whether the run has had its time."""
-        residual, steps = (
-            math.inf if sample.residual is None else sample.residual,
-            sample.iteration - self.before,
-        )
-        self.before = sample.iteration
+        residual = math.inf if sample.residual is None else sample.residual
+        steps, self.before = sample.iteration - self.before, sample.iteration
         if residual <= 0.5 * self.lowest:
             self.lowest, self.idle = residual, 0
-        elif sample.label in FACTORS:
+        elif sample.label == "newton":
             self.idle += steps
-        return self.idle >= FACTORS.get(sample.label, math.inf)
+        return sample.label == "newton" and self.idle >= FACTORS

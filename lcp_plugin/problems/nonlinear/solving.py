@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...auto import Single, policy_for
 from ...core.algorithm import Algorithm
@@ -24,21 +24,15 @@ from .certificate import NonlinearCertificate, Reference
 from .data import Linearisation, Linearisations, NonlinearProblem
 from .josephy_newton import JosephyNewton
 
-STEP = 2.0**-20
-OTHERS = (
-    2.0**-30,
-    2.0**-40,
-    2.0**-10,
-)  # what is curved is not wrong on shorter ones, nor on a longer one what is rough
-WRONG = 1e-2  # of the terms of a row
+CHECKED = 2.0**-20, 2.0**-10  # steps
+WRONG = 0.1  # of the terms of a row, with both steps
 ELSEWHERE = "F or its derivative is not finite at the start given, projected onto them"
-UNSURE = 10.0  # times what differences of two lengths disagree by
 
 
 @np.errstate(under="ignore")
 def solve_nonlinear(
     problem: NonlinearProblem,
-    x0: ArrayLike,
+    x0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     *,
     tolerance: float = 1e-8,
@@ -56,9 +50,10 @@ def solve_nonlinear(
     Parameters
     ----------
     problem : NonlinearProblem
-    x0 : array, shape (n,), or a number for n = 1
-        Where to begin, projected onto the bounds; where F or its derivative is not finite there, at the point of the
-        bounds nearest to 0, or else to 1, which ``explain()`` tells. F is given an array in any case.
+    x0 : array, shape (n,), or a number for n = 1, optional
+        Where to begin, projected onto the bounds; by default the point of the bounds nearest to 0. Where F or its
+        derivative is not finite there, at the point of the bounds nearest to 0, or else to 1, which ``explain()``
+        tells. F is given an array in any case.
     algorithm : str or Algorithm
         What solves the linear complementarity problem of each step.
     tolerance : float
@@ -76,7 +71,8 @@ def solve_nonlinear(
     record, callback
         As for :func:`lcp_plugin.solve`, a sample each Newton step.
     check_jacobian : bool
-        Compare a `jacobian` that was given with differences of F near the start.
+        Compare a `jacobian` that was given with differences of F near the start; ``explain()`` names a row that
+        disagrees.
     threads : int, optional
         As for :func:`lcp_plugin.solve`; F itself is called in this thread.
     verbose : bool
@@ -93,7 +89,7 @@ def solve_nonlinear(
     Raises
     ------
     InvalidProblem
-        Where F or its derivative is finite at no start, has another shape, or `jacobian` is clearly wrong.
+        If F or its derivative is finite at no start, or has another shape.
     InvalidOption, UnknownAlgorithm
         For a wrong option.
 
@@ -152,12 +148,11 @@ def solve_nonlinear(
         )
         try:
             if check_jacobian and problem.jacobian is not None:
-                require_true_jacobian(first)
-            return replace(
-                run.judged(start, run.drive(start, Choice(newton, TANGENTS))), begun=begun
-            )
+                begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
+            end = run.drive(start, Choice(newton, TANGENTS))
         except KeyboardInterrupt:
-            return replace(run.judged(start, End.INTERRUPTED), begun=begun)
+            end = End.INTERRUPTED
+        return replace(run.judged(start, end), begun=begun)
 
 
 def begun_at(points: Linearisations, start: FloatVector) -> tuple[FloatVector, str]:
@@ -175,7 +170,13 @@ def begun_at(points: Linearisations, start: FloatVector) -> tuple[FloatVector, s
     return start, ""
 
 
-def _checked_start(problem: NonlinearProblem, x0: ArrayLike) -> FloatVector:
+def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVector:
+    if x0 is None:
+        if problem.n is None:
+            raise InvalidOption(
+                "x0 is needed because nothing else says how many unknowns there are; give x0, or bounds as arrays"
+            )
+        return np.zeros(problem.n)
     try:
         return checked_vector(x0, "x0", problem.n, may_be_number=True)
     except InvalidProblem as error:
@@ -227,91 +228,28 @@ TANGENTS = (
 
 
 @np.errstate(all="ignore")
-def require_true_jacobian(point: Linearisation) -> None:
-    """Raise where differences of F along a random direction contradict the derivative there; cost: 9 values of F.
-
-    A row that disagrees is looked through for its worst entry, which takes some 2 log₂ n more.
+def jacobian_warning(point: Linearisation) -> str:
+    """Return the row in which differences of F contradict the derivative most, in words; "" if none does.
 
     Parameters
     ----------
     point : Linearisation
-        The start. Where F is not defined nearby nothing is said.
-
-    Raises
-    ------
-    InvalidProblem
-        Naming the worst entry.
+        The start. F is evaluated at two points along one random direction that leads into the bounds.
     """
-    direction = _direction(point)
-    contradiction = _contradiction(point, direction)
-    if not contradiction.size or not contradiction.max() > WRONG:
-        return
-    i = int(np.argmax(contradiction))
-    columns = np.arange(point.x.size)
-    while columns.size > 1:  # the half that disagrees more
-        halves = np.array_split(columns, 2)
-        wrong = [float(np.abs(_difference(point, _only(direction, half))[0])[i]) for half in halves]
-        columns = halves[int(np.argmax(np.nan_to_num(wrong)))]
-    j = int(columns[0])
-    alone = _only(direction, columns)
-    own = alone * np.abs(
-        point.x[j] / alone[j]
-    )  # where x_j ≪ 1, 1/x_j is curved on every step of the size 1
-    if own[j] != 0.0 and not _contradiction(point, own)[i] > WRONG:
-        return
-    given = float(point.lcp.M[i, j])
-    found = given + float(_difference(point, alone)[0][i] / alone[j])
-    raise InvalidProblem(
-        f"jacobian contradicts F at the start: jacobian(x0)[{i}, {j}] = {given:.6g}, and differences of F give "
-        f"{found:.6g}; correct it, leave it out (differences take its place), or pass check_jacobian=False"
-    )
-
-
-def _contradiction(point: Linearisation, direction: FloatVector) -> FloatVector:
-    """Return by how much each row disagrees, relative to its terms, where it does so least; 0 where nothing tells."""
-    least = np.full(point.x.size, np.inf)
-    size = np.asarray(abs(point.lcp.M) @ np.abs(direction))
-    for step in (STEP, *OTHERS):
-        wrong, unsure = _difference(point, direction, step)
-        terms = size + np.abs(wrong)
-        is_sure = np.isfinite(terms) & (UNSURE * unsure < np.maximum(np.abs(wrong), WRONG * terms))
-        least = np.where(is_sure, np.minimum(least, np.abs(wrong) / terms), least)
-    contradiction: FloatVector = np.where(np.isinf(least) | point.is_steep, 0.0, least)
-    return contradiction
-
-
-def _difference(
-    point: Linearisation, direction: FloatVector, step: float = STEP
-) -> tuple[FloatVector, FloatVector]:
-    """Return the derivative of F along a direction less F′ times it, and a bound of the former's error, about."""
-    x, value, F = point.x, point.value, point.problem.value
-    long = (F(x + 2.0 * step * direction) - value) / (2.0 * step)
-    short = (F(x + step * direction) - value) / step
-    product = np.asarray(point.lcp.M @ direction)
-    rounding = 2.0**-50 * (np.abs(value) + np.abs(short) * step + _added(point)) / step
-    return 2.0 * short - long - product, np.abs(short - long) * 0.5 + rounding
-
-
-def _added(point: Linearisation) -> FloatVector:
-    """Return what F adds up, about, shape (n,): where its terms cancel at x they need not at the origin."""
-    origin = np.clip(0.0, point.problem.lower, point.problem.upper)
-    return np.nan_to_num(np.abs(point.problem.value(origin)), posinf=0.0)
-
-
-def _direction(point: Linearisation) -> FloatVector:
-    """Return a direction of the size of x, or 1, that leads into the bounds where x is at one."""
-    x, lower, upper = point.x, point.problem.lower, point.problem.upper
+    x, problem, M = point.x, point.problem, point.lcp.M
     random = np.random.default_rng(0)
-    sign = np.where(random.random(x.size) < 0.5, -1.0, 1.0)
     size = np.maximum(np.abs(x), 1.0) * random.uniform(0.5, 1.0, x.size)
-    sign = np.where(
-        x - lower < 4.0 * STEP * size, 1.0, np.where(upper - x < 4.0 * STEP * size, -1.0, sign)
+    direction = np.where(random.random(x.size) < 0.5, -size, size)
+    direction = np.where(x - problem.lower < CHECKED[1] * size, size, direction)
+    direction = np.where(problem.upper - x < CHECKED[1] * size, -size, direction)
+    slope, terms = M @ direction, abs(M) @ size
+    quotients = [(problem.value(x + step * direction) - point.value) / step for step in CHECKED]
+    wrong = np.minimum(*(np.abs(one - slope) / (terms + np.abs(one)) for one in quotients))
+    wrong = np.where(np.isfinite(wrong) & ~point.is_steep, wrong, 0.0)
+    if not wrong.max(initial=0.0) > WRONG:
+        return ""
+    i = int(np.argmax(wrong))
+    return (
+        f"jacobian contradicts F at the start: along one direction row {i} of jacobian(x0) gives {slope[i]:.6g}, and "
+        f"differences of F give {quotients[0][i]:.6g}; correct it, or leave it out"
     )
-    direction: FloatVector = sign * size
-    return direction
-
-
-def _only(direction: FloatVector, columns: NDArray[np.intp]) -> FloatVector:
-    kept = np.zeros(direction.size)
-    kept[columns] = direction[columns]
-    return kept

@@ -161,7 +161,7 @@ def take_steps_together(
         for j, one in enumerate(marches):
             for q, z in zip(Q[: counts[j], j], Z[: counts[j], j], strict=True):
                 stated = partial(one.problem.with_q, q)
-                one.take(z, partial(_result_at, stated, z, settings.tolerance))
+                one.take(z, partial(_result_at, stated, z, algorithm, wishes))
         if counts.min() < len(forcing):
             break
         states = Z[-1]
@@ -169,8 +169,14 @@ def take_steps_together(
         one.seconds += clock.read() / len(marches)
 
 
-def _result_at(stated: Callable[[], LCP], z: FloatVector, tolerance: float) -> Result:
-    return solve_lcp(stated(), Banded(), z0=z, tolerance=tolerance)
+def _result_at(
+    stated: Callable[[], LCP],
+    z: FloatVector,
+    algorithm: str | Algorithm,
+    wishes: dict[str, Any],
+) -> Result:
+    """Return the result of a step from its solution, which ends where it begins."""
+    return solve_lcp(stated(), algorithm, z0=z, **wishes)
 
 
 def take_steps(

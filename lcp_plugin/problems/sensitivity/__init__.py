@@ -125,6 +125,11 @@ def derivative(
            [ 0.  ,  0.  ]])
     """
     if isinstance(result, BatchResult):
+        if not isinstance(result.z, np.ndarray):
+            raise InvalidOption(
+                "the derivative of a batch takes problems of one size; "
+                "write [derivative(answer) for answer in batch] for several"
+            )
         return BatchDerivative(result, derivative)
     if isinstance(result, March):
         if not isinstance(result.problem, LCP):

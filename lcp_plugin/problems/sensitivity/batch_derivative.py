@@ -1,4 +1,4 @@
-"""The derivatives of a batch: a compiled loop over what is small and plain, one by one what needs more digits."""
+"""The derivatives of a batch: small problems by one stacked system, one by one those that need more digits."""
 
 from __future__ import annotations
 
@@ -9,18 +9,22 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import finite_vector, is_number, read_only, real_array, rectangular_matrix
+from ...core.checks import is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
+from ...core.kernels.floats import EPSILON
 from ...core.kind import changes_by_name
+from ...core.matrix.matrix import residual_scales
 from ...core.settings import Status
 from ...systems.least_norm import FreeBlocks, products
 from ...systems.linearised import Linearised
 from ..batches.batch_groups import Group
 from ..batches.batch_items import put
 from ..batches.batch_run import BatchAnswers, BatchResult
-from ..many.chunks import in_chunks
 
 R = TypeVar("R", bound=BatchAnswers[Any])
+STEPS = 6  # rounds of active sets; from a solved problem one or two settle all rows
+NOT_SMALL = 2.0**-10  # of a diagonal entry relative to its row
+HALF = 2.0**-26  # of the digits of a double
 CHANGES = ("dM", "dq", "dlower", "dupper")
 NUMBERS = "dlower", "dupper", "dfriction"  # which may be one number
 OF_ARRAYS = (
@@ -29,38 +33,74 @@ OF_ARRAYS = (
 
 
 class BatchPart(Linearised):
-    """Problems of a batch that share a compiled loop.
+    """Small problems of a batch in arrays, with one stacked system.
 
-    It settles those with `is_plain`: z and side are their solutions, and where each row is, `workspace` says how.
+    Each solution is computed once more on its free rows until that changes it by rounding alone, and its rows are told
+    apart. Rows at a bound with w = 0 are held, or free where only that makes the block regular. A problem with a row
+    that rounding leaves open, or with a block that is neither regular nor clearly singular, is not plain.
+
+    Parameters
+    ----------
+    group : Group
+    z : array, shape (k, n)
+    is_solved : array of bool, shape (k,)
     """
 
-    def __init__(self, group: Group, z: Any, is_solved: Any, threads: int) -> None:
-        from ...methods.small.kernels.workspace import AT_UPPER, BETWEEN
-        from .kernels import KINK, settle_all
-
-        self.group, self.items, self.threads = group, group.items, threads
-        self.z, self.side, self.is_plain = z, np.zeros(z.shape, np.int8), is_solved
-        data, found = (
-            (group.M, group.q, group.lower, group.upper),
-            (self.z, self.side, self.is_plain),
+    def __init__(self, group: Group, z: Any, is_solved: Any) -> None:
+        self.group, self.items, self.z = group, group.items, z
+        M, (q, lower, upper) = group.M, group.vectors("q", "lower", "upper")
+        sizes = np.abs(M)
+        largest = sizes.max(axis=2, initial=0.0)
+        diagonal = np.diagonal(M, axis1=1, axis2=2)
+        scale, terms = residual_scales(diagonal, largest), EPSILON * ((M != 0.0).sum(axis=2) + 2)
+        is_exact, is_open = np.zeros(len(z), np.bool_), is_solved & np.isfinite(z).all(axis=1)
+        z[~is_open] = 0.0
+        with np.errstate(all="ignore"):
+            for step in range(STEPS):
+                w, size = products(M, z) + q, products(sizes, np.abs(z)) + np.abs(q)
+                at_lower = (z - lower) * scale <= w
+                at_upper = ~at_lower & ((z - upper) * scale >= w)
+                free, bound = ~(at_lower | at_upper), np.where(at_upper, upper, lower)
+                if (
+                    step == STEPS - 1
+                ):  # rounding of the largest unknown, where no solve makes it less
+                    size = size + largest * np.abs(z).max(axis=1, initial=0.0)[:, np.newaxis]
+                is_right = np.where(free, np.abs(w) <= terms * size, z == bound)
+                is_exact = is_open & is_right.all(axis=1)
+                wrong = np.flatnonzero(is_open & ~is_exact)
+                if not wrong.size or step == STEPS - 1:
+                    break
+                blocks = FreeBlocks(M if len(M) == 1 else M[wrong], free[wrong])
+                step_of_free = blocks.solve(-w[wrong])
+                z[wrong] = np.where(free[wrong], z[wrong] + step_of_free, bound[wrong])
+        distance, slack = np.minimum(z - lower, upper - z) * scale, np.abs(w)
+        self.is_upper = np.where(
+            lower == upper, w < 0.0, at_upper | (free & (upper - z < z - lower))
         )
-        in_chunks(lambda first, end: settle_all(*data, first, end, *found), len(z), threads)
-        self.free, self.is_upper = self.side % KINK == BETWEEN, self.side % KINK == AT_UPPER
-        self.degenerate = self.side >= KINK
+        is_sized = diagonal >= NOT_SMALL * largest
+        kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
+        is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > HALF * size)
+        self.degenerate, self.free = kink, free & ~kink
+        self.blocks = FreeBlocks(M, self.free)
+        freed = np.flatnonzero(kink.any(axis=1) & ~self.blocks.is_regular)
+        if freed.size:
+            others = FreeBlocks(M if len(M) == 1 else M[freed], (free | kink)[freed])
+            gains = freed[others.is_regular]
+            self.free[gains] |= kink[gains]
+            self.blocks = FreeBlocks(M, self.free)
+        self.is_plain = is_exact & is_clear.all(axis=1)
+        self.is_plain &= self.blocks.is_regular | self.blocks.is_singular
 
     def changes(self, h: Any, lower: Any, upper: Any) -> list[Any]:
-        """Return [dz], NaN where it is one-sided, or a block singular."""
+        """Return [dz], NaN where it is one-sided or a block is singular."""
         held = np.where(self.free, 0.0, np.where(self.is_upper, upper, lower))
         dz = self.tangent(np.broadcast_to(h, held.shape), held)
         dz[self.degenerate.any(axis=1)] = np.nan
         return [dz]
 
     def gradients(self, g: Any, by_w: Any) -> list[Any]:
-        """Return those by q, lower and upper, by least norm where blocks are singular, NaN where that is in doubt."""
-        g, by_w = (
-            np.broadcast_to(g, self.z.shape),
-            np.where(self.free, 0.0, by_w),
-        )  # w stays 0 there
+        """Return those by q, lower and upper, by least norm if blocks are singular."""
+        g, by_w = np.broadcast_to(g, self.z.shape), np.where(self.free, 0.0, by_w)
         by_q, by_bound, _ = self.adjoint(g, by_w)
         return [
             by_q,
@@ -74,25 +114,9 @@ class BatchPart(Linearised):
         return products(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
 
     def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
-        from .kernels import solve_all
-
-        M = (
-            read_only(np.ascontiguousarray(self.group.M.swapaxes(1, 2)))
-            if transposed
-            else self.group.M
-        )
-        x, data = np.empty(self.z.shape), (M, self.side, read_only(np.array(right)))
-        in_chunks(
-            lambda first, end: solve_all(*data, first, end, x, self.is_plain), len(x), self.threads
-        )
-        singular = np.flatnonzero(self.is_plain & np.isnan(x[:, 0]))
-        if transposed and singular.size:
-            blocks = FreeBlocks(self.group.chosen(singular).M, self.free[singular])
-            x[singular] = np.where(
-                blocks.is_singular[:, np.newaxis],
-                blocks.solve(right[singular], transposed=True),
-                np.nan,
-            )
+        x = self.blocks.solve(right, transposed=transposed)
+        if not transposed:
+            x[self.blocks.is_singular] = np.nan
         return x
 
 
@@ -101,7 +125,7 @@ class BatchGradient:
 
     Parameters
     ----------
-    q, lower, upper : array, shape (B, n), or a list of arrays where the sizes differ
+    q, lower, upper : array, shape (B, n)
         As those of :class:`~lcp_plugin.problems.sensitivity.Gradient`, one row a problem. NaN where `errors` of the
         derivative says why there is none; 0 where the function does not look at z and w.
     by_M : callable
@@ -135,8 +159,6 @@ class ManyDerivatives(Generic[R]):
     errors : dict
         Why item k has none.
     """
-
-    _is_even = True  # whether all vectors are rows of an array
 
     def __init__(self, batch: R, each: Callable[[Any], Any]) -> None:
         self.batch, self._derivative_of = batch, each
@@ -200,11 +222,7 @@ class ManyDerivatives(Generic[R]):
     def _forget_unasked(self, tables: Sequence[Any], *given: Any) -> None:
         """Write 0 for the items without a derivative of which functions with these gradients ask for none."""
         for k in self.errors:
-            rows = [
-                one[k] if not self._is_even or np.ndim(one) > 1 else one
-                for one in given
-                if one is not None
-            ]
+            rows = [one[k] if np.ndim(one) > 1 else one for one in given if one is not None]
             if not any(np.any(np.asarray(row) != 0.0) for row in rows):
                 for table in tables:
                     table[k][:] = 0.0
@@ -248,29 +266,28 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
 
     Notes
     -----
-    Small problems share one compiled loop, on as many threads as the batch had: the bits are the same for any number.
-    Gradients where free blocks are singular take some ten times as long. Problems near a kink, with free blocks that
-    lose half of the digits in elimination, or in need of a one-sided derivative are left to their Derivative, which
-    takes a hundred times as long.
+    Small problems are solved as one stack. Problems near a kink, with free blocks of which it is in doubt whether they
+    are singular, or in need of a one-sided derivative are left to their Derivative, which takes a hundred times as
+    long. A batch of several sizes has no derivative: write ``[derivative(answer) for answer in batch]``.
     """
 
     @cached_property
     def z(self) -> Any:
-        """The solutions at which the derivatives are taken, shape (B, n) or a list; NaN where there is none."""
+        """The solutions at which the derivatives are taken, shape (B, n); NaN where there is none."""
         z = self._table(np.nan)
         self._fill([z], lambda part: [part.z], lambda k: [self[k].z])
-        return read_only(z) if self._is_even else z
+        return read_only(z)
 
     @cached_property
     def free(self) -> Any:
-        """The rows that `vjp` takes as free, shape (B, n) or a list, of bool."""
+        """The rows that `vjp` takes as free, shape (B, n), of bool."""
         free = self._table(False)
         self._fill([free], lambda part: [part.free], lambda k: [self[k].free])
         return free
 
     @cached_property
     def degenerate(self) -> Any:
-        """The rows that are at a bound and have w = 0, shape (B, n) or a list, of bool."""
+        """The rows that are at a bound and have w = 0, shape (B, n), of bool."""
         degenerate = self._table(False)
         self._fill(
             [degenerate],
@@ -292,10 +309,10 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
 
         Parameters
         ----------
-        dM : array, shape (B, n, n) or (n, n), or a sparse array for all, or a list, optional
+        dM : array, shape (B, n, n) or (n, n), or a sparse array for all, optional
             The change of M, on any pattern.
-        dq : array, shape (B, n) or (n,), or a list, optional
-        dlower, dupper : number or array, shape (B, n) or (n,), or a list, optional
+        dq : array, shape (B, n) or (n,), optional
+        dlower, dupper : number or array, shape (B, n) or (n,), optional
             The change of the bounds; only those that hold matter.
         **named
             Of a list of problems that ``LCP.from_contacts`` made, those of :meth:`Derivative.jvp`, a number for all
@@ -303,7 +320,7 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
 
         Returns
         -------
-        array, shape (B, n), or a list of arrays where the sizes differ
+        array, shape (B, n)
 
         Raises
         ------
@@ -322,11 +339,11 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         """
         h, low, high = map(self._rows_of, (dq, dlower, dupper), ("dq", "dlower", "dupper"))
         if dM is not None:
-            h = _sum(h, self._product(dM))
-        h, dz = _sum(h, self._by_name(named)) if named else h, self._table(np.nan)
+            h = h + self._product(dM)
+        h, dz = h + self._by_name(named) if named else h, self._table(np.nan)
         self._fill(
             [dz],
-            lambda part: part.changes(*(_chosen(rows, part.items) for rows in (h, low, high))),
+            lambda part: part.changes(*(rows[part.items] for rows in (h, low, high))),
             lambda k: [self[k].jvp(dq=h[k], dlower=low[k], dupper=high[k])],
         )
         return dz
@@ -336,9 +353,9 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
 
         Parameters
         ----------
-        g : array, shape (B, n) or (n,), or a list
+        g : array, shape (B, n) or (n,)
             ∂L/∂z.
-        gw : array, shape (B, n) or (n,), or a list, optional
+        gw : array, shape (B, n) or (n,), optional
             ∂L/∂w.
 
         Returns
@@ -366,7 +383,7 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         )
         left = self._fill(
             tables,
-            lambda part: part.gradients(_chosen(rows, part.items), _chosen(by_w, part.items)),
+            lambda part: part.gradients(rows[part.items], by_w[part.items]),
             lambda k: [*self[k].vjp(rows[k], by_w[k])][:3],  # its M comes later
         )
         self._forget_unasked(tables, g, gw)
@@ -374,7 +391,7 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         return BatchGradient(by_q, by_lower, by_upper, lambda: self._by_M(by_q, left))
 
     def _by_M(self, by_q: Any, left: Sequence[int]) -> Any:
-        z = self.z.copy() if self._is_even else [*self.z]
+        z = self.z.copy()
         for k in left:
             z[k] = self[k].z
         for k in self.errors:
@@ -385,55 +402,31 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
     @cached_property
     def _parts(self) -> list[BatchPart]:
         """The groups of small problems, settled."""
-        z = self.batch.z
         return [
-            BatchPart(
-                group,
-                z[group.items] if self._is_even else np.array([z[k] for k in group.items]),
-                self._is_solved[group.items],
-                self.batch.threads,
-            )
+            BatchPart(group, self.batch.z[group.items], self._is_solved[group.items])
             for group in self.batch.items.groups(every=True)
         ]
 
-    @property
-    def _is_even(self) -> bool:  # type: ignore[override]
-        return isinstance(self.batch.z, np.ndarray)
-
     def _table(self, value: Any) -> Any:
-        return (
-            np.full(self.batch.z.shape, value)
-            if self._is_even
-            else [np.full(z.size, value) for z in self.batch.z]
-        )
+        return np.full(self.batch.z.shape, value)
 
     def _rows_of(self, values: Any, name: str) -> Any:
-        """Return a vector a problem; those of unsolved problems may be anything."""
-        if self._is_even:
-            is_there = np.broadcast_to(self._is_solved[:, np.newaxis], self.batch.z.shape)
-            return self._given(
-                np.zeros(is_there.shape[1]) if values is None else values, name, is_there
-            )
-        if values is None or (is_number(values) and name in NUMBERS):
-            values = self._table(float(values or 0.0))
-        self._require_one_each(values, name, "vectors")
-        rows = self._table(0.0)
-        for k in np.flatnonzero(self._is_solved):
-            rows[k] = finite_vector(values[k], f"{name}[{k}]", rows[k].size)
-        return rows
-
-    def _require_one_each(self, values: Any, name: str, things: str) -> None:
-        if not isinstance(values, Sequence) or len(values) != len(self):
-            got = len(values) if isinstance(values, Sequence) else type(values).__name__
-            raise InvalidProblem(
-                f"{name} must be a list of {len(self)} {things}, one a problem, got {got}"
-            )
+        """Return a vector for each problem; those of unsolved problems may be anything."""
+        is_there = np.broadcast_to(self._is_solved[:, np.newaxis], self.batch.z.shape)
+        return self._given(
+            np.zeros(is_there.shape[1]) if values is None else values, name, is_there
+        )
 
     def _by_name(self, named: dict[str, Any]) -> Any:
         """Return dM z + dq of each problem, by changes of the data that it was made from."""
         for name, values in named.items():
-            if not is_number(values):
-                self._require_one_each(values, name, "changes")
+            if not is_number(values) and (
+                not isinstance(values, Sequence) or len(values) != len(self)
+            ):
+                got = len(values) if isinstance(values, Sequence) else type(values).__name__
+                raise InvalidProblem(
+                    f"{name} must be a list of {len(self)} changes, one a problem, got {got}"
+                )
         rows = self._table(0.0)
         for k in range(len(self)):
             own = {
@@ -448,29 +441,9 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
 
     def _product(self, dM: Any) -> Any:
         """Return dM z of each problem."""
-        if not self._is_even:
-            self._require_one_each(dM, "dM", "matrices")
-            rows = self._table(0.0)
-            for k in np.flatnonzero(self._is_solved):
-                rows[k] = (
-                    rectangular_matrix(dM[k], f"dM[{k}]", rows[k].size, rows[k].size) @ self.z[k]
-                )
-            return rows
         n, z = self.batch.z.shape[1], self.z.copy()
         z[~self._is_solved] = 0.0
         if sp.issparse(dM) or np.ndim(dM) == 2:
             return (rectangular_matrix(dM, "dM", n, n) @ z.T).T
         is_there = np.broadcast_to(self._is_solved[:, np.newaxis, np.newaxis], (len(self), n, n))
         return products(self._given(dM, "dM", is_there), z)
-
-
-def _sum(rows: Any, others: Any) -> Any:
-    return (
-        rows + others
-        if isinstance(rows, np.ndarray)
-        else [a + b for a, b in zip(rows, others, strict=True)]
-    )
-
-
-def _chosen(rows: Any, items: Any) -> Any:
-    return rows[items] if isinstance(rows, np.ndarray) else np.array([rows[k] for k in items])

@@ -13,7 +13,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.core.certificates.criterion")``: what SOLVED means, in which scaling
 - ``help("lcp_plugin.problems.programs.criterion")``: the same of a quadratic program
 - ``help("lcp_plugin.interfaces.learn")``: layers for PyTorch and JAX
-- ``help("lcp_plugin.interfaces")``: Pyomo, AMPL, JuMP, qpsolvers, cvxpylayers, QuantEcon, files, finite elements
+- ``help("lcp_plugin.interfaces")``: Pyomo, AMPL, JuMP, qpsolvers, files, finite elements
 - ``help("lcp_plugin.evidence")``: scenes and the report; other packages
 - ``help("lcp_plugin.ranks")``: several machines
 - ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver
@@ -52,7 +52,6 @@ _MOVED = {  # public names of before: these still work for one release, with a w
     "evidence.stability": "stability_atlas",
     "evidence.study": "study",
     "interfaces.qpsolvers": "register_with_qpsolvers",
-    "interfaces.quantecon": "lemke",
     "modeling.registration": "is_complementarity_problem register",
     "problems.batches.batch_run": "BatchResult",
     "problems.batches.program_batch": "ProgramBatchResult",

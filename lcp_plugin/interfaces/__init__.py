@@ -5,8 +5,7 @@
 | a Pyomo model | ``import lcp_plugin.pyomo``, then ``SolverFactory("lcp_plugin")`` |
 | AMPL, JuMP, an ``.nl`` file | the executable ``lcp-plugin-ampl``, ``interfaces.nl.read_nl("m.nl").solve()`` |
 | qpsolvers | ``register_with_qpsolvers()`` of ``interfaces.qpsolvers``, then ``solver="lcp_plugin"`` |
-| cvxpylayers | ``CvxpyLayer(…, solver=LCPSolver())`` |
-| QuantEcon | ``from lcp_plugin.interfaces.quantecon import lemke as lcp_lemke``, ``LCP.from_game(game)`` |
+| QuantEcon's games | ``LCP.from_game(game)`` |
 | files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
 | programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
 | contacts with friction in ``.h5`` of fclib (extra ``[fclib]``), ``.npz`` | ``solve(load_problem("pile.h5"))`` |
@@ -62,28 +61,10 @@ What any other of its solvers has found, here x = (0.5, 1.5), `certify` judges:
 >>> lcp_plugin.certify(lcp_plugin.QuadraticProgram(*program.unpack()[:6]), [0.5, 1.5]).verdict
 'proved'
 
-**cvxpylayers** from 1.2 on, in PyTorch: quadratic and linear programs as layers, batched::
-
-    from cvxpylayers.torch import CvxpyLayer
-    from lcp_plugin.interfaces.cvxpylayers import LCPSolver
-
-    layer = CvxpyLayer(problem, parameters=[p], variables=[x], solver=LCPSolver(tolerance=1e-10))
-    (x_,) = layer(p_)
-
-Take it where a model already is a ``CvxpyLayer``: a matrix of parameters may stand in the objective. Take our own
-layers, ``help("lcp_plugin.interfaces.learn")``, where M and q are at hand, for JAX, and for many small problems: 128
-programs of 10 variables in a box took them a tenth of the time, forwards and backwards. Of a cvxpy model with
-complementarities ``lcp_plugin.derivative(problem)`` gives the gradients by its parameters.
-
-**QuantEcon** ``lemke`` has the parameters and the result of ``quantecon.optimize.lcp_lemke``, which needs not be there.
+**QuantEcon** A game of two players, as payoffs or as a ``NormalFormGame``. ``all_solutions`` finds every equilibrium of
+a small one.
 
 >>> from lcp_plugin import LCP, solve
->>> from lcp_plugin.interfaces.quantecon import lemke as lcp_lemke
->>> lcp_lemke(np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0]))
-LCPResult(z=array([2.5, 0. ]), success=True, status=0, num_iter=2)
-
-A game of two players, as payoffs or as a ``NormalFormGame``; ``all_solutions`` finds every equilibrium of a small one:
-
 >>> from quantecon.game_theory import NormalFormGame, Player
 >>> problem = LCP.from_game(NormalFormGame([Player([[1, -1], [-1, 1]]), Player([[-1, 1], [1, -1]])]))
 >>> equilibrium = problem.origin.recover(solve(problem, "lemke"))

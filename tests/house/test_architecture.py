@@ -32,7 +32,6 @@ HEAVY = (
     "pyomo",
     "qpsolvers",
     "quantecon",
-    "cvxpylayers",
     "h5py",
 )
 FOLDERS_ALONE = (

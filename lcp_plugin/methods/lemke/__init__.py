@@ -20,7 +20,7 @@ from ...core.tuning import PIVOTED_UP_TO
 from ...systems.graph import block_rows
 from ..newton.active_set import classify, is_near, solve_active_set
 from ..small.small_dense import PIVOTS_ONLY, is_short, solve_fused, steps
-from .canonical_box import CanonicalBox, canonical_box, covered_box
+from .canonical_box import CanonicalBox, canonical_box
 from .games import is_game
 
 PIVOTS_A_ROUND = (10, 100)  # times n + 10
@@ -29,21 +29,6 @@ START_SIZES = 20_000  # n times the number of arbitrary starts, between those
 WORK_A_BLOCK = 5e7  # entries touched between two steps, about
 CAREFUL_BLOCK = 5
 CERTIFIED = 1e-10
-
-
-@dataclass(slots=True)
-class PivotStep(Step):
-    """A step of a pivoting method.
-
-    Attributes
-    ----------
-    ray : ndarray of shape (n,), or None
-        The direction of z that nothing blocks, where a path with a positive covering vector has just ended on a ray.
-        For a copositive-plus M (a positive semidefinite one, say) it is evidence that the problem is infeasible;
-        otherwise it says nothing.
-    """
-
-    ray: FloatVector | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,13 +123,9 @@ class Lemke(Algorithm):
                 component = LCP(
                     M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows]
                 )
-            for found, touched, ray in self._paths(component, z[rows]):
+            for found, touched in self._paths(component, z[rows]):
                 z[rows] = np.clip(found, component.lower, component.upper)
-                step = PivotStep(z, work=touched / entries, is_settling=True)
-                if ray is not None:
-                    step.ray = np.zeros(problem.n)
-                    step.ray[rows] = ray
-                yield step
+                yield Step(z, work=touched / entries, is_settling=True)
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return why no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""
@@ -158,10 +139,8 @@ class Lemke(Algorithm):
         limit = "100 (n + 10)" if self.max_pivots is None else str(self.max_pivots)
         return f"{reason}: no path ends on a ray (Lemke 1965), if {limit} pivots suffice"
 
-    def _paths(
-        self, component: LCP, guess: FloatVector
-    ) -> Iterator[tuple[FloatVector, float, FloatVector | None]]:
-        """Yield (z, entries touched, ray) along one path after the other until one ends in a solution."""
+    def _paths(self, component: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float]]:
+        """Yield (z, entries touched) along one path after the other until one ends in a solution."""
         from .pivoting_path import Path, starts
 
         if not np.array_equal(
@@ -172,7 +151,7 @@ class Lemke(Algorithm):
                 at_lower, at_upper = classify(component, guess, component.slack(guess))
             found = solve_active_set(component, at_lower, at_upper & ~at_lower)
             if found is not None:
-                yield found.z, found.work * max(component.nonzeros, 1), None
+                yield found.z, found.work * max(component.nonzeros, 1)
                 if _is_good(component, np.clip(found.z, component.lower, component.upper)):
                     return
         box = canonical_box(component)
@@ -222,12 +201,7 @@ class Lemke(Algorithm):
                         return True
                     outcome = LOST
                     break
-                tells = outcome == RAY and bool(np.all(path.covering > 0.0))
-                yield (
-                    box.recover(path.z),
-                    path.touched(),
-                    box.direction(path.ray) if tells else None,
-                )
+                yield box.recover(path.z), path.touched()
             if outcome != LOST:
                 break
         path.fresh_for = usual
@@ -248,56 +222,10 @@ class Lemke(Algorithm):
         if refined is not None and _is_good(
             component, np.clip(refined.z, component.lower, component.upper)
         ):
-            yield refined.z, path.touched() + work, None
+            yield refined.z, path.touched() + work
             return True
-        yield z, path.touched() + work, None
+        yield z, path.touched() + work
         return _is_good(component, z)
-
-
-@np.errstate(all="ignore")
-def lemke_path(
-    problem: LCP, covering: FloatVector, max_pivots: int
-) -> tuple[FloatVector, str, int]:
-    """Follow w = M z + q + t r from z = 0 and the least t to t = 0, and return z, where it ended, and its pivots.
-
-    Parameters
-    ----------
-    problem : LCP
-        z ≥ 0, some q_i negative.
-    covering : ndarray, shape (n,)
-        r > 0.
-    max_pivots : int
-
-    Returns
-    -------
-    z : ndarray, shape (n,)
-        Certified where the end is "solved", else where the path was last.
-    end : {"solved", "limit", "ray", "rounding"}
-    pivots : int
-    """
-    from .pivoting_path import Path
-
-    _components_that_fit(problem)
-    box, covering = covered_box(problem, covering)
-    if not (box.is_finite and np.isfinite(covering).all() and covering.min(initial=1.0) > 0.0):
-        return np.zeros(problem.n), "rounding", 0
-    path, z, ray = Path(box.M, box.q, box.upper), np.zeros(problem.n), None
-    following = Lemke()._follow(
-        problem, box, path, lambda one: one.start_along(covering), max_pivots
-    )
-    while True:
-        try:
-            z, _, ray = next(following)
-        except StopIteration as end:
-            is_solved = end.value
-            break
-    if is_solved:
-        return z, "solved", path.pivots
-    return (
-        z,
-        "ray" if ray is not None else "limit" if path.pivots >= max_pivots else "rounding",
-        path.pivots,
-    )
 
 
 def _components_that_fit(problem: LCP) -> list[NDArray[np.intp]]:

@@ -68,13 +68,9 @@ class CanonicalBox:
 
     def recover(self, z: FloatVector) -> FloatVector:
         """Return the z of the problem, shape (n,), for one of the canonical problem, shape (k,)."""
-        return self.direction(z) + self.offset
-
-    def direction(self, ray: FloatVector) -> FloatVector:
-        """Return the direction in the problem's z, shape (n,), for one of the canonical problem, shape (k,)."""
-        result = np.zeros(self.offset.size)
-        np.add.at(result, self.rows, self.step * ray)
-        result[self.eliminated] = self.elimination @ ray
+        result = np.array(self.offset)
+        np.add.at(result, self.rows, self.step * z)
+        result[self.eliminated] += self.elimination @ z
         return result
 
 
@@ -103,24 +99,6 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     if keep.size < problem.n:
         M = M[np.ix_(keep, keep)]
     return _without_free_rows(M, q[keep], upper[keep], unit, base, keep, is_free[keep])
-
-
-def covered_box(problem: LCP, covering: FloatVector) -> tuple[CanonicalBox, FloatVector]:
-    """Return a problem with z ≥ 0 in canonical form, row by row as it is, and its covering vector; M is made dense."""
-    M, row_scale, column_scale = _equilibrated(problem.matrix)
-    q, r = np.ldexp(problem.q, row_scale), np.ldexp(covering, row_scale)
-    size, none = power_of_two(np.abs(q).max(initial=0.0)), np.empty(0, dtype=np.intp)
-    box = CanonicalBox(
-        scaled(M, Exponents(row_scale, column_scale)),
-        q / size,
-        problem.upper,
-        np.zeros(problem.n),
-        np.arange(problem.n),
-        np.ldexp(1.0, column_scale) * size,
-        none,
-        np.empty((0, problem.n)),
-    )
-    return box, r / power_of_two(r.max(initial=0.0))
 
 
 def _equilibrated(matrix: Matrix) -> tuple[FloatMatrix, IntVector, IntVector]:

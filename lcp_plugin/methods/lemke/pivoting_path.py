@@ -253,17 +253,6 @@ class Path:
         z[self.basis[is_z]] = self.values[is_z]
         return z
 
-    @property
-    def ray(self) -> FloatVector:
-        """The direction of z along which nothing blocks the driven variable, shape (n,)."""
-        direction = np.zeros(self.n)
-        if self.driven < self.n:
-            direction[self.driven] = self.direction
-        is_z = self.basis < self.n
-        column = self.tableau[:, self.whole[PLACE, self.driven] - self.n]
-        direction[self.basis[is_z]] += self.direction * column[is_z]
-        return direction
-
 
 def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> FloatMatrix:
     """Return A B, or A B + C, with what is rounding of its terms taken for 0."""

@@ -51,9 +51,8 @@ convex or not: SCIP searches, where it is installed (``pip install 'lcp_plugin[g
 ``keepfiles=True`` the ``.nl`` file stays; ``lcp_plugin.pyomo.write_nl(model, "model.nl")`` writes one without a solve,
 where ``model.write`` knows no complementarities. With an objective beside complementarities ``tolerance`` is that of
 the gap, 1e-6 unless given, and ``max_iterations`` limits the nodes; ``algorithm`` is refused; the message says whose
-the bound is. Values that the variables have are tried first. The newer interface of Pyomo knows the solver by the same
-name; in both it is ``"lcp-plugin"``, too. So does the command: ``pyomo solve --solver=lcp_plugin model.py``. Models of
-``pyomo.kernel`` are programs: it has no complementarities.
+the bound is. Values that the variables have are tried first. The command
+``pyomo solve --solver=lcp_plugin model.py`` knows the solver too.
 
 **Afterwards** ``results.solver.termination_condition`` is ``optimal`` only where the answer is SOLVED, ``infeasible``
 and ``unbounded`` only with a proof; ``noSolution``: none found, none excluded; ``other``: no better in double precision
@@ -211,9 +210,7 @@ class LCPPlugin:
         results = _results_of(answer)
         if load_solutions:
             answer.load(model)
-            if answer.has_point and hasattr(
-                model, "solutions"
-            ):  # of a model that is not of pyomo.kernel
+            if answer.has_point and hasattr(model, "solutions"):  # not of a block
                 _keep(_solution_of(answer, model, results), model, results)
         elif answer.has_point:
             results.solution.insert(_solution_of(answer, model, results))
@@ -316,12 +313,3 @@ def _keep(solution: Any, model: Any, results: Any) -> None:
     model.solutions.add_symbol_map(results._smap)
     model.solutions.add_solution(solution, results._smap_id)
     results._smap_id = None
-
-
-try:
-    from .interfaces.pyomo.answers import register
-except ImportError:  # an older Pyomo has no such interface, or another one
-    pass
-else:
-    register(HYPHENATED)
-    register(NAME)  # the last is what its results are signed with

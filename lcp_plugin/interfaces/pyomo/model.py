@@ -123,11 +123,11 @@ def stated(model: Any, path: Path) -> Statement:
     UnsupportedModel
         Naming the component that is not taken.
     """
-    if not hasattr(model, "component_data_objects"):
+    if not hasattr(model, "is_constructed"):  # a block of pyomo.kernel, for one
         raise UnsupportedModel(
             f"a Pyomo model or block is needed, got {type(model).__name__}; solve a model"
         )
-    if not getattr(model, "is_constructed", lambda: True)():  # pyomo.kernel has no abstract models
+    if not model.is_constructed():
         raise UnsupportedModel(
             "the model is abstract and holds no data yet; solve model.create_instance(…)"
         )
@@ -202,11 +202,8 @@ class _Draft:
 
     def constrain(self, row: Any) -> None:
         """Take a constraint as a row."""
-        if _is_of_kernel(row):
-            self.states[id(self.model.rows.add((row.lb, row.body, row.ub)))] = row
-        else:
-            self.given.append(row)
-            self.states[id(row)] = row
+        self.given.append(row)
+        self.states[id(row)] = row
 
     def pair(self, conditions: Sequence[Any], sides: Sequence[tuple[PairSide, PairSide]]) -> None:
         """Take the complementarities, first those that leave no choice of a partner."""
@@ -274,9 +271,7 @@ class _Draft:
         """Return the statement, through a file written by Pyomo."""
         if self.given:
             self.model.given = Reference(self.given, ctype=Constraint)
-        if objectives and _is_of_kernel(objectives[0]):
-            self.model.objective = Objective(expr=objectives[0].expr, sense=objectives[0].sense)
-        elif objectives:
+        if objectives:
             self.model.objective = Reference(list(objectives), ctype=Objective)
         content, variables, rows = self._through(path)
         if not variables:
@@ -381,11 +376,6 @@ class _Draft:
         if self.is_search:
             return lower <= pair.held.lower and pair.held.upper <= upper
         return max(lower, pair.held.lower) <= min(upper, pair.held.upper)
-
-
-def _is_of_kernel(component: Any) -> bool:
-    """Return whether a component is one of pyomo.kernel, which a reference of Pyomo's other models cannot hold."""
-    return not hasattr(component, "parent_component")
 
 
 def _own_bounds(variable: Any) -> tuple[float, float]:

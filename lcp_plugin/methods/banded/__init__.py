@@ -243,7 +243,7 @@ def solve_on_band(
     entries = np.where(is_held, 0.0, band.entries * band.weights)
     entries[band.below, is_held] = 1.0
     right = np.where(is_held, value, -q * band.weights)
-    if len(entries) == 3 and band.below == 1:
+    if len(entries) == 3 and band.below == 1 and n > 1:
         x, info = lapack.dgtsv(entries[0, 1:], entries[1], entries[2, :-1], right)[3:]
     else:
         above = len(entries) - 1 - band.below

@@ -216,6 +216,14 @@ def test_other_bands_take_rounds(make: Any, below: int, above: int, boxes: bool)
         assert result.iterations <= 200
 
 
+@pytest.mark.parametrize(("M", "q"), [(2.0, -3.0), (2.0, 3.0), (-2.0, 3.0)])
+def test_one_row_is_a_band(M: float, q: float) -> None:
+    """A matrix of one row is solved, whatever its sign."""
+    result = solve(LCP([[M]], [q], upper=5.0), "banded").require_solved()
+    w = M * result.z[0] + q
+    assert w == 0.0 or (result.z[0] == 0.0 and w > 0.0) or (result.z[0] == 5.0 and w < 0.0)
+
+
 def test_a_beam_over_an_obstacle() -> None:
     """The biharmonic operator, condition 1e9, two bands on either side: few rounds."""
     n = 400

@@ -216,7 +216,8 @@ def _bound(
     from ..proofs.bounds.error_bounds import error_bound
 
     try:
-        error_bound(problem, problem.nearest_to_zero, sharp=False)
+        if error_bound(problem, problem.nearest_to_zero, sharp=False).kind != "rigorous":
+            return None, "only an estimate is to be had for this matrix"
     except UnsuitableMatrix as error:
         return None, str(error)
     answer = measured_run(problem, "auto", WorkLimit(math.inf), z0=start, max_seconds=max_seconds).z

@@ -297,7 +297,11 @@ def _cell(
         residual, bound = result.certificate.relative_residual, result.error_bound
         if case.exact is not None and np.isfinite(result.z).all():
             error = relative_error(result.z, case.exact, case.units, has_line=case.has_line)
-        certified = None if bound is None else math.isfinite(bound.infinity)
+        certified = (
+            None
+            if bound is None
+            else bool(bound.kind == "rigorous" and math.isfinite(bound.infinity))
+        )
     lost = _digits_lost(error, case.condition, residual)
     return Cell(
         name,

@@ -4,16 +4,17 @@
 
 - ``complements(x >= 0, F >= 0)``: in either order; both sides have one shape, nothing is broadcast.
 - ``complements(F >= 0, G >= 0)`` with two expressions, affine or not: an unknown s == F is added, and s ≥ 0 goes with
-  G ≥ 0. A row of such a pair counts as an equation, and needs a variable that no other pair holds and nothing bounds.
-- ``complements(box(x, lower, upper), F)``: bounds on both sides; at an upper bound F ≤ 0.
+  G ≥ 0. A row of such a pair counts as an equation, and needs a variable that no other pair holds.
+- ``complements(box(x, lower, upper), F)``: bounds on both sides; at an upper bound F ≤ 0. x may be an expression.
 - ``complements(x, F)``: the bounds are those of the variable, as in ``cp.Variable(2, nonneg=True)``; where it has none,
   F == 0 is what that means, and a ``ModelWarning`` says so.
 - ``complements(cp.SOC(t, x), F)`` over second-order cones, F affine, with the slack of t in its first row; or with
   ``cp.SOC(s, y)``. Coulomb friction: ``complements(friction_cone(r, mu), W @ r + b)``, r of each contact its normal
   impulse, then the tangents; nothing but definitions may stand beside it.
-- ``complements(y, G == 0)``, or plainly ``G == 0`` in the list: a free variable and its equation. Where y has bounds of
-  its own, G == 0 is asked for between them alone, and a ``ModelWarning`` says so.
-- Bounds of a variable that equations define, as in ``w == M @ x + q`` with w nonneg, where the pairs imply them.
+- ``complements(y, G == 0)``, or plainly ``G == 0`` in the list: a free variable and its equation. If y is bounded,
+  G == 0 is required only where y is strictly between its bounds; a ``ModelWarning`` tells you.
+- Bounds of a variable that equations define, as in ``w == M @ x + q`` with w nonneg. If the answer violates bounds that
+  no pair states, the search for the best of all solutions looks for one that does not.
 
 Parameters may stand anywhere, and a second solve starts from the first. cvxpy keeps sparse constants by columns, so
 that ``M @ x`` costs one conversion of M.
@@ -39,7 +40,6 @@ model is solved by :func:`lcp_plugin.problems.nonlinear.solving.solve_nonlinear`
 
 - The run begins at the values of the variables, so set ``x.value``. Where F or its derivative is not finite there, or a
   variable has no value, it begins at the point of the bounds nearest to 0, or else to 1.
-- A side that must be a variable, as that of a box, gets one: ``y == cp.exp(x)`` in the list, and ``box(y, 1, 2)``.
 - What leaves a domain, as ``log`` below zero, shortens a step. State the bound that keeps a solution inside.
 - ``abs``, ``maximum``, norms and integers are refused. ``abs(x)`` is x + 2 s with ``complements(s >= 0, x + s >= 0)``,
   which the search for the best of all solutions writes itself in objectives and rows.

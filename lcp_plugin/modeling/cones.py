@@ -16,7 +16,7 @@ from ..core.errors import UnsupportedModel
 from ..core.lcp import LCP
 from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
-from .assembly import Arrangement
+from .statement import SquareModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,18 +53,16 @@ def stacked(cone: cp.SOC) -> Any:
     return cp.vstack([cp.reshape(t, (1, t.size), order="F"), x if cone.axis == 0 else x.T])
 
 
-def over_cones(
-    found: Arrangement, pairs: Sequence[ConePair], names: Any
-) -> tuple[Blocks, Arrangement]:
-    """Return the problem over cones, the rows of other pairs and equations first, and the arrangement in its order.
+def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> SquareModel:
+    """Return the problem over cones, the rows of other pairs and equations first.
 
     Parameters
     ----------
-    found : Arrangement
+    found : SquareModel
         In which the unknowns of cones have no bounds.
     pairs : sequence of ConePair
-    names : callable
-        From numbers of unknowns to what their variables are called.
+    name : callable
+        From the number of an unknown to its name.
 
     Raises
     ------
@@ -94,7 +92,8 @@ def over_cones(
             cones += [("second_order", pair.rows)] * (pair.columns.size // pair.rows)
         problem = ConeProblem(M, q, cones)
     elif others.size or len(with_friction) < len(pairs) or len({pair.rows for pair in pairs}) > 1:
-        what = names(kept[others]) if others.size else ["cones of another kind"]
+        what = [name(column) for column in kept[others][:5].tolist()]
+        what = what or ["cones of another kind"]
         raise UnsupportedModel(
             f"friction_cone stands beside other unknowns ({', '.join(what)}), and contact with friction has impulses "
             "alone; write the velocities as u = W @ r + b, or as a chain of definitions"
@@ -108,6 +107,4 @@ def over_cones(
         found.elimination, kept=kept[order], expansion=sp.csr_array(expansion[:, order])
     )
     places, signs = found.places[order], found.signs[order]
-    return problem, replace(
-        found, problem=problem.rows, elimination=elimination, places=places, signs=signs
-    )
+    return replace(found, problem=problem, elimination=elimination, places=places, signs=signs)

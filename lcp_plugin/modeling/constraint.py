@@ -14,8 +14,8 @@ from cvxpy.constraints.zero import Equality, Zero
 from ..core.errors import UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
 from ._compat import attribute_bounds, bound_value
-from .builder import pair_residual
 from .cones import stacked
+from .model import pair_residual
 
 REMEDY = 'solve it with problem.solve(method="LCP")'
 

@@ -131,17 +131,17 @@ class ModelDerivative:
         """
         model, at = self._model, self._at
         changed = self._parametric.change(self._checked(changes, self._parameters, "change"))
-        rows, moved = changed[self._rows], np.zeros(model.elimination.offset.size)
+        rows, moved = changed[self._rows], np.zeros(model.square.elimination.offset.size)
         if self._definitions is not None:
             matrix, defining, solved = self._definitions
-            moved[model.elimination.columns] = -solved(rows[defining], "N")
+            moved[model.square.elimination.columns] = -solved(rows[defining], "N")
             rows = rows + matrix @ moved
-        h = model.sources.signs * rows[self._left]
+        h = model.square.signs * rows[self._left]
         dlower, dupper = np.split(self._bounds @ changed, 2)
-        of_friction = {"dfriction": self._friction @ changed} if model.sources.friction else {}
+        of_friction = {"dfriction": self._friction @ changed} if model.friction else {}
         dz = at.jvp(dq=h, dlower=dlower, dupper=dupper, **of_friction)
-        dw = model.elimination.expand_slack(at.dw(dz, dq=h))
-        du = moved + model.elimination.expand_change(dz)
+        dw = model.square.elimination.expand_slack(at.dw(dz, dq=h))
+        du = moved + model.square.elimination.expand_change(dz)
         values = model.split(du)
         found = {variable: values[variable.id] for variable in model.variables}
         for report in model.reports:
@@ -167,7 +167,7 @@ class ModelDerivative:
         model, total = self._model, np.zeros(self._parametric.size)
         owners = [*model.variables, *(report.constraint for report in model.reports)]
         given = self._checked(gradients, owners, "gradient")
-        by_unknown, by_slack = np.zeros((2, model.elimination.offset.size))
+        by_unknown, by_slack = np.zeros((2, model.square.elimination.offset.size))
         for variable in model.variables:
             first = model.offsets[variable.id]
             by_unknown[first : first + variable.size] = np.ravel(
@@ -181,17 +181,19 @@ class ModelDerivative:
                 )
                 if report.expression is not None:
                     total[self._parametric.spans[id(report.expression)]] += own
-        kept, expansion = model.elimination.kept, model.elimination.expansion
+        kept, expansion = model.square.elimination.kept, model.square.elimination.expansion
         g = by_unknown[kept] if expansion is None else expansion.T @ by_unknown
         gradient = self._at.vjp(g, by_slack[kept])
         rows = np.zeros(self._rows.size)
-        rows[self._left] = model.sources.signs * gradient.q
+        rows[self._left] = model.square.signs * gradient.q
         if self._definitions is not None:
             matrix, defining, solved = self._definitions
-            rows[defining] = -solved((by_unknown + matrix.T @ rows)[model.elimination.columns], "T")
+            rows[defining] = -solved(
+                (by_unknown + matrix.T @ rows)[model.square.elimination.columns], "T"
+            )
         np.add.at(total, self._rows, rows)
         total += self._bounds.T @ np.concatenate([gradient.lower, gradient.upper])
-        if model.sources.friction:
+        if model.friction:
             total += self._friction.T @ gradient.friction
         found = self._parametric.gradient(total)
         return {one: found.get(one.id, np.zeros(one.shape)) for one in self._parameters}
@@ -230,21 +232,23 @@ class ModelDerivative:
     @cached_property
     def _parametric(self) -> ParametricRows:
         """What parameters enter into, at the values of parameters and variables at the solution."""
-        sources = self._model.sources
-        stated = [
-            part
-            for source in sources.bounds
-            for part in (source.expression, source.lower, source.upper)
-        ]
-        shifts = [report.expression for report in self._model.reports]
-        known = self._model.values(self._at.z)
-        every = [*sources.functions, *stated, *shifts, *(one for one, _ in sources.friction)]
+        model = self._model
+        stated = [part for _, *parts in model.bounds for part in parts]
+        shifts = [report.expression for report in model.reports]
+        known = model.values(self._at.z)
+        every = [*self._functions, *stated, *shifts, *(one for one, _ in model.friction)]
         return ParametricRows([one for one in every if isinstance(one, cp.Expression)], known)
+
+    @property
+    def _functions(self) -> list[Any]:
+        """The expressions of the model's rows, those of the pairs, then those of the equations."""
+        statement = self._model.statement
+        return [one.origin for one in (*statement.pairs, *statement.rows)]
 
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
         """The places of the model's rows, those of the pairs and of the equations, among the parametric ones."""
-        spans = [self._parametric.spans[id(one)] for one in self._model.sources.functions]
+        spans = [self._parametric.spans[id(one)] for one in self._functions]
         return np.concatenate(
             [*(np.arange(span.start, span.stop) for span in spans), np.zeros(0, dtype=np.int64)]
         )
@@ -252,16 +256,16 @@ class ModelDerivative:
     @cached_property
     def _left(self) -> NDArray[np.int64]:
         """The row of the model that each row of the LCP is, up to its sign."""
-        first = self._model.sources.matrices[0].shape[0]
-        rows = np.delete(np.arange(self._rows.size), first + self._model.elimination.rows)
-        return rows[self._model.sources.places]
+        first = self._model.square.stored[0].shape[0]
+        rows = np.delete(np.arange(self._rows.size), first + self._model.square.elimination.rows)
+        return rows[self._model.square.places]
 
     @cached_property
     def _definitions(
         self,
     ) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[FloatVector, str], FloatVector]] | None:
         """All rows of the model, those that define unknowns, and solutions with these and with their transpose."""
-        elimination, (first, second) = self._model.elimination, self._model.sources.matrices
+        elimination, (first, second) = self._model.square.elimination, self._model.square.stored
         if elimination.expansion is None:
             return None
         solved = splu(sp.csc_array(second[elimination.rows][:, elimination.columns])).solve
@@ -270,29 +274,20 @@ class ModelDerivative:
     @cached_property
     def _bounds(self) -> sp.csr_array:
         """The change of the lower bounds, then of the upper ones, by that of the expressions that state them."""
-        n, kept, spans = (
-            self._model.elimination.offset.size,
-            self._model.elimination.kept,
-            self._parametric.spans,
-        )
+        model, spans = self._model, self._parametric.spans
+        n, kept = model.square.elimination.offset.size, model.square.elimination.kept
         last = np.zeros(n, dtype=np.int64)
-        for k, source in enumerate(self._model.sources.bounds):
-            last[source.columns] = k
+        for k, (columns, *_) in enumerate(model.bounds):
+            last[columns] = k
         parts = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
-        for k, source in enumerate(self._model.sources.bounds):
-            own = np.flatnonzero(last[source.columns] == k)
-            columns, weights = source.columns[own], source.weights[own]
-            for bound, is_upper in ((source.lower, weights < 0.0), (source.upper, weights > 0.0)):
-                parts.append(
-                    (
-                        columns + n * is_upper,
-                        spans[id(source.expression)].start + own,
-                        -1.0 / weights,
-                    )
-                )
-                if isinstance(bound, cp.Expression):
-                    places = spans[id(bound)].start + (own if bound.size > 1 else 0 * own)
-                    parts.append((columns + n * is_upper, places, 1.0 / weights))
+        for k, (columns, expression, *ends) in enumerate(model.bounds):
+            own = np.flatnonzero(last[columns] == k)
+            for is_upper, bound in enumerate(ends):
+                for part, sign in ((expression, -1.0), (bound, 1.0)):
+                    if isinstance(part, cp.Expression):
+                        places = spans[id(part)].start + (own if part.size > 1 else 0 * own)
+                        moved = np.full(own.size, sign)
+                        parts.append((columns[own] + n * is_upper, places, moved))
         rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
         matrix = sp.csr_array(
             sp.coo_array((data, (rows, columns)), shape=(2 * n, self._parametric.size))
@@ -303,7 +298,7 @@ class ModelDerivative:
     def _friction(self) -> sp.csr_array:
         """The change of the coefficients of friction by that of the expressions that state them."""
         columns = [np.zeros(0, dtype=np.int64)]
-        for one, count in self._model.sources.friction:
+        for one, count in self._model.friction:
             span = self._parametric.spans.get(id(one), slice(-1, 0))
             columns.append(span.start + np.arange(count) * (span.stop - span.start > 1))
         places = np.concatenate(columns)

@@ -17,7 +17,7 @@ from ..problems.parametric.path import Path
 from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
 from ._compat import dense, leaf_value, name_of
-from .qp_solver import ProgramEntries, QPSolver, quadratic_program
+from .compiled import CompiledProblem
 from .registration import build_from, is_complementarity_problem
 
 AFFINE_TO = 1e-9  # of the largest entry: by how much a vector in between may be off the line
@@ -165,14 +165,8 @@ def _pairs(problem: Any) -> tuple[LCP, Back]:
 
 def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
     # With parameters as numbers: what cvxpy keeps of the value before is not that of an expression which bends.
-    data, chain, inverse = problem.get_problem_data(QPSolver, ignore_dpp=True)
-    program = quadratic_program(data)
-    entries = ProgramEntries.of(problem, program, data, chain, inverse).variables
-    if entries is None:
-        raise UnsupportedModel(
-            "cvxpy made a program in which a variable is not found again; use plain variables"
-        )
-    return program, lambda z: {key: one.taken(z) for key, one in entries.items()}
+    compiled = CompiledProblem.of(problem, ignore_dpp=True)
+    return compiled.program, compiled.values
 
 
 def _line(

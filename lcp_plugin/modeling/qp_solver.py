@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,13 +11,11 @@ from cvxpy import settings
 from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
-from numpy.typing import NDArray
 
-from ..core.checks import FloatVector
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solution import QPSolution
-from ..problems.programs.solving import solve_program
+from ..problems.programs.solving import QuadraticProgramResult, solve_program
 from ._compat import CVXPY_STATUS, name_of, solver_errors, statistics
 from .stated_terms import dense_value
 
@@ -76,7 +74,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
 
     def _answer(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any
-    ) -> SolverAnswer:
+    ) -> QuadraticProgramResult:
         options = {**SOLVE_OPTIONS, **solver_opts}
         guess = cache.get(self.name()) if warm_start else None
         program = quadratic_program(data)
@@ -88,26 +86,23 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         cache[self.name()] = None if found.is_compiled else found.z
         if verbose:
             settings.LOGGER.info(found.explain())
-        return SolverAnswer(found, found.solution, CVXPY_STATUS[found.status])
+        return found
 
-    def invert(self, solution: Any, inverse_data: Any) -> Solution:
+    def invert(self, result: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
-        result, qp = solution.result, solution.solution
-        attributes = {} if result is None else statistics(result)
-        if solution.status not in settings.SOLUTION_PRESENT:
+        status, attributes, qp = CVXPY_STATUS[result.status], statistics(result), result.solution
+        if status not in settings.SOLUTION_PRESENT:
             attributes["message"] = result.advice if result.proof is None else str(result.proof)
-            failed = failure_solution(solution.status, attributes)
+            failed = failure_solution(status, attributes)
             if isinstance(result.proof, QPInfeasibility):
                 failed.dual_vars = self._duals(_farkas(result.proof), inverse_data)
             return failed
         values = {inverse_data[self.VAR_ID]: qp.x}
         value = qp.objective + inverse_data[settings.OFFSET]
-        return Solution(solution.status, value, values, self._duals(qp, inverse_data), attributes)
+        return Solution(status, value, values, self._duals(qp, inverse_data), attributes)
 
-    def _duals(self, qp: Any, inverse_data: Any) -> dict[Any, Any]:
-        """Return the multipliers in the layout that this version of cvxpy wants."""
-        if self.EQ_CONSTR not in inverse_data:
-            return {self.DUAL_VAR_ID: np.concatenate([qp.equality, qp.inequality])}
+    def _duals(self, qp: QPSolution, inverse_data: Any) -> dict[Any, Any]:
+        """Return the multipliers by the ids of constraints."""
         duals: dict[Any, Any] = {}
         for values, constraints in (
             (qp.equality, self.EQ_CONSTR),
@@ -126,15 +121,6 @@ def _farkas(proof: QPInfeasibility) -> QPSolution:
     return QPSolution.of_rows(proof.program, np.zeros(proof.program.n), multipliers)
 
 
-@dataclass(frozen=True, eq=False)
-class SolverAnswer:
-    """What a run found: the result, the program's own solution, and cvxpy's word for it."""
-
-    result: Any  # a QuadraticProgramResult, or None where unknowns are only counted
-    solution: QPSolution
-    status: str
-
-
 def quadratic_program(data: Any) -> QuadraticProgram:
     """Return cvxpy's problem data as a quadratic program: min ½xᵀPx + qᵀx, Ax = b, Fx ≤ g, bounds."""
     n, (P, F, A) = int(data["n_var"]), (data[key] for key in MATRIX_KEYS)
@@ -143,105 +129,6 @@ def quadratic_program(data: Any) -> QuadraticProgram:
         for rows, matrix in ((n, P), (int(data["n_ineq"]), F), (int(data["n_eq"]), A))
     )
     return QuadraticProgram(P, data[settings.Q], G=F, h=data[settings.G], A=A, b=data[settings.B])
-
-
-class Entries(NamedTuple):
-    """Which unknown of (x, multipliers of G, multipliers of A) each entry of a value is, column by column.
-
-    Attributes
-    ----------
-    places : ndarray of int
-    signs : ndarray
-        −1 where the entry is the unknown with the other sign, 0 where it is always zero.
-    shape : tuple
-    """
-
-    places: NDArray[np.int64]
-    signs: FloatVector
-    shape: tuple[int, ...]
-
-    @classmethod
-    def of(cls, numbers: Any, first: int, shape: tuple[int, ...]) -> Entries:
-        """Return the entries from numbers that count the unknowns from 1; `first` is the place of the first."""
-        flat = np.rint(np.ravel(np.broadcast_to(dense_value(numbers), shape), order="F"))
-        return cls(np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + first, np.sign(flat), shape)
-
-    @property
-    def used(self) -> NDArray[np.int64]:
-        """The unknowns of the entries that are not always zero."""
-        used: NDArray[np.int64] = self.places[self.signs != 0.0]
-        return used
-
-    def taken(self, unknowns: FloatVector) -> Any:
-        """Return the value that the unknowns give."""
-        return (self.signs * unknowns[self.places]).reshape(self.shape, order="F")
-
-    def add_to(self, total: FloatVector, gradient: Any) -> None:
-        """Add what a gradient by the entries is by the unknowns."""
-        np.add.at(total, self.places, self.signs * np.ravel(gradient, order="F"))
-
-    def put_into(self, unknowns: FloatVector, value: Any) -> None:
-        """Set the unknowns so that they give the value."""
-        unknowns[self.used] = (self.signs * np.ravel(dense_value(value), order="F"))[
-            self.signs != 0.0
-        ]
-
-
-class ProgramEntries(NamedTuple):
-    """The entries of each variable and of each dual value that cvxpy gives, by the ids of variables and constraints.
-
-    No variables where one of them is not found again. Duals come back as numbers do that count the multipliers.
-    """
-
-    variables: dict[int, Entries] | None
-    duals: dict[int, Entries]
-
-    @classmethod
-    def of(
-        cls, problem: Any, program: QuadraticProgram, data: Any, chain: Any, inverse: Any
-    ) -> ProgramEntries:
-        """Return the entries in a program, from what ``problem.get_problem_data`` gave."""
-        columns, rows, nothing = (
-            data[settings.PARAM_PROB].var_id_to_col,
-            program.constraints,
-            np.zeros(program.n),
-        )
-        variables = {
-            one.id: _entries_of(one, columns, chain, inverse) for one in problem.variables()
-        }
-        inequality, equality = np.split(1.0 + np.arange(rows.rows), [program.h.size])
-        counted = QPSolution(program, nothing, inequality, equality, nothing, nothing)
-        found = chain.invert(SolverAnswer(None, counted, settings.OPTIMAL), inverse).dual_vars or {}
-        duals = {
-            one.id: Entries.of(found[one.id], program.n, one.dual_variables[0].shape)
-            for one in problem.constraints
-            if one.id in found and not np.mod(dense_value(found[one.id]), 1.0).any()
-        }
-        known = {key: entries for key, entries in variables.items() if entries is not None}
-        return cls(known if len(known) == len(variables) else None, duals)
-
-
-def _entries_of(variable: Any, columns: dict[int, int], chain: Any, inverse: Any) -> Entries | None:
-    """Return which of the program's unknowns are the entries of a user's variable; None where it is not found.
-
-    All of cvxpy's way back would project the numbers on the variable's bounds.
-    """
-    numbers, leaf = 1.0 + np.arange(variable.size).reshape(variable.shape, order="F"), variable
-    for reduction, known in zip(chain.reductions, inverse, strict=False):
-        if (
-            isinstance(known, tuple)
-            and known
-            and isinstance(known[0], dict)
-            and variable.id in known[0]
-        ):
-            leaf = known[0][variable.id]  # CvxAttr2Constr's, in the place of the variable
-            if leaf.size != variable.size:
-                counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
-                found = reduction.invert(Solution(settings.OPTIMAL, 0.0, counted, {}, {}), known)
-                numbers = found.primal_vars[variable.id]
-    if leaf.id not in columns and variable.size:
-        return None
-    return Entries.of(numbers, columns.get(leaf.id, 0), variable.shape)
 
 
 QPSolver = _LCPQuadraticSolver()

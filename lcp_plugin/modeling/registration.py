@@ -26,12 +26,11 @@ from ._compat import (
     solver_errors,
     statistics,
 )
-from .assembly import solve_from
-from .builder import Builder, warn
 from .constraint import Complements, box, complements
-from .model import Model, contradiction
+from .model import Model
 from .qp_solver import QPSolver, conflicting_constraints
-from .stated_terms import refusal
+from .stated_terms import refusal, sense_of
+from .statement import solve_from
 
 METHODS = ("LCP", "lcp")
 CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
@@ -65,27 +64,25 @@ def is_complementarity_problem(problem: Any) -> bool:
 
 
 def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
-    """Return the LCP that a list of complementarities and equalities states.
+    """Return the model of complementarities and equalities.
 
     Raises
     ------
     UnsupportedModel
         Naming the constraint or variable that stands in the way, and the remedy.
     """
-    builder = Builder(constraints, {} if memo is None else memo)
-    for constraint in constraints:
-        if isinstance(constraint, (Equality, Zero)):
-            builder.add_equation(constraint)
-    for constraint in constraints:
-        if isinstance(constraint, Complements):
-            builder.add_pair(constraint)
-        elif not isinstance(constraint, (Equality, Zero)):
+    equations = [one for one in constraints if isinstance(one, (Equality, Zero))]
+    pairs = [one for one in constraints if isinstance(one, Complements)]
+    for one in constraints:
+        if not isinstance(one, (Equality, Zero, Complements)):
             raise NotSquare(
-                f"the constraint {constraint} stands alone beside complementarities; make it part of a pair, as in "
-                f"complements({constraint}, F >= 0)"
+                f"the constraint {one} stands alone beside complementarities; make it part of a pair, as in "
+                f"complements({one}, F >= 0)"
             )
-    warn(builder.remarks)
-    return builder.finished()
+    model = Model(constraints, memo)
+    model.add_equations(equations)
+    model.add_pairs(pairs)
+    return model
 
 
 _memos: weakref.WeakKeyDictionary[Any, dict[int, tuple[Any, Any]]] = weakref.WeakKeyDictionary()
@@ -183,14 +180,16 @@ def _solve_model(
         return _best(problem, algorithm, verbose, warm_start, options)
     try:
         model = build_from(problem)
+        start = model.start() if warm_start and "z0" not in options else None
+        result = solve_from(
+            model.problem, start, {"algorithm": algorithm, "verbose": verbose, **options}
+        )
+        if result.is_solved:
+            model.refuse_violated_bounds(result.z)
     except NotSquare as error:
         if algorithm != "auto":
             raise
         return _any(problem, error, verbose, warm_start, options)
-    start = model.start() if warm_start and "z0" not in options else None
-    result = solve_from(
-        model.problem, start, {"algorithm": algorithm, "verbose": verbose, **options}
-    )
     if verbose:
         settings.LOGGER.info(result.explain())
     write_back(problem, model, result)
@@ -266,10 +265,11 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
     status = CVXPY_STATUS[result.status]
     if status == settings.SOLVER_ERROR:
         raise SolverError(f"{result.status.name}: {result.advice}")
-    attributes, duals = statistics(result), model.duals(result.z, result.w)
+    elimination, attributes = model.square.elimination, statistics(result)
+    duals = model.duals(elimination.expand(result.z), elimination.expand_slack(result.w))
     own = {constraint.id for constraint in problem.constraints}
     if status == settings.INFEASIBLE:
-        problem.unpack(Solution(status, np.inf, {}, {}, attributes))
+        problem.unpack(Solution(status, sense_of(problem) * np.inf, {}, {}, attributes))
     else:
         known = {constraint.id: value for constraint, value in duals if constraint.id in own}
         problem.unpack(Solution(status, 0.0, model.values(result.z), known, attributes))
@@ -283,7 +283,7 @@ def write_back(problem: Any, model: Model, result: Result) -> None:
     problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
     if (
         status != settings.INFEASIBLE
-        and (what := contradiction(model, result.z, result.w)) is not None
+        and (what := model.consistency_error(result.z, result.w)) is not None
     ):
         problem._clear_solution()
         raise SolverError(

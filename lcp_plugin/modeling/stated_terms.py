@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -12,40 +10,10 @@ import scipy.sparse as sp
 from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
 from numpy.typing import NDArray
 
-from ._compat import SUM, UnsolvableModel, attribute_bounds, leaf_value, name_of, postorder
+from ._compat import UnsolvableModel, leaf_value, name_of, postorder
 
 EQUATIONS = (Equality, Zero)
 INEQUALITIES = (Inequality, NonPos, NonNeg)
-
-
-class StatedTerms(NamedTuple):
-    """The objective, which is to be minimised, and the slacks, which are to be zero or not positive."""
-
-    goal: float
-    slacks: list[NDArray[np.float64]]
-    #: The largest term that the objective, number 0, or a constraint is made of; looked for only where it matters.
-    size: Callable[[int], float]
-
-    @classmethod
-    def of(cls, problem: Any) -> StatedTerms:
-        """Return those at the present values of variables and parameters."""
-        roots = [problem.objective.args[0], *map(expression_of, problem.constraints)]
-        values = values_below(roots)
-        signs = [sense_of(problem)] + [
-            -1.0 if isinstance(c, NonNeg) else 1.0 for c in problem.constraints
-        ]
-        goal, *slacks = (
-            sign * dense_value(values[id(root)]) for sign, root in zip(signs, roots, strict=True)
-        )
-        return cls(float(goal.ravel()[0]), slacks, partial(_size, roots, values))
-
-    def violated(self, problem: Any) -> list[float]:
-        """Return by how much each constraint is violated; NaN where it is not a number."""
-        pairs = zip(problem.constraints, self.slacks, strict=True)
-        return [
-            float(np.max(violation_of(constraint, slack), initial=0.0))
-            for constraint, slack in pairs
-        ]
 
 
 def values_below(roots: list[Any]) -> dict[int, Any]:
@@ -69,52 +37,6 @@ def _value(node: Any, arguments: list[Any]) -> Any:
     if not node.args:
         return node.value
     return np.array([]) if 0 in node.shape else node.numeric(arguments)
-
-
-def _size(roots: list[Any], values: dict[int, Any], k: int) -> float:
-    size = 0.0
-    for node in postorder(roots[k], ()):
-        if not node.args and not isinstance(node, cp.Variable):
-            continue
-        parts = [entries_of(values[id(argument)]) for argument in node.args]
-        size = max(size, float(entries_of(values[id(node)]).max(initial=0.0)))
-        is_sum = isinstance(node, SUM)
-        for part, argument in zip(parts, node.args, strict=True):
-            if is_sum:
-                size = max(size, float(part.max(initial=0.0)))
-            elif argument.size > node.size:  # something adds them up
-                size = max(size, float(part.sum()))
-        if len(parts) == 2 and not is_sum:
-            size = max(size, float(parts[0].max(initial=0.0) * parts[1].max(initial=0.0)))
-    return size
-
-
-def attribute_error(variable: Any) -> float:
-    """Return how far the value of a variable is from one that has all of its attributes."""
-    entries = dense_value(leaf_value(variable))
-    return float(np.abs(_nearest(variable, entries) - entries).max(initial=0.0))
-
-
-def _nearest(variable: Any, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a value with the variable's attributes, all of them: cvxpy's own projection knows one at a time."""
-    attributes = variable.attributes
-    lower, upper = (np.broadcast_to(bound, variable.shape) for bound in attribute_bounds(variable))
-    if attributes["symmetric"]:
-        x, lower, upper = (x + x.T) / 2, np.maximum(lower, lower.T), np.minimum(upper, upper.T)
-    if attributes["diag"]:
-        x = x * np.eye(*variable.shape)
-    if getattr(variable, "sparse_idx", None) is not None:
-        pattern = np.zeros(variable.shape)
-        pattern[tuple(variable.sparse_idx)] = 1.0
-        x = x * pattern
-    return np.clip(x, lower, upper)
-
-
-def violation_of(constraint: Any, slack: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by how much each entry of a constraint is violated."""
-    if not isinstance(constraint, (*EQUATIONS, *INEQUALITIES)):
-        return np.atleast_1d(dense_value(constraint.violation()))
-    return np.abs(slack) if isinstance(constraint, EQUATIONS) else np.maximum(slack, 0.0)
 
 
 def why_not(problem: Any) -> list[str]:
@@ -168,10 +90,3 @@ def dense_value(value: Any) -> NDArray[np.float64]:
         return value
     array = value.toarray() if sp.issparse(value) else np.asarray(value)
     return np.asarray(array.real, dtype=np.float64)
-
-
-def entries_of(value: Any) -> NDArray[np.float64]:
-    """Return the sizes of the stored entries of a value: what is sparse stays so, the other entries are 0."""
-    return np.abs(
-        (value.tocoo().data if sp.issparse(value) else np.asarray(value)).real.astype(np.float64)
-    )

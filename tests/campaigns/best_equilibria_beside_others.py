@@ -467,7 +467,7 @@ def cases(quick: bool) -> dict[str, Callable[[], Case]]:
         def published(name: str = name) -> Case:
             problem = COLLECTION[name].state()
             sign = 1.0 if isinstance(problem.objective, cp.Minimize) else -1.0
-            return Case(stated_program(problem).program, None, sign * COLLECTION[name].optimum)
+            return Case(stated_program(problem)[0], None, sign * COLLECTION[name].optimum)
 
         found[name] = published
     sizes = (10, 20, 30) if quick else (10, 20, 30, 50, 100)

@@ -174,13 +174,7 @@ def error_bounds_are_rigorous(comm: Any) -> None:
         is_active = (own_exact == parts.lower) | (own_exact == parts.upper)
         assert is_active[bound.proven_active].all()
         assert not is_active[bound.proven_inactive].any()
-        told = (
-            bound.infinity,
-            bound.relative,
-            bound.n,
-            bound.active + bound.inactive == bound.n,
-            str(bound),
-        )
+        told = (bound.infinity, bound.relative, bound.n, bound.is_active_set_proven, str(bound))
         assert len(set(comm.allgather(told))) == 1
         assert bound.n == n
         counts = comm.allgather((bound.proven_active.sum(), bound.proven_inactive.sum()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
 from typing import Any
 
 import cvxpy as cp
@@ -11,7 +10,6 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import box, complements
-from lcp_plugin.modeling.equations import Affine, known_ranges
 from lcp_plugin.modeling.registration import build
 
 N = 6
@@ -161,32 +159,3 @@ def test_a_definition_that_would_fill_the_matrix_stays() -> None:
     assert model.problem.nonzeros < 10 * n
     solved(constraints)
     assert float(mean.value) == pytest.approx(float(np.mean(x.value)), abs=1e-8)
-
-
-def test_known_ranges_hold_what_satisfies_the_model() -> None:
-    """Every point that keeps the bounds of pairs and meets the equations lies in the ranges; vertices reach them."""
-    generator = np.random.default_rng(5)
-    for _ in range(200):
-        paired, defined = 3, 2
-        coefficients = generator.integers(-2, 3, (defined, paired)).astype(float)
-        pivots, offset = (
-            generator.choice([-2.0, -1.0, 0.5, 3.0], defined),
-            generator.integers(-3, 4, defined) / 1.0,
-        )
-        low = generator.choice([-np.inf, -1.0, 0.0], paired)
-        high = np.maximum(low, 0.0) + generator.choice([0.0, 1.0, np.inf], paired)
-        matrix = sp.csr_array(np.hstack([coefficients, np.diag(pivots)]))
-        bounds = [np.concatenate([side, np.zeros(defined)]) for side in (low, high)]
-        rows = Affine(matrix, offset, np.zeros(defined, dtype=np.int64))
-        known = known_ranges(rows, np.zeros(defined), *bounds, np.arange(paired + defined) < paired)
-        reached = np.clip(generator.normal(0.0, 3.0, (60, paired)), low, high)
-        ends = zip(np.maximum(low, -1e3), np.minimum(high, 1e3), strict=True)
-        corners = np.array(list(product(*ends)))
-        values = -(np.vstack([reached, corners]) @ coefficients.T + offset) / pivots
-        inside_low, inside_high = known[0][paired:], known[1][paired:]
-        assert (values >= inside_low - 1e-12).all()
-        assert (values <= inside_high + 1e-12).all()
-        for ends, best in ((inside_low, values.min(axis=0)), (inside_high, values.max(axis=0))):
-            is_finite = np.isfinite(ends)
-            np.testing.assert_allclose(best[is_finite], ends[is_finite], atol=1e-12)
-            assert (np.abs(best[~is_finite]) > 100.0).all()

@@ -19,7 +19,7 @@ from ...core.lcp import LCP
 from ...core.representation import in_words
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
-from ...modeling.assembly import Arrangement, solve_from
+from ...modeling.statement import SquareModel, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
@@ -148,7 +148,7 @@ class ComplementarityModel(NLModel):
 
     Attributes
     ----------
-    arrangement : Arrangement
+    arrangement : SquareModel
         The problem in fewer unknowns, definitions put in.
     pairs : ndarray of int
         The complementarity rows.
@@ -159,7 +159,7 @@ class ComplementarityModel(NLModel):
     """
 
     problem: LCP | NonlinearProblem
-    arrangement: Arrangement
+    arrangement: SquareModel
     pairs: Indices
     constants: FloatVector
     beside: SideConditions

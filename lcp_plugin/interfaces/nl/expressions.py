@@ -17,10 +17,10 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
-from ...modeling.equations import put_in_all
 from ...modeling.expressions import functions
 from ...modeling.expressions.functions import Function
 from ...modeling.expressions.rows import Compiler, Rows
+from ...modeling.substitution import put_in_all
 from .content import Indices, NLContent, Token, Trees
 from .operators import (
     NUMBER,

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ...core.checks import BoolVector, FloatVector
 from ...core.errors import UnsupportedModel
 from ...core.lcp import LCP
-from ...modeling.assembly import Assembly, PairedRows
-from ...modeling.equilibrium_rows import EquilibriumRows
 from ...modeling.expressions.rows import Rows
+from ...modeling.statement import Statement
 from ...problems.programs.program import QuadraticProgram
 from .answers import ComplementarityModel, EquilibriumModel, NLModel, ProgramModel
 from .checks import SideConditions, evaluated, pair_bounds
@@ -25,7 +22,6 @@ from .content import Indices, NLContent, Token
 from .expressions import UNKNOWNS, Expressions
 from .reading import read_content
 
-MOST_NAMES = 5
 KINDS = {
     "QuadraticProgram": "a quadratic program",
     "EquilibriumProgram": "an objective beside complementarities",
@@ -225,11 +221,12 @@ class FileStatement:
         content, found, m = self.content, self.expressions, self.m
         own, place = found.unknowns, np.full(self.n, -1)
         place[own] = np.arange(own.size)
-        stated = EquilibriumRows(
+        stated = Statement(
             found.compiler,
             {UNKNOWNS: 0},
             content.lower[own],
             content.upper[own],
+            lambda column: content.variable(int(own[column])),
             np.flatnonzero(content.is_integer[own]),
         )
         others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
@@ -237,23 +234,16 @@ class FileStatement:
         for part in (others[is_affine[others]], others[~is_affine[others]]):
             if part.size:
                 stated.constrain(found.rows(part), content.row_lower[part], content.row_upper[part])
-        rows, columns = self.pairs[np.argsort(~is_affine[self.pairs], kind="stable")], []
+        rows = self.pairs[np.argsort(~is_affine[self.pairs], kind="stable")]
         for part in (rows[is_affine[rows]], rows[~is_affine[rows]]):
             if part.size:
-                z = sp.csr_array(
-                    (np.ones(part.size), place[content.partners[part]], np.arange(part.size + 1)),
-                    shape=(part.size, own.size),
-                )
-                sides = Rows({UNKNOWNS: z}, np.zeros(part.size), (part.size,)), found.rows(part)
-                columns.append(stated.pair(*sides, *pair_bounds(content, part))[1])
+                bounds = pair_bounds(content, part)
+                stated.complement(place[content.partners[part]], found.rows(part), *bounds)
         has_objective = bool(content.is_maximized.size)
         sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
         goal = found.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
-        problem = stated.program(goal, sign, found.quadratic(m) if has_objective else None)
-        problem = replace(problem, names=[content.variable(j) for j in own])
-        return EquilibriumModel(
-            content, problem, own, self.known, sign, rows, np.concatenate(columns)
-        )
+        problem = stated.best(goal, sign, found.quadratic(m) if has_objective else None)
+        return EquilibriumModel(content, problem, own, self.known, sign, rows, problem.second)
 
     def _put_in_definitions(self) -> None:
         """Let no defined variable be an unknown."""
@@ -315,15 +305,22 @@ class FileStatement:
         pairs = np.setdiff1d(pairs, spare)
         lone = np.flatnonzero(held & ~np.isnan(self.known))
         beside = SideConditions(content, pairs, self.inequalities, spare, lone)
-        assembly = _Assembly(content, found, beside.bounded, keeps_bounds=not pairs.size)
+        statement = self._statement(beside.bounded)
         place = np.full(self.n + content.defined_trees.size, -1)
         place[found.unknowns] = np.arange(found.unknowns.size)
-        for rows, takes in ((pairs, assembly.take_pairs), (equations, assembly.take_equations)):
-            is_affine = found.is_affine()[rows]
-            for part in (rows[is_affine], rows[~is_affine]):
-                if part.size:
-                    takes(part, place)
-        arrangement = assembly.arranged()
+        is_affine = found.is_affine()
+        for part in (pairs[is_affine[pairs]], pairs[~is_affine[pairs]]):
+            if part.size:
+                z = place[content.partners[part]]
+                bounds = statement.lower[z], statement.upper[z]
+                statement.complement(z, found.rows(part), *bounds)
+        for part in (equations[is_affine[equations]], equations[~is_affine[equations]]):
+            if part.size:
+                statement.constrain(found.rows(part))
+        # What is an array in the language of the model is not known: unknowns without a pair count as one variable.
+        arrangement = statement.square(
+            (~statement.is_paired).astype(np.int64), keeps_bounds=not pairs.size
+        )
         constants = np.zeros(self.m)
         constants[spare] = found.offset[spare]
         return ComplementarityModel(
@@ -335,6 +332,20 @@ class FileStatement:
             pairs,
             constants,
             beside,
+        )
+
+    def _statement(self, is_free: BoolVector) -> Statement:
+        """Return the unknowns with their bounds, those of some variables forgotten."""
+        content, found = self.content, self.expressions
+        free = np.full(content.defined_trees.size, np.inf)
+        lower = np.append(np.where(is_free, -np.inf, content.lower), -free)[found.unknowns]
+        upper = np.append(np.where(is_free, np.inf, content.upper), free)[found.unknowns]
+        return Statement(
+            found.compiler,
+            {UNKNOWNS: 0},
+            lower,
+            upper,
+            lambda column: content.variable(int(found.unknowns[column])),
         )
 
     def _free_what_equations_define(self) -> None:
@@ -373,41 +384,3 @@ class FileStatement:
                     "satisfies the model; correct it"
                 )
         return left
-
-
-class _Assembly(Assembly):
-    """The model of a file."""
-
-    def __init__(
-        self, content: NLContent, found: Expressions, is_free: BoolVector, *, keeps_bounds: bool
-    ) -> None:
-        free = np.full(content.defined_trees.size, np.inf)
-        lower = np.append(np.where(is_free, -np.inf, content.lower), -free)
-        upper = np.append(np.where(is_free, np.inf, content.upper), free)
-        super().__init__(
-            found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns]
-        )
-        self.content, self.found, self.keeps_bounds = content, found, keeps_bounds
-
-    def take_pairs(self, rows: Indices, place: Indices) -> None:
-        """Take in complementarity rows; place says which unknown a variable is."""
-        columns = place[self.content.partners[rows]]
-        self.is_paired[columns] = True
-        self.pairs.append((columns, PairedRows(rows, self.found.rows(rows)), np.ones(rows.size)))
-
-    def take_equations(self, rows: Indices, place: Indices) -> None:
-        """Take in equations, whose right-hand sides are on the left by now."""
-        self.equations.append(PairedRows(rows, self.found.rows(rows)))
-
-    def variable_of(self) -> NDArray[np.int64]:
-        """Return 1 for unknowns without a pair, 0 for the others: what is an array in its own language is not known."""
-        return (~self.is_paired).astype(np.int64)
-
-    def names_of(self, columns: NDArray[np.int64]) -> list[str]:
-        """Return the first names."""
-        names = [self.entry(column) for column in columns[:MOST_NAMES]]
-        return names if columns.size <= MOST_NAMES else [*names, "…"]
-
-    def entry(self, column: np.int64) -> str:
-        """Return the name of an unknown."""
-        return self.content.variable(int(self.found.unknowns[column]))

@@ -174,7 +174,7 @@ def _least_singular_value(gram: sp.csr_array, terms: int) -> float:
     """Return a lower bound of σ, of rows with entries of at most 1 and their computed products; 0 for none."""
     k = gram.shape[0]
     bound = smallest_eigenvalue_bound(Matrix(0.5 * (gram + gram.T)))
-    if bound is None:
+    if bound is None or not bound.is_rigorous:
         return 0.0
     largest = float(gram.diagonal().max())  # no product of two rows exceeds that
     slip, scale = (

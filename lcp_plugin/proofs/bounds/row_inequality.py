@@ -33,7 +33,7 @@ from ...core.rounding import compensated_pair, compensated_product
 from ...systems.comparison_sums import comparison_product
 from ...systems.free_systems import KRYLOV_GOAL, FreeSystem
 from ..exact.upward import product_above, quotient_above, sum_above
-from ..verdicts import HCertificate
+from ..verdicts import Weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class RowInequality:
             negative_slack=negative,
         )
 
-    def inflation(self, certificate: HCertificate) -> FloatVector:
+    def inflation(self, weights: Weights) -> FloatVector:
         """Return t ≥ 0, a number a component, with Φ(t v) ≤ t v.
 
         Returned is that of each row's part, shape (own,), or (1,) for all of one part.
@@ -92,9 +92,9 @@ class RowInequality:
 
         def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
             within = np.minimum(
-                quotient_above(direct, certificate.v), quotient_above(w, certificate.margin)
+                quotient_above(direct, weights.low), quotient_above(w, weights.margin)
             )
-            largest: FloatVector = np.maximum(quotient_above(outside, certificate.v), within)
+            largest: FloatVector = np.maximum(quotient_above(outside, weights.low), within)
             return largest
 
         sides = (

@@ -1,10 +1,7 @@
-"""What the equations of a model say of the unknowns that no pair holds: definitions, ranges, and which goes with which.
+"""What the equations of a model say of the unknowns that no pair holds: definitions, and which goes with which.
 
-Free unknowns that an equation defines, as in w == M @ x + q, are taken out of the model and put back. The bounds of an
-unknown that only equations determine are inequalities without a partner: nothing says what gives way at them. Where a
-complementarity or the equation itself keeps them anyway, as in w == M @ x + q with w nonneg and
-complements(x >= 0, w >= 0), they say nothing new and may go. The equations left are matched with the unknowns left: the
-diagonal that a splitting method divides by.
+Free unknowns that an equation defines, as in w == M @ x + q, are taken out of the model and put back. The equations
+left are matched with the unknowns left: the diagonal that a splitting method divides by.
 """
 
 from __future__ import annotations
@@ -16,10 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import FloatVector
-from ..core.kernels.floats import EPSILON
 from ..core.matrix.matrix import largest_in_rows
-from ..core.matrix.structure import row_numbers
-from ..proofs.no_solution.linear_constraints import activity
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -223,52 +217,6 @@ def _pivots(
     counts = np.bincount(variables[fits])
     fits &= variables == np.argmax(counts)
     return rows[place[fits]], part.indices[fits].astype(np.int64)
-
-
-def known_ranges(
-    rows: Affine, signs: FloatVector, lower: FloatVector, upper: FloatVector, is_paired: Mask
-) -> tuple[FloatVector, FloatVector, FloatVector]:
-    """Return where rows say that an unknown must lie, from where to where, and what rounding of the data may change.
-
-    A row says something of an unknown beside which all its others belong to pairs: these stay within `lower` and
-    `upper`; the bounds of the others are not believed.
-
-    Parameters
-    ----------
-    signs : array
-        1 for a row that is ≥ 0, −1 for one that is ≤ 0, 0 for an equation, NaN for a row that says nothing.
-    """
-    matrix, place, count = rows.matrix, row_numbers(rows.matrix), rows.offset.size
-    is_open = ~is_paired[matrix.indices] & (matrix.data != 0.0)
-    known = matrix.copy()
-    known.data[is_open] = 0.0
-    known.eliminate_zeros()
-    alone = np.flatnonzero(is_open & (np.bincount(place[is_open], minlength=count)[place] == 1))
-    pivot, row, column = matrix.data[alone], place[alone], matrix.indices[alone]
-    low, high, rounding = (
-        np.full(lower.size, -np.inf),
-        np.full(lower.size, np.inf),
-        np.zeros(lower.size),
-    )
-    with np.errstate(all="ignore"):
-        least, most = activity(known, lower, upper)
-        ends = (
-            np.stack(
-                [
-                    np.where(signs[row] >= 0.0, -(most + rows.offset)[row], -np.inf),
-                    np.where(signs[row] <= 0.0, -(least + rows.offset)[row], np.inf),
-                ]
-            )
-            / pivot
-        )
-        farthest = np.max(
-            [np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper)], axis=0
-        )
-        size = (abs(known) @ farthest + np.abs(rows.offset))[row] / np.abs(pivot)
-        np.maximum.at(low, column, ends.min(axis=0))
-        np.minimum.at(high, column, ends.max(axis=0))
-        np.maximum.at(rounding, column, 4.0 * EPSILON * size)
-    return low, high, rounding
 
 
 def matching(block: sp.csr_array) -> Indices:

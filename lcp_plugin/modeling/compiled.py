@@ -1,0 +1,124 @@
+"""The quadratic program that cvxpy compiles of a problem, and where the variables of the problem are in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cvxpy as cp
+import numpy as np
+from cvxpy import settings
+from cvxpy.error import DCPError, SolverError
+from cvxpy.reductions.solution import Solution
+
+from ..core.checks import FloatVector
+from ..core.errors import UnsupportedModel
+from ..problems.programs.program import QuadraticProgram
+from ..problems.programs.reductions import FoldedRows
+from .expressions.rows import Indices
+from .qp_solver import QPSolver, quadratic_program
+from .stated_terms import dense_value
+
+
+class Entries(NamedTuple):
+    """Which unknown of a program each entry of a variable is, column by column.
+
+    Attributes
+    ----------
+    places : ndarray of int
+    signs : ndarray
+        −1 where the entry is the unknown with the other sign, 0 where it is always zero.
+    shape : tuple
+    """
+
+    places: Indices
+    signs: FloatVector
+    shape: tuple[int, ...]
+
+    @classmethod
+    def of(cls, variable: Any, columns: dict[int, int], chain: Any, inverse: Any) -> Entries:
+        """Return the entries of a user's variable.
+
+        All of cvxpy's way back would project the numbers on the variable's bounds.
+        """
+        numbers = 1.0 + np.arange(variable.size).reshape(variable.shape, order="F")
+        leaf = variable
+        for reduction, known in zip(chain.reductions, inverse, strict=False):
+            if isinstance(known, tuple) and known and isinstance(known[0], dict):
+                # CvxAttr2Constr's variable in the place of one with attributes.
+                leaf = known[0].get(variable.id, leaf)
+                if variable.id in known[0] and leaf.size != variable.size:
+                    counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
+                    found = reduction.invert(
+                        Solution(settings.OPTIMAL, 0.0, counted, {}, {}), known
+                    )
+                    numbers = found.primal_vars[variable.id]
+        if leaf.id not in columns and variable.size:
+            raise UnsupportedModel(
+                f"cvxpy made a program in which {variable.name()} is not found again; use plain variables"
+            )
+        flat = np.rint(np.ravel(np.broadcast_to(dense_value(numbers), variable.shape), order="F"))
+        places = np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + columns.get(leaf.id, 0)
+        return cls(places, np.sign(flat), variable.shape)
+
+    def taken(self, unknowns: FloatVector) -> Any:
+        """Return the value that the unknowns give."""
+        return (self.signs * unknowns[self.places]).reshape(self.shape, order="F")
+
+    def put_into(self, unknowns: FloatVector, value: Any) -> None:
+        """Set the unknowns so that they give the value."""
+        is_used = self.signs != 0.0
+        flat = self.signs * np.ravel(dense_value(value), order="F")
+        unknowns[self.places[is_used]] = flat[is_used]
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledProblem:
+    """The program that cvxpy makes of a problem.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+    offset : float
+        What the program leaves out of the objective that is to be minimized.
+    entries : dict
+        Those of each variable by its id.
+    """
+
+    program: QuadraticProgram
+    offset: float
+    entries: dict[int, Entries]
+
+    @classmethod
+    def of(cls, problem: Any, *, is_folded: bool = False, **options: Any) -> CompiledProblem:
+        """Return the program of a problem, which is left as it is; folded, rows of one unknown are bounds.
+
+        Raises
+        ------
+        UnsupportedModel
+            Where it is no quadratic program.
+        """
+        twin = cp.Problem(problem.objective, problem.constraints)  # what is compiled stays with it
+        try:
+            data, chain, inverse = twin.get_problem_data(QPSolver, **options)
+        except (SolverError, DCPError) as error:
+            raise UnsupportedModel(str(error)) from error
+        program, columns = quadratic_program(data), data[settings.PARAM_PROB].var_id_to_col
+        if is_folded:
+            program = FoldedRows.of(program).reduced
+        entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
+        return cls(program, float(inverse[-1][settings.OFFSET]), entries)
+
+    def starts(self) -> dict[int, int]:
+        """Return the first unknown of each variable, by its id; raise where its entries do not follow each other."""
+        found = {}
+        for key, one in self.entries.items():
+            first = int(one.places[0]) if one.places.size else 0
+            if (one.places != first + np.arange(one.places.size)).any() or (one.signs != 1.0).any():
+                raise UnsupportedModel("cvxpy ties entries of a variable; use plain variables")
+            found[key] = first
+        return found
+
+    def values(self, x: FloatVector) -> dict[int, Any]:
+        """Return the value of each variable by its id."""
+        return {key: one.taken(x) for key, one in self.entries.items()}

@@ -1,0 +1,453 @@
+"""A model as unknowns, rows, pairs and an objective, whatever language states it; and the problem that it becomes."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..auto import solve_lcp
+from ..core.checks import BoolVector, FloatVector
+from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
+from ..core.lcp import LCP
+from ..core.representation import in_words
+from ..core.solving.result import Result
+from ..problems.cones.data import Blocks
+from ..problems.cones.solving import solve_cones
+from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
+from ..problems.nonlinear.data import NonlinearProblem
+from ..problems.nonlinear.solving import solve_nonlinear
+from ..problems.programs.program import QuadraticProgram
+from .expressions import functions
+from .expressions.program import Program
+from .expressions.rows import Compiler, Indices, Rows, as_matrix, assembled, is_definition
+from .substitution import Affine, Elimination, eliminate_definitions, matched_for_monotony
+
+BEGUN = "begun from the values of the variables, which are the last answer unless others were set"
+MOST_NAMES = 5
+OUTSIDE = 1e-8  # of 1 + |x|: a bound that no pair states is violated beyond
+UNCERTAIN = (
+    1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StatedRows:
+    """Rows between two limits; or rows that complement unknowns between two bounds.
+
+    Attributes
+    ----------
+    rows : Rows
+    low, high : ndarray
+        low ≤ rows ≤ high; of a pair low ≤ z ≤ high.
+    origin : object
+        Expression of the language that the rows were read from: rows = sign · origin − slacks.
+    z : ndarray of int or None
+        Unknowns that the rows complement: sign · rows ≥ 0 where z = low, ≤ 0 where z = high, 0 between.
+    sign : ndarray or float
+    slacks : ndarray of int or None
+        Unknowns that the rows define.
+    """
+
+    rows: Rows
+    low: FloatVector
+    high: FloatVector
+    origin: Any = None
+    z: Any = None
+    sign: Any = 1.0
+    slacks: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class SquareModel:
+    """The complementarity problem that a statement becomes, and where its unknowns and rows come from.
+
+    Attributes
+    ----------
+    problem : LCP or NonlinearProblem; Blocks over cones
+        An LCP where everything is affine.
+    elimination : Elimination
+        The way from its unknowns to all of them.
+    stored : csr_array, csr_array
+        The entries of the pairs and of the equations, over all unknowns; empty in a nonlinear problem.
+    places : ndarray of int, shape (n,)
+        Which row is each row of the problem, up to `signs`: of the pairs, then of the equations that define nothing.
+    signs : ndarray, shape (n,)
+    matched : ndarray of int
+        Of the equations that define nothing, one after the other: the unknown that each goes with.
+    dropped : ndarray of int
+        Unknowns with bounds that no pair states or implies: the problem does not have them.
+    """
+
+    problem: Any
+    elimination: Elimination
+    stored: tuple[sp.csr_array, sp.csr_array]
+    places: Indices
+    signs: FloatVector
+    matched: Indices
+    dropped: Indices
+
+
+class Statement:
+    """Unknowns with bounds, rows, pairs and an objective of one model.
+
+    Parameters
+    ----------
+    compiler : Compiler
+        That made the rows.
+    first : mapping
+        From the key of a source to the number of its first unknown.
+    lower, upper : ndarray, shape (count,)
+        Bounds of the unknowns, that hold whatever pairs state.
+    name : callable
+        From the number of an unknown to its name.
+    integers : ndarray of int
+        Unknowns that are whole numbers.
+    """
+
+    def __init__(
+        self,
+        compiler: Compiler,
+        first: Mapping[int, int],
+        lower: FloatVector,
+        upper: FloatVector,
+        name: Callable[[int], str],
+        integers: Any = (),
+    ) -> None:
+        self.compiler, self.first, self.lower, self.upper = compiler, dict(first), lower, upper
+        self._named, self.name, self.integers = lower.size, name, integers
+        self.is_paired = np.zeros(lower.size, dtype=bool)
+        self.rows: list[StatedRows] = []
+        self.pairs: list[StatedRows] = []
+
+    @property
+    def count(self) -> int:
+        """The number of unknowns."""
+        return self.lower.size
+
+    def constrain(self, rows: Rows, low: Any = 0.0, high: Any = 0.0, **stated: Any) -> None:
+        """Let low ≤ rows ≤ high."""
+        self.rows.append(StatedRows(rows, *_ends(rows.size, low, high), **stated))
+
+    def complement(self, z: Indices, w: Rows, low: Any, high: Any, **stated: Any) -> None:
+        """Let the rows w complement the unknowns z."""
+        self.is_paired[z] = True
+        self.pairs.append(StatedRows(w, *_ends(z.size, low, high), z=z, **stated))
+
+    def entries(self, rows: Rows) -> tuple[Indices, FloatVector] | None:
+        """Return columns and constants where the rows are distinct unknowns plus constants, else None."""
+        if rows.level or rows.terms != rows.size:
+            return None
+        matrix, offset = assembled([rows], self.first, self.count)
+        if not is_definition(matrix) or (matrix.data != 1.0).any():
+            return None
+        return matrix.indices.astype(np.int64), offset
+
+    def named(self, rows: Rows, origin: Any = None, sign: Any = 1.0) -> Indices:
+        """Return new unknowns, which an equation makes sign · rows."""
+        columns, free = np.arange(self.count, self.count + rows.size), np.full(rows.size, np.inf)
+        key = 2**62 + self.count
+        self.first[key] = self.count
+        self.lower, self.upper = np.append(self.lower, -free), np.append(self.upper, free)
+        self.is_paired = np.append(self.is_paired, np.zeros(rows.size, dtype=bool))
+        rows = rows if np.all(np.asarray(sign) == 1.0) else rows.scaled(sign)
+        blocks = {**rows.blocks, key: -1.0}
+        self.constrain(
+            Rows(blocks, rows.offset, (rows.size,), None, rows.level),
+            origin=origin,
+            sign=sign,
+            slacks=columns,
+        )
+        return columns
+
+    def name_of(self, column: int) -> str:
+        """Return the name of an unknown; nothing for one that stands for an expression."""
+        return self.name(column) if column < self._named else ""
+
+    # --- a complementarity problem ---
+
+    def square(self, variable_of: Indices, *, keeps_bounds: bool = False) -> SquareModel:
+        """Return the complementarity problem: definitions put in, equations matched with the unknowns left.
+
+        Parameters
+        ----------
+        variable_of : ndarray of int
+            The variable of the language that each unknown is an entry of, by number.
+        keeps_bounds : bool
+            Whether unknowns that go with an equation keep their bounds, which relaxes the equation there.
+
+        Raises
+        ------
+        NotSquare
+            Where inequalities or bounds without a pair leave more unknowns than equations.
+        UnsupportedModel
+            Where the numbers of equations and unknowns differ otherwise.
+
+        Notes
+        -----
+        Of a nonlinear model nothing is eliminated: an unknown that an equation defines stays, and with it the sparsity
+        of everything that it would be put in.
+        """
+        free = np.flatnonzero(~self.is_paired)
+        sizes = sum(one.rows.size for one in self.pairs), sum(one.rows.size for one in self.rows)
+        self._check_square(free, sizes[1])
+        lower, upper = self._bounds_of_pairs()
+        dropped = free[:0]
+        if not keeps_bounds:
+            dropped = self._dropped(free)
+            lower[free], upper[free] = -np.inf, np.inf
+        columns = _stacked(self.pairs, "z")[0].astype(np.int64)
+        signs = np.concatenate(
+            [*(np.broadcast_to(one.sign, one.rows.size) for one in self.pairs), np.zeros(0)]
+        )
+        elimination, program = Elimination.of_nothing(self.count), None
+        stored = [sp.csr_array((size, self.count)) for size in sizes]
+        if any(one.rows.level for one in (*self.pairs, *self.rows)):
+            results = [*(one.rows for one in self.pairs), *map(_zeroed, self.rows)]
+            program = Program.of(self.compiler, results, self.first, self.count)
+        else:
+            pairs = self._affine([one.rows for one in self.pairs])
+            equations = self._affine([*map(_zeroed, self.rows)])
+            stored = [pairs.matrix, equations.matrix]
+            if self.rows:
+                elimination, equations, pairs = eliminate_definitions(
+                    equations, pairs, ~self.is_paired, variable_of
+                )
+        kept = elimination.kept
+        place = np.zeros(self.count, dtype=np.int64)
+        place[kept] = np.arange(kept.size)
+        columns, free = place[columns], np.flatnonzero(~self.is_paired[kept])
+        if free.size:
+            if program is not None:
+                derivative = _filled(program.jacobian(np.clip(1.0, lower, upper)))
+                matrices = derivative[: sizes[0]], derivative[sizes[0] :]
+            else:
+                matrices = pairs.matrix, equations.matrix
+            signed = sp.csr_array(sp.diags_array(signs) @ matrices[0])
+            order, turned = matched_for_monotony(matrices[1], signed, columns, free)
+            free = free[order]
+            columns, signs = np.concatenate([columns, free]), np.concatenate([signs, turned])
+        places = np.argsort(columns, kind="stable")
+        matched, signs = kept[free], signs[places]
+        bounds = {"lower": lower[kept], "upper": upper[kept]}
+        problem: LCP | NonlinearProblem
+        if program is None:
+            problem = LCP(*_arranged(pairs, equations, places, signs), **bounds)
+        else:
+            program = program.rearranged(places, signs)
+            problem = NonlinearProblem(program.value, program.jacobian, **bounds)
+        return SquareModel(
+            problem, elimination, (stored[0], stored[1]), places, signs, matched, dropped
+        )
+
+    def _affine(self, rows: list[Rows]) -> Affine:
+        """Return all rows over all unknowns, each with the number of its part; a single block as it is."""
+        matrix, offset = assembled(rows, self.first, self.count)
+        return Affine(matrix, offset, np.repeat(np.arange(len(rows)), [one.size for one in rows]))
+
+    def _check_square(self, free: Indices, equations: int) -> None:
+        """Raise where there are not as many equations as unknowns without a pair."""
+        if free.size == equations:
+            return
+        of_pairs = sum(one.rows.size for one in self.rows if one.slacks is not None)
+        counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""
+        names = [name for column in free[:MOST_NAMES].tolist() if (name := self.name_of(column))]
+        names += ["…"] * (free.size > MOST_NAMES)
+        way_out = ""
+        if equations > free.size:
+            way_out = (
+                "; where one says how prices are scaled, as sum(p) == 1, drop a market that the others imply, or give "
+                "the equation a free multiplier, a variable in the rows of the pairs"
+            )
+        has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
+        raise (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
+            f"the model has {in_words(equations, 'equation')}{counted} and {in_words(free.size, 'unknown')} without a "
+            f"complementarity ({', '.join(names) or 'none'}); it needs as many equations as such unknowns{way_out}"
+        )
+
+    def _bounds_of_pairs(self) -> tuple[FloatVector, FloatVector]:
+        """Return the bounds of all unknowns; raise where an unknown has others than its pair states."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for pair in self.pairs:
+            for own, stated in ((lower, pair.low), (upper, pair.high)):
+                others = np.flatnonzero(np.isfinite(own[pair.z]) & (own[pair.z] != stated))
+                if others.size:
+                    raise UnsupportedModel(
+                        f"{self.name_of(int(pair.z[others[0]]))} is declared with other bounds than its pair states; "
+                        "state them once"
+                    )
+                own[pair.z] = stated
+        return lower, upper
+
+    def _dropped(self, free: Indices) -> Indices:
+        """Return the unpaired unknowns with bounds, but for those that say of w what its pair says."""
+        low, high = self.lower.copy(), self.upper.copy()
+        for pair in self.pairs:
+            if (found := self.entries(pair.rows)) is None:
+                continue
+            columns, shift = found
+            has_low, has_high = np.isfinite(pair.low), np.isfinite(pair.high)
+            sign = np.where(has_low, pair.sign, -1.0 * pair.sign) * (has_low != has_high)
+            low[columns[(sign > 0.0) & (low[columns] <= -shift)]] = -np.inf
+            high[columns[(sign < 0.0) & (high[columns] >= -shift)]] = np.inf
+        return free[np.isfinite(low[free]) | np.isfinite(high[free])]
+
+    def is_outside(self, unknowns: FloatVector, columns: Indices) -> BoolVector:
+        """Return which of the unknowns in the columns are outside their bounds."""
+        beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
+        return ~(beyond <= OUTSIDE * (1.0 + np.abs(unknowns[columns])))
+
+    # --- the best of all solutions ---
+
+    def best(
+        self,
+        goal: Rows,
+        sign: float = 1.0,
+        known: tuple[Any, FloatVector, float] | None = None,
+    ) -> EquilibriumProgram:
+        """Return the program: minimise sign · goal, of which ½ xᵀP x + cᵀx + r may be known as P, c, r."""
+        seconds = [self._value_of(pair) for pair in self.pairs]
+        n, goal = self.count, goal.scaled(sign)
+        quadratic, smooth = self._quadratic(goal), None
+        if known is not None:
+            more = n - known[1].size
+            P = sp.block_diag([sign * known[0], sp.csr_array((more, more))], format="csr")
+            quadratic = P, np.append(sign * known[1], np.zeros(more)), sign * known[2]
+        linear = [one for one in self.rows if not one.rows.level]
+        bent = [one for one in self.rows if one.rows.level]
+        if bent or quadratic is None:
+            nothing = Rows({}, np.zeros(1), (1,))
+            results = [goal if quadratic is None else nothing, *(one.rows for one in bent)]
+            smooth = SmoothPart(
+                Program.of(self.compiler, results, self.first, n), *_stacked(bent, "low", "high")
+            )
+        P, c, offset = quadratic or (sp.csr_array((n, n)), np.zeros(n), 0.0)
+        A, shift = assembled([one.rows for one in linear], self.first, n)
+        low, high = (ends - shift for ends in _stacked(linear, "low", "high"))
+        program = QuadraticProgram.from_ranges(P, c, A, low, high, self.lower, self.upper)
+        first, low, high = _stacked(self.pairs, "z", "low", "high")
+        return EquilibriumProgram(
+            program,
+            first.astype(np.int64),
+            np.concatenate([*seconds, np.zeros(0)]).astype(np.int64),
+            low,
+            high,
+            offset,
+            self.integers,
+            smooth,
+            [self.name_of(column) for column in range(n)],
+        )
+
+    def _value_of(self, pair: StatedRows) -> Indices:
+        """Return the unknowns that are w of a pair."""
+        found = self.entries(pair.rows)
+        if found is None or found[1].any() or np.any(np.asarray(pair.sign) != 1.0):
+            return self.named(pair.rows, pair.origin, pair.sign)
+        return found[0]
+
+    def _quadratic(self, goal: Rows) -> tuple[sp.csr_array, FloatVector, float] | None:
+        """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None where it is something else."""
+        n = self.count
+        c, shift = np.zeros(n), float(goal.offset[0])
+        half = sp.csr_array((n, n))
+        for key, block in goal.blocks.items():
+            weights = as_matrix(block, 1).toarray().ravel()
+            if key in self.first:
+                c[self.first[key] : self.first[key] + weights.size] += weights
+                continue
+            _, function, arguments, _ = self.compiler.groups[-1 - key]
+            if function not in (functions.PRODUCT, functions.SQUARE) or any(
+                one.level for one in arguments
+            ):
+                return None
+            (A, a), (B, b) = (
+                assembled([one], self.first, n) for one in (arguments[0], arguments[-1])
+            )
+            half = sp.csr_array(half + A.T @ sp.diags_array(weights) @ B)
+            c += A.T @ (weights * b) + B.T @ (weights * a)
+            shift += float(weights @ (a * b))
+        return sp.csr_array(half + half.T), c, shift
+
+
+def _ends(size: int, low: Any, high: Any) -> tuple[FloatVector, FloatVector]:
+    first, last = (np.broadcast_to(end, size).astype(np.float64) for end in (low, high))
+    return first, last
+
+
+def _stacked(stated: list[StatedRows], *names: str) -> list[FloatVector]:
+    """Return these attributes of all, one below the other."""
+    return [
+        np.concatenate([*(getattr(one, name) for one in stated), np.zeros(0)]) for name in names
+    ]
+
+
+def _zeroed(equation: StatedRows) -> Rows:
+    """Return the rows that are 0."""
+    return replace(equation.rows, offset=equation.rows.offset - equation.low)
+
+
+def _filled(derivative: sp.csr_array) -> sp.csr_array:
+    """Return a derivative without zeros and without entries that are not finite."""
+    sizes = np.where(np.isfinite(derivative.data), derivative.data, 0.0)
+    derivative.data = np.where(sizes == 0.0, UNCERTAIN, sizes)
+    return derivative
+
+
+def _arranged(
+    pairs: Affine, equations: Affine, places: Indices, signs: FloatVector
+) -> tuple[sp.csr_array, FloatVector]:
+    """Return the rows in their places, with their signs: the user's own matrix, without a copy, where nothing moves."""
+    M, q = pairs.matrix, pairs.offset
+    if equations.offset.size:
+        M, q = (
+            sp.csr_array(sp.vstack([M, equations.matrix], format="csr")),
+            np.append(q, equations.offset),
+        )
+    if not np.array_equal(places, np.arange(q.size)):
+        M, q = sp.csr_array(M[places]), q[places]
+    return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)
+
+
+def solve_from(
+    problem: LCP | NonlinearProblem | Blocks, start: FloatVector | None, options: dict[str, Any]
+) -> Result:
+    """Return the answer to a problem that a model became.
+
+    Parameters
+    ----------
+    problem : LCP, NonlinearProblem or Blocks
+    start : array, shape (n,), or None
+        The present values of the unknowns, where all have one; ``z0`` among the options goes before.
+    options : dict
+        Of `solve`, of `solve_nonlinear` or of `solve_cones`.
+    """
+    is_given = "z0" in options or start is None or not np.isfinite(start).all()
+    if isinstance(problem, Blocks):
+        problem.problem_kind.refuse(options)
+        _refuse_unknown(
+            options, "a model with cones", list(inspect.signature(solve_cones).parameters)[1:]
+        )
+    if isinstance(problem, NonlinearProblem):
+        known = ["z0", *list(inspect.signature(solve_nonlinear).parameters)[2:]]
+        _refuse_unknown(options, "a nonlinear model", known)
+        z0: Any = options.get("z0", np.zeros_like(problem.lower)) if is_given else start
+        # The derivative is ours; what the language itself evaluates is compared at the end.
+        own = {
+            "check_jacobian": False,
+            **{name: value for name, value in options.items() if name != "z0"},
+        }
+        result = solve_nonlinear(problem, z0, **own)
+    else:
+        run: Any = solve_cones if isinstance(problem, Blocks) else solve_lcp
+        result = run(problem, **(options if is_given else {"z0": start, **options}))
+    return result if is_given else replace(result, begun=result.begun or BEGUN)
+
+
+def _refuse_unknown(options: dict[str, Any], what: str, known: list[str]) -> None:
+    for name in options:
+        if name not in known:
+            raise InvalidOption(f"{what} has no option {name!r}; it has {', '.join(known)}")

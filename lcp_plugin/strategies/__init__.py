@@ -6,8 +6,8 @@ towards the 1 × 1 identity, or the simplest matrix of their class, and small in
 practical: hypothesis draws every entry and refuses what is too much for it.
 
 `lcps` draws problems, `solved_lcps` with the exact answer, `infeasible_lcps` with a Farkas proof, `convex_qps` with x
-and multipliers, `complementarity_models` in cvxpy, `solved_nonlinear_problems` with the exact answer; each matrix
-strategy is named after its class and draws arrays; `.map(scipy.sparse.csr_array)` makes them CSR arrays.
+and multipliers; each matrix strategy is named after its class and draws arrays; `.map(scipy.sparse.csr_array)` makes
+them CSR arrays.
 `assert_solves` takes any callable (M, q, lower, upper) → z and reports the smallest problem on which it is wrong.
 
 >>> from lcp_plugin import LCP, Status, solve
@@ -27,7 +27,6 @@ except ImportError:
 from .judge import assert_solves
 from .matrices import (
     h_plus_matrices,
-    indefinite_matrices,
     m_matrices,
     not_h_matrices,
     p_matrices,
@@ -37,15 +36,13 @@ from .matrices import (
     z_matrices,
 )
 from .problems import infeasible_lcps, lcps, solved_lcps
-from .programs import QPAnswer, complementarity_models, convex_qps, solved_nonlinear_problems
+from .programs import QPAnswer, convex_qps
 
 __all__ = [
     "QPAnswer",
     "assert_solves",
-    "complementarity_models",
     "convex_qps",
     "h_plus_matrices",
-    "indefinite_matrices",
     "infeasible_lcps",
     "lcps",
     "m_matrices",
@@ -54,7 +51,6 @@ __all__ = [
     "positive_definite_matrices",
     "positive_semidefinite_matrices",
     "solved_lcps",
-    "solved_nonlinear_problems",
     "strictly_dominant_matrices",
     "z_matrices",
 ]

@@ -18,13 +18,12 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution
-from ..proofs.no_solution.proof import Infeasibility
 from ..proofs.verdicts import analyze
 from .matrices import p_matrices, whole_number
-from .problems import Answer, infeasible_lcps, lcps, solved_lcps
+from .problems import Answer, lcps, solved_lcps
 
 Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
-Truth = Answer | Infeasibility | None
+Truth = Answer | None
 Drawn = tuple[LCP, Truth, bool]  # the problem, what is known of it, whether M was drawn as an array
 
 PHASES = (Phase.generate, Phase.shrink)
@@ -35,7 +34,6 @@ def assert_solves(
     *,
     matrices: st.SearchStrategy[Any] | None = None,
     bounds: bool = False,
-    infeasible: bool = False,
     may_give_up: bool = False,
     tolerance: float = 1e-6,
     error_tolerance: float = 1e-3,
@@ -54,8 +52,6 @@ def assert_solves(
         The matrices that the solver is meant for; P-matrices of size 1 to 8 by default.
     bounds : bool
         Draw other bounds than 0 and ∞.
-    infeasible : bool
-        Draw problems without solution too, whatever `matrices` are; any z that is returned for one of them is wrong.
     may_give_up : bool
         Whether the solver may give up on a problem that has a solution. If not, that is a failure on all problems
         drawn with their answer and, where M is a P-matrix, on the others.
@@ -74,8 +70,8 @@ def assert_solves(
     ------
     AssertionError
         Where the solver was wrong, naming what: it gave up or raised; z not a vector of finite numbers, outside the
-        bounds, w of the wrong sign or not complementary, far from the exact answer, a solution of a problem that has
-        none; M, q or a bound modified; or not the same answer to the same problem twice.
+        bounds, w of the wrong sign or not complementary, far from the exact answer; M, q or a bound modified; or not
+        the same answer to the same problem twice.
     InvalidOption
         Where an option is out of its range.
 
@@ -99,7 +95,7 @@ def assert_solves(
     diagonal: z is not complementary: w[1] = 1, but z[1] = 1.5 lies between its bounds
     """
     _check_options(solver, matrices, max_examples, tolerance, error_tolerance)
-    problems = _drawn_problems(p_matrices() if matrices is None else matrices, bounds, infeasible)
+    problems = _drawn_problems(p_matrices() if matrices is None else matrices, bounds)
 
     @settings(
         max_examples=max_examples,
@@ -143,18 +139,14 @@ def _check_options(
 
 
 @st.composite
-def _drawn_problems(
-    draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: bool, infeasible: bool
-) -> Drawn:
-    """Return a problem with what is known of it, the answer, the proof that there is none, or None, and M's form."""
+def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: bool) -> Drawn:
+    """Return a problem, its exact answer or None, and M's form."""
     given = draw(matrices)
     classes, is_dense = (
         st.just(given),
         not sp.issparse(given),
     )  # an LCP may hold M in the other form
-    kind = draw(st.integers(0, 5 if infeasible else 3))
-    if kind >= 4:
-        return *draw(infeasible_lcps(bounds=bounds, monotone=kind == 5)), is_dense
+    kind = draw(st.integers(0, 3))
     if kind >= 2:
         return draw(lcps(classes, bounds=bounds)), None, is_dense
     return *draw(solved_lcps(classes, bounds=bounds, huge_slacks=kind == 1)), is_dense
@@ -180,8 +172,6 @@ def _verdict(
     for name, now, before in zip(("M", "q", "lower", "upper"), copies, stated, strict=True):
         if (now != before).sum():
             return f"it modified its input {name}", None
-    if isinstance(truth, Infeasibility):
-        return "" if z is None else "it claims to have solved a problem that has no solution", z
     if z is not None:
         return complaint_about(problem, z, truth, tolerance, error_tolerance), z
     if may_give_up or (truth is None and not analyze(problem.M).is_p_matrix):
@@ -260,8 +250,6 @@ def _distance(problem: LCP, z: FloatVector, truth: Answer | None, error_toleranc
 def _shown(problem: LCP, truth: Truth, z: Any) -> list[str]:
     """Return lines that show the problem, so that it can be pasted, the solver's z and what is known of it."""
     lines = [f"problem = {problem!r}", f"z = {z!r}"]
-    if isinstance(truth, Infeasibility):
-        return [*lines, f"{truth}"]
     return (
         lines
         if truth is None

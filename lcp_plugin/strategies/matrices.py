@@ -180,41 +180,6 @@ def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> 
     return reordered(L @ L.T, order)
 
 
-@matrices(2)
-def indefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return a strategy for symmetric indefinite matrices: xᵀM x takes both signs.
-
-    Parameters
-    ----------
-    size : int or strategy of int, optional
-        Rows and columns, at least 2; 2 to 8 by default.
-    density
-        As in :func:`positive_definite_matrices`.
-
-    Raises
-    ------
-    InvalidOption
-        Where an option is out of its range; where a drawn size is below 2, while drawing.
-
-    Notes
-    -----
-    M = L W Lᵀ with L unit lower triangular with integer entries, in some order of its rows, and W a diagonal
-    of which one entry is 1 to 9 and one −1 to −9: by Sylvester's law it has eigenvalues of both signs.
-
-    Examples
-    --------
-    >>> from hypothesis import Phase, find, settings
-    >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
-    >>> find(indefinite_matrices(), lambda M: True, settings=quick)
-    array([[ 1.,  0.],
-           [ 0., -1.]])
-    """
-    core = draw(vectors(n, ONE_FIRST))
-    core[:2] = draw(POSITIVE), -draw(POSITIVE)
-    order, L = draw(orders(n)), draw(unit_lower(n, values))
-    return reordered(L @ np.diag(core) @ L.T, order)
-
-
 @matrices()
 def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for H₊-matrices: positive diagonal, and ⟨M⟩v > 0 for some v > 0.

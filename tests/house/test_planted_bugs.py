@@ -163,10 +163,3 @@ def test_correct_solvers_pass(solver: Solver) -> None:
     """The toys without a bug pass many problems, with bounds too, and with problems that have no solution."""
     with np.errstate(all="ignore"):
         assert_solves(solver, matrices=DOMINANT, bounds=True, max_examples=MANY)
-
-
-@pytest.mark.full
-def test_correct_solver_gives_up_where_there_is_no_solution() -> None:
-    """The toy without a bug claims nothing on problems that have no solution."""
-    with np.errstate(all="ignore"):
-        assert_solves(psor, **WILD, infeasible=True, max_examples=80)

@@ -2,8 +2,7 @@
 
 ``build("obstacle_2d", size=200)``, ``obstacle_2d(size=200)`` and ``parse("obstacle_2d:size=200")`` give the
 same :class:`Scene`; ``describe()`` lists them all. A new scene is one function with ``scene_builder`` in a file of
-this folder, and nothing else; the report shows it when asked for by name, and without a name where
-``evidence/report/page.py`` lists it.
+this folder, and nothing else.
 """
 
 from collections.abc import Callable
@@ -20,7 +19,6 @@ from .scene import (
     describe,
     names,
     parse,
-    read,
     scene_builder,
 )
 
@@ -35,7 +33,6 @@ __all__ = [
     "describe",
     "names",
     "parse",
-    "read",
     "scene_builder",
 ]
 __all__.extend(names())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,8 +13,7 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
-from .parameters import Count, NonNegative, Positive, Seed, Share, at_least, one_of
-from .scene import Scene, scene_builder
+from .scene import Scene, require, scene_builder
 from .stencil import dirichlet_terms, nodes, stencil_matrix
 
 _CYCLE = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]])
@@ -33,7 +32,7 @@ _GAMES: dict[str, tuple[Any, Any, tuple[list[float], list[float]] | None]] = {
 
 
 @scene_builder
-def bimatrix_game(*, game: Annotated[str, one_of(*_GAMES)] = "battle_of_the_sexes") -> Scene:
+def bimatrix_game(*, game: str = "battle_of_the_sexes") -> Scene:
     """Nash equilibria of a classical two-player game: M = [[0, K], [Lᵀ, 0]], zero diagonal, often several answers.
 
     Parameters
@@ -51,6 +50,7 @@ def bimatrix_game(*, game: Annotated[str, one_of(*_GAMES)] = "battle_of_the_sexe
     Luce, Raiffa, *Games and Decisions*, Wiley 1957. Lemke, Howson, *Equilibrium points of bimatrix games*, J. SIAM 12,
     1964, doi:10.1137/0112033.
     """
+    require(game in _GAMES, f"game must be one of {', '.join(_GAMES)}, got {game!r}")
     row_payoffs, column_payoffs, unique = _GAMES[game]
     problem = lcp_from_bimatrix_game(row_payoffs, column_payoffs)
     exact = None if unique is None else _scaled(problem.csr.toarray(), *unique)
@@ -72,10 +72,10 @@ def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> Fl
 @scene_builder
 def market_equilibrium(
     *,
-    goods: Count = 30,
-    activities: Annotated[int, at_least(0)] = 60,
-    running: Share = 0.5,
-    seed: Seed = 0,
+    goods: int = 30,
+    activities: int = 60,
+    running: float = 0.5,
+    seed: int = 0,
 ) -> Scene:
     """Market equilibrium with linear demand and constant returns: M = [[D, A], [−Aᵀ, 0]], planted integers.
 
@@ -102,6 +102,7 @@ def market_equilibrium(
     ----------
     Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.2.
     """
+    require(0.0 <= running <= 1.0, f"running must lie in [0, 1], got {running}")
     generator = np.random.default_rng(seed)
     count = min(round(running * goods), activities)
     D = np.triu(generator.integers(-2, 3, (goods, goods)), 1).astype(np.float64)
@@ -130,13 +131,13 @@ def market_equilibrium(
 @scene_builder
 def american_put(
     *,
-    size: Count = 1001,
-    strike: Positive = 100.0,
-    rate: NonNegative = 0.05,
-    volatility: Positive = 0.2,
-    maturity: Positive = 1.0,
-    log_range: Positive = 1.5,
-    steps: Count = 100,
+    size: int = 1001,
+    strike: float = 100.0,
+    rate: float = 0.05,
+    volatility: float = 0.2,
+    maturity: float = 1.0,
+    log_range: float = 1.5,
+    steps: int = 100,
 ) -> Scene:
     """American put, one implicit Euler step of length maturity/steps back from the payoff.
 
@@ -177,13 +178,13 @@ def american_put(
 @scene_builder
 def american_put_march(
     *,
-    size: Count = 1001,
-    strike: Positive = 100.0,
-    rate: NonNegative = 0.05,
-    volatility: Positive = 0.2,
-    maturity: Positive = 1.0,
-    log_range: Positive = 1.5,
-    steps: Count = 100,
+    size: int = 1001,
+    strike: float = 100.0,
+    rate: float = 0.05,
+    volatility: float = 0.2,
+    maturity: float = 1.0,
+    log_range: float = 1.5,
+    steps: int = 100,
 ) -> Scene:
     """American put, the whole march of implicit Euler steps from the payoff back to today.
 
@@ -229,6 +230,13 @@ def _put_scene(
     log_range: float,
     steps: int,
 ) -> Scene:
+    for name, value in (
+        ("strike", strike),
+        ("volatility", volatility),
+        ("maturity", time_step),
+        ("log_range", log_range),
+    ):
+        require(value > 0.0, f"{name} must be a number > 0, got {value}")
     log_price = nodes(-log_range, log_range, size)
     payoff = strike * np.maximum(1.0 - np.exp(log_price), 0.0)
     below, above = _log_price_legs(rate, volatility, time_step, 2.0 * log_range / (size + 1))

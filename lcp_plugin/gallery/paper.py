@@ -1,22 +1,20 @@
-"""Answers that come first: the paper's examples, with constraints that bind, and matrices random or misleading."""
+"""Problems with a solution chosen first: the paper's examples, one with active constraints, and a random H₊-matrix."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
 from ..core.lcp import LCP
-from .parameters import Count, NonNegative, Seed, Share, Square, at_least, between, one_of
-from .scene import Scene, scene_builder
+from .scene import Scene, require, scene_builder
 from .stencil import stencil_matrix
 
 
 @scene_builder
-def paper_example_1(*, n: Square = 100, delta: NonNegative = 4.0) -> Scene:
+def paper_example_1(*, n: int = 100, delta: float = 4.0) -> Scene:
     """Five-point Laplacian plus delta I with z* = (1, 2, 1, 2, …), nothing active: Example 1 of the paper.
 
     Parameters
@@ -40,7 +38,7 @@ def paper_example_1(*, n: Square = 100, delta: NonNegative = 4.0) -> Scene:
 
 
 @scene_builder
-def paper_example_2(*, n: Square = 100, delta: NonNegative = 4.0) -> Scene:
+def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
     """Nonsymmetric five-point matrix plus delta I with z* = (1, 2, 1, 2, …): Example 2 of the paper.
 
     Parameters
@@ -65,7 +63,7 @@ def paper_example_2(*, n: Square = 100, delta: NonNegative = 4.0) -> Scene:
 def _paper_scene(
     n: int, delta: float, lower: tuple[float, float], upper: tuple[float, float]
 ) -> Scene:
-    side = math.isqrt(n)
+    side = _side(n)
     M = stencil_matrix((side, side), 4.0 + delta, lower, upper)
     exact = _alternating(n, 1.0, 2.0)
     return Scene(
@@ -81,7 +79,7 @@ def _paper_scene(
 
 @scene_builder
 def half_active(
-    *, n: Square = 10_000, delta: NonNegative = 4.0, block: Count = 5, degenerate: bool = True
+    *, n: int = 10_000, delta: float = 4.0, block: int = 5, degenerate: bool = True
 ) -> Scene:
     """Five-point Laplacian plus delta I, constraints active on every other block of a checkerboard.
 
@@ -102,7 +100,7 @@ def half_active(
     then q = w* − M z*. The paper's own examples have no active constraint and so say nothing about
     complementarity: an iteration for the linear system alone would solve them.
     """
-    side = math.isqrt(n)
+    side = _side(n)
     M = stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
     row, column = np.divmod(np.arange(n), side)
     is_active = (row // block + column // block) % 2 == 1
@@ -121,15 +119,21 @@ def half_active(
     )
 
 
+def _side(n: int) -> int:
+    """Return √n, or raise InvalidOption."""
+    side = math.isqrt(n)
+    require(side**2 == n, f"n must be a perfect square, got {n}")
+    return side
+
+
 def _alternating(n: int, first: float, second: float) -> FloatVector:
     values = np.full(n, first)
     values[1::2] = second
     return values
 
 
-# --- Matrices that mislead --------------------------------------------------------------------------------------
+# --- A random matrix --------------------------------------------------------------------------------------
 
-Exponent = Annotated[int, between(0, 100)]
 
 LARGEST_ENTRY = 9
 
@@ -137,12 +141,12 @@ LARGEST_ENTRY = 9
 @scene_builder
 def random_h_plus(
     *,
-    n: Annotated[int, at_least(2)] = 2000,
-    entries_per_row: Count = 5,
-    row_scale: Exponent = 20,
-    column_scale: Exponent = 10,
-    active_share: Share = 0.5,
-    seed: Seed = 0,
+    n: int = 2000,
+    entries_per_row: int = 5,
+    row_scale: int = 20,
+    column_scale: int = 10,
+    active_share: float = 0.5,
+    seed: int = 0,
 ) -> Scene:
     """Random sparse H+-matrix, rows and columns wildly scaled, with a planted answer exact to the last bit.
 
@@ -167,6 +171,9 @@ def random_h_plus(
     with small integers ẑ, ŵ, and q = w* − M z* = R (ŵ − A ẑ): integers far below 2⁵³ times powers of two, so
     that no rounding happens anywhere and z* is the exact solution for the stored data.
     """
+    require(n > 1, f"n must be a whole number ≥ 2, got {n}")
+    require(0.0 <= active_share <= 1.0, f"active_share must lie in [0, 1], got {active_share}")
+    require(max(row_scale, column_scale) <= 100, "row_scale and column_scale must be at most 100")
     generator = np.random.default_rng(seed)
     A = _random_dominant(generator, n, entries_per_row)
     z, w = _random_answer(generator, n, active_share)
@@ -211,59 +218,3 @@ def _random_answer(
     z[active] = 0.0
     w[active[: len(active) // 10]] = 0.0
     return z, w
-
-
-@scene_builder
-def murty(
-    *,
-    n: Annotated[int, between(1, 5000)] = 50,
-    orientation: Annotated[str, one_of("upper", "lower")] = "upper",
-) -> Scene:
-    """Murty's triangular matrix, on which pivoting methods can take exponentially many steps.
-
-    Parameters
-    ----------
-    n
-        Number of unknowns, at most 5000: half of the matrix is filled.
-    orientation
-        On which side of the diagonal the twos stand.
-
-    Notes
-    -----
-    1 on the diagonal, 2 strictly above (or below) it, q = −1. In the last (first) row the only entry is the
-    diagonal one, so that z* = e_n (e_1): there w = 1 − 1 = 0, elsewhere w = 2 − 1 = 1. Triangular with a
-    positive diagonal: J is nilpotent, so M is H+ with ρ(J) = 0, yet J is far from normal.
-
-    References
-    ----------
-    Murty, *Computational complexity of complementary pivot methods*, Math. Programming Study 7, 1978.
-    """
-    twos = np.full((n, n), 2.0)
-    M = np.eye(n) + (np.triu(twos, 1) if orientation == "upper" else np.tril(twos, -1))
-    exact = np.zeros(n)
-    exact[-1 if orientation == "upper" else 0] = 1.0
-    return Scene(
-        problem=LCP(M, np.full(n, -1.0)),
-        exact=exact,
-        is_symmetric=n == 1,
-        is_h_plus=True,
-    )
-
-
-@scene_builder
-def scaling_trap() -> Scene:
-    """Three unknowns, strictly dominant, yet the unscaled NPSOR(1.7) runs into a limit cycle beside z*.
-
-    Notes
-    -----
-    z* = (1, 1, 0), w* = (0, 0, 50). min(I, D) − |B| is not an M-matrix, so nothing is promised without
-    scaling; with the rows divided by the diagonal every H+-matrix is safe. From the start given here, beside
-    z*, NPGS converges slowly (over a thousand sweeps to 1e-10), the scaled NPSOR(1.7) within thirty.
-    """
-    M = [[110.0, 100.0, 0.0], [0.0, 110.0, 100.0], [-100.0, 0.0, 110.0]]
-    return Scene(
-        problem=LCP(M, [-210.0, -110.0, 150.0]),
-        exact=np.array([1.0, 1.0, 0.0]),
-        start=np.array([1.0, 1.0, 0.001]),
-        is_h_plus=True,
-    )

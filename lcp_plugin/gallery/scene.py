@@ -1,9 +1,12 @@
-"""A scene: a problem together with everything its source knows about it; and the list of all scenes."""
+"""A scene: a test problem with everything its source knows about it; and the list of all scenes."""
 
 from __future__ import annotations
 
+import ast
 import functools
 import inspect
+import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -15,43 +18,42 @@ from ..core.certificates.row_residuals import is_at_bound
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
-from .parameters import Parameter, parameters_of
 
-_VECTORS = ("exact", "continuum", "start")
+WORDS = {"true": "True", "yes": "True", "false": "False", "no": "False"}
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Scene:
     """A test problem with what is known about it.
 
-    The facts are declared, not computed: building a scene costs its assembly and nothing else.
+    The facts are declared, not computed: a scene costs the assembly of its matrix and nothing else.
 
     Parameters
     ----------
     problem : LCP
-        The problem; the first one where the scene is a march in time.
+        The problem; the first one of a march in time.
     name, description, parameters
-        Filled in by the registry: the builder's name, its first docstring line, the values actually used.
+        Filled in by `scene_builder`: the builder's name, its first docstring line, the values used.
     exact : shape (n,), optional
-        z* of the discrete problem, exact up to the rounding of the data; None when unknown.
+        z* of the discrete problem, exact up to the rounding of the data; None if unknown.
     continuum : shape (n,), optional
-        The solution of the differential problem at the nodes; it differs from z* by the discretisation error.
+        The solution of the differential problem at the nodes; it differs from z* by the discretization error.
     start : shape (n,), optional
         Start vector prescribed by the source.
     is_symmetric, is_h_plus : bool
-        True where M is known to be so.
+        True if M is known to be so.
     is_declared : bool
-        False where M is not described, as in a user's own problem; its properties are then computed.
+        False if nothing is known of M, as in a user's own problem; its properties are then computed.
     active_share : float, optional
-        Share of components at a bound, in [0, 1]: of `exact`, where it is known, or of `continuum`.
+        Share of components at a bound, in [0, 1]: of `exact` if it is known, or of `continuum`.
     grid : optional
-        Shape in which z is a picture, C order; that of the coordinates where there are any.
+        Shape in which z is a picture, C order; that of the coordinates if there are any.
     coordinates : optional
         One array of node positions per axis of `grid`, shapes (grid[0],), (grid[1],), ….
     axis_labels
         One label per axis of `grid`.
     unknown, active_means
-        What z is, and what it means that a component rests on a bound; for pictures.
+        Meaning of z, and of a component at a bound; for pictures.
     steps : int, at least 1
         Length of the march in time; 1 for a single problem.
     advance : callable, optional
@@ -61,7 +63,7 @@ class Scene:
     Raises
     ------
     InvalidProblem
-        Where a declared fact does not fit the size of the problem.
+        If a declared fact does not fit the size of the problem.
 
     Examples
     --------
@@ -93,41 +95,42 @@ class Scene:
     advance: Callable[[FloatVector], FloatVector] | None = None
 
     def __post_init__(self) -> None:
-        for fact in _VECTORS:
+        for fact in ("exact", "continuum", "start"):
             values = getattr(self, fact)
             if values is not None:
-                object.__setattr__(self, fact, _read_only(values, fact, self.problem.q.size))
+                if values.shape != (self.problem.q.size,):
+                    raise InvalidProblem(
+                        f"{fact} must have shape ({self.n},) like z, got {values.shape}"
+                    )
+                view = values.view()
+                view.flags.writeable = False  # nobody changes the reference by accident
+                object.__setattr__(self, fact, view)
         if self.exact is not None and self.active_share is None and self.n:
-            object.__setattr__(
-                self, "active_share", float(np.mean(is_at_bound(self.problem, self.exact)))
-            )
-        if self.grid is None and self.coordinates is not None:
+            share = float(np.mean(is_at_bound(self.problem, self.exact)))
+            object.__setattr__(self, "active_share", share)
+        if self.coordinates is not None and self.grid is None:
             object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))
         if self.grid is not None:
-            self._check_picture(self.grid)
+            lengths = tuple(axis.size for axis in self.coordinates or ()) or self.grid
+            fits = lengths == self.grid and len(self.axis_labels) == len(self.grid)
+            if math.prod(self.grid) != self.n or not fits:
+                raise InvalidProblem(
+                    f"grid {self.grid} must hold n = {self.n} nodes, with coordinates and a label per axis, got "
+                    f"axes of length {lengths} and labels {self.axis_labels}"
+                )
         if self.steps > 1 and self.advance is None:
-            raise InvalidProblem(
-                f"a march of {self.steps} steps needs advance, got None; pass a callable z → q"
-            )
-
-    def _check_picture(self, grid: tuple[int, ...]) -> None:
-        if np.prod(grid, dtype=np.int64) != self.problem.n:
-            raise InvalidProblem(
-                f"grid must hold n = {self.n} nodes, got {grid}; give the shape of z"
-            )
-        lengths = (
-            grid if self.coordinates is None else tuple(axis.size for axis in self.coordinates)
-        )
-        if lengths != grid or len(self.axis_labels) != len(grid):
-            raise InvalidProblem(
-                f"coordinates and axis_labels must match grid {grid}, got axes of length {lengths} and "
-                f"labels {self.axis_labels}; give one of each per axis"
-            )
+            raise InvalidProblem(f"a march of {self.steps} steps needs advance, a callable z → q")
 
     @property
     def n(self) -> int:
         """Number of unknowns."""
         return self.problem.n
+
+    @property
+    def title(self) -> str:
+        """The scene as it is written on a command line."""
+        values = ",".join(f"{name}={value}" for name, value in self.parameters.items())
+        return f"{self.name}:{values}" if values else self.name
 
     def picture(self, z: ArrayLike) -> NDArray[np.float64]:
         """Return z in the shape of the grid.
@@ -139,13 +142,11 @@ class Scene:
         Raises
         ------
         InvalidProblem
-            Where the scene has no picture or z does not fit it.
+            If the scene has no grid or z does not fit it.
         """
         values = np.asarray(z, dtype=np.float64)
         if self.grid is None:
-            raise InvalidProblem(
-                f"scene {self.name!r} has no grid, so z is no picture; plot z by its index"
-            )
+            raise InvalidProblem(f"scene {self.name!r} has no grid; plot z by its index")
         if values.shape != (self.n,):
             raise InvalidProblem(f"z must have shape ({self.n},), got {values.shape}")
         return values.reshape(self.grid)
@@ -153,15 +154,6 @@ class Scene:
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value!r}" for name, value in self.parameters.items())
         return f"Scene({self.name}: {values})" if values else f"Scene({self.name})"
-
-
-def _read_only(values: FloatVector, fact: str, n: int) -> FloatVector:
-    """Return a view that cannot be written to, so that the reference is not spoilt by accident."""
-    if values.shape != (n,):
-        raise InvalidProblem(f"{fact} must have shape ({n},) like z, got {values.shape}")
-    view = values.view()
-    view.flags.writeable = False
-    return view
 
 
 # --- The list -------------------------------------------------------------------------------------------------
@@ -184,46 +176,69 @@ _SCENES: dict[str, Builder] = {}
 def scene_builder(builder: Builder) -> Builder:
     """Register the function that builds a test problem, under its own name.
 
-    The signature declares the parameters (keyword only, each with a default and, where it needs one, a range
-    from :mod:`.parameters`); the first docstring line is the description. The returned function checks every
-    value before the builder sees it, then completes the scene with name, description and parameters.
+    The signature declares the parameters, keyword only and each with a default whose type a value must have: whole
+    numbers are at least 1, or 0 if the default is 0, and numbers finite. The first docstring line is the description.
 
     Parameters
     ----------
     builder : callable
         Returns a :class:`Scene`.
+
+    Returns
+    -------
+    callable
+        The same function with checked parameters; the scene carries name, description and parameters.
+
+    Raises
+    ------
+    InvalidOption
+        When the returned function is called with a value that its signature does not allow.
     """
-    name = builder.__name__
+    name, summary = builder.__name__, inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
 
     @functools.wraps(builder)
     def checked(**given: Any) -> Scene:
-        values = checked_values(name, given)
-        return replace(
-            builder(**values), name=name, description=_summary(builder), parameters=values
-        )
+        defaults = defaults_of(name)
+        for key, value in given.items():
+            if key not in defaults:
+                hint = did_you_mean(key, defaults) if defaults else "; it takes none"
+                raise InvalidOption(f"scene {name!r} has no parameter {key!r}{hint}")
+            defaults[key] = _checked(name, key, value, defaults[key])
+        return replace(builder(**defaults), name=name, description=summary, parameters=defaults)
 
     _SCENES[name] = checked
     return checked
 
 
-def _summary(builder: Builder) -> str:
-    return inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
+def _checked(name: str, key: str, value: Any, default: Any) -> Any:
+    """Return the value as a plain Python object of the default's type, or raise InvalidOption."""
+    needs = "true or false" if isinstance(default, bool) else "a word"
+    if isinstance(default, bool | str):
+        if isinstance(value, type(default) | np.bool_):
+            return type(default)(value)
+    elif isinstance(default, int):
+        least = min(default, 1)
+        needs = f"a whole number ≥ {least}"
+        if isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least:
+            return int(value)
+    else:
+        needs = "a finite number"
+        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if is_number and abs(value) <= sys.float_info.max:
+            return float(value)
+    raise InvalidOption(f"scene {name!r}: {key} must be {needs}, as {default!r}, got {value!r}")
 
 
-def checked_values(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of all parameters of a scene, those not given at their defaults.
+def require(condition: bool, words: str) -> None:
+    """Raise InvalidOption with these words unless the condition holds; for the builders."""
+    if not condition:
+        raise InvalidOption(words)
 
-    Raises
-    ------
-    InvalidOption
-        As :func:`build`.
-    """
-    for word in given:
-        _parameter(name, word)
-    return {
-        key: p.check(given.get(key, p.default))
-        for key, p in parameters_of(builder_of(name)).items()
-    }
+
+def defaults_of(name: str) -> dict[str, Any]:
+    """Return the parameters of a scene with their defaults."""
+    parameters = inspect.signature(builder_of(name)).parameters
+    return {key: parameter.default for key, parameter in parameters.items()}
 
 
 def names() -> list[str]:
@@ -241,9 +256,9 @@ def describe() -> list[Description]:
     """
     return [
         Description(
-            name, _summary(builder), {key: p.default for key, p in parameters_of(builder).items()}
+            name, inspect.cleandoc(_SCENES[name].__doc__ or "").split("\n")[0], defaults_of(name)
         )
-        for name, builder in sorted(_SCENES.items())
+        for name in names()
     ]
 
 
@@ -260,12 +275,12 @@ def build(name: str, /, **parameters: Any) -> Scene:
     Raises
     ------
     InvalidOption
-        Where the scene or a parameter does not exist, or a value has the wrong type or range.
+        If the scene or a parameter does not exist, or a value has the wrong type or range.
 
     Examples
     --------
-    >>> build("murty", n=3).exact
-    array([0., 0., 1.])
+    >>> build("half_active", n=4).exact
+    array([1., 2., 1., 2.])
     """
     return builder_of(name)(**parameters)
 
@@ -276,45 +291,22 @@ def parse(text: str) -> Scene:
     Parameters
     ----------
     text : str
-        Each value is read as the kind its parameter has: integer, number, word, or true/false.
+        Values are numbers, words, or true/false.
 
     Raises
     ------
     InvalidOption
-        As :func:`build`, and where the text has another form.
+        As :func:`build`, and if the text has another form.
 
     Examples
     --------
     >>> parse("obstacle_2d:size=20,shifted=true")
     Scene(obstacle_2d: size=20, shifted=True)
     """
-    name, values = read(text)
-    return build(name, **values)
-
-
-def read(text: str) -> tuple[str, dict[str, Any]]:
-    """Return the name and the parameters of a test problem written as text, without building it.
-
-    Parameters
-    ----------
-    text : str
-        As :func:`parse` takes it.
-
-    Raises
-    ------
-    InvalidOption
-        Where the scene or a parameter does not exist, a value has the wrong type, or the text another form.
-
-    Examples
-    --------
-    >>> read("obstacle_2d:size=20")
-    ('obstacle_2d', {'size': 20})
-    """
     if not isinstance(text, str):
         raise InvalidOption(f'a scene is written as a text, "half_active:n=900", got {text!r}')
     name, _, settings = text.strip().partition(":")
-    name = name.strip()
-    builder_of(name)
+    builder = builder_of(name.strip())
     values: dict[str, Any] = {}
     for setting in filter(None, map(str.strip, settings.split(","))):
         key, equals, value = (part.strip() for part in setting.partition("="))
@@ -323,8 +315,11 @@ def read(text: str) -> tuple[str, dict[str, Any]]:
             raise InvalidOption(
                 f"{setting!r} in {text!r} {fault}; write scene:parameter=value,parameter=value"
             )
-        values[key] = _parameter(name, key).read(value)
-    return name, values
+        try:
+            values[key] = ast.literal_eval(WORDS.get(value.lower(), value))
+        except (ValueError, SyntaxError):
+            values[key] = value
+    return builder(**values)
 
 
 def builder_of(name: str) -> Builder:
@@ -332,11 +327,3 @@ def builder_of(name: str) -> Builder:
     if not isinstance(name, str) or name not in _SCENES:
         raise InvalidOption(f"unknown scene {name!r}{did_you_mean(name, _SCENES, is_listed=True)}")
     return _SCENES[name]
-
-
-def _parameter(scene: str, name: str) -> Parameter:
-    parameters = parameters_of(_SCENES[scene])
-    if name not in parameters:
-        hint = did_you_mean(name, parameters) if parameters else "; it takes none"
-        raise InvalidOption(f"scene {scene!r} has no parameter {name!r}{hint}")
-    return parameters[name]

@@ -96,10 +96,7 @@ SCENES = (
 OTHER_SCENES = (
     "half_active",
     "random_h_plus",
-    "rigid_stack",
-    "relay_control",
     "market_equilibrium",
-    "murty",
 )
 
 

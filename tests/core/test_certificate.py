@@ -15,6 +15,7 @@ from drawn_scaling import nearly_semidefinite, nearly_singular, scaled_matrices,
 from exact_components import component_of_rows, references_of_rows, relative_residual
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from textbook_scenes import scaling_trap
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
@@ -525,6 +526,6 @@ def test_a_reference_that_doubles_do_not_see_is_measured() -> None:
 
 def test_the_lie_test_sees_a_lie() -> None:
     """The rational residual of the scaling trap's misleading iterate is far above what SOLVED would allow."""
-    scene = gallery.scaling_trap()
+    scene = scaling_trap()
     exact = exactly(scene.problem, scene.start)
     assert exact.relative > Fraction(1e-8)

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from applications.table import Case
 from benchmarks.auto import brick_wall
 from benchmarks.small import friction
+from textbook_scenes import murty
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.algorithms import Algorithm, create
@@ -137,7 +138,7 @@ def test_from_a_start_near_the_answer_sweeps_go_on() -> None:
 @pytest.mark.parametrize("orientation", ["upper", "lower"])
 def test_murty_s_exponential_problem_takes_no_time(orientation: str) -> None:
     """Either orientation, n = 200, is solved by three sweeps."""
-    result = solve(gallery.murty(n=200, orientation=orientation).problem)
+    result = solve(murty(n=200, orientation=orientation).problem)
     assert result.is_solved
     assert result.iterations <= 3
 

@@ -36,7 +36,7 @@ from lcp_plugin import QuadraticProgramBatch, derivative, error_bound, solve, so
 from lcp_plugin import gallery
 from numba.core.dispatcher import Dispatcher
 
-for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "murty:n=30"):
+for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game"):
     problem = gallery.parse(name).problem
     for algorithm in ("auto", "npsor", "multigrid") if name.startswith("obstacle") else ("auto",):
         result = solve(problem, algorithm)
@@ -64,7 +64,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.types import Array
 from scipy.sparse import diags_array
 
-for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "murty:n=30", "obstacle_2d:size=260"):
+for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game", "obstacle_2d:size=260"):
     problem = gallery.parse(name).problem
     for algorithm in ("auto", "psor", "npsor", "multigrid") if name.startswith("obstacle") else ("auto", "lemke"):
         result = solve(problem, algorithm)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+import textbook_scenes
 from campaigns.guarantees import run_case
 from drawn_scaling import scaled_matrices
 from families import UNPROVEN
@@ -27,7 +28,7 @@ from lcp_plugin.commands.cli import app
 from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.core.matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
 from lcp_plugin.core.matrix.row_sums import automatic_factors, triangle_sums
-from lcp_plugin.evidence import contestants
+from lcp_plugin.evidence import methods
 from lcp_plugin.methods.npsplitting import NPSplitting
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.guarantees.theorems import theorem_4_1
@@ -149,8 +150,6 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
         "half_active:n=100,delta=0",
         "random_h_plus:n=100",
         "paper_example_2:n=100",
-        "murty:n=20",
-        "scaling_trap",
     ],
 )
 def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) -> None:
@@ -161,7 +160,7 @@ def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) ->
 
 def test_what_is_proved_of_direct_methods() -> None:
     """Lemke: P and finite boxes; Newton: M bounded on one side, banded also tridiagonal; interior point: nothing."""
-    murty, rotation = gallery.murty(n=6).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
+    murty, rotation = textbook_scenes.murty(n=6).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     m_matrix = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
     boxed = m_matrix.with_q(m_matrix.q, upper=1.0)
     claims = {
@@ -222,14 +221,14 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize("alpha", [0.3, 1.0])
 def test_npj_is_guaranteed_at_every_scale(scale: float, alpha: float) -> None:
     """β = 0 and α ≤ 1: unscaled, whatever the unit of the rows is."""
-    M = scale * gallery.scaling_trap().problem.csr.toarray()
+    M = scale * textbook_scenes.scaling_trap().problem.csr.toarray()
     options = {"relaxation": alpha, "acceleration": 0.0, "scaling": None}
     assert convergence_guarantee(with_matrix(M), "npaor", **options).is_guaranteed
 
 
 def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
     """Unscaled NPSOR(1.7), which runs into a limit cycle there, and its relatives get no guarantee, but a remedy."""
-    trap = gallery.scaling_trap()
+    trap = textbook_scenes.scaling_trap()
     for name in ("npgs", "npsor", "npaor", "npsplitting"):
         guarantee = convergence_guarantee(trap.problem, name, **UNSCALED)
         assert not guarantee.is_guaranteed
@@ -619,9 +618,7 @@ def test_automatic_scaling_pays() -> None:
 
 def test_the_paper_s_tables_run_unscaled() -> None:
     """The tables set scaling=None for every projected-type method."""
-    assert all(
-        contestants.paper_options(name, 1.7)["scaling"] is None for name in ("npgs", "npsor")
-    )
+    assert all(methods.paper_options(name, 1.7)["scaling"] is None for name in ("npgs", "npsor"))
 
 
 # --- The numbers behind it -----------------------------------------------------------------------------------
@@ -702,7 +699,9 @@ def test_the_command_tells_matrix_and_guarantees() -> None:
     assert all(any(line.startswith(f"{name} ") for line in lines) for name in ("auto", *REGISTRY))
 
 
-@pytest.mark.parametrize("scene", ["paper_example_1:n=100", "murty:n=4", "obstacle_2d:size=6"])
+@pytest.mark.parametrize(
+    "scene", ["paper_example_1:n=100", "half_active:n=4", "obstacle_2d:size=6"]
+)
 def test_the_command_keeps_to_a_hundred_columns(scene: str) -> None:
     """No line of the table is longer than 100 columns, and a source stands in it once, in the legend."""
     text = told(scene).stdout
@@ -713,12 +712,14 @@ def test_the_command_keeps_to_a_hundred_columns(scene: str) -> None:
 
 def test_the_command_prints_json() -> None:
     """--json is one JSON document with both tables and no number that JSON does not know."""
-    content = json.loads(told("murty:n=4", "--json").stdout, parse_constant=pytest.fail)
+    content = json.loads(told("half_active:n=4", "--json").stdout, parse_constant=pytest.fail)
     assert content["matrix"]["verdicts"]["is_h_plus"]["value"] is True
     assert {row["algorithm"] for row in content["convergence"]} >= {"auto", *REGISTRY}
 
 
-@pytest.mark.parametrize("target", ["nonsense", "missing.npz", "murty:n=0", "murty:size=3"])
+@pytest.mark.parametrize(
+    "target", ["nonsense", "missing.npz", "half_active:n=0", "half_active:size=3"]
+)
 def test_the_command_refuses_what_is_no_problem(target: str) -> None:
     """Exit code 2 and one line on stderr."""
     result = told(target)

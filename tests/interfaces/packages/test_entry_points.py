@@ -84,9 +84,11 @@ def test_the_command_knows_it(install: Install) -> None:
     assert number is not None
     assert re.search(rf"^{re.escape(number[1])} Korpelevich 1976", listed.stdout, re.M)
     assert "left out" not in listed.stdout
-    ran = CliRunner().invoke(app, ["solve", "murty:n=3", "-a", "extragradient", "-o", "step=0.5"])
+    ran = CliRunner().invoke(
+        app, ["solve", "half_active:n=4", "-a", "extragradient", "-o", "step=0.5"]
+    )
     assert ran.exit_code == 0, ran.output
-    analyzed = CliRunner().invoke(app, ["analyze", "murty:n=3"])
+    analyzed = CliRunner().invoke(app, ["analyze", "half_active:n=4"])
     assert re.search(
         r"^extragradient +not covered +no theorem here is about extragradient",
         analyzed.stdout,
@@ -102,7 +104,7 @@ def test_an_option_without_default_is_asked_for(install: Install) -> None:
     ):
         solve(PROBLEM, "needy")
     assert solve(PROBLEM, "needy", step=0.5, max_iterations=1).algorithm == "needy"
-    assert "needy" not in CliRunner().invoke(app, ["analyze", "murty:n=3"]).stdout
+    assert "needy" not in CliRunner().invoke(app, ["analyze", "half_active:n=4"]).stdout
 
 
 def test_a_misspelt_name_is_guessed(install: Install) -> None:
@@ -215,7 +217,7 @@ def test_a_broken_entry_says_what_and_whose(
     assert listed.exit_code == 0
     assert "left out: package their-package 1.2" in listed.stdout
     assert "obstacle_2d" in listed.stdout
-    ran = CliRunner().invoke(app, ["solve", "murty:n=3", "-a", "offered"])
+    ran = CliRunner().invoke(app, ["solve", "half_active:n=4", "-a", "offered"])
     assert ran.exit_code == 2
     assert ran.stderr.startswith("lcp-plugin: package their-package 1.2: ")
 

@@ -21,8 +21,7 @@ import scipy.sparse as sp
 import typer
 from scipy.sparse.linalg import spsolve
 
-from lcp_plugin import LCP, solve
-from lcp_plugin.evidence.error_against_time import error_against_time
+from lcp_plugin import LCP, error_against_time, solve
 
 SIZE, SPEED, LOSS, HOTTEST = 48, 20.0, 5.0, 0.6
 
@@ -43,14 +42,12 @@ def main(out: Path = Path()) -> None:
     """Run several algorithms, print the table, and save the curves into the folder OUT."""
     problem = my_problem()
     algorithms = ["npgs", "npsor", "pgs", "psor", "gfp", "newton", "multigrid", "auto"]
-    report = error_against_time(problem, algorithms, repeats=2, tolerance=1e-10)
-    print(report)
-    fastest = min(
-        (curve for curve in report.curves if curve.is_solved), key=lambda curve: curve.seconds
-    )
-    print(f"fastest here: {fastest.label}, {fastest.seconds:.3g} s")
+    found = error_against_time(problem, algorithms, repeats=2, tolerance=1e-10)
+    print(found)
+    fastest = min((row for row in found.rows if row.is_solved), key=lambda row: row.seconds)
+    print(f"fastest here: {fastest.method}, {fastest.seconds:.3g} s")
 
-    z = solve(problem, fastest.label, tolerance=1e-10).require_solved().z
+    z = solve(problem, fastest.method, tolerance=1e-10).require_solved().z
     warm = np.flatnonzero(z < HOTTEST)
     hot = np.where(z < HOTTEST, 0.0, HOTTEST)
     second = spsolve(problem.csr[warm][:, warm].tocsc(), -(problem.slack(hot))[warm])
@@ -58,7 +55,7 @@ def main(out: Path = Path()) -> None:
     print(
         f"check: with the same {problem.n - warm.size} hottest points a linear solve differs by {apart:.1e}"
     )
-    report.save(out / "error_against_time.png")
+    found.save(out / "error_against_time.png")
 
 
 if __name__ == "__main__":

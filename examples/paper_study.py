@@ -1,12 +1,7 @@
-"""The table and the figure of a paper: own matrix families, an own method beside ours, several sizes.
+"""The table and the figure of a paper: own matrix families, an own method next to ours, several sizes.
 
-Put your families (a size in, (M, q) or an LCP out) and your method in place of these. The table is LaTeX for booktabs
-and siunitx; the figure is as wide as a page and can be read in grey. The same from a shell, where raw results are kept
-in study.csv, from which a second run goes on:
-
-    lcp-plugin study examples/paper_study.py:chain examples/paper_study.py:plate examples/paper_study.py:scattered
-        -a npsor -a psor -a multigrid -a auto -a examples/paper_study.py:DampedJacobi
-        --size 100 --size 400 --size 900 --size 1600 --save iterations=table.tex --save work=figure.pdf
+Put your families (a size in, (M, q) or an LCP out) and your method in place of these. The tables are Markdown; of the
+same rows `results.to_csv()` has every digit of every point. The figure is as wide as a page and can be read in grey.
 
 Here: a chain, a plate and a matrix without a grid; damped projected Jacobi against four others. The check at the end is
 the same method as a loop in NumPy.
@@ -24,9 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 import typer
 
-from lcp_plugin import LCP
+from lcp_plugin import LCP, study
 from lcp_plugin.algorithms import Algorithm, Step
-from lcp_plugin.evidence.study import study
 
 SIZES, TOLERANCE = (100, 400, 900, 1600), 1e-8
 
@@ -82,21 +76,21 @@ def loop_in_numpy(M: Any, q: Any, omega: float = 0.7) -> int:
 
 
 def main(out: Path = Path()) -> None:
-    """Measure, print the tables, the last one as LaTeX too, and save the figure into the folder OUT."""
+    """Measure, print the tables and the growth of the work with n, and save the figure into the folder OUT."""
     methods = ["npsor", "psor", "multigrid", "auto", DampedJacobi()]
     results = study(
         [chain, plate, scattered], methods, SIZES, repeats=2
     )  # out="results.csv" would keep the rows
-    tables = results.table("iterations")
-    for table in tables:
-        print(table.title, table.to_markdown(), sep="\n\n")
-    print(tables[-1].to_latex())
-    results.save("work", out / "paper_study.png")
+    for table in results.table("iterations"):
+        print(table)
+    for method in results.methods:
+        work = [results.row(method, "chain", n).work for n in SIZES]
+        power = np.polyfit(np.log(SIZES), np.log(work), 1)[0]
+        print(f"{method:<12} the work on a chain grows like n^{power:.2f}")
+    results.save(out / "paper_study.png", "work")
 
     ours = [
-        row.curve.iterations
-        for row in results.rows
-        if row.curve.label == "damped" and row.problem != "plate"
+        row.iterations for row in results.rows if row.method == "damped" and row.problem != "plate"
     ]
     theirs = [loop_in_numpy(*family(n)) for family in (chain, scattered) for n in SIZES]
     apart = max(abs(a - b) for a, b in zip(ours, theirs, strict=True))

@@ -14,7 +14,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 - ``help("lcp_plugin.problems.programs.criterion")``: the same of a quadratic program
 - ``help("lcp_plugin.interfaces.learn")``: layers for PyTorch and JAX
 - ``help("lcp_plugin.interfaces")``: Pyomo, AMPL, JuMP, qpsolvers, files, finite elements
-- ``help("lcp_plugin.evidence")``: scenes and the report; other packages
+- ``help("lcp_plugin.evidence")``: error against time, studies, cross-validation; other packages
 - ``help("lcp_plugin.ranks")``: several machines
 - ``help("lcp_plugin.strategies")``: hypothesis strategies, and a test of any solver
 """
@@ -46,11 +46,8 @@ _HOME = _homes()
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without
 _MOVED = {  # public names of before: these still work for one release, with a warning
     "core.solving.result": "Sample",
-    "evidence.cross_check": "CrossCheck cross_validate",
-    "evidence.error_against_time": "error_against_time",
-    "evidence.results": "Study",
-    "evidence.stability": "stability_atlas",
-    "evidence.study": "study",
+    "evidence.cross_check": "CrossCheck",
+    "evidence.study": "Study",
     "interfaces.qpsolvers": "register_with_qpsolvers",
     "modeling.registration": "is_complementarity_problem register",
     "problems.batches.batch_run": "BatchResult",

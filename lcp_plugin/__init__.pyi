@@ -17,6 +17,10 @@ from .core.errors import UnsupportedModel as UnsupportedModel
 from .core.lcp import LCP as LCP
 from .core.settings import Status as Status
 from .core.solving.result import Result as Result
+from .evidence.cross_check import cross_validate as cross_validate
+from .evidence.stability import stability_atlas as stability_atlas
+from .evidence.study import error_against_time as error_against_time
+from .evidence.study import study as study
 from .interfaces.program_files import load_problem as load_problem
 from .methods.search import all_solutions as all_solutions
 from .modeling.constraint import box as box

@@ -2,7 +2,7 @@
 
 python tests/run_on_cvxpy_versions.py [VERSION …]
 
-Without arguments: the newest of 1.6, 1.7, 1.8 and 1.9. Prints a line a version; the exit code is 1 if one fails.
+Without arguments: the newest of 1.8 and 1.9. Prints a line a version; the exit code is 1 if one fails.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import tempfile
 import venv
 from pathlib import Path
 
-VERSIONS = ("1.6.*", "1.7.*", "1.8.*", "1.9.*")
-FLOORS = {"1.6.0": ("numpy==1.26.4", "scipy==1.12.0", "numba==0.60.0")}
+VERSIONS = ("1.8.*", "1.9.*")
+FLOORS = {"1.8.0": ("numpy==1.26.4", "scipy==1.12.0", "numba==0.60.0")}
 NAMES = (
     *(
         "extraction",

@@ -1,4 +1,4 @@
-"""The application that commands register in, and what they share: arguments, and how failures are reported."""
+"""The application that commands register in: arguments they share, and how failures are reported."""
 
 from __future__ import annotations
 
@@ -13,31 +13,37 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from ..core.errors import LCPError
-from .target import algorithm_names, scene_names
-from .terminal import LINE
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 
 
+def scene_names(incomplete: str) -> list[str]:
+    """Return the scenes that begin so; the shell completes files."""
+    from .. import gallery
+
+    return [name for name in gallery.names() if name.startswith(incomplete)]
+
+
+def algorithm_names(incomplete: str) -> list[str]:
+    """Return the algorithms that begin so."""
+    from ..algorithms import REGISTRY
+    from ..engines import ENGINES
+
+    return [name for name in ("auto", *REGISTRY, *ENGINES) if name.startswith(incomplete)]
+
+
 def _ending(exit_codes: str, *examples: str) -> str:
-    """Return what stands below a help page."""
-    return "\n".join(
-        [
-            "Examples:",
-            *(f"  lcp-plugin {words}" for words in examples),
-            "",
-            f"Exit codes: {exit_codes}.",
-        ]
-    )
+    """Return the text below a help page."""
+    lines = [f"  lcp-plugin {words}" for words in examples]
+    return "\n".join(["Examples:", *lines, "", f"Exit codes: {exit_codes}."])
 
 
 app = typer.Typer(
     help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
     epilog=_ending(
-        "0 done, 1 ran but not solved (or: answers differ or cannot be compared, a count differs, interrupted), "
-        "2 bad input (reported on stderr). "
-        "Ctrl-C ends solve and report with what there is so far (1), the others as the shell expects (130)",
+        "0 done, 1 ran but not solved (or: solutions differ or cannot be compared), 2 bad input (reported on stderr). "
+        "Ctrl-C ends solve and compare with the results so far (1), the others as the shell expects (130)",
         "solve obstacle_2d --plot obstacle.png",
         "solve --help",
         "list",
@@ -48,21 +54,12 @@ app = typer.Typer(
 )
 F = TypeVar("F", bound=Callable[..., Any])
 
-
 Target = Annotated[
     str,
     typer.Argument(
-        help="A file (.npz or .mat with M and q, .nl), a folder with M.mtx and q.mtx, a scene: name:key=value,…, or "
-        "file.py:function.",
-        autocompletion=scene_names,
-    ),
-]
-AnyTarget = Annotated[
-    str,
-    typer.Argument(
-        help="A file, a folder with M.mtx and q.mtx, a scene: name:key=value,…, or file.py:function. A file is an .npz "
-        "or .mat with M, q (an LCP), with P, q, A, l, u or the like (a program: `certify --help`), with A, b "
-        "(least squares), with W, q, mu (contacts with friction), an .nl, .qps, .mps, or an .h5 of fclib.",
+        help="A file, a folder with M.mtx and q.mtx, or a test problem: name:key=value,…. A file is an .npz or .mat "
+        "with M, q (an LCP), with P, q, A, l, u or the like (a program), with A, b (least squares), with W, q, mu "
+        "(contacts with friction), an .nl, .qps, .mps, or an .h5 of fclib.",
         autocompletion=scene_names,
     ),
 ]
@@ -71,7 +68,7 @@ AlgorithmName = Annotated[
     typer.Option(
         "--algorithm",
         "-a",
-        help="A name that `lcp-plugin list` shows, auto, or file.py:Class.",
+        help="A name that `lcp-plugin list` shows, or auto.",
         autocompletion=algorithm_names,
     ),
 ]
@@ -84,9 +81,8 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
         @functools.wraps(body)
         def wrapped(*args: Any, **kwargs: Any) -> None:
             try:
-                with LINE:
-                    is_done = body(*args, **kwargs) is not False
-                sys.stdout.flush()  # here a reader that has gone, or a full disk, can still be reported
+                is_done = body(*args, **kwargs) is not False
+                sys.stdout.flush()  # a reader that has gone, or a full disk, is still reported here
                 if not is_done:
                     raise typer.Exit(EXIT_UNSOLVED)
                 return
@@ -94,7 +90,7 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
                 message = str(error)
             except MemoryError as error:
                 message = f"not enough memory ({error}); choose a smaller problem"
-            except BrokenPipeError:  # the reader has gone; nothing is left to tell
+            except BrokenPipeError:
                 _drop_output()
                 raise typer.Exit(EXIT_UNSOLVED) from None
             except OSError as error:
@@ -102,14 +98,6 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
                 message = (
                     f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
                 )
-            except typer.Exit:
-                raise
-            except Exception as error:
-                from ..evidence.contestants import error_line, own_frame
-
-                if own_frame(error) is None:  # a mistake of ours
-                    raise
-                message = error_line(error)
             typer.echo(f"lcp-plugin: {message}", err=True)
             raise typer.Exit(EXIT_BAD_INPUT)
 

@@ -1,12 +1,8 @@
-"""What `lcp-plugin warm-up` does: every kernel is compiled once, in several processes."""
+"""`lcp-plugin warm-up`: compile every kernel once."""
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 import time
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from itertools import product
 
@@ -15,11 +11,9 @@ import numpy as np
 from .. import gallery
 from ..algorithms import REGISTRY
 from ..api import solve
-from ..core.deadline import NEW_KERNELS
 from ..core.errors import LCPError
 from ..core.kernels.compilation import cache_folder
 from ..core.lcp import LCP
-from ..core.settings import checked_threads
 from ..problems.batches.batch import solve_batch
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
@@ -28,28 +22,13 @@ from ..problems.programs.stacked_programs import QuadraticProgramBatch
 from ..problems.sensitivity import derivative
 from ..proofs.bounds.error_bounds import error_bound
 
-# Parts with few kernels in common, the longest first; what is in two of them may be compiled twice.
 PARTS = ("multigrid", "banded", "newton", "batches", "lemke", "cones", "others")
-MOST_PROCESSES = 4  # each takes 0.3 GB
 
 
 def compile_everything() -> str:
-    """Compile whatever is not in the cache yet; return a line that says where it lies and what it took."""
+    """Compile what is not in the cache yet; return a line with its place and the seconds."""
     began = time.perf_counter()
-    processes = min(checked_threads(None), MOST_PROCESSES)
-    if processes > 1:
-        context = multiprocessing.get_context(
-            "spawn"
-        )  # a fork would copy the locks of threads that it leaves behind
-        with (
-            suppress(BrokenProcessPool, OSError),
-            NEW_KERNELS.compiling(),
-            ProcessPoolExecutor(processes, context, _end_by_ctrl_c) as pool,
-        ):
-            list(pool.map(compile_part, PARTS))
-    for (
-        part
-    ) in PARTS:  # here, too, for what the others could not; code that is there is only loaded
+    for part in PARTS:
         compile_part(part)
     return f"kernels compiled in {time.perf_counter() - began:.1f} s; they lie in {cache_folder()}"
 
@@ -90,8 +69,3 @@ def compile_part(part: str) -> None:
         solve_batch([opposed, opposed], prove_infeasibility=False)
         program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
         program.origin.recover(solve(program)).is_stationary()
-
-
-def _end_by_ctrl_c() -> None:
-    """Let Ctrl-C end this process without a word; the one that waits for it tells."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)

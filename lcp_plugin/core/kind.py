@@ -33,9 +33,7 @@ FUNCTIONS = (
 )
 STORES = ("save", "pickle")
 LANGUAGES = ("cvxpy", "Pyomo", "AMPL", "qpsolvers")
-COMMANDS = tuple(
-    f"lcp-plugin {name}" for name in ("solve", "check", "certify", "analyze", "study", "report")
-)
+COMMANDS = tuple(f"lcp-plugin {name}" for name in ("solve", "check", "analyze", "compare"))
 WAYS = (*FUNCTIONS, *STORES, *LANGUAGES, *COMMANDS)
 
 
@@ -110,14 +108,13 @@ def changes_by_name(
 LINEAR_COMPLEMENTARITY_PROBLEM = Kind(
     "linear complementarity problem",
     "LCP",
-    tuple(way for way in WAYS if way not in ("certify", "qpsolvers", "lcp-plugin certify")),
+    tuple(way for way in WAYS if way not in ("certify", "qpsolvers")),
     "",
     {
         "x0=": "a start is called z0 here",
         "certify": "Certificate.of(problem, z) has the residuals of a z, error_bound(problem, z) bounds its "
         "distance from the solution",
         "qpsolvers": "problem.to_qp() makes a program of a symmetric M",
-        "lcp-plugin certify": "lcp-plugin solve judges an LCP, --error-bound bounds the error",
     },
 )
 

@@ -1,258 +1,274 @@
-"""Pictures of an answer: what the scene is about, with its free boundary."""
+"""`answer.plot()`: the unknowns by index or on their grid, contacts in their cones, and how the residual fell."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.certificates.residuals import Certificate
-from ..core.certificates.row_residuals import is_at_bound
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.representation import in_words
+from ..core.solving.answer import Answer
 from ..core.solving.result import Result
 from ..gallery.scene import Scene
-from .drawing import HEIGHTS, check_format, heights_as_colours, require_matplotlib, save, styled
-from .free_boundary import contact_level, free_boundary
+from ..problems.cones.frictional_contact import FrictionalContact
+from .drawing import HEIGHTS, check_format, require_matplotlib, save, styled
+from .free_boundary import contact_level
 
-FINEST_SURFACE = 70  # nodes along an axis
-FEW = 60  # values, which are drawn larger
-MOST_DOTS, BINS = 2000, 60  # values that are drawn one by one; of more a histogram of so many bins
 ACTIVE, FREE = "#D55E00", "#0072B2"
-ZERO_BELOW = 0.1  # of the least number on a logarithmic axis: where 0 is drawn
+LABELS = ("layer", "row", "column")
+PANEL_INCHES = (4.9, 4.4)
+MAX_LARGE_DOTS = 60
+ZERO_RATIO = (
+    0.1  # a residual of 0 is drawn at this share of the least number on its logarithmic axis
+)
 
 
-def draw(result: Result, path: Path, scene: Scene, march: Sequence[Result] = ()) -> None:
-    """Save the picture of a result on the axes of its test problem.
+class Frame(NamedTuple):
+    """Shape, node positions and labels of the unknowns, and the words for them."""
+
+    grid: tuple[int, ...] | None = None
+    coordinates: Sequence[Any] | None = None
+    labels: tuple[str, ...] = ()
+    unknown: str = "x"
+    active_means: str = "at a bound"
+    title: str = ""
+
+
+def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
+    """Return matplotlib's axes with a picture of an answer.
+
+    The unknowns by index, or as a map on a grid with the free boundary; contact with friction as tangential impulses in
+    their cones, ÷ μ r_N. A recorded run has a second panel with its residual.
 
     Parameters
     ----------
-    result : Result
+    answer : Answer
+        Of `solve`.
+    axes : Axes, optional
+        To draw the first panel into; by default those of a new figure of pyplot.
+    shape : sequence of int, optional
+        Of the grid of the unknowns, as in ``z.reshape(shape)``. Of more than two axes the middle slice is drawn.
+
+    Raises
+    ------
+    LCPError
+        If matplotlib is missing.
+    InvalidOption
+        If the shape does not hold as many unknowns.
+    UnsuitableProblem
+        If there is no x to draw.
+
+    Examples
+    --------
+    ``answer.plot(shape=(50, 100)).figure.savefig("z.png")``; a mesh: ``ax.tripcolor(*points.T, triangles, answer.x)``.
+    """
+    require_matplotlib()
+    if not isinstance(answer, Answer):
+        raise InvalidOption(f"plot_answer needs an answer of solve, got {type(answer).__name__}")
+    if answer.x is None:
+        raise UnsuitableProblem(f"there is no x to draw: {answer.status.name}")
+    frame = Frame(unknown="z" if isinstance(answer, Result) else "x")
+    if shape is not None:
+        frame = frame._replace(**_grid(shape, len(answer.x)))
+    from matplotlib import pyplot
+
+    return _plotted(answer, frame, axes, pyplot.figure)
+
+
+def draw(
+    answer: Any, path: Path, scene: Scene | None = None, shape: Sequence[int] | None = None
+) -> None:
+    """Save the picture of an answer, on the axes of its test problem or on a grid.
+
+    Parameters
+    ----------
+    answer : Answer
     path : Path
         .png, .pdf or .svg.
-    scene : Scene
-        A field is drawn as a surface and as a map with the edge of its contact set.
-    march : sequence of Result, optional
-        All steps of a march over one axis: the edge of the contact set is drawn over the steps.
+    scene : Scene, optional
+    shape : sequence of int, optional
+        As in `plot_answer`.
     """
     check_format(path)
+    frame = Frame(unknown="z" if isinstance(answer, Result) else "x")
+    if scene is not None:
+        frame = Frame(
+            scene.grid,
+            scene.coordinates,
+            scene.axis_labels,
+            scene.unknown,
+            scene.active_means,
+            scene.description + "\n",
+        )
+    elif shape is not None:
+        frame = frame._replace(**_grid(shape, len(answer.x)))
+    save(_plotted(answer, frame, None, require_matplotlib()).figure, path)
+
+
+def checked_shape(shape: Any, n: int) -> tuple[int, ...]:
+    """Return the shape of a grid of n unknowns, or raise InvalidOption."""
+    try:
+        sizes = tuple(int(size) for size in shape)
+        is_whole = bool(sizes) and all(
+            size == given > 0 for size, given in zip(sizes, shape, strict=True)
+        )
+    except (TypeError, ValueError):
+        is_whole = False
+    if not is_whole:
+        raise InvalidOption(f"shape must hold whole numbers > 0, as (rows, columns), got {shape!r}")
+    if (count := int(np.prod(sizes, dtype=object))) != n:
+        raise InvalidOption(
+            f"shape {sizes} is that of {count} unknowns, and the problem has {n}; give its grid"
+        )
+    return sizes
+
+
+def _grid(shape: Any, n: int) -> dict[str, Any]:
+    sizes = checked_shape(shape, n)
+    more = [f"axis {k}" for k in range(len(sizes) - len(LABELS))]
+    return {"grid": sizes, "labels": (*more, *LABELS[-len(sizes) :])}
+
+
+def _plotted(answer: Any, frame: Frame, axes: Any, new: Callable[..., Any]) -> Any:
+    """Draw into the given axes, or into a new figure with a panel for the residual of a recorded run."""
+    run = getattr(answer, "lcp_result", answer) if getattr(answer, "history", ()) else None
+    is_contact = isinstance(getattr(answer, "problem", None), FrictionalContact)
+    draw_first = _draw_cones if is_contact and frame.grid is None else _draw_unknowns
+    if axes is not None:
+        draw_first(axes, answer, frame)
+        return axes
     with styled():
-        is_field = scene.grid is not None and len(scene.grid) >= 2
-        has_edge = len(march) > 1 and scene.coordinates is not None
-        panels = 3 if is_field or has_edge else 2
-        figure = require_matplotlib()(figsize=(4.9 * panels, 4.7), layout="constrained")
-        if is_field:
-            surface = figure.add_subplot(1, 3, 1, projection="3d")
-            field = _field(scene, result.certificate)
-            draw_map(figure.add_subplot(1, 3, 2), field)
-            _draw_surface(surface, field)
-        else:
-            draw_line(figure.add_subplot(1, panels, 1), _line(scene, result.certificate))
-            if has_edge:
-                _draw_edge(figure.add_subplot(1, panels, 2), march, scene)
-        draw_residuals(figure.add_subplot(1, panels, panels), result)
-        steps = in_words(result.iterations, "iteration")
-        run = f"n = {result.z.size}: {result.status.name} by {result.algorithm} in {steps}"
-        figure.suptitle(f"{scene.description}\n{run}", fontsize=11, x=0.01, ha="left")
-        save(figure, path)
+        count = 1 if run is None else 2
+        figure = new(figsize=(count * PANEL_INCHES[0], PANEL_INCHES[1]), layout="constrained")
+        every = figure.subplots(1, count, squeeze=False)[0]
+        draw_first(every[0], answer, frame)
+        if run is not None:
+            _draw_residuals(every[1], run)
+        steps = in_words(answer.iterations, "iteration")
+        said = f"n = {len(answer.x)}: {answer.status.name} by {answer.algorithm} in {steps}"
+        figure.suptitle(frame.title + said, fontsize=10, x=0.01, ha="left")
+    return every[0]
 
 
-# --- Fields ---------------------------------------------------------------------------------------------------
+def _bounds(answer: Any) -> tuple[FloatVector, FloatVector]:
+    problem: Any = getattr(answer, "problem", None)
+    if problem is None:
+        problem = answer.certificate.problem if isinstance(answer, Result) else answer
+    problem = getattr(problem, "program", problem)
+    return problem.lower, problem.upper
 
 
-def _field(scene: Any, answer: Certificate) -> dict[str, Any]:
-    """Return z over the grid as a map shows it: values, contact set, coordinates and names."""
-    z, active = scene.picture(answer.z), scene.picture(is_at_bound(answer.problem, answer.z))
-    names = {"unknown": scene.unknown, "active_means": scene.active_means}
-    level = scene.picture(contact_level(answer.problem, answer.z, answer.w))
-    return field_of(z, active, scene.axis_labels, scene.coordinates, level) | names
-
-
-def field_of(
-    z: Any,
-    active: Any,
-    labels: Sequence[str],
-    coordinates: Sequence[Any] | None = None,
-    level: Any = None,
-) -> dict[str, Any]:
-    """Return values over a grid of two or more axes, and which of them rest on a bound, as a map shows them.
-
-    The level is that of `contact_level`; without it the edge of the set runs midway between nodes.
-    """
-    level = 0.5 - active.astype(float) if level is None else level
-    axes = coordinates or tuple(np.arange(size, dtype=float) for size in z.shape)
-    while z.ndim > 2:  # the middle slice of what cannot be drawn whole
-        middle = z.shape[0] // 2
-        z, active, level, labels, axes = (
-            z[middle],
-            active[middle],
-            level[middle],
-            labels[1:],
-            axes[1:],
-        )
-    return {
-        "z": z,
-        "active": active,
-        "x": axes[1],
-        "y": axes[0],
-        "x_label": labels[1],
-        "y_label": labels[0],
-        "unknown": "z",
-        "active_means": "at a bound",
-        "level": level,
-    }
-
-
-def draw_map(axes: Any, field: dict[str, Any]) -> None:
-    """Draw the field from above, its contact set dotted."""
-    x, y, z, active, level = (field[name] for name in ("x", "y", "z", "active", "level"))
-    image = axes.pcolormesh(x, y, z, shading="nearest", cmap=HEIGHTS, rasterized=True)
-    axes.figure.colorbar(
-        image, ax=axes, shrink=0.85, pad=0.02, label=field["unknown"]
-    ).outline.set_visible(False)
-    if 0.0 < active.mean() < 1.0 and min(z.shape) > 1:
-        axes.contourf(
-            x, y, level, levels=[min(level.min(), -1.0), 0.0], colors="none", hatches=["....."]
-        )
-        for shade, width in (("#ffffff", 2.4), (ACTIVE, 1.3)):
-            axes.contour(x, y, level, levels=[0.0], colors=shade, linewidths=width)
-        axes.set_title(f"dotted: {field['active_means']}", color=ACTIVE, fontsize=8.5)
-    axes.grid(False)
-    is_square = 0.5 * np.ptp(x) <= np.ptp(y) <= 2.0 * np.ptp(x)
-    axes.set(
-        xlabel=field["x_label"], ylabel=field["y_label"], aspect="equal" if is_square else "auto"
-    )
-
-
-def _draw_surface(surface: Any, whole: dict[str, Any]) -> None:
-    """Draw z as a surface, its contact set in the colour of the free boundary."""
-    surface.set(
-        xlabel=whole["x_label"], ylabel=whole["y_label"]
-    )  # the height is named beside the colours
-    if min(whole["z"].shape) < 2:
-        surface.set_axis_off()
+def _draw_unknowns(axes: Any, answer: Any, frame: Frame) -> None:
+    x, (lower, upper) = np.asarray(answer.x), _bounds(answer)
+    active = (x <= lower) | (x >= upper)
+    grid = frame.grid
+    if grid is not None and len(grid) > 1 and min(grid[-2:]) > 1:
+        level = 0.5 - active.astype(float)
+        if isinstance(answer, Result):
+            level = contact_level(answer.certificate.problem, answer.z, answer.w)
+        _draw_map(axes, x.reshape(grid), active.reshape(grid), level.reshape(grid), frame)
         return
-    rows, columns = (
-        slice(None, None, max(1, -(-size // FINEST_SURFACE))) for size in whole["z"].shape
-    )
-    z = whole["z"][rows, columns]
-    colours = heights_as_colours(z)
-    colours[whole["active"][rows, columns].astype(bool)] = (0.835, 0.369, 0.0, 1.0)
-    x, y = np.meshgrid(whole["x"][columns], whole["y"][rows])
-    surface.plot_surface(
-        x, y, z, facecolors=colours, rcount=80, ccount=80, linewidth=0, antialiased=False
-    )
-    surface.view_init(elev=36, azim=-60)
-
-
-# --- Lines ----------------------------------------------------------------------------------------------------
-
-
-def _line(scene: Scene, answer: Certificate) -> dict[str, Any]:
-    """Return z over its only axis, or by its index: bounds, contact set and names."""
-    problem = answer.problem
-    axes = scene.coordinates or ()
-    has_axis = len(axes) == 1
-    bounds = {"lower": problem.lower, "upper": problem.upper} if has_axis else {}
-    return {
-        "kind": "line" if has_axis else "dots",
-        "z": answer.z,
-        "active": is_at_bound(problem, answer.z),
-        "x": axes[0] if has_axis else np.arange(answer.z.size),
-        "x_label": scene.axis_labels[0] if has_axis else "index",
-        "unknown": scene.unknown,
-        "active_means": scene.active_means,
-    } | {name: bound for name, bound in bounds.items() if np.isfinite(bound).all()}
-
-
-def draw_line(axes: Any, line: dict[str, Any]) -> None:
-    """Draw z, what rests on a bound in orange; grey is where z must not go."""
-    if line["kind"] == "dots" and line["z"].size > MOST_DOTS:
-        _draw_histogram(axes, line)
-        return
-    x, z, active = line["x"], line["z"], line["active"].astype(bool)
-    for name, end in (("lower", min), ("upper", max)):
-        if name in line:
-            axes.fill_between(x, line[name], end(*line[name], *z), color="#eeeeee", linewidth=0)
-    if line["kind"] == "line":
-        axes.plot(x, z, color=FREE, linewidth=1.6)
-        axes.plot(
-            x, np.where(active, z, np.nan), color=ACTIVE, linewidth=3.0, solid_capstyle="round"
-        )
+    nodes = frame.coordinates[0] if frame.coordinates and len(frame.coordinates) == 1 else None
+    where = np.arange(x.size) if nodes is None else nodes
+    if nodes is not None:
+        for bound, end in ((lower, min), (upper, max)):
+            if np.isfinite(bound).all():
+                axes.fill_between(where, bound, end(*bound, *x), color="#eeeeee", linewidth=0)
+        axes.plot(where, x, color=FREE, linewidth=1.6)
+        axes.plot(where, np.where(active, x, np.nan), color=ACTIVE, linewidth=3.0)
     else:
-        size = 2.5 if z.size > FEW else 6.0
-        axes.plot(x[~active], z[~active], ".", color=FREE, markersize=size)
-        axes.plot(x[active], z[active], ".", color=ACTIVE, markersize=size)
-        if z.size and np.ptp(z) > 1e3 * np.median(np.abs(z[~active]) if (~active).any() else [1.0]):
-            axes.set_yscale("symlog", linthresh=1e-3)
+        axes.locator_params(axis="x", integer=True)
+        size = 6.0 if x.size <= MAX_LARGE_DOTS else 2.5
+        for chosen, color in ((~active, FREE), (active, ACTIVE)):
+            axes.plot(where[chosen], x[chosen], ".", color=color, markersize=size, rasterized=True)
     if active.any():
-        axes.set_title(f"orange: {line['active_means']}", color=ACTIVE, fontsize=8.5)
-    axes.set(xlabel=line["x_label"], ylabel=line["unknown"])
+        axes.set_title(f"orange: {frame.active_means}", color=ACTIVE, fontsize=8.5)
+    label = "index" if nodes is None else frame.labels[0]
+    axes.set(xlabel=label, ylabel=frame.unknown)
 
 
-def _draw_histogram(axes: Any, line: dict[str, Any]) -> None:
-    """Draw how often each value occurs, of those at a bound in orange; their places are not known here."""
-    z, active = line["z"], line["active"].astype(bool)
-    axes.hist([z[~active], z[active]], bins=BINS, stacked=True, color=[FREE, ACTIVE])
-    share = f"; orange: {line['active_means']}, {np.mean(active):.0%}" if active.any() else ""
-    axes.set_title(
-        f"{z.size} values{share}\nin their places: plot(shape=…) or plot(mesh=…)", fontsize=8.5
+def _draw_map(axes: Any, x: Any, active: Any, level: Any, frame: Frame) -> None:
+    """Draw values over a grid as colors, with the free boundary as a line and the active set dotted."""
+    nodes = [*(frame.coordinates or [np.arange(size, dtype=float) for size in x.shape])]
+    while x.ndim > 2:
+        middle = x.shape[0] // 2
+        x, active, level = x[middle], active[middle], level[middle]
+    down, across = nodes[-2:]
+    image = axes.pcolormesh(across, down, x, shading="nearest", cmap=HEIGHTS, rasterized=True)
+    bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=frame.unknown)
+    bar.outline.set_visible(False)
+    if 0.0 < active.mean() < 1.0:
+        ends = [min(level.min(), -1.0), 0.0]
+        axes.contourf(across, down, level, levels=ends, colors="none", hatches=["....."])
+        for shade, width in (("#ffffff", 2.4), (ACTIVE, 1.3)):
+            axes.contour(across, down, level, levels=[0.0], colors=shade, linewidths=width)
+        axes.set_title(f"dotted: {frame.active_means}", color=ACTIVE, fontsize=8.5)
+    axes.grid(visible=False)
+    is_square = 0.5 * np.ptp(across) <= np.ptp(down) <= 2.0 * np.ptp(across)
+    y_label, x_label = frame.labels[-2:]
+    axes.set(xlabel=x_label, ylabel=y_label, aspect="equal" if is_square else "auto")
+
+
+def _draw_cones(axes: Any, answer: Any, frame: Frame) -> None:
+    """Draw the tangential impulse of each closed contact relative to the largest that its friction allows."""
+    motion = answer.motion
+    limit = answer.problem.friction * motion.normal
+    shares = motion.tangential / np.where(limit > 0.0, limit, 1.0)[:, None]
+    slides, count = motion.touches & ~motion.sticks, len(shares)
+    is_plane = shares.shape[1] == 1
+    across = np.arange(count) if is_plane else shares[:, 1]
+    if is_plane:
+        for end in (-1.0, 1.0):
+            axes.axvline(end, color="#7A7A7A", linewidth=1.0)
+        axes.set(xlim=(-1.25, 1.25), ylim=(-0.5, max(1.2 * count, 1.0)), ylabel="contact")
+        axes.yaxis.get_major_locator().set_params(integer=True)
+    else:
+        angle = np.linspace(0.0, 2.0 * np.pi, 200)
+        axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
+        axes.set(aspect="equal", xlim=(-1.25, 1.25), ylim=(-1.15, 1.45))
+        axes.set_ylabel("second tangential impulse ÷ $\\mu\\,r_N$")
+    look = {"s": float(np.clip(3000.0 / max(count, 1), 6.0, 24.0))}
+    for chosen, color, marker, word in (
+        (motion.sticks, FREE, "o", "stick"),
+        (slides, ACTIVE, "^", "slide"),
+    ):
+        label = f"{np.count_nonzero(chosen)} {word}"
+        axes.scatter(
+            shares[chosen, 0], across[chosen], color=color, marker=marker, label=label, **look
+        )
+    axes.scatter(
+        [],
+        [],
+        facecolors="none",
+        edgecolors="#7A7A7A",
+        label=f"{(~motion.touches).sum()} open",
+        **look,
     )
-    axes.set(xlabel=line["unknown"], ylabel="how many")
+    axes.legend(loc="upper center", ncols=3, columnspacing=1.0, handletextpad=0.2)
+    first = "tangential" if is_plane else "first tangential"
+    axes.set(xlabel=f"{first} impulse ÷ $\\mu\\,r_N$", title="Impulses in their cones")
 
 
-def _draw_edge(axes: Any, march: Sequence[Result], scene: Any) -> None:
-    """Draw where the contact set that begins at the lower end of the axis ends, step by step."""
-    x, edges = scene.coordinates[0], []
-    for result in march:
-        found = free_boundary(result, coordinates=x).positions
-        is_at = is_at_bound(result.certificate.problem, result.z)
-        edges.append(found[0] if found.size and is_at[0] else np.nan)
-    steps = np.arange(1, len(march) + 1)
-    axes.plot(steps, edges, color=ACTIVE, linewidth=1.8)
-    bottom = np.nanmin(edges) if np.isfinite(edges).any() else 0.0
-    axes.fill_between(steps, edges, bottom, color=ACTIVE, alpha=0.12, linewidth=0)
-    axes.set_title(f"below the line: {scene.active_means}", color=ACTIVE, fontsize=9)
-    axes.set(xlabel="step of the march", ylabel=scene.axis_labels[0])
-
-
-def draw_residuals(axes: Any, result: Result) -> None:
+def _draw_residuals(axes: Any, result: Any) -> None:
     """Draw how the residual of a recorded run fell with time."""
-    samples = [
-        (sample.seconds, sample.residual)
-        for sample in result.history
-        if sample.residual is not None
-    ]
-    least = min([*(value for _, value in samples if value > 0.0), result.tolerance or 1.0])
-    if samples:
-        seconds, residuals = zip(*samples, strict=True)
-        edge = ZERO_BELOW * least
-        axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE)
-        if zeros := [second for second, value in samples if value == 0.0]:
-            axes.plot(zeros, [edge] * len(zeros), "v", color=FREE, markersize=6)
-            axes.annotate(
-                "exactly 0",
-                (zeros[0], edge),
-                (-6, 0),
-                textcoords="offset points",
-                ha="right",
-                va="center",
-                color=FREE,
-                fontsize=8,
-            )
+    samples = np.array(
+        [(one.seconds, one.residual) for one in result.history if one.residual is not None]
+    ).reshape(-1, 2)
+    seconds, residuals = samples.T
+    positive = [*residuals[residuals > 0.0], result.tolerance or 1.0]
+    edge = ZERO_RATIO * min(positive)
+    axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE)
+    if (residuals == 0.0).any():
+        last = seconds[residuals == 0.0][0]
+        axes.plot([last], [edge], "v", color=FREE, markersize=6)
+        axes.text(last, edge, "exactly 0 ", ha="right", va="center", color=FREE, fontsize=8)
     if result.tolerance > 0.0:
         axes.axhline(result.tolerance, color=ACTIVE, linewidth=1, linestyle="--")
-        axes.annotate(
-            "tolerance",
-            (1.0, result.tolerance),
-            (3, 0),
-            xycoords=("axes fraction", "data"),
-            rotation=90,
-            textcoords="offset points",
-            va="bottom",
-            color=ACTIVE,
-            fontsize=7,
-        )
+        axes.text(1.0, result.tolerance, " tolerance", transform=axes.get_yaxis_transform(),
+                  rotation=90, va="bottom", color=ACTIVE, fontsize=7)  # fmt: skip
     axes.locator_params(axis="x", nbins=5)
-    axes.set(xlabel="seconds", ylabel="relative residual", title="how the residual fell")
+    axes.set(xlabel="seconds", ylabel="relative residual", title="residual against time")

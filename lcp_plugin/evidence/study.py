@@ -1,32 +1,289 @@
-"""study(): problems × methods × sizes → one table of raw results; tables, curves and pictures are views of it."""
+"""study(): problems × methods × sizes, a measurement of each; tables, curves and profiles are functions of rows."""
 
 from __future__ import annotations
 
-import json
+import inspect
 import math
-from collections.abc import Mapping, Sequence
-from functools import lru_cache, partial
+import os
+import platform
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..core.algorithm import Algorithm
+from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..core.kind import kind_of, refusal
 from ..core.lcp import LCP
 from ..core.settings import Settings
 from ..gallery import names as scene_names
 from ..gallery import parse
-from ..gallery.parameters import parameters_of
 from ..gallery.scene import Scene, builder_of
-from ..interfaces.files.files import checked_path
-from ..proofs.guarantees.radius import spectral_radius
-from .collecting import Part, Progress, collect, data_of, machine
-from .contestants import Contestant, as_scene_of, contestants, error_line, own_source
-from .curves import Curve
-from .error_against_time import Bench, checked_numbers, title_of
-from .exporting import AnyPath, finite_content
-from .results import COLUMNS, ResultsFile, Row, Study, name_of
+from ..interfaces.files.files import checked_path, write_whole
+from .drawing import FORMATS, Line, Panel, draw_panels, save
+from .measurement import (
+    BOUND,
+    POINT,
+    RESIDUAL,
+    TRUE_ERROR,
+    Measure,
+    Measurement,
+    error_measure,
+    fresh,
+    measured,
+)
+from .methods import Method, methods_of
+from .table import Table, csv_text
+
+PACKAGES = ("numpy", "scipy", "numba", "cvxpy")
+COLUMNS = ("problem", "size", "n", "nonzeros", "method", "family", "status", *POINT, "error_kind")
+VALUES = {
+    "iterations": "iterations",
+    "work": "work [passes over M]",
+    "seconds": "time [s], set-up included",
+    "error": "error",
+    "residual": "relative residual",
+}
+VIEWS = ("curves", "profile", *VALUES)
+ERROR_LABELS = {
+    TRUE_ERROR: "true error ‖z − z*‖∞",
+    BOUND: "proved bound of the error ‖z − z*‖∞",
+    RESIDUAL: "relative residual",
+}
+LEAST = {"work": 1.0, "seconds": 1e-9}  # a run whose start is the solution counts one pass
+
+Progress = Callable[[str], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Measurements of several methods on several problems.
+
+    Attributes
+    ----------
+    rows : tuple of Measurement
+        One per problem, size and method, in this order.
+    notes : tuple of str
+        Why no better error or no reference is shown; whether Ctrl-C ended the study.
+    is_complete : bool
+        False after Ctrl-C.
+    """
+
+    rows: tuple[Measurement, ...]
+    notes: tuple[str, ...] = ()
+    is_complete: bool = True
+
+    @property
+    def methods(self) -> dict[str, str]:
+        """The family of each method by its label."""
+        return {row.method: row.family for row in self.rows}
+
+    def row(self, method: str, problem: str | None = None, size: int | None = None) -> Measurement:
+        """Return the first row of a method, of a problem and a size if they are given.
+
+        Raises
+        ------
+        InvalidOption
+            If there is none.
+        """
+        for row in self.rows:
+            if row.method == method and problem in (None, row.problem) and size in (None, row.size):
+                return row
+        raise InvalidOption(f"no row of {method!r}{did_you_mean(method, self.methods)}")
+
+    def _groups(self, key: Callable[[Measurement], Any]) -> dict[Any, list[Measurement]]:
+        groups: dict[Any, list[Measurement]] = {}
+        for row in self.rows:
+            groups.setdefault(key(row), []).append(row)
+        return groups
+
+    def table(self, value: str = "iterations") -> list[Table]:
+        """Return a table per problem, methods × sizes, of "iterations", "work", "seconds", "error" or "residual".
+
+        A cell of a method that did not reach the tolerance holds its status.
+        """
+        _check_view(value, VALUES)
+        tables = []
+        for problem, rows in self._groups(lambda row: row.problem).items():
+            cells = {(row.method, row.size): _cell(row, value) for row in rows}
+            n = {row.size: row.n for row in rows}
+            heads = ("method", *(f"n = {count or size}" for size, count in n.items()))
+            lines = [
+                (method, *(cells.get((method, size)) for size in n))
+                for method in dict.fromkeys(row.method for row in rows)
+            ]
+            tables.append(Table(f"{problem}: {VALUES[value]}", heads, lines))
+        return tables
+
+    def profile(self, by: str = "work") -> dict[str, FloatVector]:
+        """Return Dolan and Moré's performance profile: the sorted ratios to the least "work" or "seconds" per problem.
+
+        The share of problems that a method solves within a ratio is ``(ratios <= ratio).mean()``; a method that does
+        not solve a problem has the ratio ∞ there. Problems that no method solves do not count.
+
+        References
+        ----------
+        Dolan, Moré, *Benchmarking optimization software with performance profiles*, Math. Program. 91, 2002,
+        doi:10.1007/s101070100263.
+        """
+        _check_view(by, LEAST)
+        labels = [label for label, family in self.methods.items() if family != "reference"]
+        ratios = []
+        for rows in self._groups(lambda row: (row.problem, row.size)).values():
+            costs = {row.method: max(row.last(by), LEAST[by]) for row in rows if row.is_solved}
+            if costs:
+                least = min(costs.values())
+                ratios.append([costs.get(label, math.inf) / least for label in labels])
+        return dict(zip(labels, np.sort(np.array(ratios).reshape(-1, len(labels)).T), strict=True))
+
+    def plot(
+        self, view: str = "curves", against: str = "seconds", width: float | None = None
+    ) -> Any:
+        """Return a matplotlib figure; `save` writes it into a file.
+
+        Parameters
+        ----------
+        view : str
+            "curves": error against seconds (with quartiles and references), work or iterations, a panel per problem
+            and size. "iterations", "work", "seconds", "error", "residual": that value of solved runs against n.
+            "profile": the performance profile by seconds or work.
+        against : {"seconds", "work", "iterations"}
+            The axis of curves, the cost of a profile.
+        width : float, optional
+            Inches; by default a journal's column, or its page if there are several panels.
+
+        Raises
+        ------
+        InvalidOption
+            If an argument does not exist, or if no run has a point to show.
+        """
+        _check_view(view, VIEWS)
+        _check_view(against, ("seconds", "work", "iterations"), "against must be")
+        if view == "profile":
+            return draw_panels([self._profile_panel(against)], width)
+        if view == "curves":
+            groups = self._groups(lambda row: (row.problem, row.size)).values()
+            return draw_panels([_curves(rows, against) for rows in groups], width)
+        panels = []
+        for problem, rows in self._groups(lambda row: row.problem).items():
+            solved = [row for row in rows if row.is_solved and row.family != "reference"]
+            lines = []
+            for method in dict.fromkeys(row.method for row in solved):
+                own = [row for row in solved if row.method == method]
+                n, y = ([row.n for row in own], [_value(row, view) for row in own])
+                lines.append(Line(method, own[0].family, np.array(n), np.array(y)))
+            panels.append(Panel(problem, lines, "unknowns n", VALUES[view], "sizes"))
+        return draw_panels(panels, width)
+
+    def _profile_panel(self, by: str) -> Panel:
+        lines = []
+        for label, ratios in self.profile(by).items():
+            finite = ratios[np.isfinite(ratios)]
+            shares = np.arange(1, finite.size + 1) / max(ratios.size, 1)
+            solves_all = finite.size == ratios.size
+            lines.append(Line(label, self.methods[label], finite, shares, solves_all))
+        title = f"performance profile by {by}"
+        return Panel(title, lines, f"{by} ÷ the least", "share of the problems solved", "shares")
+
+    def to_csv(self) -> str:
+        """Return a line per point of each measurement; the last line of a measurement is its result."""
+        return csv_text([COLUMNS, *(line for row in self.rows for line in _lines(row))])
+
+    def save(self, path: str | PathLike[str], view: str = "", against: str = "seconds") -> None:
+        """Write a file: .csv every point, .md the tables of a value, .png, .pdf or .svg a picture.
+
+        Parameters
+        ----------
+        path : path
+        view, against : str
+            Those of `plot`; by default the curves, of a table the iterations.
+
+        Raises
+        ------
+        InvalidOption
+            If the name has another ending.
+        """
+        place = checked_path(path)
+        ending = place.suffix.lower()
+        if ending in FORMATS:
+            save(self.plot(view or "curves", against), place)
+            return
+        if ending not in (".csv", ".md"):
+            endings = ", ".join([*FORMATS, ".csv", ".md"])
+            raise InvalidOption(f"a study is saved as {endings}, got {place.name!r}")
+        text = self.to_csv()
+        if ending == ".md":
+            text = "\n".join(map(str, self.table(view or "iterations")))
+        write_whole({place: lambda file: file.write(text.encode("utf-8"))})
+
+    def explain(self) -> str:
+        """Return a line per row, below each problem, then the notes and the machine."""
+        lines = []
+        for (problem, _), rows in self._groups(lambda row: (row.problem, row.size)).items():
+            lines += [f"{problem}: {rows[0].n} unknowns, {rows[0].nonzeros} nonzeros"]
+            lines += [str(row) for row in rows]
+        return "\n".join([*lines, *self.notes, machine()])
+
+    def __str__(self) -> str:
+        return self.explain()
+
+
+def _check_view(view: Any, known: Iterable[str], words: str = "view must be") -> None:
+    if view not in (known := [*known]):
+        raise InvalidOption(f"{words} one of {', '.join(known)}, got {view!r}")
+
+
+def _value(row: Measurement, name: str) -> float:
+    return row.last("iteration" if name == "iterations" else name)
+
+
+def _cell(row: Measurement, name: str) -> Any:
+    if row.family == "reference" and name in ("seconds", "error", "residual"):
+        return _value(row, name)
+    if not row.is_solved:
+        return row.status.replace("_", " ").lower()
+    return row.iterations if name == "iterations" else _value(row, name)
+
+
+def _curves(rows: Sequence[Measurement], against: str) -> Panel:
+    """Return the panel of error curves of one problem; references are single points on the axis of seconds."""
+    lines, marks = [], []
+    for row in (one for one in rows if len(one.points)):
+        if row.family == "reference":
+            marks += [(row.method, row.seconds, row.error)] if against == "seconds" else []
+            continue
+        band = None
+        x = row.column("iteration" if against == "iterations" else against)
+        if against == "seconds":
+            band = (row.column("seconds_low"), row.column("seconds_high"))
+        x = x if band else np.maximum(x, 1.0)
+        lines.append(Line(row.method, row.family, x, row.column("error"), row.is_solved, band))
+    kind = rows[0].error_kind
+    title = re.sub(r"([:,])", r"\1 ", rows[0].problem)
+    if rows[0].size is not None:
+        title += f", n = {rows[0].n}"
+    x_label = VALUES[against]
+    level = rows[0].tolerance if kind == RESIDUAL else None
+    return Panel(title, lines, x_label, ERROR_LABELS.get(kind, kind), "errors", marks, level)
+
+
+def _lines(row: Measurement) -> Iterator[tuple[Any, ...]]:
+    head = (row.problem, row.size, row.n, row.nonzeros, row.method, row.family, row.status)
+    blank = [math.nan] * len(POINT)
+    for point in row.points.tolist() or [blank]:
+        numbers = ["" if math.isnan(value) else value for value in point]
+        if isinstance(numbers[0], float):
+            numbers[0] = int(numbers[0])
+        yield (*head, *numbers, row.error_kind)
+
+
+# --- Measuring ------------------------------------------------------------------------------------------------
 
 
 def study(
@@ -37,269 +294,319 @@ def study(
     repeats: int = 3,
     tolerance: float = 1e-8,
     max_seconds: float = 20.0,
-    max_work: float = math.inf,
-    error_bound: bool = False,
-    curves: bool = False,
-    out: AnyPath | None = None,
+    references: Sequence[str] = (),
+    out: str | PathLike[str] | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Return one table of raw results of methods on families of problems.
+    """Return measurements of methods on problems of several sizes.
 
     Parameters
     ----------
     problems : a problem, a sequence, or a mapping of labels to its items
-        Of LCPs, scenes or their names, and functions of a size that return an LCP, a scene or (M, q).
-    methods : as `error_against_time` takes them; optional
-        Names, Algorithm objects, pairs of a name and its options, or a mapping of labels to these.
+        Of LCPs, test problems of the gallery or their names, and functions of a size that return an LCP, a test problem
+        or (M, q).
+    methods : an algorithm, a sequence, or a mapping of labels to its items; optional
+        Of names, Algorithm objects and pairs as in ``("npsor", {"relaxation": 1.5})``. By default the projected-type
+        methods (ours and with the paper's settings), their relatives and ``"auto"``.
     sizes : sequence of int, optional
-        Given to each function, and to each scene as its ``size`` or ``n``.
+        Arguments of each function, ``size`` or ``n`` of each test problem.
     repeats : int
-        Runs behind the median of the seconds and its quartiles, after a warm-up; ≥ 1.
-    tolerance, max_seconds, max_work : float
-        Where each run ends: relative residual, seconds of the clock, passes over M.
-    error_bound : bool
-        Whether a rigorous bound of the error is measured where no exact answer is known; it needs an H₊-matrix.
-    curves : bool
-        Whether the whole run is kept, for the views "curves".
+        Runs per median of seconds, after a warm-up; ≥ 1.
+    tolerance : float
+        Relative residual at which a run ends.
+    max_seconds : float
+        Limit of each run in seconds.
+    references : sequence of str
+        Convex solvers of cvxpy, as "CLARABEL" or "OSQP", at their default options; each becomes one point. They are
+        left out if M is not symmetric positive semidefinite.
     out : path, optional
-        The file of raw results, CSV. What it holds already of the same problems, methods, versions and machine is not
-        measured again; every row is written when it is there.
+        A CSV file, to which each measurement is appended when it is there; an existing file is replaced.
     progress : callable, optional
-        Called as ``progress(done, total, label)``.
+        Called with a line of text before each measurement.
 
     Returns
     -------
     Study
-        Also after Ctrl-C, with what is there. A method that refuses a problem, a family that refuses a size and code
-        that raises are rows with that status and the reason; those that raised are measured again next time.
+        After Ctrl-C with the measurements that there are. A refused problem or size, and a method that raises, are
+        rows with the status REFUSED or ERROR and the reason.
 
     Raises
     ------
-    InvalidOption, UnknownAlgorithm, UnreadableFile
-        Before anything runs, where an argument cannot be used.
+    InvalidOption, UnknownAlgorithm
+        Before anything runs, if an argument cannot be used.
+
+    Notes
+    -----
+    The error is the true one if the test problem knows z*; else a rigorous bound if M is an H₊-matrix and the bound is
+    less than the solution; else the relative residual. Iterations, work, errors and residuals are the same in every
+    run of the same call; seconds are not.
 
     Examples
     --------
     >>> from lcp_plugin.evidence.study import study
     >>> found = study("half_active", ["npsor", "psor"], sizes=[100, 400], repeats=1)
-    >>> [(row.n, row.curve.label, row.curve.status) for row in found.rows][:2]
+    >>> [(row.n, row.method, row.status) for row in found.rows][:2]
     [(100, 'npsor', 'SOLVED'), (100, 'psor', 'SOLVED')]
     >>> found.table("iterations")[0].columns
     ('method', 'n = 100', 'n = 400')
     """
-    checked_numbers(repeats, max_work, progress)
-    Settings(tolerance=tolerance, max_seconds=max_seconds)  # refuses what no run can be asked for
-    plan = _Plan(
-        _problems(problems),
-        contestants(methods),
-        _checked_sizes(sizes),
-        repeats,
-        curves,
-        {
-            "tolerance": tolerance,
-            "max_seconds": max_seconds,
-            "max_work": max_work,
-            "bounds": bool(error_bound),
-        },
-    )
-    results = ResultsFile(None if out is None else checked_path(out), with_points=curves)
-    collected = collect(plan.parts(), results, progress)
-    rows = tuple(map(Row.from_content, collected.contents.values()))
-    return Study(rows, tuple(collected.missing), collected.found)
-
-
-# --- What takes part ------------------------------------------------------------------------------------------
-
-
-def _problems(given: Any) -> dict[str, Any]:
-    """Return what is built of each problem, by its name."""
-    if isinstance(given, Mapping):
-        return {str(label): _named(one) for label, one in given.items()}
-    if (
-        isinstance(given, str | LCP | Scene | tuple)
-        or callable(given)
-        or kind_of(given) is not None
-    ):
-        given = [given]
+    if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 1:
+        raise InvalidOption(f"repeats must be a whole number ≥ 1, got {repeats!r}")
+    if progress is not None and not callable(progress):
+        raise InvalidOption(f"progress must be a callable that takes a text, got {progress!r}")
+    limits = {"tolerance": tolerance, "max_seconds": max_seconds}
+    Settings(**limits)
+    entrants, built, wanted = methods_of(methods), _named(problems), _checked_sizes(sizes)
+    solvers = _checked_references(references)
+    file = None if out is None else checked_path(out)
+    if file is not None:
+        write_whole({file: lambda f: f.write(csv_text([COLUMNS]).encode("utf-8"))})
+    rows: list[Measurement] = []
+    notes: dict[str, None] = {}
+    is_complete = False
     try:
-        listed = list(given)
-    except TypeError:
-        listed = []
-    if not listed:
-        raise InvalidOption(
-            f"problems must be a list of problems, functions or names, got {given!r}"
+        for label, given in built.items():
+            for size in wanted:
+                bench = _Bench(label, given, size, limits, repeats, progress or (lambda _: None))
+                for row in bench.rows(entrants, solvers):
+                    rows.append(row)
+                    if file is not None:
+                        with file.open("a", encoding="utf-8", newline="") as f:
+                            f.write(csv_text(_lines(row)))
+                notes |= dict.fromkeys(bench.notes)
+        is_complete = True
+    except KeyboardInterrupt:
+        notes["interrupted: the rows above are complete"] = None
+    return Study(tuple(rows), tuple(notes), is_complete)
+
+
+def error_against_time(
+    target: Scene | LCP, methods: Any = None, references: Sequence[str] = (), **options: Any
+) -> Study:
+    """Return how the error falls with seconds and with passes over M, for each method on one problem.
+
+    Parameters
+    ----------
+    target : LCP, test problem of the gallery, or its name
+    methods, references : as in `study`
+    **options
+        The other options of `study`.
+
+    Returns
+    -------
+    Study
+        Of one problem: ``print(found)``, ``found.plot()``, ``found.save("curves.csv")``, ``found.save("curves.pdf")``.
+
+    Raises
+    ------
+    InvalidOption, UnknownAlgorithm
+        If an argument cannot be used.
+
+    Examples
+    --------
+    >>> from lcp_plugin import gallery
+    >>> found = error_against_time(gallery.build("half_active", n=100), ["npgs", "pgs"], repeats=1)
+    >>> [(row.method, row.status, row.error_kind) for row in found.rows]
+    [('npgs', 'SOLVED', 'true error'), ('pgs', 'SOLVED', 'true error')]
+    """
+    if not isinstance(target, LCP | Scene | str):
+        raise InvalidOption(f"{refusal('error_against_time', target)}; or a scene")
+    return study(
+        {"problem": target} if isinstance(target, LCP) else [target],
+        methods,
+        references=references,
+        **options,
+    )
+
+
+class _Bench:
+    """One problem of one size, built when its rows are asked for."""
+
+    def __init__(
+        self,
+        label: str,
+        given: Any,
+        size: int | None,
+        limits: dict[str, Any],
+        repeats: int,
+        say: Progress,
+    ) -> None:
+        self.label, self.given, self.size = label, given, size
+        self.limits, self.repeats, self.say = limits, repeats, say
+        self.notes: list[str] = []
+
+    def rows(self, methods: Sequence[Method], references: Sequence[str]) -> Iterator[Measurement]:
+        """Yield a row per method and reference, whatever the code of a user raises."""
+        try:
+            scene = _built(self.given, self.label, self.size)
+            fresh(scene.problem)
+        except Exception as error:  # a function of the user may raise anything
+            for method in methods:
+                yield self._row(None, method, "REFUSED", "", note=_line(error))
+            return
+        self.say(f"{self.label}: kind of the error")
+        kind, measure, reason = error_measure(scene, self.limits["max_seconds"])
+        self.notes += [f"{self.label}: {reason}"] if reason else []
+        for method in methods:
+            self.say(f"{self.label}, n = {scene.n}: {method.label}")
+            try:
+                status, points = measured(scene, method, measure, self.repeats, **self.limits)
+                yield self._row(scene, method, status, kind, points, method.note)
+            except (UnsuitableMatrix, UnsuitableProblem) as error:
+                yield self._row(scene, method, "REFUSED", kind, note=str(error))
+            except Exception as error:  # an algorithm of the user may raise anything
+                yield self._row(scene, method, "ERROR", kind, note=_line(error))
+        if references:
+            yield from self._references(scene, references, kind, measure)
+
+    def _references(
+        self, scene: Scene, names: Sequence[str], kind: str, measure: Measure
+    ) -> Iterator[Measurement]:
+        from .convex_program import PLAIN, ConvexProgram, solve_by
+
+        reason = "M is not symmetric"
+        convex = None
+        if not scene.is_declared or scene.is_symmetric:
+            convex = ConvexProgram.of(scene.problem)
+            reason = convex.evidence
+        if convex is None or convex.kind != PLAIN:
+            self.notes.append(f"{self.label}: no convex solver, {reason}")
+            return
+        for name in names:
+            self.say(f"{self.label}, n = {scene.n}: {name}")
+            reply = solve_by(name, convex, self.limits["max_seconds"])
+            points, method = np.zeros((0, len(POINT))), Method(name, name, "reference")
+            if reply.z is not None:
+                seconds = [reply.seconds] * 3
+                points = np.array([(math.nan, math.nan, *seconds, *measure(reply.z))])
+            status = reply.status.upper() if reply.z is not None else "ERROR"
+            yield self._row(scene, method, status, kind, points, reply.status)
+
+    def _row(
+        self,
+        scene: Scene | None,
+        method: Method,
+        status: str,
+        kind: str,
+        points: FloatVector | None = None,
+        note: str = "",
+    ) -> Measurement:
+        n, nonzeros = (0, 0) if scene is None else (scene.n, scene.problem.nonzeros)
+        return Measurement(
+            self.label,
+            self.size,
+            n,
+            nonzeros,
+            method.label,
+            method.family,
+            status,
+            kind,
+            self.limits["tolerance"],
+            np.zeros((0, len(POINT))) if points is None else points,
+            note,
         )
+
+
+def _line(error: BaseException) -> str:
+    words = " ".join(str(error).split())
+    return words if isinstance(error, LCPError) else f"{type(error).__name__}: {words}"
+
+
+# --- The problems ---------------------------------------------------------------------------------------------
+
+
+def _named(given: Any) -> dict[str, Any]:
+    """Return the problems, or functions that build them, by their labels."""
+    if isinstance(given, Mapping):
+        return {str(label): _checked(one) for label, one in given.items()}
+    if isinstance(given, str | LCP | Scene | tuple) or callable(given) or kind_of(given):
+        given = [given]
+    listed = [*given] if isinstance(given, Iterable) else []
+    if not listed:
+        raise InvalidOption(f"problems must be problems, functions or names, got {given!r}")
     found: dict[str, Any] = {}
     for k, one in enumerate(listed, start=1):
-        name = str(title_of(one) if isinstance(one, Scene) else getattr(one, "__name__", ""))
-        label = one if isinstance(one, str) else name or f"problem {k}"
-        found[label if label not in found else f"{label} {k}"] = _named(one)
+        name = one if isinstance(one, str) else getattr(one, "__name__", f"problem {k}")
+        label = one.title if isinstance(one, Scene) else str(name)
+        found[label if label not in found else f"{label} {k}"] = _checked(one)
     return found
 
 
-def _named(one: Any) -> Any:
-    """Return a problem, or a function of the size, that a text names; anything else as it is."""
-    if not isinstance(one, str):
-        if isinstance(one, LCP | Scene | tuple) or (callable(one) and kind_of(one) is None):
-            return one
-        raise InvalidOption(f"{refusal('study', one)}; or a scene, (M, q), a function of the size")
-    name = one.partition(":")[0].strip()
-    if name in scene_names():
+def _checked(one: Any) -> Any:
+    if isinstance(one, str):
+        name = one.partition(":")[0].strip()
+        if name not in scene_names():
+            hint = did_you_mean(name, scene_names(), is_listed=True)
+            raise InvalidOption(f"unknown scene {one!r}{hint}; a file: load_problem(path)")
         return partial(_scene, one)
-    hint = did_you_mean(name, scene_names(), is_listed=True)
-    raise InvalidOption(f"unknown scene {one!r}{hint}; a file: load_problem(path)")
+    if isinstance(one, LCP | Scene | tuple) or (callable(one) and kind_of(one) is None):
+        return one
+    raise InvalidOption(f"{refusal('study', one)}; or a scene, (M, q), a function of the size")
 
 
 def _scene(text: str, size: int | None = None) -> Scene:
+    name, _, settings = text.partition(":")
+    keys = inspect.signature(builder_of(name.strip())).parameters.keys()
     if size is None:
         return parse(text)
-    name, _, settings = text.partition(":")
-    parameters = parameters_of(builder_of(name.strip()))
-    key = next((key for key in ("size", "n") if key in parameters), None)
-    if key is None:
+    if not (key := [one for one in ("size", "n") if one in keys]):
+        raise InvalidOption(f"{name!r} has neither size nor n; leave sizes out")
+    return parse(f"{text}{',' if settings else ':'}{key[0]}={size}")
+
+
+def _built(given: Any, label: str, size: int | None) -> Scene:
+    """Return the test problem of a problem, of (M, q), or of a function of the size."""
+    if callable(given):
+        given = given() if size is None else given(size)
+    elif size is not None:
         raise InvalidOption(
-            f"scene {name!r} has neither size nor n, so that sizes mean nothing to it; leave them out"
+            f"{label} is one problem; leave sizes out, or give a function of the size"
         )
-    return parse(f"{text}{',' if settings else ':'}{key}={size}")
+    if isinstance(given, tuple) and 2 <= len(given) <= 4:
+        given = LCP(given[0], given[1], **dict(zip(("lower", "upper"), given[2:], strict=False)))
+    if isinstance(given, LCP):
+        return Scene(problem=given, name=label, is_declared=False)
+    if isinstance(given, Scene):
+        return given
+    raise InvalidOption(f"{label} is no LCP, test problem or (M, q), got {type(given).__name__}")
 
 
 def _checked_sizes(sizes: Any) -> list[int | None]:
     if sizes is None:
         return [None]
-    listed = (
-        list(sizes)
-        if isinstance(sizes, Sequence | np.ndarray) and not isinstance(sizes, str)
-        else [sizes]
-    )
+    listed = [*sizes] if isinstance(sizes, Iterable) else [sizes]
     for size in listed:
         if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
             raise InvalidOption(f"sizes must be whole numbers ≥ 1, as [100, 400], got {size!r}")
     return [int(size) for size in listed] or [None]
 
 
-# --- What is measured -----------------------------------------------------------------------------------------
+def _checked_references(names: Any) -> list[str]:
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise InvalidOption(f"references must be a list of names, got {names!r}")
+    names = [*names]
+    if not names:
+        return []
+    from .convex_program import solver_name
+
+    return [solver_name(name) for name in names]
 
 
-class _Plan:
-    """Problems × sizes × methods, and how each is measured; one problem is held at a time."""
-
-    def __init__(
-        self,
-        problems: dict[str, Any],
-        methods: list[Contestant],
-        sizes: list[int | None],
-        repeats: int,
-        curves: bool,
-        limits: dict[str, Any],
-    ) -> None:
-        self.problems, self.methods, self.sizes = problems, methods, sizes
-        self.repeats, self.curves, self.limits = repeats, curves, limits
-        self.scene = lru_cache(maxsize=1)(self._built)
-        self.bench = lru_cache(maxsize=1)(
-            lambda label, size: Bench(self.scene(label, size), **limits)
-        )
-        facts = machine()
-        self.machine = "; ".join(f"{name} {fact}" for name, fact in facts.items())
-
-    def _built(self, label: str, size: int | None) -> Scene:
-        given = self.problems[label]
-        return as_scene_of(
-            given, label, None if isinstance(given, LCP | Scene) and self.sizes == [None] else size
-        )
-
-    def parts(self) -> list[Part]:
-        """Return a part for each cell."""
-        return [
-            Part(
-                label,
-                name_of(size, one.label),
-                partial(self.measured, label, size, one),
-                data=partial(self._data, label, size, one),
-            )
-            for label in self.problems
-            for size in self.sizes
-            for one in self.methods
-        ]
-
-    def _data(self, label: str, size: int | None, one: Contestant) -> str:
-        """Return everything that a row depends on; it builds the problem."""
+def machine() -> str:
+    """Return processor, system and versions in a line; no name of a computer or a user."""
+    facts = [_processor(), f"{os.cpu_count()} cores", f"Python {platform.python_version()}"]
+    for name in PACKAGES:
         try:
-            problem = data_of(self.scene(label, size).problem)
-        except Exception as error:  # reported where it is measured
-            problem = error_line(error)
-        return str((problem, one.algorithm, own_source(one.algorithm), self.repeats, self.limits))
-
-    def measured(self, label: str, size: int | None, one: Contestant, say: Any) -> dict[str, Any]:
-        """Return the row of a cell, whatever somebody's code does."""
-        n = nonzeros = 0
-        kind, radius = "", math.nan
-        try:
-            scene = self.scene(label, size)
-            n, nonzeros = scene.n, scene.problem.nonzeros
-            radius = _radius(scene.problem, one.algorithm)
-            bench = self.bench(label, size)
-            kind = bench.yardstick.kind
-            (curve,) = bench.curves([one], self.repeats, say)
-        except (LCPError, ValueError) as error:
-            is_refusal = n == 0 or isinstance(error, UnsuitableMatrix | UnsuitableProblem)
-            curve = Curve(
-                one.label, one.family, "REFUSED" if is_refusal else "ERROR", (), error_line(error)
-            )
-        except (
-            Exception
-        ) as error:  # whatever somebody's own code raises: the other rows are worth keeping
-            curve = Curve(one.label, one.family, "ERROR", (), error_line(error))
-        last, has = curve.last, bool(curve.points)
-        points = json.dumps(finite_content(curve.points))
-        return dict(
-            zip(
-                COLUMNS,
-                (
-                    label,
-                    "" if size is None else size,
-                    n,
-                    nonzeros,
-                    one.label,
-                    one.family,
-                    curve.status,
-                    last.iteration if has else "",
-                    *map(
-                        _blank,
-                        (
-                            last.work,
-                            last.seconds,
-                            last.seconds_low,
-                            last.seconds_high,
-                            curve.setup_seconds,
-                            last.residual,
-                            last.error,
-                        ),
-                    ),
-                    kind,
-                    self.limits["tolerance"],
-                    self.repeats,
-                    curve.note,
-                    self.machine,
-                    _blank(radius),
-                    "",
-                    points if self.curves and has else "",
-                ),
-                strict=True,
-            )
-        )
+            facts.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return f"measured on {platform.system()}: {', '.join(facts)}"
 
 
-def _radius(problem: Any, algorithm: Any) -> float:
-    """Return the spectral radius that bounds a splitting's errors; NaN of any other method."""
-    if not isinstance(problem, LCP) or not isinstance(algorithm, Algorithm):
-        return math.nan
-    try:
-        facts = algorithm.facts(problem)
-    except (UnsuitableMatrix, UnsuitableProblem):
-        return math.nan
-    found = None if facts is None else spectral_radius(problem, facts)
-    return math.nan if found is None else found
-
-
-def _blank(value: float) -> float | str:
-    return "" if math.isnan(value) else value
+def _processor() -> str:
+    cpu = Path("/proc/cpuinfo")
+    if cpu.exists():
+        for line in cpu.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

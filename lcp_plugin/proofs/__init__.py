@@ -47,7 +47,7 @@ theorem covers what you named, and so does ``explain()`` after a run that failed
 **Programs.** `certify` says what is proved about anybody's answer to a convex quadratic or linear program: of a cvxpy
 problem that some solver has filled, or of an x for a `QuadraticProgram`. "proved" is a violation and a distance from a
 proved lower bound of at most the tolerance, unless x is proved to be wrong although its objective is not;
-``certify(problem).reason`` tells. ``lcp-plugin certify FILE --solver CLARABEL,OSQP`` judges several solvers.
+``certify(problem).reason`` tells.
 
 >>> import lcp_plugin
 >>> program = lcp_plugin.QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])

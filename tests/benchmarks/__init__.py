@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[2] / "examples"))  # paper_tables is an example
 
 BENCHMARKS = {
     "sweeps": "one sweep against one scipy product with M, n = 10⁶, single thread",

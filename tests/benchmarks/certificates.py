@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from lcp_plugin.api import solve
 from lcp_plugin.core.certificates.residuals import Certificate
 from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery import build
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.verdicts import analyze

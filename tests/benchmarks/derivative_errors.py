@@ -12,7 +12,7 @@ from lcp_plugin.api import solve
 from lcp_plugin.core.certificates.row_residuals import is_at_bound
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
-from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery import parse
 from lcp_plugin.problems.sensitivity import derivative
 

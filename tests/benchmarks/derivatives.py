@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery import Scene, parse
 from lcp_plugin.problems.sensitivity import Derivative, derivative
 

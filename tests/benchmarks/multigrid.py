@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import os
+import resource
 import statistics
 import subprocess
 import sys
@@ -23,14 +24,13 @@ import numpy as np
 
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.api import solve
-from lcp_plugin.commands.distributed import peak_memory
 from lcp_plugin.core.certificates.residuals import Certificate
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.errors import InvalidProblem, LCPError
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.settings import checked_threads
 from lcp_plugin.core.solving.result import Result
-from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery import Scene, build, parse
 from lcp_plugin.problems.batches.batch import prepare
 
@@ -138,7 +138,7 @@ ROWS = [
 FIRST_RUN = """
 import time
 from lcp_plugin import gallery
-from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin import solve
 problem = gallery.parse("{}").problem
 for _ in range(5):
@@ -165,7 +165,8 @@ def run(*, quick: bool = False) -> Iterator[str]:
     yield traffic(warm_up)
     yield from growth((40, 80, 160) if quick else (512, 1024, 2048))
     yield _line(LARGEST, quick)
-    yield f"{LARGEST.title}: {1e-9 * peak_memory():.1f} GB at the peak of this process, libraries included"
+    peak = 1e-6 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield f"{LARGEST.title}: {peak:.1f} GB at the peak of this process, libraries included"
     yield american_put(*(2000, 10) if quick else (100_000, 100))
     yield from sweeping(2500 if quick else 1_000_000)
     yield from others(

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from paper_tables import TOLERANCE, iterated
 from scipy.sparse.linalg import splu, spsolve_triangular
 
 from lcp_plugin.algorithms import create
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
-from lcp_plugin.evidence.paper_tables import TOLERANCE, iterated
 from lcp_plugin.gallery import build
 
 from .timing import Calls, rounds

@@ -10,13 +10,13 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+from paper_tables import iterated
 
 from lcp_plugin.algorithms import create
 from lcp_plugin.api import solve
 from lcp_plugin.core.checks import FloatVector
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.settings import Status
-from lcp_plugin.evidence.paper_tables import iterated
 from lcp_plugin.gallery import build
 from lcp_plugin.problems.batches.batch import solve_batch
 from lcp_plugin.problems.batches.batch_run import BatchResult

@@ -16,7 +16,7 @@ from lcp_plugin.core.lcp import LCP
 from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
-from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery import build
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.no_solution.infeasibility import find_infeasibility

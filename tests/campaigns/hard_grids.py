@@ -20,7 +20,7 @@ import numpy as np
 
 from lcp_plugin import LCP, gallery, solve
 from lcp_plugin.core.solving.result import Result
-from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery.stencil import balanced_matrix, stiff_cells
 
 CYCLES, TIMES = 60, 3.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -23,7 +24,6 @@ from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.commands.cli import run
 from lcp_plugin.engines import ENGINES, engine_class
-from lcp_plugin.evidence import paper_tables
 from lcp_plugin.problems.cones.methods import METHODS
 
 BOX = LCP(
@@ -38,7 +38,6 @@ PNG = b"\x89PNG\r\n\x1a\n"
 SMALL_SCENES = [
     *SMALL,
     "american_put:size=1",
-    "murty:n=1",
     "obstacle_2d:size=1",
     "obstacle_3d:size=1",
 ]
@@ -124,10 +123,16 @@ def test_settings_reach_the_run() -> None:
 
 def test_words_among_the_options() -> None:
     """none, true and auto are read as what they mean, numbers as numbers."""
-    assert lcp_plugin("solve", "murty:n=4", "-a", "npsor", "-o", "scaling=none").exit_code == 0
-    assert lcp_plugin("solve", "murty:n=4", "-a", "psor", "--relaxation", "auto").exit_code == 0
-    assert lcp_plugin("solve", "murty:n=4", "-a", "psor", "-o", "relaxation=1.5").exit_code == 0
-    assert lcp_plugin("solve", "murty:n=4", "-a", "mgs", "-o", "omega=0.5").exit_code == 0
+    assert (
+        lcp_plugin("solve", "half_active:n=4", "-a", "npsor", "-o", "scaling=none").exit_code == 0
+    )
+    assert (
+        lcp_plugin("solve", "half_active:n=4", "-a", "psor", "--relaxation", "auto").exit_code == 0
+    )
+    assert (
+        lcp_plugin("solve", "half_active:n=4", "-a", "psor", "-o", "relaxation=1.5").exit_code == 0
+    )
+    assert lcp_plugin("solve", "half_active:n=4", "-a", "mgs", "-o", "omega=0.5").exit_code == 0
 
 
 def test_scene_starts_where_its_source_starts() -> None:
@@ -185,7 +190,7 @@ def test_out_holds_the_solution() -> None:
 def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
     """--out may overwrite an answer; pointed at the problem's own file it is refused, and the problem is kept."""
     BOX.save("p.npz")
-    lcp_plugin("solve", "murty:n=4", "--out", "z.npz")
+    lcp_plugin("solve", "half_active:n=4", "--out", "z.npz")
     assert lcp_plugin("solve", "p.npz", "--out", "z.npz").exit_code == 0
     with np.load("z.npz") as saved:
         assert saved["z"].size == 3
@@ -274,7 +279,7 @@ def test_a_file_has_a_picture(problem: LCP) -> None:
 )
 def test_picture_formats(name: str, head: bytes) -> None:
     """The ending of the file chooses the format."""
-    assert lcp_plugin("solve", "murty:n=4", "--plot", name).exit_code == 0
+    assert lcp_plugin("solve", "half_active:n=4", "--plot", name).exit_code == 0
     assert Path(name).read_bytes().startswith(head)
 
 
@@ -290,21 +295,12 @@ def test_an_unsolved_run_has_a_picture() -> None:
         Path("out.png").unlink()
 
 
-def test_a_residual_of_zero_is_drawn() -> None:
-    """An answer without any residual ends its curve below the tolerance, and is named; it is not left out."""
-    result = solve(gallery.build("murty", n=50).problem, record=True)
-    assert [sample.residual for sample in result.history].count(0.0) == 1
-    axes = result.plot().figure.axes[-1]
-    assert min(axes.lines[0].get_ydata()) < result.tolerance
-    assert [text.get_text() for text in axes.texts].count("exactly 0") == 1
-
-
 def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where matplotlib is missing, --plot is refused with the command to install it, before anything is solved."""
     for module in ("matplotlib", "matplotlib.figure"):
         monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.setattr("lcp_plugin.api.solve", lambda *_, **__: pytest.fail("it was solved"))
-    done = lcp_plugin("solve", "murty:n=4", "--plot", "out.png")
+    done = lcp_plugin("solve", "half_active:n=4", "--plot", "out.png")
     assert done.exit_code == 2
     assert re.fullmatch(
         r"lcp-plugin: .*matplotlib.*pip install 'lcp_plugin\[report\]'\n", done.stderr
@@ -315,7 +311,7 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize("option", ["max_pivots=50", "restarts=1"])
 def test_options_that_count_take_whole_numbers(option: str) -> None:
     """A whole number on the command line is one for the algorithm, too."""
-    done = lcp_plugin("solve", "murty:n=4", "-a", "lemke", "-o", option)
+    done = lcp_plugin("solve", "half_active:n=4", "-a", "lemke", "-o", option)
     assert done.exit_code == 0, done.stderr
 
 
@@ -338,7 +334,7 @@ def write_inputs() -> None:
     Path("half/q.mtx").unlink()
 
 
-SOLVE = "solve murty:n=4 "
+SOLVE = "solve half_active:n=4 "
 BAD_INPUT = [
     ("solve missing.npz", r"no such file: missing\.npz"),
     ("solve no/folder/p.npz", r"no such file: no/folder/p\.npz"),
@@ -351,23 +347,43 @@ BAD_INPUT = [
     ("solve keys.npz", r"keys\.npz lacks the keys"),
     ("solve qp.npz", r"qp\.npz lacks the keys .* the CSC matrix P is P_data, P_indices"),
     ("solve taken.npz", r"cannot read taken\.npz"),
-    ("solve murtyy", r"'murtyy' is neither a file nor a scene; did you mean 'murty'\?"),
-    ("solve Murty", r"'Murty' is neither a file nor a scene; did you mean 'murty'\?"),
+    (
+        "solve half_activ",
+        r"'half_activ' is neither a file nor a scene; did you mean 'half_active'\?",
+    ),
+    (
+        "solve Half_active",
+        r"'Half_active' is neither a file nor a scene; did you mean 'half_active'\?",
+    ),
     ("solve obstacle2d:size=9", r"did you mean 'obstacle_2d'\?"),
     ("solve obstacl", r"did you mean 'obstacle_2d'\?"),
     ("solve obstacle_2d,size=9", r"did you mean 'obstacle_2d'\?"),
-    ("solve murty:m=4", r"scene 'murty' has no parameter 'm'.*n, orientation"),
+    ("solve half_active:m=4", r"scene 'half_active' has no parameter 'm'.*n, delta"),
+    ("solve obstacle_2d:sise=4", r"'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?"),
+    ("solve half_active:n", r"'n' in 'half_active:n' has no '='.*scene:parameter=value"),
+    ("solve half_active:n=4,n=9", r"'n=9' in .* repeats a parameter"),
+    ("solve half_active:n=four", r"n must be a whole number .*got 'four'"),
+    ("solve half_active:n=4.5", r"n must be a whole number .*got 4.5"),
+    ("solve half_active:n=0", r"n must be a whole number .*got 0"),
+    ("solve half_active --size 4", r"scene 'half_active' has no parameter 'size'"),
+    ("solve obstacle_2d:size=4 --size 5", r"'size=5' in .* repeats a parameter"),
+    ("solve box.npz --size 4", r"--size 4 is for a scene"),
+    ("check obstacle_2d:size=4 --reference nobody", r"cvxpy has no solver 'nobody'"),
+    ("compare obstacle_2d:size=4 -a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
+    ("compare obstacle_2d:size=4 -a psor --plot out.txt", r"must end in \.png"),
     (
-        "solve obstacle_2d:sise=4",
-        r"scene 'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?",
+        "compare obstacle_2d:size=4 -a psor --out out.txt",
+        r"--out writes a \.csv file, got 'out.txt'",
     ),
-    ("solve murty:n", r"'n' in 'murty:n' has no '='.*scene:parameter=value"),
-    ("solve murty:n=3,n=4", r"'n=4' in .* repeats a parameter"),
-    ("solve murty:n=four", r"n must be an integer, .*got 'four'"),
-    ("solve murty:n=4.5", r"n must be an integer, .*got '4.5'"),
-    ("solve murty:n=0", r"n must be an integer, .*got 0"),
-    ("solve murty:orientation=left", r"orientation must be .*'upper' or 'lower', got 'left'"),
-    ("solve scaling_trap:n=3", r"scene 'scaling_trap' has no parameter 'n'.*takes none"),
+    (
+        "compare obstacle_2d:size=4 -a psor --tolerance -1",
+        r"tolerance must be finite and not negative",
+    ),
+    (
+        "compare obstacle_2d:size=4 -a psor --repeats 0",
+        r"repeats must be a whole number ≥ 1, got 0",
+    ),
+    ("compare qp.npz", r"qp\.npz lacks the keys"),
     (SOLVE + "-a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
     (SOLVE + "-a NPSOR", r"unknown algorithm 'NPSOR'"),
     (
@@ -446,16 +462,16 @@ def test_bad_input_is_one_line_and_exit_code_two(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ("slove murty", "'solve'"),
+        ("slove half_active", "'solve'"),
         ("solve", "target"),
-        ("solve murty n=4", "n=4"),
+        ("solve half_active n=4", "n=4"),
         (SOLVE + "--tolerance small", "--tolerance"),
         (SOLVE + "--max-iterations 1.5", "--max-iterations"),
         (SOLVE + "--max-seconds soon", "--max-seconds"),
         (SOLVE + "--jsn", "--json"),
         (SOLVE + "--out", "--out"),
         ("list all", "all"),
-        ("tables 1", "1"),
+        ("tables", "tables"),
     ],
 )
 def test_wrong_grammar_is_exit_code_two(arguments: str, words: str) -> None:
@@ -469,7 +485,7 @@ def test_wrong_grammar_is_exit_code_two(arguments: str, words: str) -> None:
 def test_repeated_option_is_refused() -> None:
     """One option given twice, in whatever spelling, is a contradiction and no silent choice."""
     for arguments in ("--relaxation 1.5 -o relaxation=1.2", "-o sweep=forward -o sweep=backward"):
-        done = lcp_plugin("solve", "murty:n=4", "-a", "psor", *arguments.split())
+        done = lcp_plugin("solve", "half_active:n=4", "-a", "psor", *arguments.split())
         assert done.exit_code == 2
         assert re.match(r"lcp-plugin: .*(relaxation|sweep)", done.stderr)
 
@@ -495,7 +511,7 @@ def test_failing_write_is_told_and_leaves_nothing(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", full)
-    done = lcp_plugin("solve", "murty:n=4", "--out", "z.npz")
+    done = lcp_plugin("solve", "half_active:n=4", "--out", "z.npz")
     assert done.exit_code == 2
     assert re.fullmatch(
         r"lcp-plugin: cannot write z\.npz: No space left on device.*\n", done.stderr
@@ -503,7 +519,40 @@ def test_failing_write_is_told_and_leaves_nothing(
     assert list(folder.iterdir()) == []
 
 
-# --- list, tables ----------------------------------------------------------------------------------------------
+# --- compare, check, list --------------------------------------------------------------------------------
+
+
+def test_compare_prints_and_saves_error_against_time() -> None:
+    """A line per algorithm and reference; the CSV holds every point, the picture is one."""
+    words = "compare obstacle-2d --size 8 -a npsor -a psor --reference CLARABEL --repeats 1"
+    done = lcp_plugin(*words.split(), "--plot", "out.png", "--out", "out.csv")
+    assert done.exit_code == 0, done.output
+    for name, status in (("npsor", "SOLVED"), ("psor", "SOLVED"), ("CLARABEL", "OPTIMAL")):
+        assert re.search(rf"^{name} +{status} .* s, rigorous bound ", done.stdout, re.MULTILINE)
+    assert Path("out.png").read_bytes().startswith(PNG)
+    with Path("out.csv").open(newline="") as file:
+        methods = {line["method"] for line in csv.DictReader(file)}
+    assert methods == {"npsor", "psor", "CLARABEL"}
+
+
+def test_a_tolerance_of_zero_is_one() -> None:
+    """--tolerance 0 reaches the runs of solve and compare: they end at the rounding level, not at 1e-8."""
+    told = json.loads(
+        lcp_plugin("solve", "obstacle_2d:size=6", "--tolerance", "0", "--json").stdout
+    )
+    assert told["tolerance"] == 0.0
+    done = lcp_plugin(
+        "compare", "obstacle_2d:size=6", "-a", "psor", "--tolerance", "0", "--repeats", "1"
+    )
+    assert "PRECISION_LIMIT" in done.stdout
+
+
+def test_check_prints_the_verdict() -> None:
+    """Both agree: exit code 0; the same solver on both sides cannot be compared: exit code 1."""
+    assert lcp_plugin("check", "obstacle_2d:size=8").stdout.startswith("agree: ")
+    done = lcp_plugin("check", "obstacle_2d:size=6", "-a", "interior_point", "--reference", "piqp")
+    assert done.exit_code == 1
+    assert done.stdout.startswith("not comparable: PIQP computed our solution too")
 
 
 def test_list_shows_everything_there_is() -> None:
@@ -542,35 +591,14 @@ def test_an_engine_solves_the_program_of_a_file(name: str, option: str) -> None:
         done = lcp_plugin("solve", "program.npz", "-a", name, *more, "--json")
         assert done.exit_code == 0, done.output
         content = json.loads(done.stdout)
-        assert content["run"]["algorithm"] == name
+        assert content["algorithm"] == name
         assert content["objective"] == pytest.approx(-4.125, abs=1e-9)
     refused = lcp_plugin("solve", "program.npz", "-a", name, "-o", "omega=1.5")
     assert refused.exit_code == 2
     assert f"{name} has no option 'omega'" in refused.stderr
 
 
-def test_tables_agree_with_the_paper() -> None:
-    """All 48 iteration counts are the paper's: exit code 0, and it says so."""
-    done = lcp_plugin("tables")
-    assert done.exit_code == 0
-    assert "48 of 48" in done.stdout
-    assert len(re.findall(r" yes +(?:yes|no) *$", done.stdout, re.MULTILINE)) == 48
-    assert not re.search(r"\bNO\b", done.stdout)
-
-
-@pytest.mark.full
-def test_tables_notice_a_wrong_figure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One printed figure changed by one: the cell says NO, the total 47, and the exit code is 1."""
-    content = paper_tables.published()
-    content["example_2"]["npsor"]["iterations"][0] += 1
-    monkeypatch.setattr(paper_tables, "published", lambda: content)
-    done = lcp_plugin("tables")
-    assert done.exit_code == 1
-    assert "47 of 48" in done.stdout
-    assert len(re.findall(r"\bNO\b", done.stdout)) == 1
-
-
-@pytest.mark.parametrize("arguments", ["-h", "--help", "solve -h", "list --help", "tables -h"])
+@pytest.mark.parametrize("arguments", ["-h", "--help", "solve -h", "list --help", "compare -h"])
 def test_help_is_offered(arguments: str) -> None:
     """Help goes to stdout with exit code 0."""
     done = lcp_plugin(*arguments.split())
@@ -597,9 +625,9 @@ def test_exit_codes_reach_the_shell() -> None:
     """The process itself ends with 1 where a run is not solved and with 2 on bad input, without a traceback."""
     unsolved = in_a_process("solve", "obstacle_2d:size=6", "--max-iterations", "0")
     assert (unsolved.returncode, unsolved.stderr) == (1, b"")
-    bad = in_a_process("solve", "murtyy")
+    bad = in_a_process("solve", "half_activ")
     assert (bad.returncode, bad.stdout) == (2, b"")
-    assert re.match(rb"lcp-plugin: .*did you mean 'murty'\?", bad.stderr)
+    assert re.match(rb"lcp-plugin: .*did you mean 'half_active'\?", bad.stderr)
 
 
 @pytest.mark.full
@@ -619,7 +647,7 @@ BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what i
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("arguments", ["solve murty:n=4", "list"])
+@pytest.mark.parametrize("arguments", ["solve half_active:n=4", "list"])
 def test_reader_that_has_gone(arguments: str) -> None:
     """Written into a pipe that nobody reads any more, as after ``| head -1``, the command ends without a word."""
     reader, writer = os.pipe()
@@ -643,7 +671,7 @@ def test_full_device_is_told() -> None:
         pytest.skip("there is no device that is always full")
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "lcp_plugin", "solve", "murty:n=4"],
+            [sys.executable, "-m", "lcp_plugin", "solve", "half_active:n=4"],
             stdout=full,
             stderr=subprocess.PIPE,
             check=False,

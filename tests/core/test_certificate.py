@@ -17,7 +17,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from textbook_scenes import scaling_trap
 
-from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, gallery, solve
+from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.criterion import (
     RowScaling,

@@ -8,13 +8,14 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
+import paper_tables
 import pytest
 import scipy.sparse as sp
 from families import BOUNDED, SWEEPERS
+from textbook_scenes import scaling_trap
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
-from lcp_plugin.evidence import paper_tables
 
 SLACK = 1.3  # a ceiling is a measured count times this
 
@@ -234,7 +235,7 @@ def test_np_finishes_with_exact_zeros(name: str) -> None:
 
 def test_the_scaling_trap_catches_the_unscaled_method_honestly() -> None:
     """Unscaled NPSOR(1.7) cycles beside z*; the status says that it did not converge and advises scaling."""
-    trap = gallery.scaling_trap()
+    trap = scaling_trap()
     result = solve(trap.problem, "npsor", relaxation=1.7, scaling=None, z0=trap.start)
     assert result.status in (Status.STALLED, Status.DIVERGED)
     assert "scaling=" in result.advice
@@ -260,7 +261,7 @@ def test_the_scaling_trap_is_solved_otherwise(
     name: str, options: dict[str, Any], measured: int
 ) -> None:
     """From z = 0 unscaled NPGS converges slowly; NPSOR(1.7) scaled by the diagonal takes 28, by itself 17 sweeps."""
-    trap = gallery.scaling_trap()
+    trap = scaling_trap()
     result = solve(trap.problem, name, **options)
     assert result.status is Status.SOLVED
     assert error(result.z, trap.exact) < 1e-7
@@ -269,7 +270,7 @@ def test_the_scaling_trap_is_solved_otherwise(
 
 def test_scaling_matters_as_much_as_reported() -> None:
     """To 1e-10, scaled NPSOR(1.7) takes 20 to 40 sweeps where unscaled NPGS takes over a thousand."""
-    trap = gallery.scaling_trap()
+    trap = scaling_trap()
     scaled = solve(trap.problem, "npsor", scaling="diagonal", z0=trap.start, tolerance=1e-10)
     assert 20 <= scaled.iterations <= 40
     unscaled = solve(trap.problem, "npgs", scaling=None, z0=trap.start, tolerance=1e-10)

@@ -35,9 +35,8 @@ from lcp_plugin.core.splittings.projected_relaxation import PSOR
 from lcp_plugin.core.splittings.projected_type import NPSOR
 from lcp_plugin.engines import engine_class
 from lcp_plugin.evidence.cross_check import cross_validate
-from lcp_plugin.evidence.curves import Report, performance_profile
-from lcp_plugin.evidence.error_against_time import error_against_time
 from lcp_plugin.evidence.stability import Atlas, stability_atlas
+from lcp_plugin.evidence.study import Study, error_against_time
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 BUILTIN_BASE = {
@@ -986,12 +985,10 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     ),
     "gallery parse": lambda p, wrong: gallery.parse(wrong),
     "gallery build": lambda p, wrong: gallery.build(wrong),
-    "report against": lambda p, wrong: REPORT.plot(against=wrong),
-    "report save": lambda p, wrong: REPORT.save(wrong),
-    "profile save": lambda p, wrong: performance_profile([REPORT]).save(wrong),
-    "atlas save": lambda p, wrong: Atlas((), ()).save(wrong),
+    "study against": lambda p, wrong: Study(()).plot(against=wrong),
+    "study save": lambda p, wrong: Study(()).save(wrong),
+    "atlas save": lambda p, wrong: Atlas(()).save(wrong),
 }
-REPORT = Report("", "", 1, 1, "residual", 1e-8, 1, 0.0, ())
 
 
 @pytest.mark.parametrize("what", TAKE)

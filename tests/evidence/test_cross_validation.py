@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -20,9 +21,9 @@ from lcp_plugin import (
     gallery,
     solve,
 )
-from lcp_plugin.evidence import cross_check, qp_reference
-from lcp_plugin.evidence.cross_check import CrossCheck, cross_validate, story
-from lcp_plugin.evidence.qp_reference import GAP, PLAIN, SOLVERS, Formulation, accuracy
+from lcp_plugin.evidence import cross_check
+from lcp_plugin.evidence.convex_program import GAP, PLAIN, ConvexProgram
+from lcp_plugin.evidence.cross_check import CrossCheck, cross_validate
 
 COUNT = 500 if os.environ.get("LCP_PLUGIN_LONG") == "1" else 60
 BATCHES = 10
@@ -125,11 +126,8 @@ def test_a_solution_that_is_not_unique_is_named() -> None:
     [
         ("obstacle_2d:size=20", PLAIN),
         ("optimal_stopping:size=10", GAP),
-        ("murty:n=8", GAP),
-        ("murty:n=1", PLAIN),
         ("paper_example_1:n=100", PLAIN),
         ("paper_example_2:n=100", GAP),
-        ("scaling_trap", GAP),
     ],
 )
 def test_scenes_agree(target: str, kind: str) -> None:
@@ -157,21 +155,23 @@ def test_monotone_problems_agree_with_the_gap_program(seed: int) -> None:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("reference", list(SOLVERS))
+@pytest.mark.parametrize("reference", ["DAQP", "OSQP", "SCS", "PIQP", "CLARABEL", "HIGHS"])
 def test_every_installed_reference_agrees(reference: str) -> None:
     """Each installed solver agrees on a symmetric and on a nonsymmetric problem, boxes and free rows included."""
     import cvxpy
 
-    if SOLVERS[reference].name not in cvxpy.installed_solvers():
+    if reference not in cvxpy.installed_solvers():
         pytest.skip(f"{reference} is optional")
-    if reference == "piqp" and tuple(map(int, cvxpy.__version__.split(".")[:2])) < (1, 8):
-        pytest.skip("this cvxpy's interface is older than PIQP 0.6")
+    options = {"OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100_000},
+               "SCS": {"eps_abs": 1e-10, "eps_rel": 1e-10}}.get(reference, {})  # fmt: skip
     for target in ("obstacle_2d:size=6", "optimal_stopping:size=5"):
-        check = cross_validate(gallery.parse(target).problem, reference=reference)
+        check = cross_validate(
+            gallery.parse(target).problem, reference=reference.lower(), **options
+        )
         assert check.agrees, check
         assert check.reference == reference
-        assert [one.name for one in check.tried] == [reference]
-    assert cross_validate(random_spd_problem(7), reference=reference).agrees
+    check = cross_validate(random_spd_problem(7), reference=reference, algorithm="psor", **options)
+    assert check.agrees, check
 
 
 @pytest.mark.full
@@ -192,10 +192,10 @@ def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
 
 
 def test_problem_without_a_solution_is_not_comparable() -> None:
-    """Where no reference finds anything the verdict says so, and names what the last one said."""
+    """If the reference finds no point the verdict says so, with its status."""
     check = cross_validate(LCP([[0.0]], [-1.0]))
     assert check.verdict == "not comparable"
-    assert "unbounded" in check.reason or "not installed" in check.reason
+    assert "unbounded" in check.reason
 
 
 @pytest.mark.sampled(2)
@@ -224,8 +224,7 @@ def test_a_start_that_is_the_answer_can_be_checked(q: list[float]) -> None:
 def test_no_unknowns(M: object) -> None:
     """A problem without unknowns agrees, with no reference."""
     check = cross_validate(LCP(M, []))
-    assert (check.verdict, check.reference, check.tried) == ("agree", "", ())
-    assert story(check).startswith("agree: there are no unknowns")
+    assert check.explain().startswith("agree: there are no unknowns")
 
 
 @pytest.mark.parametrize("q", [-3.0, 0.0, 2.0])
@@ -249,23 +248,25 @@ def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
     wrong = altered(solve(problem, tolerance=1e-9), problem.n // 2, by)
     check = cross_validate(problem, wrong)
     assert check.verdict == "mismatch", check
-    assert "our answer says SOLVED" in check.reason
+    assert "our status SOLVED is false" in check.reason
     assert check.difference_z == pytest.approx(by, rel=1e-2)
 
 
 def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """If our measure of a residual were blind, the distance to the reference would still betray a wrong answer."""
     problem = gallery.parse("obstacle_2d:size=8").problem
-    wrong = altered(solve(problem, tolerance=1e-9), 20, 1e-3)
+    right, wrong = (
+        solve(problem, tolerance=1e-15),
+        altered(solve(problem, tolerance=1e-9), 20, 1e-3),
+    )
     monkeypatch.setattr(
         cross_check, "scaled_residual", lambda problem, z, w, scale: np.zeros_like(z)
     )
-    monkeypatch.setattr(cross_check, "accuracy", lambda certificate: 1e-12)
-    monkeypatch.setattr(cross_check, "_keeps_claim", lambda result, certificate: True)
+    monkeypatch.setattr(Certificate, "meets", lambda certificate, settings: True)
     check = cross_validate(problem, wrong)
     assert check.verdict == "mismatch"
     assert "disagreement" in check.reason
-    assert cross_validate(problem, solve(problem, tolerance=1e-15)).agrees
+    assert cross_validate(problem, right).agrees
 
 
 @pytest.mark.parametrize("monotone_only", [False, True])
@@ -279,8 +280,8 @@ def test_disagreement_of_any_two_points_is_explained(monotone_only: bool) -> Non
         lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
         problem = LCP(M, generator.normal(size=n), lower=lower, upper=upper)
         first, second = (Certificate.of(problem, generator.normal(size=n)) for _ in range(2))
-        pair = cross_check._Pair(Formulation.of(problem), first, second)
-        assert pair.disagreement <= pair.allowance
+        facts = cross_check._compared(ConvexProgram.of(problem), first, second)
+        assert facts["disagreement"] <= facts["allowance"]
 
 
 def test_an_answer_less_accurate_than_asked_is_no_mismatch() -> None:
@@ -288,57 +289,36 @@ def test_an_answer_less_accurate_than_asked_is_no_mismatch() -> None:
     problem = gallery.parse("obstacle_2d:size=20").problem
     early = cross_validate(problem, solve(problem, max_iterations=2))
     assert early.verdict == "not comparable"
-    assert "our answer is inaccurate: MAX_ITERATIONS" in early.reason
+    assert "our solution is not accurate, MAX_ITERATIONS" in early.reason
     assert cross_validate(problem, solve(problem, tolerance=1e-5)).agrees
 
 
 def test_inaccurate_reference_condemns_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reference that stops early yields "not comparable", and the reason gives both accuracies."""
-    rough = replace(SOLVERS["scs"], options={"eps_abs": 1e-1, "eps_rel": 1e-1, "max_iters": 3})
-    monkeypatch.setitem(SOLVERS, "scs", rough)
-    monkeypatch.setattr(qp_reference, "POLISH_ROUNDS", 0)
-    check = cross_validate(gallery.parse("obstacle_2d:size=8").problem, reference="scs")
+    """A reference that stops early yields "not comparable", and the reason gives both residuals."""
+    monkeypatch.setattr(cross_check, "POLISH_ROUNDS", 0)
+    rough = {"eps_abs": 1e-1, "eps_rel": 1e-1, "max_iters": 3}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # cvxpy warns that the solution may be inaccurate
+        check = cross_validate(
+            gallery.parse("obstacle_2d:size=8").problem, reference="SCS", **rough
+        )
     assert check.verdict == "not comparable", check
-    assert "no reference reached 1e-07, the best is scs" in check.reason
-    assert "our relative residual" in check.reason
+    assert "the solution of SCS does not reach 1e-07: relative residuals" in check.reason
     assert check.difference_z > 1e-3
 
 
 # --- Only where it is legitimate ----------------------------------------------------------------------------
 
 
-def refuse(*_: object) -> None:
-    raise AssertionError("this program must not be built")
-
-
-@pytest.mark.parametrize(
-    ("target", "formulation"),
-    [
-        ("optimal_stopping:size=5", "gap"),
-        ("murty:n=5", "gap"),
-        ("random_h_plus:n=20", "no convex program"),
-    ],
-)
-def test_nonsymmetric_never_reaches_a_plain_program(
-    target: str, formulation: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A nonsymmetric M never reaches the plain quadratic program; a monotone one gets the gap program."""
-    monkeypatch.setattr(qp_reference, "quadratic_program", refuse)
-    check = cross_validate(gallery.parse(target).problem)
-    assert not any("must not be built" in one.note for one in check.tried)
-    assert check.formulation.startswith(formulation)
-    assert check.agrees == (formulation == "gap")
-
-
 @pytest.mark.parametrize(
     ("M", "reason"),
     [
         ([[1.0, 2.0], [2.0, 1.0]], "M is symmetric indefinite: a pivot is negative at shift"),
-        ([[1.0, 0.0], [0.0, -1.0]], "M is symmetric indefinite: M[1, 1] = -1"),
+        ([[1.0, 0.0], [0.0, -1.0]], "M is symmetric indefinite: a diagonal entry is negative"),
         ([[0.0, 1.0], [1.0, 1.0]], "M is symmetric indefinite"),
         (
             [[1.0, 5.0], [0.0, 1.0]],
-            "M is not symmetric (M[0, 1] and M[1, 0] differ); its symmetric part is indefinite",
+            "M[0, 1] and M[1, 0] differ; the symmetric part of M is indefinite",
         ),
     ],
 )
@@ -346,9 +326,9 @@ def test_nonsymmetric_never_reaches_a_plain_program(
 def test_no_program_where_it_is_not_convex(M: list[list[float]], reason: str, kind: type) -> None:
     """An indefinite problem reaches no solver: one line says why."""
     check = cross_validate(LCP(kind(M), [1.0, 1.0]))
-    assert (check.verdict, check.theirs, check.tried) == ("not comparable", None, ())
-    assert check.reason.startswith(reason)
-    assert "\n" not in check.reason
+    assert (check.verdict, check.theirs) == ("not comparable", None)
+    assert check.formulation.startswith(reason)
+    assert "no convex program" in check.reason
 
 
 def test_a_wrong_answer_is_a_mismatch_also_where_there_is_no_program() -> None:
@@ -357,13 +337,6 @@ def test_a_wrong_answer_is_a_mismatch_also_where_there_is_no_program() -> None:
     result = solve(problem, tolerance=1e-9)
     assert cross_validate(problem, result).verdict == "not comparable"
     assert cross_validate(problem, altered(result, 3, 100.0)).verdict == "mismatch"
-
-
-def test_a_large_offset_that_does_not_act_makes_no_answer_accurate() -> None:
-    """Beside an offset of 1e19 whose row is slack, an answer that is wrong in another row stays inaccurate."""
-    problem = LCP(np.diag([1.0, 1.0]), [0.0, 1e19])
-    for z, is_right in (([0.0, 0.0], True), ([1e3, 0.0], False)):
-        assert (accuracy(Certificate.of(problem, z)) <= 1e-7) == is_right
 
 
 def test_two_solutions_are_no_mismatch() -> None:
@@ -377,7 +350,7 @@ def test_two_solutions_are_no_mismatch() -> None:
 def test_symmetry_is_meant_up_to_rounding(noise: float) -> None:
     """What rounding may do to a symmetric M leaves it symmetric; 1e-10 does not."""
     M = np.array([[2.0, 1.0], [1.0 + noise, 2.0]]) * np.array([[1e-8, 1.0], [1.0, 1e8]])
-    assert Formulation.of(LCP(M, [-1.0, -1.0])).kind == (PLAIN if noise < 1e-16 else GAP)
+    assert ConvexProgram.of(LCP(M, [-1.0, -1.0])).kind == (PLAIN if noise < 1e-16 else GAP)
 
 
 @pytest.mark.full
@@ -388,45 +361,40 @@ def test_the_check_for_convexity_stays_sparse() -> None:
     laplacian = sp.diags_array([-ones[1:], 2.0 * ones, -ones[1:]], offsets=[-1, 0, 1]).tolil()
     laplacian[0, 0] = laplacian[-1, -1] = 1.0  # constants are in the null space now
     for shift in (0.0, 1e-3):
-        found = Formulation.of(LCP((laplacian + shift * sp.eye_array(n)).tocsr(), -ones))
+        found = ConvexProgram.of(LCP((laplacian + shift * sp.eye_array(n)).tocsr(), -ones))
         assert found.kind == PLAIN
-        assert 0.0 < found.shift < 1e-9
 
 
 # --- Solvers that fail, arguments that cannot be used -------------------------------------------------------
 
 
-def test_absent_and_failing_solvers_are_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is not installed, raises or warns is noted, and the next solver is asked; nothing is raised or warned."""
-    monkeypatch.setitem(SOLVERS, "daqp", replace(SOLVERS["daqp"], name="ABSENT"))
-    monkeypatch.setitem(SOLVERS, "osqp", replace(SOLVERS["osqp"], options={"no_such_option": 1}))
-    check = cross_validate(gallery.parse("obstacle_2d:size=6").problem)
-    assert check.agrees, check
-    absent, failing, used = check.tried
-    assert (absent.note, absent.certificate, used.name) == ("not installed", None, "scs")
-    assert failing.certificate is None
-    assert "no_such_option" in failing.note
-    assert "daqp: no answer" in story(check)
-
-
-def test_no_solver_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With no reference there is no verdict, and no error."""
-    monkeypatch.setitem(SOLVERS, "scs", replace(SOLVERS["scs"], name="ABSENT"))
-    check = cross_validate(gallery.parse("obstacle_2d:size=6").problem, reference="scs")
-    assert check.verdict == "not comparable"
-    assert (check.reference, check.theirs) == ("", None)
-    assert "not installed" in check.reason
+def test_a_reference_that_raises_is_not_comparable() -> None:
+    """An option that the solver does not know: the verdict tells what it said, and nothing is raised."""
+    problem = gallery.parse("obstacle_2d:size=6").problem
+    check = cross_validate(problem, reference="OSQP", no_such_option=1)
+    assert (check.verdict, check.theirs) == ("not comparable", None)
+    assert "no_such_option" in check.reason
     assert np.isnan(check.difference_z)
+
+
+def test_a_solver_is_not_compared_with_itself() -> None:
+    """interior_point hands its program to PIQP: next to PIQP that is no check, next to another solver it is."""
+    problem = gallery.parse("obstacle_2d:size=6").problem
+    check = cross_validate(problem, reference="piqp", algorithm="interior_point")
+    assert check.verdict == "not comparable"
+    assert "PIQP computed our solution too" in check.reason
+    assert cross_validate(problem, algorithm="interior_point").agrees
+    assert cross_validate(problem, reference="piqp", algorithm="psor").agrees
 
 
 def test_arguments_that_cannot_be_used() -> None:
     """Wrong arguments are named, with what is needed."""
     problem = LCP([[2.0]], [-1.0])
-    with pytest.raises(InvalidOption, match="unknown reference 'osq'; did you mean 'osqp'"):
+    with pytest.raises(InvalidOption, match="cvxpy has no solver 'osq'"):
         cross_validate(problem, reference="osq")
     with pytest.raises(InvalidOption, match="needs an LCP, got ndarray"):
         cross_validate(np.eye(2))  # type: ignore[arg-type]
-    with pytest.raises(InvalidOption, match="result must be what solve"):
+    with pytest.raises(InvalidOption, match="result must be a Result of solve"):
         cross_validate(problem, [0.5])  # type: ignore[arg-type]
     with pytest.raises(InvalidProblem, match="z must be"):
         cross_validate(problem, solve(LCP(np.eye(2), [-1.0, -1.0])))
@@ -441,12 +409,12 @@ def test_answer_that_is_not_finite() -> None:
     assert solve(problem).status is Status.SOLVED
 
 
-def test_story_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
+def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
     """The story begins with the verdict and lists both sides; the solvers themselves print nothing."""
-    check = cross_validate(gallery.parse("murty:n=1").problem)
+    check = cross_validate(gallery.parse("obstacle_2d:size=3").problem)
     out, err = capfd.readouterr()
     assert (out, err) == ("", "")
-    lines = story(check).splitlines()
+    lines = check.explain().splitlines()
     assert lines[0].startswith("agree: ")
     for word in (
         "formulation",
@@ -455,20 +423,13 @@ def test_story_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
         "|Δz|",
         "objective gap",
         "disagreement",
-        "tried",
     ):
         assert any(line.startswith(word) for line in lines), word
-    assert str(check) == story(check)
+    assert str(check) == check.explain()
 
 
 @pytest.mark.full
 def test_cvxpy_loads_when_a_reference_is_asked() -> None:
-    """Importing the modules loads no cvxpy; a problem without a convex program never does."""
-    code = (
-        "import sys\n"
-        "from lcp_plugin import LCP\n"
-        "from lcp_plugin.evidence.cross_check import cross_validate\n"
-        "cross_validate(LCP([[1.0, 2.0], [2.0, 1.0]], [1.0, 1.0]))\n"
-        "print('cvxpy' in sys.modules)"
-    )
+    """Importing the module loads no cvxpy."""
+    code = "import sys\nimport lcp_plugin.evidence.cross_check\nprint('cvxpy' in sys.modules)"
     assert printed_by(code) == "False"

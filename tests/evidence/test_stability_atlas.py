@@ -1,14 +1,11 @@
-"""The stability atlas: exact answers are exact, a lie is found out, and scaling by powers of two changes no bit."""
+"""The stability atlas: exact answers are exact, no status is false, and scaling by powers of two changes no bit."""
 
 from __future__ import annotations
 
 import csv
-import json
 import math
-import pickle
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -18,21 +15,15 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from exact import exact_solution
-from fresh_process import printed_by
 from hypothesis import given, settings
+from test_stability import assert_honest
 
-from lcp_plugin import LCP, InvalidOption, Result, Status, UnknownAlgorithm, gallery, solve
+from lcp_plugin import LCP, InvalidOption, Status, UnknownAlgorithm, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.errors import UnsuitableProblem
-from lcp_plugin.core.solving.result import BoundOrReason
+from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence import stability as atlas
-from lcp_plugin.evidence.exact_answers import (
-    condition_of_answer,
-    exact_answer,
-    lie_in,
-    relative_error,
-)
-from lcp_plugin.evidence.stability import Atlas, Cell, stability_atlas
+from lcp_plugin.evidence.exact import exact_answer, relative_error
+from lcp_plugin.evidence.stability import stability_atlas
 from lcp_plugin.evidence.stresses import (
     FAMILIES,
     StressCase,
@@ -49,7 +40,7 @@ from lcp_plugin.strategies import solved_lcps
 ALL = ["auto", *REGISTRY]
 EPSILON = 2.0**-52
 SCALE_INVARIANT = [name for name in REGISTRY if name not in ("newton", "interior_point", "lemke")]
-CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family](True)]
+CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family]()]
 
 
 # --- exact answers ---------------------------------------------------------------------------------------------------
@@ -67,12 +58,11 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any
     ("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES]
 )
 def test_every_case_has_a_verified_answer_or_none(family: str, case: StressCase) -> None:
-    """The answers of all cases solve their problems without rounding; known condition numbers are at least 1."""
+    """The answers of all cases solve their problems without rounding."""
     assert (case.exact is None) == (
         case.stress in ("singular M, no solution", "the answer overflows")
     )
     assert case.exact is None or is_exact_solution(case.problem, case.exact)
-    assert case.condition >= 1.0 or (math.isnan(case.condition) and case.problem.n > 400)
     if case.has_line:
         assert is_exact_solution(case.problem, [value + Fraction(7, 3) for value in case.exact])
 
@@ -98,171 +88,51 @@ def test_errors_are_exact() -> None:
     assert relative_error(np.array([1e300]), (Fraction(1, 10**300),), np.ones(1)) == math.inf
 
 
-# --- condition numbers -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_condition_bounds_what_an_ulp_can_do(seed: int) -> None:
-    """No change of all entries by 1 ulp moves the exact answer by more than condition × 2⁻⁵², and some come near."""
-    i = np.arange(4)
-    cases = [
-        mostly_free("", grid(3)),
-        mostly_free("", 1.0 / (i[:, None] + i + 1.0)),
-        half_active("", grid(3, 4.5)),
-    ]
-    case = cases[seed % 3]
-    problem, exact, condition = case.problem, case.exact, case.condition
-    generator = np.random.default_rng(seed)
-    moves = []
-    for _ in range(40):
-        M = problem.csr.copy()
-        M.data = M.data * (1.0 + EPSILON * generator.choice([-1.0, 1.0], size=M.nnz))
-        q = problem.q * (1.0 + EPSILON * generator.choice([-1.0, 1.0], size=problem.n))
-        moved = exact_answer(LCP(M, q), [float(value) for value in exact])
-        moves.append(max(abs(a - b) for a, b in zip(moved, exact, strict=True)) / max(exact))
-    assert max(moves) <= condition * EPSILON * (1.0 + 1e-9)
-    assert max(moves) >= condition * EPSILON / 30.0
-
-
-@pytest.mark.parametrize("power", [-600, 600])
-def test_condition_knows_no_units(power: int) -> None:
-    """Rows in other units, or columns with z measured in theirs, have the same condition number."""
-    base = mostly_free("", grid(3))
-    factors = np.ldexp(1.0, np.resize([power, -power // 2, 3], 9))
-    assert rescaled("", base, factors, 1.0).condition == pytest.approx(base.condition, rel=1e-12)
-    assert rescaled("", base, 1.0, factors).condition == pytest.approx(base.condition, rel=1e-12)
-
-
-def test_a_singular_free_block_has_no_condition() -> None:
-    """Where w = 0 on a singular block the condition number is ∞."""
-    M = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    assert condition_of_answer(LCP(M, [0.0, 0.0]), (Fraction(1), Fraction(1)), np.ones(2)) > 1e15
-
-
-# --- lies ------------------------------------------------------------------------------------------------------------
-
-PROBLEM = LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])
-EXACT = (Fraction(3, 4), Fraction(0))
-
-
-def forged(**changes: Any) -> Result:
-    """Return a true result with something untrue put in."""
-    result = solve(PROBLEM, "psor", error_bound=True)
-    return replace(result, **changes)
-
-
-def bound_of(result: Result, factor: float) -> Any:
-    return replace(result.error_bound, componentwise=result.error_bound.componentwise * factor)
-
-
-@pytest.mark.parametrize(
-    ("changes", "lie"),
-    [
-        ({}, ""),
-        ({"z": np.array([0.75, 1e-7])}, "SOLVED, but the exact residual is above the tolerance"),
-        ({"z": np.array([0.75, -1e-300])}, "z lies outside its bounds"),
-        ({"z": np.array([math.nan, 0.0])}, "z is not finite"),
-        ({"status": Status.PRECISION_LIMIT, "z": np.array([0.75 + 1e-13, 0.0])}, "PRECISION_LIMIT, but rounding"),
-        ({"status": Status.PRECISION_LIMIT, "z": np.array([0.75 + 1e-16, 0.0])}, ""),
-        ({"status": Status.INFEASIBLE}, "INFEASIBLE, but there is a solution"),
-        ({"status": Status.NO_SOLUTION}, "NO_SOLUTION, but there is a solution"),
-        ({"status": Status.STALLED, "z": np.array([0.0, 0.0])}, ""),
-        ({"z": np.array([0.75 + 1e-9, 0.0]), "_bound": "too small"}, "exceeds its rigorous bound"),
-    ],
-)  # fmt: skip
-def test_a_lie_is_found_out(changes: dict[str, Any], lie: str) -> None:
-    """What a result claims against the exact answer is named; what is true, or admits failure, is not."""
-    if changes.get("_bound") == "too small":
-        changes = changes | {"_bound": BoundOrReason(bound_of(forged(), 1e-6))}
-    found = lie_in(forged(**{"_bound": BoundOrReason()} | changes), EXACT)
-    assert lie in found if lie else found == ""
-
-
-def test_a_lie_needs_no_known_answer() -> None:
-    """Without an exact answer the residual alone convicts."""
-    assert lie_in(forged(z=np.array([0.7, 0.0])), None).startswith("SOLVED, but")
-    assert lie_in(forged(), None) == ""
-
-
-@pytest.mark.parametrize("error", [0.0, 1e-9, 3e-8, 1e-6])
-def test_an_error_beyond_the_tolerance_is_found_out(error: float) -> None:
-    """An answer is off by a multiple of its tolerance, or not."""
-    result = solve(half_active("", grid(6, 5.0)).problem, "psor", tolerance=1e-12)
-    result = replace(
-        result, tolerance=1e-8, z=np.where(result.z > 0.0, result.z * (1.0 + error), 0.0)
-    )
-    assert bool(lie_in(result, None)) == (error > 2e-8)
-
-
 # --- the atlas -------------------------------------------------------------------------------------------------------
 
-SOME = ["npsor", "newton"]
-QUICK_FAMILIES = [family for family in FAMILIES if family != "sizes"]
 
-
-@pytest.fixture(scope="module")
-def some() -> Atlas:
-    return stability_atlas(SOME, QUICK_FAMILIES, quick=True)
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["auto", "npsor", "psor", "newton", "lemke", "multigrid"])
+def test_no_status_of_the_atlas_is_false(name: str) -> None:
+    """SOLVED and PRECISION_LIMIT hold in rational arithmetic, and no proof excludes a solution that there is."""
+    for _, case in CASES:
+        try:
+            result = solve(case.problem, name, z0=case.start, max_iterations=3000)
+        except (UnsuitableMatrix, UnsuitableProblem):
+            continue
+        if case.problem.n <= 2500:
+            assert_honest(result)
+        if case.exact is not None:
+            assert not result.has_no_solution, case.stress
 
 
 @pytest.mark.full
-def test_nobody_lies_and_most_is_solved(some: Atlas) -> None:
-    """0 lies, no run that raised, and at least 90 % of the well-posed cells are SOLVED; the campaign runs them all."""
-    assert some.lies == ()
+def test_the_atlas_shows_status_residual_and_true_error(tmp_path: Path) -> None:
+    """Most cells are SOLVED, none raised; print() lists every other cell, and those whose residual hides an error."""
+    some = stability_atlas(["npsor", "newton"], quick=True)
     assert not [cell for cell in some.cells if cell.status == "ERROR"]
-    assert some.solved_share >= 0.9
-    assert len(some.well_posed) > 0.6 * len(some.cells)
-
-
-@pytest.mark.full
-def test_summary_lists_every_cell_that_is_not_solved(some: Atlas) -> None:
-    """Counts first, then a line for every STALLED, PRECISION_LIMIT … cell, every hidden error, all that is left out."""
-    lines = some.summary().splitlines()
+    assert len(some.unsolved) < 0.2 * len(some.cells)
+    lines = str(some).splitlines()
     assert lines[0].startswith(f"{len(some.cells)} cells: ")
-    assert lines[1] == "0 lies"
-    assert len(lines) == 3 + len(some.unsolved) + len(some.misleading) + len(some.skipped)
-    for cell in some.unsolved:
-        assert any(
-            line.startswith(cell.status) and cell.algorithm in line and cell.stress in line
-            for line in lines
-        )
-    assert any(cell.status == "PRECISION_LIMIT" for cell in some.unsolved)
-    assert any(cell.status == "STALLED" for cell in some.unsolved)
-
-
-def test_what_an_algorithm_cannot_take_is_left_out_with_its_reason() -> None:
-    """A box is no problem for the modulus methods: one line says so, and there is no empty cell."""
-    found = stability_atlas(["mgs"], ["degeneracy"], quick=True)
-    assert [what for what, _ in found.skipped] == ["mgs on degenerate at both bounds of a box"]
-    assert "upper bound" in found.skipped[0][1]
-    assert len(found.cells) == 5
-
-
-@pytest.mark.full
-def test_solved_cells_are_as_accurate_as_their_condition_allows(some: Atlas) -> None:
-    """An error beyond condition × residual is told in digits lost; where rows are alike there is none of size."""
+    assert len(lines) == 1 + len(some.unsolved) + len(some.misleading)
+    assert {"contrast=1e+12"} <= {cell.stress for cell in some.misleading}
     for cell in some.cells:
-        if cell.status == "SOLVED" and cell.family in ("degeneracy", "far starts", "one ulp"):
-            assert cell.digits_lost < 2.0, cell
-        if cell.certified:
-            assert cell.told_the_truth
-    stiff = [cell for cell in some.misleading if cell.stress == "contrast=1e+12"]
-    assert stiff
-    assert all(cell.condition > 1e12 for cell in stiff)
-
-
-@pytest.mark.full
-def test_atlas_becomes_json_and_survives_pickle(some: Atlas, tmp_path: Path) -> None:
-    """Pickle gives back every cell; JSON holds every cell, and CSV has a row for each."""
-    assert len(json.loads(json.dumps(some.to_content(), allow_nan=False))["cells"]) == len(
-        some.cells
-    )
-    assert repr(pickle.loads(pickle.dumps(some))) == repr(some)
+        if cell.status == "SOLVED" and cell.family in ("far starts", "sizes"):
+            assert cell.true_error < 1e-5, cell
     some.save(tmp_path / "atlas.csv")
     with (tmp_path / "atlas.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["stress"] for row in rows] == [cell.stress for cell in some.cells]
-    assert set(rows[0]) == set(Cell.__dataclass_fields__)
+    with pytest.raises(InvalidOption, match=r"saved as .csv"):
+        some.save(tmp_path / "atlas.json")
+
+
+def test_a_refused_problem_is_a_cell_with_its_reason() -> None:
+    """A box is no problem for the modulus methods: REFUSED, and why."""
+    found = stability_atlas(["mgs"], ["degeneracy"], quick=True)
+    (refused,) = (cell for cell in found.cells if cell.status == "REFUSED")
+    assert refused.stress == "degenerate at both bounds of a box"
+    assert "upper bound" in refused.note
 
 
 @pytest.mark.full
@@ -277,12 +147,6 @@ def test_a_second_run_gives_the_same_atlas() -> None:
     assert calls[1][2] == "z0 = 1e10: npgs"
 
 
-def test_an_empty_atlas_is_nothing_to_be_proud_of() -> None:
-    """No cells: no lies, and the summary says 0 cells."""
-    assert Atlas(()).summary().startswith("0 cells")
-    assert Atlas(()).solved_share == 1.0
-
-
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
@@ -293,7 +157,7 @@ def test_an_empty_atlas_is_nothing_to_be_proud_of() -> None:
             "unknown stress 'stifness'; did you mean 'stiffness'",
         ),
         ((None, "stiffness"), InvalidOption, "stresses must be a list of names"),
-        ((5,), InvalidOption, "algorithms must be names or Algorithm objects, got 5"),
+        ((5,), InvalidOption, "methods must be names or Algorithm objects, got 5"),
     ],
 )
 def test_wrong_names_are_refused(
@@ -305,7 +169,7 @@ def test_wrong_names_are_refused(
 
 
 def test_overflow_is_never_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run in which NumPy warns of an overflow is an ERROR and no truth, whatever it would have returned."""
+    """A run in which NumPy warns of an overflow is an ERROR, whatever it would have returned."""
 
     def careless(*args: Any, **options: Any) -> Any:
         np.exp(np.array([1e4]))
@@ -314,31 +178,7 @@ def test_overflow_is_never_silent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(atlas, "solve", careless)
     found = stability_atlas(["psor"], ["far starts"], quick=True)
     assert {cell.status for cell in found.cells} == {"ERROR"}
-    assert found.lies == found.cells
     assert "RuntimeWarning: overflow" in found.cells[0].note
-
-
-def test_a_lie_is_a_lie_in_the_atlas(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A solver that claims SOLVED for anything is convicted in every cell and first in the summary."""
-
-    def liar(problem: LCP, *args: Any, **options: Any) -> Result:
-        return replace(solve(problem, "pgs", max_iterations=1), status=Status.SOLVED)
-
-    monkeypatch.setattr(atlas, "solve", liar)
-    found = stability_atlas(["psor"], ["far starts"], quick=True)
-    assert found.lies == found.cells
-    assert found.summary().splitlines()[3].startswith("LIE SOLVED")
-
-
-@pytest.mark.full
-def test_the_atlas_loads_nothing_it_does_not_need() -> None:
-    """Sweeps under stress load neither cvxpy, matplotlib, jinja2 nor hypothesis."""
-    code = (
-        "import sys\nfrom lcp_plugin.evidence.stability import stability_atlas\n"
-        "stability_atlas(['pgs'], ['far starts'], quick=True)\n"
-        "print([m for m in ('cvxpy', 'matplotlib', 'jinja2', 'hypothesis', 'pyamg', 'rich') if m in sys.modules])"
-    )
-    assert printed_by(code) == "[]"
 
 
 # --- powers of two ---------------------------------------------------------------------------------------------------
@@ -401,7 +241,7 @@ def test_multigrid_tells_the_truth_about_rows_in_other_units(size: int) -> None:
     for power in POWERS:
         (scaled,) = (scaled for what, scaled, _ in variants(problem, power) if what == "rows")
         result = solve(scaled, "multigrid")
-        assert lie_in(result, exact) == ""
+        assert_honest(result)
         assert result.status is Status.SOLVED
         assert relative_error(result.z, exact, np.ones(problem.n)) < 1e-7
 
@@ -416,7 +256,7 @@ def test_elsewhere_powers_of_two_change_no_truth(name: str) -> None:
             for what, scaled, exponent in variants(problem, power):
                 result = solve(scaled, name)
                 answer = tuple(value * Fraction(2) ** exponent for value in exact)
-                assert lie_in(result, answer) == "", (what, power)
+                assert_honest(result)
                 assert result.status is Status.SOLVED, (what, power)
                 assert relative_error(result.z, answer, np.ones(problem.n)) < 1e-7
 
@@ -471,9 +311,7 @@ def test_rows_are_made_monotone_where_they_can_be() -> None:
     assert monotone_rows(np.zeros((0, 0))) is None
 
 
-@pytest.mark.parametrize(
-    "text", ["coefficient_jumps:size=9,contrast=1e4", "obstacle_2d:size=9", "murty:n=1"]
-)
+@pytest.mark.parametrize("text", ["coefficient_jumps:size=9,contrast=1e4", "obstacle_2d:size=9"])
 def test_interior_steps_see_through_the_units_of_rows(text: str) -> None:
     """Rows multiplied by 10^±50 leave a monotone problem solvable, dense or sparse, with the same answer."""
     problem = gallery.parse(text).problem
@@ -515,12 +353,7 @@ def test_no_overflow_is_silent_at_the_edge(name: str) -> None:
     box = LCP([[4.0, -1.0], [-1.0, 4.0]], [-1.0, 1.0], lower=-1e308, upper=1e308)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        assert lie_in(solve(box, name, z0=[1e308, -1e308], max_iterations=300), None) == ""
+        assert_honest(solve(box, name, z0=[1e308, -1e308], max_iterations=300))
         if name != "multigrid":
-            assert (
-                lie_in(
-                    solve(LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1]), name, max_iterations=300),
-                    None,
-                )
-                == ""
-            )
+            wide = LCP(sp.csr_array(M), [0.0, -1, -1, -1, -1])
+            assert_honest(solve(wide, name, max_iterations=300))

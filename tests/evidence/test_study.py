@@ -1,13 +1,14 @@
-"""A study: one table of raw results that survives interruptions and mistakes, and its views."""
+"""Studies and error against time: an honest clock, rows that can be had again, and views that are functions of rows."""
 
 from __future__ import annotations
 
 import csv
+import dataclasses
+import io
+import itertools
 import math
-import os
-import shutil
 import signal
-import subprocess
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,26 +17,49 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+import scipy.sparse.linalg
+from fresh_process import printed_by
 from legends import hides_nothing
 
-import lcp_plugin.evidence.study as module
-from lcp_plugin import (
-    LCP,
-    InvalidOption,
-    QuadraticProgram,
-    UnknownAlgorithm,
-    UnreadableFile,
-    gallery,
-    solve,
-)
-from lcp_plugin.algorithms import Algorithm, Step
-from lcp_plugin.evidence import collecting, paper_tables
-from lcp_plugin.evidence.contestants import contestants
-from lcp_plugin.evidence.curves import Curve, Point
-from lcp_plugin.evidence.exporting import Table, save_tables
-from lcp_plugin.evidence.results import COLUMNS, VIEWS, Row, Study
-from lcp_plugin.evidence.stability import HIDDEN, OUTCOMES, WRONG, Atlas, Cell, stability_atlas
-from lcp_plugin.evidence.study import study
+from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
+from lcp_plugin.algorithms import Algorithm, Step, create
+from lcp_plugin.core.matrix.matrix import Matrix, fact
+from lcp_plugin.evidence.measurement import POINT, Measurement
+from lcp_plugin.evidence.methods import methods_of
+from lcp_plugin.evidence.pictures import draw
+from lcp_plugin.evidence.study import COLUMNS, Study, error_against_time, study
+from lcp_plugin.evidence.table import Table
+from lcp_plugin.proofs.bounds.error_bounds import error_bound
+
+NAP = 0.06
+
+
+@fact
+def nap_about(matrix: Matrix, seconds: float) -> None:
+    """Sleep once a matrix, as a costly analysis of it would."""
+    time.sleep(seconds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Richardson(Algorithm):
+    """z⁺ = mid(lower, upper, z − w/10), with naps; it may give up or raise in its fourth step."""
+
+    name = "richardson"
+    nap: float = 0.0
+    nap_about_matrix: float = 0.0
+    ends: str = ""
+
+    def iterates(self, problem: LCP, z0: Any) -> Iterator[Step]:
+        time.sleep(self.nap)
+        nap_about(problem.matrix, self.nap_about_matrix)
+        z = z0
+        for k in range(100_000):
+            if k == 3 and self.ends == "Ctrl-C":
+                raise KeyboardInterrupt
+            if k == 3 and self.ends == "error":
+                raise IndexError("out of bounds")
+            yield Step(z)
+            z = (z - 0.1 * problem.slack(z)).clip(problem.lower, problem.upper)
 
 
 def chain(n: int) -> tuple[Any, Any]:
@@ -51,76 +75,168 @@ def even(n: int) -> LCP:
     return LCP(*chain(n))
 
 
-@dataclass(frozen=True)
-class Damped(Algorithm):
-    """Damped projected Jacobi, or one that raises."""
-
-    name = "damped"
-    omega: float = 0.7
-    fails: bool = False
-
-    def iterates(self, problem: LCP, z0: Any) -> Iterator[Step]:
-        z = z0
-        while True:
-            yield Step(z)
-            if self.fails:
-                z = z[problem.n + 1]
-            z = np.clip(
-                z - self.omega * problem.slack(z) / problem.diagonal, problem.lower, problem.upper
-            )
+def scene(n: int = 100) -> Any:
+    return gallery.build("half_active", n=n)
 
 
 def made(*rows: tuple[str, int, str, float]) -> Study:
-    """A study by hand: problem, n, method, work; negative where it was not solved."""
+    """A study by hand: problem, n, method, work; negative if it was not solved."""
     return Study(
         tuple(
-            Row(
+            Measurement(
                 problem,
                 n,
                 n,
                 5 * n,
+                method,
+                "other",
+                "SOLVED" if work > 0 else "STALLED",
                 "residual",
                 1e-8,
-                1,
-                Curve(
-                    method,
-                    "other",
-                    "SOLVED" if work > 0 else "STALLED",
-                    (
-                        Point(0, 0.0, 0.0),
-                        Point(round(abs(work)), abs(work), abs(work), 1.0, 1.0, 1e-9, 1e-9),
-                    ),
-                ),
+                np.array([(0.0,) * 7, (round(abs(work)), abs(work), abs(work), 1, 1, 1e-9, 1e-9)]),
             )
             for problem, n, method, work in rows
         )
     )
 
 
-# --- The table of raw results ---------------------------------------------------------------------------------
+def measured(target: Any, *methods: Any, **options: Any) -> Measurement:
+    return error_against_time(target, [*methods], **{"repeats": 1, **options}).rows[0]
+
+
+# --- The clock ------------------------------------------------------------------------------------------------
+
+
+def test_sleep_in_set_up_shows() -> None:
+    """An algorithm that sleeps before its first iterate shows it at its first point, and in every later one."""
+    seconds = measured(scene(), Richardson(nap=NAP), repeats=2).column("seconds")
+    assert min(seconds) >= seconds[0] >= NAP
+
+
+def test_slow_error_measurement_does_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock stands still while an error is measured, however long that takes."""
+    from lcp_plugin.evidence import measurement
+
+    calls, of = [], measurement.Certificate.of
+
+    class Slow:
+        @staticmethod
+        def of(problem: Any, z: Any) -> Any:
+            calls.append(0)
+            time.sleep(NAP)
+            return of(problem, z)
+
+    monkeypatch.setattr(measurement, "Certificate", Slow)
+    row = measured(scene(), "pgs")
+    assert len(calls) >= 10
+    assert row.seconds < 0.25 * NAP * len(calls)
+
+
+def test_facts_about_the_matrix_are_paid_in_every_run() -> None:
+    """No fact that one run keeps with the problem makes the set-up of the next one look cheaper."""
+    row = measured(scene(), Richardson(nap_about_matrix=NAP), repeats=3)
+    assert row.column("seconds_low")[0] >= NAP
+
+
+def test_seconds_rise_and_lie_between_their_quartiles() -> None:
+    """Along a run iterations and work rise; each median lies between its quartiles."""
+    for row in error_against_time(scene(), ["npsor", "psor"], repeats=3).rows:
+        low, middle, high = (row.column(f"seconds{end}") for end in ("_low", "", "_high"))
+        assert (low <= middle).all()
+        assert (middle <= high).all()
+        assert (np.diff(row.column("iteration")) > 0).all()
+        assert (np.diff(row.column("work")) >= 0).all()
+
+
+def test_ctrl_c_ends_a_study_with_what_there_is(tmp_path: Path) -> None:
+    """Rows before Ctrl-C are kept, in memory and in the file; the handler of SIGINT is never touched."""
+    before = signal.getsignal(signal.SIGINT)
+    methods = {"pgs": "pgs", "stopped": Richardson(ends="Ctrl-C"), "psor": "psor"}
+    found = study(scene(), methods, repeats=1, out=tmp_path / "r.csv")
+    assert [row.method for row in found.rows] == ["pgs"]
+    assert not found.is_complete
+    assert "interrupted" in str(found)
+    assert (tmp_path / "r.csv").read_text(encoding="utf-8") == found.to_csv()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+# --- The rows -------------------------------------------------------------------------------------------------
+
+
+def test_reruns_agree_in_everything_but_seconds() -> None:
+    """Iterations, work, errors, residuals and statuses of all default methods are the same in two calls."""
+    first, second = (error_against_time(scene(), repeats=repeats) for repeats in (1, 2))
+    for a, b in zip(first.rows, second.rows, strict=True):
+        assert (a.method, a.status, a.error_kind) == (b.method, b.status, b.error_kind)
+        for name in ("iteration", "work", "error", "residual"):
+            np.testing.assert_array_equal(a.column(name), b.column(name))
 
 
 def test_a_row_is_the_run_that_solve_makes() -> None:
-    """Iterations, work, residual and true error of a row are those of solve; families, scenes and problems mix."""
-    known = gallery.build("half_active", n=64)
-    found = study({"half": known, "own": LCP(*chain(9))}, ["psor", Damped(omega=0.5)], repeats=2)
-    for row, problem in zip(
-        found.rows, [known.problem, known.problem, LCP(*chain(9)), LCP(*chain(9))], strict=True
-    ):
-        algorithm = "psor" if row.curve.label == "psor" else Damped(omega=0.5)
-        result = solve(problem, algorithm, z0=known.start if problem is known.problem else None)
-        assert (row.curve.iterations, row.curve.work, row.curve.status) == (
-            result.iterations,
-            result.work,
-            "SOLVED",
-        )
-        assert row.curve.last.residual == result.certificate.relative_residual
-        assert row.curve.last.seconds_low <= row.curve.seconds <= row.curve.last.seconds_high
-    assert (
-        found.rows[0].value("error") == np.abs(solve(known.problem, "psor").z - known.exact).max()
+    """The last point has the iterations, work, residual and true error of `solve`; problems of all kinds mix."""
+    known = scene(64)
+    found = study({"half": known, "own": LCP(*chain(9))}, ["psor", Richardson()], repeats=2)
+    problems = [known.problem, known.problem, LCP(*chain(9)), LCP(*chain(9))]
+    for row, problem in zip(found.rows, problems, strict=True):
+        result = solve(problem, "psor" if row.method == "psor" else Richardson())
+        assert (row.iterations, row.work, row.status) == (result.iterations, result.work, "SOLVED")
+        assert row.last("residual") == result.certificate.relative_residual
+    assert found.rows[0].error == np.abs(solve(known.problem, "psor").z - known.exact).max()
+    assert found.rows[0].column("error")[0] == np.abs(known.exact).max()  # z° = 0
+
+
+def test_points_are_geometric() -> None:
+    """Hundreds of iterations give some dozen points."""
+    row = measured(gallery.build("obstacle_2d", size=30), "gfp")
+    assert row.iterations > 500
+    assert len(row.points) < 80
+
+
+def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
+    """The error is the true one if z* is known, a bound that is never too small for H₊, else the residual."""
+    bumps = gallery.build("obstacle_bumps", size=12)
+    exact = solve(bumps.problem, "multigrid", tolerance=1e-13).z
+    row = measured(bumps, "npsor")
+    assert row.error_kind == "rigorous bound"
+    found: dict[int, float] = {}
+    solve(
+        bumps.problem,
+        "npsor",
+        callback=lambda s, z: bool(found.update({s.iteration: float(abs(z - exact).max())})),
     )
-    assert found.rows[2].value("error") is None  # nobody asked for a bound
-    assert [row.curve.label for row in found.rows[:2]] == ["psor", "damped omega=0.5"]
+    bounds = dict(zip(row.column("iteration")[:-1], row.column("error")[:-1], strict=True))
+    assert all(bound >= found[int(k)] - 1e-12 for k, bound in bounds.items())
+    assert bounds[5.0] < (1.0 + 1e-9) * found[5]
+    assert measured(scene(), "pgs").error_kind == "true error"
+    other = error_against_time(gallery.build("rotated_anisotropy", size=8), ["pgs"], repeats=1)
+    assert other.rows[0].error_kind == "residual"
+    assert "M is not declared to be an H₊-matrix" in other.notes[0]
+
+
+def convection(size: int) -> LCP:
+    """Convection–diffusion on a size × size grid, no constraint active; ⟨M⟩⁻¹ is millions of times as large as M⁻¹."""
+    o, eye = np.ones(size - 1), sp.eye_array(size)
+    along = sp.diags_array([-1.4 * o, 4.0 * np.ones(size), -0.6 * o], offsets=[-1, 0, 1])
+    across = sp.diags_array([-o, -o], offsets=[-1, 1])
+    return LCP(sp.csr_array(sp.kron(eye, along) + sp.kron(across, eye)), -np.ones(size * size))
+
+
+@pytest.mark.parametrize("size", [5, 50])
+def test_the_bound_is_the_sharp_one(size: int) -> None:
+    """The bound of a SOLVED convection–diffusion problem is the error itself, 1e8 times below the plain bound."""
+    problem = convection(size)
+    z = solve(problem, "psor").z
+    error = float(np.max(np.abs(z - scipy.sparse.linalg.spsolve(problem.csr.tocsc(), -problem.q))))
+    row = measured(problem, "psor")
+    assert row.error_kind == "rigorous bound"
+    assert row.error == pytest.approx(error, rel=1e-3)
+    assert error_bound(problem, z, sharp=False).infinity > 1e8 * error
+
+
+def test_a_plain_problem_is_examined() -> None:
+    """An LCP without declared facts gets a bound if M allows one, else the residual."""
+    assert measured(LCP([[4, -1], [-1, 4]], [-3, 5]), "pgs").error_kind == "rigorous bound"
+    assert measured(LCP([[1, 4], [4, 1]], [-3, 5]), "npsor").error_kind == "residual"
 
 
 def test_sizes_go_to_families_and_to_scenes_by_their_own_name() -> None:
@@ -134,6 +250,7 @@ def test_sizes_go_to_families_and_to_scenes_by_their_own_name() -> None:
         ("obstacle_2d", 4, 16),
         ("obstacle_2d", 9, 81),
     ]
+    assert found.row("psor", "obstacle_2d", 9).n == 81
 
 
 def test_problems_of_one_name_are_told_apart() -> None:
@@ -144,197 +261,87 @@ def test_problems_of_one_name_are_told_apart() -> None:
     assert [row.n for row in study(families, ["psor"], [4], repeats=1).rows] == [4, 5]
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_a_bound_is_measured_where_it_is_asked_for(
-    asked: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without error_bound nobody computes one; with it the error of an unknown answer is a proved bound."""
-    import lcp_plugin.proofs.bounds.error_bounds as bounds
-
-    calls: list[Any] = []
-    compute = bounds.error_bound
-    monkeypatch.setattr(
-        bounds, "error_bound", lambda *given, **how: calls.append(0) or compute(*given, **how)
-    )
-    found = study(chain, ["psor"], [30], repeats=1, error_bound=asked)
-    assert bool(calls) is asked
-    assert found.rows[0].error_kind == ("rigorous bound" if asked else "residual")
-    assert (found.rows[0].value("error") is not None) is asked
-
-
-def test_the_file_is_one_plain_table_with_machine_and_versions(tmp_path: Path) -> None:
-    """The CSV has a line a row with every digit, read back to the same rows; each says where it was measured."""
-    found = study(
-        chain, ["psor", "newton"], [30, 60], repeats=1, out=tmp_path / "r.csv", curves=True
-    )
-    with (tmp_path / "r.csv").open(encoding="utf-8", newline="") as file:
-        lines = list(csv.DictReader(file))
-    assert tuple(lines[0]) == COLUMNS
-    assert [repr(Row.from_content(line)) for line in lines] == [
-        *map(repr, found.rows)
-    ]  # no NaN is equal to itself
-    for word in ("processor", "cores", "threads", "Python", "numpy", "lcp_plugin"):
-        assert word in lines[0]["machine"]
-    assert len(found.rows[0].curve.points) > 5
-
-
-# --- Interrupted, resumed, and what changes -------------------------------------------------------------------
-
-
-def test_an_interrupted_study_keeps_its_rows_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """After Ctrl-C the file holds what is there; the same call measures the rest only, and then nothing."""
-    out, measured = tmp_path / "r.csv", module._Plan.measured
-
-    def stops(self: Any, label: str, size: Any, one: Any, say: Any) -> dict[str, Any]:
-        if (size, one.label) == (60, "psor"):
-            os.kill(os.getpid(), signal.SIGINT)
-        return measured(self, label, size, one, say)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(module._Plan, "measured", stops)
-        first = study(chain, ["npsor", "psor"], [30, 60], repeats=1, out=out)
-    assert [(row.size, row.curve.label) for row in first.rows] == [
-        (30, "npsor"),
-        (30, "psor"),
-        (60, "npsor"),
-    ]
-    assert first.missing == ("chain size 60, psor",)
-    second = study(chain, ["npsor", "psor"], [30, 60], repeats=1, out=out)
-    assert (second.found, second.missing, second.rows[:3]) == (3, (), first.rows)
-    assert study(chain, ["npsor", "psor"], [30, 60], repeats=1, out=out).found == 4
-
-
-def test_what_has_changed_is_measured_again_and_nothing_else(tmp_path: Path) -> None:
-    """Another problem, option, tolerance or number of repeats changes its rows; others are kept in the file."""
-    out = tmp_path / "r.csv"
-    study({"p": LCP(*chain(9))}, ["psor", "pgs"], repeats=1, out=out)
-    assert study({"p": LCP(*chain(9))}, ["psor"], repeats=1, out=out).found == 1
-    assert study({"p": LCP(*chain(8))}, ["psor"], repeats=1, out=out).found == 0
-    assert (
-        study({"p": LCP(*chain(8))}, [("psor", {"relaxation": 1.1})], repeats=1, out=out).found == 0
-    )
-    assert study({"p": LCP(*chain(8))}, ["psor"], repeats=2, out=out).found == 0
-    assert study({"p": LCP(*chain(8))}, ["psor"], repeats=2, tolerance=1e-6, out=out).found == 0
-    assert study({"p": LCP(*chain(9))}, ["pgs"], repeats=1, out=out).found == 1
-
-
-def test_rows_of_another_machine_are_measured_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Seconds belong to a processor and its versions."""
-    study(chain, ["psor"], [9], repeats=1, out=tmp_path / "r.csv")
-    monkeypatch.setattr(collecting, "machine", lambda: {"processor": "another"})
-    assert study(chain, ["psor"], [9], repeats=1, out=tmp_path / "r.csv").found == 0
-
-
-def test_a_method_that_raises_is_a_row_and_the_others_are_measured(tmp_path: Path) -> None:
-    """The row says ERROR with the line of the mistake; mended, it alone is measured again."""
-    out = tmp_path / "r.csv"
-    found = study(chain, {"mine": Damped(fails=True), "psor": "psor"}, [9], repeats=1, out=out)
-    assert [row.curve.status for row in found.rows] == ["ERROR", "SOLVED"]
-    assert "test_study.py, line " in found.rows[0].curve.note
-    assert "in iterates: IndexError" in found.rows[0].curve.note
-    again = study(chain, {"mine": Damped(), "psor": "psor"}, [9], repeats=1, out=out)
-    assert ([row.curve.status for row in again.rows], again.found) == (["SOLVED", "SOLVED"], 1)
-
-
-def test_a_size_or_a_matrix_that_is_refused_is_a_row_with_the_reason() -> None:
-    """A family may refuse a size, a scene's parameter its range, an algorithm a matrix: REFUSED, and why."""
+def test_refusals_and_errors_are_rows_with_their_reason(tmp_path: Path) -> None:
+    """A refused size, a refused matrix, a method that raises: each is a row, and the others are measured."""
     found = study([even, "half_active"], ["psor"], [4, 5], repeats=1)
-    assert [(row.n, row.curve.status) for row in found.rows] == [
-        (4, "SOLVED"),
-        (0, "REFUSED"),
-        (4, "SOLVED"),
-        (0, "REFUSED"),
-    ]
-    assert "ValueError: n must be even, got 5" in found.rows[1].curve.note
-    assert "a perfect square" in found.rows[3].curve.note
-    refused = study(LCP([[0.0, 1.0], [-1.0, 0.0]], [1.0, 1.0]), ["psor"], repeats=1).rows[0]
-    assert (refused.n, refused.curve.status) == (2, "REFUSED")
-    assert "positive diagonal" in refused.curve.note
+    assert [(row.n, row.status) for row in found.rows] == [(4, "SOLVED"), (0, "REFUSED")] * 2
+    assert "ValueError: n must be even, got 5" in found.rows[1].note
+    assert "n must be a perfect square, got 5" in found.rows[3].note
+    raising = {"mine": Richardson(ends="error"), "psor": "psor"}
+    found = study(chain, raising, [9], repeats=1, out=tmp_path / "r.csv")
+    assert [row.status for row in found.rows] == ["ERROR", "SOLVED"]
+    assert found.rows[0].note == "IndexError: out of bounds"
+    assert (tmp_path / "r.csv").read_text(encoding="utf-8") == found.to_csv()
+    refused = study(LCP([[0.0, 1.0], [-1.0, 0.0]], [1.0, 1.0]), ["psor"], repeats=1)
+    assert "psor needs a positive diagonal" in str(refused)
+    assert "nan" not in str(refused)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "options", "error", "words"),
-    [
-        ((5, ["psor"]), {}, InvalidOption, "problems must be a list"),
-        (([], ["psor"]), {}, InvalidOption, "problems must be a list"),
-        ((["half_activ"], ["psor"]), {}, InvalidOption, "did you mean 'half_active'"),
-        (
-            (QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]),
-            {},
-            InvalidOption,
-            r"LCP.from_qp\(program\.P",
-        ),
-        ((chain, ["psr"], [4]), {}, UnknownAlgorithm, "did you mean 'psor'"),
-        ((chain, ["psor"], [0]), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),
-        ((chain, ["psor"], "4"), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),
-        ((chain, ["psor"], [4]), {"repeats": 0}, InvalidOption, "repeats must be a whole number"),
-        ((chain, ["psor"], [4]), {"max_work": 0}, InvalidOption, "max_work must be a number > 0"),
-        ((chain, ["psor"], [4]), {"tolerance": -1.0}, InvalidOption, "tolerance must be"),
-        ((chain, ["psor"], [4]), {"max_seconds": "1"}, InvalidOption, "max_seconds must be"),
-        ((chain, ["psor"], [4]), {"progress": 5}, InvalidOption, "progress must be a callable"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_before_anything_runs(
-    arguments: Any, options: dict[str, Any], error: type[Exception], words: str
-) -> None:
-    """A misspelt name, another kind of problem, a size of 0: one line says what to write."""
-    with pytest.raises(error, match=words):
-        study(*arguments, **options)
+# --- References -----------------------------------------------------------------------------------------------
 
 
-def test_a_file_of_something_else_is_not_overwritten(tmp_path: Path) -> None:
-    """A CSV that is no file of results is refused, and left alone."""
-    (tmp_path / "r.csv").write_text("a,b\n1,2\n", encoding="utf-8")
-    with pytest.raises(UnreadableFile, match="holds no results of a study"):
-        study(chain, ["psor"], [4], out=tmp_path / "r.csv")
-    assert (tmp_path / "r.csv").read_text(encoding="utf-8") == "a,b\n1,2\n"
+def test_references_are_rows_of_symmetric_problems() -> None:
+    """A convex solver of cvxpy is one point; it is left out, with the reason, if M is not symmetric."""
+    found = error_against_time(scene(), ["pgs"], ("CLARABEL", "OSQP"), repeats=1)
+    clarabel = found.row("CLARABEL")
+    assert (clarabel.family, clarabel.status, len(clarabel.points)) == ("reference", "OPTIMAL", 1)
+    assert 0.0 < clarabel.error < 1e-2  # half of the active rows are degenerate
+    assert clarabel.seconds > 0.0
+    windy = gallery.build("optimal_stopping", size=4)
+    found = error_against_time(windy, ["pgs"], ("CLARABEL",), repeats=1)
+    assert [row.method for row in found.rows] == ["pgs"]
+    assert any("no convex solver, M is not symmetric" in note for note in found.notes)
 
 
-# --- Views: tables --------------------------------------------------------------------------------------------
+LAZY = """
+import sys
+from lcp_plugin import gallery, error_against_time
+error_against_time(gallery.parse({scene!r}), ["pgs"], repeats=1)
+print([name for name in {names!r} if name in sys.modules])
+"""
 
 
-def test_exponents_are_fitted_where_there_is_a_power() -> None:
-    """3 n^1.5 has exponent 1.5; what is no power, or too few sizes, has none."""
-    powers = [("p", n, "a", 3.0 * n**1.5) for n in (100, 400, 1600)]
-    jumps = [("p", n, "b", work) for n, work in ((100, 10.0), (400, 500.0), (1600, 20.0))]
-    few = [("q", n, "a", float(n)) for n in (100, 400)]
-    found = made(*powers, *jumps, *few)
-    assert found.exponent("p", "a") == pytest.approx(1.5, abs=1e-12)
-    assert math.isnan(found.exponent("p", "b"))
-    assert math.isnan(found.exponent("q", "a"))
-    (p, q) = found.table("work")
-    assert (p.columns[-1], p.rows[0][-1], q.columns[-1]) == ("exponent", 1.5, "n = 400")
+@pytest.mark.full
+@pytest.mark.parametrize("text", ["random_h_plus:n=20", "optimal_stopping:size=4"])
+def test_nothing_heavy_loads_without_need(text: str) -> None:
+    """No convex solver without a reference, no picture unless drawn."""
+    assert printed_by(LAZY.format(scene=text, names=["cvxpy", "matplotlib", "rich"])) == "[]"
 
 
-def test_tables_say_how_a_run_ended_that_gave_no_answer() -> None:
+# --- Views ----------------------------------------------------------------------------------------------------
+
+
+def test_csv_has_a_line_per_point_with_every_digit(tmp_path: Path) -> None:
+    """The file that grows while the study runs, `save` and `to_csv` are the same text."""
+    found = study(
+        scene(), ["pgs", "gfp"], repeats=1, references=("CLARABEL",), out=tmp_path / "a.csv"
+    )
+    found.save(tmp_path / "b.csv")
+    texts = {(tmp_path / name).read_text(encoding="utf-8") for name in ("a.csv", "b.csv")}
+    assert texts == {found.to_csv()}
+    lines = list(csv.DictReader(io.StringIO(found.to_csv())))
+    assert tuple(lines[0]) == COLUMNS
+    assert len(lines) == sum(len(row.points) for row in found.rows)
+    errors = [float(line["error"]) for line in lines if line["method"] == "gfp"]
+    assert errors == found.row("gfp").column("error").tolist()
+
+
+def test_tables_tell_how_a_run_ended_without_a_result() -> None:
     """A cell holds the value of a solved run, else its status in words."""
     (table,) = made(("p", 4, "a", 7.0), ("p", 4, "b", -7.0)).table("iterations")
     assert [list(row) for row in table.rows] == [["a", 7], ["b", "stalled"]]
     assert table.to_markdown().splitlines()[2:] == ["| a | 7 |", "| b | stalled |"]
-
-
-def test_profile_is_that_of_dolan_and_more() -> None:
-    """The share of problems that a method solves within a multiple of the best, by its definition."""
-    found = made(("p", 4, "a", 10.0), ("p", 4, "b", 20.0), ("q", 4, "a", -5.0), ("q", 4, "b", 30.0))
-    (table,) = found.table("profile")
-    assert [list(row) for row in table.rows] == [
-        ["a", 0.5, 0.5, 0.5, 0.5],
-        ["b", 0.5, 1.0, 1.0, 1.0],
-    ]
+    assert str(table).startswith("p: iterations\n\n| method | n = 4 |")
 
 
 TABLE = Table(
-    "a_b, δ = 4",
-    ("method", "the n", "Res"),
+    "t",
+    ("method", "n", "Res"),
     [("p&q", 100, 1.5e-6), ("p&q", 20_000, 2.5e-7), ("r", None, -3.0)],
 )
 
 
-def test_numbers_are_shown_with_three_digits_and_kept_with_all(tmp_path: Path) -> None:
+def test_numbers_are_shown_with_three_digits_and_kept_with_all() -> None:
     """Markdown shows a column alike, with a dash for nothing; CSV keeps every digit."""
     assert TABLE.to_markdown().splitlines()[2:] == [
         "| p&q | 100 | 1.5e-6 |",
@@ -342,236 +349,167 @@ def test_numbers_are_shown_with_three_digits_and_kept_with_all(tmp_path: Path) -
         "| r | – | -3.0e0 |",
     ]
     assert TABLE.to_csv().splitlines()[1] == "p&q,100,1.5e-06"
-    with pytest.raises(InvalidOption, match=r"a table must end in .tex, .md, .csv, got 't.txt'"):
-        save_tables([TABLE], tmp_path / "t.txt")
 
 
-def test_latex_is_escaped_and_aligned() -> None:
-    """Booktabs rules, siunitx columns wide enough for their numbers, texts in braces, signs of TeX escaped."""
-    text = TABLE.to_latex()
-    assert r"\begin{tabular}{l S[table-format=5] S[table-format=-1.1e-1]}" in text
-    assert r"\caption{a\_b, $\delta$ = 4}" in text
-    assert r"p\&q & 100 & 1.5e-6 \\" in text
-    assert r"{--}" in text
-    for rule in ("toprule", "midrule", "bottomrule"):
-        assert f"\\{rule}" in text
+def test_profile_is_that_of_dolan_and_more() -> None:
+    """Ratios to the least of each problem; a method that fails or is left out has the ratio ∞."""
+    works = {"p": {"a": 10, "b": 20}, "q": {"a": 30, "b": -5}, "r": {"b": 7}, "s": {"a": -1}}
+    rows = [(name, 4, method, work) for name, own in works.items() for method, work in own.items()]
+    profile = made(*rows).profile("work")
+    assert profile["a"].tolist() == [1.0, 1.0, math.inf]
+    assert profile["b"].tolist() == [1.0, 2.0, math.inf]
+    assert (profile["b"] <= 1.0).mean() == pytest.approx(1 / 3)
+    assert made(("p", 4, "a", 1e-300), ("p", 4, "b", 3)).profile()["b"].tolist() == [3.0]
 
 
-def compiled(path: Path) -> str:
-    """The log of pdflatex for a document that holds the tables and nothing else."""
-    packages = r"\documentclass{article}\usepackage{booktabs,siunitx}"
-    document = rf"{packages}\begin{{document}}\input{{{path.name}}}\end{{document}}"
-    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-jobname=alone", document]
-    done = subprocess.run(command, cwd=path.parent, capture_output=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stdout[-800:]
-    return (path.parent / "alone.log").read_text(encoding="latin-1")
+def test_plot_names_every_curve_and_its_axis(tmp_path: Path) -> None:
+    """The axes are logarithmic and say which error they show; the legend names each curve and covers no axes."""
+    found = error_against_time(scene(), repeats=1)
+    figure = found.plot(against="work")
+    (axes,) = figure.axes
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    assert "true error" in axes.get_ylabel()
+    names = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert names == {row.method for row in found.rows}
+    assert len(names) == 12
+    assert hides_nothing(figure)
+    assert axes.get_position().height > 0.4
+    found.save(tmp_path / "curves.svg", against="work")
+    assert (tmp_path / "curves.svg").stat().st_size > 1000
 
 
-@pytest.mark.full
-@pytest.mark.skipif(
-    shutil.which("pdflatex") is None, reason="no pdflatex: apt-get install texlive-science"
-)
-def test_the_paper_s_tables_compile_without_a_warning(tmp_path: Path) -> None:
-    """Both tables, and those of a study, are set by pdflatex; its log warns of nothing and no box is too wide."""
-    cells = list(paper_tables.cells())
-    save_tables(
-        [paper_tables.paper_table(cells, example) for example in (1, 2)], tmp_path / "paper.tex"
-    )
-    powers = [(p, n, "a_b", 3.0 * n**0.5) for p in "pq" for n in (100, 400, 900, 1600)]
-    made(*powers, ("p", 100, "c", -1.0)).save("work", tmp_path / "study.tex")
-    for name in ("paper", "study"):
-        log = compiled(tmp_path / f"{name}.tex").replace("infwarerr", "")
-        assert not [line for line in log.splitlines() if "Warning" in line or "full \\hbox" in line]
-
-
-# --- Views: pictures ------------------------------------------------------------------------------------------
+def test_no_two_curves_look_alike_in_grey() -> None:
+    """Each of twelve curves has a marker of its own."""
+    figure = made(*[("p", n, str(k), 1.0 + k) for n in (4, 9) for k in range(12)]).plot("work")
+    assert len({line.get_marker() for line in figure.axes[0].lines}) == 12
 
 
 @pytest.mark.full
-def test_pictures_are_as_wide_as_a_column_or_a_page() -> None:
-    """One problem makes 3.5 inches, several 7.1; names with their exponents stand below each panel."""
-    pytest.importorskip("matplotlib")
-    powers = [
-        (p, n, m, k * n**0.5)
-        for p in "pq"
-        for n in (100, 400, 1600)
-        for m, k in (("a", 1.0), ("b", 9.0))
-    ]
-    one, two = (
-        made(*[row for row in powers if row[0] in which]).plot("work") for which in ("p", "pq")
-    )
-    assert (one.get_size_inches()[0], two.get_size_inches()[0]) == (3.5, 7.1)
-    for figure in (one, two):
-        assert hides_nothing(figure)
-        for part in figure.subfigs:
-            assert [text.get_text() for text in part.legends[0].get_texts()] == [
-                "a  $n^{0.50}$",
-                "b  $n^{0.50}$",
-            ]
-    assert [axes.get_title("left") for axes in two.axes] == ["p", "q"]
-    assert two.axes[0].get_ylabel() == "work [passes over M]"
-    assert two.axes[1].get_xlabel() == "unknowns n"
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("view", [view for view in VIEWS if view != "results"])
+@pytest.mark.parametrize("view", ["curves", "profile", "iterations", "work", "seconds", "residual"])
 def test_every_view_is_a_picture(view: str, tmp_path: Path) -> None:
-    """Each view that is one is drawn and saved as PDF, SVG and PNG."""
-    pytest.importorskip("matplotlib")
-    found = study(
-        [chain, "half_active"], ["npsor", "psor", Damped()], [16, 64, 256], repeats=1, curves=True
-    )
+    """Each view is drawn and saved; several problems make a page of panels, one a column."""
+    found = study([chain, "half_active"], ["npsor", "psor", Richardson()], [16, 64], repeats=1)
     for ending in ("pdf", "svg", "png"):
-        found.save(view, tmp_path / f"v.{ending}")
+        found.save(tmp_path / f"v.{ending}", view)
         assert (tmp_path / f"v.{ending}").stat().st_size > 2000
+    width = found.plot(view).get_size_inches()[0]
+    assert width == (3.5 if view == "profile" else 7.1)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("ending", [".pdf", ".svg", ".png"])
+def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) -> None:
+    """PDF holds TrueType fonts, as journals ask for; a user's settings of matplotlib neither change nor matter."""
+    import matplotlib as mpl
+
+    found = error_against_time(scene(), ["pgs"], repeats=1)
+    with mpl.rc_context({"pdf.fonttype": 3}):
+        before = dict(mpl.rcParams)
+        found.save(tmp_path / f"curves{ending}")
+        draw(solve(scene().problem, record=True), tmp_path / f"answer{ending}", scene())
+        assert dict(mpl.rcParams) == before
+    for name in ("curves", "answer"):
+        content = (tmp_path / f"{name}{ending}").read_bytes()
+        assert b"/Type3" not in content
+        assert (b"/TrueType" in content or b"/CIDFontType2" in content) == (ending == ".pdf")
 
 
 def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
-    """Where no run gave an answer there is no file with empty axes; a problem without one says so in its panel."""
-    pytest.importorskip("matplotlib")
+    """Without a solved run there is no file with empty axes; a problem without one says so in its panel."""
     failed = made(("p", 4, "a", -7.0))
-    for view in ("work", "profile"):
-        with pytest.raises(InvalidOption, match="nothing to draw: no run gave an answer"):
-            failed.save(view, tmp_path / "v.png")
-        assert not (tmp_path / "v.png").exists()
+    with pytest.raises(InvalidOption, match="nothing to draw: no run has a result"):
+        failed.save(tmp_path / "v.png", "work")
+    assert not (tmp_path / "v.png").exists()
     figure = made(("p", 4, "a", -7.0), ("q", 4, "a", 7.0)).plot("work")
-    assert [text.get_text() for text in figure.axes[0].texts] == ["no answer: print() says why"]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["no result: print() tells why"]
     assert not figure.axes[1].texts
 
 
-def test_a_file_of_measurements_says_what_it_can_be(tmp_path: Path) -> None:
-    """One verb saves: the ending says what; another ending, and what is for a picture alone, are refused in words."""
-    report = made(("p", 4, "a", 7.0)).reports()[0]
-    with pytest.raises(
-        InvalidOption, match=r"must end in .png, .pdf, .svg, .csv, .json, got 'r.txt'"
-    ):
-        report.save(tmp_path / "r.txt")
-    with pytest.raises(InvalidOption, match=r"against is for a picture .*got 'r.csv'"):
-        report.save(tmp_path / "r.csv", against="work")
+# --- What cannot be used --------------------------------------------------------------------------------------
 
 
-def test_a_class_in_place_of_an_object_is_told() -> None:
-    """study([Mine]) says to write Mine(); a table prints as one."""
-    with pytest.raises(InvalidOption, match=r"got the class Damped; write Damped\(\)"):
-        study("half_active", [Damped], [16])
-    assert str(made(("p", 4, "a", 7.0)).table()[0]).startswith(
-        "p: iterations\n\n| method | n = 4 |"
-    )
+@pytest.mark.parametrize(
+    ("arguments", "options", "error", "words"),
+    [
+        ((5, ["psor"]), {}, InvalidOption, "problems must be problems"),
+        (([], ["psor"]), {}, InvalidOption, "problems must be problems"),
+        ((["half_activ"], ["psor"]), {}, InvalidOption, "did you mean 'half_active'"),
+        ((QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]), {}, InvalidOption, "QuadraticProgram"),
+        ((chain, ["psr"], [4]), {}, UnknownAlgorithm, "did you mean 'psor'"),
+        ((chain, 5, [4]), {}, InvalidOption, r'methods must be names .* got 5; write \["psor"\]'),
+        ((chain, [Richardson], [4]), {}, InvalidOption, "a method is a name, an Algorithm object"),
+        ((chain, ["psor"], [0]), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),
+        ((chain, ["psor"], "4"), {}, InvalidOption, "sizes must be whole numbers ≥ 1"),
+        ((chain, ["psor"], [4]), {"repeats": 0}, InvalidOption, "repeats must be a whole number"),
+        ((chain, ["psor"], [4]), {"tolerance": -1.0}, InvalidOption, "tolerance must be"),
+        ((chain, ["psor"], [4]), {"max_seconds": "1"}, InvalidOption, "max_seconds must be"),
+        ((chain, ["psor"], [4]), {"progress": 5}, InvalidOption, "progress must be a callable"),
+        ((chain, ["psor"], [4]), {"references": "OSQP"}, InvalidOption, "must be a list of names"),
+        ((chain, ["psor"], [4]), {"references": ["OSQPP"]}, InvalidOption, "cvxpy has no solver 'OSQPP'"),
+    ],
+)  # fmt: skip
+def test_arguments_are_refused_before_anything_runs(
+    arguments: Any, options: dict[str, Any], error: type[Exception], words: str
+) -> None:
+    """A misspelt name, another kind of problem, a size of 0: one line says what to write."""
+    with pytest.raises(error, match=words):
+        study(*arguments, **options)
 
 
-def test_a_missing_exponent_is_told() -> None:
-    """A table says why a method has no exponent: too few solved sizes, or no power; one that has is a number."""
-    powers = [("p", n, "a", n**0.5) for n in (4, 64, 256)]
-    jumps = [("p", n, "b", y) for n, y in ((4, 1.0), (64, 90.0), (256, 2.0))]
-    few = [("p", n, "c", y) for n, y in ((4, 2.0), (64, 8.0), (256, -9.0))]
-    rows = made(*powers, *jumps, *few).table("work")[0].rows
-    assert [row[-1] for row in rows] == [0.5, "no power", "needs 3 solved sizes"]
-
-
-def test_why_there_is_no_answer_is_printed() -> None:
-    """A method that refuses, and a family called without sizes, say why in print(study), without a NaN."""
-
-    def family(n: int) -> LCP:
-        return LCP(*chain(n))
-
-    told = str(
-        study(
-            {"own": LCP([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0]), "family": family},
-            ["psor"],
-            repeats=1,
-        )
-    )
-    assert "nan" not in told
-    assert "psor needs a positive diagonal, but M[0, 0] = 0.0" in told
-    assert "family needs a size (sizes=[100], --size 100)" in told
-
-
-def test_a_view_that_does_not_exist_is_refused() -> None:
-    """A misspelt view is guessed; curves that were not kept are asked for; results are no picture."""
-    pytest.importorskip("matplotlib")
+def test_views_and_files_that_do_not_exist_are_refused(tmp_path: Path) -> None:
+    """A misspelt view, another axis, another ending and a method without a row are named."""
     found = made(("p", 4, "a", 7.0))
     for call, words in (
-        (lambda: found.table("wrk"), "unknown view 'wrk'; did you mean 'work'"),
-        (lambda: found.plot("curves"), r"kept no curves; write study\(…, curves=True\)"),
-        (lambda: found.plot("results"), "results are a table"),
-        (lambda: found.table("curves"), "curves are a picture"),
+        (lambda: found.table("wrk"), "view must be one of iterations, work"),
+        (lambda: found.plot("results"), "view must be one of curves, profile"),
+        (lambda: found.plot(against="time"), "against must be one of seconds"),
+        (lambda: found.save(tmp_path / "r.txt"), r"is saved as .png, .pdf, .svg, .csv, .md"),
+        (lambda: found.row("b"), "no row of 'b'"),
+        (lambda: error_against_time(np.eye(2)), "needs an LCP, got ndarray"),
     ):
         with pytest.raises(InvalidOption, match=words):
             call()
 
 
-# --- Maps of stability ----------------------------------------------------------------------------------------
+# --- The methods ----------------------------------------------------------------------------------------------
 
 
-def test_a_map_tells_wrong_from_hidden_from_honest() -> None:
-    """A lie, or an error that condition × residual does not explain, is wrong; explained it is hidden; else honest."""
-
-    def cell(
-        status: str, error: float, condition: float, *, told: bool = True, family: str = "ranges"
-    ) -> Cell:
-        lost = max(0.0, math.log10(error / (condition * 1e-9))) if error else 0.0
-        return Cell(
-            "psor", "contrast 1e8", family, condition, status, error, 1e-9, None, lost, told
-        )
-
-    assert cell("SOLVED", 1e-7, 10.0).outcome == "right"
-    assert cell("SOLVED", 0.1, 1e9).outcome == HIDDEN
-    assert cell("SOLVED", 0.1, 10.0).outcome == WRONG
-    assert cell("SOLVED", 0.1, 1e9, family="proved ranges").outcome == WRONG
-    assert cell("SOLVED", 0.0, 10.0, told=False).outcome == WRONG
-    assert cell("ERROR", 0.0, 10.0, told=False).outcome == "raised an error"
-    assert cell("STALLED", 0.5, 10.0).outcome == "says that it failed"
-    assert cell("REFUSED", 0.0, 10.0).outcome == "refused"
+@pytest.mark.parametrize(
+    ("given", "labels"),
+    [
+        ([("npsor", {"relaxation": 1.5}), "auto"], ["npsor relaxation=1.5", "auto"]),
+        (("npsor", {"relaxation": 1.5}), ["npsor relaxation=1.5"]),
+        ([("auto", {})], ["auto"]),
+        ({"mine": ("npsor", {"relaxation": 1.5}), 2: "psor"}, ["mine", "2"]),
+        (["psor", "psor"], ["psor"]),
+        ([create("npsor", {"relaxation": 1.2})], ["npsor relaxation=1.2"]),
+    ],
+)
+def test_methods_are_named_by_label_or_by_their_options(given: Any, labels: list[str]) -> None:
+    """A name with its options is a method, alone, in a list, and under a label."""
+    assert [one.label for one in methods_of(given)] == labels
 
 
-@pytest.mark.full
-def test_nothing_is_wrong_but_solved_and_a_proved_error_hides_nothing(tmp_path: Path) -> None:
-    """Over all ranges no method is wrong; SOLVED by a proved error is right everywhere it is said."""
-    pytest.importorskip("matplotlib")
-    atlas = stability_atlas(
-        ["auto", "npsor", "psor", "newton"], ["ranges", "proved ranges"], quick=True
-    )
-    outcomes = {
-        family: {cell.outcome for cell in atlas.cells if cell.family == family}
-        for family in ("ranges", "proved ranges")
-    }
-    assert WRONG not in outcomes["ranges"]
-    assert outcomes["proved ranges"] == {"right", "says that it failed"}
-    assert not atlas.lies
-    for family in outcomes:
-        figure = atlas.plot(family=family)
-        atlas.save(tmp_path / "map.png", family=family)
-        assert [axes.get_title("left") for axes in figure.axes] == [
-            "auto",
-            "npsor",
-            "psor",
-            "newton",
-        ]
-        assert len(figure.legends[0].get_texts()) == len(OUTCOMES)
+def test_two_methods_of_one_label_are_refused() -> None:
+    """A method of the user that is called as one of ours takes no other's place."""
 
+    class Psor(Richardson):
+        name = "psor"
 
-def test_a_method_of_one_s_own_has_its_map() -> None:
-    """The atlas takes objects beside names, and tells from each other one that raises and one that gives up."""
-    atlas = stability_atlas([Damped(), Damped(fails=True), "psor"], ["far starts"], quick=True)
-    found = {
-        name: {cell.outcome for cell in atlas.cells if cell.algorithm == name}
-        for name in ("damped", "damped fails=True", "psor")
-    }
-    assert found == {
-        "damped": {"right", "says that it failed"},
-        "damped fails=True": {"raised an error"},
-        "psor": {"right"},
-    }
-
-
-def test_an_atlas_without_ranges_has_no_map() -> None:
-    """What is missing is named."""
-    with pytest.raises(InvalidOption, match="this atlas has no 'ranges'"):
-        Atlas(()).plot()
-
-
-def test_two_methods_of_one_name_are_refused() -> None:
-    """An own method that is called as one of ours takes nobody's place; the same method twice is one."""
     with pytest.raises(InvalidOption, match="two methods are called 'psor'"):
-        contestants([*contestants({"psor": "pgs"}), "psor"])
-    assert [one.label for one in contestants(["psor", "psor"])] == ["psor"]
+        methods_of([Psor(), "psor"])
+
+
+def test_the_default_comparison_holds_the_promise() -> None:
+    """The paper's methods are there with its settings and with ours, next to modulus, fixed point and relaxation."""
+    labels = {one.label for one in methods_of(None)}
+    paper = {"NPGS paper", "NPSOR paper", "MGS paper", "MSOR paper"}
+    assert labels >= paper | {"NPGS", "NPSOR", "NPAOR", "GFP", "PGS", "PSOR", "auto"}
+
+
+def test_points_have_the_documented_columns() -> None:
+    """Seven columns, as the docstring of Measurement lists them."""
+    row = measured(scene(), "pgs")
+    assert row.points.shape[1] == len(POINT) == 7
+    assert all(before < after for before, after in itertools.pairwise(row.column("iteration")))
+    assert dataclasses.is_dataclass(row)

@@ -52,8 +52,7 @@ from lcp_plugin.core.kind import COMMANDS, WAYS, kind_of
 from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.answer import Answer
 from lcp_plugin.evidence.cross_check import cross_validate
-from lcp_plugin.evidence.error_against_time import error_against_time
-from lcp_plugin.evidence.study import study
+from lcp_plugin.evidence.study import error_against_time, study
 from lcp_plugin.interfaces.nl import read_nl, write_nl
 from lcp_plugin.interfaces.nl.answers import CODES
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
@@ -213,13 +212,11 @@ def by_cross_validation(sample: Sample, folder: Path) -> None:
 
 
 def by_curves(sample: Sample, folder: Path) -> None:
-    assert error_against_time(sample.problem, ["lemke"], repeats=1).curves
+    assert error_against_time(sample.problem, ["lemke"], repeats=1).rows
 
 
 def by_study(sample: Sample, folder: Path) -> None:
-    assert [row.curve.label for row in study(sample.problem, ["lemke"], repeats=1).rows] == [
-        "lemke"
-    ]
+    assert [row.method for row in study(sample.problem, ["lemke"], repeats=1).rows] == ["lemke"]
 
 
 def by_files(sample: Sample, folder: Path) -> None:
@@ -360,28 +357,16 @@ def by_command_check(sample: Sample, folder: Path) -> None:
     assert command("check", folder / "p.npz").exit_code in (0, 1)
 
 
-def by_command_certify(sample: Sample, folder: Path) -> None:
-    for path in files_of(sample, folder):
-        found = command("certify", path)
-        assert found.exit_code == 0, found.output
-        assert "proved" in found.output
-
-
 def by_command_analyze(sample: Sample, folder: Path) -> None:
     sample.problem.save(folder / "p.npz")
     assert command("analyze", folder / "p.npz", "--json").exit_code == 0
 
 
-def by_command_study(sample: Sample, folder: Path) -> None:
+def by_command_compare(sample: Sample, folder: Path) -> None:
     sample.problem.save(folder / "p.npz")
-    done = command("study", folder / "p.npz", "-a", "lemke", "--out", folder / "s.csv")
+    done = command("compare", folder / "p.npz", "-a", "lemke", "--repeats", "1")
     assert done.exit_code == 0, done.output
-    assert "1 row\n" in done.output
-
-
-def by_command_report(sample: Sample, folder: Path) -> None:
-    """That the report takes files is tested with the report; here, that the name is known."""
-    assert command("report", "--help").exit_code == 0
+    assert "lemke" in done.output
 
 
 TRIALS: dict[str, Callable[[Sample, Path], None]] = {
@@ -408,10 +393,8 @@ TRIALS: dict[str, Callable[[Sample, Path], None]] = {
     "qpsolvers": by_qpsolvers,
     "lcp-plugin solve": by_command_solve,
     "lcp-plugin check": by_command_check,
-    "lcp-plugin certify": by_command_certify,
     "lcp-plugin analyze": by_command_analyze,
-    "lcp-plugin study": by_command_study,
-    "lcp-plugin report": by_command_report,
+    "lcp-plugin compare": by_command_compare,
 }
 REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
     "solve_batch": lambda p, _: solve_batch([p]),

@@ -162,10 +162,10 @@ class Answer:
         Parameters
         ----------
         **how
-            Of :func:`lcp_plugin.evidence.plots.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns' grid,
-            or ``rows`` and their coordinates ``over``, for z and w.
+            Of :func:`lcp_plugin.evidence.pictures.plot_answer`: ``axes`` to draw into, ``shape`` of the unknowns'
+            grid.
         """
-        from ...evidence.plots import plot_answer
+        from ...evidence.pictures import plot_answer
 
         return plot_answer(self, **how)
 

@@ -2,9 +2,9 @@
 
 What to expect of sweeps:
 
-- On the paper's two examples, where no constraint is active, NPSOR(1.7) needs 12–17 iterations (``lcp-plugin tables``)
-  and plain projected Gauss–Seidel 10–16 (``lcp-plugin solve paper_example_1 -a pgs --tolerance 1e-5``, and
-  ``paper_example_2``).
+- On the paper's two examples, where no constraint is active, NPSOR(1.7) needs 12–17 iterations
+  (``examples/paper_tables.py``) and plain projected Gauss–Seidel 10–16 (``lcp-plugin solve paper_example_1 -a pgs
+  --tolerance 1e-5``, and ``paper_example_2``).
 - Where constraints are active, the np* methods need their row scaling, which is on by default.
 - psor finds a relaxation that needs at most twice the iterations of the best fixed one on a plain obstacle problem.
 - On a fine grid all of them are slow: with the best relaxation the iterations grow with the number of nodes across,

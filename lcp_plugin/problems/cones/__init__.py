@@ -21,10 +21,8 @@ _REFUSED: dict[str, str] = {
     "error_bound": "nothing bounds the error over cones; result.certificate has the residuals",
     "certify": "solve(problem, z0=z, max_iterations=0).certificate has the residuals of any z",
     "lcp-plugin check": "lcp-plugin solve judges it",
-    "lcp-plugin certify": "lcp-plugin solve judges it",
     "lcp-plugin analyze": "lcp-plugin solve takes it",
-    "lcp-plugin study": "lcp-plugin solve takes it",
-    "lcp-plugin report": "lcp-plugin solve takes it",
+    "lcp-plugin compare": "lcp-plugin solve takes it",
 }
 
 

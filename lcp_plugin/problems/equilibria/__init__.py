@@ -20,7 +20,7 @@ EQUILIBRIUM_PROGRAM = Kind(
         "qpsolvers": "its program has no place for pairs: write solve(problem)",
         **{
             f"lcp-plugin {name}": "lcp-plugin solve --option prove=true proves its bound"
-            for name in ("check", "certify", "analyze", "study")
+            for name in ("check", "analyze", "compare")
         },
     },
 )

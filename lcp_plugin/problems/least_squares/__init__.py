@@ -17,7 +17,7 @@ BOUNDED_LEAST_SQUARES = Kind(
         "save": "numpy.savez(path, A=A, b=b) saves it, and load_problem(path) reads it",
         **{
             f"lcp-plugin {name}": "lcp-plugin solve proves a gap"
-            for name in ("check", "certify", "analyze", "study", "report")
+            for name in ("check", "analyze", "compare")
         },
     },
 )

@@ -107,12 +107,6 @@ class AnswerSequence(Results[T]):
             raise NotConverged(self.explain())
         return self
 
-    def plot(self, **how: Any) -> Any:
-        """Return matplotlib's axes with a picture of the answers; see :meth:`Answer.plot`."""
-        from ...evidence.plots import plot_answer
-
-        return plot_answer(self, **how)
-
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self)} {self.ITEM}s: {self.counts()}; {self.seconds:.3g} s)"
 

@@ -20,6 +20,5 @@ NONLINEAR_PROBLEM = Kind(
         "save": "it is made of functions: state it in cvxpy, Pyomo or AMPL, whose .nl files are read",
         "qpsolvers": "its program has no place for it: write solve(problem, x0=…)",
         "lcp-plugin check": "a convex solver has nothing to compare with: lcp-plugin solve judges it",
-        "lcp-plugin certify": "lcp-plugin solve judges it",
     },
 )

@@ -14,7 +14,6 @@ QUADRATIC_PROGRAM = Kind(
         "pickle",
         *LANGUAGES,
         "lcp-plugin solve",
-        "lcp-plugin certify",
     ),
     "LCP.from_qp(program.P, program.c, …) makes an LCP of it",
     {
@@ -28,11 +27,11 @@ QUADRATIC_PROGRAM = Kind(
         "absolute_tolerance=": "a program is judged by its own residuals, leave it out",
         "error_bound": "certify(program, x) bounds the objective and the distance",
         "analyze": "program.is_convex says whether P is positive semidefinite, analyze(program.P) the rest",
-        "cross_validate": "certify(program, x) judges anybody's answer; lcp-plugin certify compares solvers",
+        "cross_validate": "certify(program, x) judges anybody's answer",
         "save": "numpy.savez(path, P=…, c=…, …) saves its arrays, and load_problem(path) reads them",
-        "lcp-plugin check": "lcp-plugin certify compares solvers on a program",
-        "lcp-plugin analyze": "lcp-plugin solve and certify take a program",
-        "lcp-plugin study": "lcp-plugin certify compares solvers on a program",
-        "lcp-plugin report": "lcp-plugin solve and certify take a program",
+        **{
+            f"lcp-plugin {name}": "lcp-plugin solve takes a program, certify(program, x) proves a solution"
+            for name in ("check", "analyze", "compare")
+        },
     },
 )

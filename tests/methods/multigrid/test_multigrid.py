@@ -20,7 +20,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.core.kernels import threads
-from lcp_plugin.evidence.contestants import fresh
+from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery.stencil import balanced_matrix
 from lcp_plugin.methods.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.problems.batches.batch import prepare

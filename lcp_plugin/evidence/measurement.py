@@ -1,0 +1,240 @@
+"""A measurement: one method on one problem, its error and residual along the run.
+
+A run has the clock of `solve`, which stands still while an error is measured and does not count compilation. Each run
+gets a fresh LCP on the same arrays, so that no cached fact about M shortens its set-up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..api import solve
+from ..core.algorithm import Algorithm
+from ..core.certificates.residuals import Certificate
+from ..core.checks import FloatVector
+from ..core.errors import UnsuitableMatrix
+from ..core.lcp import LCP
+from ..core.settings import Status
+from ..core.solving.result import Result, Sample
+from ..gallery.scene import Scene
+from .methods import Method
+
+TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
+POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
+SAMPLING = 1.08  # ratio of the iterations of two samples
+
+Measure = Callable[[FloatVector], tuple[float, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """One method on one problem: a row of a study.
+
+    Attributes
+    ----------
+    problem : str
+        Label of the problem.
+    size : int or None
+        The size requested; None if the problem has one size.
+    n, nonzeros : int
+        0 if the problem could not be built.
+    method, family : str
+        Label of the method, and the family of algorithms it belongs to; "reference" for a convex solver.
+    status : str
+        Name of a :class:`lcp_plugin.Status`; cvxpy's status of a reference; REFUSED if the method does not take the
+        problem; ERROR if it raised.
+    error_kind : {"true error", "rigorous bound", "residual"}
+        Kind of the errors; the first two in the unit of z.
+    tolerance : float
+        Relative residual requested.
+    points : ndarray, shape (k, 7)
+        Iteration, work (passes over M), seconds (median over the repeats) with quartiles, error and relative residual.
+        The first point is the set-up, the last one the result.
+    note : str
+        Reason of a refusal or an error, choice of options.
+
+    Examples
+    --------
+    >>> from lcp_plugin import gallery
+    >>> from lcp_plugin.evidence.study import study
+    >>> row = study(gallery.half_active(n=100), "pgs", repeats=1).rows[0]
+    >>> row.method, row.status, row.iterations == row.points[-1, 0]
+    ('pgs', 'SOLVED', True)
+    """
+
+    problem: str
+    size: int | None
+    n: int
+    nonzeros: int
+    method: str
+    family: str
+    status: str
+    error_kind: str
+    tolerance: float
+    points: FloatVector = field(default_factory=lambda: np.zeros((0, len(POINT))))
+    note: str = ""
+
+    @property
+    def is_solved(self) -> bool:
+        """True if the tolerance was reached."""
+        return self.status == "SOLVED"
+
+    def column(self, name: str) -> FloatVector:
+        """Return one of the columns of `points` by its name, shape (k,)."""
+        column: FloatVector = self.points[:, POINT.index(name)]
+        return column
+
+    def last(self, name: str) -> float:
+        """Return a column's value at the result; NaN if there is none."""
+        return float(self.column(name)[-1]) if len(self.points) else math.nan
+
+    @property
+    def iterations(self) -> int:
+        """Iterations until the result; 0 if there is none."""
+        value = self.last("iteration")
+        return 0 if math.isnan(value) else int(value)
+
+    @property
+    def work(self) -> float:
+        """Passes over M until the result."""
+        return self.last("work")
+
+    @property
+    def seconds(self) -> float:
+        """Median of the seconds until the result."""
+        return self.last("seconds")
+
+    @property
+    def error(self) -> float:
+        """Error of the result, of the kind `error_kind`."""
+        return self.last("error")
+
+    def __str__(self) -> str:
+        if not len(self.points):
+            return f"{self.method:<18} {self.status:<15} {self.note}"
+        steps = "" if self.family == "reference" else f"{self.iterations:>7} iterations"
+        passes = "" if self.family == "reference" else f"{self.work:>9.1f} passes"
+        return (
+            f"{self.method:<18} {self.status:<15} {steps:<18} {passes:<16} "
+            f"{self.seconds:>9.3g} s, {self.error_kind} {self.error:.1e}"
+        )
+
+
+def fresh(problem: LCP) -> LCP:
+    """Return the same problem without computed facts; the arrays are shared."""
+    return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
+
+
+def run(
+    problem: LCP,
+    algorithm: str | Algorithm,
+    measure: Measure,
+    z0: FloatVector | None,
+    **limits: Any,
+) -> tuple[Result, list[tuple[float, ...]]]:
+    """Return a result and its samples (iteration, work, seconds, error, residual) at geometric intervals.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, on which `solve` keeps the best iterate.
+    """
+    samples: list[tuple[float, ...]] = []
+    due = 0
+
+    def record(sample: Sample, z: FloatVector) -> bool:
+        nonlocal due
+        if sample.iteration >= due:
+            due = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLING))
+            samples.append((sample.iteration, sample.work, sample.seconds, *measure(z)))
+        return False
+
+    result = solve(fresh(problem), algorithm, z0=z0, callback=record, **limits)
+    if result.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    if len(samples) > 1 and samples[-1][0] >= result.iterations:
+        samples.pop()
+    samples.append((result.iterations, result.work, result.seconds, *measure(result.z)))
+    return result, samples
+
+
+def measured(
+    scene: Scene, method: Method, measure: Measure, repeats: int, **limits: Any
+) -> tuple[str, FloatVector]:
+    """Return the status and the points of a method; a first run of three steps compiles its kernels.
+
+    Errors are those of the first run, seconds the median and quartiles of all at iterations that all have reached.
+    """
+    solve(fresh(scene.problem), method.algorithm, z0=scene.start, max_iterations=3)
+    result, first = run(scene.problem, method.algorithm, measure, scene.start, **limits)
+    every = [first] + [
+        run(scene.problem, method.algorithm, _unmeasured, scene.start, **limits)[1]
+        for _ in range(repeats - 1)
+    ]
+    times = [{(one[0], one is run[-1]): one[2] for one in run} for run in every]
+    points = []
+    for one in first:
+        place = (one[0], one is first[-1])
+        if all(place in run for run in times):
+            low, middle, high = np.percentile([run[place] for run in times], (25.0, 50.0, 75.0))
+            points.append((*one[:2], middle, low, high, *one[3:]))
+    return result.status.name, np.array(points)
+
+
+def _unmeasured(z: FloatVector) -> tuple[float, float]:
+    return math.nan, math.nan
+
+
+# --- The error ------------------------------------------------------------------------------------------------
+
+
+def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
+    """Return the kind of error that this problem allows, a function z → (error, residual), and why there is no better.
+
+    The true error if z* is known; else a rigorous bound if M is an H₊-matrix and the bound is less than the solution;
+    else the relative residual. The bound of a point is its distance from one ẑ plus the bound of ẑ's own error; ẑ is a
+    solution by "auto".
+    """
+    problem, reason = fresh(scene.problem), ""
+    error: Callable[[FloatVector], float] | None = None
+    if scene.exact is not None:
+        exact = scene.exact
+        kind, error = TRUE_ERROR, lambda z: float(np.abs(z - exact).max(initial=0.0))
+    elif scene.is_declared and not scene.is_h_plus:
+        kind, reason = RESIDUAL, "no bound of the error: M is not declared to be an H₊-matrix"
+    else:
+        error, reason = _error_bound(problem, scene.start, max_seconds)
+        kind = RESIDUAL if error is None else BOUND
+
+    def measure(z: FloatVector) -> tuple[float, float]:
+        residual = Certificate.of(problem, z).relative_residual
+        return residual if error is None else error(z), residual
+
+    return kind, measure, reason
+
+
+def _error_bound(
+    problem: LCP, start: FloatVector | None, max_seconds: float
+) -> tuple[Callable[[FloatVector], float] | None, str]:
+    from ..proofs.bounds.error_bounds import error_bound
+
+    try:
+        if error_bound(problem, problem.nearest_to_zero, sharp=False).kind != "rigorous":
+            return None, "no bound of the error: this matrix allows only an estimate"
+    except UnsuitableMatrix as failure:
+        return None, f"no bound of the error: {failure}"
+    found, _ = run(problem, "auto", _unmeasured, start, max_seconds=max_seconds)
+    known = error_bound(problem, found.z)
+    least, size = known.infinity, float(np.abs(found.z).max(initial=0.0))
+    if known.near is not None:
+        least, size = (
+            float(np.abs(part).max(initial=0.0)) for part in (known.near.y, known.near.high)
+        )
+    if least > 0.0 and not least < size:
+        return None, f"no bound of the error: it is {least:.1e} for a solution of size {size:.1e}"
+    return (lambda z: float(known.carried_to(z).max(initial=0.0))), ""

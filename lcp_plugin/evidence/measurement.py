@@ -63,7 +63,7 @@ class Measurement:
     >>> from lcp_plugin import gallery
     >>> from lcp_plugin.evidence.study import study
     >>> row = study(gallery.half_active(n=100), "pgs", repeats=1).rows[0]
-    >>> row.method, row.status, row.iterations == row.points[-1, 0]
+    >>> row.method, row.status, bool(row.iterations == row.points[-1, 0])
     ('pgs', 'SOLVED', True)
     """
 

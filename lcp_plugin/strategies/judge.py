@@ -249,7 +249,10 @@ def _distance(problem: LCP, z: FloatVector, truth: Answer | None, error_toleranc
 
 def _shown(problem: LCP, truth: Truth, z: Any) -> list[str]:
     """Return lines that show the problem, so that it can be pasted, the solver's z and what is known of it."""
-    lines = [f"problem = {problem!r}", f"z = {z!r}"]
+    data = f"{problem.csr.toarray().tolist()}, {problem.q.tolist()}"
+    if problem.lower.any() or np.isfinite(problem.upper).any():
+        data += f", lower={problem.lower.tolist()}, upper={problem.upper.tolist()}"
+    lines = [f"problem = LCP({data})", f"z = {z!r}"]
     return (
         lines
         if truth is None

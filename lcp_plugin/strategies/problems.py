@@ -127,8 +127,8 @@ def solved_lcps(
     >>> from hypothesis import Phase, find, settings
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
     >>> problem, z = find(solved_lcps(), lambda drawn: True, settings=quick)
-    >>> problem, z
-    (LCP([[1.0]], [-1.0]), (Fraction(1, 1),))
+    >>> problem.M, problem.q, z
+    (array([[1.]]), array([-1.]), (Fraction(1, 1),))
     """
     chosen, row = default_matrices() if matrices is None else matrices, complementary_rows(bounds)
 

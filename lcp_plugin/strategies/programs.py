@@ -80,7 +80,7 @@ def convex_qps(
     >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
     >>> program, answer = find(convex_qps(inequalities=1), lambda drawn: True, settings=quick)
     >>> program
-    QuadraticProgram([[1.0]], [0.0], G=[[0.0]], h=[1.0], lower=-1.0, upper=1.0)
+    QuadraticProgram(n=1, 1 inequality, 0 equalities)
     >>> answer.x, answer.objective
     ((Fraction(0, 1),), Fraction(0, 1))
     """

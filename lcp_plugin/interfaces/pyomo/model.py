@@ -123,7 +123,7 @@ def stated(model: Any, path: Path) -> Statement:
     UnsupportedModel
         Naming the component that is not taken.
     """
-    if not hasattr(model, "is_constructed"):  # a block of pyomo.kernel, for one
+    if not (hasattr(model, "block_data_objects") and hasattr(model, "is_constructed")):
         raise UnsupportedModel(
             f"a Pyomo model or block is needed, got {type(model).__name__}; solve a model"
         )

@@ -18,33 +18,28 @@ and in JAX::
     jax.config.update("jax_enable_x64", True)
     from lcp_plugin.interfaces.learn.jax import lcp_layer
 
-    jax.grad(lambda q: lcp_layer(M, q).sum())(q)           # under jit and vmap, too; forwards: jax.jvp
+    jax.grad(lambda q: lcp_layer(M, q).sum())(q)           # also under jit and vmap
 
 **Shapes.** The last axis of q and of the bounds is that of the unknowns, the last two of M are its rows and columns;
 axes in front are those of a batch, and broadcast as everywhere. One M of shape (n, n) for all costs one matrix. A bound
-may be a number. What is small is solved, and differentiated, in one compiled loop on all threads
-(:func:`~lcp_plugin.solve_batch`); a single problem may be as large as :func:`~lcp_plugin.solve` can do it. So M may
-also be sparse: a scipy array, a constant of the layer; in PyTorch a CSR tensor, with a gradient by its values.
+may be a number. A batch is solved by :func:`~lcp_plugin.solve_batch`; a single problem may be as large as
+:func:`~lcp_plugin.solve` takes. So M may also be a sparse scipy array, a constant of the layer.
 
 **What comes back** is z, solved for once more on its free rows, so that it is exact to rounding whatever the tolerance
 was; w = M z + q is easily written beside it. Where a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` says
-which of the batch it is. (Within ``jit``, JAX puts its own error around these words.)
+which of the batch it is. (JAX puts its own error around these words.)
 
-**Gradients** by all four are those of :meth:`BatchDerivative.vjp`: exact where no row is both at a bound and
-has w = 0. Where one is, as where a ReLU gets 0, they are those of one of the pieces that meet there. Forward mode gives
-:meth:`BatchDerivative.jvp`, which is one-sided there. A second derivative is refused. Where the block of M
-on the free rows is singular, they are those of the least change, as :class:`lcp_plugin.problems.sensitivity.Derivative`
-says; a change that leaves no solution is an :class:`~lcp_plugin.UnsuitableProblem`.
+**Gradients** by all four are those of :meth:`BatchDerivative.vjp`: exact if no row is both at a bound and has w = 0.
+If a row is, as where a ReLU gets 0, they are those of one of the pieces that meet there. A second derivative is
+refused. If the block of M on the free rows is singular, they are those of the least change, as
+:class:`lcp_plugin.problems.sensitivity.Derivative` describes.
 
-**Transformations.** ``jax.jit``, ``vmap``, ``grad``, ``vjp``, ``jvp``, ``jacrev``, ``jacfwd``, and in PyTorch
-``torch.func`` of the same names, beside ``backward()`` and dual numbers; ``vmap`` makes one batch of what it maps. A
-CSR tensor has a gradient by ``backward()`` alone, and stands beside ``torch.func.vmap`` only: for the others give a
-scipy array or a dense tensor. ``torch.compile`` leaves the layer beside its graphs (a graph break), so that
-``fullgraph=True``, and ``torch.func`` within what is compiled, are out. In JAX compile what is differentiated often:
-``jax.grad`` alone costs several times as much as within ``jax.jit``.
+**Transformations.** Gradients go backward: in JAX ``grad``, ``vjp``, ``jacrev``, also under ``jit`` and ``vmap``, which
+makes one batch of its axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``. Forward mode is
+that of :meth:`BatchDerivative.jvp` in numpy.
 
 **Contact with friction.** ``contact_layer(W, b, friction)`` gives the impulses of many worlds, with the gradients of
-:class:`~lcp_plugin.problems.sensitivity.contact_batch_derivative.ContactBatchDerivative`. JAX has them backwards only.
+:class:`~lcp_plugin.problems.sensitivity.contact_batch_derivative.ContactBatchDerivative`.
 
 **Double precision**, on the CPU: single precision is refused in words, as a certificate of what was rounded certifies
 another problem. Convert before and after the layer (``q.double()``, ``z.float()``); gradients pass through that.

@@ -131,21 +131,6 @@ def gradients(found: BatchDerivative, axes: tuple[int, ...], g: Any) -> tuple[An
     return _derived(lambda g: attrgetter("q", "lower", "upper")(found.vjp(g)), 3, found, axes, g)
 
 
-def tangents(found: BatchDerivative, axes: tuple[int, ...], *moved: Any) -> tuple[Any, ...]:
-    """Return (dz,), the change of z that goes with dM z + dq and with those of the bounds; shapes as for `gradients`.
-
-    Raises
-    ------
-    UnsuitableProblem
-        Where a problem whose data move has no derivative.
-    """
-
-    def ask(change: Any, lower: Any, upper: Any) -> tuple[Any]:
-        return (found.jvp(dq=change, dlower=lower, dupper=upper),)
-
-    return _derived(ask, 1, found, axes, *moved)
-
-
 def contacts_solved(
     wishes: Wishes, W: Any, b: Any, friction: Any, z0: Any = None
 ) -> ContactBatchDerivative:
@@ -178,13 +163,6 @@ def contact_gradients(found: ContactBatchDerivative, _: tuple[int, ...], g: Any)
     """Return the gradients by W, b and friction, from that by the impulses, shape (B, n)."""
     gradient = found.vjp(g)
     return gradient.M, gradient.q, gradient.friction
-
-
-def contact_tangents(
-    found: ContactBatchDerivative, _: tuple[int, ...], dW: Any, db: Any, dfriction: Any
-) -> tuple[Any]:
-    """Return (dz,), the change of the impulses."""
-    return (found.jvp(dM=dW, dq=db, dfriction=dfriction),)
 
 
 def no_second_derivative(remedy: str) -> UnsupportedModel:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -17,8 +18,6 @@ except ImportError:
     ) from None
 
 import jax.numpy as jnp
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 
 from ...core.algorithm import Algorithm
 from ...core.checks import check_kind, real_array
@@ -29,9 +28,8 @@ from .batches import (
     contact_gradients,
     contacts_solved,
     gradients,
-    no_second_derivative,
+    is_one,
     solved,
-    tangents,
 )
 
 __all__ = ["contact_layer", "lcp_layer"]
@@ -78,8 +76,8 @@ def lcp_layer(
 
     Notes
     -----
-    Derivatives go backwards and forwards: ``jax.grad``, ``jax.vjp``, ``jax.jacrev``; ``jax.jvp``, ``jax.jacfwd``.
-    ``jit`` and ``vmap`` may stand around them, and a mapped axis is one more of the batch.
+    Gradients go backward: ``jax.grad``, ``jax.vjp``, ``jax.jacrev``, also under ``jit`` and ``vmap``; a mapped axis is
+    one more of the batch.
 
     Examples
     --------
@@ -104,10 +102,16 @@ def lcp_layer(
     q, lower, upper = _array(q, "q"), _array(lower, "lower"), _array(upper, "upper")
     wishes, M = (Wishes(options, M), None) if sp.issparse(M) else (Wishes(options), _array(M, "M"))
     axes = common_axes(*(() if array is None else array.shape for array in (M, q, lower, upper)))
-    data = [_with_axes(vector, len(axes) + 1) for vector in (q, lower, upper)]
-    if M is not None:
-        data.insert(0, _with_axes(M, len(axes) + 2))
-    z: jax.Array = _solution.bind(*data, wishes=wishes)[0]
+    n = q.shape[-1]
+    if M is not None and M.shape[-2:] != (n, n):
+        raise InvalidProblem(f"M must have shape (…, n, n), n = {n} as q has, got {M.shape}")
+    data = [jnp.broadcast_to(vector, (*axes, n)) for vector in (q, lower, upper)]
+    if M is None or is_one(M):
+        M = jnp.zeros((0, 0)) if M is None else M.reshape(n, n)
+        M = M.reshape(*(1 for _ in axes), *M.shape)
+    else:
+        M = jnp.broadcast_to(M, (*axes, n, n))
+    z: jax.Array = _solution(M, *data, wishes)
     return z
 
 
@@ -175,22 +179,41 @@ def contact_layer(
     return z
 
 
-def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:
-    """Call a function of arrays with one axis for all worlds, whatever axes stand in front of b's last."""
+def _called(function: Callable[..., Any], like: Any, own: tuple[int, ...], *data: Any) -> Any:
+    """Call a function of numpy arrays whose batch has one axis; `own` counts the axes of each array without it.
+
+    vmap puts an axis in front of all arrays, so that only the last of `own` belong to a problem.
+    """
 
     def call(*data: Any) -> Any:
-        axes = data[1].shape[:-1]
-        stacked = [np.asarray(one).reshape(-1, *one.shape[len(axes) :]) for one in data]
-        return jax.tree.map(lambda one: one.reshape(*axes, *one.shape[1:]), function(*stacked))
+        axes = np.broadcast_shapes(
+            *(one.shape[: one.ndim - count] for one, count in zip(data, own, strict=True))
+        )
+        stacked = []
+        for one, count in zip(data, own, strict=True):
+            front, shape = one.shape[: one.ndim - count], one.shape[one.ndim - count :]
+            is_one = count == 2 and math.prod(front) == 1  # one matrix for all
+            whole = np.asarray(one) if is_one else np.broadcast_to(np.asarray(one), (*axes, *shape))
+            stacked.append(whole.reshape(1 if is_one else math.prod(axes), *shape))
+        answers = function(*stacked)
+        return jax.tree.map(lambda answer: answer.reshape(*axes, *answer.shape[1:]), answers)
 
     return jax.pure_callback(call, like, *data, vmap_method="broadcast_all")
 
 
+def _like(*arrays: Any) -> tuple[Any, ...]:
+    return tuple(jax.ShapeDtypeStruct(one.shape, np.float64) for one in arrays)
+
+
 @partial(jax.custom_vjp, nondiff_argnums=(3,))
 def _impulses(W: Any, b: Any, friction: Any, wishes: Wishes) -> Any:
-    like = jax.ShapeDtypeStruct(b.shape, np.float64)
     return _called(
-        lambda *data: np.array(contacts_solved(wishes, *data).batch.z), like, W, b, friction
+        lambda *data: np.array(contacts_solved(wishes, *data).batch.z),
+        _like(b)[0],
+        (2, 1, 1),
+        W,
+        b,
+        friction,
     )
 
 
@@ -201,16 +224,52 @@ def _impulses_forward(W: Any, b: Any, friction: Any, wishes: Wishes) -> tuple[An
 
 def _impulses_backward(wishes: Wishes, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
     def differentiate(W: Any, b: Any, friction: Any, z: Any, g: Any) -> tuple[Any, ...]:
-        return contact_gradients(
-            contacts_solved(wishes, W, b, friction, z), (), g
-        )  # it begins at its solution
+        return contact_gradients(contacts_solved(wishes, W, b, friction, z), (), g)  # starts at z
 
-    like = tuple(jax.ShapeDtypeStruct(one.shape, np.float64) for one in kept[:3])
-    by: tuple[Any, ...] = _called(differentiate, like, *kept, g)
+    by: tuple[Any, ...] = _called(differentiate, _like(*kept[:3]), (2, 1, 1, 1, 1), *kept, g)
     return by
 
 
 _impulses.defvjp(_impulses_forward, _impulses_backward)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(4,))
+def _solution(M: Any, q: Any, lower: Any, upper: Any, wishes: Wishes) -> Any:
+    def solve(*data: Any) -> Any:
+        return np.array(solved(wishes, *_with_matrix(wishes, data))[0].z)
+
+    return _called(solve, _like(q)[0], (2, 1, 1, 1), M, q, lower, upper)
+
+
+def _solution_forward(
+    M: Any, q: Any, lower: Any, upper: Any, wishes: Wishes
+) -> tuple[Any, tuple[Any, ...]]:
+    z = _solution(M, q, lower, upper, wishes)
+    return z, (M, q, lower, upper, z)
+
+
+def _solution_backward(wishes: Wishes, kept: tuple[Any, ...], g: Any) -> tuple[Any, ...]:
+    def differentiate(*data: Any) -> tuple[Any, ...]:
+        *stated, g = data
+        found, axes = solved(wishes, *_with_matrix(wishes, stated))  # starts at z
+        return gradients(found, axes, g)
+
+    M, q, lower, upper, z = kept
+    by = _called(differentiate, _like(q, lower, upper), (2, 1, 1, 1, 1, 1), *kept, g)
+    if wishes.M is not None:
+        return jnp.zeros(M.shape), *by
+    by_M = by[0][..., :, None] * z[..., None, :]
+    shared = tuple(k for k in range(M.ndim - 2) if M.shape[k] == 1)
+    return by_M.sum(shared, keepdims=True), *by
+
+
+_solution.defvjp(_solution_forward, _solution_backward)
+
+
+def _with_matrix(wishes: Wishes, data: Any) -> list[Any]:
+    """Return the data, with None in the place of M if that is a constant."""
+    M, *vectors = data
+    return [M if wishes.M is None else None, *vectors]
 
 
 def _array(values: Any, name: str) -> Any:
@@ -228,139 +287,3 @@ def _array(values: Any, name: str) -> Any:
         )
     check_kind(values.dtype, need)
     return values.astype(np.float64)
-
-
-def _with_axes(array: Any, count: int) -> Any:
-    """Return the array with so many axes: what vmap puts in front must be the same one for all."""
-    return (
-        array
-        if array.ndim >= count
-        else array.reshape((*(1 for _ in range(count - array.ndim)), *array.shape))
-    )
-
-
-# --- three primitives: z, and its derivative forwards and backwards -------------------------------------------------
-
-
-def _solve(M: Any, q: Any, lower: Any, upper: Any, *, wishes: Wishes) -> tuple[Any, ...]:
-    found, axes = solved(wishes, M, q, lower, upper)
-    return (found.z.reshape(*axes, q.shape[-1]),)
-
-
-def _differentiate(
-    function: Callable[..., tuple[Any, ...]],
-    M: Any,
-    q: Any,
-    lower: Any,
-    upper: Any,
-    z: Any,
-    *given: Any,
-    wishes: Wishes,
-) -> tuple[Any, ...]:
-    """Return what a function of batches.py, linear in what is given, says at a solution."""
-    return function(
-        *solved(wishes, M, q, lower, upper, z), *given
-    )  # it begins at its solution: one look says so
-
-
-def _primitive(function: Callable[..., tuple[Any, ...]], count: int, linear: int) -> Primitive:
-    """Return the primitive of JAX for a function of numpy arrays: at once, in compiled code, and mapped by vmap.
-
-    Parameters
-    ----------
-    function : callable
-        Takes M, q, lower, upper and more, and the keyword `wishes`.
-    count : int
-        How many arrays it returns, all of one shape.
-    linear : int
-        In how many of its arguments, the last ones, it is linear; they have that shape. None: those of the batch.
-    """
-    primitive = Primitive("lcp_layer")
-    primitive.multiple_results = True
-
-    def call(wishes: Wishes, *data: Any) -> tuple[Any, ...]:
-        return function(*_with_matrix(wishes, map(np.asarray, data)), wishes=wishes)
-
-    def shape(data: Sequence[Any], wishes: Wishes) -> Any:
-        M, q, *bounds = (
-            () if array is None else array.shape for array in _with_matrix(wishes, data)[:4]
-        )
-        return data[-1].shape if linear else common_axes(M, q, *bounds) + q[-1:]
-
-    def compiled(*data: Any, wishes: Wishes) -> Any:
-        like = jax.ShapeDtypeStruct(shape(data, wishes), np.float64)
-        return jax.pure_callback(partial(call, wishes), (like,) * count, *data)
-
-    def mapped(data: Sequence[Any], dims: Sequence[int | None], *, wishes: Wishes) -> Any:
-        pairs = list(zip(data, dims, strict=True))
-        size = next(array.shape[k] for array, k in pairs if k is not None)
-        data = [array[None] if k is None else jnp.moveaxis(array, k, 0) for array, k in pairs]
-        whole = [
-            jnp.broadcast_to(array, (size, *array.shape[1:]))
-            for array in data[len(data) - linear :]
-        ]
-        return primitive.bind(*data[: len(data) - linear], *whole, wishes=wishes), [0] * count
-
-    primitive.def_impl(lambda *data, wishes: [jnp.asarray(array) for array in call(wishes, *data)])
-    primitive.def_abstract_eval(
-        lambda *data, wishes: [data[0].update(shape=shape(data, wishes))] * count
-    )
-    batching.primitive_batchers[primitive] = mapped
-    mlir.register_lowering(primitive, mlir.lower_fun(compiled, multiple_results=True))
-    return primitive
-
-
-def _with_matrix(wishes: Wishes, data: Iterable[Any]) -> list[Any]:
-    """Return the data with M in front, None where it is a constant."""
-    return [*data] if wishes.M is None else [None, *data]
-
-
-_solution = _primitive(_solve, 1, 0)
-_tangent = _primitive(partial(_differentiate, tangents), 1, 3)
-_gradient = _primitive(partial(_differentiate, gradients), 3, 1)
-
-
-def _solution_jvp(data: Sequence[Any], moved: Sequence[Any], *, wishes: Wishes) -> tuple[Any, Any]:
-    """Return z, and dz by dM z + dq and the changes of the bounds."""
-    (z,) = _solution.bind(*data, wishes=wishes)
-    by_M, *by = _with_matrix(wishes, moved)
-    by = [
-        np.broadcast_to(0.0, z.shape)
-        if isinstance(one, ad.Zero)
-        else jnp.broadcast_to(one, z.shape)
-        for one in by
-    ]
-    if by_M is not None and not isinstance(by_M, ad.Zero):
-        by[0] = by[0] + jnp.matmul(by_M, z[..., None])[..., 0]
-    return [z], _tangent.bind(*data, z, *by, wishes=wishes)
-
-
-def _linear_jvp(
-    primitive: Primitive, linear: int, data: Any, moved: Any, *, wishes: Wishes
-) -> tuple[Any, Any]:
-    """Return the values, and their changes where only what they are linear in moves."""
-    point, moved = data[:-linear], [*moved[:-linear], *map(ad.instantiate_zeros, moved[-linear:])]
-    if not all(isinstance(one, ad.Zero) for one in moved[:-linear]):
-        raise no_second_derivative(
-            "put jax.lax.stop_gradient around the first, or take differences of it"
-        )
-    return primitive.bind(*data, wishes=wishes), primitive.bind(
-        *point, *moved[-linear:], wishes=wishes
-    )
-
-
-def _transposed(
-    other: Primitive, linear: int, g: Sequence[Any], *data: Any, wishes: Wishes
-) -> list[Any]:
-    """Return the gradients of a derivative by what it is linear in: the derivative the other way."""
-    by = other.bind(*data[:-linear], *map(ad.instantiate_zeros, g), wishes=wishes)
-    asked = [ad.is_undefined_primal(one) for one in data[-linear:]]
-    return [None] * len(data[:-linear]) + [
-        one if is_asked else None for one, is_asked in zip(by, asked, strict=True)
-    ]
-
-
-ad.primitive_jvps[_solution] = _solution_jvp
-for _one, _other, _linear in ((_tangent, _gradient, 3), (_gradient, _tangent, 1)):
-    ad.primitive_jvps[_one] = partial(_linear_jvp, _one, _linear)
-    ad.primitive_transposes[_one] = partial(_transposed, _other, _linear)

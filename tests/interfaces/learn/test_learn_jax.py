@@ -22,9 +22,6 @@ from lcp_plugin import (  # noqa: E402
     FrictionalContact,
     InvalidOption,
     InvalidProblem,
-    NotConverged,
-    UnsuitableProblem,
-    UnsupportedModel,
     derivative,
     gallery,
     solve,
@@ -53,11 +50,11 @@ def test_examples_of_its_help() -> None:
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
-    """jax.test_util.check_grads in M, q, lower and upper, with boxes and half-lines, both ways; compiled, too."""
+    """jax.test_util.check_grads in M, q, lower and upper, with boxes and half-lines; also compiled."""
     M, q, lower, upper = planted(4, 5, 1, symmetric=symmetric, shared=shared, fixed=0.0)
     data = M, q, np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # differences of ±inf are none
     for layer in (lcp_layer, jax.jit(lcp_layer)):
-        check_grads(layer, tuple(map(jnp.array, data)), order=1, modes=["fwd", "rev"], eps=1e-6)
+        check_grads(layer, tuple(map(jnp.array, data)), order=1, modes=["rev"], eps=1e-6)
 
 
 def test_gradients_are_those_of_each_problem() -> None:
@@ -82,7 +79,7 @@ def test_axes_in_front_broadcast() -> None:
     )
     assert np.allclose(z, one_by_one, rtol=1e-13, atol=1e-14)
     check_grads(
-        lambda *data: lcp_layer(*data, 2.0), (M, q, lower), order=1, modes=["fwd", "rev"], eps=1e-6
+        lambda *data: lcp_layer(*data, 2.0), (M, q, lower), order=1, modes=["rev"], eps=1e-6
     )
 
 
@@ -111,12 +108,10 @@ def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
             assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in pairs)
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("way", [jax.jacrev, jax.jacfwd])
-def test_jacobians(way: Callable[..., Any]) -> None:
-    """One asks for many gradients, or changes, of one solution: −M_FF⁻¹ on the free rows; under vmap, too."""
+def test_jacobians() -> None:
+    """jax.jacrev asks for many gradients of one solution: −M_FF⁻¹ on the free rows; also under vmap."""
     M, q, lower, upper = planted(3, 6, 7)
-    jacobian = way(lcp_layer, argnums=1)
+    jacobian = jax.jacrev(lcp_layer, argnums=1)
     mapped = jax.vmap(jacobian)(M, q, lower, upper)
     for k in range(3):
         found = derivative(solve(LCP(M[k], q[k], lower=lower[k], upper=upper[k])))
@@ -127,24 +122,6 @@ def test_jacobians(way: Callable[..., Any]) -> None:
     assert whole.shape == (3, 6, 3, 6)
     assert np.allclose(whole[1, :, 1], mapped[1], rtol=1e-13, atol=1e-14)
     assert not np.any(whole[1, :, 2])
-
-
-def test_forward_mode() -> None:
-    """What one Result's own derivative says of a change of all data at once, compiled, too; vmap over the changes."""
-    data = [array[0] for array in planted(1, 8, 9, symmetric=False)]
-    changes = [np.random.default_rng(k).normal(size=array.shape) for k, array in enumerate(data)]
-    M, q, lower, upper = data
-    own = derivative(solve(LCP(M, q, lower=lower, upper=upper)))
-    dz = own.jvp(**dict(zip(("dM", "dq", "dlower", "dupper"), changes, strict=True)))
-    along = partial(jax.jvp, lcp_layer, data)
-    for jvp in (along, jax.jit(along)):
-        z, ours = jvp(changes)
-        assert np.allclose(z, own.z, rtol=1e-13, atol=1e-14)
-        assert np.allclose(ours, dz, rtol=1e-12, atol=1e-13)
-    several = jax.vmap(lambda changes: along(changes)[1])(
-        [np.stack([change, -change]) for change in changes]
-    )
-    assert np.allclose(several, [dz, -dz], rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.full
@@ -167,24 +144,14 @@ def test_two_mapped_axes() -> None:
     assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in zip(ours, theirs, strict=True))
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
-    "second",
-    [
-        jax.hessian,
-        lambda loss: jax.grad(lambda q: jax.grad(loss)(q).sum()),
-        lambda loss: jax.grad(lambda q: jax.jvp(loss, (q,), (jnp.ones(2),))[1]),
-        lambda loss: jax.jacfwd(jax.jacfwd(loss)),
-    ],
+    "second", [jax.hessian, lambda loss: jax.grad(lambda q: jax.grad(loss)(q).sum())]
 )
-def test_second_derivatives_are_refused(second: Callable[..., Any]) -> None:
-    """In whatever order the two are taken, compiled or not, in words that say what to write."""
+def test_second_derivatives_and_forward_mode_are_refused(second: Callable[..., Any]) -> None:
+    """JAX says that a callback has no derivative."""
     M, q = jnp.eye(2) * 2.0, -jnp.ones(2)
-    for function in (second, lambda loss: jax.jit(second(loss))):
-        with pytest.raises(
-            UnsupportedModel, match=r"no second derivative here.*jax\.lax\.stop_gradient"
-        ):
-            function(lambda q: (lcp_layer(M, q) ** 2).sum())(q)
+    with pytest.raises((TypeError, ValueError, NotImplementedError)):
+        second(lambda q: (lcp_layer(M, q) ** 2).sum())(q)
 
 
 def test_first_derivatives_within_loops() -> None:
@@ -201,11 +168,9 @@ def test_first_derivatives_within_loops() -> None:
 
 
 def test_what_the_loss_ignores_may_be_singular() -> None:
-    """A problem without derivative costs the others nothing, forwards and backwards."""
+    """A problem without derivative costs the others nothing."""
     M, q = jnp.array([[[2.0]], [[0.0]]]), jnp.array([[-2.0], [0.0]])
     assert jax.grad(lambda q: lcp_layer(M, q, -INF)[0].sum())(q).tolist() == [[-0.5], [0.0]]
-    moved = jax.jvp(lambda q: lcp_layer(M, q, -INF), (q,), (jnp.array([[1.0], [0.0]]),))[1]
-    assert moved.tolist() == [[-0.5], [0.0]]
 
 
 def test_lists_may_hold_what_is_differentiated() -> None:
@@ -224,38 +189,26 @@ def test_a_sparse_matrix_is_a_constant() -> None:
     assert np.allclose(by_lower, own.lower, rtol=1e-8, atol=1e-8)
 
 
-def test_what_is_not_compiled_calls_no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Outside of jit the values, gradients and changes come from numpy at once, without a callback of XLA."""
-    monkeypatch.delattr(jax, "pure_callback")
-    M, q = planted(1, 5, 10)[:2]
-    layer = partial(lcp_layer, M[0])
-    jax.vmap(layer)(jnp.stack([q[0], -q[0]]))
-    jax.grad(lambda q: layer(q).sum())(q[0])
-    jax.jvp(layer, (q[0],), (q[0],))
-
-
 def test_what_is_not_solved_is_named() -> None:
-    """A batch with a problem that has no solution raises, and says which; compiled, the words stay."""
+    """A batch with a problem that has no solution raises, and names it within JAX's own error."""
     M = jnp.stack([jnp.eye(2), -jnp.eye(2), jnp.eye(2)])
-    with pytest.raises(
-        NotConverged, match=r"^problem \(1,\) of the batch gives the layer no solution"
-    ):
-        lcp_layer(M, -jnp.ones(2))
-    with pytest.raises(
-        Exception, match=r"NotConverged: problem \(1,\) of the batch gives the layer no solution"
-    ):
-        jax.block_until_ready(jax.jit(lcp_layer)(M, -jnp.ones(2)))
+    for layer in (lcp_layer, jax.jit(lcp_layer)):
+        with pytest.raises(
+            Exception,
+            match=r"NotConverged: problem \(1,\) of the batch gives the layer no solution",
+        ):
+            jax.block_until_ready(layer(M, -jnp.ones(2)))
+        with pytest.raises(Exception, match=r"q\[0\] = nan"):
+            jax.block_until_ready(layer(jnp.eye(2), jnp.array([jnp.nan, 0.0])))
 
 
 def test_a_singular_block_has_the_gradient_of_least_change() -> None:
-    """By the generalised inverse; a change that no solution can follow is refused."""
+    """The gradient is that of the generalized inverse."""
 
     def layer(q):
         return lcp_layer(jnp.ones((2, 2)), q, -INF)
 
     assert np.allclose(jax.grad(lambda q: layer(q).sum())(jnp.zeros(2)), [-0.5, -0.5], atol=1e-15)
-    with pytest.raises(UnsuitableProblem, match="singular"):
-        jax.jvp(layer, (jnp.zeros(2),), (jnp.array([1.0, -1.0]),))
 
 
 def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
@@ -290,9 +243,8 @@ def test_single_precision_is_refused() -> None:
         (lambda: lcp_layer(jnp.ones(2), jnp.ones(2)), "M must have shape"),
         (
             lambda: lcp_layer(jnp.eye(3), jnp.ones(2)),
-            r"q must have shape \(B, n\) or \(n,\), n = 3, got shape",
+            r"M must have shape \(…, n, n\), n = 2 as q has, got \(3, 3\)",
         ),
-        (lambda: lcp_layer(jnp.eye(2), jnp.array([jnp.nan, 0.0])), r"q\[0\] = nan"),
         (lambda: lcp_layer(None, jnp.ones(2)), "M must be an array of real numbers, got None"),
         (lambda: lcp_layer(jnp.eye(2), ["a", "b"]), "q must be an array of real numbers, got text"),
         (

@@ -10,9 +10,13 @@ from typing import Any
 import numpy as np
 import typer
 
+from ..algorithms import made
 from ..api import solve
 from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
+from ..problems.cones.data import ConeProblem
+from ..problems.cones.frictional_contact import FrictionalContact
+from ..problems.cones.methods import METHODS
 from .target import Target, read_target
 from .terminal import moving_line, steps_on
 
@@ -48,7 +52,7 @@ def run(
         arrays = {} if x is None else {"x": x, "duals": found.duals}
         objective = found.objective
     else:
-        answers = _steps(given, algorithm, options | settings)
+        answers = _steps(given, algorithm, options, settings)
         answer, x, lines = answers[-1], answers[-1].x, _march_lines(given, answers)
         arrays = _arrays(answer)
         objective = answer.objective
@@ -83,17 +87,23 @@ def run(
     return bool(answer.is_solved)
 
 
-def _steps(given: Target, algorithm: str, options: dict[str, Any]) -> list[Any]:
+def _steps(
+    given: Target, algorithm: str, options: dict[str, Any], settings: dict[str, Any]
+) -> list[Any]:
     """Return the answers to all steps of a march, each from the one before; a step that is not solved ends it."""
     problem, scene = given.problem, given.scene
     start = {} if scene is None or scene.start is None else {"z0": scene.start}
+    chosen: Any = algorithm
+    if isinstance(problem, ConeProblem | FrictionalContact) and algorithm in METHODS:
+        chosen, options = made(METHODS[algorithm], algorithm, options), {}
+    options = options | settings
     with moving_line("") as say:
         if say is not None and isinstance(problem, LCP):
             options = options | {"callback": steps_on(say)}
-        answers = [solve(problem, algorithm, **start, **options)]
+        answers = [solve(problem, chosen, **start, **options)]
         while answers[-1].is_solved and scene is not None and len(answers) < scene.steps:
             problem = problem.with_q(scene.advance(answers[-1].z))
-            answers.append(solve(problem, algorithm, z0=answers[-1].z, **options))
+            answers.append(solve(problem, chosen, z0=answers[-1].z, **options))
     return answers
 
 

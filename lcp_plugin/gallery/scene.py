@@ -19,6 +19,7 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 
+SIZES = {"n", "size", "block", "bumps", "goods", "steps"}  # parameters that are at least 1
 WORDS = {"true": "True", "yes": "True", "false": "False", "no": "False"}
 
 
@@ -176,8 +177,9 @@ _SCENES: dict[str, Builder] = {}
 def scene_builder(builder: Builder) -> Builder:
     """Register the function that builds a test problem, under its own name.
 
-    The signature declares the parameters, keyword only and each with a default whose type a value must have: whole
-    numbers are at least 1, or 0 if the default is 0, and numbers finite. The first docstring line is the description.
+    The signature declares the parameters, keyword only and each with a default whose type a value must have. Whole
+    numbers are at least 0, those of `SIZES` at least 1, and numbers finite. The description is the first docstring
+    line.
 
     Parameters
     ----------
@@ -217,7 +219,7 @@ def _checked(name: str, key: str, value: Any, default: Any) -> Any:
         if isinstance(value, type(default) | np.bool_):
             return type(default)(value)
     elif isinstance(default, int):
-        least = min(default, 1)
+        least = 1 if key in SIZES else 0
         needs = f"a whole number ≥ {least}"
         if isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least:
             return int(value)

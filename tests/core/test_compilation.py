@@ -7,7 +7,6 @@ import gc
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -119,85 +118,6 @@ def test_nothing_is_compiled_after_a_warm_up() -> None:
     assert run.exit_code == 0
     assert f"they lie in {cache_folder()}" in run.output
     assert in_a_new_process(COUNT_COMPILED) == "True 0"
-
-
-WAITING = """
-import sys, threading, time
-from lcp_plugin.commands import terminal
-from lcp_plugin.core.deadline import NEW_KERNELS
-
-terminal.QUIET_SECONDS = float(sys.argv[1])
-try:
-    with terminal.LINE:
-        with NEW_KERNELS.compiling():
-            time.sleep(float(sys.argv[2]))
-        print("solved", file=sys.stderr)
-except KeyboardInterrupt:
-    print("stopped", file=sys.stderr)
-print(threading.active_count(), file=sys.stderr)
-"""
-
-
-def on_a_terminal(quiet: float, seconds: float, *, ctrl_c: bool = False) -> list[str]:
-    """What a terminal has got while something is compiled for some seconds, from one return of the cursor to the next.
-
-    After Ctrl-C, if that is wanted, as soon as there is a line.
-    """
-    pty = pytest.importorskip("pty", reason="terminals are a thing of Unix")
-    ours, theirs = pty.openpty()
-    running = subprocess.Popen(
-        [sys.executable, "-c", WAITING, str(quiet), str(seconds)], stderr=theirs
-    )
-    os.close(theirs)
-    shown = b""
-    try:
-        while chunk := read_from(ours):
-            shown += chunk
-            if ctrl_c and b"compiling" in shown:
-                running.send_signal(signal.SIGINT)
-                ctrl_c = False
-    finally:
-        running.kill()
-        running.wait()
-        os.close(ours)
-    return [part.strip() for part in re.split("[\r\n]+", shown.decode()) if part]
-
-
-def read_from(terminal: int) -> bytes:
-    """What a terminal gets next; nothing where nobody writes to it any more."""
-    try:
-        return os.read(terminal, 4096)
-    except OSError:
-        return b""
-
-
-def test_a_terminal_says_that_kernels_are_compiled() -> None:
-    """A line moves and counts the seconds, and is wiped before anything else is written; no thread is left."""
-    *line, wiped, solved, threads = on_a_terminal(0.0, 1.5)
-    assert all(
-        re.fullmatch(r"[-|/\\] compiling, once an installation: [012] s so far", text)
-        for text in line
-    )
-    assert len(set(line)) > 4
-    assert (wiped, solved, threads) == ("", "solved", "1")
-
-
-def test_a_short_compilation_is_silent() -> None:
-    """What is compiled within a second is not worth a line."""
-    assert on_a_terminal(1.0, 0.5) == ["solved", "1"]
-
-
-def test_ctrl_c_while_compiling_leaves_the_terminal_tidy() -> None:
-    """The line is wiped, and its thread is gone."""
-    assert on_a_terminal(0.0, 60.0, ctrl_c=True)[-3:] == ["", "stopped", "1"]
-
-
-def test_compilation_is_silent_where_nobody_looks() -> None:
-    """A pipe gets no moving line."""
-    run = subprocess.run(
-        [sys.executable, "-c", WAITING, "0", "0.5"], capture_output=True, text=True, check=True
-    )
-    assert run.stderr == "solved\n1\n"
 
 
 def test_numba_tells_when_it_compiles() -> None:

@@ -238,7 +238,6 @@ def test_the_scaling_trap_catches_the_unscaled_method_honestly() -> None:
     trap = scaling_trap()
     result = solve(trap.problem, "npsor", relaxation=1.7, scaling=None, z0=trap.start)
     assert result.status in (Status.STALLED, Status.DIVERGED)
-    assert "scaling=" in result.advice
     assert result.certificate.relative_residual > 1e-5
 
 

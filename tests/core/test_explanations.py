@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from benchmarks.small import friction
-from typer.testing import CliRunner
 
 from lcp_plugin import (
     LCP,
@@ -24,8 +22,6 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.commands.cli import app
-from lcp_plugin.commands.terminal import fitted
 
 RNG = np.random.default_rng(0)
 OBSTACLE = gallery.obstacle_2d(size=20).problem
@@ -154,18 +150,3 @@ def test_its_sentences_are_short_and_none_is_said_twice(name: str) -> None:
     clauses = re.split(r"[.;:]\s+|\n", RESULTS[name][0]().explain())
     assert max(len(clause.split()) for clause in clauses) <= 25
     assert len({*clauses}) == len(clauses)
-
-
-def test_a_terminal_of_80_columns_shows_all_of_it(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The command prints the words of explain() in lines that fit; without a terminal it leaves them whole."""
-    OBSTACLE.save(tmp_path / "obstacle.npz")
-    call = ["solve", str(tmp_path / "obstacle.npz"), "--algorithm", "psor", "--max-iterations", "5"]
-    monkeypatch.setenv("COLUMNS", "80")
-    whole = CliRunner().invoke(app, call).output
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
-    told = fitted(whole)
-    assert told.split() == whole.split()
-    assert max(map(len, told.splitlines())) <= 80 < max(map(len, whole.splitlines()))
-    assert "or raise max_iterations" in whole

@@ -11,7 +11,6 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.algorithms import create
-from lcp_plugin.evidence.study import study
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.guarantees.radius import bound_of_errors
 
@@ -86,19 +85,3 @@ def test_what_has_none_says_none() -> None:
     assert convergence_guarantee(problem, "pgs", sweep="symmetric").spectral_radius is None
     large = gallery.build("obstacle_2d", size=33).problem
     assert convergence_guarantee(large, "pgs").spectral_radius is None
-
-
-def test_a_study_shows_it_as_a_table() -> None:
-    """Over α, β and n, solved or not; a method without one has an empty cell."""
-    methods = {
-        "α = 1": ("npsor", {"relaxation": 1.0}),
-        "α = 2": ("npsor", {"relaxation": 2.0}),
-        "lemke": "lemke",
-    }
-    found = study("half_active", methods, sizes=[100, 400], repeats=1)
-    (table,) = found.table("radius")
-    assert table.columns == ("method", "n = 100", "n = 400")
-    (first, second, last) = table.rows
-    assert 0.0 < first[1] < first[2]
-    assert 0.0 < second[1] < second[2]
-    assert last[1:] == (None, None)

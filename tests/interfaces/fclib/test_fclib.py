@@ -246,9 +246,9 @@ def test_the_command_hands_options_to_the_methods_of_cones(tmp_path: Path) -> No
         told = CliRunner().invoke(
             app, ["solve", path, "--algorithm", "npgs", "--option", f"sweeps={sweeps}", "--json"]
         )
-        works.append(json.loads(told.output)["run"]["work"])
+        works.append(json.loads(told.output)["work"])
     assert works[0] < 10.0 < 50.0 < works[1]
     for words in (["--algorithm", "npgs", "--option", "sweep=3"], ["--option", "sweeps=3"]):
         refused = CliRunner().invoke(app, ["solve", path, *words])
         assert refused.exit_code == 2
-        assert "has no option" in refused.output
+        assert "has no option" in refused.output or "solve takes no sweeps" in refused.output

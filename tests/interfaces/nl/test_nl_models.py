@@ -1030,7 +1030,7 @@ def lcp_plugin(*arguments: Any) -> Any:
 
 
 def test_the_commands_take_models(tmp_path: Path) -> None:
-    """`solve` tells and saves values by name, `certify` proves a program, `analyze` takes the LCP."""
+    """`solve` prints and saves values by name, `analyze` takes the LCP."""
     path = tmp_path / "p.nl"
     write_nl(
         replace(program("products"), names=["bread", "wine", "oil"], row_names=["a", "b", "c"]),
@@ -1041,20 +1041,16 @@ def test_the_commands_take_models(tmp_path: Path) -> None:
     assert "optimal, objective" in done.stdout
     assert re.search(r"^wine +0\.", done.stdout, re.M)
     with np.load(tmp_path / "o.npz") as saved:
-        assert (list(saved["names"]), list(saved["row_names"])) == (
-            ["bread", "wine", "oil"],
-            ["a", "b", "c"],
-        )
+        assert list(saved["names"]) == ["bread", "wine", "oil"]
         np.testing.assert_allclose(saved["x"], model_of(program("products")).solve().x, rtol=1e-6)
-    assert json.loads(lcp_plugin("solve", path, "--json").stdout)["code"] == 0
-    assert "proved" in lcp_plugin("certify", path).stdout
+    assert json.loads(lcp_plugin("solve", path, "--json").stdout)["status"] == "SOLVED"
     write_nl(best(), tmp_path / "b.nl")
     done = lcp_plugin("solve", tmp_path / "b.nl", "--out", tmp_path / "b.npz", "--threads", "1")
     assert (done.exit_code, "optimal; objective 0, none " in done.stdout) == (0, True), done.output
     with np.load(tmp_path / "b.npz") as saved:
         np.testing.assert_allclose(saved["x"], [1.0, 0.0], atol=1e-9)
     assert (
-        json.loads(lcp_plugin("solve", tmp_path / "b.nl", "--json").stdout)["run"]["algorithm"]
+        json.loads(lcp_plugin("solve", tmp_path / "b.nl", "--json").stdout)["algorithm"]
         == "branch and bound"
     )
     write_nl(best(0.25), tmp_path / "b.nl")
@@ -1069,7 +1065,7 @@ def test_the_commands_take_models(tmp_path: Path) -> None:
     assert lcp_plugin("solve", tmp_path / "m.nl", "-a", "lemke").exit_code == 0
 
 
-@pytest.mark.parametrize("command", ["solve", "certify", "analyze", "check", "report"])
+@pytest.mark.parametrize("command", ["solve", "analyze", "check", "compare"])
 def test_a_bad_file_is_one_line_and_exit_code_2(command: str, tmp_path: Path) -> None:
     """A damaged file, and one that the command does not take, are told in one line."""
     (tmp_path / "bad.nl").write_text("junk")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import pickle
 import re
 from collections.abc import Callable
@@ -18,7 +17,6 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 import lcp_plugin
 from lcp_plugin import (
@@ -35,7 +33,6 @@ from lcp_plugin import (
     complements,
     solve,
 )
-from lcp_plugin.commands.cli import app
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 from lcp_plugin.problems.programs.certification import SMALL, ProgramProofs, distances
@@ -1014,62 +1011,6 @@ def write_program(path: Path, **changes: Any) -> None:
         for part in ("data", "indices", "indptr", "shape")
     }
     np.savez(path, **{**parts, "q": [-2.0, -4.0], "l": [-1e20], "u": [2.0], "r": 1.0, **changes})
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("name", ["two.npz", "two.qps"])
-def test_the_command_judges_solvers(name: str, tmp_path: Path) -> None:
-    """One line a solver, exit code 0 where all is proved; JSON says the same."""
-    path = tmp_path / name
-    if name.endswith("npz"):
-        write_program(path)
-    else:
-        pytest.importorskip("highspy")
-        path.write_text(QPS)
-    done = CliRunner().invoke(
-        app, ["certify", str(path), "--solver", "CLARABEL,osqp", "--solver", "LCP"]
-    )
-    assert done.exit_code == 0, done.output
-    assert done.stdout.count("proved to 1e-06") == 3
-    content = json.loads(CliRunner().invoke(app, ["certify", str(path), "--json"]).stdout)
-    assert content["answers"][0]["lower"] == pytest.approx(-4.5)
-
-
-def test_exit_codes_of_the_command(tmp_path: Path) -> None:
-    """1 where an answer is not proved, 2 for bad input, in one line."""
-    write_program(tmp_path / "two.npz")
-    write_program(tmp_path / "short.npz", q=[1.0])
-    write_program(tmp_path / "bent.npz", P_data=[2.0, -2.0])
-    (tmp_path / "notes.txt").write_text("hello")
-    run = CliRunner().invoke
-    assert (
-        run(
-            app, ["certify", str(tmp_path / "two.npz"), "--solver", "OSQP", "--tolerance", "1e-18"]
-        ).exit_code
-        == 1
-    )
-    for arguments, words in (
-        (["missing.npz"], "no such file"),
-        (["two.npz", "--solver", "OSQQ"], "no solver 'OSQQ'; known: "),
-        (["bent.npz", "--solver", "CLARABEL"], "not convex: the smallest eigenvalue of P is -2"),
-        (["two.npz", "--tolerance", "0"], "tolerance must be a number > 0"),
-        (["short.npz"], r"shape (any, 1), got shape (1, 2)"),
-        (["two.txt"], "no such file"),
-        (["two.npz", "--solver", ","], "at least"),
-        (["notes.txt"], "a program is an .npz, .mat, .qps, .mps or .nl file"),
-    ):
-        done = run(app, ["certify", str(tmp_path / arguments[0]), *arguments[1:]])
-        assert done.exit_code == 2, done.output
-        assert words in done.stderr
-        assert not done.stdout
-
-
-def test_a_file_without_a_program_is_bad_input(tmp_path: Path) -> None:
-    """What HiGHS cannot read, and HiGHS where it is not installed, are told in a line."""
-    (tmp_path / "none.qps").write_text("nothing")
-    done = CliRunner().invoke(app, ["certify", str(tmp_path / "none.qps")])
-    assert done.exit_code == 2
-    assert "no program in it" in done.stderr or "pip install highspy" in done.stderr
 
 
 # --- Small multipliers, and time -----------------------------------------------------------------------------------

@@ -10,13 +10,11 @@
 A pair is a special ordered set: of z − lower and w, both ≥ 0, at most one is not zero. A box has two of them, with
 w = w⁺ − w⁻. Smooth terms are expressions of SCIP's, term by term; what occurs twice inside others is a variable.
 
-Where its first relaxation falls without end, SCIP may cut off children that do, too, and call the rest optimal (release
-10, special ordered sets). Then it is asked again within |x| ≤ 10⁶, and what reaches that far is called unbounded; so it
-is where SCIP itself calls the objective unbounded, for a point that is a number.
+If the relaxation at the root is unbounded, SCIP 10 may prune unbounded children and report a wrong optimum (special
+ordered sets). Then it is asked again within |x| ≤ 10⁶; a point at the edge of this box is called unbounded.
 
-SCIP looks for what is better than the value to beat; where it finds nothing, that value is its bound. What comes out is
-in floating point, feasible to 1e-8 at best, and no proof: :mod:`lcp_plugin.problems.equilibria` reads off the cases,
-solves the pairs again, measures the point, and says whose the bound is. SCIP asks for no licence key.
+The answer is in floating point, feasible to 1e-8 at best, and no proof: :mod:`lcp_plugin.problems.equilibria` reads off
+the cases, solves the pairs again, measures the point, and says whose the bound is. SCIP asks for no licence key.
 
 References
 ----------
@@ -26,10 +24,7 @@ S. Bolusani et al., *The SCIP Optimization Suite 9.0* (2024), arXiv:2402.17702.
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,13 +34,13 @@ from ..core.checks import FloatVector
 from ..core.deadline import seconds_left
 from ..core.errors import UnsupportedModel
 from ..modeling.expressions.program import Program
-from ..problems.equilibria.branch_and_bound import ENDS
 from ..problems.equilibria.equilibrium_program import LOWER, UPPER, EquilibriumProgram
+from ..problems.equilibria.result import ENDS
 from ..problems.programs.program import QuadraticProgram
 
 LARGEST = 1e20  # what is farther is infinite for SCIP, seconds as well
 SHARE = 0.25  # of the gap that is asked for
-FAR, INSIDE = 1e6, 1e-3  # a box for what falls without end, and what is near it, relatively
+BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near it, relatively
 FEASIBLE = 1e-8  # rather than 1e-6, which makes values wrong by that times multipliers
 LESS_FEASIBLE = 1e-6  # SCIP's own: its linear programs may do better
 FAILED = "SCIP:"  # what its errors begin with
@@ -88,7 +83,6 @@ def minimize(
     *,
     tolerance: float = 1e-6,
     max_nodes: float = math.inf,
-    below: float = math.inf,
     ends: Watcher | None = None,
 ) -> ScipAnswer:
     """Return the least objective over all solutions of an equilibrium program, as SCIP finds it.
@@ -99,8 +93,6 @@ def minimize(
     tolerance : float
         Of value − bound, beside |value|, or beside 1 in the unit of the largest cost.
     max_nodes : float
-    below : float
-        Only solutions whose objective is less are looked for.
     ends : callable, optional
         Gets value, bound and nodes after each node; ends the search by something true. What it raises is passed on.
 
@@ -120,28 +112,26 @@ def minimize(
         return ScipAnswer("infeasible", None, math.inf, math.inf, 0)
     for feasible in (FEASIBLE, LESS_FEASIBLE):
         model = _Model(problem, ends)
-        found = model.solved(tolerance, max_nodes, below, feasible)
+        found = model.solved(tolerance, max_nodes, feasible)
         if not found.status.startswith(FAILED):
             break
-    is_unbounded, has_value = found.status == "unbounded", found.x is not None or below < math.inf
-    if not is_unbounded and not (has_value and model.fell):
+    is_unbounded = found.status == "unbounded"
+    if not is_unbounded and (found.x is None or not model.root_is_unbounded):
         return found
     if found.status in ENDS:  # of the children that were cut off it may know nothing
         return found._replace(bound=-math.inf)
-    least, left = min(below, found.value), max(max_nodes - found.nodes, 0)
-    within = _Model(problem, ends, FAR).solved(tolerance, left, least, FEASIBLE)
+    left = max(max_nodes - found.nodes, 0)
+    within = _Model(problem, ends, BOX).solved(tolerance, left, FEASIBLE)
     within = within._replace(nodes=within.nodes + found.nodes)
     if within.x is None:
         within = within._replace(x=found.x, value=found.value)
     if within.status.startswith(FAILED) and not is_unbounded:
         return within
-    is_far = within.x is not None and np.abs(within.x).max(initial=0.0) > FAR * (1.0 - INSIDE)
-    is_deep = within.value <= -LARGEST * (1.0 - INSIDE)
-    return (
-        within._replace(status="unbounded", bound=-math.inf)
-        if is_unbounded or is_far or is_deep
-        else within
-    )
+    is_far = within.x is not None and np.abs(within.x).max(initial=0.0) > BOX * (1.0 - BOX_MARGIN)
+    is_deep = within.value <= -LARGEST * (1.0 - BOX_MARGIN)
+    if is_unbounded or is_far or is_deep:
+        return within._replace(status="unbounded", bound=-math.inf)
+    return within
 
 
 class _Model:
@@ -179,15 +169,14 @@ class _Model:
         self._state()
 
     @property
-    def fell(self) -> bool:
-        """Whether the first relaxation had no least objective; its bound is ∞ where a point came first."""
-        return bool(
-            self.model.getNTotalNodes() > 1 and abs(self.model.getDualboundRoot()) >= LARGEST
-        )
+    def root_is_unbounded(self) -> bool:
+        """Whether the first relaxation may have had no least objective; its bound is ∞ where a point came first."""
+        lower, upper = self.problem.bounds(self.problem.all_cases)
+        has_bounds = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
+        is_infinite = abs(self.model.getDualboundRoot()) >= LARGEST
+        return not has_bounds and self.model.getNTotalNodes() > 1 and is_infinite
 
-    def solved(
-        self, tolerance: float, max_nodes: float, below: float, feasible: float
-    ) -> ScipAnswer:
+    def solved(self, tolerance: float, max_nodes: float, feasible: float) -> ScipAnswer:
         """Return what SCIP finds."""
         model = self.model
         model.setParams(
@@ -201,15 +190,9 @@ class _Model:
                 "heuristics/multistart/freq": -1,  # takes 10 s where bounds are missing
             }
         )
-        if below < math.inf:
-            model.setObjlimit(below / self.unit)
         self._watch_nodes()
         try:
-            with (
-                Path(os.devnull).open("wb") as nowhere,
-                _stderr_to(nowhere.fileno()) as self.stderr,
-            ):
-                model.optimize()
+            model.optimize()
         except MemoryError:
             raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
@@ -221,8 +204,6 @@ class _Model:
         if model.getNSols():
             x = np.array([model.getSolVal(model.getBestSol(), one) for one in self.x])
             x = x if (np.abs(x) < LARGEST).all() else None
-        elif below < math.inf:
-            status, bound = "optimal" if status == "infeasible" else status, min(bound, below)
         return ScipAnswer(status, x, value, bound, nodes)
 
     def _reached(self) -> tuple[float, float, int]:
@@ -246,10 +227,9 @@ class _Model:
 
             def eventexec(self, _: Any) -> None:
                 try:
-                    with _stderr_to(own.stderr):
-                        is_over = (
-                            own.error is None and own.ends is not None and own.ends(*own._reached())
-                        )
+                    is_over = (
+                        own.error is None and own.ends is not None and own.ends(*own._reached())
+                    )
                 except BaseException as error:
                     own.error, is_over = error, True
                 if is_over:
@@ -396,19 +376,3 @@ def _power_below(program: QuadraticProgram) -> float:
         float(np.abs(one).max(initial=0.0)) for one in (program.c, sp.csr_array(program.P).data)
     )
     return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest > 0.0 else 1.0
-
-
-@contextmanager
-def _stderr_to(target: int) -> Iterator[int]:
-    """Send there what is written to stderr, where SCIP's linear solver warns whatever is set; yield where it went."""
-    try:
-        before = os.dup(2)
-    except OSError:  # it is not open
-        yield target
-        return
-    os.dup2(target, 2)
-    try:
-        yield before
-    finally:
-        os.dup2(before, 2)
-        os.close(before)

@@ -68,8 +68,8 @@ sides; variables may be ``integer`` or ``boolean``. SCIP searches where it is in
 >>> leader.status, *(round(float(number), 6) for number in (value, price.value, sold.value))
 ('optimal', 5.0, 2.0, 2.0)
 >>> best = leader.solver_stats.extra_stats
->>> best.gap <= 1e-6, best.is_global, best.bound_by, best.verify()
-(True, True, 'proof', True)
+>>> best.gap <= 1e-6, best.bound_by, best.verify()
+(True, 'proof', True)
 >>> income = cp.Problem(cp.Maximize(cp.multiply(price, sold)), [follower, price <= 4])
 >>> _ = income.solve(method="LCP")
 >>> round(float(income.value), 6), round(float(price.value), 3), income.solver_stats.extra_stats.bound_by
@@ -81,13 +81,13 @@ sides; variables may be ``integer`` or ``boolean``. SCIP searches where it is in
 - Values that the variables have are tried first: where they are an equilibrium, the answer is no worse. Where nothing
   is found, variables keep their values. Where ``max_seconds``,
   ``max_nodes`` or Ctrl-C ends the search first, the status is "user_limit", with the best point found and
-  ``extra_stats.lower_bound``, ``gap``, ``is_b_stationary``; of ``cp.Maximize(f)`` they speak of −f.
+  ``extra_stats.lower_bound`` and ``gap``; of ``cp.Maximize(f)`` they speak of −f.
 - Proved bounds are exact for the stored numbers. In every pair of the point found one side is at its bound; its other
   constraints hold as those of an optimal program do, to 1e-7 in units of the data: SCIP's point gives the cases of the
   pairs, and these are solved again. "infeasible" and "unbounded" come with proofs; ``extra_stats.verify()`` checks all
   of it again. What SCIP alone says, that there is no solution or no least one, is "user_limit" with its words.
-- State bounds for what the problem leaves open, as prices and tolls: without them SCIP may find no bound at all, and
-  the advice names the variables. Arrays: ``solve(EquilibriumProgram(…))``.
+- State bounds for what the problem leaves open, as prices and tolls: without them SCIP may find no bound at all.
+  Arrays: ``solve(EquilibriumProgram(…))``.
 
 **Convex quadratic and linear programs** are solved as complementarity problems by ``solver=lcp_plugin.QPSolver``, duals
 included; then ``method="LCP"`` is known too.

@@ -761,22 +761,6 @@ MECHANISMS = (
         "problems/equilibria/test_best_equilibrium_network.py::test_a_bilinear_leader_is_solved_by_scip",
     ),
     Mechanism(
-        "lower level",
-        "bounds that a monotone lower level gives",
-        {f"{EQUILIBRIA}.lower_level:tightened": given_back()},
-        "problems/equilibria/lower_level.py",
-    ),
-    Mechanism(
-        "leaders first",
-        "incumbents from followers solved for given leaders",
-        {f"{EQUILIBRIA}.incumbents:LocalSearch.from_leaders": skipped()},
-        "problems/equilibria/incumbents.py:LocalSearch.from_leaders "
-        "problems/equilibria/incumbents.py:followers_solved problems/equilibria/incumbents.py:leaders "
-        "problems/equilibria/incumbents.py:_followed",
-        "problems/equilibria/test_best_equilibrium_network.py"
-        "::test_the_optimum_on_a_network_is_believed_with_scip_and_found_without",
-    ),
-    Mechanism(
         "incumbents",
         "solutions from the points of relaxations",
         {f"{EQUILIBRIA}.incumbents:LocalSearch.from_point": says(None)},

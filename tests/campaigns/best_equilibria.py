@@ -362,17 +362,6 @@ def damaged(result: Any) -> Iterator[tuple[str, Any]]:
             moved[entries] += step
             if not is_solution(problem, moved) or problem.objective(moved) > result.value:
                 yield f"{name} moved", replace(result, x=moved)
-    if result.searched is not result.problem:
-        program = result.searched.program
-        lower = np.where(
-            np.isfinite(program.upper),
-            np.minimum(program.lower, program.upper - 1.0),
-            program.lower,
-        )
-        moved = replace(
-            result.searched, program=program.with_vectors(lower=lower, upper=program.upper - 1e-3)
-        )
-        yield "bounds moved", replace(result, searched=moved)
     leaves = [node for node in result.tree if node.pair < 0]
     if len(result.tree) > 1 and result.status is not Status.UNBOUNDED:
         yield (

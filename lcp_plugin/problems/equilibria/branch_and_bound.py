@@ -17,22 +17,20 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.checks import FloatVector, checked_vector, is_number
-from ...core.deadline import Clock, is_over, seconds_left, time_limit
+from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ...core.settings import Status
 from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .incumbents import LocalSearch
-from .lower_level import tightened
 from .relaxations import Node, Relaxations
-from .result import CONTRADICTED, EquilibriumResult, Outside
+from .result import CONTRADICTED, ENDS, EquilibriumResult, Outside
 
 MET = 1e-9  # of 1 + |z|: a pair that the relaxation does not violate
 SHARE = 0.5  # of the tolerance: how near the best value a node's bound has to be to close it
@@ -40,13 +38,6 @@ OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0",
 GROWTH = 1.5  # of the nodes from one line of the log to the next
 FIRST = 300  # nodes · pairs before SCIP is asked: 9 nodes of 30 pairs close leaders that SCIP searches for 5 s
 MOST_UNASKED = 2000  # nodes of a proof that nobody asked for: of what SCIP says, that no solution is there, or least
-LOOK = 0.1  # seconds, in which followers are solved before SCIP is asked
-ENDS = {
-    "timelimit": Status.MAX_SECONDS,
-    "nodelimit": Status.MAX_ITERATIONS,
-    "totalnodelimit": Status.MAX_ITERATIONS,
-    "userinterrupt": Status.INTERRUPTED,
-}
 
 
 def minimize_over_solutions(
@@ -76,7 +67,7 @@ def minimize_over_solutions(
     verbose : bool
         Print a line at geometric intervals: nodes, value, bound, gap, seconds.
     x0 : array, shape (n,), optional
-        Where it is a solution, the result is no worse; its leaders are tried in any case.
+        Where it is a solution, the result is no worse.
     prove : bool
         Whether the bound has to be proved, also where SCIP is installed.
 
@@ -155,18 +146,13 @@ class BranchAndBound:
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float, max_nodes: float) -> None:
         self.clock, self.nodes = Clock(), 0
-        self.original, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
-        self.local = LocalSearch(Relaxations(problem, tolerance))
+        self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
+        self.relaxations = Relaxations(problem, tolerance)
+        self.local = LocalSearch(self.relaxations)
         self.outside: Outside | None = None
         self._outside_value = math.inf  # of a point that is not confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None
         self._is_infeasible = self._is_stuck = False
-        self._begin(problem)
-
-    def _begin(self, problem: EquilibriumProgram) -> None:
-        """Begin with an empty tree."""
-        self.problem = problem
-        self.relaxations = Relaxations(self.problem, self.tolerance)
         self.tree: list[Node] = []
         self._open: list[tuple[float, int, Node]] = []
         self._current: Node | None = None  # open, too
@@ -196,7 +182,7 @@ class BranchAndBound:
     def allowed(self) -> float:
         """The gap that is within the tolerance, beside the objective's own terms at the best solution."""
         point = None if self.local.best is None else self.local.best.point
-        return 0.0 if point is None else self.tolerance * self.original.objective_size(point)
+        return 0.0 if point is None else self.tolerance * self.problem.objective_size(point)
 
     def run(
         self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool
@@ -212,44 +198,32 @@ class BranchAndBound:
     def _run(self, ends: Callable[[], bool], x0: FloatVector | None, prove: bool) -> Status | None:
         from ...interfaces.scip import minimize_or_none
 
-        engine, is_provable = minimize_or_none(), self.original.is_provable
-        if is_provable and not self._root():
-            return None
+        engine, is_provable = minimize_or_none(), self.problem.is_provable
         if x0 is not None:
             self.local.from_point(x0)
-        with time_limit(seconds_left() if engine is None else min(LOOK, seconds_left())):
-            self.local.from_leaders(x0, most=None if engine is None else 1)
-        if is_provable and self._next() is None:
-            return None
         if is_provable:
-            ended = self._search(
-                ends, math.inf if engine is None else FIRST // max(1, self.problem.pairs)
-            )
-            if (
-                ended is not None
-                or self.descent is not None
-                or (self._next() is None and not self._is_stuck)
-            ):
+            most = math.inf if engine is None else FIRST // max(1, self.problem.pairs)
+            ended = self._search(ends, most)
+            is_done = self.descent is not None or (self._next() is None and not self._is_stuck)
+            if ended is not None or is_done:
                 return ended
         if engine is None:
             return None
         ended = self._ask(engine, ends)
-        if self.local.best is None and (
-            self.outside is None or self.outside.status != "infeasible"
-        ):
-            self.local.from_leaders(x0)
-        if ended is not None or not is_provable or (self._is_closed() and not prove):
+        if ended is not None or (self._is_closed() and not prove):
             return ended
-        return self._search(ends, math.inf if prove else MOST_UNASKED)
+        is_said_infeasible = self.outside is not None and self.outside.status == "infeasible"
+        if is_provable or (self.problem.is_convex and is_said_infeasible):  # integers or not
+            return self._search(ends, math.inf if prove else MOST_UNASKED)
+        return None
 
-    def _root(self) -> bool:
-        """Solve the relaxation with all cases open; return whether anything is left to search."""
+    def _root(self) -> None:
+        """Solve the relaxation with all cases open."""
         self._current = root = self.relaxations.node(self.problem.all_cases)
         self.tree.append(root)
-        self._is_infeasible = root.bound == math.inf and self.problem is self.original
+        self._is_infeasible = root.bound == math.inf
         if root.point is not None:
             self.local.from_point(root.point)
-        return self._next() is not None
 
     def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
         """Let a global solver search, and take what it says; return which limit ended it, or None."""
@@ -264,25 +238,17 @@ class BranchAndBound:
             return ends()
 
         found = engine(
-            self._tighter,
-            tolerance=self.tolerance,
-            max_nodes=self.max_nodes,
-            below=self.cutoff,
-            ends=watched,
+            self.problem, tolerance=self.tolerance, max_nodes=self.max_nodes, ends=watched
         )
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = Outside(found.status, found.bound)
         if found.x is not None:
             self.local.confirm(
-                found.x, found.value + self.tolerance * self.original.objective_size(found.x)
+                found.x, found.value + self.tolerance * self.problem.objective_size(found.x)
             )
         if self.local.value < found.bound - self.allowed:
             self.outside = Outside(CONTRADICTED, -math.inf)
         return ENDS.get(found.status)
-
-    @cached_property
-    def _tighter(self) -> EquilibriumProgram:
-        return tightened(self.original)
 
     def _is_closed(self) -> bool:
         value = self.local.value
@@ -290,8 +256,7 @@ class BranchAndBound:
 
     def _search(self, ends: Callable[[], bool], most: float) -> Status | None:
         """Branch on so many nodes, or until none is open; return which limit came first, or None."""
-        if self.problem is not self._tighter:
-            self._begin(self._tighter)
+        if not self.tree:
             self._root()
         last = self.nodes + most
         while self.nodes < last and self.descent is None and self._next() is not None:
@@ -404,19 +369,15 @@ class BranchAndBound:
             status = Status.STALLED
             if is_excluded:
                 status = Status.INFEASIBLE if self._is_infeasible else Status.NO_SOLUTION
-        is_proved = status is Status.SOLVED and bound_by == "proof"
-        is_stationary = None if best is None else True if is_proved else self.local.is_stationary()
         return EquilibriumResult(
-            self.original,
             self.problem,
             status,
             None if best is None else best.point,
             value,
             lower,
             bound_by,
-            is_stationary,
             self.nodes,
-            self.relaxations.solved + self.local.relaxations.solved,
+            self.relaxations.solved,
             self.clock.read(),
             self.tolerance,
             tuple(self.tree),

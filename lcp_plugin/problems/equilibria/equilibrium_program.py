@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -25,7 +24,6 @@ from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
 from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
-from ..programs.reductions import FoldedRows
 from . import EQUILIBRIUM_PROGRAM
 
 Indices = NDArray[np.int64]
@@ -190,28 +188,10 @@ class EquilibriumProgram:
 
     @cached_property
     def all_cases(self) -> Cases:
-        """The cases that each pair has, shape (k,), without those that another one holds."""
-        lower, upper = (
-            np.isfinite(end) & ~self._implies_no_w(end) for end in (self.lower, self.upper)
-        )
+        """The cases that each pair has, shape (k,)."""
+        lower, upper = np.isfinite(self.lower), np.isfinite(self.upper)
         cases: Cases = (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
         return cases
-
-    def _implies_no_w(self, end: FloatVector) -> NDArray[np.bool_]:
-        """Return for each pair whether a row a z + b w = d says w = 0 where z = end: that is the case between, too."""
-        A = sp.csr_array(self.program.A)
-        found: NDArray[np.bool_] = (self.first == self.second) & (end == 0.0)
-        pair_of = {
-            (z, w): i
-            for i, (z, w) in enumerate(zip(self.first.tolist(), self.second.tolist(), strict=True))
-        }
-        for row in np.flatnonzero(np.diff(A.indptr) == 2):
-            entries = slice(A.indptr[row], A.indptr[row + 1])
-            (j, k), (a, b) = A.indices[entries].tolist(), A.data[entries].tolist()
-            i, factor = (pair_of[j, k], a) if (j, k) in pair_of else (pair_of.get((k, j), -1), b)
-            if i >= 0 and a and b and math.isfinite(end[i]):
-                found[i] = Fraction(factor) * Fraction(end[i]) == Fraction(self.program.b[row])
-        return found
 
     def bounds(self, cases: Cases) -> tuple[FloatVector, FloatVector]:
         """Return the bounds of x that hold in every open case; where lower > upper, no x is left."""
@@ -247,26 +227,6 @@ class EquilibriumProgram:
         """The program with all cases open."""
         lower, upper = self.bounds(self.all_cases)
         return self.program.with_vectors(lower=lower, upper=upper)
-
-    @property
-    def without_upper_bound(self) -> list[str]:
-        """The names of the variables whose upper bounds help a search: sides of pairs, and what is not convex."""
-        program, columns = self.program, [self.first, self.second]
-        if not self.has_convex_objective:
-            columns.append(np.unique(sp.csr_array(program.P).indices))
-        if self.smooth is not None:
-            columns.append(
-                np.unique(sp.csr_array(self.smooth.map.jacobian(np.zeros(program.n))).indices)
-            )
-        of_pairs = np.isin(np.arange(program.n), np.concatenate(columns[:2]))
-        stated = FoldedRows.of(program).reduced  # bounds are rows, too
-        lacks = np.isposinf(stated.upper) & ~(of_pairs & np.isneginf(stated.lower))
-        names = self.names or [f"x[{j}]" for j in range(program.n)]
-        return [
-            names[j]
-            for j in np.unique(np.concatenate(columns))
-            if lacks[j] and j < len(names) and names[j]
-        ]
 
     def distances(self, x: FloatVector) -> FloatVector:
         """Return how far x is from each of the three cases of each pair, shape (3, k); ∞ where a pair has it not."""

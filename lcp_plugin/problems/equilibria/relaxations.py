@@ -3,12 +3,6 @@
 A node leaves some cases of every pair open. What holds in all of them are bounds of variables, so that the programs of
 all nodes differ in these alone. The lower bound of a node is the rigorous one that any multipliers give
 (:mod:`lcp_plugin.problems.programs.dual_bounds`): whatever the solver did, it holds for every piece below.
-
-A piece that is no convex program is minimised locally, by sequential convex programs: around x̄
-
-    min g(x̄)ᵀx + ½ xᵀP x + ½ σ ‖x − x̄‖²    over the linearised rows and the piece's bounds,
-
-where P stays if it is convex. σ falls where objective + penalty · violation does, and rises where not.
 """
 
 from __future__ import annotations
@@ -22,7 +16,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
-from ...core.deadline import is_over
 from ...core.settings import Status
 from ...engines import engine_class
 from ...proofs.bounds.curvature import Curvature, constrained_curvature
@@ -40,10 +33,8 @@ FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
 MOST_STEPS = 100  # of interior points, where there may be no solution
 INSIDE = 1e-3  # beside the size of that box
-FAR = 1e4  # times the size of x that the data name, or where a local search begins: what is farther falls without end
-MOST_PROGRAMS = 60  # of a local search in one piece
-FLATTER, STEEPER, STEEPEST = 0.1, 8.0, 1e12  # of σ
-REACHED = 1e-10  # of ‖x‖∞: a step that is none
+FAR = 1e4  # times the size of x that the data name: what is farther falls without end
+MOST_PROJECTIONS = 4  # onto the linearized rows of a piece
 
 
 @dataclass(eq=False)
@@ -175,11 +166,11 @@ class Relaxations:
         found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
 
-    @np.errstate(over="ignore", invalid="ignore")  # of what falls without end
+    @np.errstate(over="ignore", invalid="ignore")  # of smooth rows far out
     def local_node(self, cases: Cases, near: FloatVector) -> Node:
-        """Return the node of one piece at a local minimum near a point; integers are those of the point, rounded.
+        """Return the node of one piece, integers rounded from a point; its value is ∞ if no solution was found.
 
-        Its value is ∞ where no solution was found.
+        A convex piece is solved. Otherwise the point is moved as little as its rows, linearized, ask for.
         """
         node, (lower, upper), whole = Node(cases), self.problem.bounds(cases), self.problem.integers
         lower[whole] = upper[whole] = np.clip(
@@ -187,42 +178,44 @@ class Relaxations:
         )
         if (lower > upper).any():
             return node
-        around, last = _Around(self.problem, np.clip(near, lower, upper)), None
-        far = FAR * (1.0 + float(np.abs(around.x).max(initial=0.0)))
-        size = float(np.abs(around.slope).max(initial=0.0)) or 1.0
-        sigma, penalty = 0.0 if self.problem.is_convex else size * FLATTER**3, 0.0
-        for _ in range(MOST_PROGRAMS):
-            if is_over() or not around.is_defined:
-                break
+        x = np.clip(near, lower, upper)
+        for _ in range(MOST_PROJECTIONS):
             self.solved += 1
-            solution = self._solution(around.program(sigma, lower, upper))
-            if solution is None:
-                if sigma > 0.0:
-                    break
-                sigma = size * FLATTER**3  # it may fall for ever
-                continue
-            if np.abs(solution.x).max(initial=0.0) > far:
-                break
-            multipliers = np.abs(np.concatenate([solution.inequality, solution.equality]))
-            penalty = max(penalty, 2.0 * float(multipliers.max(initial=0.0)))
-            step = _Around(self.problem, np.clip(solution.x, lower, upper))
-            moved = float(np.abs(step.x - around.x).max(initial=0.0))
-            is_none = moved <= REACHED * float(np.abs(step.x).max(initial=0.0))
-            if step.merit(penalty) <= around.merit(penalty) or sigma == 0.0:
-                around, last, sigma = step, solution, sigma * FLATTER
-                if is_none or sigma == 0.0:
-                    break
-            elif is_none or sigma > STEEPEST * size:
-                break
+            if self.problem.is_convex:
+                program = self.problem.program.with_vectors(lower=lower, upper=upper)
             else:
-                sigma = max(STEEPER * sigma, size * FLATTER**3)
-        if around.is_defined and self.problem.excess(around.x) <= FEASIBLE:
-            node.point, node.value = around.x, self.problem.objective(around.x)
-            if (
-                last is not None and self.problem.smooth is None
-            ):  # rows are the program's, in their order
-                node.dual = around.x, np.concatenate([last.inequality, last.equality])
+                program = self._projection(x, lower, upper)
+            solution = self._solution(program)
+            if solution is None:
+                return node
+            x = self._rounded(np.clip(solution.x, lower, upper), program)
+            if self.problem.excess(x) <= FEASIBLE:
+                node.point, node.value = x, self.problem.objective(x)
+                return node
         return node
+
+    def _projection(
+        self, x: FloatVector, lower: FloatVector, upper: FloatVector
+    ) -> QuadraticProgram:
+        """Return the program of the point nearest to x that meets the rows, linearized at x."""
+        own, smooth = self.problem.program, self.problem.smooth
+        rows = [sp.csr_array(own.G), sp.csr_array(own.A)]
+        low, high = [np.full(own.h.size, -np.inf), own.b], [own.h, own.b]
+        if smooth is not None:
+            slopes = sp.csr_array(smooth.map.jacobian(x))[1:]
+            shift = slopes @ x - smooth.map.value(x)[1:]
+            rows.append(slopes)
+            low.append(smooth.lower + shift)
+            high.append(smooth.upper + shift)
+        return QuadraticProgram.from_ranges(
+            sp.eye_array(x.size, format="csr"),
+            -x,
+            sp.vstack(rows, format="csr"),
+            np.concatenate(low),
+            np.concatenate(high),
+            lower,
+            upper,
+        )
 
     def _solution(self, program: QuadraticProgram) -> QPSolution | None:
         """Return the solution of a program, None where a first try finds none: it may have none."""
@@ -253,49 +246,6 @@ class Relaxations:
             and solution.is_stationary()
         )
         return replace(solution, program=program) if is_inside else solution
-
-
-class _Around:
-    """A problem around a point: what its convex model is made of."""
-
-    def __init__(self, problem: EquilibriumProgram, x: FloatVector) -> None:
-        self.problem, self.x, program, smooth = problem, x, problem.program, problem.smooth
-        self.value, self.slope = problem.objective(x), program.P @ x + program.c
-        parts = [
-            (program.G, np.full(program.h.size, -np.inf), program.h),
-            (program.A, program.b, program.b),
-        ]
-        missed = [program.G @ x - program.h, np.abs(program.A @ x - program.b)]
-        if smooth is not None:
-            found, slopes = smooth.map.value(x), sp.csr_array(smooth.map.jacobian(x))
-            self.slope = self.slope + slopes[[0]].toarray().ravel()
-            rows, shift = slopes[1:], slopes[1:] @ x - found[1:]
-            parts.append((rows, smooth.lower + shift, smooth.upper + shift))
-            missed.append(np.maximum(smooth.lower - found[1:], found[1:] - smooth.upper))
-        self.violation = sum(float(np.maximum(one, 0.0).sum()) for one in missed)
-        self._rows = parts
-        numbers = [
-            self.slope,
-            *(np.asarray(one.data) for one in map(sp.csr_array, (part[0] for part in parts))),
-        ]
-        self.is_defined = math.isfinite(self.value + self.violation) and all(
-            np.isfinite(one).all() for one in numbers
-        )
-
-    def merit(self, penalty: float) -> float:
-        """Return what a step has to lower."""
-        return self.value + penalty * self.violation if self.is_defined else math.inf
-
-    def program(self, sigma: float, lower: FloatVector, upper: FloatVector) -> QuadraticProgram:
-        """Return the convex program of the next step."""
-        own, n = self.problem.program, self.x.size
-        P = sp.csr_array(own.P) if self.problem.has_convex_objective else sp.csr_array((n, n))
-        H = sp.csr_array(P + sigma * sp.eye_array(n)) if sigma else P
-        rows = sp.vstack([sp.csr_array(matrix) for matrix, _, _ in self._rows], format="csr")
-        low, high = (np.concatenate([part[k] for part in self._rows]) for k in (1, 2))
-        return QuadraticProgram.from_ranges(
-            H, self.slope - H @ self.x, rows, low, high, lower, upper
-        )
 
 
 def _by_steps(program: QuadraticProgram, **options: Any) -> QPSolution:

@@ -16,13 +16,17 @@ from ..programs.no_minimum import QPUnboundedness
 from ..programs.program import QuadraticProgram
 from . import EQUILIBRIUM_PROGRAM
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
-from .lower_level import tightened
 from .relaxations import FEASIBLE, Node, Relaxations
 
 CONTRADICTED = "contradicted"  # by a better point of ours
+ENDS = {  # SCIP's words
+    "timelimit": Status.MAX_SECONDS,
+    "nodelimit": Status.MAX_ITERATIONS,
+    "totalnodelimit": Status.MAX_ITERATIONS,
+    "userinterrupt": Status.INTERRUPTED,
+}
 BY_SCIP = "bound by SCIP, in floating point"
 WIDE = 0.1  # a gap
-MOST_NAMES = 3
 GLOBAL = "pip install 'lcp_plugin[global]'"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
@@ -49,7 +53,6 @@ SAID = {
     "the variables",
     CONTRADICTED: "x is better than SCIP's bound, which is not believed therefore; next: rescale the data",
 }
-FALLS = ("unbounded", "inforunbd")
 
 
 class Outside(NamedTuple):
@@ -67,8 +70,6 @@ class EquilibriumResult(Answer):
     ----------
     problem : EquilibriumProgram
         The problem that was given.
-    searched : EquilibriumProgram
-        The same, or with the bounds that its lower level proves: the tree's.
     status : Status
         SOLVED: x is a solution, and the gap is within the tolerance. INFEASIBLE: the linear constraints are infeasible
         by a verified proof. NO_SOLUTION: so is every piece. UNBOUNDED: a piece falls without end. MAX_ITERATIONS,
@@ -83,9 +84,6 @@ class EquilibriumResult(Answer):
     bound_by : str or None
         "proof": the bound is proved, `verify` checks it. "SCIP": it is what SCIP says, in floating point. None where
         there is no bound.
-    is_b_stationary : bool or None
-        Whether x is least on every piece that holds it, so that it is a local minimum; None where that is not known.
-        Where pieces are not convex: whether no local search in one of them finds anything better.
     nodes, programs : int
         Nodes that were branched on, SCIP's among them, and convex programs that were solved here.
     seconds : float
@@ -103,13 +101,11 @@ class EquilibriumResult(Answer):
     answered_kind: ClassVar[Kind] = EQUILIBRIUM_PROGRAM
 
     problem: EquilibriumProgram = field(repr=False)
-    searched: EquilibriumProgram = field(repr=False)
     status: Status
     x: FloatVector | None = field(repr=False)
     value: float
     lower_bound: float
     bound_by: str | None
-    is_b_stationary: bool | None
     nodes: int
     programs: int
     seconds: float
@@ -136,19 +132,14 @@ class EquilibriumResult(Answer):
         """0."""
         return 0.0
 
-    @property
-    def is_global(self) -> bool:
-        """Whether x is within the tolerance of the least, as far as the bound is right."""
-        return self.is_solved
-
     def verify(self) -> bool:
         """Return whether the status, x and the bound hold, from the data alone; some milliseconds a leaf.
 
         A bound by SCIP is not proved: False.
         """
-        if self.bound_by == "SCIP" or not (self._x_holds() and self._is_equivalent()):
+        if self.bound_by == "SCIP" or not self._x_holds():
             return False
-        relaxations = Relaxations(self.searched, self.tolerance)
+        relaxations = Relaxations(self.problem, self.tolerance)
         if self.status is Status.UNBOUNDED:
             return self._falls(relaxations)
         is_excluded = self.x is None and self.lower_bound == math.inf
@@ -164,12 +155,6 @@ class EquilibriumResult(Answer):
         return self._tree_covers() and all(
             self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0
         )
-
-    def _is_equivalent(self) -> bool:
-        """Return whether bounds that were added follow from the problem."""
-        if self.searched is self.problem:
-            return True
-        return _is_same(self.searched.program, tightened(self.problem).program)
 
     def _x_holds(self) -> bool:
         if self.x is None:
@@ -287,29 +272,9 @@ class EquilibriumResult(Answer):
         if self.status in LIMITS and self.lower_bound > -math.inf:
             found += ", lower_bound holds" if self.bound_by == "proof" else ""
         happened, begins, to_do = advice.partition(NEXT)
-        return f"{happened}; {found}{self._unbounded_words()}{begins}{to_do}"
-
-    def _unbounded_words(self) -> str:
-        """Return which variables an upper bound would help, where the gap is wide."""
-        said = "" if self.outside is None else self.outside.status
-        is_searched = self.outside is not None or self.problem.is_provable
-        if self.gap <= WIDE or not is_searched or (said in SAID and said not in FALLS):
-            return ""
-        names = self.problem.without_upper_bound
-        if not names:
-            return ""
-        some, has = ", ".join(names[:MOST_NAMES]), "has" if len(names) == 1 else "have"
-        some += ", …" * (len(names) > MOST_NAMES)
-        why, it = (
-            "" if said in FALLS else "the lower bound barely moves: ",
-            "it" if len(names) == 1 else "them",
-        )
-        how = (
-            ""
-            if self.problem.names
-            else f", as a row of G x <= h: in `upper` it bounds the pairs of {it}, too"
-        )
-        return f"; {why}{some} {has} no upper bound; give {it} one{how}"
+        wide = "; the lower bound barely moves, bounds of the unknowns from above help"
+        said = "" if self.gap <= WIDE or self.outside is None else wide
+        return f"{happened}; {found}{said}{begins}{to_do}"
 
     def _numbers(self) -> dict[str, float]:
         own = {

@@ -13,11 +13,10 @@ import pytest
 from macmpec import COLLECTION
 from scipy.optimize import linprog
 
-from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, Status, box, complements, solve
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements, solve
 from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.incumbents import LocalSearch
-from lcp_plugin.problems.equilibria.lower_level import tightened
 
 
 def solved(problem: cp.Problem, **options: Any) -> Any:
@@ -33,7 +32,7 @@ def test_published_optima_are_found_and_proved(name: str) -> None:
     published = COLLECTION[name]
     problem = published.state()
     result = solved(problem)
-    assert (problem.status, result.is_global) == (cp.OPTIMAL, True)
+    assert (problem.status, result.is_solved) == (cp.OPTIMAL, True)
     assert result.gap <= 1e-6
     assert (
         abs(problem.value - published.optimum) <= 1e-6 * abs(published.optimum) + published.accuracy
@@ -115,7 +114,6 @@ def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(
 ) -> None:
     """The status is user_limit, variables keep what they hold, and a bound of (y − x)² + x² + 1 is one."""
     monkeypatch.setattr(LocalSearch, "from_point", lambda self, x, cases=None: None)
-    monkeypatch.setattr(LocalSearch, "from_leaders", lambda self, guess, most=None: None)
     monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
     x, y = cp.Variable(value=7.0), cp.Variable(value=-3.0)
     pair = complements(x >= 0, y - x - 1 >= 0)
@@ -126,42 +124,6 @@ def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(
     assert (float(x.value), float(y.value), found.x) == (7.0, -3.0, None)
     assert found.lower_bound == pytest.approx(2.0, abs=1e-6)
     assert found.lower_bound <= 2.0
-
-
-@pytest.mark.full
-def test_bounds_from_a_monotone_lower_level_keep_every_solution() -> None:
-    """0 ≤ z ⟂ M z + N x + q ≥ 0 with M ≻ 0 keeps z in an ellipsoid, whose bounds are near; verify() sees others."""
-    rng = np.random.default_rng(5)
-    k = 12
-    half, turned, N = (
-        rng.standard_normal((k, k)),
-        rng.standard_normal((k, k)),
-        rng.standard_normal((k, 2)),
-    )
-    M, q = half @ half.T / k + 0.1 * np.eye(k) + turned - turned.T, rng.standard_normal(k)
-    program = QuadraticProgram(
-        np.zeros((k + 2, k + 2)),
-        rng.standard_normal(k + 2),
-        lower=np.append([-1, -1], np.zeros(k)),
-        upper=np.append([1, 1], np.full(k, np.inf)),
-    )
-    problem = EquilibriumProgram.of_rows(program, np.arange(2, k + 2), np.hstack([N, M]), q)
-    most = tightened(problem).program.upper[2 : k + 2]
-    for x in rng.uniform(-1, 1, (30, 2)):
-        assert (solve(LCP(M, N @ x + q)).z <= most).all()
-    S, r = 0.5 * (M + M.T), np.abs(N).sum(axis=1) - q
-    inverse = np.linalg.inv(
-        S
-    )  # z = S⁻¹r/2 + what is as far as it can be in the direction of one entry
-    largest = 0.5 * (inverse @ r + np.sqrt(float(r @ inverse @ r) * np.diag(inverse)))
-    np.testing.assert_allclose(most, largest, rtol=1e-6)
-    result = minimize_over_solutions(problem, prove=True)
-    assert (result.status, result.verify()) == (Status.SOLVED, True)
-    assert result.searched is not problem
-    upper = np.array(result.searched.program.upper)
-    upper[2] *= 0.5
-    moved = replace(result.searched, program=result.searched.program.with_vectors(upper=upper))
-    assert not replace(result, searched=moved).verify()
 
 
 def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
@@ -197,3 +159,42 @@ def test_the_unit_of_the_objective_changes_no_answer(unit: float, prove: bool) -
     result = minimize_over_solutions(problem, prove=prove)
     assert result.is_solved
     np.testing.assert_allclose(result.value, best, rtol=1e-6)
+
+
+def test_a_nonconvex_box_program_is_solved_at_its_least_face() -> None:
+    """Without pairs: the least value of an indefinite quadratic on a box, against an enumeration of its faces."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        B, c, best = rng.normal(size=(4, 4)), rng.normal(size=4), np.inf
+        P = B + B.T
+        for face in itertools.product((-1.0, 0.0, 1.0), repeat=4):
+            x = np.array(face)
+            free = x == 0.0
+            inner = -(c[free] + P[np.ix_(free, ~free)] @ x[~free])
+            x[free] = np.linalg.solve(P[np.ix_(free, free)], inner)
+            if np.abs(x).max() <= 1.0:
+                best = min(best, 0.5 * x @ P @ x + c @ x)
+        result = solve(EquilibriumProgram(QuadraticProgram(P, c, lower=-1, upper=1), [], []))
+        assert result.is_solved
+        assert result.value == pytest.approx(best, rel=1e-6)
+
+
+def test_an_integer_beside_pairs_is_solved_at_the_only_least_point() -> None:
+    """Five unknowns, two pairs, one integer: (0, 0, 1, 0, 0), of value 1."""
+    G = [[-1.0, 2.0, 0.0, 2.0, 0.0]]
+    A = [[-1.0, 1.0, 2.0, 2.0, 0.0], [0.0, 2.0, -2.0, 0.0, -2.0]]
+    program = QuadraticProgram(None, np.ones(5), G, [0.0], A, [2.0, -2.0], lower=0, upper=5)
+    problem = EquilibriumProgram(program, [0, 1], [2, 3], upper=np.inf, integers=[4])
+    result = solve(problem).require_solved()
+    np.testing.assert_allclose(result.x, [0, 0, 1, 0, 0], atol=1e-8)
+    assert result.value == pytest.approx(1.0)
+
+
+def test_pairs_without_a_solution_are_proved_so_beside_integers() -> None:
+    """Y ≥ 1 contradicts both cases of y ≥ 0 ⟂ y + 1 ≥ 0, whatever the integer is."""
+    x, y = cp.Variable(integer=True), cp.Variable()
+    rows = [complements(y >= 0, y + 1 >= 0), y >= 1, x >= 0, x <= 5]
+    problem = cp.Problem(cp.Minimize(x), rows)
+    problem.solve(method="LCP")
+    assert problem.status == cp.INFEASIBLE
+    assert problem.solver_stats.extra_stats.verify()

@@ -92,7 +92,7 @@ def test_what_falls_for_ever_without_being_convex_is_said() -> None:
     problem.solve(method="LCP")
     result = problem.solver_stats.extra_stats
     assert (problem.status, result.status) == (cp.settings.USER_LIMIT, Status.STALLED)
-    assert "the objective falls without end, and nothing proves it; " in result.advice
+    assert "next: bound the variables" in result.advice
     bounded = cp.Problem(problem.objective, [*rows, x <= 4])  # what is advised
     assert bounded.solve(method="LCP") == pytest.approx(24.0, abs=1e-5)
 
@@ -101,8 +101,7 @@ def test_an_absolute_value_that_is_not_convex_is_taken_as_a_pair() -> None:
     """|x − 3| − x is largest at x = 0, proved; |a| + |b| − a b, |a| + b² ≤ 2, where 3 = 2 b + 3 b²; starts count."""
     x, y, v = cp.Variable(bounds=[0, 10]), cp.Variable(), cp.Variable(2, bounds=[-2, 1])
     problem = cp.Problem(cp.Maximize(cp.abs(x - 3) - x), [complements(y >= 0, 2 * y + x - 8 >= 0)])
-    for limit in (None, 0):
-        assert problem.solve(method="LCP", max_nodes=limit) == pytest.approx(3.0, abs=1e-6)
+    assert problem.solve(method="LCP") == pytest.approx(3.0, abs=1e-6)
     assert problem.solver_stats.extra_stats.bound_by == "proof"
     rows = [complements(y >= 0, y - v[0] >= 0), cp.abs(v)[0] + cp.square(v[1]) <= 2]
     b = (np.sqrt(10.0) - 1.0) / 3.0
@@ -111,7 +110,7 @@ def test_an_absolute_value_that_is_not_convex_is_taken_as_a_pair() -> None:
 
 
 def test_without_scip_what_is_no_complementarity_problem_is_solved_too(without_scip: None) -> None:
-    """More rows than unknowns, and one unknown in two pairs: no followers to solve for fixed leaders, no traceback."""
+    """More rows than unknowns, and one unknown in two pairs."""
     over = QuadraticProgram(None, [1, 0], A=[[1, 0], [0, 1]], b=[1, 0], lower=0)
     twice = QuadraticProgram(None, [1, 0, 0], A=[[1, -1, 0]], b=[1], lower=0)
     for program, second in ((over, [1]), (twice, [1, 2])):
@@ -123,8 +122,8 @@ def test_without_scip_what_is_no_complementarity_problem_is_solved_too(without_s
         )
 
 
-def test_missing_bounds_are_named_where_the_bound_barely_moves(without_scip: None) -> None:
-    """Sides of pairs without an upper bound are named; rows that limit them give a bound, and keep the pairs."""
+def test_rows_that_limit_sides_of_pairs_give_a_bound(without_scip: None) -> None:
+    """Without an upper bound of sides of pairs there is no bound; rows that limit them give one, and keep the pairs."""
     M, q = [[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0]  # 0 ≤ y₀ ⟂ 1 + y₁, 0 ≤ y₁ ⟂ 1 + y₀: y = 0
     results = [
         minimize_over_solutions(EquilibriumProgram.of_rows(program, [0, 1], M, q), max_nodes=0)
@@ -137,7 +136,4 @@ def test_missing_bounds_are_named_where_the_bound_barely_moves(without_scip: Non
         0.0,
         -np.inf,
         pytest.approx(-18.0),
-    )
-    assert (
-        "x[0], x[1] have no upper bound; give them one, as a row of G x <= h" in results[0].advice
     )

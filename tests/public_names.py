@@ -14,7 +14,6 @@ ELSEWHERE = {
     "problems.reformulations.absolute_value": "AbsoluteValueSolution lcp_from_absolute_value",
     "problems.reformulations.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
     "problems.contact": "ContactMotion Contacts contact_data lcp_from_contacts",
-    "problems.least_squares.conversion": "LeastSquaresSolution lcp_from_least_squares",
     "problems.programs.solution": "QPSolution",
     "problems.programs.conversion": "lcp_from_lp lcp_from_qp qp_from_lcp",
     "evidence.measurement": "Measurement",

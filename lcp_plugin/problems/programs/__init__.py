@@ -31,7 +31,7 @@ was asked, together with a measure of how wrong it is there.
 | programs with the same matrices | ``solve_batch(prepare(program), [{"b": b}, …])``, ``program.with_vectors(b=b)`` |
 | many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
 | linear program | ``problems.programs.conversion.lcp_from_lp`` |
-| least squares within bounds | ``problems.least_squares.conversion.lcp_from_least_squares`` |
+| least squares within bounds | ``solve(BoundedLeastSquares(A, b))``; as an LCP: ``LCP.from_qp(A.T @ A, −A.T @ b, lower=0)`` |
 | bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
 | contacts with friction | ``LCP.from_contacts(W, friction, velocities)`` or of bodies; back: impulses, slip, stick |
 | absolute value equation | ``problems.reformulations.absolute_value.lcp_from_absolute_value`` |

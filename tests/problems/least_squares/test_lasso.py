@@ -25,7 +25,6 @@ from lcp_plugin import (
 )
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.least_squares.certificate import duality_gap
-from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
 
 INF = np.inf
@@ -231,16 +230,6 @@ def test_a_penalty_that_is_large_enough_leaves_nothing() -> None:
     nonnegative = solve(BoundedLeastSquares(A, b, l1=0.7)).require_solved()
     program = solve(QuadraticProgram(A.T @ A, 0.7 - A.T @ b, lower=0.0))
     np.testing.assert_allclose(nonnegative.x, program.x, atol=1e-8)
-
-
-@pytest.mark.parametrize("form", ["normal", "mixed"])
-def test_the_lcp_of_a_lasso_has_its_answer(form: str) -> None:
-    """Subgradients behind x where both signs may be taken, a linear term elsewhere."""
-    A, b, rest, _ = planted(7, 5, 3)
-    problem = lcp_from_least_squares(A, b, form=form, **rest)
-    solution = problem.origin.recover(solve(problem).require_solved())
-    best = bounded_least_squares(A, b, **rest).cost
-    assert abs(solution.cost - best) <= 1e-6 * best
 
 
 @pytest.mark.sampled(2)

@@ -29,11 +29,9 @@ from lcp_plugin.core.errors import (
     InvalidProblem,
     LCPError,
     NotConverged,
-    UnsuitableProblem,
 )
 from lcp_plugin.problems.least_squares import run
 from lcp_plugin.problems.least_squares.certificate import Optimality
-from lcp_plugin.problems.least_squares.conversion import lcp_from_least_squares
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 from lcp_plugin.problems.least_squares.enclosures import Enclosures, largest_residuals
 from lcp_plugin.problems.least_squares.engine_points import nonnegative_as_given
@@ -514,71 +512,6 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
         assert alone.objective <= plain.objective * (1.0 + 2.0 * tolerance) + 1e-300
     np.testing.assert_array_equal(scaled.x * columns, plain.x)
     assert scaled.optimality == plain.optimality
-
-
-# --- the complementarity problem ----------------------------------------------------------------------------
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize("form", ["auto", "normal", "mixed"])
-@pytest.mark.parametrize("shape", [(40, 12), (9, 20), (0, 3), (3, 0)])
-@pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
-def test_least_squares_as_a_complementarity_problem(
-    shape: tuple[int, int], form: str, kind: Any
-) -> None:
-    """`solve` of each form, weights, ridge and a box included, recovers the x, residual and cost of the solver."""
-    rng = np.random.default_rng(sum(shape))
-    A, b, weights = (
-        kind(rng.standard_normal(shape)),
-        rng.standard_normal(shape[0]),
-        rng.random(shape[0]),
-    )
-    weights[:1] = 0.0
-    for ridge, lower, upper in ((0.1, -0.2, 0.3), (0.0, 0.0, INF)):
-        direct = bounded_least_squares(A, b, lower, upper, weights=weights, ridge=ridge)
-        problem = lcp_from_least_squares(
-            A, b, lower, upper, weights=weights, ridge=ridge, form=form
-        )
-        answer = problem.origin.recover(solve(problem, tolerance=1e-11).require_solved())
-        assert answer.cost == pytest.approx(direct.cost, rel=1e-8, abs=1e-12)
-        if shape[0] > shape[1] or ridge:
-            np.testing.assert_allclose(answer.x, direct.x, atol=1e-7)
-            np.testing.assert_allclose(answer.fun, direct.fun, atol=1e-6)
-
-
-def test_the_mixed_form_is_as_sparse_and_well_conditioned_as_the_data() -> None:
-    """A dense row, which fills AᵀA, and κ = 1e6, whose square no double holds: "mixed" has A's entries and solves."""
-    A = sp.csr_array(sp.vstack([sp.eye_array(300), np.ones((1, 300))]))
-    problem = lcp_from_least_squares(A, np.ones(301))
-    assert problem.origin.form == "mixed"
-    assert problem.nonzeros == 2 * A.nnz + 301
-    A, b, _, x = planted(of_condition(60, 30, 1e6))
-    problem = lcp_from_least_squares(A, b, form="mixed")
-    answer = problem.origin.recover(solve(problem, tolerance=1e-14))
-    np.testing.assert_allclose(answer.x, x, atol=1e-6)
-
-
-@pytest.mark.parametrize("size", [1e200, 1e-200])
-def test_squares_that_no_double_holds_are_not_formed(size: float) -> None:
-    """Where AᵀA overflows or vanishes the mixed form states the problem, and the normal one is refused."""
-    A, b = size * np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([2.0, 1.0, -1.0])
-    problem = lcp_from_least_squares(A, b)
-    assert problem.origin.form == "mixed"
-    np.testing.assert_allclose(
-        size * problem.origin.recover(solve(problem)).x, [1.5, 0.0], atol=1e-9
-    )
-    with pytest.raises(UnsuitableProblem, match='form="mixed"'):
-        lcp_from_least_squares(A, b, form="normal")
-
-
-def test_an_lcp_needs_entries() -> None:
-    """A LinearOperator and unknown forms are refused in words."""
-    with pytest.raises(
-        UnsuitableProblem, match="a LinearOperator has none; use bounded_least_squares"
-    ):
-        lcp_from_least_squares(aslinearoperator(np.eye(2)), [1.0, 1.0])
-    with pytest.raises(InvalidOption, match="did you mean 'mixed'"):
-        lcp_from_least_squares(np.eye(2), [1.0, 1.0], form="mixt")
 
 
 # --- statuses -----------------------------------------------------------------------------------------------

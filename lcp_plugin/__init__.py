@@ -5,7 +5,7 @@ Find z with lower ≤ z ≤ upper and w = M z + q complementary. The names below
 
 - ``help("lcp_plugin.core")``: what every solve needs, and in which order to read it
 - ``help("lcp_plugin.modeling")``: what may be stated in cvxpy, and how its status is judged
-- ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games, absolute value equations
+- ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games
 - ``help("lcp_plugin.auto")``: what algorithm="auto" does
 - ``help("lcp_plugin.methods.direct")``: how it goes on without sweeps
 - ``help("lcp_plugin.core.splittings")``: what to expect of sweeps

@@ -11,7 +11,6 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ELSEWHERE = {
     "algorithms": "Algorithm Step algorithm_class create from_other_packages",
-    "problems.reformulations.absolute_value": "AbsoluteValueSolution lcp_from_absolute_value",
     "problems.reformulations.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
     "problems.contact": "ContactMotion Contacts contact_data lcp_from_contacts",
     "problems.programs.solution": "QPSolution",

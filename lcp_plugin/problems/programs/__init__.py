@@ -1,4 +1,4 @@
-"""Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
+r"""Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
 
 ``solve(QuadraticProgram(…))`` is `solving.solve_program`, whoever calls it. In order, until one decides:
 
@@ -31,10 +31,10 @@ was asked, together with a measure of how wrong it is there.
 | programs with the same matrices | ``solve_batch(prepare(program), [{"b": b}, …])``, ``program.with_vectors(b=b)`` |
 | many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
 | linear program | ``problems.programs.conversion.lcp_from_lp`` |
-| least squares within bounds | ``solve(BoundedLeastSquares(A, b))``; as an LCP: ``LCP.from_qp(A.T @ A, −A.T @ b, lower=0)`` |
+| least squares within bounds | ``solve(BoundedLeastSquares(A, b))``, or ``LCP.from_qp(A.T @ A, −A.T @ b, lower=0)`` |
 | bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
 | contacts with friction | ``LCP.from_contacts(W, friction, velocities)`` or of bodies; back: impulses, slip, stick |
-| absolute value equation | ``problems.reformulations.absolute_value.lcp_from_absolute_value`` |
+| absolute value equation A x − \|x\| = b | ``LCP(solve(A − I, A + I), solve(A − I, b))`` of numpy's ``solve``; x = w − z |
 | model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
 
 Quadratic programs must be convex; others are refused (`UnsupportedModel`): up to n = 5000 where P has a negative

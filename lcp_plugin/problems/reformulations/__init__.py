@@ -1,1 +1,1 @@
-"""Games and absolute value equations as linear complementarity problems, and back."""
+"""Bimatrix games as linear complementarity problems, and back."""

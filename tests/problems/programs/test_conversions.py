@@ -21,7 +21,6 @@ from lcp_plugin.problems.programs.conversion import (
     qp_from_lcp,
 )
 from lcp_plugin.problems.programs.solution import QPSolution
-from lcp_plugin.problems.reformulations.absolute_value import lcp_from_absolute_value
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 
@@ -427,39 +426,6 @@ def test_regret_sees_what_is_no_equilibrium() -> None:
     assert problem.origin.recover([1.0, 0.0, 1.0, 0.0]).regret == 2.0
 
 
-@pytest.mark.parametrize("form", ["plain", "mixed"])
-@pytest.mark.parametrize("general", [False, True])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_absolute_value_equations(seed: int, general: bool, form: str) -> None:
-    """A planted x with both signs and zeros solves the problem and comes back, for B = −I and any B."""
-    rng = np.random.default_rng(seed)
-    n = 7
-    A = rng.normal(size=(n, n)) + 5 * np.eye(n)
-    B = rng.normal(size=(n, n)) if general else None
-    x = np.array([1.0, -2.0, 0.0, 3.0, -0.5, 0.0, 1.5])
-    b = A @ x + (B @ abs(x) if general else -abs(x))
-    given = sp.csr_array(A) if seed % 2 else A
-    problem = lcp_from_absolute_value(given, b, B, form=form)
-    negative = np.maximum(-x, 0.0)
-    z = negative if form == "plain" else np.concatenate([x, negative])
-    assert Certificate.of(problem, z).relative_residual < 1e-13
-    solution = problem.origin.recover(z)
-    np.testing.assert_allclose(solution.x, x, atol=1e-13)
-    assert solution.residual < 1e-14
-
-
-def test_absolute_value_equation_solved() -> None:
-    """With singular values above 1 the plain problem is positive definite; with a strong diagonal PGS solves it."""
-    rng = np.random.default_rng(3)
-    A = 6 * np.eye(20) + rng.uniform(-0.1, 0.1, (20, 20))
-    x = rng.normal(size=20)
-    problem = lcp_from_absolute_value(A, A @ x - abs(x))
-    M = problem.csr.toarray()
-    assert np.linalg.eigvalsh(M + M.T).min() > 0
-    solution = problem.origin.recover(solve(problem, "pgs", **TIGHT).require_solved())
-    np.testing.assert_allclose(solution.x, x, atol=1e-8)
-
-
 # --- What is refused, and data that stay as they are ---------------------------------------------------------
 
 EYE = np.eye(2)
@@ -635,16 +601,6 @@ REFUSED = {
         NotConverged,
         "row player",
         lambda: lcp_from_bimatrix_game(EYE, EYE).origin.recover(np.zeros(4)),
-    ),
-    "AVE with eigenvalue 1": (
-        UnsuitableMatrix,
-        "singular",
-        lambda: lcp_from_absolute_value(EYE, [1, 2]),
-    ),
-    "AVE form": (
-        InvalidOption,
-        "did you mean 'mixed'",
-        lambda: lcp_from_absolute_value(EYE, [1, 2], form="mixt"),
     ),
 }
 

@@ -46,7 +46,7 @@ ALIKE, LOOSE = (
     1e-6,
     1e-4,
 )  # relative, of an objective or a residual that others judge; of a program over a cone
-SHARP = 1e-8  # of the largest entry: a proved distance
+SHARP = 1e-4  # of the largest entry: a proved distance, the root of what the value is known to
 MOST_PUBLISHED = 2500  # rows and columns
 SEED, SHARE = 70, 7
 

@@ -768,12 +768,6 @@ MECHANISMS = (
     ),
     # --- certify
     Mechanism(
-        "sharp distance",
-        "how far an x is, by its residuals",
-        {f"{PROGRAMS}.certification:ProgramProofs.sharpened": given_back(1)},
-        "problems/programs/sharp_distances.py problems/programs/certification.py:ProgramProofs.sharpened",
-    ),
-    Mechanism(
         "dual slack",
         "dual points repaired to have the signs that are needed",
         {f"{BOUNDS}._with_slack": given_back(1)},

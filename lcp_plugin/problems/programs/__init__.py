@@ -17,7 +17,7 @@ r"""Convex quadratic and linear programs; what can be stated as a linear complem
 | `conversion` | the complementarity problem of a program, and the answer that its z is |
 | `criterion`, `solution` | what is optimal, and by how much an answer misses it |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
-| `certification`, `dual_bounds`, `feasible_points`, `sharp_distances` | what is proved of anybody's answer |
+| `certification`, `dual_bounds`, `feasible_points` | what is proved of anybody's answer |
 | `kind` | what the package asks of a kind: messages, names, ways in |
 | `stacked_programs` | many programs of one shape |
 
@@ -34,7 +34,7 @@ was asked, together with a measure of how wrong it is there.
 | least squares within bounds | ``solve(BoundedLeastSquares(A, b))``, or ``LCP.from_qp(A.T @ A, −A.T @ b, lower=0)`` |
 | bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
 | contacts with friction | ``LCP.from_contacts(W, friction, velocities)`` or of bodies; back: impulses, slip, stick |
-| absolute value equation A x − \|x\| = b | ``LCP(solve(A − I, A + I), solve(A − I, b))`` of numpy's ``solve``; x = w − z |
+| absolute value equation A x − \\|x\\| = b | ``LCP(solve(A − I, A + I), solve(A − I, b))`` by numpy; x = w − z |
 | model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
 
 Quadratic programs must be convex; others are refused (`UnsupportedModel`): up to n = 5000 where P has a negative

@@ -8,7 +8,7 @@ came with the answer and with those of a solution of our own; an upper bound fro
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -38,7 +38,6 @@ from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
 from .program_matrices import as_csr
 from .reductions import FoldedRows
-from .sharp_distances import sharp_distance
 from .solution import QPSolution
 from .solving import QuadraticProgramResult, run_program
 
@@ -252,6 +251,8 @@ class Certification:
         A bound of the distance of f(x) from `lower`; None without an x or a lower bound.
     reason : str
         Why this is the verdict.
+    distance : float or None
+        Upper bound of ‖x − x*‖₂, √(2 gap/μ) with the curvature μ; None if the optimal x* is not proved to be unique.
     """
 
     verdict: str
@@ -261,16 +262,7 @@ class Certification:
     upper: float | None = None
     gap: float | None = None
     reason: str = ""
-    _distance: Callable[[], float | None] | None = field(default=None, repr=False)
-
-    @cached_property
-    def distance(self) -> float | None:
-        """A proved bound of ‖x − x*‖₂, where the optimal x* is proved to be the only one; made when looked at."""
-        return None if self._distance is None else self._distance()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Take the distance along, not what it is made from."""
-        return {**self.__dict__, "distance": self.distance, "_distance": None}
+    distance: float | None = None
 
     __setstate__ = restored
 
@@ -375,23 +367,6 @@ class ProgramProofs:
     def _inside(self) -> list[FeasiblePoint]:
         inside = self.points.inside
         return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
-
-    def sharpened(
-        self,
-        distance: float,
-        x: FloatVector,
-        points: Sequence[FeasiblePoint],
-        lower: float,
-        columns: Any,
-    ) -> float:
-        """Return a bound of ‖x − x*‖₂ by residuals, of our own solution where there is one, or else the distance."""
-        own = self.__dict__.get("own_solution")
-        for near in [x] if own is None else [own.x, x]:
-            blur = float(norm_above(np.abs((x - near)[columns])))
-            left = sharp_distance(self.program, self.bounds.curvature, near, points, lower, columns)
-            if (found := OUTWARD**2 * (blur + left)) < distance:
-                return found
-        return distance
 
     @cached_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -630,7 +605,7 @@ class Proved:
             _if_finite(self.upper),
             _if_finite(self.gap),
             reason,
-            lambda: _if_finite(proofs.sharpened(near, x, self.points, self.lower, columns)),
+            _if_finite(near),
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:

@@ -789,13 +789,6 @@ MECHANISMS = (
         },
         "problems/programs/dual_bounds.py:implied_box problems/programs/dual_bounds.py:_tighten",
     ),
-    Mechanism(
-        "exact points",
-        "feasible points in exact arithmetic",
-        {f"{PROGRAMS}.feasible_points:FeasiblePoints.exactly_near": says(None)},
-        "problems/programs/feasible_points.py:FeasiblePoints.exactly_near",
-        "problems/programs/test_certify.py::test_feasible_points_are_feasible",
-    ),
     # --- many
     Mechanism(
         "lesson",

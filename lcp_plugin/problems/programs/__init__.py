@@ -1,4 +1,4 @@
-r"""Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
+"""Convex quadratic and linear programs; what can be stated as a linear complementarity problem, and back.
 
 ``solve(QuadraticProgram(…))`` is `solving.solve_program`, whoever calls it. In order, until one decides:
 
@@ -34,7 +34,7 @@ was asked, together with a measure of how wrong it is there.
 | least squares within bounds | ``solve(BoundedLeastSquares(A, b))``, or ``LCP.from_qp(A.T @ A, −A.T @ b, lower=0)`` |
 | bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
 | contacts with friction | ``LCP.from_contacts(W, friction, velocities)`` or of bodies; back: impulses, slip, stick |
-| absolute value equation A x − \\|x\\| = b | ``LCP(solve(A − I, A + I), solve(A − I, b))`` by numpy; x = w − z |
+| absolute value equation A x − abs(x) = b | ``LCP(solve(A − I, A + I), solve(A − I, b))`` by numpy; x = w − z |
 | model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
 
 Quadratic programs must be convex; others are refused (`UnsupportedModel`): up to n = 5000 where P has a negative

@@ -352,11 +352,7 @@ class ProgramProofs:
         found = [point for x in near if (point := self.points.near(x)) is not None]
         if "own_solution" in self.__dict__ or (self.is_small and by_own):
             found += self._own_point
-            near = near if self.own_solution is None else (*near, self.own_solution.x)
-        if found or not exactly:
-            return found
-        found = [point for x in near if (point := self.points.exactly_near(x)) is not None]
-        return found or self._inside
+        return found if found or not exactly else self._inside
 
     @cached_property
     def _own_point(self) -> list[FeasiblePoint]:

@@ -1,38 +1,27 @@
 """Points that are proved to satisfy all constraints of a program, near a point that nearly does.
 
 A point is moved onto the equations and off the rows that are tight, by least squares, and every row evaluated with its
-rounding; that the equations have a solution near by is proved by an approximate inverse. Where they depend on each
-other or leave no slack, in small programs, the equations and the rows that are tight are solved in rational arithmetic;
-where that leaves a row violated, the point is moved towards one that a linear program finds inside, and checked again.
+rounding; that the equations have a solution near by is proved by an approximate inverse. Where that proves none, a
+small program has the point that a linear program finds inside, checked in rational arithmetic.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import FloatVector
-from ...core.deadline import is_over
 from ...core.matrix.matrix import largest_in_rows
 from ...core.rounding import compensated_pair, compensated_product, gamma, upper_end
-from ...proofs.exact.linear_systems import solved_nearby
-from ...proofs.exact.rational import Vector, enclosures, products, rational
+from ...proofs.exact.rational import Vector
 from ...proofs.exact.upward import product_above, sum_above
 from .dual_bounds import SLACKS, half_above, least_squares
-from .no_minimum import feasible_point, losses
+from .no_minimum import feasible_point
 from .program import QuadraticProgram
 
-TIGHT = (
-    0.0,
-    1e-9,
-    1e-6,
-    -np.inf,
-)  # of a row's size: rows that are solved for as if they were equations; then none
 EXACT_UP_TO = 100  # rows that are solved for in .4 s; 1.7 s are needed for 200
 SMALL = 2000  # variables and rows of a program whose points are checked in fractions: a second
 NEAR = 1e-9  # of a row's size: rows that a point is moved off
@@ -77,15 +66,6 @@ class FeasiblePoints:
             return FeasiblePoint.of(self.program, x, x)
         points = (self._enclosed(self._moved_off(x, slack)) for slack in SLACKS)
         return next((point for point in points if point is not None), None)
-
-    def exactly_near(self, x: FloatVector) -> FeasiblePoint | None:
-        """Return a feasible point near x that rational arithmetic finds; None where it finds none."""
-        for tight in TIGHT if self.is_small else ():
-            if is_over():
-                break
-            if (exact := self._solved(x, tight)) is not None:
-                return FeasiblePoint.of(self.program, *enclosures(exact))
-        return None
 
     @cached_property
     def inside(self) -> Vector | None:
@@ -132,58 +112,6 @@ class FeasiblePoints:
         if not (sum_above(excess[~is_equality], spread) <= 0.0).all():
             return None
         return FeasiblePoint(x, radius, objective_bounds(program, x, radius)[1])
-
-    @np.errstate(all="ignore")
-    def _solved(self, x: FloatVector, tight: float) -> Vector | None:
-        """Return a feasible point at which the rows that x nearly meets hold with equality, or one beside it."""
-        program, rows = self.program, self.program.constraints
-        value, size = rows.matrix @ x - rows.limit, _sizes(program, x)
-        is_row = np.arange(rows.limit.size) < rows.rows
-        x = np.clip(x, program.lower, program.upper)
-        low, high = rows.split(size)[2:]
-        near_bound = max(tight, 0.0)
-        is_low = x - program.lower <= near_bound * low
-        is_fixed = is_low | (program.upper - x <= near_bound * high)
-        near = np.where(is_low, program.lower, np.where(is_fixed, program.upper, x))
-        system = np.flatnonzero(
-            is_row & np.isfinite(rows.limit) & (rows.is_equality | (value >= -tight * size))
-        )
-        if system.size > EXACT_UP_TO:
-            return None
-        guess = rational(near)
-        exact = solved_nearby(
-            [rows.exactly[i] for i in system.tolist()],
-            rational(rows.limit[system]),
-            guess,
-            (~is_fixed).tolist(),
-        )
-        if exact is None:
-            return None
-        return exact if not any(losses(rows, exact)) else self._moved_inside(exact)
-
-    def _moved_inside(self, x: Vector) -> Vector | None:
-        """Return the nearest feasible point between x, which satisfies the equations, and the one inside."""
-        rows, inside = self.program.constraints, self.inside
-        if inside is None:
-            return None
-        share = Fraction(0)
-        values = zip(
-            products(rows.exactly, x),
-            products(rows.exactly, inside),
-            rows.limit.tolist(),
-            rows.is_equality.tolist(),
-            strict=True,
-        )
-        for here, there, limit, is_equality in values:
-            if is_equality or limit == math.inf or here <= Fraction(limit):
-                continue
-            if there >= Fraction(limit):
-                return None
-            share = max(share, (here - Fraction(limit)) / (here - there))
-        # Few digits more, so that the numbers stay short.
-        share = min(Fraction(math.nextafter(float(share) * (1.0 + 2.0**-40), 2.0)), Fraction(1))
-        moved = [a + share * (b - a) for a, b in zip(x, inside, strict=True)]
-        return moved if not any(losses(rows, moved)) else None
 
 
 def _sizes(program: QuadraticProgram, x: FloatVector) -> FloatVector:

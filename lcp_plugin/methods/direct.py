@@ -2,10 +2,10 @@
 
 | M | direct methods, in this order |
 |---|---|
-| the diagonal positive and nothing else, M not dense and symmetric | newton, then as below |
+| the diagonal positive and nothing else | newton, then as below |
 | symmetric up to rounding, diagonal > 0; or M + Mᵀ is PSD | interior_point, feasibility, newton, lemke, search |
 | the same, full, diagonal not > 0: budget rows | some pivots of lemke, then as above |
-| M + Mᵀ is PSD, full, diagonal > 0, M not symmetric in any units | lemke, interior_point, feasibility, newton, search |
+| M + Mᵀ is PSD, full, diagonal > 0, M not symmetric | lemke, interior_point, feasibility, newton, search |
 | the same, sparse, a factor of M takes 10⁸ operations or more | newton, interior_point, feasibility, lemke, search |
 | any other, diagonal > 0 | newton, lemke, interior_point, feasibility, search |
 | a bimatrix game | lemke, and what any other has |
@@ -36,7 +36,6 @@ from ..core.algorithm import Algorithm
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix.row_sums import has_positive_diagonal
-from ..core.matrix.scaling import Exponents, scaled
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.policy.stages import Choice, Stage
 from ..core.splittings.projected_relaxation import PSOR
@@ -50,7 +49,7 @@ from ..core.tuning import (
 from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
 from ..proofs.verdicts.report import is_negative
 from ..systems.factors import sizes_of_factor
-from .interior_point import InteriorPoint, monotone_rows
+from .interior_point import InteriorPoint
 from .lemke import Lemke, has_components_that_fit
 from .lemke.games import is_game
 from .newton.semismooth_newton import Newton
@@ -218,7 +217,7 @@ def _order(
                     newton,
                     lemke,
                 ]
-            if not is_symmetric and monotone_rows(problem.M) is None:
+            if not is_symmetric:
                 return [replace(lemke, turn=PIVOTS), interior, check, newton]
         elif is_positive and not is_symmetric and sizes_of_factor(problem.matrix)[1] > LARGE_FACTOR:
             return [replace(newton, turn=INTERIOR_STEPS), interior, check, lemke]
@@ -291,8 +290,6 @@ def last_resort(problem: LCP) -> Algorithm:
 def _suits_newton(problem: LCP) -> bool:
     from ..proofs.verdicts import analyze
 
-    if problem.is_dense and is_nearly_symmetric(problem.matrix):  # interior_point descends there
-        return False
     return bool(has_positive_diagonal(problem.matrix).all()) and bool(analyze(problem).is_z_matrix)
 
 
@@ -306,10 +303,7 @@ def _seems_monotone(problem: LCP) -> bool:
         return True
     from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 
-    row = monotone_rows(problem.M)  # interior_point takes these
-    twice = symmetric_part(
-        problem.M if row is None else scaled(problem.M, Exponents(row, np.zeros_like(row)))
-    )
+    twice = symmetric_part(problem.M)
     if bool((twice.diagonal() < 0.0).any()):
         return False
     # The multipliers of a quadratic program have empty rows and columns there.

@@ -1,9 +1,9 @@
-"""Interior points: the convex program that a monotone problem is, by descents or an engine of others; then its case."""
+"""Interior points: the convex program of a monotone problem by PIQP, then the linear system of its active set."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -12,27 +12,23 @@ import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm, Step, without_warnings
 from ..core.checks import FloatVector
-from ..core.deadline import is_over, require_seconds, seconds_left
+from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
 from ..core.matrix.matrix import Matrix, fact
-from ..core.matrix.scaling import Exponents, scaled, symmetrising_rows, times_power
-from ..core.matrix.structure import IntVector, row_numbers
+from ..core.matrix.structure import row_numbers
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
-from ..engines import Engine, Limits, Multipliers, Statement, engine_class
+from ..engines import Engine, Limits, Multipliers, Statement
+from ..engines.piqp import PIQP
 from ..engines.statement import Prepared
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
 from .newton.active_set import classify, is_near, signature, solve_active_set
-from .primal import Descent
 
 SAME = 1e-12  # entries that differ by less, relatively, are the same but for rounding
 CASES = 5  # that follow from a point of an engine; from a start, one
-CLEARLY = 1.1  # entries rounded to a few digits still count as monotone
-LARGEST_EXPONENT = 1000
-DENSE_AT_LAST = 500  # unknowns of what is left to an active set
+FACTORS = 20  # that PIQP makes, about
 STEPS = 60  # of PIQP: 10 to 30 where M is monotone, not only but for rounding
-AT_ONCE = 100_000  # nonzeros: no limit of seconds is shorter than what they take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,12 +42,9 @@ class InteriorPoint(Algorithm):
     linear system of the case that its point shows, and of the cases that follow from this one, bring the residual to
     rounding level. Where M is not monotone the program is not convex, and the run ends where the engine does.
 
-    Where a dense program has bounds only, descents from one active set to a lower one come first
-    (:mod:`lcp_plugin.methods.primal`); they mostly end at the answer, in a tenth of the time.
-
-    Of the steps of PIQP nothing is seen: a record has its point and what each linear system gives. Under a limit of
-    seconds a large problem is left to Clarabel, which keeps it; so is what PIQP leaves open. Ctrl-C waits for the end
-    of either. Of a start z0 near the answer the case is tried first; else it changes nothing.
+    PIQP does not report its iterations: the history holds its final point and the point after each linear solve. PIQP
+    cannot be stopped: it starts only if its factorizations are predicted to fit into the seconds that are left, and
+    Ctrl-C waits for its end. The active set of a start z0 near the answer is tried first; other starts change nothing.
 
     References
     ----------
@@ -75,7 +68,7 @@ class InteriorPoint(Algorithm):
     ends_with_a_case: ClassVar[bool] = True
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, points of descents, and those of engines after the solution of the system of their case."""
+        """Yield the start, and the point of PIQP after the solution of the system of its active set."""
         z = np.clip(z0, problem.lower, problem.upper)
         yield Step(z, work=1.0)
         yield from without_warnings(self._steps(problem, z))
@@ -89,29 +82,14 @@ class InteriorPoint(Algorithm):
                 min(operations, sizes_of_factor(problem.matrix)[1]),
                 SPARSE_OPERATIONS,
             )
-        require_seconds(operations / speed)
-        program, entries = ConvexProgram.of(problem), float(max(problem.nonzeros, 1))
-        yield from program.descents()
-        passes = 1.0 + operations / entries
-        for engine, unit in (
-            (engine, unit) for engine in self._engines(problem) for unit in program.units()
-        ):
-            z, steps = program.answer(engine, unit)
-            if np.isfinite(z).all():
-                cases = _cases(problem, z, CASES)
-                sharp = next(cases, Step(z))
-                sharp.work += steps * passes
-                sharp.remark = f"{engine.name} took {steps} steps"
-                yield from chain([sharp, Step(z)], cases)
-            if is_over():
-                return
-
-    def _engines(self, problem: LCP) -> Iterator[Engine]:
-        if problem.nonzeros <= AT_ONCE or seconds_left() == np.inf:
-            yield engine_class(self.engine)(max_iter=STEPS)
-        yield engine_class("clarabel")()
-        if problem.n <= DENSE_AT_LAST:
-            yield engine_class("daqp")()
+        require_seconds(FACTORS * operations / speed)
+        z, steps = ConvexProgram.of(problem).answer(PIQP(max_iter=STEPS))
+        if np.isfinite(z).all():
+            cases = _cases(problem, z, CASES)
+            sharp = next(cases, Step(z))
+            sharp.work += steps * (1.0 + operations / max(problem.nonzeros, 1))
+            sharp.remark = f"{PIQP.name} took {steps} steps"
+            yield from chain([sharp, Step(z)], cases)
 
 
 def _cases(problem: LCP, z: FloatVector, most: int) -> Iterator[Step]:
@@ -158,10 +136,6 @@ class ConvexProgram:
     def of(cls, problem: LCP) -> ConvexProgram:
         """Return the program of the rows that are not fixed: by signs where M has them, else that of the gap."""
         signs = signs_of(problem.matrix)
-        if signs is None and (rows := monotone_rows(problem.M)) is not None:
-            M = scaled(problem.M, Exponents(rows, np.zeros_like(rows)))
-            other = LCP(M, times_power(problem.q, rows), lower=problem.lower, upper=problem.upper)
-            return replace(cls.of(other), problem=problem)
         M, q, lower, upper = problem.M, problem.q, problem.lower, problem.upper
         anchor = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0))
         kept = np.flatnonzero(lower < upper)
@@ -189,8 +163,11 @@ class ConvexProgram:
         }
         return cls(problem, statement._replace(**vectors), size, kept[x], multipliers, anchor)
 
-    def answer(self, engine: Engine, unit: FloatVector) -> tuple[FloatVector, int]:
-        """Return z within its bounds, NaN where the engine has none in these units of x, and its steps."""
+    def answer(self, engine: Engine) -> tuple[FloatVector, int]:
+        """Return z within its bounds, NaN if the engine found none, and its steps.
+
+        The engine sees x in a unit in which costs are as large as coefficients.
+        """
         given, z = (
             self.statement,
             np.where(self.problem.lower == self.problem.upper, self.problem.lower, 0.0),
@@ -198,7 +175,9 @@ class ConvexProgram:
         if not self.unknowns.size:
             return z, 0
         nothing = np.zeros(given.h.size + 2 * given.c.size, np.bool_)
-        prepared = Prepared.of(given, nothing, unit)
+        sizes = _largest(given.c, given.h, given.b), _largest(given.P, given.G, given.A)
+        unit = power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0
+        prepared = Prepared.of(given, nothing, np.full(given.c.size, unit))
         point = prepared.outward(engine.answer(prepared.statement, Limits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:
@@ -207,44 +186,12 @@ class ConvexProgram:
             )
         return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
 
-    def descents(self) -> Iterator[Step]:
-        """Yield points of falling objective, down to the least; none where P is not dense, or there are rows."""
-        P, c, _, h, _, b, lower, upper = self.statement
-        if h.size or b.size or not isinstance(P, np.ndarray):
-            return
-        search, counted = Descent(P, c, lower, upper), 0.0
-        for x in search.points():
-            z = self.anchor.copy()
-            z[self.unknowns] = x * self.size
-            work, counted = (search.work - counted) / max(self.problem.nonzeros, 1), search.work
-            yield Step(np.clip(z, self.problem.lower, self.problem.upper), work=1.0 + work)
-
-    def units(self) -> Iterator[FloatVector]:
-        """Yield units of x: one for all, in which costs are as large as coefficients; then, if they differ, others.
-
-        Those in which the diagonal of P is 1 are the best for a definite P up to a factor n (van der Sluis).
-        """
-        P, c, G, h, A, b, *_ = self.statement
-        sizes = (_largest(c, h, b), _largest(P, G, A))
-        yield np.full(c.size, power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0)
-        if (own := unit_of_diagonal(P)) is not None:
-            yield own * power_of_two(_largest(c * own, h, b))
-
     def _signed(self, found: Multipliers) -> FloatVector:
         lower, upper = self.problem.lower[self.multipliers], self.problem.upper[self.multipliers]
         is_equation, y = ~np.isfinite(lower) & ~np.isfinite(upper), np.empty(lower.size)
         y[is_equation] = found.equality
         y[~is_equation] = np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation] * found.inequality
         return y
-
-
-def unit_of_diagonal(P: Any) -> FloatVector | None:
-    """Return the powers of two that bring the diagonal of P near 1; None where it is not positive, or they are one."""
-    diagonal: FloatVector = P.diagonal()
-    if not diagonal.min(initial=np.inf) > 0.0:
-        return None
-    own: FloatVector = np.exp2(-np.rint(0.5 * np.log2(diagonal)))
-    return own if own.max(initial=0.0) > own.min(initial=np.inf) else None
 
 
 def _largest(*parts: Any) -> float:
@@ -337,39 +284,3 @@ def signs_of(matrix: Matrix) -> FloatVector | None:
     if (part[:n] == part[n:]).any() or (one & other).any():
         return None
     return np.where(one | (~other & (part[:n] <= part[n:])), 1.0, -1.0)
-
-
-def monotone_rows(M: Any) -> IntVector | None:
-    """Return r, shape (n,), such that the rows 2^r_i M_i may be monotone although M is not; else None.
-
-    M is not monotone where |m_ij + m_ji| > 2 √(m_ii m_jj), and only what is so clearly is changed. Tried are the
-    factors that make M symmetric, if there are any, and those that make its diagonal 1.
-
-    Examples
-    --------
-    >>> monotone_rows(np.array([[2.0, -1.0], [-64.0, 128.0]]))
-    array([ 0, -6])
-    >>> monotone_rows(np.array([[2.0, -1.0], [-1.0, 2.0]])) is None
-    True
-    """
-    diagonal: FloatVector = M.diagonal()
-    if not diagonal.size or diagonal.min() <= 0.0:
-        return None
-    rows = sp.csr_array(M)
-    exponents = np.zeros(diagonal.size, np.int64)
-    if _may_be_monotone(rows, exponents):
-        return None
-    for logarithms in (symmetrising_rows(rows), -np.log2(diagonal)):
-        exponents = np.rint(logarithms).astype(np.int64)
-        if np.abs(exponents).max() <= LARGEST_EXPONENT and _may_be_monotone(rows, exponents):
-            return exponents
-    return None
-
-
-def _may_be_monotone(M: sp.csr_array, exponents: IntVector) -> bool:
-    with np.errstate(all="ignore"):
-        M = scaled(M, Exponents(exponents, np.zeros_like(exponents)))
-        root = np.sqrt(M.diagonal())
-        both = sp.coo_array(M + M.T)
-        allowed = 2.0 * root[both.row] * root[both.col] * CLEARLY
-        return bool(np.all(np.abs(both.data) <= allowed))

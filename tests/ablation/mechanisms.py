@@ -440,12 +440,6 @@ MECHANISMS = (
     ),
     # --- interior points
     Mechanism(
-        "descents",
-        "active sets of falling objective where a dense program has bounds only",
-        {f"{INTERIOR}:ConvexProgram.descents": nothing()},
-        "methods/primal",
-    ),
-    Mechanism(
         "cases",
         "the linear system of the case that an engine's point of an LCP shows",
         {f"{INTERIOR}:_cases": nothing()},
@@ -456,20 +450,6 @@ MECHANISMS = (
         "the program of a saddle point problem rather than that of its gap",
         {f"{INTERIOR}:signs_of": says(None)},
         "methods/interior_point.py:signs_of",
-    ),
-    Mechanism(
-        "monotone rows",
-        "row factors that make M monotone",
-        {f"{INTERIOR}:monotone_rows": says(None)},
-        "methods/interior_point.py:monotone_rows methods/interior_point.py:_may_be_monotone",
-        "methods/test_interior_point.py::test_rows_of_a_definite_matrix_may_be_in_any_units",
-    ),
-    Mechanism(
-        "unit diagonal",
-        "an engine is asked in units in which the diagonal of P is 1",
-        {f"{INTERIOR}:unit_of_diagonal": says(None)},
-        "methods/interior_point.py:unit_of_diagonal",
-        "methods/test_interior_point.py::test_a_kernel_in_other_units_takes_no_more_than_its_own_times_six",
     ),
     # --- programs
     Mechanism(

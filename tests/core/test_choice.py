@@ -286,7 +286,11 @@ MONOTONE = ["interior_point", "feasibility", "newton"]
 @pytest.mark.parametrize(
     ("problem", "expected"),
     [
-        (LCP([[2.0, -1.0], [-1.0 - 1e-13, 2.0]], [-1.0, 1.0]), [*MONOTONE, "lemke", "search"]),
+        (
+            LCP([[2.0, -1.0], [-1.0 - 1e-13, 2.0]], [-1.0, 1.0]),
+            ["newton", "interior_point", "feasibility", "lemke", "search"],
+        ),
+        (LCP([[2.0, 1.0], [1.0, 2.0]], [-1.0, 1.0]), [*MONOTONE, "lemke", "search"]),
         (
             LCP(sp.csr_array(np.kron(np.eye(4), [[1.0, 2.0], [-2.0, 1.0]])), -np.ones(8)),
             [*MONOTONE, "lemke", "search"],

@@ -32,7 +32,6 @@ from lcp_plugin.evidence.stresses import (
     mostly_free,
     rescaled,
 )
-from lcp_plugin.methods.interior_point import monotone_rows
 from lcp_plugin.methods.lemke.canonical_box import canonical_box
 from lcp_plugin.proofs.exact.rational import is_exact_solution
 from lcp_plugin.strategies import solved_lcps
@@ -287,28 +286,6 @@ def test_interior_steps_work_in_any_unit_of_q(power: int) -> None:
     )
     assert result.status is plain.status is Status.SOLVED
     assert np.allclose(np.ldexp(result.z, -power), plain.z, rtol=1e-7, atol=1e-9)
-
-
-def test_rows_are_made_monotone_where_they_can_be() -> None:
-    """The factors undo rows in other units, bit for bit; where M may be monotone, or never can, there are none."""
-    generator = np.random.default_rng(0)
-    jumps = gallery.build("coefficient_jumps", size=9, contrast=1e6).problem.csr
-    for M in (jumps, grid(4)):
-        assert monotone_rows(M) is None
-        exponents = generator.integers(-300, 301, size=M.shape[0])
-        r = monotone_rows(in_powers_of_two(LCP(M, np.zeros(M.shape[0])), exponents, 0).csr)
-        assert (
-            np.ptp(r + exponents) == 0.0
-        )  # on a connected grid they are known but for a common one
-    for column in (-7, 7):
-        windy = in_powers_of_two(BASES[2], np.resize([column, 0], 16), 0).csr
-        assert (
-            monotone_rows(sp.csr_array(sp.diags_array(np.ldexp(1.0, monotone_rows(windy))) @ windy))
-            is None
-        )
-    assert monotone_rows(np.array([[1.0, 5.0], [5.0, 1.0]])) is None
-    assert monotone_rows(np.array([[0.0, 5.0], [-5.0, 1.0]])) is None
-    assert monotone_rows(np.zeros((0, 0))) is None
 
 
 @pytest.mark.parametrize("text", ["coefficient_jumps:size=9,contrast=1e4", "obstacle_2d:size=9"])

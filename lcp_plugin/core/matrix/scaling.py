@@ -391,27 +391,6 @@ def _fit(
     return start, found
 
 
-def symmetrising_rows(M: sp.csr_array) -> FloatVector:
-    """Return t with 2^t_i |m_ij| = 2^t_j |m_ji| along a forest of the pairs that M has both ways, 0 at its roots.
-
-    Examples
-    --------
-    >>> symmetrising_rows(sp.csr_array([[2.0, -1.0], [-64.0, 128.0]])).tolist()
-    [0.0, -6.0]
-    """
-    here = sp.csr_array(
-        M.multiply(sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape).T)
-    )
-    there = sp.csr_array(here.T)
-    for side in (here, there):
-        side.sort_indices()
-    ratio = np.log2(np.abs(there.data)) - np.log2(np.abs(here.data))
-    found: FloatVector = _potentials(
-        ratio, row_numbers(here), here.indices.astype(np.int64), M.shape[0]
-    )
-    return found
-
-
 def _potentials(whole: Any, tails: IntVector, heads: IntVector, nodes: int) -> Any:
     """Return p with whole_k + p_head − p_tail = 0 along a breadth first forest, 0 at its roots."""
     from scipy.sparse.csgraph import breadth_first_order, connected_components

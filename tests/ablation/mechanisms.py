@@ -237,18 +237,19 @@ def if_folded(old: Any, note: Callable[[], None]) -> Any:
 
 def nothing_found(old: Any) -> Any:
     """An engine of least squares that finds nothing."""
-    return lambda A, b, *, is_asked: np.full(A.shape[1], np.nan)
+    return lambda problem, A, b: np.full(A.shape[1], np.nan)
 
 
 def no_point(old: Any) -> Any:
     """The same of PIQP."""
 
-    def by_piqp(program: Any) -> Any:
-        from lcp_plugin.engines import Hint, Multipliers, Point
+    def by_piqp(*statement: Any) -> Any:
+        from lcp_plugin.engines import Hint, Multipliers, Point, Statement
 
+        program = Statement(*statement)
         n, m, p = program.c.size, program.h.size, program.b.size
         multipliers = Multipliers(*(np.full(size, np.nan) for size in (m, p, n, n)))
-        return Point(np.full(n, np.nan), multipliers, 0, Hint.GAVE_UP)
+        return program, Point(np.full(n, np.nan), multipliers, 0, Hint.GAVE_UP)
 
     return by_piqp
 
@@ -524,18 +525,6 @@ MECHANISMS = (
         "problems/programs/criterion.py:Acting",
     ),
     Mechanism(
-        "hidden costs",
-        "far out, where columns cancel, rounding hides no cost that a nearer point has not",
-        {
-            "problems.least_squares.enclosures:Enclosures.hidden_costs": says(
-                (np.zeros(1), np.zeros(1, np.bool_))
-            )
-        },
-        "problems/least_squares/certificate.py:_basic problems/least_squares/certificate.py:_near_answer",
-        "problems/least_squares/test_least_squares.py::"
-        "test_no_large_row_that_shares_columns_excuses_rounding",
-    ),
-    Mechanism(
         "Newton's falls",
         "what is SOLVED costs no more than where Newton's steps lead",
         {f"{PROGRAMS}.newton_falls:newton_fall": says(0.0)},
@@ -587,48 +576,28 @@ MECHANISMS = (
     Mechanism(
         "nnls",
         "scipy's nnls on dense problems with bounds on one side",
-        {f"{LEAST}.engine_points:_by_nnls": Instead(nothing_found)},
-        "problems/least_squares/engine_points.py:_by_nnls",
-    ),
-    Mechanism(
-        "nnls as given",
-        "small nonnegative problems by nnls as they stand, judged at once",
-        {f"{LEAST}.engine_points:nonnegative_as_given": says(None)},
-        "problems/least_squares/engine_points.py:nonnegative_as_given",
+        {f"{LEAST}.engines:_by_nnls": Instead(nothing_found)},
+        "problems/least_squares/engines.py:_by_nnls",
     ),
     Mechanism(
         "PIQP of least squares",
-        "PIQP on boxes, and on the dual",
-        {f"{LEAST}.engine_points:_by_piqp": Instead(no_point)},
-        "problems/least_squares/engine_points.py:_by_bounds "
-        "problems/least_squares/engine_points.py:dual_program",
+        "PIQP on normal equations, the dual, and the problem as it stands",
+        {f"{LEAST}.engines:_answer": Instead(no_point)},
+        "problems/least_squares/engines.py:Split",
     ),
     Mechanism(
         "face of an engine's point",
         "an engine's point solved on the face that it names",
-        {f"{LEAST}.engine_points:on_its_face": Instead(lambda old: lambda point, A, b: point)},
-        "problems/least_squares/engine_points.py:on_its_face",
+        {f"{LEAST}.engines:on_its_face": Instead(lambda old: lambda point, A, b: point)},
+        "problems/least_squares/engines.py:on_its_face problems/least_squares/engines.py:_towards_minimum",
         "problems/least_squares/test_least_squares.py::test_boxed_problems_as_by_scipy_bvls",
-    ),
-    Mechanism(
-        "small slopes",
-        "faces of a lasso whose penalties are far below the data",
-        {f"{LEAST}.engine_points:_with_small_slopes": Instead(lambda old: lambda *_: iter(()))},
-        "problems/least_squares/engine_points.py:_with_small_slopes",
-        "problems/least_squares/test_lasso.py::test_penalties_far_below_the_data_are_no_trouble",
     ),
     Mechanism(
         "projected steps",
         "projected gradients and conjugate steps",
-        {f"{LEAST}.run:projected_steps": only_start()},
+        {f"{LEAST}.solving:projected_steps": only_start()},
         "problems/least_squares/steps.py:projected_steps problems/least_squares/steps.py:_conjugate_steps "
         "problems/least_squares/steps.py:_spectral_steps",
-    ),
-    Mechanism(
-        "refined steps",
-        "active sets solved to the last digit of each row",
-        {f"{LEAST}.run:refined_steps": only_start()},
-        "problems/least_squares/refined_steps.py",
     ),
     Mechanism(
         "repaired duals",

@@ -1,26 +1,19 @@
-"""Bounded least squares beside scipy on every kind of A, beside accelerated gradients; where one way is the cheaper."""
+"""Bounded least squares compared with scipy on every kind of A, and with accelerated gradients."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import islice
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.core.algorithm import without_warnings
 from lcp_plugin.core.checks import FloatVector
-from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, ScaledLeastSquares
-from lcp_plugin.problems.least_squares.engine_points import engine_points
-from lcp_plugin.problems.least_squares.run import DENSE_PATIENCE, SPARSE_PATIENCE
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
-from lcp_plugin.problems.least_squares.steps import FacePoint, projected_steps
 
 from .rivals import SEED
 from .timing import medians, rounds, timed
 
-STEPS = 30  # enough to time one
 OVERHEAD = 60e-6  # seconds that a call may cost beside scipy's
 ALLOWED = 2.0  # times scipy's seconds, and the overhead
 LONG_ENOUGH = (
@@ -178,15 +171,13 @@ def _optimality(A: Any, b: FloatVector, x: FloatVector, upper: float) -> float:
 
 
 def run(*, quick: bool = False) -> Iterator[str]:
-    """Yield the table beside scipy, the speed on large sparse problems, and where one way becomes the cheaper."""
+    """Yield the table compared with scipy, and the speed on large sparse problems."""
     scale, repeats = (10, 1) if quick else (1, 5)
     yield from _table(quick=quick)
     for m, n in ((40_000 // scale, 8000 // scale), (200_000 // scale, 100_000 // scale)):
         A = random_rows(m, n)
         b, x = planted(A)
         yield from _sparse(A, b, x, repeats)
-    yield _patience("DENSE_PATIENCE", DENSE_PATIENCE, _dense(600 // (scale // 5 or 1)))
-    yield _patience("SPARSE_PATIENCE", SPARSE_PATIENCE, _chain(100_000 // scale))
 
 
 def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[str]:
@@ -202,23 +193,3 @@ def _sparse(A: Any, b: FloatVector, x: FloatVector, repeats: int) -> Iterator[st
         f"steps, {seconds['ours'] / seconds['pair']:.0f} pairs of products, ÷ accelerated gradients to 1e-6 "
         f"{seconds['ours'] / seconds['rival']:.2f}; proved gap {result.gap / result.cost:.0e} of the cost"
     )
-
-
-def _dense(n: int) -> tuple[ScaledLeastSquares, float]:
-    rng = np.random.default_rng(SEED)
-    return BoundedLeastSquares(
-        rng.standard_normal((4 * n, n)), rng.standard_normal(4 * n), upper=1.0
-    ).scaled, float(n)
-
-
-def _chain(n: int) -> tuple[ScaledLeastSquares, float]:
-    A = sp.diags_array([np.ones(n), -np.ones(n - 1)], offsets=[0, -1]).tocsr()
-    return BoundedLeastSquares(A, np.random.default_rng(SEED).standard_normal(n)).scaled, 1.0
-
-
-def _patience(name: str, value: float, case: tuple[ScaledLeastSquares, float]) -> str:
-    scaled, size = case
-    engine = timed(lambda: next(without_warnings(engine_points(scaled)), None)).seconds
-    steps = without_warnings(projected_steps(FacePoint(scaled, scaled.lower)))
-    step = timed(lambda: list(islice(steps, STEPS))).seconds / STEPS
-    return f"{name} = {value}: an engine's first point costs {engine / step / size:.2g} steps of this unit"

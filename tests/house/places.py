@@ -177,7 +177,7 @@ ANOTHER_JOB = {  # looked at by eye
     "core/solving/run.py: Run.ended": "whether the start is given back",
     "methods/small/kernels/small_problems.py: enclosed": "whether an enclosure is worth its work",
     "problems/equilibria/equilibrium_program.py: EquilibriumProgram.distances": "distances of pairs",
-    "problems/least_squares/certificate.py: _beside_cost": "whether a nearer dual point is worth its work",
+    "problems/least_squares/certificate.py: _relative_gap": "whether a nearer dual point is worth its work",
     "problems/nonlinear/josephy_newton.py: _NewtonRun._progress": "the goal of a linear problem inside",
     "problems/programs/certification.py: multiplier_error": "multipliers",
     "problems/programs/certification.py: Proved.gap": "a gap",

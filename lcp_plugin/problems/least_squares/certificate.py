@@ -15,20 +15,16 @@ s_j + l1_j on the one side and s_j − l1_j on the other; s_j²/(2μ) becomes th
 without bounds needs |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (Mairal, doctoral thesis, Cachan 2010).
 
 **SOLVED: x is within the bounds and, for some y, the gap is at most tolerance · cost, cost = ½ Σ weights y² + ½ ridge
-‖x‖² + Σ l1 |x|, where of r_i − y_i and of s_j only what exceeds rounding counts**: in row i what exceeds ρ_i = γ
-(|A||x| + |b|)_i, and τ_j = γ (|A|ᵀW|y| + ridge |x|)_j in column j, γ = 4 u (terms + 4). So x is optimal to the
-tolerance beside its cost for entries of A and b that differ from those given by no more than that relative rounding:
-b_i moved by r_i − y_i, and column j such that s_j is 0. The sums are taken with y, not r: y_i of a large row is small,
-so that its rounding hides nothing of the others, and a residual that is rounding in each row (y = 0) is a cost of 0.
-And rounding hides no cost that another x has not: in each row weights ρ² is at most 10⁻⁴ of weights (|A||x| + |b|)² at
-the point of the box nearest to 0, or nothing beside the whole cost; or in those rows together, where it is neither, at
-most 10⁴ times what it is at an answer found from there, or at a basic solution: far out, where columns cancel, what
-rounding may hide is more, and no large row that shares these columns excuses it. Of an A of more than 10⁶ places the
-first is asked of each connected component.
-All that is compared is in the unit of its row, or of its column, or a cost: units of rows (with weights ÷ their
-squares) and columns change nothing but rounding. It cannot see what such a change of A decides: columns that depend on
-others up to rounding, where no bound stops them. For a LinearOperator, whose entries nobody knows, SOLVED means a small
-gradient, and all is an estimate.
+‖x‖² + Σ l1 |x|, where rounding of the data is excused**: in row i of r_i − y_i up to ρ_i = γ (|A||x| + |b|)_i, and in
+column j of s_j up to τ_j = γ (|A|ᵀW|y| + ridge |x|)_j, γ = 4 u (terms + 4). So x is optimal to the tolerance for
+entries of A and b that differ from those given by no more than that relative rounding, as answers of lstsq and nnls
+are. A residual that is rounding in each row (y = 0) is a cost of 0.
+**A point that costs more than one that is known is not SOLVED**: than the point of the box nearest to 0, rounding of
+its residual included; and, if a small A leaves more to rounding than the tolerance does, than the solution of lstsq
+moved to the bounds.
+All comparisons are made in the unit of a row, of a column, or of the cost: units of rows (with weights ÷ their squares)
+and columns change rounding only. Columns that depend on others up to rounding are not told apart from dependent ones.
+For a LinearOperator, whose entries are unknown, SOLVED means a small gradient, and all numbers are estimates.
 """
 
 from __future__ import annotations
@@ -49,25 +45,22 @@ from ...core.kernels.floats import TINY
 from ...core.rounding import compensated_product
 from ...systems.equilibration import power_of_two
 from .data import LARGEST_SCALE, BoundedLeastSquares
-from .enclosures import NOTHING, OUTWARD, Ball, Enclosures, largest_residuals, typical_rounding
-from .refined_steps import refined_steps
-from .steps import FacePoint, through_orthants
+from .enclosures import (
+    NOTHING,
+    OUTWARD,
+    Ball,
+    Enclosures,
+    largest_residuals,
+    shortest_solution,
+    typical_rounding,
+)
 
-UNAVOIDABLE = 1e4  # times what rounding costs at an answer near 0: that is no cost which is hidden
-INDEPENDENT = (
-    2.0**-40
-)  # of the longest column: what is left of one that depends on others is shorter
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
+ACCURACY = 1e-8  # to which a dual point is made orthogonal to the free columns
 NEARLY = 1e-9  # of a cost that rounding may be
-IS_NEAR = 1  # what LSMR says then
 ENOUGH = 0.8  # of the 1 that (AᵀWp)_j is to be, in units of column j
 IN_DOUBT = 1e-6  # of the largest multiplier: smaller ones may be those of free columns
 PUSHES = 4  # times that δ may be doubled
-ACCURACIES = (
-    1e-3,
-    1e-6,
-    1e-8,
-)  # with which a dual point is made orthogonal to the free columns, one after the other
 
 
 @dataclass(eq=False)
@@ -79,10 +72,10 @@ class Optimality:
     enclosures : Enclosures
     x : ndarray, shape (n,)
     residual : (ndarray, ndarray), shape (m,) each
-        A x − b, and how far it is known.
+        A x − b, and bounds of its rounding errors.
     value : float
-        What SOLVED asks to be at most the tolerance: the least gap found, rounding aside, beside its cost, 1 at the
-        most; of a LinearOperator `steepness`.
+        What SOLVED compares with the tolerance: the least gap found, rounding excused, relative to its cost, at most 1;
+        for a LinearOperator `steepness`. 1 if a point of lower cost is known.
     dual : ndarray, shape (m,)
         The y of the value.
     """
@@ -94,85 +87,58 @@ class Optimality:
     dual: FloatVector
 
     @classmethod
-    def of(
-        cls,
-        enclosures: Enclosures,
-        x: FloatVector,
-        dual: FloatVector | None = None,
-        *,
-        tolerance: float = np.inf,
-    ) -> Optimality:
-        """Return the optimality of x on the caller's own data.
-
-        A y that somebody has for x is tried beside the residual, and nothing else with an empty one; others are
-        computed where neither reaches `tolerance`.
-        """
+    def of(cls, enclosures: Enclosures, x: FloatVector, *, tolerance: float = np.inf) -> Optimality:
+        """Return the optimality of x on the user's own data; dual points are tried until one meets the tolerance."""
         residual = enclosures.residual(x)
         judged = cls(enclosures, x, residual, 1.0, residual[0])
-        if not enclosures.problem.has_entries:
+        if enclosures.problem.has_entries:
+            judged.value, judged.dual = _relative_gap(judged, tolerance)
+        else:
             judged.value = judged.steepness
-            return judged
-        duals = _dual_points(judged, dual)
-        duals = _with_shrunk(enclosures, x, duals) if enclosures.problem.l1.any() else duals
-        judged.value, judged.dual = _beside_cost(enclosures.problem, x, residual, duals, tolerance)
-        if judged.hides_costs:
+        if judged.is_worse_than_known(tolerance):
             judged.value = 1.0
         return judged
 
-    @classmethod
-    def unjudged(cls, enclosures: Enclosures, x: FloatVector) -> Optimality:
-        """Return that of an x of which nothing is proved: no time is left."""
-        residual = enclosures.problem.product(x) - enclosures.problem.b
-        return cls(enclosures, x, (residual, np.full(residual.size, np.inf)), 1.0, residual)
-
-    @property
-    @np.errstate(all="ignore")
-    def hides_costs(self) -> bool:
-        """Whether rounding costs much in some rows, and all of them far less at a nearer point that fits as well.
-
-        That is a basic solution without bounds; where rounding is far less there, what an active set finds from near 0.
-        Of a large A, whether it costs much in some connected component.
-        """
-        enclosures, problem = self.enclosures, self.enclosures.problem
-        hidden, is_much = enclosures.hidden_costs(self.residual)
-        if not is_much.any():
-            return False
-        if not problem.is_cheap_to_copy:
-            return enclosures.hides_beside_components(hidden, self.residual)
-
-        def is_avoided_at(point: FloatVector) -> bool:
-            slip = enclosures.residual(point)[1]
-            return not hidden[is_much].sum() <= UNAVOIDABLE * float(
-                (problem.weighted(slip) * slip)[is_much].sum()
-            )
-
-        return is_avoided_at(_basic(enclosures)) and is_avoided_at(_near_answer(enclosures))
+    def is_worse_than_known(self, tolerance: float) -> bool:
+        """Return whether x costs more than another point that is known, rounding of that one included."""
+        problem, slip, known = self.enclosures.problem, self.residual[1], self.enclosures.known
+        if problem.is_small and 0.5 * (problem.weighted(slip) @ slip) > tolerance * self.cost:
+            known = [*known, self.enclosures.unbounded_solution]
+        return any(
+            not self.cost <= OUTWARD * (1.0 + tolerance) * self.enclosures.cost_above(x)
+            for x in known
+        )
 
     def meets(self, tolerance: float) -> bool:
-        """Return whether x is SOLVED; an operator's asks for a small gap besides."""
+        """Return whether x is SOLVED."""
         return bool(within(self.value, 0.0, tolerance))
 
     def is_better(self, other: Optimality) -> bool:
         """Return whether this is more optimal than another."""
-        return (self.value, self.steepness) < (other.value, other.steepness)
+        return (self.value, self.cost) < (other.value, other.cost)
+
+    @property
+    def cost(self) -> float:
+        """The cost of x."""
+        return self.enclosures.problem.cost(self.x, self.residual[0])
 
     @property
     def steepness(self) -> float:
         """The larger of ‖mid(x − upper, x − lower, g)‖∞/‖AᵀWb‖∞, g the gradient, and the same with unit columns.
 
-        An upper bound, rounding included, where A has entries.
+        An upper bound, rounding included, if A has entries.
         """
         return max(map(_ratio, self._largest[:2], self.enclosures.reference))
 
     @property
     def is_at_rounding_level(self) -> bool:
-        """Whether no component of it is larger than what rounding explains."""
+        """Whether no component of it is larger than its rounding error may be."""
         return self._largest[2]
 
     @property
     @np.errstate(over="ignore", invalid="ignore")
     def sharp_residual(self) -> FloatVector:
-        """A x − b, computed without rounding where that is more than 1e-9 of the cost."""
+        """A x − b, computed by compensated sums if rounding is more than 1e-9 of the cost."""
         problem, (r, slip) = self.enclosures.problem, self.residual
         if not problem.has_entries or not problem.weighted(slip) @ np.abs(
             r
@@ -197,102 +163,59 @@ class Optimality:
         )
 
 
-def _basic(enclosures: Enclosures) -> FloatVector:
-    """Return a least squares solution without bounds of few columns, those furthest apart, refined once; it is kept."""
-    if enclosures.basic is None:
-        from scipy.linalg import qr, solve_triangular
-
-        problem, scaled = enclosures.problem, enclosures.problem.scaled
-        Q, R, columns = qr(scaled.dense(), mode="economic", pivoting=True, check_finite=False)
-        rank = int(
-            np.count_nonzero(np.abs(R.diagonal()) > INDEPENDENT * np.abs(R).max(initial=0.0))
-        )
-        chosen, x = columns[:rank], np.zeros(scaled.n)
-        for _ in range(2):  # beside one large b the others are rounding at first
-            left = (
-                problem.root_weights
-                * compensated_product(sp.csr_array(problem.A), x, -problem.b)[0]
-            )
-            step = solve_triangular(R[:rank, :rank], Q[:, :rank].T @ left, check_finite=False)
-            x[chosen] -= step / scaled.columns[chosen]
-        enclosures.basic = x
-    return enclosures.basic
-
-
-def _near_answer(enclosures: Enclosures) -> FloatVector:
-    """Return the point that an active set finds from the point of the box nearest to 0; it is kept."""
-    if enclosures.near_answer is None:
-        scaled = enclosures.problem.scaled
-        start = FacePoint(scaled, scaled.nearest_to_zero)
-        *_, last = through_orthants(refined_steps)(start)
-        enclosures.near_answer = scaled.to_caller(last.x)
-    return enclosures.near_answer
-
-
-def _beside_cost(
-    problem: BoundedLeastSquares,
-    x: FloatVector,
-    residual: Ball,
-    duals: Iterator[tuple[FloatVector, Ball, FloatVector]],
-    tolerance: float,
-) -> tuple[float, FloatVector]:
-    """Return what SOLVED compares with the tolerance (the module's docstring), 1 at the most, and its y."""
+def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVector]:
+    """Return the gap relative to its cost, rounding excused, at most 1, and its y."""
+    enclosures, x, residual = judged.enclosures, judged.x, judged.residual
+    problem, duals = enclosures.problem, _dual_points(judged)
     least, best = np.inf, residual[0]
-    for y, slope, convexity in duals:
+
+    def relative(y: FloatVector, slope: Ball, convexity: FloatVector = NOTHING) -> float:
         gap, cost, _ = _gap(problem, x, residual, y, slope, convexity, rounding=-1.0)
-        value = 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
-        if value < least:
+        return 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
+
+    for y, slope in _with_shrunk(enclosures, x, duals) if problem.l1.any() else duals:
+        if (value := relative(y, slope)) < least:
             least, best = value, y
         if least <= tolerance:
-            break
+            return min(least, 1.0), best
+    if (convexity := enclosures.convexity) is not None:
+        r = residual[0]
+        least = min(least, relative(r, enclosures.gradient_at(x, r), convexity))
     return min(least, 1.0), best
 
 
-def _dual_points(
-    judged: Optimality, dual: FloatVector | None
-) -> Iterator[tuple[FloatVector, Ball, FloatVector]]:
-    """Yield what y may be, with its s and the convexity that goes with it, the cheapest first."""
+def _dual_points(judged: Optimality) -> Iterator[tuple[FloatVector, Ball]]:
+    """Yield dual points y with their s, the cheapest first."""
     enclosures, x, (r, slip) = judged.enclosures, judged.x, judged.residual
-    problem = enclosures.problem
-    if dual is not None and dual.size:
-        yield dual, enclosures.gradient_at(x, dual), NOTHING
-    slope = enclosures.gradient_at(x, r)
-    yield r, slope, NOTHING
-    if (np.abs(r) <= slip).any():
-        zeroed = np.where(np.abs(r) > slip, r, 0.0)
-        yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
-    if dual is not None:  # whoever has one knows better than what follows
-        return
-    free, y, at_y = (
-        (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0)),
-        r,
-        slope,
-    )
-    if judged.is_at_rounding_level:
-        yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
-    for accuracy in ACCURACIES:
-        wrong = at_y[0] + np.copysign(problem.l1, x)
-        y = y - _push(problem, np.where(free, wrong / problem.column_scales, 0.0), free, accuracy)
-        at_y = enclosures.gradient_at(x, y)
-        yield y, at_y, NOTHING
-        if (
-            np.abs(y) <= slip
-        ).any():  # the only entry of a column without bounds wants a y_i of 0, not of rounding
-            zeroed = np.where(np.abs(y) > slip, y, 0.0)
-            yield zeroed, enclosures.gradient_at(x, zeroed), NOTHING
-        yield from ((*found, NOTHING) for found in _repaired(enclosures, x, y, at_y, rounding=-1.0))
-    if (convexity := enclosures.convexity) is not None:
-        yield r, slope, convexity
+    problem, at_r = enclosures.problem, enclosures.gradient_at(x, r)
+    yield r, at_r
+    yield from _with_zeros(enclosures, x, r, slip)
+    free = (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0))
+    wrong = np.where(free, (at_r[0] + np.copysign(problem.l1, x)) / problem.column_scales, 0.0)
+    orthogonal = r - _push(problem, wrong, free, ACCURACY)
+    slope = enclosures.gradient_at(x, orthogonal)
+    yield orthogonal, slope
+    yield from _with_zeros(enclosures, x, orthogonal, slip)
+    yield from _repaired(enclosures, x, orthogonal, slope, rounding=-1.0)
+
+
+def _with_zeros(
+    enclosures: Enclosures, x: FloatVector, y: FloatVector, slip: FloatVector
+) -> Iterator[tuple[FloatVector, Ball]]:
+    """Yield y with 0 in each row where it is rounding, if there is one: multipliers of that row are exactly 0."""
+    if (np.abs(y) <= slip).any():
+        zeroed = np.where(np.abs(y) > slip, y, 0.0)
+        yield zeroed, enclosures.gradient_at(x, zeroed)
 
 
 def _with_shrunk(
-    enclosures: Enclosures, x: FloatVector, duals: Iterator[tuple[FloatVector, Ball, FloatVector]]
-) -> Iterator[tuple[FloatVector, Ball, FloatVector]]:
-    """Yield each y, and behind it the same shrunk."""
-    for y, slope, convexity in duals:
-        yield y, slope, convexity
-        if not convexity.size and (shrunk := _shrunk(enclosures, x, y, slope)) is not None:
-            yield (*shrunk, NOTHING)
+    enclosures: Enclosures, x: FloatVector, duals: Iterator[tuple[FloatVector, Ball]]
+) -> Iterator[tuple[FloatVector, Ball]]:
+    """Yield each y, and after it the same shrunk."""
+    for y, slope in duals:
+        yield y, slope
+        if (shrunk := _shrunk(enclosures, x, y, slope)) is not None:
+            yield shrunk
 
 
 def _shrunk(
@@ -323,27 +246,26 @@ def _ratio(size: float, unit: float) -> float:
 
 
 @np.errstate(all="ignore")
-def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVector) -> float:
+def duality_gap(
+    problem: BoundedLeastSquares, x: FloatVector, y: FloatVector | None = None
+) -> float:
     """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
 
     Parameters
     ----------
     problem : BoundedLeastSquares
     x : array, shape (n,)
-    *duals : arrays, shape (m,)
-        Of any origin; residuals of points nearer to the answer make the bound sharper.
+    y : array, shape (m,), optional
+        Any dual point; A x − b by default.
     """
     enclosures = Enclosures(problem)
     residual = enclosures.residual(x)
     at_x = enclosures.gradient(x, residual)
-    exactly = residual[0], np.zeros(residual[0].size)  # y is the residual, whatever that is
-    slopes = [(y, enclosures.gradient_at(x, y)) for y in duals or (residual[0],)]
-    if problem.l1.any():
-        slopes += [
-            shrunk
-            for y, slope in slopes
-            if (shrunk := _shrunk(enclosures, x, y, slope)) is not None
-        ]
+    exactly = residual[0], np.zeros(residual[0].size)  # y is the exact residual
+    y = residual[0] if y is None else y
+    slopes = [(y, enclosures.gradient_at(x, y))]
+    if problem.l1.any() and (shrunk := _shrunk(enclosures, x, *slopes[0])) is not None:
+        slopes.append(shrunk)
 
     def above(*given: Any) -> float:
         gap, _, size = _gap(problem, x, *given)
@@ -351,14 +273,11 @@ def duality_gap(problem: BoundedLeastSquares, x: FloatVector, *duals: FloatVecto
 
     found = [above(exactly, residual[0], at_x), *(above(residual, *slope) for slope in slopes)]
     if not np.nanmin(found) < np.inf:
-        found += [
-            above(residual, *repair)
-            for slope in slopes
-            for repair in _repaired(enclosures, x, *slope)
-        ]
+        repairs = (repair for slope in slopes for repair in _repaired(enclosures, x, *slope))
+        found += [above(residual, *repair) for repair in repairs]
     if not np.nanmin(found) < np.inf and (convexity := enclosures.convexity) is not None:
         found.append(above(exactly, residual[0], at_x, convexity))
-    cost = float(OUTWARD**3 * (problem.cost(x, np.abs(residual[0]) + residual[1]) + TINY))
+    cost = float(OUTWARD**3 * (enclosures.cost_above(x) + TINY))
     return min(gap for gap in (cost, *found) if not np.isnan(gap))
 
 
@@ -470,9 +389,10 @@ def _push(
     scaled, columns, root = problem.scaled, np.flatnonzero(chosen), problem.root_weights
     if not wanted[columns].any():
         return np.zeros(root.size)
+    if problem.is_small:
+        push = shortest_solution(scaled.matrix(is_dense=True)[:, columns].T, wanted[columns])
+        return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
     from scipy.sparse.linalg import LinearOperator, lsmr
-
-    from ..programs.dual_bounds import least_squares
 
     def back(pull: FloatVector) -> FloatVector:
         if enforced_seconds_left() < 0.0:
@@ -486,9 +406,5 @@ def _push(
         shape, lambda push: scaled.transposed(push)[columns], back, dtype=np.float64
     )
     steps = min(REPAIR_STEPS, 2 * columns.size + 1)
-    push, reason, *_ = lsmr(
-        across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps
-    )
-    if reason != IS_NEAR and problem.is_cheap_to_copy:  # however ill-conditioned A is
-        push = least_squares(sp.csr_array(scaled.entries()[:, columns]).T, wanted[columns])
+    push = lsmr(across, wanted[columns], atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)[0]
     return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))

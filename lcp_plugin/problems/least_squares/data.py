@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from copy import copy
 from functools import cached_property
 from typing import Any, ClassVar
@@ -13,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     FloatVector,
-    assembled,
     check_kind,
     check_order,
     checked_bound,
@@ -24,23 +22,16 @@ from ...core.checks import (
     rectangular_matrix,
     same_for_all,
 )
-from ...core.communicator import SharedRows
-from ...core.deadline import is_over
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kind import Kind
 from ...systems.equilibration import power_of_two
 from . import BOUNDED_LEAST_SQUARES
 
-COPIED_UP_TO = 10**6  # places of A
-PROBES = (
-    8  # products with Aᵀ that estimate the lengths of an operator's columns, to about a quarter
-)
-ROWS = 4  # of A, ÷ columns, that are copied at once: no copy of a tall A is made
+MAX_DENSE_ENTRIES = 10**6  # of A: dense copies cost little
+PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about 25 %
 LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
-MOST = 2048  # beyond any exponent
-FAR = 200  # exponent of a largest number whose squares, and products with l1, may leave the range of doubles
-ROWS_AT_ONCE = 512  # of a dense A, where a pass over it needs temporaries
+SQUARED_RANGE = 1e-150, 1e150  # of a largest entry: its square is a double
 
 
 class BoundedLeastSquares:
@@ -129,6 +120,9 @@ class BoundedLeastSquares:
         if not is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
+        if self.has_entries:
+            self._check_range("A", self.A.data if self.is_sparse else self.A, "A and b")
+            self._check_range("b", self.b, "A and b")
         self.l1 = same_for_all(0.0, n) if is_number(l1) and l1 == 0.0 else _checked_penalty(l1, n)
 
     def __repr__(self) -> str:
@@ -138,65 +132,16 @@ class BoundedLeastSquares:
             f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind}{penalty})"
         )
 
-    @cached_property
-    def far_units(self) -> tuple[int, int] | None:
-        """The exponents of powers of two that bring the largest number of √weights A, and of √weights b, near 1.
-
-        None where squares of these are in range as they are, or where a number would leave it.
-        """
-        if not self.has_entries or 0 in self.shape:
-            return None
-        of_A, of_b, of_weights, of_x = (
-            int(np.frexp(max(part.max(initial=0.0), -part.min(initial=0.0)))[1])
-            if part.any()
-            else -MOST
-            for part in (
-                self.A.data if self.is_sparse else self.A,
-                self.b,
-                self.root_weights,
-                self.nearest_to_zero,
+    def _check_range(self, name: str, entries: Any, what: str) -> None:
+        """Raise InvalidProblem if squares of the largest entries, or of √weights, leave the range of doubles."""
+        root = float(np.max(self.root_weights, initial=0.0))
+        largest = max(1.0, root) * max(entries.max(initial=0.0), -entries.min(initial=0.0))
+        least, most = SQUARED_RANGE
+        if not (largest == 0.0 or least <= largest <= most):
+            raise InvalidProblem(
+                f"the largest entry of {name} (with weights) is {largest:.3g}, whose square is no double; divide "
+                f"{what} by a number that brings it near 1"
             )
-        )
-        if min(of_A, of_weights) == -MOST:
-            return None
-        of_b = max(of_b, of_A + of_x) if max(of_b, of_x) > -MOST else of_A
-        of_A, of_b = -of_A - of_weights, -of_b - of_weights
-        if max(abs(of_A), abs(of_b)) <= FAR:
-            return None
-        with np.errstate(over="ignore", under="ignore"):
-            is_exact = all(
-                np.array_equal(np.ldexp(np.ldexp(part, exponent), -exponent), part)
-                for part, exponent in self._powers(of_A, of_b)
-            )
-        return (of_A, of_b) if is_exact else None
-
-    def _powers(self, of_A: int, of_b: int) -> list[tuple[Any, int]]:
-        """Return A or its entries, b, the bounds, ridge and l1 with the exponents that :meth:`in_units` gives each."""
-        of_x = of_b - of_A
-        return [
-            (self.A.data if self.is_sparse else self.A, of_A),
-            (self.b, of_b),
-            (self.lower, of_x),
-            (self.upper, of_x),
-            (self.ridge, 2 * of_A),
-            (self.l1, of_A + of_b),
-        ]
-
-    def in_units(self, of_A: int, of_b: int) -> BoundedLeastSquares:
-        """Return the same problem of 2^of_A A and 2^of_b b, in x times 2^(of_b − of_A)."""
-        A, b, lower, upper, ridge, l1 = (
-            np.ldexp(part, exponent) for part, exponent in self._powers(of_A, of_b)
-        )
-        if self.is_sparse:
-            A = assembled(A, self.A.indices, self.A.indptr, self.shape)
-        made = BoundedLeastSquares(
-            A, b, -np.inf, np.inf, weights=self.weights, ridge=float(ridge), l1=l1
-        )
-        made.lower, made.upper = (
-            read_only(lower),
-            read_only(upper),
-        )  # 1e20 in these units is a bound
-        return made
 
     def with_vectors(
         self,
@@ -223,9 +168,11 @@ class BoundedLeastSquares:
         array([1., 2.])
         """
         made, (m, n) = copy(self), self.shape
-        for name in ("far_units", "nearest_to_zero", "scaled"):
+        for name in ("nearest_to_zero", "scaled"):
             made.__dict__.pop(name, None)
         made.b = self.b if b is None else checked_vector(b, "b", m)
+        if self.has_entries:
+            made._check_range("b", made.b, "b, lower and upper")
         made.lower = self.lower if lower is None else checked_limit(lower, "lower", n)
         made.upper = self.upper if upper is None else checked_limit(upper, "upper", n)
         check_order(made.lower, made.upper)
@@ -235,29 +182,9 @@ class BoundedLeastSquares:
         return made
 
     @property
-    def is_nonnegative_alone(self) -> bool:
-        """Whether x ≥ 0 is all that is asked beside a small dense A x ≈ b."""
-        n = self.shape[1]
-        if not (
-            n
-            and self.is_dense
-            and self.is_cheap_to_copy
-            and self.weights is None
-            and self.ridge == 0.0
-        ):
-            return False
-        zeros, none = same_for_all(0.0, n), same_for_all(np.inf, n)
-        is_nonnegative = self.lower is zeros or not self.lower.any()
-        return (
-            is_nonnegative
-            and (self.upper is none or bool((self.upper == np.inf).all()))
-            and not self.l1.any()
-        )
-
-    @property
-    def is_cheap_to_copy(self) -> bool:
+    def is_small(self) -> bool:
         """Whether A has entries, and so few places for them that dense copies cost little."""
-        return self.has_entries and self.shape[0] * self.shape[1] <= COPIED_UP_TO
+        return self.has_entries and self.shape[0] * self.shape[1] <= MAX_DENSE_ENTRIES
 
     @cached_property
     def nearest_to_zero(self) -> FloatVector:
@@ -287,17 +214,17 @@ class BoundedLeastSquares:
 
     def cost(self, x: FloatVector, residual: FloatVector) -> float:
         """Return what is minimised, at x with its residual A x − b."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            penalty = (
-                self.ridge * (x @ x) if self.ridge > 0.0 else 0.0
-            )  # of an x too large to be squared
+        with np.errstate(over="ignore", invalid="ignore"):  # of an x too large to be squared
+            penalty = self.ridge * (x @ x) if self.ridge > 0.0 else 0.0
             return float(0.5 * (self.weighted(residual) @ residual + penalty) + self.l1 @ np.abs(x))
 
-    def _blocks(self) -> Iterator[tuple[FloatVector, FloatVector]]:
-        """Yield the rows of a dense A, some at a time, and their √weights as a column."""
-        for begin in range(0, self.shape[0], ROWS_AT_ONCE):
-            rows = slice(begin, begin + ROWS_AT_ONCE)
-            yield self.A[rows], self.root_weights[rows, np.newaxis]
+    def weighted_matrix(self) -> Any:
+        """Return √weights A, which must have entries: an ndarray or a CSR array."""
+        if self.weights is None:
+            return self.A
+        if self.is_sparse:
+            return sp.csr_array(sp.diags_array(self.root_weights) @ self.A)
+        return self.root_weights[:, None] * self.A
 
     @cached_property
     def column_scales(self) -> FloatVector:
@@ -309,23 +236,13 @@ class BoundedLeastSquares:
         return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_SCALE))
 
     def _lengths(self) -> FloatVector:
-        """Return the lengths of the columns of √weights A; no square overflows."""
-        A, (largest, squares) = self.A, np.zeros((2, self.shape[1]))
-        if self.is_sparse:
-            entries = np.abs(A.data)
-            if self.weights is not None:
-                entries *= np.repeat(self.root_weights, np.diff(A.indptr))
-            np.maximum.at(largest, A.indices, entries)
-            unit = power_of_two(largest, LARGEST_SCALE)
-            entries /= unit[A.indices]
-            squares = np.bincount(A.indices, entries * entries, largest.size)
-            return np.asarray(unit * np.sqrt(squares))
-        for block, root in self._blocks():
-            np.maximum(largest, np.max(np.abs(block) * root, axis=0, initial=0.0), out=largest)
-        unit = power_of_two(largest, LARGEST_SCALE)
-        for block, root in self._blocks():
-            squares += np.square(block * root / unit).sum(axis=0)
-        return np.asarray(unit * np.sqrt(squares))
+        if not self.shape[0]:
+            return np.zeros(self.shape[1])
+        sizes = abs(self.weighted_matrix())
+        largest = sizes.max(axis=0)
+        unit = power_of_two(largest.toarray() if self.is_sparse else largest, LARGEST_SCALE)
+        squares = (sizes * (1.0 / unit)) ** 2  # which do not vanish
+        return np.asarray(unit * np.sqrt(squares.sum(axis=0)))
 
     def _estimated_lengths(self) -> FloatVector:
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, self.shape[0]))
@@ -368,8 +285,6 @@ class ScaledLeastSquares:
     size : float
         What b was.
     """
-
-    matrix, is_distributed = SharedRows(), False  # all are here
 
     def __init__(self, problem: BoundedLeastSquares) -> None:
         self.problem, self.n = problem, problem.shape[1]
@@ -436,35 +351,24 @@ class ScaledLeastSquares:
             / self.columns
         )
 
-    def gram(self) -> Any:
-        """Return AᵀA: a CSR array where A is sparse and large, else an ndarray, NaN where time ended before."""
-        if self.problem.is_sparse and not self.problem.is_cheap_to_copy:
-            entries = self.entries()
-            return sp.csr_array(entries.T @ entries)
-        m, n = self.problem.shape
-        gram = np.zeros((n, n))
-        for begin in range(0, m, ROWS * n + 1):
-            block = self.dense(slice(begin, begin + ROWS * n + 1))
-            gram += block.T @ block if not is_over() else np.nan
-        return gram
-
-    def dense(self, rows: slice = slice(None)) -> FloatVector:
-        """Return those rows of A as a new ndarray."""
-        entries = self.entries(rows)
-        dense: FloatVector = entries.toarray() if sp.issparse(entries) else entries
-        return dense
-
-    def entries(self, rows: slice = slice(None)) -> Any:
-        """Return those rows of A, which must have entries: a new ndarray or CSR array."""
+    def matrix(self, *, is_dense: bool) -> Any:
+        """Return A, which must have entries: an ndarray or a CSR array."""
+        A = self.problem.weighted_matrix()
         if self.problem.is_dense:
-            return self.problem.A[rows] * self._root[rows, None] / self.columns
-        scaled = self.problem.A[rows].copy()
-        scaled.data = (
-            scaled.data
-            * np.repeat(self._root[rows], np.diff(scaled.indptr))
-            / self.columns[scaled.indices]
-        )
-        return scaled
+            return A * self.inverse_columns
+        A = sp.csr_array(A @ sp.diags_array(self.inverse_columns))
+        return A.toarray() if is_dense else A
+
+    def rows(self, *, is_dense: bool) -> tuple[Any, FloatVector]:
+        """Return A and b with a row √ridge_j x_j = 0 per column with a ridge."""
+        A = self.matrix(is_dense=is_dense)
+        if not self.ridge.any():
+            return A, self.b
+        root = np.sqrt(self.ridge)
+        b = np.append(self.b, np.zeros(self.n))
+        if isinstance(A, np.ndarray):
+            return np.vstack([A, np.diag(root)]), b
+        return sp.csr_array(sp.vstack([A, sp.diags_array(root)])), b
 
 
 def _checked_penalty(l1: ArrayLike, n: int) -> FloatVector:
@@ -496,7 +400,7 @@ def _checked(A: Any) -> tuple[Any, bool]:
         return _checked_operator(A), False
     matrix = rectangular_matrix(A, "A", None, None, is_copied=False)
     is_by_columns = isinstance(matrix, np.ndarray) and not matrix.flags.c_contiguous
-    is_kept = not is_by_columns or (matrix.flags.f_contiguous and matrix.size > COPIED_UP_TO)
+    is_kept = not is_by_columns or (matrix.flags.f_contiguous and matrix.size > MAX_DENSE_ENTRIES)
     return matrix if is_kept else read_only(np.array(matrix, order="C")), True
 
 

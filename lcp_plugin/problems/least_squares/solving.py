@@ -1,9 +1,10 @@
-"""bounded_least_squares(): the answer, and what is said of it."""
+"""bounded_least_squares(): the run, and the result."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -11,12 +12,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import FloatVector, read_only, restored
-from ...core.deadline import Clock
+from ...core.deadline import Clock, OutOfTimeError, is_over, time_limit
 from ...core.kind import Kind
 from ...core.settings import Settings, Status
 from ...core.solving.answer import NEXT, Answer
 from . import BOUNDED_LEAST_SQUARES
+from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
+from .enclosures import Enclosures
+from .engines import engine_points, is_within_reach
+from .steps import FacePoint, projected_steps, through_orthants
+
+NARROWER = 0.05  # the steepness at which a point is certified next ÷ that of the last one
+WINDOW = 200  # steps, or half of those before: a run whose steepness falls by less than 1 % in one is over
+PROGRESS = 0.99
 
 
 def bounded_least_squares(
@@ -33,37 +42,37 @@ def bounded_least_squares(
     max_iterations: int | None = None,
     max_seconds: float | None = None,
 ) -> LeastSquaresResult:
-    """Return the x that minimises ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x| over lower ≤ x ≤ upper.
+    """Minimize ½ Σ weights (A x − b)² + ½ ridge ‖x‖² + Σ l1 |x| over lower ≤ x ≤ upper.
 
     With the default bounds it is nonnegative least squares (NNLS); with ``lower=-np.inf`` and an l1 the lasso.
 
     Parameters
     ----------
     A : array, sparse array or scipy LinearOperator, shape (m, n)
-        Real, finite, of any shape and rank; not copied where it holds doubles, unless it has fewer than 10⁶ places.
-        A LinearOperator needs rmatvec.
+        Real, finite, of any shape and rank. A LinearOperator needs rmatvec.
     b : array, shape (m,)
     lower, upper : scalar or array, shape (n,)
         Bounds of x; −∞ and ∞ are allowed, lower ≤ upper.
     x0 : array, shape (n,), or a number for n = 1, optional
-        Where to begin, projected onto the bounds; by default the point of [lower, upper] nearest to 0.
+        Start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. Only projected steps use
+        it, but x0 is the result if it is optimal, and no point that costs more is SOLVED.
     weights : array, shape (m,), optional
-        ≥ 0, one a row: 0 leaves it out.
+        ≥ 0, one per row: 0 leaves a row out.
     ridge : float
         ≥ 0.
     l1 : number or array, shape (n,)
-        ≥ 0: of a lasso without bounds say ``lower=-np.inf`` as well. An x_j that the penalty holds is exactly 0.
+        ≥ 0. A lasso without bounds needs ``lower=-np.inf``. An x_j that the penalty holds is exactly 0.
     tolerance : float
-        SOLVED means that cost is above the least by at most this times cost, rounding of the data aside: see
-        `optimality` of :class:`LeastSquaresResult`, where a LinearOperator is spoken of, too.
+        SOLVED means that cost exceeds the minimum by at most tolerance · cost, rounding of the data excused: see
+        `optimality` of :class:`LeastSquaresResult`, also for a LinearOperator.
     max_iterations : int, default 100 000
     max_seconds : float, optional
-        Wall-clock limit in seconds, obeyed at the end of the step under way; an engine's answer is one.
+        Wall-clock limit in seconds, obeyed at the end of the current step; a run of PIQP is one step.
 
     Returns
     -------
     LeastSquaresResult
-        Always, whatever the status, with the best point, also after Ctrl-C.
+        The best point, whatever the status, also after Ctrl-C.
 
     Raises
     ------
@@ -72,14 +81,10 @@ def bounded_least_squares(
 
     Notes
     -----
-    Dense problems of up to 600 columns or rows: scipy's nnls, where bounds are on one side and there is no l1. Others
-    of up to 1500: PIQP on the normal equations where boxes are, and on the dual, whose condition is that of A; then
-    the face that it names is solved by an orthogonal factor. Where rounding leaves those too little, as for rows of
-    very different size, an active set whose faces are refined to the last digit of each row, for at most 10⁶ places of
-    A. Large A come to PIQP, sparse ones on the dual, after projected gradient and conjugate gradient steps, about a
-    product with A and one with Aᵀ each, that have cost about as much. Where nothing else can be had, and for a
-    LinearOperator, the steps go on; an ill-conditioned problem may end STALLED there. In the steps with an l1 each
-    column is on one side of 0 at a time, where its penalty is linear. Whoever found x, the same certificate judges it.
+    Dense A, or at most 10⁶ entries: scipy's lstsq without bounds, nnls with one bound per column, else PIQP on the dual
+    (wide A) or on the normal equations; an orthogonal factorization of the free columns follows. Sparse A: PIQP on
+    min ½‖r‖² with A x − r = b, polished. A LinearOperator, or an A whose factorization is predicted to take too long:
+    projected gradient and conjugate gradient steps, with one product with A and one with Aᵀ each.
 
     Examples
     --------
@@ -93,7 +98,6 @@ def bounded_least_squares(
     )
 
 
-@np.errstate(under="ignore")
 def solve_least_squares(
     problem: BoundedLeastSquares,
     *,
@@ -102,34 +106,139 @@ def solve_least_squares(
     max_iterations: int | None = None,
     max_seconds: float | None = None,
 ) -> LeastSquaresResult:
-    """Return the answer to a problem that is stated already; see :func:`bounded_least_squares`."""
+    """Return the result of a problem that is stated already; see :func:`bounded_least_squares`."""
     clock = Clock()
-    is_plain = x0 is max_iterations is max_seconds is None
-    if is_plain and type(tolerance) is float and 0.0 < tolerance < 1.0:
-        from .engine_points import nonnegative_as_given
-
-        if (found := nonnegative_as_given(problem, tolerance)) is not None:
-            x, residual, dual, value = found
-            return _result_of(problem, tolerance, x, residual, dual, value, Status.SOLVED, 1, clock)
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
-    start = None if x0 is None else problem.checked_start(x0)
-    if (units := problem.far_units) is not None:
-        near = problem.in_units(*units)
-        inside = solve_least_squares(
-            near,
-            x0=None if start is None else np.ldexp(start, units[1] - units[0]),
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            max_seconds=max_seconds,
-        )
-        return inside.in_the_callers_units(problem, units)
-    from .run import run_stages
-
-    judged, status, steps = run_stages(problem, settings, start, clock)
-    x, residual, value = judged.x, judged.sharp_residual, judged.value
-    return _result_of(
-        problem, settings.tolerance, x, residual, judged.dual, value, status, steps, clock
+    run = LeastSquaresRun(
+        problem, settings, None if x0 is None else problem.checked_start(x0), clock
     )
+    with np.errstate(all="ignore"):
+        return run.result(run.status())
+
+
+class LeastSquaresRun:
+    """One run: steps are counted, and points that look good enough are certified."""
+
+    def __init__(
+        self,
+        problem: BoundedLeastSquares,
+        settings: Settings,
+        start: FloatVector | None,
+        clock: Clock,
+    ) -> None:
+        self.problem, self.settings, self.clock = problem, settings, clock
+        self.enclosures = Enclosures(problem)
+        self.has_start = start is not None
+        if start is not None:
+            self.enclosures.known.append(start)
+        scaled = problem.scaled
+        begin = scaled.nearest_to_zero if start is None else scaled.from_caller(start)
+        self.nearest = FacePoint(scaled, np.clip(begin, scaled.lower, scaled.upper))
+        self.best: Optimality | None = None
+        self.algorithm, self.steps = "start", 0
+        self._smallest = np.inf
+
+    def status(self) -> Status:
+        """Take steps until the problem is solved, a limit comes, or no step is left; return the reason."""
+        limit = self.settings.max_seconds
+        try:
+            with time_limit(
+                math.inf if limit is None else limit - self.clock.read(), is_enforced=True
+            ):
+                return self._status()
+        except OutOfTimeError:
+            return Status.MAX_SECONDS
+        except KeyboardInterrupt:
+            return Status.INTERRUPTED
+
+    def _status(self) -> Status:
+        is_direct = is_within_reach(self.problem.scaled)
+        is_at_rest = not self.nearest.natural_residual.any()
+        if (self.has_start or is_at_rest or not is_direct) and self._is_certified(self.nearest):
+            return Status.SOLVED
+        for point in self._engine_points() if is_direct else self._projected_points():
+            if self._is_certified(point):
+                return Status.SOLVED
+        if self.steps >= self.settings.max_iterations:
+            return Status.MAX_ITERATIONS
+        is_at_rounding_level = self.best is not None and self.best.is_at_rounding_level
+        return Status.PRECISION_LIMIT if is_at_rounding_level else Status.STALLED
+
+    def _engine_points(self) -> Iterator[FacePoint]:
+        """Yield points by lstsq, nnls and PIQP; a point is a step."""
+        points = engine_points(self.problem.scaled)
+        while self.steps < self.settings.max_iterations:
+            _require_time()
+            if (found := next(points, None)) is None:
+                return
+            self.steps += 1
+            self.algorithm, self.nearest = found
+            yield self.nearest
+
+    def _projected_points(self) -> Iterator[FacePoint]:
+        """Yield the points of projected steps that may be optimal, the last one at the end."""
+        self.algorithm, aim = "projected gradients", self.settings.tolerance
+        since, before = 0, np.inf
+        for point in through_orthants(projected_steps)(self.nearest):
+            _require_time()
+            if self.steps >= self.settings.max_iterations:
+                break
+            self.steps += 1
+            scaled, size = point.steepness(self.enclosures.reference)
+            if not self._smallest <= scaled:
+                self.nearest, self._smallest = point, scaled
+            if size <= aim:
+                aim = NARROWER * size
+                yield point
+            if self.steps - since >= max(WINDOW, since // 2):
+                if self._smallest >= PROGRESS * before:
+                    break
+                since, before = self.steps, self._smallest
+        yield self.nearest
+
+    def _is_certified(self, point: FacePoint) -> bool:
+        """Certify a point, and keep it if it is the best; return whether it is SOLVED."""
+        _require_time()
+        tolerance = self.settings.tolerance
+        judged = self._judged(point, tolerance)
+        is_solved = judged.meets(tolerance)
+        if self.best is None or is_solved or judged.is_better(self.best):
+            self.best = judged
+        return is_solved
+
+    def _judged(self, point: FacePoint, tolerance: float) -> Optimality:
+        x = self.problem.scaled.to_caller(point.x)
+        return Optimality.of(self.enclosures, x, tolerance=tolerance)
+
+    def result(self, status: Status) -> LeastSquaresResult:
+        """Return the result of the run with its best point."""
+        problem, best = self.problem, self.best
+        if best is None or status in (Status.MAX_SECONDS, Status.INTERRUPTED):
+            last = self._judged(self.nearest, np.inf)
+            best = last if best is None or last.is_better(best) else best
+        x, residual = best.x, best.sharp_residual
+        mask = (x >= problem.upper).astype(np.int_)
+        mask[x <= problem.lower] = -1
+        return LeastSquaresResult(
+            x=read_only(x),
+            cost=problem.cost(x, residual),
+            fun=read_only(residual),
+            optimality=best.value,
+            active_mask=read_only(mask),
+            status=status,
+            nit=self.steps,
+            algorithm=self.algorithm,
+            seconds=self.clock.read(),
+            tolerance=self.settings.tolerance,
+            is_proved=problem.has_entries,
+            problem=problem,
+            _dual=best.dual,
+        )
+
+
+def _require_time() -> None:
+    if is_over():
+        raise OutOfTimeError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,26 +254,25 @@ class LeastSquaresResult(Answer):
     fun : ndarray, shape (m,)
         The residual A x − b, without weights.
     optimality : float
-        An upper bound of (cost − least cost)/cost, rounding aside: for entries of A and b that differ from those given
-        by no more than rounding relative to each. Units of rows and columns do not matter, and where each row's
-        residual is rounding of its own terms it is 0; 1 where nothing is proved. The formula, and what it cannot see:
+        Upper bound of (cost − minimum)/cost, rounding excused: for entries of A and b that differ from the given ones
+        by no more than rounding. 1 if nothing is proved, or if a point of lower cost is known. The formula:
         help("lcp_plugin.problems.least_squares.certificate"). For a LinearOperator, an estimate of the larger of
         ‖mid(x − upper, x − lower, g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), and the same in units
         in which the columns of A have about unit length.
     active_mask : ndarray of int, shape (n,)
         −1 at the lower bound, 1 at the upper one, 0 between them.
     status : Status
-        SOLVED exactly where optimality ≤ tolerance; for a LinearOperator, whose optimality may hide much, where also
-        the estimated gap is ≤ √tolerance times the cost at the point of the box nearest to 0. Where columns without
-        any bound forbid an estimate, further steps must not gain more than that.
+        SOLVED exactly if optimality ≤ tolerance.
     nit : int
-        Steps, of about a product with A and one with Aᵀ each, or a face solved by a factor; an engine's answer is one.
+        Number of steps: of about a product with A and one with Aᵀ, or a point of lstsq, nnls or PIQP.
+    algorithm : str
+        "lstsq", "nnls", "piqp", "projected gradients", or "start" if the start is optimal.
     seconds : float
         Wall-clock seconds of the run.
     tolerance : float
         As given.
     is_proved : bool
-        Whether `optimality` and `gap` are upper bounds. For a LinearOperator, whose entries nobody knows, they are
+        Whether `optimality` and `gap` are upper bounds. For a LinearOperator, whose entries are unknown, they are
         estimates.
     problem : BoundedLeastSquares
         The data.
@@ -179,47 +287,24 @@ class LeastSquaresResult(Answer):
     active_mask: NDArray[np.int_] = field(repr=False)
     status: Status
     nit: int
+    algorithm: str
     seconds: float
     tolerance: float
     is_proved: bool
     problem: BoundedLeastSquares = field(repr=False)
     _dual: FloatVector = field(repr=False)
-    _inside: tuple[LeastSquaresResult, int] | None = field(repr=False, default=None)
 
     __setstate__ = restored
 
     @cached_property
-    @np.errstate(over="ignore", under="ignore")
     def gap(self) -> float:
-        """An upper bound of cost − min cost for the data as they are, rounding of x included; computed at a first look.
+        """Upper bound of cost − minimum for the data as they are, rounding included; computed at the first access.
 
-        It is at most cost but for rounding, and no less where A is not proved to have full rank and some column without
-        a bound on one side (or with none) allows no multiplier of the right sign;
-        help("lcp_plugin.problems.least_squares.certificate").
+        At worst it equals the cost: that happens if some column is unbounded, has no multiplier of the right sign, and
+        A could not be proved to have full rank; see help("lcp_plugin.problems.least_squares.certificate").
         """
-        from .run import gap_of
-
-        if self._inside is not None:
-            inside, exponent = self._inside
-            return math.nextafter(float(np.ldexp(inside.gap, exponent)), math.inf)
-        return gap_of(self.problem, self.x, self._dual, self.nit)
-
-    @np.errstate(
-        over="ignore", under="ignore"
-    )  # squares leave the range: that is why it was solved in others
-    def in_the_callers_units(
-        self, problem: BoundedLeastSquares, units: tuple[int, int]
-    ) -> LeastSquaresResult:
-        """Return the same answer to a problem of which this one is `problem.in_units(*units)`."""
-        x = np.clip(np.ldexp(self.x, units[0] - units[1]), problem.lower, problem.upper)
-        return replace(
-            self,
-            x=read_only(x),
-            cost=float(np.ldexp(self.cost, -2 * units[1])),
-            problem=problem,
-            fun=read_only(np.ldexp(self.fun, -units[1])),
-            _inside=(self, -2 * units[1]),
-        )
+        with np.errstate(all="ignore"):
+            return duality_gap(self.problem, self.x, self._dual)
 
     @property
     def objective(self) -> float:
@@ -230,11 +315,6 @@ class LeastSquaresResult(Answer):
     def iterations(self) -> int:
         """`nit`."""
         return self.nit
-
-    @property
-    def algorithm(self) -> str:
-        """What ran."""
-        return "bounded least squares"
 
     @property
     def advice(self) -> str:
@@ -255,50 +335,20 @@ class LeastSquaresResult(Answer):
 
 
 ADVICE = {
-    Status.SOLVED: "the gradient at x within its bounds is 0 within the tolerance",
+    Status.SOLVED: "the cost exceeds the minimum by at most tolerance · cost, rounding of the data excused",
     Status.PRECISION_LIMIT: (
-        "the gradient is no larger than rounding in double precision explains, but no lower bound of the cost was "
-        "found near it, as for a large sparse A that fits b exactly; next: accept x, which result.gap bounds"
+        "the gradient is at rounding level, but no lower bound of the cost was found near it, as for a large sparse A "
+        "that fits b exactly; next: accept x, which result.gap bounds"
     ),
     Status.STALLED: (
-        "the gradient no longer falls: A is too ill-conditioned for steps, and its factor would fill in too much or "
-        "cannot be had; next: add a ridge > 0"
+        "the gradient no longer falls: A is too ill-conditioned, or its rows or bounds differ too much in size; next: "
+        "add a ridge > 0, or rescale rows and columns"
     ),
     Status.MAX_ITERATIONS: "the iteration limit came first; next: raise max_iterations, or go on from x0=result.x",
     Status.MAX_SECONDS: "the time limit came first; next: raise max_seconds, or go on from x0=result.x",
     Status.INTERRUPTED: "stopped by Ctrl-C; next: go on from x, the best point so far",
 }
 OF_OPERATORS = {
-    Status.PRECISION_LIMIT: "; of an operator SOLVED asks for a gap below √tolerance · cost at the start, too",
+    Status.SOLVED: "; of an operator: the gradient is at most tolerance · ‖AᵀWb‖∞",
     Status.STALLED: "; or the operator's products are not to the 16 digits of doubles",
 }
-
-
-def _result_of(
-    problem: BoundedLeastSquares,
-    tolerance: float,
-    x: FloatVector,
-    residual: FloatVector,
-    dual: FloatVector,
-    optimality: float,
-    status: Status,
-    steps: int,
-    clock: Clock,
-) -> LeastSquaresResult:
-    """Return the result that these make."""
-    mask = (x >= problem.upper).astype(np.int_)
-    mask[x <= problem.lower] = -1
-    return LeastSquaresResult(
-        x=read_only(x),
-        cost=problem.cost(x, residual),
-        fun=read_only(residual),
-        optimality=optimality,
-        active_mask=read_only(mask),
-        status=status,
-        nit=steps,
-        seconds=clock.read(),
-        tolerance=tolerance,
-        is_proved=problem.has_entries,
-        problem=problem,
-        _dual=dual,
-    )

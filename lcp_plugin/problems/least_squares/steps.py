@@ -49,9 +49,6 @@ class FacePoint:
         Aᵀ(A x − b) + ridge x.
     gradient : ndarray, shape (n,)
         That and what the penalty l1 adds in the problem's orthant.
-    dual : ndarray, shape (m,), or None
-        What stands for A x − b in the caller's units where rounding of x leaves that too little, if somebody has it;
-        empty where the residual itself has to do, and nobody is to look for another.
     """
 
     def __init__(
@@ -59,9 +56,8 @@ class FacePoint:
         problem: ScaledLeastSquares,
         x: FloatVector,
         residual: FloatVector | None = None,
-        dual: FloatVector | None = None,
     ) -> None:
-        self.problem, self.x, self.dual = problem, x, dual
+        self.problem, self.x = problem, x
         self.residual = problem.product(x) - problem.b if residual is None else residual
         self.slope = problem.transposed(self.residual) + problem.ridge * x
         self.gradient = self.slope + problem.linear

@@ -1,0 +1,255 @@
+"""Points of a least squares problem within bounds by lstsq, nnls and PIQP, solved on their faces.
+
+A column with a penalty that may take both signs is split, x = x⁺ − x⁻, and a ridge is more rows, √ridge I:
+
+    min ½‖E z − b‖² + slopesᵀz  subject to  lower ≤ z ≤ upper.
+
+PIQP takes it as it stands with r = E z − b if A is sparse; by the normal equations if A is dense and not wide; by the
+dual min ½‖y‖² + bᵀy with −Eᵀy ≤ slopes (for z ≥ 0; z is its multiplier) if A is dense and wide. The condition of the
+first and of the last is that of A.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector
+from ...core.deadline import seconds_left
+from ...core.kernels.floats import EPSILON
+from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
+from ...engines import Limits, Point, Statement
+from ...engines.piqp import PIQP
+from ...engines.polish import polished
+from .data import ScaledLeastSquares
+from .enclosures import clipped, shortest_solution
+from .steps import FacePoint
+
+MAX_NNLS_COLUMNS = 600  # or rows, whichever are fewer: nnls frees one column at a time
+NNLS_STEPS = 10  # times the number of columns
+REFINEMENTS = 2  # solves with one factor of a face
+MAX_FACES = 30
+NOISE = 2.0**-44
+AT_BOUND = 4.0 * EPSILON  # of x before and after a step: it is at a bound so near
+SAME_COST = 1.0 + 1e-12  # a step may cost so much more, by rounding
+FACTORS = 20  # that PIQP makes, about
+PATIENCE = 60.0  # seconds for that
+SECONDS_PER_ENTRY = 1e-6  # of a factor of a sparse A that hardly fills in
+LARGEST_FILL = 1e8  # entries of a factor
+LARGEST_SLOPE = 1e6  # beside b and columns of size 1: x is 0
+
+
+def is_within_reach(problem: ScaledLeastSquares) -> bool:
+    """Return whether A has entries and PIQP, which nothing stops, is predicted to end in the time that is left."""
+    whole, (m, n), seconds = problem.problem, problem.problem.shape, min(seconds_left(), PATIENCE)
+    if not whole.has_entries or whole.is_small:
+        return whole.has_entries
+    if whole.is_dense:
+        return bool(FACTORS * min(m, n) ** 2 * max(m, n) < seconds * DENSE_OPERATIONS)
+    from ...systems.minimum_degree import factor_sizes
+
+    A = problem.matrix(is_dense=False)
+    if FACTORS * SECONDS_PER_ENTRY * (A.nnz + m + n) > seconds:
+        return False
+    both = sp.csr_array(sp.block_array([[None, A], [A.T, None]]))
+    most = seconds / FACTORS * SPARSE_OPERATIONS
+    return bool(factor_sizes(both, LARGEST_FILL, most)[0] < np.inf)
+
+
+def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FacePoint]]:
+    """Yield points by what suits the problem, with the name of it."""
+    is_dense = problem.problem.is_dense or problem.problem.is_small
+    A, b = problem.rows(is_dense=is_dense)
+    split = Split.of(problem, A)
+    if not is_dense:
+        yield from (("piqp", FacePoint(problem, x)) for x in split.as_it_stands(b))
+        return
+    for name, x in _dense_solutions(problem, split, A, b):
+        if np.isfinite(x).all():
+            point = FacePoint(problem, clipped(x, problem.lower, problem.upper))
+            if name != "piqp":  # whose points lie near a face, not on it
+                yield name, point
+            on_face = on_its_face(point, A, b)
+            yield name, on_face
+            yield name, without_noise(on_face)
+
+
+def _dense_solutions(
+    problem: ScaledLeastSquares, split: Split, A: FloatVector, b: FloatVector
+) -> Iterator[tuple[str, FloatVector]]:
+    """Yield solutions x, the cheapest first, with the name of the solver."""
+    bounds = np.isfinite(problem.lower).astype(int) + np.isfinite(problem.upper)
+    if not (bounds.any() or problem.l1.any()):
+        yield "lstsq", shortest_solution(A, b)
+    if (bounds == 1).all() and not problem.l1.any() and min(A.shape) <= MAX_NNLS_COLUMNS:
+        yield "nnls", _by_nnls(problem, A, b)
+    if A.shape[0] < A.shape[1] and (bounds <= 1).all():
+        yield "piqp", split.by_dual(b)
+    yield "piqp", split.by_normal_equations(b)
+    yield from (("piqp", x) for x in split.as_it_stands(b))
+    yield "lstsq", shortest_solution(A, b)  # bounds may be far, and PIQP's point between them, too
+
+
+def _by_nnls(problem: ScaledLeastSquares, A: FloatVector, b: FloatVector) -> FloatVector:
+    """Return the solution within one bound per column, NaN if nnls gives up."""
+    from scipy.optimize import nnls
+
+    is_below = np.isfinite(problem.lower)
+    sign, bound = np.where(is_below, 1.0, -1.0), np.where(is_below, problem.lower, problem.upper)
+    try:
+        z = nnls(A * sign, b - A @ bound, maxiter=NNLS_STEPS * sign.size)[0]
+    except (RuntimeError, ValueError, np.linalg.LinAlgError):
+        return np.full(sign.size, np.nan)
+    return np.asarray(bound + sign * z)
+
+
+class Split(NamedTuple):
+    """The problem of z; see the module."""
+
+    E: Any
+    slopes: FloatVector
+    lower: FloatVector
+    upper: FloatVector
+    kink: Any
+
+    @classmethod
+    def of(cls, problem: ScaledLeastSquares, A: Any) -> Split:
+        """Return that of A with the rows of its ridge; x is nearest to 0 in a column without entries."""
+        kink, is_sparse = np.flatnonzero(problem.has_kink), sp.issparse(A)
+        E = (sp.hstack if is_sparse else np.hstack)([A, -A[:, kink]])
+        is_filled = np.bincount(A.indices, minlength=problem.n) > 0 if is_sparse else A.any(axis=0)
+        lower = np.where(is_filled, problem.lower, problem.nearest_to_zero)
+        upper = np.where(is_filled, problem.upper, problem.nearest_to_zero)
+        return cls(
+            E,
+            np.minimum(np.append(problem.linear, problem.l1[kink]), LARGEST_SLOPE),
+            np.append(np.where(problem.has_kink, 0.0, lower), np.zeros(kink.size)),
+            np.append(upper, -lower[kink]),
+            kink,
+        )
+
+    def joined(self, z: FloatVector) -> FloatVector:
+        """Return x."""
+        z = clipped(z, self.lower, self.upper)
+        x = z[: z.size - self.kink.size].copy()
+        x[self.kink] -= z[x.size :]
+        return x
+
+    def by_normal_equations(self, b: FloatVector) -> FloatVector:
+        """Return PIQP's x for min ½ zᵀEᵀE z + (slopes − Eᵀb)ᵀz, at bounds if multipliers say so."""
+        E, k = self.E, self.slopes.size
+        none = np.zeros((0, k)), np.zeros(0)
+        cost = self.slopes - E.T @ b
+        z, multipliers = _answer(E.T @ E, cost, *none, *none, self.lower, self.upper)[1][:2]
+        z = np.where(multipliers.lower > z - self.lower, self.lower, z)
+        return self.joined(np.where(multipliers.upper > self.upper - z, self.upper, z))
+
+    def as_it_stands(self, b: FloatVector) -> Iterator[FloatVector]:
+        """Yield PIQP's x for min ½‖r‖² + slopesᵀz with E z − r = b, polished and as returned."""
+        m, k = self.E.shape
+        E = sp.csr_array(sp.hstack([self.E, -sp.eye_array(m)]))
+        program, answer = _answer(
+            sp.diags_array(np.repeat([0.0, 1.0], [k, m]), format="csr"),
+            np.append(self.slopes, np.zeros(m)),
+            sp.csr_array((0, k + m)),
+            np.zeros(0),
+            E,
+            b,
+            np.append(self.lower, np.full(m, -np.inf)),
+            np.append(self.upper, np.full(m, np.inf)),
+        )
+        if np.isfinite(answer.x).all():
+            for found in (*polished(program, answer), answer):
+                yield self.joined(found.x[:k])
+
+    def by_dual(self, b: FloatVector) -> FloatVector:
+        """Return x of the multipliers z of PIQP's y; no column may have two bounds."""
+        has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
+        is_bounded = has_lower | has_upper
+        sign = np.where(has_upper, -1.0, 1.0)
+        start = np.where(has_lower, self.lower, np.where(has_upper, self.upper, 0.0))
+        unit = min(float(np.max(self.slopes, initial=0.0)), 1.0) or 1.0  # y is as small as slopes
+        rows, right, m = -(self.E * sign).T, sign * self.slopes / unit, b.size
+        answer = _answer(
+            unit * np.eye(m),
+            b - self.E @ start,
+            *(rows[is_bounded], right[is_bounded]),
+            *(rows[~is_bounded], right[~is_bounded]),
+            *(np.full(m, -np.inf), np.full(m, np.inf)),
+        )[1]
+        z = np.zeros(sign.size)
+        z[is_bounded], z[~is_bounded] = answer.multipliers[:2]
+        z = np.where(is_bounded & (z <= right - rows @ answer.x), 0.0, z)
+        return self.joined(start + sign * z)
+
+
+def _answer(*statement: Any) -> tuple[Statement, Point]:
+    """Return the statement, and PIQP's point of it."""
+    program = Statement(*statement)
+    return program, PIQP().answer(program, Limits(seconds_left()))
+
+
+def without_noise(point: FacePoint) -> FacePoint:
+    """Return the point with entries at a bound, or at 0, that are nearer to it than rounding of the largest one."""
+    x, problem = point.x, point.problem
+    noise = NOISE * np.abs(x).max(initial=0.0)
+    for bound in (problem.lower, problem.upper, 0.0):
+        x = np.where(np.abs(x - bound) <= noise, bound, x)
+    return FacePoint(problem, clipped(x, problem.lower, problem.upper))
+
+
+def on_its_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
+    """Return the minimum on the face of the point, or on one nearby of lower cost.
+
+    A step leads towards the minimum on a face, by an orthogonal factor, up to the bounds; columns that are pulled away
+    from their bound, or from 0, are released first: all, or the one with the strongest pull if cost rises otherwise.
+    """
+    order = np.argsort(-np.abs(A).max(axis=1, initial=0.0), kind="stable")
+    A, b, before = A[order], b[order], b""
+    is_filled = A.any(axis=0)
+    for _ in range(MAX_FACES):
+        orthant = point.problem.whole.orthant(point.x, point.slope)
+        point = FacePoint(orthant, point.x, point.residual)
+        pull = np.where(is_filled, np.abs(point.pull), 0.0)
+        pulled = pull > point.noise
+        for released in (pulled, pulled & (pull == pull.max(initial=0.0))):
+            free = np.flatnonzero(is_filled & (point.is_free | released))
+            face = free.tobytes() + orthant.linear[free].tobytes()
+            if face == before or not free.size:
+                return point
+            after = _towards_minimum(point, free, A, b)
+            if after.cost <= SAME_COST * point.cost and (after.x != point.x).any():
+                break
+        else:
+            return point
+        point, before = after, face
+    return point
+
+
+def _towards_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector) -> FacePoint:
+    """Return the point after a step of the free columns; columns that depend on those before them stay as they are.
+
+    The rows of A are sorted by size: Householder's factor with column pivots is stable row by row then (Cox and Higham
+    1998, doi:10.1023/A:1022361023563).
+    """
+    from scipy.linalg import qr, solve_triangular
+
+    Q, R, columns = qr(A[:, free], mode="economic", pivoting=True, check_finite=False)
+    sizes = np.abs(np.diag(R))
+    rank = int(np.count_nonzero(sizes > max(R.shape) * EPSILON * sizes[0]))
+    Q, R, free = Q[:, :rank], R[:rank, :rank], free[columns[:rank]]
+    x, linear = point.x.copy(), point.problem.linear[free]
+    slant = solve_triangular(R, linear, trans=1, check_finite=False) if linear.any() else 0.0
+    for _ in range(REFINEMENTS):
+        x[free] -= solve_triangular(R, Q.T @ (A @ x - b) + slant, check_finite=False)
+    step = x - point.x
+    if not np.isfinite(step).all():
+        return point
+    x, problem = point.projected(step, point.problem.product(step)).x, point.problem
+    size = AT_BOUND * np.maximum(np.abs(x), np.abs(point.x))
+    for bound in (problem.lower, problem.upper):  # a step that ends at a bound is there
+        x = np.where(np.abs(x - bound) <= size, bound, x)
+    return FacePoint(problem, x)

@@ -224,13 +224,9 @@ def attribute_bounds(variable: Any) -> tuple[Any, Any]:
     return lower, upper
 
 
-def attribute_expressions(variable: Any) -> tuple[Any, Any] | None:
-    """Return the bounds of a variable as its attribute states them where a parameter is in them, else None."""
-    attributes = variable.attributes
-    given = attributes.get("bounds")
-    if given is None or not any(isinstance(bound, cp.Expression) for bound in given):
-        return None
-    lower, upper = given
+def attribute_expressions(variable: Any) -> tuple[Any, Any]:
+    """Return the bounds of a variable with the attribute "bounds" as they were stated; parameters may be in them."""
+    attributes, (lower, upper) = variable.attributes, variable.attributes["bounds"]
     lower = cp.maximum(0.0, lower) if attributes.get("nonneg") or attributes.get("pos") else lower
     upper = cp.minimum(0.0, upper) if attributes.get("nonpos") or attributes.get("neg") else upper
     return lower, upper

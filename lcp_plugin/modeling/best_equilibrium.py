@@ -7,7 +7,6 @@ sides, integers.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import cvxpy as cp
@@ -16,17 +15,15 @@ import scipy.sparse as sp
 from cvxpy import settings
 from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
 from cvxpy.problems.problem import SolverStats
-from cvxpy.reductions.solution import Solution
 
 from ..core.errors import UnsupportedModel
 from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
-from ..problems.equilibria.result import EquilibriumResult
 from ._compat import CVXPY_STATUS, dense, statistics
 from .compiled import CompiledProblem
 from .constraint import Complements, complements
-from .expressions.rows import Rows
-from .model import Model, chosen_entries
+from .expressions.rows import Indices, Rows
+from .model import Model
 from .stated_terms import expression_of, sense_of
 
 COMPILED = -(2**62)  # key of the unknowns of a program that cvxpy compiled
@@ -80,10 +77,14 @@ def _read(problem: Any, pairs: list[Any], others: list[Any]) -> tuple[Equilibriu
     rows = [_without_abs(expression_of(one), kinks) for one in others]
     model = Model([problem, *kinks], takes_integers=True)
     statement = model.statement
+    whole = [np.zeros(0, dtype=np.int64)]
     for one in model.variables:
-        binary = model.offsets[one.id] + chosen_entries(one, one.boolean_idx)
+        first = model.spans[one.id].start
+        binary = first + _chosen(one, one.boolean_idx)
         statement.lower[binary] = np.maximum(statement.lower[binary], 0.0)
         statement.upper[binary] = np.minimum(statement.upper[binary], 1.0)
+        whole += [binary, first + _chosen(one, one.integer_idx)]
+    statement.integers = np.concatenate(whole)
     for one, row in zip(others, rows, strict=True):
         if not isinstance(one, (Equality, Zero, Inequality, NonPos, NonNeg)):
             raise UnsupportedModel(
@@ -94,6 +95,16 @@ def _read(problem: Any, pairs: list[Any], others: list[Any]) -> tuple[Equilibriu
         statement.constrain(model.reader.rows(row), low, high)
     model.add_pairs([*pairs, *kinks])
     return statement.best(model.reader.rows(goal), sense_of(problem)), model
+
+
+def _chosen(variable: Any, chosen: Any) -> Indices:
+    """Return which entries, column by column, cvxpy's ``boolean_idx`` or ``integer_idx`` names."""
+    if not len(chosen):
+        return np.zeros(0, dtype=np.int64)
+    # Arrays of row numbers and column numbers; or a list of entries.
+    index = chosen if isinstance(chosen, tuple) else tuple(np.transpose(chosen))
+    found = np.ravel_multi_index(index, max(variable.shape, (1,)), order="F")
+    return np.asarray(found, dtype=np.int64)
 
 
 def _without_abs(expression: Any, kinks: list[Complements]) -> Any:
@@ -108,9 +119,7 @@ def _without_abs(expression: Any, kinks: list[Complements]) -> Any:
     return expression if is_same else expression.copy(arguments)
 
 
-def solve_for_the_best(
-    problem: Any, verbose: bool, warm_start: bool, options: dict[str, Any]
-) -> Any:
+def solve_for_the_best(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     """Solve a cvxpy problem with an objective beside complementarities, and write the answer back; return its value."""
     for name in options:
         if name not in OPTIONS:
@@ -122,28 +131,17 @@ def solve_for_the_best(
         start = model.present()
         is_start = start is not None and np.isfinite(start).all()
         options = {**options, "x0": start if is_start else None}
-    result = minimize_over_solutions(program, verbose=verbose, **options)
-    if verbose:
+    result = minimize_over_solutions(program, **options)
+    if options["verbose"]:
         settings.LOGGER.info(result.explain())
-    write_back(problem, model, result)
+    if result.x is None and not result.has_no_solution:  # nothing was found, and nothing is proved
+        problem._status, problem._value = CVXPY_STATUS[result.status], None
+        problem._solver_stats = SolverStats.from_dict(statistics(result), "LCP")
+        return None
+    found = None
+    if result.x is not None:
+        slacks = np.zeros(result.x.size)
+        slacks[program.first] = result.x[program.second]
+        found = result.x, slacks, float(sense_of(problem) * result.value)
+    model.write_back(problem, result, found)
     return problem.value
-
-
-def write_back(problem: Any, model: Model, result: EquilibriumResult) -> None:
-    """Give the cvxpy problem its status, values, duals and statistics; without a point variables keep their values."""
-    sense, status, attributes = sense_of(problem), CVXPY_STATUS[result.status], statistics(result)
-    if (
-        result.x is None and status == settings.USER_LIMIT
-    ):  # nothing was found, and nothing is proved
-        problem._status, problem._value = status, None
-    elif result.x is None:
-        value = math.inf if status == settings.INFEASIBLE else -math.inf
-        problem.unpack(Solution(status, float(sense * value), {}, {}, attributes))
-    else:
-        x, slacks = result.x, np.zeros(result.x.size)
-        slacks[result.problem.first] = x[result.problem.second]
-        values = {one.id: model.split(x)[one.id] for one in problem.variables()}
-        problem.unpack(Solution(status, float(sense * result.value), values, {}, attributes))
-        for constraint, value in model.duals(x, slacks):
-            constraint.save_dual_value(value)
-    problem._solver_stats = SolverStats.from_dict(attributes, "LCP")

@@ -109,14 +109,14 @@ class CompiledProblem:
         entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
         return cls(program, float(inverse[-1][settings.OFFSET]), entries)
 
-    def starts(self) -> dict[int, int]:
-        """Return the first unknown of each variable, by its id; raise where its entries do not follow each other."""
+    def spans(self) -> dict[int, slice]:
+        """Return the unknowns of each variable, by its id; raise where they do not follow each other."""
         found = {}
         for key, one in self.entries.items():
             first = int(one.places[0]) if one.places.size else 0
             if (one.places != first + np.arange(one.places.size)).any() or (one.signs != 1.0).any():
                 raise UnsupportedModel("cvxpy ties entries of a variable; use plain variables")
-            found[key] = first
+            found[key] = slice(first, first + one.places.size)
         return found
 
     def values(self, x: FloatVector) -> dict[int, Any]:

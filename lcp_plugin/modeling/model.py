@@ -7,10 +7,13 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cvxpy as cp
 import numpy as np
+from cvxpy import settings
+from cvxpy.problems.problem import SolverStats
+from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
 from ..core.certificates.row_residuals import magnitude
@@ -18,11 +21,19 @@ from ..core.checks import FloatVector
 from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..problems.nonlinear.data import NonlinearProblem
-from ._compat import attribute_bounds, attribute_expressions, bound_value, by_columns, name_of
+from ._compat import (
+    CVXPY_STATUS,
+    attribute_bounds,
+    attribute_expressions,
+    bound_value,
+    by_columns,
+    name_of,
+    statistics,
+)
 from .cones import ConePair, over_cones
 from .expressions.rows import Indices, Rows, as_matrix, is_definition
 from .reading import Reader
-from .stated_terms import dense_value, values_below
+from .stated_terms import dense_value, sense_of, values_below
 from .statement import SquareModel, Statement
 
 if TYPE_CHECKING:
@@ -49,6 +60,17 @@ class DualReport:
         return values.reshape(self.shape, order="F")
 
 
+class ReadSide(NamedTuple):
+    """Rows of one side of a pair, weights · distinct unknowns + shift if columns is not None, and their bounds."""
+
+    rows: Rows
+    columns: Any
+    weights: Any
+    shift: Any
+    low: FloatVector
+    high: FloatVector
+
+
 class Model:
     """Unknowns, rows and pairs of cvxpy constraints, and the way back.
 
@@ -67,12 +89,12 @@ class Model:
     ----------
     statement : Statement
     variables : list of cvxpy.Variable
-    offsets : dict
-        From the id of a variable to the number of its first unknown.
+    spans : dict
+        From the id of a variable to the slice of its unknowns.
     reports : list of DualReport
     bounds : list of tuple
-        Of some unknowns: columns, the expression that is these unknowns plus constants or None, and its bounds as they
-        were stated. What comes last holds.
+        Of some unknowns: columns, weights, the expression that is weights · unknowns + constants or None, and its
+        bounds as they were stated. What comes last holds.
     friction : list of pairs
         Coefficients as they were stated, and of how many contacts they are.
     """
@@ -87,53 +109,39 @@ class Model:
     ) -> None:
         self.reader = Reader(memo, takes_integers=takes_integers)
         self.variables = list({v.id: v for one in stated for v in one.variables()}.values())
-        self.offsets: dict[int, int] = {} if compiled is None else compiled.starts()
+        self.spans: dict[int, slice] = {} if compiled is None else compiled.spans()
         size = 0 if compiled is None else compiled.program.n
         for variable in self.variables:
-            if variable.id not in self.offsets:
-                self.offsets[variable.id] = size
+            if variable.id not in self.spans:
+                self.spans[variable.id] = slice(size, size + variable.size)
                 size += variable.size
+        self.bounds: list[tuple[Indices, Any, Any, Any, Any]] = []
         #: Bounds that attributes of the variables state.
         self.declared = np.full(size, -np.inf), np.full(size, np.inf)
         for variable in self.variables:
-            own = self._span(variable)
+            own = self.spans[variable.id]
             for end, bound in zip(self.declared, attribute_bounds(variable), strict=True):
                 end[own] = np.ravel(np.broadcast_to(bound, variable.shape), order="F")
+            if variable.attributes.get("bounds") is not None:
+                ends = attribute_expressions(variable)
+                self.bounds.append((np.arange(size)[own], 1.0, None, *ends))
         lower, upper = (end.copy() for end in self.declared)
         if compiled is not None:
             lower[: compiled.program.n] = compiled.program.lower
             upper[: compiled.program.n] = compiled.program.upper
-        self.statement = Statement(
-            self.reader.compiler, self.offsets, lower, upper, self._name, self._integers()
-        )
-        self.is_defined = np.zeros(lower.size, dtype=bool)
+        first = {key: span.start for key, span in self.spans.items()}
+        self.statement = Statement(self.reader.compiler, first, lower, upper, self._name)
+        self.is_defined = np.zeros(size, dtype=bool)
         self.reports: list[DualReport] = []
         self.cones: list[ConePair] = []
         self.friction: list[tuple[Any, int]] = []
-        self.bounds: list[tuple[Indices, Any, Any, Any]] = []
-        for variable in self.variables:
-            if (ends := attribute_expressions(variable)) is not None:
-                columns = np.arange(size)[self._span(variable)]
-                self.bounds.append((columns, None, *ends))
         self._equations: list[Any] = []
-        self._known: dict[int, tuple[Rows, tuple[Indices, FloatVector] | None]] = {}
-
-    def _span(self, variable: Any) -> slice:
-        first = self.offsets[variable.id]
-        return slice(first, first + variable.size)
-
-    def _integers(self) -> Indices:
-        """Return the unknowns that are whole numbers."""
-        found = [np.zeros(0, dtype=np.int64)]
-        for one in self.variables:
-            for chosen in (one.boolean_idx, one.integer_idx):
-                found.append(self.offsets[one.id] + chosen_entries(one, chosen))
-        return np.concatenate(found)
+        self._known: dict[int, ReadSide] = {}
 
     def _name(self, column: int) -> str:
         """Return how an unknown is written: h[2]."""
         for variable in self.variables:
-            if 0 <= (k := column - self.offsets[variable.id]) < variable.size:
+            if 0 <= (k := column - self.spans[variable.id].start) < variable.size:
                 place = np.unravel_index(k, variable.shape, order="F")
                 entry = f"[{', '.join(map(str, place))}]" if place else ""
                 return f"{variable.name()}{entry}"
@@ -149,75 +157,64 @@ class Model:
             self.statement.constrain(rows, origin=constraint.expr)
             self._equations.append(constraint)
             for key, block in rows.blocks.items():
-                if key in self.offsets and is_definition(as_matrix(block, rows.size)):
-                    self.is_defined[self.offsets[key] + as_matrix(block, rows.size).indices] = True
+                if key in self.spans and is_definition(as_matrix(block, rows.size)):
+                    first = self.spans[key].start
+                    self.is_defined[first + as_matrix(block, rows.size).indices] = True
 
     def add_pairs(self, pairs: Sequence[Complements]) -> None:
         """Take in complementarities, first those of which one side alone can be the variable."""
-        remarks: list[str] = []
-        for pair in sorted(
-            pairs, key=lambda pair: len({self._key(pair, k)[:4] for k in (0, 1)}) == 1
-        ):
-            sides = pair.first, pair.second
-            if "cone" in (pair.first.kind, pair.second.kind):
-                self._pair_cones(pair, sides)
-                continue
-            k = self.variable_side(pair)
-            remarks += self._pair(pair, sides[k], sides[1 - k])
+        keys = {
+            pair.id: [self._key(side)[:4] for side in (pair.first, pair.second)] for pair in pairs
+        }
+        remarks = [
+            remark
+            for pair in sorted(pairs, key=lambda one: keys[one.id][0] == keys[one.id][1])
+            for remark in self._pair(pair, *self.sides(pair))
+        ]
         for remark in remarks:
             warnings.warn(remark, ModelWarning, stacklevel=_level_of_caller())
 
-    def variable_side(self, pair: Complements) -> int:
-        """Return which side of a pair is its variable, 0 or 1: the one with bounds, of two the one that is unknowns."""
-        return min((0, 1), key=lambda k: self._key(pair, k))
+    def sides(self, pair: Complements) -> list[Side]:
+        """Return the sides of a pair, first its variable: the side with bounds, of two the one that is unknowns."""
+        return sorted((pair.first, pair.second), key=self._key)
 
-    def _key(self, pair: Complements, k: int) -> tuple[Any, ...]:
+    def _key(self, side: Side) -> tuple[bool, ...]:
         """Return how little a side is the natural variable of its pair."""
-        side = (pair.first, pair.second)[k]
-        found = None if side.kind == "zero" else self._entries(side)
-        low, high = self.bounds_of(side)
-        is_bounded = bool((np.isfinite(low) | np.isfinite(high)).any())
-        is_taken = found is not None and bool(self.statement.is_paired[found[0]].any())
-        is_defined = found is not None and bool(self.is_defined[found[0]].all())
-        is_bare = isinstance(side.expression, cp.Variable)
+        columns, low, high = (found := self.read(side)).columns, found.low, found.high
         return (
             side.kind == "zero",
-            side.kind != "box",
-            not is_bounded,
-            found is None,
-            is_taken,
-            is_defined,
-            not is_bare,
-            k,
+            side.kind not in ("box", "cone"),
+            not (np.isfinite(low) | np.isfinite(high)).any(),
+            columns is None,
+            columns is not None and bool(self.statement.is_paired[columns].any()),
+            columns is not None and bool(self.is_defined[columns].all()),
+            not isinstance(side.expression, cp.Variable),
         )
 
-    def _rows(self, side: Side) -> Rows:
+    def read(self, side: Side) -> ReadSide:
+        """Return the rows of a side, the unknowns that they are, and their bounds."""
         if (key := id(side.expression)) not in self._known:
             rows = self.reader.rows(side.expression)
-            self._known[key] = rows, self.statement.entries(rows)
-        return self._known[key][0]
-
-    def _entries(self, side: Side) -> tuple[Indices, FloatVector] | None:
-        self._rows(side)
-        return self._known[id(side.expression)][1]
-
-    def bounds_of(self, side: Side) -> tuple[FloatVector, FloatVector]:
-        """Return the bounds of a side, entry by entry; those of entries of variables are what the attributes say."""
-        if (
-            side.kind == "value"
-            and (found := self._entries(side)) is not None
-            and not found[1].any()
-        ):
-            return self.declared[0][found[0]], self.declared[1][found[0]]
-        low, high = (np.ravel(bound, order="F") for bound in side.bounds())
-        return low, high
+            columns, weights, shift = self.statement.entries(rows) or (None, 1.0, 0.0)
+            if side.kind == "value" and columns is not None and not np.any(shift):
+                ends = [weights * end[columns] for end in self.declared]
+                low, high = np.minimum(*ends), np.maximum(*ends)
+            else:
+                low, high = (np.ravel(bound, order="F") for bound in side.bounds())
+            self._known[key] = ReadSide(rows, columns, weights, shift, low, high)
+        return self._known[key]
 
     def _pair(self, pair: Complements, side: Side, other: Side) -> list[str]:
-        """Let one side be the unknowns of a pair; return what may be meant otherwise."""
-        low, high = self.bounds_of(side)
-        if (low == np.inf).any() or (high == -np.inf).any() or (low > high).any():
+        """Let the first side be the unknowns of a pair; return what may be meant otherwise."""
+        if "cone" in (side.kind, other.kind):
+            self._pair_cones(pair, side, other)
+            return []
+        rows, columns, weights, shift, low, high = self.read(side)
+        is_new = columns is None or bool(self.statement.is_paired[columns].any())
+        if columns is None and other.kind == "value" and side.kind in ("nonnegative", "value"):
             raise UnsupportedModel(
-                f"{side} has a lower bound above its upper bound, or beyond the largest double"
+                f"{side} is no variable, and {other} states no sign; write {other} >= 0 or <= 0, or give one side a "
+                "variable of its own: y == side in the list, and y in its place in the pair"
             )
         is_bounded, remarks = bool((np.isfinite(low) | np.isfinite(high)).any()), []
         if other.kind == "zero" and is_bounded:
@@ -227,37 +224,36 @@ class Model:
                 f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
                 "nonneg=True, or write F == 0 if that is what is meant"
             )
-        if side.kind == "value" and not is_bounded and self._entries(side) is None:
-            raise UnsupportedModel(
-                f"no side of {pair!r} has bounds, so that one must be a variable; give it one of its own: y == side in "
-                "the list, and y in its place in the pair"
+        expression, scale, offset = side.expression, weights, shift
+        if is_new:
+            columns, expression, scale, offset = (
+                self.statement.named(rows, expression),
+                None,
+                1.0,
+                0.0,
             )
-        sign = np.ones(low.size)
+        with np.errstate(over="ignore"):
+            ends = (low - offset) / scale, (high - offset) / scale
+        low, high = np.minimum(*ends), np.maximum(*ends)
+        if (
+            (low == np.inf).any()
+            or (high == -np.inf).any()
+            or (ends[0] * scale > ends[1] * scale).any()
+        ):
+            raise UnsupportedModel(
+                f"{side} has a lower bound above its upper bound, or beyond the largest double"
+            )
+        sign = np.sign(scale) * np.ones(low.size)
         if other.kind == "nonnegative" and side.kind != "nonnegative":
             sign = sign_of_inequality(pair, low, high)
-        columns, shift, expression = self._columns(side)
-        stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
+        elif other.kind == "value" and side.kind == "nonnegative":
+            sign = np.sign(scale) * np.sign(weights) * np.ones(low.size)  # F ≤ 0 at an upper bound
         if side.kind != "value":
-            self.bounds.append((columns, expression, *stated))
-        self.statement.complement(
-            columns,
-            self._rows(other),
-            low - shift,
-            high - shift,
-            sign=sign,
-            origin=other.expression,
-        )
-        self._report(pair, side, other, columns, sign, shift, expression)
+            stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
+            self.bounds.append((columns, scale, expression, *stated))
+        self.statement.complement(columns, self.read(other).rows, low, high, sign, other.expression)
+        self._report(pair, side, other, columns, sign, scale, offset, expression)
         return remarks
-
-    def _columns(self, side: Side) -> tuple[Indices, FloatVector, Any]:
-        """Return unknowns that are a side less constants, the constants, and the expression that holds these."""
-        if (found := self._entries(side)) is not None and not self.statement.is_paired[
-            found[0]
-        ].any():
-            return *found, side.expression
-        rows = self._rows(side)
-        return self.statement.named(rows, side.expression), np.zeros(rows.size), None
 
     def _report(
         self,
@@ -265,55 +261,52 @@ class Model:
         side: Side,
         other: Side,
         columns: Indices,
-        sign: Any,
-        shift: Any,
-        expression: Any,
+        sign: Any = 1.0,
+        scale: Any = 1.0,
+        shift: Any = 0.0,
+        expression: Any = None,
     ) -> None:
         """Report w in the pair and in what bounds its variable, and the variable in what bounds w."""
         shape = pair.first.expression.shape
         for constraint, value in (
             (pair, (True, sign)),
             (side.constraint, (True, sign)),
-            (other.constraint, (False, 1.0, shift, expression)),
+            (other.constraint, (False, scale, shift, expression)),
         ):
             if constraint is not None:
                 # cvxpy reads the dual value of a cone column by column.
                 own = (columns.size,) if isinstance(constraint, cp.SOC) else shape
                 self.reports.append(DualReport(constraint, columns, own, *value))
 
-    def _pair_cones(self, pair: Complements, sides: tuple[Side, Side]) -> None:
+    def _pair_cones(self, pair: Complements, cone: Side, other: Side) -> None:
         """K ∋ S ⟂ F ∈ K*: the unknowns are the side that is entries of variables, or new ones."""
-        for side in sides:
-            if self._rows(side).level:
+        side, entries = cone, []
+        for one in (cone, other):
+            rows, columns, weights, shift, *_ = self.read(one)
+            if rows.level:
                 raise UnsupportedModel(
-                    f"{side} must be affine, as it is paired with a cone; give it a variable, or write it by affine "
+                    f"{one} must be affine, as it is paired with a cone; give it a variable, or write it by affine "
                     "expressions"
                 )
-        k = next(number for number in (0, 1) if sides[number].kind == "cone")
-        cone, entries = sides[k], [self._unknowns(side) for side in sides]
-        if entries[k] is None and cone.friction is None and entries[1 - k] is not None:
-            k = 1 - k
-        side, other = sides[k], sides[1 - k]
-        columns = entries[k]
-        if columns is None:
-            columns = self.statement.named(self._rows(side), side.expression)
+            is_free = columns is not None and not (
+                shift.any()
+                or (weights != 1.0).any()
+                or self.statement.is_paired[columns].any()
+                or self.is_defined[columns].all()
+            )
+            entries.append(columns if is_free else None)
+        if entries[0] is None and cone.friction is None and entries[1] is not None:
+            side, other, entries = other, cone, entries[::-1]
+        if (columns := entries[0]) is None:
+            columns = self.statement.named(self.read(side).rows, side.expression)
         else:
             self._drop_cone_bounds(side, columns.reshape(-1, cone.rows))
-        rows = self._rows(other)
-        self.statement.complement(columns, rows, -np.inf, np.inf, origin=other.expression)
-        self._report(pair, side, other, columns, 1.0, 0.0, None)
+        rows = self.read(other).rows
+        self.statement.complement(columns, rows, -np.inf, np.inf, 1.0, other.expression)
+        self._report(pair, side, other, columns)
         self.cones.append(ConePair(columns, cone.rows, friction_of(cone)))
         if cone.friction is not None:
             self.friction.append((cone.friction, columns.size // cone.rows))
-
-    def _unknowns(self, side: Side) -> Indices | None:
-        """Return the unknowns of a side that are in no other pair and not defined by equations, else None."""
-        found = self._entries(side)
-        if found is None or found[1].any():
-            return None
-        columns = found[0]
-        is_free = not self.statement.is_paired[columns].any() and not self.is_defined[columns].all()
-        return columns if is_free else None
 
     def _drop_cone_bounds(self, side: Side, columns: Indices) -> None:
         """Forget that t ≥ 0, which the cone says; raise where entries of a cone have other bounds."""
@@ -330,27 +323,23 @@ class Model:
     @cached_property
     def square(self) -> SquareModel:
         """The complementarity problem; see :meth:`Statement.square`."""
-        found = self.statement.square(self._variable_of())
+        rows, variable_of = self.statement.rows, np.full(self.statement.lower.size, -1)
+        for k, variable in enumerate(self.variables):
+            variable_of[self.spans[variable.id]] = k
+        # What stands for expressions counts as one more variable.
+        variable_of[variable_of < 0] = len(self.variables)
+        found = self.statement.square(variable_of)
         if self.cones:
             found = over_cones(found, self.cones, self.statement.name_of)
-        equations = [one for one in self.statement.rows if one.slacks is None]
-        ends = np.cumsum([one.rows.size for one in self.statement.rows]).tolist()
-        columns = np.full(ends[-1] if ends else 0, -1, dtype=np.int64)
-        columns[found.elimination.rows] = found.elimination.columns
-        columns[columns < 0] = found.matched
-        parts = np.split(columns, ends[:-1]) if ends else []
-        own = [
-            part for part, one in zip(parts, self.statement.rows, strict=True) if one.slacks is None
-        ]
-        for constraint, part, one in zip(self._equations, own, equations, strict=True):
-            self.reports.append(DualReport(constraint, part, one.rows.shape, False))
-        return found
-
-    def _variable_of(self) -> Indices:
-        """Return the variable that each unknown is an entry of; what stands for expressions counts as one more."""
-        found = np.full(self.statement.count, len(self.variables), dtype=np.int64)
-        for k, variable in enumerate(self.variables):
-            found[self._span(variable)] = k
+        if self._equations:
+            ends = np.cumsum([one.rows.size for one in rows]).tolist()
+            columns = np.full(ends[-1], -1, dtype=np.int64)
+            columns[found.elimination.rows] = found.elimination.columns
+            columns[columns < 0] = found.matched
+            parts = zip(np.split(columns, ends[:-1]), rows, strict=True)
+            own = [(part, one.rows.shape) for part, one in parts if one.slacks is None]
+            for constraint, (part, shape) in zip(self._equations, own, strict=True):
+                self.reports.append(DualReport(constraint, part, shape, False))
         return found
 
     @property
@@ -401,31 +390,53 @@ class Model:
     def split(self, unknowns: FloatVector) -> dict[int, Any]:
         """Return what belongs to each variable, by its id and in its shape."""
         return {
-            one.id: unknowns[self._span(one)].reshape(one.shape, order="F")
+            one.id: unknowns[self.spans[one.id]].reshape(one.shape, order="F")
             for one in self.variables
         }
-
-    def duals(self, unknowns: FloatVector, slacks: FloatVector) -> list[tuple[Any, Any]]:
-        """Return (constraint, dual value): w for what bounds a variable, the variable for what bounds w."""
-        return [(report.constraint, report.value(unknowns, slacks)) for report in self.reports]
 
     def present(self) -> FloatVector | None:
         """Return the present values of all unknowns; None where a variable has none."""
         if any(variable.value is None for variable in self.variables):
             return None
-        z = np.zeros(self.statement.count)
+        z = np.zeros(self.statement.lower.size)
         for variable in self.variables:
-            z[self._span(variable)] = by_columns(variable.value)
+            z[self.spans[variable.id]] = by_columns(variable.value)
         with np.errstate(all="ignore"):  # outside of a domain
             for one in self.statement.rows:
                 if one.slacks is not None:
                     z[one.slacks] = one.sign * by_columns(one.origin.value)
         return z
 
-    def start(self) -> FloatVector | None:
-        """Return the present values of the unknowns of the problem; None where a variable has none."""
-        z = self.present()
-        return None if z is None else z[self.square.elimination.kept]
+    def write_back(
+        self,
+        problem: Any,
+        result: Any,
+        found: tuple[FloatVector, FloatVector, float] | None,
+    ) -> None:
+        """Give a cvxpy problem its status, values, dual values and statistics.
+
+        Parameters
+        ----------
+        problem : cvxpy.Problem
+        result : Result or EquilibriumResult
+        found : tuple or None
+            All unknowns, their slacks and the value of the objective; None where a proof says that there are none.
+        """
+        status, attributes = CVXPY_STATUS[result.status], statistics(result)
+        if found is None:
+            value = sense_of(problem) * (np.inf if status == settings.INFEASIBLE else -np.inf)
+            problem.unpack(Solution(status, value, {}, {}, attributes))
+        else:
+            values = self.split(found[0])
+            own = {one.id: values[one.id] for one in problem.variables()}
+            problem.unpack(Solution(status, found[2], own, {}, attributes))
+        for report in self.reports:
+            if found is None:
+                for dual in report.constraint.dual_variables:
+                    dual.save_value(None)
+            else:
+                report.constraint.save_dual_value(report.value(*found[:2]))
+        problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
 
     def consistency_error(self, z: FloatVector, w: FloatVector) -> str | None:
         """Return what the expressions themselves, evaluated by cvxpy, say against w, or None.
@@ -463,16 +474,6 @@ class Model:
             f"{name_of(stated[owner].origin)}{less} is {theirs[wrong[0]]:.9g} in one entry at the values of its "
             f"variables, and {expected[wrong[0]]:.9g} was computed"
         )
-
-
-def chosen_entries(variable: Any, chosen: Any) -> Indices:
-    """Return which entries, column by column, cvxpy's ``boolean_idx`` or ``integer_idx`` names."""
-    if not len(chosen):
-        return np.zeros(0, dtype=np.int64)
-    # Arrays of row numbers and column numbers; or a list of entries.
-    index = chosen if isinstance(chosen, tuple) else tuple(np.transpose(chosen))
-    found = np.ravel_multi_index(index, max(variable.shape, (1,)), order="F")
-    return np.asarray(found, dtype=np.int64)
 
 
 def friction_of(side: Side) -> FloatVector | None:
@@ -518,24 +519,23 @@ def of_equality_between_bounds(pair: Complements, side: Side) -> str:
 
 def pair_residual(pair: Complements) -> FloatVector | None:
     """Return the natural residual of each row of a pair at the present values; None where one is missing."""
-    sides = pair.first, pair.second
+    model = Model([pair], takes_integers=True)
+    side, other = model.sides(pair)
     with np.errstate(all="ignore"):  # outside of a domain
-        values = [side.expression.value for side in sides]
+        values = [one.expression.value for one in (side, other)]
     if any(value is None for value in values):
         return None
-    model, values = Model([pair], takes_integers=True), [*map(by_columns, values)]
-    cones = [k for k in (0, 1) if sides[k].kind == "cone"]
-    k = cones[0] if cones else model.variable_side(pair)
-    z, w = values[k], values[1 - k]
-    if cones:
-        side = sides[k]
+    z, w = map(by_columns, values)
+    if side.kind == "cone":
         blocks = ConePair(np.arange(z.size), side.rows, friction_of(side)).blocks(
             np.eye(z.size), np.zeros(z.size)
         )
         return np.abs(blocks.residual(z, w, np.ones(blocks.slope.size))[0])
-    low, high = model.bounds_of(sides[k])
-    if sides[1 - k].kind == "nonnegative" and sides[k].kind != "nonnegative":
+    *_, weights, _, low, high = model.read(side)
+    if other.kind == "nonnegative" and side.kind != "nonnegative":
         w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)
+    elif other.kind == "value" and side.kind == "nonnegative":
+        w = np.sign(weights) * w
     residual: FloatVector = np.abs(np.minimum(np.maximum(w, z - high), z - low))
     return residual
 

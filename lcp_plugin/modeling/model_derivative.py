@@ -169,10 +169,7 @@ class ModelDerivative:
         given = self._checked(gradients, owners, "gradient")
         by_unknown, by_slack = np.zeros((2, model.square.elimination.offset.size))
         for variable in model.variables:
-            first = model.offsets[variable.id]
-            by_unknown[first : first + variable.size] = np.ravel(
-                given.get(variable.id, 0.0), order="F"
-            )
+            by_unknown[model.spans[variable.id]] = np.ravel(given.get(variable.id, 0.0), order="F")
         for report in model.reports:
             if (own := given.get(report.constraint.id)) is not None:
                 own = np.ravel(own, order="F")
@@ -233,7 +230,7 @@ class ModelDerivative:
     def _parametric(self) -> ParametricRows:
         """What parameters enter into, at the values of parameters and variables at the solution."""
         model = self._model
-        stated = [part for _, *parts in model.bounds for part in parts]
+        stated = [part for _, _, *parts in model.bounds for part in parts]
         shifts = [report.expression for report in model.reports]
         known = model.values(self._at.z)
         every = [*self._functions, *stated, *shifts, *(one for one, _ in model.friction)]
@@ -280,14 +277,15 @@ class ModelDerivative:
         for k, (columns, *_) in enumerate(model.bounds):
             last[columns] = k
         parts = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
-        for k, (columns, expression, *ends) in enumerate(model.bounds):
+        for k, (columns, scale, expression, *ends) in enumerate(model.bounds):
             own = np.flatnonzero(last[columns] == k)
-            for is_upper, bound in enumerate(ends):
+            weights = np.broadcast_to(scale, columns.size)[own]
+            for is_end, bound in enumerate(ends):
+                is_upper = (weights > 0.0) == is_end
                 for part, sign in ((expression, -1.0), (bound, 1.0)):
                     if isinstance(part, cp.Expression):
                         places = spans[id(part)].start + (own if part.size > 1 else 0 * own)
-                        moved = np.full(own.size, sign)
-                        parts.append((columns[own] + n * is_upper, places, moved))
+                        parts.append((columns[own] + n * is_upper, places, sign / weights))
         rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
         matrix = sp.csr_array(
             sp.coo_array((data, (rows, columns)), shape=(2 * n, self._parametric.size))
@@ -364,7 +362,10 @@ def differentiable_parameters(problem: Any) -> list[Any]:
         Where one is an integer, a Boolean or complex, or has entries that are tied to each other.
     """
     bounds = [
-        bound for v in problem.variables() for bound in _compat.attribute_expressions(v) or ()
+        bound
+        for variable in problem.variables()
+        if variable.attributes.get("bounds") is not None
+        for bound in variable.attributes["bounds"]
     ]
     stated = [
         parameter

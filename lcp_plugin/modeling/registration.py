@@ -4,36 +4,39 @@ from __future__ import annotations
 
 import warnings
 import weakref
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
-import numpy as np
 from cvxpy import settings
 from cvxpy.constraints.zero import Equality, Zero
 from cvxpy.error import SolverError
-from cvxpy.problems.problem import SolverStats
-from cvxpy.reductions.solution import Solution
 
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..core.solving.result import Result
 from ..problems.programs.no_minimum import QPInfeasibility
 from ._compat import (
     CVXPY_STATUS,
     name_of,
     solver_errors,
-    statistics,
 )
 from .constraint import Complements, box, complements
 from .model import Model
 from .qp_solver import QPSolver, conflicting_constraints
-from .stated_terms import refusal, sense_of
+from .stated_terms import refusal
 from .statement import solve_from
 
 METHODS = ("LCP", "lcp")
-CVXPY_FLAGS = ("gp", "qcp", "nlp", "enforce_dpp", "ignore_dpp", "canon_backend", "bibtex")
+CVXPY_FLAGS = (
+    "gp",
+    "qcp",
+    "nlp",
+    "enforce_dpp",
+    "ignore_dpp",
+    "canon_backend",
+    "bibtex",
+    "requires_grad",
+)
 
 
 def register() -> None:
@@ -158,65 +161,71 @@ def solve_model(
         Where the run diverged.
     """
     with solver_errors():
-        if solver is not None:
+        foreign = [name for name in CVXPY_FLAGS if name in options]
+        if solver is not None or foreign:
+            what = ", ".join(foreign) or f"solver={solver!r}"
             raise UnsupportedModel(
-                f'method="LCP" chooses no cvxpy solver, got solver={solver!r}; write algorithm=…'
+                f'{what} means nothing to method="LCP"; leave it out. Its methods are chosen by algorithm=…, and '
+                "derivatives are those of lcp_plugin.derivative(problem) after the solve"
             )
-        if options.pop("requires_grad", False):
-            raise UnsupportedModel(
-                'method="LCP" takes no requires_grad; call lcp_plugin.derivative(problem) after the solve'
-            )
-        return _solve_model(problem, algorithm, warm_start, bool(verbose), options)
+        if not is_complementarity_problem(problem):
+            options["algorithm"] = algorithm
+            return _program(problem, warm_start, bool(verbose), options)
+        options["verbose"] = bool(verbose)
+        if not problem.objective.args[0].is_constant():
+            return _best(problem, algorithm, warm_start, options)
+        try:
+            return _square(problem, warm_start, {"algorithm": algorithm, **options})
+        except NotSquare as error:
+            if algorithm != "auto":
+                raise
+            return _any(problem, error, warm_start, options)
 
 
-def _solve_model(
-    problem: Any, algorithm: Any, warm_start: bool, verbose: bool, options: dict[str, Any]
-) -> Any:
-    """Solve what is a complementarity problem as one, and else a program."""
-    if not is_complementarity_problem(problem):
-        return _program(problem, warm_start, verbose, {"algorithm": algorithm, **options})
-    _refuse_flags(options)
-    if not problem.objective.args[0].is_constant():
-        return _best(problem, algorithm, verbose, warm_start, options)
-    try:
-        model = build_from(problem)
-        start = model.start() if warm_start and "z0" not in options else None
-        result = solve_from(
-            model.problem, start, {"algorithm": algorithm, "verbose": verbose, **options}
-        )
-        if result.is_solved:
-            model.refuse_violated_bounds(result.z)
-    except NotSquare as error:
-        if algorithm != "auto":
-            raise
-        return _any(problem, error, verbose, warm_start, options)
-    if verbose:
+def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
+    """Solve a complementarity problem."""
+    model = build_from(problem)
+    start = model.present() if warm_start and "z0" not in options else None
+    elimination = model.square.elimination
+    start = None if start is None else start[elimination.kept]
+    result = solve_from(model.problem, start, options)
+    if model.square.dropped.size and result.is_solved:
+        model.refuse_violated_bounds(result.z)
+    if options["verbose"]:
         settings.LOGGER.info(result.explain())
-    write_back(problem, model, result)
+    status, found = CVXPY_STATUS[result.status], None
+    if status == settings.SOLVER_ERROR:
+        raise SolverError(f"{result.status.name}: {result.advice}")
+    if status != settings.INFEASIBLE:
+        found = elimination.expand(result.z), elimination.expand_slack(result.w), 0.0
+    model.write_back(problem, result, found)
+    if found is not None and (wrong := model.consistency_error(result.z, result.w)):
+        problem._clear_solution()
+        raise SolverError(
+            f"the problem contradicts its own answer: {wrong}; write the expression in another way"
+        )
+    if status in settings.INACCURATE:
+        warnings.warn(
+            f"the solution may be inaccurate ({result.status.name}): {result.advice}",
+            UserWarning,
+            stacklevel=4,
+        )
     return problem.value
 
 
-def _any(
-    problem: Any, refusal: NotSquare, verbose: bool, warm_start: bool, options: dict[str, Any]
-) -> Any:
+def _any(problem: Any, refusal: NotSquare, warm_start: bool, options: dict[str, Any]) -> Any:
     """Find any solution of a model with more rows and bounds than an LCP has, by a search for the best; or raise."""
     from .best_equilibrium import solve_for_the_best
 
     if _has_cones(problem):
         raise refusal
     try:
-        return solve_for_the_best(problem, verbose, warm_start, options)
+        return solve_for_the_best(problem, warm_start, options)
     except UnsupportedModel as error:
         raise refusal from error
 
 
-def _best(
-    problem: Any,
-    algorithm: Any,
-    verbose: bool,
-    warm_start: bool,
-    options: dict[str, Any],
-) -> Any:
+def _best(problem: Any, algorithm: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     """Find the best of all solutions."""
     from .best_equilibrium import solve_for_the_best
 
@@ -229,7 +238,7 @@ def _best(
         raise UnsupportedModel(
             f"algorithm={algorithm!r} does not go with an objective beside complementarity; leave it out"
         )
-    return solve_for_the_best(problem, verbose, warm_start, options)
+    return solve_for_the_best(problem, warm_start, options)
 
 
 def _has_cones(problem: Any) -> bool:
@@ -252,46 +261,3 @@ def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, A
         named = conflicting_constraints(problem, result.proof)
         problem.solver_stats.extra_stats = replace(result, contradiction=named)
     return value
-
-
-def _refuse_flags(options: Mapping[str, Any]) -> None:
-    foreign = [name for name in CVXPY_FLAGS if name in options]
-    if foreign:
-        raise UnsupportedModel(f'{", ".join(foreign)} means nothing to method="LCP"; leave it out')
-
-
-def write_back(problem: Any, model: Model, result: Result) -> None:
-    """Give the cvxpy problem its status, values, duals and statistics."""
-    status = CVXPY_STATUS[result.status]
-    if status == settings.SOLVER_ERROR:
-        raise SolverError(f"{result.status.name}: {result.advice}")
-    elimination, attributes = model.square.elimination, statistics(result)
-    duals = model.duals(elimination.expand(result.z), elimination.expand_slack(result.w))
-    own = {constraint.id for constraint in problem.constraints}
-    if status == settings.INFEASIBLE:
-        problem.unpack(Solution(status, sense_of(problem) * np.inf, {}, {}, attributes))
-    else:
-        known = {constraint.id: value for constraint, value in duals if constraint.id in own}
-        problem.unpack(Solution(status, 0.0, model.values(result.z), known, attributes))
-    for constraint, value in duals:
-        if constraint.id not in own:  # the inequality inside a pair, which cvxpy does not know
-            if status == settings.INFEASIBLE:
-                for dual in constraint.dual_variables:
-                    dual.save_value(None)
-            else:
-                constraint.save_dual_value(value)
-    problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
-    if (
-        status != settings.INFEASIBLE
-        and (what := model.consistency_error(result.z, result.w)) is not None
-    ):
-        problem._clear_solution()
-        raise SolverError(
-            f"the problem contradicts its own answer: {what}; write the expression in another way"
-        )
-    if status in settings.INACCURATE:
-        warnings.warn(
-            f"the solution may be inaccurate ({result.status.name}): {result.advice}",
-            UserWarning,
-            stacklevel=4,
-        )

@@ -25,7 +25,7 @@ from ..problems.programs.program import QuadraticProgram
 from .expressions import functions
 from .expressions.program import Program
 from .expressions.rows import Compiler, Indices, Rows, as_matrix, assembled, is_definition
-from .substitution import Affine, Elimination, eliminate_definitions, matched_for_monotony
+from .substitution import Elimination, eliminate_definitions, matched_for_monotony
 
 BEGUN = "begun from the values of the variables, which are the last answer unless others were set"
 MOST_NAMES = 5
@@ -46,9 +46,9 @@ class StatedRows:
         low ≤ rows ≤ high; of a pair low ≤ z ≤ high.
     origin : object
         Expression of the language that the rows were read from: rows = sign · origin − slacks.
+    sign : ndarray or float
     z : ndarray of int or None
         Unknowns that the rows complement: sign · rows ≥ 0 where z = low, ≤ 0 where z = high, 0 between.
-    sign : ndarray or float
     slacks : ndarray of int or None
         Unknowns that the rows define.
     """
@@ -57,8 +57,8 @@ class StatedRows:
     low: FloatVector
     high: FloatVector
     origin: Any = None
-    z: Any = None
     sign: Any = 1.0
+    z: Any = None
     slacks: Any = None
 
 
@@ -124,43 +124,39 @@ class Statement:
         self.rows: list[StatedRows] = []
         self.pairs: list[StatedRows] = []
 
-    @property
-    def count(self) -> int:
-        """The number of unknowns."""
-        return self.lower.size
-
-    def constrain(self, rows: Rows, low: Any = 0.0, high: Any = 0.0, **stated: Any) -> None:
+    def constrain(self, rows: Rows, low: Any = 0.0, high: Any = 0.0, origin: Any = None) -> None:
         """Let low ≤ rows ≤ high."""
-        self.rows.append(StatedRows(rows, *_ends(rows.size, low, high), **stated))
+        zero = np.zeros(rows.size)
+        self.rows.append(StatedRows(rows, zero + low, zero + high, origin))
 
-    def complement(self, z: Indices, w: Rows, low: Any, high: Any, **stated: Any) -> None:
-        """Let the rows w complement the unknowns z."""
+    def complement(
+        self, z: Indices, w: Rows, low: Any, high: Any, sign: Any = 1.0, origin: Any = None
+    ) -> None:
+        """Let sign · w complement the unknowns z between low and high."""
+        zero = np.zeros(z.size)
         self.is_paired[z] = True
-        self.pairs.append(StatedRows(w, *_ends(z.size, low, high), z=z, **stated))
+        self.pairs.append(StatedRows(w, zero + low, zero + high, origin, zero + sign, z))
 
-    def entries(self, rows: Rows) -> tuple[Indices, FloatVector] | None:
-        """Return columns and constants where the rows are distinct unknowns plus constants, else None."""
+    def entries(self, rows: Rows) -> tuple[Indices, FloatVector, FloatVector] | None:
+        """Return columns, weights and constants of rows weights · distinct unknowns + constants; None of others."""
         if rows.level or rows.terms != rows.size:
             return None
-        matrix, offset = assembled([rows], self.first, self.count)
-        if not is_definition(matrix) or (matrix.data != 1.0).any():
+        matrix, offset = assembled([rows], self.first, self.lower.size)
+        if not is_definition(matrix) or not matrix.data.all():
             return None
-        return matrix.indices.astype(np.int64), offset
+        return matrix.indices.astype(np.int64), matrix.data, offset
 
     def named(self, rows: Rows, origin: Any = None, sign: Any = 1.0) -> Indices:
         """Return new unknowns, which an equation makes sign · rows."""
-        columns, free = np.arange(self.count, self.count + rows.size), np.full(rows.size, np.inf)
-        key = 2**62 + self.count
-        self.first[key] = self.count
+        first, free = self.lower.size, np.full(rows.size, np.inf)
+        key, columns = 2**62 + first, np.arange(first, first + rows.size)
+        self.first[key] = first
         self.lower, self.upper = np.append(self.lower, -free), np.append(self.upper, free)
         self.is_paired = np.append(self.is_paired, np.zeros(rows.size, dtype=bool))
-        rows = rows if np.all(np.asarray(sign) == 1.0) else rows.scaled(sign)
-        blocks = {**rows.blocks, key: -1.0}
-        self.constrain(
-            Rows(blocks, rows.offset, (rows.size,), None, rows.level),
-            origin=origin,
-            sign=sign,
-            slacks=columns,
+        rows = rows.scaled(sign) if np.any(np.asarray(sign) != 1.0) else rows
+        rows = Rows({**rows.blocks, key: -1.0}, rows.offset, (rows.size,), None, rows.level)
+        self.rows.append(
+            StatedRows(rows, np.zeros(free.size), np.zeros(free.size), origin, sign, None, columns)
         )
         return columns
 
@@ -194,31 +190,32 @@ class Statement:
         """
         free = np.flatnonzero(~self.is_paired)
         sizes = sum(one.rows.size for one in self.pairs), sum(one.rows.size for one in self.rows)
-        self._check_square(free, sizes[1])
+        if free.size != sizes[1]:
+            raise self._not_square(free, sizes[1])
         lower, upper = self._bounds_of_pairs()
+        bounded = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
         dropped = free[:0]
-        if not keeps_bounds:
+        if bounded.any() and not keeps_bounds:
             dropped = self._dropped(free)
             lower[free], upper[free] = -np.inf, np.inf
-        columns = _stacked(self.pairs, "z")[0].astype(np.int64)
-        signs = np.concatenate(
-            [*(np.broadcast_to(one.sign, one.rows.size) for one in self.pairs), np.zeros(0)]
-        )
-        elimination, program = Elimination.of_nothing(self.count), None
-        stored = [sp.csr_array((size, self.count)) for size in sizes]
-        if any(one.rows.level for one in (*self.pairs, *self.rows)):
-            results = [*(one.rows for one in self.pairs), *map(_zeroed, self.rows)]
-            program = Program.of(self.compiler, results, self.first, self.count)
+        columns, signs = _stacked(self.pairs, "z", "sign")
+        columns, n, program = columns.astype(np.int64), self.lower.size, None
+        functions = [one.rows for one in self.pairs]
+        equations = [replace(one.rows, offset=one.rows.offset - one.low) for one in self.rows]
+        elimination = Elimination.of_nothing(n)
+        stored = sp.csr_array((sizes[0], n)), sp.csr_array((sizes[1], n))
+        if any(one.level for one in (*functions, *equations)):
+            program = Program.of(self.compiler, [*functions, *equations], self.first, n)
         else:
-            pairs = self._affine([one.rows for one in self.pairs])
-            equations = self._affine([*map(_zeroed, self.rows)])
-            stored = [pairs.matrix, equations.matrix]
-            if self.rows:
-                elimination, equations, pairs = eliminate_definitions(
-                    equations, pairs, ~self.is_paired, variable_of
+            (M, q), (E, e) = (assembled(rows, self.first, n) for rows in (functions, equations))
+            stored = M, E
+            if equations:
+                owner = np.repeat(np.arange(len(equations)), [one.size for one in equations])
+                elimination, (E, e), (M, q) = eliminate_definitions(
+                    (E, e), (M, q), owner, ~self.is_paired, variable_of
                 )
         kept = elimination.kept
-        place = np.zeros(self.count, dtype=np.int64)
+        place = np.zeros(self.lower.size, dtype=np.int64)
         place[kept] = np.arange(kept.size)
         columns, free = place[columns], np.flatnonzero(~self.is_paired[kept])
         if free.size:
@@ -226,7 +223,7 @@ class Statement:
                 derivative = _filled(program.jacobian(np.clip(1.0, lower, upper)))
                 matrices = derivative[: sizes[0]], derivative[sizes[0] :]
             else:
-                matrices = pairs.matrix, equations.matrix
+                matrices = M, E
             signed = sp.csr_array(sp.diags_array(signs) @ matrices[0])
             order, turned = matched_for_monotony(matrices[1], signed, columns, free)
             free = free[order]
@@ -236,23 +233,14 @@ class Statement:
         bounds = {"lower": lower[kept], "upper": upper[kept]}
         problem: LCP | NonlinearProblem
         if program is None:
-            problem = LCP(*_arranged(pairs, equations, places, signs), **bounds)
+            problem = LCP(*_arranged(M, q, E, e, places, signs), **bounds)
         else:
             program = program.rearranged(places, signs)
             problem = NonlinearProblem(program.value, program.jacobian, **bounds)
-        return SquareModel(
-            problem, elimination, (stored[0], stored[1]), places, signs, matched, dropped
-        )
+        return SquareModel(problem, elimination, stored, places, signs, matched, dropped)
 
-    def _affine(self, rows: list[Rows]) -> Affine:
-        """Return all rows over all unknowns, each with the number of its part; a single block as it is."""
-        matrix, offset = assembled(rows, self.first, self.count)
-        return Affine(matrix, offset, np.repeat(np.arange(len(rows)), [one.size for one in rows]))
-
-    def _check_square(self, free: Indices, equations: int) -> None:
-        """Raise where there are not as many equations as unknowns without a pair."""
-        if free.size == equations:
-            return
+    def _not_square(self, free: Indices, equations: int) -> UnsupportedModel:
+        """Return the error that there are not as many equations as unknowns without a pair."""
         of_pairs = sum(one.rows.size for one in self.rows if one.slacks is not None)
         counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""
         names = [name for column in free[:MOST_NAMES].tolist() if (name := self.name_of(column))]
@@ -264,7 +252,7 @@ class Statement:
                 "the equation a free multiplier, a variable in the rows of the pairs"
             )
         has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
-        raise (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
+        return (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
             f"the model has {in_words(equations, 'equation')}{counted} and {in_words(free.size, 'unknown')} without a "
             f"complementarity ({', '.join(names) or 'none'}); it needs as many equations as such unknowns{way_out}"
         )
@@ -289,11 +277,11 @@ class Statement:
         for pair in self.pairs:
             if (found := self.entries(pair.rows)) is None:
                 continue
-            columns, shift = found
+            columns, weights, shift = found
             has_low, has_high = np.isfinite(pair.low), np.isfinite(pair.high)
-            sign = np.where(has_low, pair.sign, -1.0 * pair.sign) * (has_low != has_high)
-            low[columns[(sign > 0.0) & (low[columns] <= -shift)]] = -np.inf
-            high[columns[(sign < 0.0) & (high[columns] >= -shift)]] = np.inf
+            sign = np.where(has_low, 1.0, -1.0) * pair.sign * weights * (has_low != has_high)
+            low[columns[(sign > 0.0) & (low[columns] <= -shift / weights)]] = -np.inf
+            high[columns[(sign < 0.0) & (high[columns] >= -shift / weights)]] = np.inf
         return free[np.isfinite(low[free]) | np.isfinite(high[free])]
 
     def is_outside(self, unknowns: FloatVector, columns: Indices) -> BoolVector:
@@ -311,7 +299,7 @@ class Statement:
     ) -> EquilibriumProgram:
         """Return the program: minimise sign · goal, of which ½ xᵀP x + cᵀx + r may be known as P, c, r."""
         seconds = [self._value_of(pair) for pair in self.pairs]
-        n, goal = self.count, goal.scaled(sign)
+        n, goal = self.lower.size, goal.scaled(sign)
         quadratic, smooth = self._quadratic(goal), None
         if known is not None:
             more = n - known[1].size
@@ -345,13 +333,13 @@ class Statement:
     def _value_of(self, pair: StatedRows) -> Indices:
         """Return the unknowns that are w of a pair."""
         found = self.entries(pair.rows)
-        if found is None or found[1].any() or np.any(np.asarray(pair.sign) != 1.0):
+        if found is None or (pair.sign * found[1] != 1.0).any() or found[2].any():
             return self.named(pair.rows, pair.origin, pair.sign)
         return found[0]
 
     def _quadratic(self, goal: Rows) -> tuple[sp.csr_array, FloatVector, float] | None:
         """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None where it is something else."""
-        n = self.count
+        n = self.lower.size
         c, shift = np.zeros(n), float(goal.offset[0])
         half = sp.csr_array((n, n))
         for key, block in goal.blocks.items():
@@ -373,21 +361,11 @@ class Statement:
         return sp.csr_array(half + half.T), c, shift
 
 
-def _ends(size: int, low: Any, high: Any) -> tuple[FloatVector, FloatVector]:
-    first, last = (np.broadcast_to(end, size).astype(np.float64) for end in (low, high))
-    return first, last
-
-
 def _stacked(stated: list[StatedRows], *names: str) -> list[FloatVector]:
     """Return these attributes of all, one below the other."""
     return [
         np.concatenate([*(getattr(one, name) for one in stated), np.zeros(0)]) for name in names
     ]
-
-
-def _zeroed(equation: StatedRows) -> Rows:
-    """Return the rows that are 0."""
-    return replace(equation.rows, offset=equation.rows.offset - equation.low)
 
 
 def _filled(derivative: sp.csr_array) -> sp.csr_array:
@@ -398,15 +376,16 @@ def _filled(derivative: sp.csr_array) -> sp.csr_array:
 
 
 def _arranged(
-    pairs: Affine, equations: Affine, places: Indices, signs: FloatVector
+    M: sp.csr_array,
+    q: FloatVector,
+    E: sp.csr_array,
+    e: FloatVector,
+    places: Indices,
+    signs: FloatVector,
 ) -> tuple[sp.csr_array, FloatVector]:
     """Return the rows in their places, with their signs: the user's own matrix, without a copy, where nothing moves."""
-    M, q = pairs.matrix, pairs.offset
-    if equations.offset.size:
-        M, q = (
-            sp.csr_array(sp.vstack([M, equations.matrix], format="csr")),
-            np.append(q, equations.offset),
-        )
+    if e.size:
+        M, q = sp.csr_array(sp.vstack([M, E], format="csr")), np.append(q, e)
     if not np.array_equal(places, np.arange(q.size)):
         M, q = sp.csr_array(M[places]), q[places]
     return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)

@@ -65,30 +65,21 @@ class Elimination:
         return whole
 
 
-@dataclass(eq=False)
-class Affine:
-    """Rows matrix · (all unknowns) + offset; `owner` says which constraint each row comes from."""
-
-    matrix: sp.csr_array
-    offset: FloatVector
-    owner: Indices
-
-    def replaced(self, substitution: sp.csr_array, shift: FloatVector) -> Affine:
-        """Return the rows where the unknowns are substitution · unknowns + shift."""
-        return Affine(
-            sp.csr_array(self.matrix @ substitution), self.offset + self.matrix @ shift, self.owner
-        )
+#: matrix · (all unknowns) + offset.
+Affine = tuple[sp.csr_array, FloatVector]
 
 
 def eliminate_definitions(
-    equations: Affine, functions: Affine, is_free: Mask, variable_of: Indices
+    equations: Affine, functions: Affine, owner: Indices, is_free: Mask, variable_of: Indices
 ) -> tuple[Elimination, Affine, Affine]:
     """Return the elimination of all unknowns that are only defined, the equations left and the functions.
 
     Parameters
     ----------
-    equations, functions : Affine
+    equations, functions : pair of matrix and offset
         Rows that are to be 0, and rows that belong to pairs; over all unknowns. What returns is over those left.
+    owner : array of int
+        The constraint that each equation is of.
     is_free : array of bool
         Unknowns that no pair holds and that have no bounds.
     variable_of : array of int
@@ -102,18 +93,19 @@ def eliminate_definitions(
     """
     n = is_free.size
     back: sp.csr_array | None = None
-    offset, is_open, left = np.zeros(n), is_free.copy(), np.ones(equations.offset.size, dtype=bool)
-    limit = MOST_FILL * (equations.matrix.nnz + functions.matrix.nnz) + 10 * n
+    offset, is_open, left = np.zeros(n), is_free.copy(), np.ones(owner.size, dtype=bool)
+    limit = MOST_FILL * (equations[0].nnz + functions[0].nnz) + 10 * n
     used: list[tuple[Indices, Indices]] = [(np.zeros(0, dtype=np.int64),) * 2]
-    for owner in range(min(int(equations.owner.max(initial=-1)) + 1, MOST_DEFINITIONS)):
-        rows, columns = _pivots(
-            equations, np.flatnonzero(equations.owner == owner), is_open, variable_of
-        )
+    for number in range(min(int(owner.max(initial=-1)) + 1, MOST_DEFINITIONS)):
+        rows, columns = _pivots(equations[0], np.flatnonzero(owner == number), is_open, variable_of)
         if not rows.size:
             continue
-        substitution, shift = put_in(equations.matrix[rows], equations.offset[rows], columns)
-        changed = [part.replaced(substitution, shift) for part in (equations, functions)]
-        if sum(part.matrix.nnz for part in changed) > limit:
+        substitution, shift = put_in(equations[0][rows], equations[1][rows], columns)
+        changed = [
+            (sp.csr_array(matrix @ substitution), constant + matrix @ shift)
+            for matrix, constant in (equations, functions)
+        ]
+        if sum(matrix.nnz for matrix, _ in changed) > limit:
             continue
         equations, functions = changed
         offset = offset + (shift if back is None else back @ shift)
@@ -124,14 +116,10 @@ def eliminate_definitions(
     kept = np.delete(np.arange(n), defined)
     if back is None:
         return Elimination(kept, None, offset, defining, defined), equations, functions
-    equations = Affine(
-        sp.csr_array(equations.matrix[left][:, kept]), equations.offset[left], equations.owner[left]
-    )
-    functions = Affine(sp.csr_array(functions.matrix[:, kept]), functions.offset, functions.owner)
     return (
         Elimination(kept, sp.csr_array(back[:, kept]), offset, defining, defined),
-        equations,
-        functions,
+        (sp.csr_array(equations[0][left][:, kept]), equations[1][left]),
+        (sp.csr_array(functions[0][:, kept]), functions[1]),
     )
 
 
@@ -194,10 +182,10 @@ def put_in_all(
 
 
 def _pivots(
-    equations: Affine, rows: Indices, is_open: Mask, variable_of: Indices
+    equations: sp.csr_array, rows: Indices, is_open: Mask, variable_of: Indices
 ) -> tuple[Indices, Indices]:
     """Return rows of one constraint and the unknown that each defines: those of the variable with most of them."""
-    part = sp.csr_array(equations.matrix[rows])
+    part = sp.csr_array(equations[rows])
     part.eliminate_zeros()
     place = np.repeat(np.arange(rows.size), np.diff(part.indptr))
     largest = largest_in_rows(part)

@@ -375,13 +375,12 @@ def test_an_objective_states_no_single_lcp() -> None:
         LCP.from_cvxpy(cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]))
 
 
-def test_a_bound_beyond_the_doubles_is_never_called_solved() -> None:
-    """The solution 1e400 is no double: the status says so."""
+def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:
+    """The side that states it is named."""
     x = cp.Variable(name="x")
     problem = cp.Problem(cp.Minimize(0), [complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)])
-    with pytest.warns(UserWarning, match="inaccurate"):
+    with pytest.raises(UnsupportedModel, match=r"^1e\+200 <= 1e-200 [*@] x has .*largest double"):
         problem.solve(method="LCP")
-    assert problem.status == "user_limit"
 
 
 LATER = """
@@ -729,10 +728,15 @@ def test_an_inequality_opposite_two_bounds_is_refused() -> None:
 
 
 def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme() -> None:
-    """complements(x <= 1, F): at the upper bound F ≤ 0."""
-    x = cp.Variable()
-    model(complements(x <= 1, x - 3))
-    assert x.value == pytest.approx(1.0)
+    """complements(x <= 1, F): at the upper bound F ≤ 0; so with any multiple of x, and for violation()."""
+    for side in (lambda x: x <= 1, lambda x: 3 - 3 * x >= 0):
+        x = cp.Variable()
+        pair = complements(side(x), x - 3)
+        model(pair)
+        assert x.value == pytest.approx(1.0)
+        assert pair.violation() <= 1e-9
+    with pytest.raises(UnsupportedModel, match="states no sign"):
+        model(complements(cp.sum(x) + 2 * cp.square(x) >= 0, x - 3))
 
 
 def test_order_and_sign_of_equations_do_not_matter() -> None:

@@ -29,6 +29,12 @@ def parts_of_a_matrix() -> Any:
     ]
 
 
+def with_minus() -> Any:
+    """The side −x of a variable with an upper bound has a lower one."""
+    x = cp.Variable(2, bounds=[None, 1.0])
+    return x, [complements(-x, Q - M @ x)]
+
+
 def expression_first() -> Any:
     """The side that is a variable comes second."""
     x = cp.Variable(2)
@@ -47,7 +53,9 @@ def boxes() -> Any:
     return x, [complements(box(x, [-1, -np.inf, -np.inf], [1, 0.5, np.inf]), 2 * x - [9, 8, 7])]
 
 
-@pytest.mark.parametrize("model", [parts_of_a_matrix, expression_first, from_above, boxes])
+@pytest.mark.parametrize(
+    "model", [parts_of_a_matrix, with_minus, expression_first, from_above, boxes]
+)
 def test_a_pair_means_the_same_with_an_objective(model: Callable[[], Any]) -> None:
     """Where there is one solution both ways find it, with the duals of the pair and of the inequalities in it."""
     found = []

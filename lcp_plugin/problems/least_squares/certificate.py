@@ -43,14 +43,13 @@ from ...core.checks import BoolVector, FloatVector
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import TINY
 from ...core.rounding import compensated_product
-from ...systems.equilibration import power_of_two
-from .data import LARGEST_SCALE, BoundedLeastSquares
+from .data import BoundedLeastSquares
 from .enclosures import (
     NOTHING,
     OUTWARD,
     Ball,
     Enclosures,
-    largest_residuals,
+    largest_residual,
     shortest_solution,
     typical_rounding,
 )
@@ -124,16 +123,17 @@ class Optimality:
 
     @property
     def steepness(self) -> float:
-        """The larger of ‖mid(x − upper, x − lower, g)‖∞/‖AᵀWb‖∞, g the gradient, and the same with unit columns.
+        """‖x − mid(lower, upper, x − g)‖∞/‖AᵀWb‖∞, g the gradient, in units in which columns have unit length.
 
         An upper bound, rounding included, if A has entries.
         """
-        return max(map(_ratio, self._largest[:2], self.enclosures.reference))
+        size, unit = self._largest[0], self.enclosures.reference
+        return OUTWARD * size / unit if unit > 0.0 else 0.0 if size == 0.0 else math.inf
 
     @property
     def is_at_rounding_level(self) -> bool:
         """Whether no component of it is larger than its rounding error may be."""
-        return self._largest[2]
+        return self._largest[1]
 
     @property
     @np.errstate(over="ignore", invalid="ignore")
@@ -147,20 +147,13 @@ class Optimality:
         return compensated_product(sp.csr_array(problem.A), self.x, -problem.b)[0]
 
     @cached_property
-    def _largest(self) -> tuple[float, float, bool]:
+    def _largest(self) -> tuple[float, bool]:
         problem = self.enclosures.problem
-        gradient = self.enclosures.gradient(self.x, self.residual)
+        slope, radius = self.enclosures.gradient(self.x, self.residual)
         if not problem.has_entries:
-            gradient = gradient[0], typical_rounding(problem, self.x, self.residual[0])
-        return largest_residuals(
-            *gradient,
-            self.x,
-            problem.lower,
-            problem.upper,
-            problem.l1,
-            problem.column_scales,
-            problem.has_entries,
-        )
+            radius = typical_rounding(problem, self.x, self.residual[0])
+        bounds = problem.lower, problem.upper, problem.l1
+        return largest_residual((slope, radius), self.x, *bounds, problem.column_scales)
 
 
 def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVector]:
@@ -170,7 +163,7 @@ def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVec
     least, best = np.inf, residual[0]
 
     def relative(y: FloatVector, slope: Ball, convexity: FloatVector = NOTHING) -> float:
-        gap, cost, _ = _gap(problem, x, residual, y, slope, convexity, rounding=-1.0)
+        gap, cost = _gap(problem, x, residual, y, slope, convexity, rounding=-1.0)
         return 0.0 if gap == 0.0 else OUTWARD * gap / cost if cost > 0.0 else np.inf
 
     for y, slope in _with_shrunk(enclosures, x, duals) if problem.l1.any() else duals:
@@ -239,12 +232,6 @@ def _shrunk(
     return share * y, enclosures.gradient_at(x, share * y)
 
 
-def _ratio(size: float, unit: float) -> float:
-    if math.isnan(size):
-        return math.inf
-    return OUTWARD * size / unit if unit > 0.0 else (math.inf if size > 0.0 else 0.0)
-
-
 @np.errstate(all="ignore")
 def duality_gap(
     problem: BoundedLeastSquares, x: FloatVector, y: FloatVector | None = None
@@ -268,8 +255,7 @@ def duality_gap(
         slopes.append(shrunk)
 
     def above(*given: Any) -> float:
-        gap, _, size = _gap(problem, x, *given)
-        return OUTWARD * gap * size * size + TINY if gap < np.inf else np.inf
+        return _gap(problem, x, *given)[0]
 
     found = [above(exactly, residual[0], at_x), *(above(residual, *slope) for slope in slopes)]
     if not np.nanmin(found) < np.inf:
@@ -290,25 +276,15 @@ def _gap(
     convexity: FloatVector = NOTHING,
     *,
     rounding: float = 1.0,
-) -> tuple[float, float, float]:
-    """Return gap(x, y) for s in `slope`, the cost of y, and the size whose square is the unit of both.
+) -> tuple[float, float]:
+    """Return gap(x, y) for s in `slope`, and the cost of y.
 
-    Residual and slope are known up to radii: those are added where `rounding` is 1, excused where it is −1.
+    Radii of residual and slope are added if `rounding` is 1, excused if it is −1.
     """
-    root, scales, l1, (s, radius) = problem.root_weights, problem.column_scales, problem.l1, slope
-    off, distance = np.maximum(np.abs(residual[0] - y) + rounding * residual[1], 0.0), np.abs(x)
-    bent, penalty = math.sqrt(problem.ridge) * distance, np.sqrt(l1) * np.sqrt(distance)
-    parts = root * np.abs(y), root * off, bent, penalty
-    size = float(
-        power_of_two(max(float(np.max(part, initial=0.0)) for part in parts), LARGEST_SCALE)
-    )
-    unit, share = scales * size, scales / size
-    of_y, of_rows, of_ridge, _ = (part / size for part in parts)
-    cost = 0.5 * float(of_y @ of_y + of_ridge @ of_ridge) + float((l1 / unit) @ (distance * share))
-    near, far = x - problem.lower, problem.upper - x
-    margin = rounding * radius
-    linear = _fall(s, near, margin, unit, share) + _fall(-s, far, margin, unit, share)
-    least = np.abs(s)
+    l1, (s, radius), distance = problem.l1, slope, np.abs(x)
+    off = np.maximum(np.abs(residual[0] - y) + rounding * residual[1], 0.0)
+    near, far, margin = x - problem.lower, problem.upper - x, rounding * radius
+    linear, least = _fall(s, near, margin) + _fall(-s, far, margin), np.abs(s)
     if l1.any():  # x and z split at 0
         both = np.zeros(x.size)
         for sign, low, high in (
@@ -316,29 +292,26 @@ def _gap(
             (-1.0, -problem.upper, -problem.lower),
         ):
             slant, at = s * sign + l1, np.maximum(sign * x, 0.0)
-            both += _fall(slant, at - np.maximum(low, 0.0), margin, unit, share)
-            both += _fall(-slant, np.maximum(high, 0.0) - at, margin, unit, share)
+            both += _fall(slant, at - np.maximum(low, 0.0), margin)
+            both += _fall(-slant, np.maximum(high, 0.0) - at, margin)
         linear = np.where(l1 == 0.0, linear, both)
         least = np.where(x != 0.0, np.abs(s + np.copysign(l1, x)), np.maximum(np.abs(s) - l1, 0.0))
-    curved = (convexity if convexity.size else problem.ridge) / scales / scales
-    if np.any(curved > 0.0):
-        steepest = np.square((least + margin) / unit) / (2.0 * curved) + TINY
+    curved = convexity if convexity.size else np.full(x.size, problem.ridge)
+    if curved.any():
+        steepest = np.square(least + margin) / (2.0 * curved) + TINY
         linear = np.where((linear > 0.0) & (curved > 0.0), np.minimum(linear, steepest), linear)
-    gap = 0.5 * float(of_rows @ of_rows) + float(
-        np.sum(linear + 0.0 * (s + radius))
-    )  # NaN where one is not finite
-    return (OUTWARD * OUTWARD * gap if gap < np.inf else np.inf), cost, size
+    linear = linear + 0.0 * (s + radius)  # NaN if one is not finite
+    gap = 0.5 * float(problem.weighted(off) @ off) + float(np.sum(linear))
+    gap = OUTWARD**3 * gap + TINY * (gap > 0.0) if gap < np.inf else np.inf
+    squares = problem.weighted(y) @ y + problem.ridge * (x @ x)
+    return gap, float(0.5 * squares + l1 @ distance)
 
 
-def _fall(
-    slant: FloatVector, slack: FloatVector, off: Any, unit: FloatVector, share: FloatVector
-) -> FloatVector:
-    """Return by how much the cost falls at the most over the slack, in units, at a slant known up to `off`."""
-    steep = (slant + off) / unit
+def _fall(slant: FloatVector, slack: FloatVector, off: FloatVector) -> FloatVector:
+    """Return by how much the cost falls at most over the slack, at a slant known up to `off`."""
+    steep = slant + off
     falls = (steep > 0.0) & (slack > 0.0)
-    if not falls.any():
-        return np.zeros(slack.size)
-    return np.where(falls, np.where(falls, steep, 0.0) * (slack * share) + TINY, 0.0)
+    return np.where(falls, np.where(falls, steep, 0.0) * slack + TINY, 0.0)
 
 
 def _repaired(

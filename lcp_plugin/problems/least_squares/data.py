@@ -31,7 +31,10 @@ MAX_DENSE_ENTRIES = 10**6  # of A: dense copies cost little
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about 25 %
 LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
-SQUARED_RANGE = 1e-150, 1e150  # of a largest entry: its square is a double
+SQUARED_RANGE = (
+    1e-130,
+    1e130,
+)  # of a largest entry: squares of it and of rounding errors are doubles
 
 
 class BoundedLeastSquares:

@@ -32,9 +32,9 @@ class Enclosures:
 
     Attributes
     ----------
-    reference : (float, float)
-        A lower bound of ‖AᵀWb‖∞ in the user's units, and with columns of about unit length. Where AᵀWb is 0, of the
-        gradient at the point of [lower, upper] nearest to 0; where that is 0 as well, that point is the answer.
+    reference : float
+        A lower bound of ‖AᵀWb‖∞ in units in which columns have about unit length. If AᵀWb is 0, of the gradient at the
+        point of [lower, upper] nearest to 0; if that is 0 as well, that point is a solution.
     known : list of ndarray, shape (n,)
         Points within the bounds whose cost no solution exceeds.
     """
@@ -97,20 +97,14 @@ class Enclosures:
         )
 
     @cached_property
-    def reference(self) -> tuple[float, float]:
-        """What residuals are measured against; see the class."""
-        problem = self.problem
-        for ball in self._references():
-            least = np.maximum(np.abs(ball[0]) - ball[1], 0.0)
-            if np.abs(ball[0]).any():
-                scaled = least / problem.column_scales
-                return float(least.max(initial=0.0)), float(scaled.max(initial=0.0))
-        return 0.0, 0.0
-
-    def _references(self) -> Any:
-        yield self.transposed(self.problem.b, np.zeros(self.problem.shape[0]))
-        start = self.problem.nearest_to_zero
-        yield self.gradient(start, self.residual(start))
+    def reference(self) -> float:
+        """The unit of residuals; see the class."""
+        problem, start = self.problem, self.problem.nearest_to_zero
+        value, radius = self.transposed(problem.b, np.zeros(problem.shape[0]))
+        if not value.any():
+            value, radius = self.gradient(start, self.residual(start))
+        least = np.maximum(np.abs(value) - radius, 0.0) / problem.column_scales
+        return float(least.max(initial=0.0))
 
     @cached_property
     def convexity(self) -> FloatVector | None:
@@ -177,30 +171,24 @@ def typical_rounding(
     return 4.0 * EPSILON * (scales * size)
 
 
-def largest_residuals(
-    gradient: FloatVector,
-    radius: FloatVector,
+def largest_residual(
+    gradient: Ball,
     x: FloatVector,
     lower: FloatVector,
     upper: FloatVector,
     l1: FloatVector,
     scales: FloatVector,
-    is_enclosed: bool,
-) -> tuple[float, float, bool]:
-    """Return ‖x − mid(lower, upper, prox(x − g))‖∞, that in units of columns, and if all are at most twice the radius.
+) -> tuple[float, bool]:
+    """Return an upper bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and if it is rounding.
 
-    prox moves by l1 towards 0, but not beyond. They are those of any g within the radius of the gradient, rounded
-    upwards, where that encloses it; ∞ where one is not a number.
+    prox moves by l1 towards 0, but not beyond. NaN if a component is not a number.
     """
-    below, above, left, right = x - upper, x - lower, gradient - l1, gradient + l1
-    one = np.abs(clipped(clipped(x, left, right), below, above))
-    two = np.abs(
-        clipped(clipped(x * scales, left / scales, right / scales), below * scales, above * scales)
-    )
-    off = np.where(np.isfinite(gradient), radius if is_enclosed else 0.0, np.nan)
-    sizes = [float(np.max(size, initial=0.0)) for size in (one + off, two + off / scales)]
-    plain, scaled = (OUTWARD * size if size < np.inf else np.inf for size in sizes)
-    return plain, scaled, bool((np.maximum(one, two * scales) <= 2.0 * radius).all())
+    slope, radius = gradient[0] / scales, gradient[1] / scales
+    x, l1 = x * scales, l1 / scales
+    residual = clipped(x, slope - l1, slope + l1)
+    residual = np.abs(clipped(residual, x - upper * scales, x - lower * scales))
+    size = np.max(np.where(np.isfinite(slope), residual + radius, np.nan), initial=0.0)
+    return OUTWARD * float(size), bool((residual <= 2.0 * radius).all())
 
 
 def clipped(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:

@@ -184,9 +184,10 @@ class LeastSquaresRun:
             if self.steps >= self.settings.max_iterations:
                 break
             self.steps += 1
-            scaled, size = point.steepness(self.enclosures.reference)
-            if not self._smallest <= scaled:
-                self.nearest, self._smallest = point, scaled
+            size = point.size_of_residual * point.problem.size
+            size = size / self.enclosures.reference if size > 0.0 else 0.0
+            if not self._smallest <= size:
+                self.nearest, self._smallest = point, size
             if size <= aim:
                 aim = NARROWER * size
                 yield point
@@ -256,9 +257,9 @@ class LeastSquaresResult(Answer):
     optimality : float
         Upper bound of (cost − minimum)/cost, rounding excused: for entries of A and b that differ from the given ones
         by no more than rounding. 1 if nothing is proved, or if a point of lower cost is known. The formula:
-        help("lcp_plugin.problems.least_squares.certificate"). For a LinearOperator, an estimate of the larger of
-        ‖mid(x − upper, x − lower, g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), and the same in units
-        in which the columns of A have about unit length.
+        help("lcp_plugin.problems.least_squares.certificate"). For a LinearOperator, an estimate of
+        ‖x − mid(lower, upper, x − g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights), in units in which the
+        columns of A have about unit length.
     active_mask : ndarray of int, shape (n,)
         −1 at the lower bound, 1 at the upper one, 0 between them.
     status : Status

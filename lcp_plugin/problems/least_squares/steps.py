@@ -23,7 +23,7 @@ import numpy as np
 from ...core.checks import BoolVector, FloatVector
 from ...core.kernels.floats import EPSILON
 from .data import ScaledLeastSquares
-from .enclosures import clipped, largest_residuals
+from .enclosures import clipped
 
 ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
@@ -103,18 +103,6 @@ class FacePoint:
     def size_of_residual(self) -> float:
         """The largest natural residual, beyond the orthant as well."""
         return max(float(np.abs(self.natural_residual).max(initial=0.0)), self.pull_across)
-
-    def steepness(self, reference: tuple[float, float]) -> tuple[float, float]:
-        """Return the largest natural residual beside the reference, and the larger of that and the caller's own."""
-        unit, slope = self.problem.whole, self.slope
-        *sizes, _ = largest_residuals(
-            slope, slope, self.x, unit.lower, unit.upper, unit.l1, unit.inverse_columns, False
-        )
-        scaled, plain = (
-            size * unit.size / least if least > 0.0 else np.inf if size else 0.0
-            for size, least in zip(sizes, reference[::-1], strict=True)
-        )
-        return scaled, max(scaled, plain)
 
     @property
     def noise(self) -> float:

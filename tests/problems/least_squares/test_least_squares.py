@@ -30,7 +30,7 @@ from lcp_plugin.core.errors import (
 )
 from lcp_plugin.problems.least_squares import solving
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
-from lcp_plugin.problems.least_squares.enclosures import Enclosures, largest_residuals
+from lcp_plugin.problems.least_squares.enclosures import Enclosures, largest_residual
 from lcp_plugin.problems.least_squares.solving import LeastSquaresResult, bounded_least_squares
 
 INF = np.inf
@@ -609,7 +609,7 @@ def test_a_linear_operator_has_any_unit(unit: float) -> None:
         np.testing.assert_allclose(result.x / answer.max(), answer / answer.max(), atol=1e-6)
 
 
-@pytest.mark.parametrize("unit", [1e-140, 1e-6, 1e6, 1e140])
+@pytest.mark.parametrize("unit", [1e-120, 1e-6, 1e6, 1e120])
 def test_the_unit_of_the_data_changes_nothing(unit: float) -> None:
     """A and b in another unit, or x in another one: the same answer in that unit. (x = 0 is never called SOLVED.)"""
     A, b, _, x = planted(of_condition(60, 30, 1e2))
@@ -726,11 +726,9 @@ def test_what_is_not_a_number_proves_nothing(place: str, value: float) -> None:
         vectors[place][j] = value
         for upper in (1.0, 2.0, INF):
             bounds = np.zeros(3), np.full(3, upper)
-            found = largest_residuals(
-                *vectors.values(), np.ones(3), *bounds, np.zeros(3), np.ones(3), True
-            )
-            assert not found[0] < 0.5
-            assert not found[1] < 0.5
+            gradient = vectors["gradient"], vectors["radius"]
+            size, _ = largest_residual(gradient, np.ones(3), *bounds, np.zeros(3), np.ones(3))
+            assert not size < 0.5
 
 
 @pytest.mark.parametrize("size", [1e-300, 1e-160, 1e160, 1e300])
@@ -875,9 +873,9 @@ def test_climbing_solves_nothing_wrong(draws: Callable[[int], range]) -> None:
     assert attacks.attack_least_squares(np.random.default_rng(69), len(draws(40))) == []
 
 
-@pytest.mark.parametrize("small", [1e-140, 1e-100])
+@pytest.mark.parametrize("small", [1e-120, 1e-100])
 def test_a_bound_that_acts_is_one_beside_a_tiny_right_hand_side(small: float) -> None:
-    """Beside b of 1e-140 lower bounds of 1 hold x there: they are none in no unit."""
+    """Beside b of 1e-120 lower bounds of 1 hold x there: they are none in no unit."""
     found = bounded_least_squares([[1.0, 0.0], [1.0, 2.0]], [small, small], lower=[1.0, -INF])
     assert found.status is Status.SOLVED
     np.testing.assert_allclose(found.x, [1.0, -0.5], rtol=1e-14)

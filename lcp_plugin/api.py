@@ -89,9 +89,7 @@ def solve(
     Parameters
     ----------
     problem : LCP, QuadraticProgram, EquilibriumProgram, NonlinearProblem, BoundedLeastSquares, or one over cones
-        Never modified. What follows is said of an LCP; see Notes for the others. Where its rows are spread over ranks
-        (:meth:`LCP.from_rows`), all of them call with the same arguments; z0, z and w are the rank's own rows then,
-        and everything else is the same on every rank.
+        Never modified. What follows is said of an LCP; see Notes for the others.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
     z0 : array, shape (n,), or a number for n = 1, optional
@@ -129,8 +127,8 @@ def solve(
         Look for a proof that there is no solution where none is found. False saves the work: a run that finds no
         solution then ends STALLED.
     threads : int, optional
-        How many threads this solve may use; by default all that the process may use, but one where the rows are on
-        ranks. The answer is the same bit for bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.
+        How many threads this solve may use; by default all that the process may use. The answer is the same bit for
+        bit for any number. BLAS has a number of its own, ``OMP_NUM_THREADS``.
     verbose : bool
         Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
         seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.

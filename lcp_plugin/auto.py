@@ -63,7 +63,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .algorithms import REGISTRY, create, refusal_of_engine
+from .algorithms import create, refusal_of_engine
 from .core.algorithm import Algorithm, in_driven_sweeps
 from .core.certificates.criterion import CommonScaling
 from .core.checks import FloatVector, checked_start
@@ -127,7 +127,7 @@ class EndsWithItsCase(Policy):
             if self.chosen == "auto"
             else 0.0
         )
-        if most <= 0.0 or problem.is_distributed:
+        if most <= 0.0:
             return None
         from .methods.newton.active_set import solve_case
 
@@ -385,10 +385,9 @@ def policy_for(
     algorithm: Any,
     options: dict[str, Any],
     *,
-    on_ranks: bool = False,
     prove_infeasibility: bool = True,
 ) -> Policy:
-    """Return the policy that the caller's `algorithm` and options mean, where the rows lie on several ranks or on one.
+    """Return the policy that the caller's `algorithm` and options mean.
 
     Where `prove_infeasibility` is False, it has no stage that looks for a proof that there is no solution.
 
@@ -407,7 +406,7 @@ def policy_for(
             raise InvalidOption(
                 f'{type(algorithm).__name__} has no name; write name = "…" in the class'
             )
-        return _single(algorithm, on_ranks, prove_infeasibility)
+        return Single(algorithm, prove_infeasibility=prove_infeasibility)
     if isinstance(algorithm, Policy):
         return algorithm
     if isinstance(algorithm, str) and algorithm == "auto":
@@ -416,10 +415,6 @@ def policy_for(
                 f'algorithm="auto" has no options, got {sorted(options)}; name an algorithm as well'
                 f"{did_you_mean(next(iter(options)), (), OF_SOLVE)}"
             )
-        if on_ranks:
-            from .ranks.auto import AutoOnRanks
-
-            return AutoOnRanks()
         return Auto(prove_infeasibility=prove_infeasibility)
     if isinstance(algorithm, type):
         name = algorithm.__name__
@@ -432,16 +427,7 @@ def policy_for(
         raise UnknownAlgorithm(
             f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {algorithm!r}"
         )
-    return _single(create(algorithm, options), on_ranks, prove_infeasibility)
-
-
-def _single(algorithm: Algorithm, on_ranks: bool, prove_infeasibility: bool) -> Single:
-    if on_ranks and not algorithm.runs_on_ranks:
-        names = ", ".join(name for name, kind in REGISTRY.items() if kind.runs_on_ranks)
-        raise UnknownAlgorithm(
-            f"{algorithm.name!r} does not run on several ranks; auto does, and {names}"
-        )
-    return Single(algorithm, prove_infeasibility=prove_infeasibility)
+    return Single(create(algorithm, options), prove_infeasibility=prove_infeasibility)
 
 
 @np.errstate(under="ignore")
@@ -472,37 +458,23 @@ def solve_lcp(
     """
     if options:
         LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)
-    matrix, clock = problem.matrix, Clock(problem.matrix)
+    clock = Clock()
+    policy = policy_for(algorithm, options, prove_infeasibility=prove_infeasibility)
+    settings = Settings(
+        tolerance,
+        tolerance_on,
+        max_iterations,
+        max_seconds,
+        absolute_tolerance,
+        record,
+        error_bound,
+        threads,
+        verbose,
+        prove_infeasibility,
+    )
+    callback, start = checked_callback(callback), checked_start(problem, z0)
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
-    with np.errstate(), matrix.interruptions() as clock.hears:
-        policy, settings, callback, start = matrix.together(
-            lambda: (
-                policy_for(
-                    algorithm,
-                    options,
-                    on_ranks=problem.is_distributed,
-                    prove_infeasibility=prove_infeasibility,
-                ),
-                Settings(
-                    tolerance,
-                    tolerance_on,
-                    max_iterations,
-                    max_seconds,
-                    absolute_tolerance,
-                    record,
-                    error_bound,
-                    threads,
-                    verbose,
-                    prove_infeasibility,
-                ),
-                checked_callback(callback),
-                checked_start(problem, z0),
-            )
-        )
-        asked = policy.chosen, settings
-        matrix.require_same(
-            "what is asked of solve", asked, "every rank must ask for the same", InvalidOption
-        )
+    with np.errstate():
         return solved_by(
             policy,
             problem,

@@ -3,8 +3,7 @@
 Read it in this order:
 
 1. ``errors``, ``checks``, ``settings``: what is refused, what may be asked, how a run may end (``Status``).
-2. ``matrix`` and ``lcp``: M with its facts, each computed once; the problem. ``rounding`` and ``communicator`` are what
-   they stand on: margins of rounding, and who holds the other rows (here: no process), of which the matrix alone knows.
+2. ``matrix`` and ``lcp``: M with its facts, each computed once; the problem. ``rounding`` has the margins of rounding.
 3. ``certificates``: the residual of z, rounding included, after which scaling, beside what: the criterion.
 4. ``algorithm`` and ``splittings``: what an algorithm is, and the sweeps of the paper and their relatives, with their
    loops in ``kernels``.

@@ -93,8 +93,7 @@ class Algorithm(ABC):
     method in this package the first two are tested: `needs` that begins with "positive diagonal" means that it calls
     `require_positive_diagonal`, and a class of matrices in `solves` ("H₊", "SPD", "PSD") that `theorem` proves it, for
     the default options, on such matrices. Besides,
-    `runs_on_ranks` says that it takes rows that are spread over the ranks of an MPI job, and asks
-    `problem.matrix` for what holds of all rows; `is_monotone` False says that rises of the residual are legal, and
+    `is_monotone` False says that rises of the residual are legal, and
     that the iterator ends by itself where nothing more can be done; `is_watched`, that the driver all the same ends a
     run whose best residual stands still.
 
@@ -136,7 +135,6 @@ class Algorithm(ABC):
     solves: ClassVar[str] = "–"
     cost: ClassVar[str] = "–"
     reference: ClassVar[str] = "–"
-    runs_on_ranks: ClassVar[bool] = False
     is_monotone: ClassVar[bool] = True
     ends_with_a_case: ClassVar[bool] = False  # where it is True, a run adds no last linear system
     is_watched: ClassVar[bool] = False
@@ -281,15 +279,11 @@ def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
     diagonal, usable = problem.diagonal, has_positive_diagonal(problem.matrix)
 
-    def check() -> None:
-        if not usable.all():
-            i = int(np.flatnonzero(~usable)[0])
-            row, other = problem.own_rows.start + i, "npsor" if problem.is_distributed else "auto"
-            raise UnsuitableMatrix(
-                f'{name} needs a positive diagonal, but M[{row}, {row}] = {diagonal[i]}; try algorithm="{other}"'
-            )
-
-    problem.matrix.together(check)
+    if not usable.all():
+        i = int(np.flatnonzero(~usable)[0])
+        raise UnsuitableMatrix(
+            f'{name} needs a positive diagonal, but M[{i}, {i}] = {diagonal[i]}; try algorithm="auto"'
+        )
     return diagonal
 
 

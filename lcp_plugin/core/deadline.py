@@ -14,11 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING
 from weakref import WeakSet
-
-if TYPE_CHECKING:
-    from .communicator import SharedRows
 
 AT_LEAST = 0.1  # seconds
 
@@ -100,36 +96,23 @@ def compiling() -> Iterator[None]:
 class Clock:
     """The seconds of a run. Pauses are not its own; against a time limit all count but those for compilation.
 
-    Those are not counted in runs inside this one either. On several ranks these are the seconds of the slowest one, and
-    Ctrl-C is noticed on any of them.
+    Those are not counted in runs inside this one either.
 
     Attributes
     ----------
     elapsed : float
         Seconds that count against the limit, up to the last reading.
-    hears : callable
-        Tells whether this rank was asked to end by Ctrl-C.
-    is_interrupted : bool
-        Whether one of them was, before the last reading.
     """
 
-    def __init__(self, rows: SharedRows | None = None) -> None:
+    def __init__(self) -> None:
         self._compilation = compilation()  # of the thread that runs; others may read
         self._began = time.perf_counter() - self._compilation.seconds
         self._paused = self.elapsed = 0.0
-        self._rows, self.is_interrupted = rows, False
-        self.hears: Callable[[], bool] = bool
 
     def read(self) -> float:
         """Return the seconds of the run up to now."""
         self.elapsed = time.perf_counter() - self._compilation.seconds - self._began
-        seconds = self.elapsed - self._paused
-        if self._rows is not None and self._rows.is_distributed:
-            seconds, self.elapsed, wishes = self._rows.each_largest(
-                seconds, self.elapsed, self.hears()
-            )
-            self.is_interrupted = wishes > 0.0
-        return seconds
+        return self.elapsed - self._paused
 
     @contextmanager
     def paused(self) -> Iterator[None]:

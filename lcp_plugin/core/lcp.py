@@ -83,10 +83,10 @@ class LCP:
         self, M: Any, q: ArrayLike, *, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
     ) -> None:
         self.matrix = M if isinstance(M, Matrix) else Matrix(M)
-        self.q: FloatVector = finite_vector(q, "q", self.matrix.own)
+        self.q: FloatVector = finite_vector(q, "q", self.matrix.n)
         bounds = (
-            checked_bound(lower, "lower", self.matrix.own),
-            checked_bound(upper, "upper", self.matrix.own),
+            checked_bound(lower, "lower", self.matrix.n),
+            checked_bound(upper, "upper", self.matrix.n),
         )
         self.lower, self.upper = without_huge(*bounds)
         check_order(self.lower, self.upper)
@@ -103,11 +103,6 @@ class LCP:
         return self.matrix.n
 
     @property
-    def own_rows(self) -> slice:
-        """The rows that this process holds: all, unless they are spread over the ranks of an MPI job."""
-        return slice(self.matrix.first, self.matrix.first + self.matrix.own)
-
-    @property
     def M(self) -> Any:
         """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
         return self.matrix.array
@@ -121,11 +116,6 @@ class LCP:
     def is_dense(self) -> bool:
         """True where M is kept as an ndarray."""
         return self.matrix.is_dense
-
-    @cached_property
-    def is_distributed(self) -> bool:
-        """True where the rows are spread over the ranks of an MPI job."""
-        return self.matrix.is_distributed
 
     @cached_property
     def nonzeros(self) -> int:
@@ -168,40 +158,12 @@ class LCP:
         Parameters
         ----------
         z : array, shape (n,)
-            On several ranks the own part, and so is what is returned; all ranks call.
         """
         matrix = self.matrix
-        is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.own,)
-        # On ranks all hear of a wrong part on one of them.
-        own: Any = z if is_vector and not matrix.is_distributed else self.own_part(z)
-        w: FloatVector = matrix.rows @ matrix.whole(own)
+        is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.n,)
+        w: FloatVector = matrix.array @ (z if is_vector else real_vector(z, "z", matrix.n))
         w += self.q
         return w
-
-    def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
-        """Return the vector, of which each rank gives its own part, shape (own,), read-only; NaN is allowed.
-
-        Parameters
-        ----------
-        z : array, shape (own,)
-        name : str
-            What an error calls it.
-
-        Raises
-        ------
-        InvalidProblem
-            On every rank, where one part is no real vector of the right length.
-        """
-        return self.matrix.together(lambda: real_vector(z, name, self.matrix.own))
-
-    def gathered(self, z: ArrayLike) -> FloatVector | None:
-        """Return the rows of all ranks as one vector on rank 0, and None on the others.
-
-        Parameters
-        ----------
-        z : array, shape (own,)
-        """
-        return self.matrix.communicator.gathered(self.own_part(z, "the vector"))
 
     def with_q(
         self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
@@ -222,9 +184,7 @@ class LCP:
         """
         if lower is not None or upper is not None:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
-            return self.matrix.together(
-                lambda: LCP(self.matrix, q, lower=bounds[0], upper=bounds[1])
-            )
+            return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1])
         other = object.__new__(LCP)
         other.origin, other.criterion, other.matrix = None, None, self.matrix
         other.lower, other.upper, other.nearest_to_zero = (
@@ -232,74 +192,21 @@ class LCP:
             self.upper,
             self.nearest_to_zero,
         )  # checked, kept
-        other.q = self.matrix.together(lambda: finite_vector(q, "q", self.matrix.own))
+        other.q = finite_vector(q, "q", self.matrix.n)
         return other
 
-    # --- rows over the ranks of an MPI job ----------------------------------------------------------------
-
     @classmethod
-    def from_rows(
-        cls,
-        comm: Any,
-        rows: Any,
-        q: ArrayLike,
-        lower: ArrayLike = 0.0,
-        upper: ArrayLike = np.inf,
-        *,
-        first_row: int | None = None,
-    ) -> LCP:
-        """Return the problem whose rows are spread over MPI ranks; each rank gives its own, in order of ranks.
+    def from_rows(cls, comm: Any, rows: Any, q: ArrayLike, **given: Any) -> Any:
+        """Return the problem whose rows are spread over MPI ranks; see :mod:`lcp_plugin.ranks`."""
+        from ..ranks.problem import RowsOnRanks
 
-        Every method of such a problem is to be called by all ranks. Its vectors are the own parts.
-
-        Parameters
-        ----------
-        comm : communicator of mpi4py or petsc4py; None for the whole job
-            Where it is a part of the job, let all ranks of the job import ``petsc4py.PETSc`` before.
-        rows : sparse array, shape (own, n)
-            The own rows of M with global column indices; a rank may have none. They are only read.
-        q : array, shape (own,)
-        lower, upper : scalar or array, shape (own,)
-            A scalar holds for all rows and must be the same on every rank.
-        first_row : int, optional
-            The index of the first own row, where you know it: it is checked then.
-
-        Raises
-        ------
-        InvalidProblem
-            On every rank, where any part is damaged or the parts do not fit together.
-        """
-        from ..ranks.on_ranks import matrix_of_rows, require_same_numbers
-
-        matrix = matrix_of_rows(comm, rows, first_row)
-        problem: LCP = matrix.together(lambda: LCP(matrix, q, lower=lower, upper=upper))
-        require_same_numbers(matrix, lower=lower, upper=upper)
-        return problem
-
-    @classmethod
-    def from_problem(cls, problem: LCP, comm: Any = None) -> LCP:
-        """Return the problem with its rows spread evenly over MPI ranks; every rank gives the whole problem.
-
-        Parameters
-        ----------
-        problem : LCP
-        comm : communicator of mpi4py or petsc4py; None for the whole job
-
-        Raises
-        ------
-        InvalidProblem
-            Where the ranks give different problems.
-        """
-        from ..ranks.on_ranks import equal_part
-
-        return cls.from_rows(comm, *equal_part(comm, problem))
+        return RowsOnRanks.from_rows(comm, rows, q, **given)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to ``path``: one ``.npz`` file, or a folder of Matrix Market files.
 
         A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; any other
         path becomes a folder with M.mtx, q.mtx, lower.mtx, upper.mtx. The file appears whole or not at all.
-        On several ranks it becomes a folder with one ``.npz`` file a rank.
 
         Parameters
         ----------
@@ -310,10 +217,8 @@ class LCP:
         UnreadableFile
             Where it cannot be written, or looks like a file of another kind, as a.mat does.
         """
-        if self.is_distributed:
-            from ..ranks.on_ranks import save
-        else:
-            from ..interfaces.files.files import save
+        from ..interfaces.files.files import save
+
         save(self, path)
 
     @classmethod
@@ -476,7 +381,7 @@ class LCP:
         return stated_in_cvxpy(self)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], comm: Any = None) -> LCP:
+    def load(cls, path: str | PathLike[str]) -> LCP:
         """Return a problem written by :meth:`save` or ``numpy.savez(path, M=M, q=q)``, or in ``M.mtx`` and ``q.mtx``.
 
         A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
@@ -489,9 +394,6 @@ class LCP:
         Parameters
         ----------
         path : str or PathLike
-            With a communicator: a folder written by :meth:`save` on any number of ranks.
-        comm : communicator of mpi4py or petsc4py, optional
-            Each of its ranks reads its own part.
 
         Raises
         ------
@@ -500,13 +402,9 @@ class LCP:
         UnsupportedModel
             Where a ``.nl`` file states something else.
         """
-        if comm is None:
-            from ..interfaces.files.files import load
+        from ..interfaces.files.files import load
 
-            return load(LCP, path)
-        from ..ranks.on_ranks import load as load_on_ranks
-
-        return load_on_ranks(LCP, path, comm)
+        return load(LCP, path)
 
     __repr__ = described_lcp
 

@@ -20,13 +20,8 @@ def in_words(count: int, what: str) -> str:
 
 
 def described_lcp(problem: Any) -> str:
-    """Return how large an LCP is, and which bounds it has, or on how many ranks it lies."""
-    last = (
-        f"ranks={problem.matrix.processes}"
-        if problem.is_distributed
-        else f"bounds {_bounds_in_words(problem)}"
-    )
-    return f"LCP(n={problem.n}, nonzeros={problem.nonzeros}, {last})"
+    """Return how large an LCP is, and which bounds it has."""
+    return f"LCP(n={problem.n}, nonzeros={problem.nonzeros}, bounds {_bounds_in_words(problem)})"
 
 
 def _bounds_in_words(problem: Any) -> str:

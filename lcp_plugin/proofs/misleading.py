@@ -43,7 +43,7 @@ def what_may_mislead(result: Result) -> list[str]:
 def _uncovered(result: Result) -> str:
     """Return what to say where a chosen method failed that nothing proves to converge."""
     is_auto = isinstance(result._asked, str)
-    if result.status not in FAILED or is_auto or result.certificate.problem.is_distributed:
+    if result.status not in FAILED or is_auto:
         return ""
     guarantee = result.guarantee
     if guarantee.is_guaranteed or not guarantee.remedy:
@@ -92,7 +92,7 @@ def _stiffness(result: Result) -> str:
 def _is_bound_cheap(result: Result) -> bool:
     """Return whether a bound of the error costs less than the run has, or than is worth a word."""
     problem = result.certificate.problem
-    return not problem.is_distributed and (problem.n <= BOUND_UP_TO or result.work >= BOUND_PASSES)
+    return problem.n <= BOUND_UP_TO or result.work >= BOUND_PASSES
 
 
 def _bound(result: Result) -> ErrorBound | None:
@@ -105,8 +105,6 @@ def _bound(result: Result) -> ErrorBound | None:
 def _nearness_to_singular(result: Result) -> str:
     """Return what to say where the error may be a good part of z although the residual is small."""
     problem = result.certificate.problem
-    if problem.is_distributed:
-        return ""
     residual, size = result.certificate.scaled_residual, float(np.abs(result.z).max(initial=0.0))
     error = estimated_error(problem, result.z, result.w, residual)
     if error is None or not error > FAR * size:

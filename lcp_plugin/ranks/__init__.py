@@ -1,52 +1,24 @@
-"""Rows of M spread over the ranks of an MPI job.
+"""LCPs whose rows are spread over the ranks of an MPI job, for problems that do not fit one machine.
 
-Once PETSc is there (see `examples/manual/many_machines.md`), run a command or a script on so many ranks::
-
-    mpiexec -n 2 lcp-plugin solve obstacle-2d --size 500 --backend petsc --out answer
-    mpiexec -n 2 python membrane.py
-
-where each rank of ``membrane.py`` gives the rows it has, counted from 0 over all ranks::
+``pip install mpi4py mpich`` (or an MPI library of the machine) is all that it needs. Each rank gives its own rows::
 
     import numpy as np, scipy.sparse as sp
     from mpi4py import MPI
-    from lcp_plugin import LCP, solve
+    from lcp_plugin import LCP
 
     comm, n = MPI.COMM_WORLD, 10_000
     first, last = n * comm.rank // comm.size, n * (comm.rank + 1) // comm.size
-    M = sp.diags_array([-np.ones(n - 1), np.full(n, 2.0), -np.ones(n - 1)], offsets=[-1, 0, 1], format="csr")
-    rows = M[first:last]                                  # shape (last − first, n); build only these in earnest
-    problem = LCP.from_rows(comm, rows, np.full(last - first, 1e-8), lower=-0.1)
-    result = solve(problem, error_bound=True)             # z and w are the own parts, all else agrees on every rank
+    M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
+    problem = LCP.from_rows(comm, M[first:last], np.full(last - first, 1e-8), lower=-0.1)  # the own rows
+    result = problem.solve(error_bound=True)              # z and w are the own parts, all else agrees on every rank
     if comm.rank == 0:
         print(result)
 
-**Which methods:** "auto" (multigrid, then psor), npj npgs npsor npaor, pgs psor, with all their options. A sweep runs
-on all ranks at once, with what the others had before it. The proof for the projected-type methods covers that; the
-in-place ones converge on H₊-matrices with a relaxation ≤ 1, and on symmetric positive definite ones, where pivots next
-to other ranks are made larger. Whatever else needs all rows on one machine (newton, lemke, ``analyze``, conversions)
-says so.
+All ranks call every method, in the same order; vectors are the own parts, everything else agrees. Algorithms: auto
+(multigrid, then sweeps), multigrid, npsor, npaor, npgs, npj, psor, pgs. There are ``problem.save(folder)``, one chunk
+per rank, ``RowsOnRanks.load(folder, comm)`` on any number of ranks, ``RowsOnRanks.from_problem(lcp, comm)``, and
+:func:`lcp_plugin.ranks.collective.ends_together`, which ends all ranks if one of them fails.
 
-**Multigrid** is the one of a single process. Each rank chooses the coarse ones among its own unknowns; interpolation,
-Galerkin products and truncation are exact across ranks. Where the coarse unknowns of neighbouring ranks meet badly, it
-takes 10 to 22 cycles instead of 8. Aggregates as PETSc's GAMG makes them were tried and left: a coarse unknown covers
-many rows, and more is lost near a free boundary.
-
-**Proofs:** ``error_bound=True`` finds v > 0 with ⟨M⟩v > 0, verifies it on every rank, and makes it a rigorous bound.
-``Certificate.of`` and ``error_bound`` take such a problem as any other.
-
-**Files:** ``problem.save(folder)`` writes a chunk a rank, ``LCP.load(folder, comm)`` reads it on any number of ranks.
-``LCP.from_problem`` cuts a whole problem into equal parts.
-
-**Failures:** bad input is refused on every rank and reported once; a rank that dies or raises ends the job.
-
-Measured on the two cores of one machine, 2-D obstacle (``python tests/distributed/benchmark.py``):
-
-| n | what | measured |
-|---|---|---|
-| 10⁶ | one process · 1 rank · 2 ranks | 0.84 s · 0.98 s · 0.66 s, the least of four runs, and 8 · 8 · 10 cycles |
-| 2.5·10⁵ | PETSc's SNESVI with CG and GAMG from z = 0 ÷ ours, 2 ranks | 14.9 s ÷ 0.17 s, 63 Newton steps |
-| 1.6·10⁷ | 2 ranks | 29–31 s, 10 cycles, 5.5 GB a rank at the peak (5.9 GB from the command line) |
-
-Coarsening ends at 60 unknowns in all, and no rank gives up its last one. From about a hundred ranks on (reckoned, not
-run) the coarsest grid has as many unknowns as ranks, which its 21 sweeps no longer solve, so that the cycles will grow.
+The classes are in ``problem``, the criterion of SOLVED in ``certificate``, the loop in ``solving``, sweeps and
+multigrid in ``methods``, the distributed hierarchy in ``hierarchy``, MPI in ``collective`` and ``halo``.
 """

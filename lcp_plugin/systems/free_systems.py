@@ -43,8 +43,8 @@ class FreeSystem:
     Parameters
     ----------
     matrix : Matrix
-    free : array of bool, shape (own,)
-        F; on several ranks the own part.
+    free : array of bool, shape (n,)
+        F.
     by_factor : bool
         Use a factor, dense, banded or sparse, even where the hierarchy is likely to be cheaper.
 
@@ -95,14 +95,14 @@ class FreeSystem:
 
         Parameters
         ----------
-        right : array, shape (own,)
+        right : array, shape (n,)
             Entries outside F are not read.
         goal : float
             Where the solution is iterative, ‖residual‖₂ ≤ goal ‖right‖₂ is enough.
         """
         if not self._is_direct:
             x = self._iterated(np.where(self.free, right, 0.0), transposed, goal)
-            if x is not None or self.matrix.is_distributed or not factor_fits(self.block):
+            if x is not None or not factor_fits(self.block):
                 return x
         factor = self._factor
         if factor is None:
@@ -147,9 +147,9 @@ class FreeSystem:
     def pseudo_inverse(self) -> Any | None:
         """The Moore–Penrose inverse of a block of at most 500 rows, of scaled M, shape (|F|, |F|).
 
-        None for more rows, and where those of M are spread over ranks.
+        None for more rows.
         """
-        if self.rows.size > LEAST_SQUARES_UP_TO or self.matrix.is_distributed:
+        if self.rows.size > LEAST_SQUARES_UP_TO:
             return None
         scaling, rows = scaling_of(self.matrix), self.rows
         if scaling is None:
@@ -198,14 +198,11 @@ class FreeSystem:
     def _is_direct(self) -> bool:
         """Whether a factor is the first choice: on small sets and narrow bands, and where there are no grids."""
         matrix = self.matrix
-        if not matrix.is_distributed:
-            if self.by_factor or matrix.is_dense or self.rows.size <= DIRECT_UP_TO:
-                return True
-            if (band := bandwidth(matrix)) is not None and sum(band) <= BANDED_UP_TO:
-                return True
-            if not (matrix.diagonal > 0.0).all():
-                return factor_fits(self.block)
-        return False
+        if self.by_factor or matrix.is_dense or self.rows.size <= DIRECT_UP_TO:
+            return True
+        if (band := bandwidth(matrix)) is not None and sum(band) <= BANDED_UP_TO:
+            return True
+        return not (matrix.diagonal > 0.0).all() and factor_fits(self.block)
 
     @cached_property
     def _factor(self) -> Factor | None:
@@ -386,8 +383,8 @@ class FreeSystem:
 
         truncation = Truncation(hierarchy_of(self.matrix, COARSEST))
         top = truncation.grids[0]
-        top.is_free[: self.matrix.own] = self.free
-        top.free_changed[: self.matrix.own] = ~self.free
+        top.is_free[:] = self.free
+        top.free_changed[:] = ~self.free
         truncation.update()
         return truncation
 
@@ -398,13 +395,11 @@ class FreeSystem:
         from .hierarchy.vectors import dot
 
         matrix, is_symmetric = self.matrix, has_symmetric_entries(self.matrix)
-        if transposed and not is_symmetric and matrix.is_distributed:
-            return None  # the columns of M are spread over the ranks
-        if not matrix.all_rows(matrix.diagonal > 0.0):
+        if not bool(np.all(matrix.diagonal > 0.0)):
             return None
 
         def size(vector: FloatVector) -> float:
-            return float(np.sqrt(matrix.total_of(dot(vector, vector))))
+            return float(np.sqrt(dot(vector, vector)))
 
         unit = 1.0 if is_symmetric or transposed else 1.0 / matrix.residual_scale
         x, left, begun = np.zeros(right.size), right, size(right * unit)
@@ -435,18 +430,13 @@ class FreeSystem:
     def _remainder(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
         """Return right − M x, or right − Mᵀx, on the free rows, 0 elsewhere."""
         matrix = self.matrix
-        product = (
-            matrix.rows.T @ x
-            if transposed and not matrix.is_distributed
-            else matrix.rows @ matrix.whole(x)
-        )
+        product = matrix.array.T @ x if transposed else matrix.array @ x
         return np.where(self.free, right - product, 0.0)
 
     def _terms(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
         """Return |right| + |M||x|, or |right| + |Mᵀ||x|, on the free rows, 0 elsewhere."""
-        matrix, rows = self.matrix, abs(self.matrix.rows)
-        size = np.abs(matrix.whole(x))
-        product = (rows.T if transposed and not matrix.is_distributed else rows) @ size
+        rows = abs(self.matrix.array)
+        product = (rows.T if transposed else rows) @ np.abs(x)
         return np.where(self.free, np.abs(right) + product, 0.0)
 
 

@@ -17,11 +17,11 @@ from .comparison_sums import comparison_product, exact_comparison_row
 
 
 def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> sp.csr_array:
-    """Return left_i right_j in the places of M's entries; on ranks those of the own rows, columns of all.
+    """Return left_i right_j in the places of M's entries.
 
     Parameters
     ----------
-    left, right : array, shape (own,)
+    left, right : array, shape (n,)
 
     Examples
     --------
@@ -29,17 +29,10 @@ def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> s
     array([[ 2., 10.],
            [ 0., 15.]])
     """
-    rows = matrix.csr_rows
+    rows = matrix.csr
     with np.errstate(over="ignore"):
-        data = left[row_numbers(rows)] * matrix.whole(right)[rows.indices]
-    if not matrix.is_distributed:
-        return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
-    columns = matrix.columns
-    outer = sp.csr_array(
-        (data, columns[rows.indices], rows.indptr.copy()), shape=(matrix.own, matrix.n)
-    )
-    outer.sort_indices()
-    return outer
+        data = left[row_numbers(rows)] * right[rows.indices]
+    return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
 
 
 def strong_blocks(M: Any) -> tuple[int, IntVector]:
@@ -56,7 +49,7 @@ def strong_blocks(M: Any) -> tuple[int, IntVector]:
 def components(matrix: Matrix) -> int:
     """Return the number of connected components of the graph of M."""
     found = connected_components(matrix)
-    return min(matrix.n, 1) if found is None else found.total
+    return min(matrix.n, 1) if found is None else found.count
 
 
 @fact

@@ -108,8 +108,8 @@ def null_space_by_rows(P: sp.csr_array) -> FloatVector | None:
 
 @fact
 def null_space_of(matrix: Matrix) -> FloatVector | None:
-    """Return that of a symmetric M, None where there is none, where M is not symmetric, or on ranks."""
-    if matrix.is_distributed or not is_nearly_symmetric(matrix):
+    """Return that of a symmetric M, None where there is none or where M is not symmetric."""
+    if not is_nearly_symmetric(matrix):
         return None
     return null_space(matrix.array)
 

@@ -23,7 +23,7 @@ from lcp_plugin.algorithms import NPGS
 from lcp_plugin.core.certificates import row_residuals
 from lcp_plugin.core.certificates.row_residuals import residual_ends_of
 from lcp_plugin.core.kernels.threads import share, threads_for, threads_now
-from lcp_plugin.core.settings import Settings, checked_threads
+from lcp_plugin.core.settings import checked_threads
 from lcp_plugin.problems.many.chunks import in_chunks
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
@@ -310,12 +310,6 @@ def test_wrong_numbers_of_threads_are_refused(wrong: Any) -> None:
             InvalidOption, match=r"threads must be a whole number ≥ 1, or None .* got"
         ):
             attempt()
-
-
-def test_ranks_may_differ_in_threads() -> None:
-    """What all ranks must ask for alike does not name the threads."""
-    assert repr(Settings(threads=1)) == repr(Settings(threads=2))
-    assert Settings(threads=1) == Settings(threads=2)
 
 
 SCENES = [

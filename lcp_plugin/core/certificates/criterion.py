@@ -19,7 +19,7 @@ entry in the rows of each lies in [½, 1). Where it is 0 in all of them, nothing
 What it does not see: other units where M needs no scaling (entries within 2¹⁰, none beyond 2⁴ times its diagonal entry,
 a factor of 2⁸ between unknowns, a row of zeros: such keep the units they are given in), and jumps in mixed units, whose
 stiff part counts more than its share. The scaling is found to a few powers of two, not to one, so that beside the same
-M in other units the residual may differ. Rows over ranks are not scaled.
+M in other units the residual may differ.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ class RowScaling(NamedTuple):
 
     Attributes
     ----------
-    row, column : array of int, shape (own,)
+    row, column : array of int, shape (n,)
         ŵ_i = 2^row_i w_i and ẑ_i = 2^−column_i z_i.
-    scale : array, shape (own,)
+    scale : array, shape (n,)
         What w_i is divided by in r_i.
     matrix : Matrix
         M̂.
@@ -85,7 +85,7 @@ class RowScaling(NamedTuple):
         )
 
     def upwards(self, residuals: FloatVector) -> FloatVector:
-        """Return residuals ≥ 0 in the scaling of the criterion, no smaller, shape (own,)."""
+        """Return residuals ≥ 0 in the scaling of the criterion, no smaller, shape (n,)."""
         weighted = times_power(residuals, -self.column)
         return np.where((weighted < SMALLEST_NORMAL) & (residuals > 0.0), weighted + TINY, weighted)
 
@@ -138,7 +138,7 @@ def within(relative_residual: Any, term_residual: Any, tolerance: float) -> Any:
 
 
 def residual_scale_of_criterion(problem: LCP) -> FloatVector:
-    """Return what w is divided by in the residual that SOLVED speaks of, shape (own,)."""
+    """Return what w is divided by in the residual that SOLVED speaks of, shape (n,)."""
     scaling = RowScaling.of(problem)
     return problem.residual_scale if scaling is None else scaling.scale
 
@@ -148,17 +148,17 @@ def largest_of_components(problem: LCP, values: FloatVector) -> FloatVector:
 
     Parameters
     ----------
-    values : array, shape (own,)
+    values : array, shape (n,)
     """
     several = connected_components(problem.matrix)
     if several is not None:
         return several.largest(values)
     of_all = float(values.max()) if values.size else 0.0  # values may be negative
-    return np.array([problem.matrix.largest_of(of_all)])
+    return np.array([of_all])
 
 
 def for_each_row(problem: LCP, values: Any) -> Any:
-    """Return the value of each own row's component, shape (own,), or (1,) where there is one component."""
+    """Return the value of each own row's component, shape (n,), or (1,) where there is one component."""
     several = connected_components(problem.matrix)
     return values if several is None else values[several.labels]
 
@@ -185,10 +185,9 @@ def _references(problem: LCP, is_scaled: bool) -> VectorEnds:
         )
         return tuple(largest_of_components(problem, end) for end in weighted)
 
-    whole = matrix.whole(z)
-    least, most = of_components(residual_ends_of(matrix.rows, whole, problem, z, scale))
+    least, most = of_components(residual_ends_of(matrix.array, z, problem, z, scale))
     is_open = (least == 0.0) & (most > 0.0)  # is z° the answer?
-    if problem.matrix.any_row(is_open):
+    if is_open.any():
         sharp = of_components(sharp_residual_ends(problem, z, scale))
         least, most = np.where(is_open, sharp[0], least), np.where(is_open, sharp[1], most)
     return least, most
@@ -215,7 +214,7 @@ def beside_the_largest(least: FloatVector, most: FloatVector, tolerance: float) 
 
 def reference_residual(problem: LCP) -> float:
     """Return ‖r(z°)‖∞ in the problem's own units, rounded upwards: what a run compares residuals with on the way."""
-    return problem.matrix.largest_of(own_references(problem)[1])
+    return float(own_references(problem)[1].max(initial=0.0))
 
 
 def measured_scaled_residual(problem: LCP, z: FloatVector) -> float:
@@ -237,7 +236,7 @@ def rounding_of_data(problem: LCP) -> float:
     with np.errstate(over="ignore"):
         sizes = np.abs(problem.q / residual_scale_of_criterion(problem))
     sizes = times_power(sizes, None if scaling is None else -scaling.column)
-    return DATA_ROUNDING * min(problem.matrix.largest_of(sizes), LARGEST)
+    return DATA_ROUNDING * min(float(sizes.max(initial=0.0)), LARGEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,11 +249,11 @@ class CommonScaling:
         The problem as it was stated.
     problem : LCP
         What a run works on: M̂ with q and the bounds in these units; the caller's own where nothing changes.
-    exponents : array of int, shape (own,), or None
+    exponents : array of int, shape (n,), or None
         ẑ_i = 2^exponents_i z_i; None where ẑ = z.
-    row_exponents : array of int, shape (own,), or None
+    row_exponents : array of int, shape (n,), or None
         ŵ_i = 2^row_exponents_i w_i.
-    answered : array of bool, shape (own,), or None
+    answered : array of bool, shape (n,), or None
         The rows of components that z° solves, as far as double precision can tell; None where there are none.
     least : float
         No other reference counts for less than this, in the caller's units.
@@ -292,7 +291,7 @@ class CommonScaling:
             most = np.maximum(most, least)
         exponents = _exponents(run, several, np.where(is_answered, 0.0, most))
         answered = is_answered[several.labels]
-        has_scaling, has_answers = (problem.matrix.any_row(side) for side in (exponents, answered))
+        has_scaling, has_answers = (np.any(side) for side in (exponents, answered))
         if has_scaling and (alike := _scaled(run, exponents, exponents, run.matrix)) is not None:
             run, columns, rows = (
                 alike,
@@ -331,7 +330,7 @@ class CommonScaling:
         least, most = self.references
         if connected_components(self.problem.matrix) is None:
             return float(most.max(initial=0.0))
-        smallest = -self.problem.matrix.largest_of(-least_reference(least, most))
+        smallest = least_reference(least, most)
         return smallest if smallest < np.inf else 0.0
 
     @property
@@ -377,7 +376,7 @@ class CommonScaling:
         return self.exponents is None and self.answered is None
 
     def inward(self, z: FloatVector) -> FloatVector:
-        """Return a point of the caller's in the common scaling, shape (own,); z° where that is the answer.
+        """Return a point of the caller's in the common scaling, shape (n,); z° where that is the answer.
 
         So it is where a number overflows: it is far from anything in its component.
         """
@@ -392,7 +391,7 @@ class CommonScaling:
         return scaled if self.answered is None else np.where(self.answered, origin, scaled)
 
     def outward(self, z: FloatVector) -> FloatVector:
-        """Return a point in the common scaling in the caller's, shape (own,); z° where that is the answer."""
+        """Return a point in the common scaling in the caller's, shape (n,); z° where that is the answer."""
         if self.is_identity:
             return z
         back = times_power(z, None if self.exponents is None else -self.exponents)
@@ -409,12 +408,11 @@ def hold_at_zero(problem: LCP) -> BoolVector:
     In each row r_i(z°) = 0, or w_i is rounding: a narrow box makes r_i small whatever w_i is.
     """
     z, matrix = problem.nearest_to_zero, problem.matrix
-    if not problem.matrix.any_row(z):  # what r(0) is made of is not rounded
+    if not z.any():  # what r(0) is made of is not rounded
         return np.asarray(references_of_components(problem)[1] == 0.0)
-    whole = matrix.whole(z)
-    residual = residual_ends_of(matrix.rows, whole, problem, z, problem.residual_scale)[1]
+    residual = residual_ends_of(matrix.array, z, problem, z, problem.residual_scale)[1]
     with np.errstate(all="ignore"):
-        floor = rounding_floor(problem, magnitude(problem, whole), problem.residual_scale)
+        floor = rounding_floor(problem, magnitude(problem, z), problem.residual_scale)
         is_rounding = at_rounding_level(np.abs(problem.slack(z)) / problem.residual_scale, floor)
     is_above = largest_of_components(problem, ((residual > 0.0) & ~is_rounding).astype(np.float64))
     return np.asarray(is_above == 0.0)
@@ -439,7 +437,7 @@ def _scaled(problem: LCP, row: IntVector, of_z: IntVector, matrix: Matrix) -> LC
 
 
 def _exponents(problem: LCP, several: Components, most: FloatVector) -> IntVector:
-    """Return the binary logarithm of each row's unit, shape (own,): 0 where nothing has to be changed.
+    """Return the binary logarithm of each row's unit, shape (n,): 0 where nothing has to be changed.
 
     Of a component that z° solves only numbers larger than the others' references are made smaller; no number is made
     larger than a double is.
@@ -462,7 +460,7 @@ def _exponents(problem: LCP, several: Components, most: FloatVector) -> IntVecto
         np.max(wanted, initial=-(10**6), where=is_open),
         np.max(-wanted, initial=-(10**6), where=is_open),
     )
-    highest, minus_lowest = problem.matrix.each_largest(*map(float, ends))
+    highest, minus_lowest = ends
     if highest == -minus_lowest:  # they are alike
         wanted -= int(highest)
     unit = 1 - int(highest) if highest == -minus_lowest else 1

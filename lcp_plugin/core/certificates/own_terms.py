@@ -39,12 +39,12 @@ NEAR = 1e-8  # to a bound, beside the largest step from z°; and a row whose ter
 
 
 def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
-    """Return how wrong each row is in its own terms, shape (own,): 0 where it is right.
+    """Return how wrong each row is in its own terms, shape (n,): 0 where it is right.
 
     Parameters
     ----------
     problem : LCP
-    z, w : array, shape (own,)
+    z, w : array, shape (n,)
         The point, and its slack.
 
     Examples
@@ -58,7 +58,7 @@ def term_residuals(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
     [0.012 0.   ]
     """
     here = _beside_own_terms(problem, z, w)
-    if not problem.matrix.any_row(here):
+    if not here.any():
         return here
     with np.errstate(all="ignore"):
         moves = for_each_row(
@@ -81,14 +81,14 @@ def _at_bounds(problem: LCP, z: FloatVector, w: FloatVector, near: FloatVector) 
 
 
 def _beside_own_terms(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
-    """Return (v_i / T_i)² of each row, 0 where it is negligible and ∞ where it is no number, shape (own,)."""
+    """Return (v_i / T_i)² of each row, 0 where it is negligible and ∞ where it is no number, shape (n,)."""
     is_low, is_high = z <= problem.lower, z >= problem.upper
     wrong = np.where(is_low, np.where(is_high, 0.0, -w), np.where(is_high, w, np.abs(w)))
     is_wrong = ~(wrong <= 0.0)
-    if not problem.matrix.any_row(is_wrong):
+    if not is_wrong.any():
         return np.zeros(z.size)
     with np.errstate(all="ignore"):
-        whole = problem.matrix.whole(z)
+        whole = z
         terms = magnitude(problem, whole)
         acts = np.where(is_wrong | ~(is_low | is_high), terms, 0.0)
         of_z, of_w = (
@@ -103,11 +103,11 @@ def _beside_own_terms(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVect
 
 
 def _underflow(problem: LCP, whole: FloatVector) -> FloatVector | float:
-    """Return what underflow alone makes of each w_i, shape (own,), or 0 where each z_j is 0 or a normal number."""
+    """Return what underflow alone makes of each w_i, shape (n,), or 0 where each z_j is 0 or a normal number."""
     sizes = np.abs(whole)
     grid = np.where((sizes > 0.0) & (sizes < NORMAL), TINY, 0.0)
     if not grid.any():
         return 0.0
-    absolute: Any = abs(problem.matrix.rows)
-    margin: FloatVector = absolute @ grid + TINY * (np.diff(problem.matrix.csr_rows.indptr) + 2)
+    absolute: Any = abs(problem.matrix.array)
+    margin: FloatVector = absolute @ grid + TINY * (np.diff(problem.matrix.csr.indptr) + 2)
     return margin

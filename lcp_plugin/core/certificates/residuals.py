@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import BoolVector, FloatVector, read_only, restored
+from ..checks import BoolVector, FloatVector, read_only, real_vector, restored
 from ..errors import InvalidProblem
 from ..kind import refusal
 from ..lcp import LCP
@@ -40,19 +40,6 @@ from .row_residuals import (
 if TYPE_CHECKING:
     from ..settings import Settings
 
-MEASURED = (
-    "w",
-    "worst_index",
-    "relative_residual",
-    "term_residuals",
-    "term_residual",
-    "natural_residual",
-    "euclidean_residual",
-    "bound_violation",
-    "complementarity",
-    "is_at_rounding_level",
-    "is_limited_by_rounding",
-)
 GAINED = 1e-2  # of the reference
 SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem that a program was made into, too
 
@@ -67,10 +54,9 @@ class Certificate:
     Attributes
     ----------
     problem : LCP
-        The problem that z was judged on. Where its rows are spread over ranks, all of them measure at once, and every
-        number is the same on each.
+        The problem that z was judged on.
     z, w : ndarray, shape (n,)
-        The point and its slack M z + q in double precision; on ranks the own parts, shape (own,).
+        The point and its slack M z + q in double precision.
     scaled_residual : float
         ‖r(z)‖∞ of the worst component, in the caller's unit of z, measured.
     relative_residual : float
@@ -111,7 +97,7 @@ class Certificate:
 
     @classmethod
     def of(cls, problem: LCP, z: ArrayLike) -> Certificate:
-        """Return the certificate of z, shape (n,), for the problem; on ranks of the own part, and all of them call.
+        """Return the certificate of z, shape (n,), for the problem.
 
         Raises
         ------
@@ -120,19 +106,11 @@ class Certificate:
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(refusal("Certificate.of", problem))
-        if (
-            problem.is_distributed
-            or type(z) is not np.ndarray
-            or z.dtype != np.float64
-            or z.shape != (problem.n,)
-        ):
-            z = problem.own_part(z)
+        if type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
+            z = real_vector(z, "z", problem.n)
         else:
             z = read_only(z.copy())
-        certificate = cls(problem, z)
-        if problem.is_distributed:
-            certificate._measure_at_once()
-        return certificate
+        return cls(problem, z)
 
     @classmethod
     def enclosed(
@@ -148,29 +126,17 @@ class Certificate:
         )
         return certificate
 
-    def _measure_at_once(self) -> None:
-        """Measure everything while all ranks are here: what one of them reads later, it reads alone."""
-        for name in MEASURED:
-            getattr(self, name)
-        for name in ("_whole", "_scaled_ends", "_natural", "_products"):
-            del self.__dict__[name]
-
-    @cached_property
-    def _whole(self) -> FloatVector:
-        """z, and behind it the values on other ranks that the own rows meet."""
-        return self.problem.matrix.whole(self.z)
-
     @cached_property
     def w(self) -> FloatVector:
         """The slack M z + q in double precision, shape (n,), read-only."""
         with np.errstate(all="ignore"):
-            w: FloatVector = self.problem.matrix.rows @ self._whole
+            w: FloatVector = self.problem.matrix.array @ self.z
             w += self.problem.q
         return read_only(w)
 
     def _largest(self, values: FloatVector) -> float:
         """Return the largest of all rows' values."""
-        return self.problem.matrix.largest_of(_largest(values))
+        return _largest(values)
 
     @cached_property
     def _worst(self) -> tuple[float, int]:
@@ -184,13 +150,9 @@ class Certificate:
             ):  # as the relative residual is proved: its component is the one that is named
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
-        matrix, is_empty = self.problem.matrix, not relative.size
-        row = matrix.row_of_largest(0.0 if is_empty else float(relative[worst]), worst)
-        is_here = not is_empty and row == self.problem.own_rows.start + worst
-        shown = (
-            float(residual[worst] if self._scaling is None else residual.max()) if is_here else 0.0
-        )
-        return matrix.largest_of(shown), row
+        if not relative.size:
+            return 0.0, -1
+        return float(residual[worst] if self._scaling is None else residual.max()), worst
 
     @property
     def worst_index(self) -> int:
@@ -205,10 +167,9 @@ class Certificate:
     @cached_property
     def relative_residual(self) -> float:
         """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all components, rounded upwards; 0 for 0/0."""
-        matrix = self.problem.matrix
-        if matrix.any_row(np.isinf(self.references[1])):
+        if np.isinf(self.references[1]).any():
             return np.nan
-        return matrix.largest_of(largest_ratio(*self.residuals_of_components))
+        return largest_ratio(*self.residuals_of_components)
 
     @cached_property
     def term_residual(self) -> float:
@@ -254,7 +215,7 @@ class Certificate:
     @cached_property
     def _terms(self) -> FloatVector:
         """|M||z| + |q|."""
-        return magnitude(self.problem, self._whole)
+        return magnitude(self.problem, self.z)
 
     @property
     def residuals_of_components(self) -> VectorEnds:
@@ -268,7 +229,7 @@ class Certificate:
         several = connected_components(self.problem.matrix)
         of_rows = least if several is None else least[several.labels]
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
-        if not self.problem.matrix.any_row(is_exact):
+        if not is_exact.any():
             return ends
         return np.where(is_exact, self._scaled(self._sharp_ends()), ends)
 
@@ -301,7 +262,7 @@ class Certificate:
 
     def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
         problem = self.problem
-        return residual_ends_of(problem.matrix.rows, self._whole, problem, self.z, scale)
+        return residual_ends_of(problem.matrix.array, self.z, problem, self.z, scale)
 
     @cached_property
     def _natural(self) -> FloatVector:
@@ -316,8 +277,7 @@ class Certificate:
     @cached_property
     def euclidean_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
-        matrix = self.problem.matrix
-        terms, norm = self.problem.n + 7 + matrix.processes, euclidean_norm(self._natural, matrix)
+        terms, norm = self.problem.n + 8, euclidean_norm(self._natural)
         return float(np.nextafter(norm * (1.0 + gamma(terms)), np.inf)) if norm else norm
 
     @cached_property
@@ -356,7 +316,7 @@ class Certificate:
     def is_at_rounding_level(self) -> bool:
         """True where no row's residual exceeds four times its rounding floor."""
         is_low = at_rounding_level(self._scaled_ends[1], self.rounding_floor)
-        return self.problem.matrix.all_rows(is_low)
+        return bool(is_low.all())
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
@@ -366,10 +326,10 @@ class Certificate:
         """
         if not self.is_at_rounding_level:
             return False
-        is_large, matrix = ~(over(*self.residuals_of_components) <= GAINED), self.problem.matrix
-        if not matrix.any_row(is_large):
+        is_large = ~(over(*self.residuals_of_components) <= GAINED)
+        if not is_large.any():
             return True
-        return not matrix.any_row(is_large & ~hold_at_zero(self.problem))
+        return not (is_large & ~hold_at_zero(self.problem)).any()
 
     def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
         """Return the relative residual with no reference taken for less than `least`, in the caller's unit of z.
@@ -382,7 +342,7 @@ class Certificate:
         floors = np.full(self.z.size, least)
         floors = floors if self._scaling is None else self._scaling.downwards(floors)
         references = np.maximum(for_each_row(self.problem, self.references[0]), floors)
-        return self.problem.matrix.largest_of(largest_ratio(rows, references))
+        return largest_ratio(rows, references)
 
     def __str__(self) -> str:
         lines = [

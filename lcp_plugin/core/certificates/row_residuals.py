@@ -12,7 +12,6 @@ from ..checks import BoolVector, FloatVector
 from ..kernels.floats import EPSILON, TINY
 from ..kernels.threads import share
 from ..lcp import LCP
-from ..matrix.matrix import Matrix
 from ..matrix.row_sums import row_blocks
 from ..rounding import compensated_product, lower_end, read_only_views, upper_end
 
@@ -41,10 +40,10 @@ def scaled_residual(
 
 
 def measured_residual(problem: LCP, z: FloatVector) -> float:
-    """Return ‖r(z)‖∞ as double precision gives it; on ranks of the own part z, and all of them call."""
+    """Return ‖r(z)‖∞ as double precision gives it."""
     with np.errstate(all="ignore"):
         residual = scaled_residual(problem, z, problem.slack(z))
-        return problem.matrix.largest_of(np.abs(residual, out=residual))
+        return float(np.abs(residual, out=residual).max(initial=0.0))
 
 
 def residual_ends_of(
@@ -116,7 +115,7 @@ def sharp_residual_ends(
 ) -> tuple[FloatVector, FloatVector]:
     """Return bounds of every |r_i(z)| for a few times the price: both 0 where w is known to be exactly 0."""
     matrix = problem.matrix
-    value, radius = compensated_product(matrix.csr_rows, matrix.whole(z), problem.q)
+    value, radius = compensated_product(matrix.csr, z, problem.q)
     low, high = lower_end(value, radius), upper_end(value, radius)
     below, above = (
         residual_ends_of(None, np.zeros(1), problem, z, scale, q=w) for w in (low, high)
@@ -126,8 +125,8 @@ def sharp_residual_ends(
 
 
 def magnitude(problem: LCP, whole: FloatVector) -> FloatVector:
-    """Return |M||z| + |q|, shape (own,), of z with the foreign values that the own rows meet behind it."""
-    absolute: Any = abs(problem.matrix.rows)
+    """Return |M||z| + |q|, shape (n,), at z."""
+    absolute: Any = abs(problem.matrix.array)
     with np.errstate(all="ignore"):
         sizes: FloatVector = absolute @ np.abs(whole) + np.abs(problem.q)
     return sizes
@@ -138,12 +137,12 @@ def rounding_floor(problem: LCP, magnitude: FloatVector, scale: FloatVector) -> 
 
     Parameters
     ----------
-    magnitude : array, shape (own,)
+    magnitude : array, shape (n,)
         |M||z| + |q|.
-    scale : array, shape (own,)
+    scale : array, shape (n,)
         d.
     """
-    terms = np.diff(problem.matrix.csr_rows.indptr) + 2
+    terms = np.diff(problem.matrix.csr.indptr) + 2
     with np.errstate(all="ignore"):
         floor: FloatVector = terms * (EPSILON * magnitude + TINY) / scale
     return floor
@@ -219,10 +218,10 @@ def ratio(numerator: float, denominator: float) -> float:
     return numerator / denominator if denominator else np.inf if numerator > 0.0 else np.nan
 
 
-def euclidean_norm(vector: FloatVector, matrix: Matrix) -> float:
-    """Return ‖vector‖₂ over all rows of the matrix without overflow or underflow on the way."""
-    largest = matrix.largest_of(np.abs(vector))
+def euclidean_norm(vector: FloatVector) -> float:
+    """Return ‖vector‖₂ without overflow or underflow on the way."""
+    largest = float(np.abs(vector).max(initial=0.0))
     if largest == 0.0 or not np.isfinite(largest):
         return largest
     scaled = vector / largest
-    return largest * math.sqrt(matrix.total_of(float(scaled @ scaled)))
+    return largest * math.sqrt(float(scaled @ scaled))

@@ -108,9 +108,7 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
     one = uintp(1)
     largest = 0.0
     total = 0.0
-    near = (
-        z[n] if uintp(z.size) > n else 0.0
-    )  # behind the own unknowns stand those of other processes, if any
+    near = 0.0
     i = n if backward else uintp(0) - one
     for _ in range(n):
         if backward:

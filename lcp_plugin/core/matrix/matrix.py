@@ -8,12 +8,9 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
-from ..communicator import ALONE, Communicator, SharedRows
 from ..deadline import Lock
-from ..errors import UnsuitableProblem
 from ..kernels.floats import NEGLIGIBLE_DIAGONAL
 
 P = ParamSpec("P")
@@ -62,11 +59,8 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         matrix._facts[self,] = value
 
 
-class Matrix(SharedRows):
+class Matrix:
     """A real, finite, square matrix as canonical CSR, or as an ndarray where it is small and dense.
-
-    It is its own rows and a communicator of the processes that hold the others; usually it is whole, and there are
-    none.
 
     Parameters
     ----------
@@ -75,10 +69,8 @@ class Matrix(SharedRows):
 
     Attributes
     ----------
-    n, own : int
-        How many rows there are, and how many of them are here.
-    communicator : Communicator
-        Who holds the others; see :class:`~lcp_plugin.core.communicator.SharedRows` for what is taken over all rows.
+    n : int
+        Number of rows.
 
     Raises
     ------
@@ -93,85 +85,24 @@ class Matrix(SharedRows):
 
     def __init__(self, M: Any) -> None:
         self._csr, self._dense = checked_matrix(M)
-        self.communicator = ALONE
-        self.n: int = self.rows.shape[0]
-        self.own: int = self.n
+        self.n: int = self.array.shape[0]
         self._begin()
 
     def _begin(self) -> None:
         self._facts: dict[Hashable, Any] = {}
         self._lock = Lock()
 
-    @classmethod
-    def of_own_rows(cls, rows: sp.csr_array, communicator: Communicator = ALONE) -> Matrix:
-        """Return the matrix of which these are the own rows, canonical, shape (own, width); all ranks call."""
-        matrix = object.__new__(cls)
-        matrix._csr, matrix._dense, matrix.communicator, matrix.own = (
-            rows,
-            None,
-            communicator,
-            rows.shape[0],
-        )
-        matrix.n = int(communicator.total(matrix.own))
-        matrix._begin()
-        matrix.nonzeros  # noqa: B018 - known from now on, without asking anybody
-        return matrix
-
-    @property
-    def width(self) -> int:
-        """How many unknowns the own rows may meet: the own ones, and the foreign ones they do meet."""
-        return self.own + self.communicator.foreign
-
-    @property
-    def columns(self) -> NDArray[Any]:
-        """The unknowns that the own rows may meet, counted over all processes, shape (width,)."""
-        return np.concatenate(
-            [np.arange(self.first, self.first + self.own), self.communicator.ghosts]
-        )
-
-    @property
-    def rows(self) -> Any:
-        """The own rows as they are kept: a CSR array, or an ndarray where M is dense and small, shape (own, width)."""
-        return self._csr if self._dense is None else self._dense
-
-    @property
-    def csr_rows(self) -> sp.csr_array:
-        """The own rows as canonical, read-only CSR, shape (own, width)."""
-        if self._csr is None:
-            self._csr = _csr_of_dense(self)
-        return self._csr
-
     @property
     def array(self) -> Any:
         """The matrix as it is kept: a CSR array, or an ndarray where it is dense and small, shape (n, n)."""
-        self.require_all_rows()
-        return self.rows
+        return self._csr if self._dense is None else self._dense
 
     @property
     def csr(self) -> sp.csr_array:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
-        self.require_all_rows()
-        return self.csr_rows
-
-    def require_all_rows(self) -> None:
-        """Raise UnsuitableProblem where other processes hold some of the rows."""
-        if self.is_distributed:
-            raise UnsuitableProblem(
-                f"the {self.n} rows of M are spread over {self.communicator.size} ranks, and this needs all of them on "
-                "one machine; there are solve by multigrid or projected sweeps, Certificate.of and error_bound on ranks"
-            )
-
-    def whole(self, x: FloatVector) -> FloatVector:
-        """Return the own part x with the foreign values that the own rows meet behind it, shape (width,).
-
-        That is x itself where no rank needs any; all ranks call.
-        """
-        if self.communicator.is_empty:
-            return x
-        whole = np.zeros(self.width)
-        whole[: self.own] = x
-        self.fetch(whole)
-        return whole
+        if self._csr is None:
+            self._csr = _csr_of_dense(self)
+        return self._csr
 
     @property
     def is_dense(self) -> bool:
@@ -181,36 +112,35 @@ class Matrix(SharedRows):
     @property
     @fact
     def nonzeros(self) -> int:
-        """Number of nonzero entries of all rows."""
-        own = int(self.csr_rows.nnz) if self._dense is None else int(np.count_nonzero(self._dense))
-        return int(self.total_of(own))
+        """Number of nonzero entries."""
+        return int(self.csr.nnz if self._dense is None else np.count_nonzero(self._dense))
 
     @property
     @fact
     def diagonal(self) -> FloatVector:
-        """The diagonal entries of the own rows, shape (own,)."""
-        return read_only(np.array(self.rows.diagonal(), dtype=np.float64))
+        """The diagonal entries, shape (n,)."""
+        return read_only(np.array(self.array.diagonal(), dtype=np.float64))
 
     @property
     @fact
     def residual_scale(self) -> FloatVector:
-        """D of the scaled residual, shape (own,): the diagonal where it is not negligible, else the row's largest.
+        """D of the scaled residual, shape (n,): the diagonal where it is not negligible, else the row's largest.
 
         d_i = m_ii where m_ii ≥ 2⁻²⁰ max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
-        return read_only(residual_scale_of(self.rows, self.diagonal, self.largest))
+        return read_only(residual_scale_of(self.array, self.diagonal, self.largest))
 
     @property
     @fact
     def largest(self) -> float:
-        """max_ij |m_ij| of the own rows, 0 where there is none."""
-        return largest_entry(self.rows)
+        """max_ij |m_ij|, 0 where there is none."""
+        return largest_entry(self.array)
 
     @property
     @fact
     def row_largest(self) -> FloatVector:
-        """max_j |m_ij| of each row, 1 for an empty one, shape (own,)."""
-        row_largest = largest_in_rows(self.rows)
+        """max_j |m_ij| of each row, 1 for an empty one, shape (n,)."""
+        row_largest = largest_in_rows(self.array)
         return read_only(np.where(row_largest == 0.0, 1.0, row_largest))
 
     @property
@@ -222,13 +152,7 @@ class Matrix(SharedRows):
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again, and the lock."""
         csr = None if self.is_dense else self.csr
-        return {
-            "n": self.n,
-            "own": self.n,
-            "communicator": ALONE,
-            "_dense": self._dense,
-            "_csr": csr,
-        }
+        return {"n": self.n, "_dense": self._dense, "_csr": csr}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         restored(self, state)

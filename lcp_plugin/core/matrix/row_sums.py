@@ -1,7 +1,4 @@
-"""What sweeps and their theorems ask of the rows of M: scales, splits, sums over both triangles, NP's row scaling.
-
-Also the pivots with which sweeps that run on all processes at once converge.
-"""
+"""What sweeps and their theorems ask of the rows of M: scales, splits, sums over both triangles, NP's row scaling."""
 
 from __future__ import annotations
 
@@ -31,17 +28,17 @@ def inverse_residual_scale(matrix: Matrix) -> FloatVector:
 
 @fact
 def has_positive_diagonal(matrix: Matrix) -> NDArray[np.bool_]:
-    """Return where the diagonal is positive and not too small to invert, shape (own,)."""
+    """Return where the diagonal is positive and not too small to invert, shape (n,)."""
     with np.errstate(over="ignore", divide="ignore"):
         return read_only((matrix.diagonal > 0.0) & np.isfinite(1.0 / matrix.diagonal))
 
 
 @fact
 def row_splits(matrix: Matrix, backward: bool) -> Any:
-    """Return the row splits of a sweep direction, shape (own,)."""
+    """Return the row splits of a sweep direction, shape (n,)."""
     from ..kernels import splitting_sweeps as kernels
 
-    return kernels.row_splits(matrix.csr_rows, backward=backward)
+    return kernels.row_splits(matrix.csr, backward=backward)
 
 
 def triangle_sums(
@@ -49,13 +46,13 @@ def triangle_sums(
 ) -> tuple[FloatVector, FloatVector]:
     """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (own,); one pass over M.
 
-    On several ranks v has shape (width,), and what others hold is part of U: no sweep has updated it. With a CSR array
+    With a CSR array
     `part`, shape (n, n), of its triangles instead of those of M.
     """
     from ..kernels.rows import triangle_sums as compiled
 
-    lower, upper = np.empty(matrix.own), np.empty(matrix.own)
-    M = matrix.csr_rows if part is None else part
+    lower, upper = np.empty(matrix.n), np.empty(matrix.n)
+    M = matrix.csr if part is None else part
     compiled(
         *read_only_views(M.indptr, M.indices, M.data, inverse_residual_scale(matrix), v),
         lower,
@@ -67,7 +64,7 @@ def triangle_sums(
 @fact
 def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
     """Return the triangle sums of v = 1."""
-    return triangle_sums(matrix, np.ones(matrix.width))
+    return triangle_sums(matrix, np.ones(matrix.n))
 
 
 def row_blocks(n: int) -> Iterator[slice]:
@@ -110,11 +107,11 @@ def balanced_factors(
     matrix: Matrix, coupling: float, updated: FloatVector, sums: tuple[FloatVector, FloatVector]
 ) -> FloatVector:
     """Return θ, read-only, shape (n,), from g, the sums ℓ that it couples to, and (ℓ, u) of v = 1."""
-    factors = np.empty(matrix.own)
+    factors = np.empty(matrix.n)
     is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(
         matrix.residual_scale, matrix.diagonal
     )
-    for rows in row_blocks(matrix.own):
+    for rows in row_blocks(matrix.n):
         total = sums[0][rows] + sums[1][rows]
         is_dominant = is_dominant and bool(
             total.max() <= 1.0 + ROUNDED
@@ -124,7 +121,7 @@ def balanced_factors(
         with np.errstate(divide="ignore", over="ignore"):
             quick = np.minimum(2.0, 1.0 / np.maximum(1.0 - total, 0.0))  # a factor is at most 2
             np.minimum(quick, COUPLED / (coupling * updated[rows]), out=factors[rows])
-    if not matrix.all_rows(is_dominant):
+    if not is_dominant:
         factors.fill(1.0)
     factors.flags.writeable = False
     return factors

@@ -105,7 +105,7 @@ class Scaling(NamedTuple):
 
 @fact
 def scaling_of(matrix: Matrix) -> Scaling | None:
-    """Return the scaling that M shows a need of; None where it needs none, and where rows are spread over ranks.
+    """Return the scaling that M shows a need of; None where it needs none.
 
     Examples
     --------
@@ -113,8 +113,6 @@ def scaling_of(matrix: Matrix) -> Scaling | None:
     >>> scaling_of(Matrix(np.array([[4, 1, 2], [1, 4, 1], [-2, 1, 4]]) / columns)).column.tolist()
     [0, 30, -30]
     """
-    if matrix.is_distributed:
-        return None
     pivots = np.abs(matrix.diagonal)
     is_led_by_diagonal = pivots.min(initial=np.inf) >= matrix.largest * 2.0**-SPREAD
     if is_led_by_diagonal or (matrix.is_dense and are_well_scaled(matrix.array[np.newaxis])[0]):

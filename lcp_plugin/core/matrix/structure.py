@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from ..checks import FloatVector, read_only
-from ..communicator import Communicator
 from .matrix import Matrix, fact
 
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
@@ -40,29 +39,19 @@ class Components:
 
     Attributes
     ----------
-    labels : array of int, shape (own,)
-        Numbers of components, from 0 on; on ranks those that several of them share come first, the same on all.
+    labels : array of int, shape (n,)
+        Numbers of components, from 0 on.
     count : int
-        How many components there are; on a rank those that it counts.
-    total : int
-        How many there are in all.
-    shared : int
-        How many of them lie on several ranks.
-    communicator : Communicator
+        How many components there are.
     """
 
     labels: IntVector
     count: int
-    total: int
-    shared: int
-    communicator: Communicator
 
     def largest(self, values: FloatVector) -> FloatVector:
         """Return the largest of the values ≥ 0 of each component's rows, shape (count,); a NaN stays."""
         found = np.zeros(self.count)
         np.maximum.at(found, self.labels, values)
-        if self.shared:
-            found[: self.shared] = self.communicator.all_largest(*found[: self.shared].tolist())
         return found
 
 
@@ -77,26 +66,22 @@ def connected_components(matrix: Matrix) -> Components | None:
     >>> connected_components(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
     True
     """
-    if matrix.is_distributed:
-        return _joined_components(matrix)
     if _is_seen_connected(matrix):
         return None
     labels, count = local_components(matrix)
-    return (
-        Components(read_only(labels), count, count, 0, matrix.communicator) if count > 1 else None
-    )
+    return Components(read_only(labels), count) if count > 1 else None
 
 
 def _is_seen_connected(matrix: Matrix) -> bool:
     """Return whether every row but the first meets one before it, by its first entry: all lead to row 0 then."""
     if matrix.n < 2:
         return True
-    if matrix.is_dense and bool(matrix.rows[0].all()):
+    if matrix.is_dense and bool(matrix.array[0].all()):
         return True
     if matrix.is_dense:  # entries left of the diagonal, or mirrored above it
-        nonzero = matrix.rows != 0.0
+        nonzero = matrix.array != 0.0
         return bool(np.tril(nonzero | nonzero.T, -1).any(axis=1)[1:].all())
-    starts, indices = matrix.csr_rows.indptr, matrix.csr_rows.indices
+    starts, indices = matrix.csr.indptr, matrix.csr.indices
     is_filled = bool((starts[2:] > starts[1:-1]).all())
     return is_filled and bool(
         (indices[starts[1:-1]] < np.arange(1, matrix.n, dtype=indices.dtype)).all()
@@ -107,35 +92,8 @@ def local_components(matrix: Matrix) -> tuple[IntVector, int]:
     """Return the component of every unknown that the own rows meet, by these rows alone, and how many there are."""
     from ..kernels.rows import join  # numba, which `import lcp_plugin` must not load
 
-    rows = matrix.csr_rows
-    first = np.empty(matrix.width, np.int64)
+    rows = matrix.csr
+    first = np.empty(matrix.n, np.int64)
     join(rows.indptr, rows.indices, first)
     roots, labels = np.unique(first, return_inverse=True)
     return labels.astype(np.int64).reshape(-1), roots.size
-
-
-def _joined_components(matrix: Matrix) -> Components | None:
-    """Return the components of rows over several ranks: those of each, joined where one of its unknowns is another's.
-
-    A rank gives the others its names of components by the values of its unknowns there; few of them meet.
-    """
-    from scipy.sparse import coo_array, csgraph
-
-    communicator, own = matrix.communicator, matrix.own
-    local, count = local_components(matrix)
-    before, total = communicator.places(count)
-    theirs = matrix.whole((local[:own] + before).astype(np.float64))[own:].astype(np.int64)
-    met = np.unique(np.stack([local[own:] + before, theirs], axis=1), axis=0)
-    pairs = communicator.everybodys(met)
-    pattern = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(total, total))
-    joined_count, joined = csgraph.connected_components(pattern, directed=False)
-    if joined_count <= 1:
-        return None
-    shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
-    mine = joined[local[:own] + before]
-    order = np.concatenate([shared, np.setdiff1d(mine, shared)])
-    number = np.full(joined_count, -1)
-    number[order] = np.arange(order.size)
-    return Components(
-        read_only(number[mine]), order.size, int(joined_count), shared.size, communicator
-    )

@@ -14,7 +14,6 @@ import scipy.sparse as sp
 
 from ..checks import FloatVector, read_only
 from ..kernels.threads import share
-from .joint_facts import has_symmetric_products
 from .matrix import Matrix, fact
 
 UNNOTICED = 1e-12  # relative asymmetry of an entry that conjugate gradients do not notice
@@ -56,14 +55,11 @@ def is_mirrored(begin: Any, last: Any, indices: Any, data: FloatVector = NO_DATA
 
 @fact
 def has_symmetric_entries(matrix: Matrix) -> bool:
-    """Return whether M is symmetric up to rounding: by entries, or beside its rows; on several ranks by two products.
+    """Return whether M is symmetric up to rounding: by entries, or beside its rows.
 
-    For x and y of arbitrary entries xᵀM y = yᵀM x happens by chance with probability 0. A wrong answer would cost
-    speed, not correctness: every z is judged by its residual.
+    A wrong answer would cost speed, not correctness: every z is judged by its residual.
     """
-    if matrix.processes > 1:
-        return has_symmetric_products(matrix)
-    return is_symmetric_entrywise(matrix.csr_rows) or is_nearly_symmetric(matrix)
+    return is_symmetric_entrywise(matrix.csr) or is_nearly_symmetric(matrix)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a difference that overflows is no small one
@@ -139,7 +135,7 @@ def is_nearly_symmetric(matrix: Matrix) -> bool:
 
 @fact
 def mean_coupling(matrix: Matrix) -> float:
-    """Return max_i Σ_{j≠i} √(|m_ij m_ji| / (m_ii m_jj)); ∞ without a positive diagonal, and on several ranks.
+    """Return max_i Σ_{j≠i} √(|m_ij m_ji| / (m_ii m_jj)); ∞ without a positive diagonal.
 
     No scaling of rows or columns changes it. Of a tridiagonal M, and of any whose |m_ij / m_ji| are those of a scaling
     D, it is the largest row sum of D⁻¹J D for some D, J = |I − diag(M)⁻¹M|: no less than the spectral radius of J,
@@ -152,7 +148,7 @@ def mean_coupling(matrix: Matrix) -> float:
     0.436
     """
     diagonal = matrix.diagonal
-    if matrix.processes > 1 or not (diagonal > 0.0).all():
+    if not (diagonal > 0.0).all():
         return np.inf
     with np.errstate(all="ignore"):
         M, root = abs(matrix.csr), np.sqrt(diagonal)

@@ -85,7 +85,7 @@ class Stage:
         if self._at_bounds is not None:
             if (self.iterations - 1) % window == 0 or not self.moves:
                 self.moves.append(0)
-            self.moves[-1] += problem.matrix.count_of(at_bounds != self._at_bounds)
+            self.moves[-1] += int((at_bounds != self._at_bounds).sum())
         self._at_bounds = at_bounds
 
     def is_unsettled(self) -> bool:

@@ -54,9 +54,7 @@ def solved_by(
     def run_in(scaling: CommonScaling) -> Run:
         return Run(scaling, policy, settings, callback, clock, judge(scaling, settings), header)
 
-    with threads_for(
-        1 if settings.threads is None and problem.is_distributed else settings.threads
-    ):  # ranks: cores
+    with threads_for(settings.threads):
         try:
             scaling = CommonScaling.of(problem, settings.least_reference)
             start, first = scaling.inward(start), policy.first(scaling.problem)
@@ -68,8 +66,6 @@ def solved_by(
             run = run_in(scaling)
             return run.judged(start, run.drive(start, first))
         except KeyboardInterrupt:
-            if problem.is_distributed:
-                raise  # the second one: the other ranks have not heard of it
             run = run or run_in(scaling or CommonScaling(problem, problem))
             return run.judged(start, End.INTERRUPTED)
 

@@ -85,7 +85,7 @@ class Judge:
     def certificate_of(self, z: FloatVector) -> Certificate:
         """Return the certificate of z on the caller's own data; the latest one is kept."""
         answer, latest = self.scaling.outward(z), self._certificate
-        if latest is None or not self.problem.matrix.all_rows(np.array_equal(latest.z, answer)):
+        if latest is None or not np.array_equal(latest.z, answer):
             self._certificate = latest = Certificate.of(self.problem, answer)
         return latest
 
@@ -153,7 +153,7 @@ class Judge:
         if z is None or self.proof is None or not self.proof.is_rounding:
             return False
         certificate, problem = self.certificate_of(z), self.problem
-        in_its_unit = DATA_ROUNDING * problem.matrix.largest_of(np.abs(problem.q))
+        in_its_unit = DATA_ROUNDING * float(np.abs(problem.q).max(initial=0.0))
         if (
             certificate.natural_residual > in_its_unit
             and certificate.term_residual > self.settings.goal
@@ -187,7 +187,7 @@ class Judge:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
         certificate = self.certificate_of(z)
         is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT)
-        if last is None or is_cut_short or not self.problem.matrix.all_rows(np.isfinite(z)):
+        if last is None or is_cut_short or not np.isfinite(z).all():
             return certificate
         finished = last.finish(self.scaling.problem, z)
         return (

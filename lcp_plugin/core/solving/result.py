@@ -236,7 +236,7 @@ class Result(Answer):
             else {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
         )
         return {
-            "n": certificate.problem.n,  # x is the own part where rows are spread over ranks
+            "n": certificate.problem.n,
             "relative_residual": certificate.relative_residual,
             "natural_residual": certificate.natural_residual,
             "euclidean_residual": certificate.euclidean_residual,

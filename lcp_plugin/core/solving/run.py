@@ -69,9 +69,7 @@ class Run:
         self.start_residual = math.inf
         with clock.paused():
             self.log = RunLog(self.judge.asked, header) if settings.verbose else None
-        self._is_watched = (
-            settings.record or settings.verbose or not problem.matrix.all_rows(callback is None)
-        )
+        self._is_watched = settings.record or settings.verbose or callback is not None
         self._next_sample = 0
 
     def drive(self, start: FloatVector, first: Choice) -> End:
@@ -85,9 +83,7 @@ class Run:
             start = self.problem.nearest_to_zero
         try:
             with (
-                nullcontext()
-                if left == math.inf
-                else time_limit(left, is_enforced=not self.problem.is_distributed),
+                nullcontext() if left == math.inf else time_limit(left),
                 nullcontext()
                 if self.log is None
                 else NEW_KERNELS.watched_by(self.log.hear_of_compilation),
@@ -127,7 +123,7 @@ class Run:
         try:
             return next(steps, NO_STEP)
         except (UnsuitableMatrix, UnsuitableProblem):
-            if len(stages) == 1 or stages[-1].iterations > 0 or self.problem.is_distributed:
+            if len(stages) == 1 or stages[-1].iterations > 0:
                 raise
             return NO_STEP
 
@@ -148,8 +144,6 @@ class Run:
             self.state.stages[-1].least_residual = 0.0  # it speaks of the relative one alone
         residual = self._residual_of(step, is_first)
         end = self._end_with(step, residual)
-        if end is None and self.clock.is_interrupted:
-            end = End.INTERRUPTED
         if self._is_watched and self._report(step, residual, end is not None):
             end = end or End.INTERRUPTED
         return self._end_with_proof(step.proof) if end is None and step.proof is not None else end
@@ -247,13 +241,9 @@ class Run:
         return wants_to_stop
 
     def _called_back(self, sample: Sample, z: FloatVector) -> bool:
-        """Return whether a callback, of any rank, wants to stop."""
-        callback, matrix = self.callback, self.problem.matrix
-        shown = z if callback is None else self.scaling.outward(z)
-        wants_to_stop = matrix.together(
-            lambda: callback is not None and bool(callback(sample, read_only(shown)))
-        )
-        return matrix.any_row(wants_to_stop)
+        """Return whether a callback wants to stop."""
+        callback = self.callback
+        return callback is not None and bool(callback(sample, read_only(self.scaling.outward(z))))
 
     def ended(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
         """Return what the judge makes of the best iterate, cleaned up, and of why the run ended."""

@@ -23,7 +23,7 @@ Header = Callable[
 
 
 class RunLog:
-    """Prints a run while it goes on; of several ranks the first one does.
+    """Prints a run while it goes on.
 
     Parameters
     ----------
@@ -34,7 +34,6 @@ class RunLog:
     """
 
     def __init__(self, problem: Any, header: Header | None = None) -> None:
-        self._is_silent = isinstance(problem, LCP) and problem.matrix.rank > 0
         self._compilation, self._compiled = compilation(), compilation().seconds
         self._silent_until = NEW_KERNELS.seconds + QUIET
         self._next = 0
@@ -58,7 +57,7 @@ class RunLog:
         self._say(choice.algorithm.name + (choice.because and f": {choice.because}"))
 
     def is_due(self, stage: Stage) -> bool:
-        """Return whether the present iteration of a stage has a line; the same on every rank."""
+        """Return whether the present iteration of a stage has a line."""
         return stage.iterations >= self._next
 
     def step(self, stage: Stage, sample: Sample) -> None:
@@ -87,8 +86,7 @@ class RunLog:
         self._write(line)
 
     def _write(self, line: str) -> None:
-        if not self._is_silent:
-            say(line)
+        say(line)
 
 
 def say(line: str) -> None:

@@ -89,8 +89,8 @@ class Splitting(Algorithm):
         z : array, shape (n,), optional
             Where x is not z itself: filled with the z of x.
         """
-        matrix, M, own = problem.matrix, problem.matrix.csr_rows, problem.q.size
-        passes, is_coupled = directions(self.sweep), matrix.is_coupled
+        matrix, M = problem.matrix, problem.matrix.csr
+        passes = directions(self.sweep)
         splits = {backward: row_splits(matrix, backward) for backward in passes}
         new, unwanted = (
             np.empty_like(x),
@@ -99,9 +99,6 @@ class Splitting(Algorithm):
         work = 1.0
         while True:
             for k, backward in enumerate(passes):
-                if is_coupled:
-                    matrix.fetch(x)
-                    new[own:] = x[own:]  # what others hold is as it was
                 others = () if z is None else (unwanted if k else z,)
                 residual = kernel(
                     M.indptr,
@@ -116,7 +113,6 @@ class Splitting(Algorithm):
                     *others,
                 )
                 if k == 0:
-                    shown = x[:own] if is_coupled else x
-                    yield Step(shown if z is None else z, matrix.largest_of(residual), work=work)
+                    yield Step(x if z is None else z, residual, work=work)
                 x, new = new, x
             work = float(len(passes))

@@ -14,9 +14,7 @@ from ..checks import FloatVector
 from ..errors import InvalidOption
 from ..lcp import LCP
 from ..matrix.iteration_facts import PROJECTED_RELAXATION, IterationFacts
-from ..matrix.joint_facts import pivot_weight
 from ..matrix.row_sums import inverse_residual_scale, row_splits
-from ..matrix.symmetry import has_symmetric_entries
 from ..tuning import PSOR_GAIN, PSOR_PASSES
 from . import Splitting
 
@@ -57,37 +55,25 @@ class _Relaxation(Splitting):
 
 
 class _InPlace(_Relaxation):
-    """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current.
-
-    On several ranks a sweep runs on all of them at once, with what the others had before it. That is a splitting with
-    fewer entries of L, which converges on H₊-matrices with ω ≤ 1; where M is symmetric, pivots beside other ranks are
-    made larger, so that it converges on every positive definite one, see
-    :func:`lcp_plugin.core.matrix.joint_facts.pivot_weight`.
-    """
-
-    runs_on_ranks: ClassVar[bool] = True
+    """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current."""
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment tells when a residual is worth measuring."""
         from ..kernels import splitting_sweeps as kernels
 
-        matrix, M = problem.matrix, problem.matrix.csr_rows
+        matrix, M = problem.matrix, problem.matrix.csr
         pivots = require_positive_diagonal(problem, self.name)
         fixed, _ = self.weights()
         adaptive = AdaptiveRelaxation(1.0) if fixed is None else None
         relaxation = 1.0 if fixed is None else fixed
-        if matrix.is_coupled and has_symmetric_entries(matrix):
-            pivots = pivots + pivot_weight(M, matrix.fetch, relaxation)
         rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / pivots)
         passes = directions(self.sweep)
         splits = {backward: row_splits(matrix, backward) for backward in passes}
-        z = matrix.whole(z0)
-        own = z[: matrix.own]
-        yield Step(own, work=0.0)
+        z = z0
+        yield Step(z, work=0.0)
         while True:
             largest = total = 0.0
             for backward in passes:
-                matrix.fetch(z)
                 change, change_sum = kernels.relaxation_sweep(
                     M.indptr, splits[backward], M.indices, M.data, rows, relaxation, backward, z
                 )
@@ -95,13 +81,13 @@ class _InPlace(_Relaxation):
                 total += change_sum
             is_settling = adaptive is not None and adaptive.is_settling
             yield Step(
-                own,
-                increment=matrix.largest_of(largest),
+                z,
+                increment=largest,
                 work=float(len(passes)),
                 is_settling=is_settling,
             )
             if adaptive:
-                relaxation = adaptive.after(matrix.total_of(total), z)
+                relaxation = adaptive.after(total, z)
 
 
 @dataclass(frozen=True, kw_only=True)

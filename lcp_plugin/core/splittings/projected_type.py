@@ -81,11 +81,11 @@ class ScaledByRows(Algorithm):
         """Return z after one projected Gauss–Seidel sweep, so that active components are at their bound."""
         from ..kernels.splitting_sweeps import packed, relaxation_sweep
 
-        M = problem.matrix.csr_rows
+        M = problem.matrix.csr
         rows = packed(
             problem.q, problem.lower, problem.upper, inverse_residual_scale(problem.matrix)
         )
-        cleaned = problem.matrix.whole(z.copy())
+        cleaned = z.copy()
         relaxation_sweep(
             M.indptr,
             row_splits(problem.matrix, False),
@@ -96,7 +96,7 @@ class ScaledByRows(Algorithm):
             False,
             cleaned,
         )
-        return cleaned[: problem.q.size]
+        return cleaned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,15 +117,11 @@ class ProjectedType(ScaledByRows, Splitting):
     Notes
     -----
     Paper notation: α₁ = relaxation α, β₁ = acceleration β, A = M, σ = q, λ = ζ₊ = z.
-
-    On several ranks a sweep runs on all of them at once, with what the others had before it: L then has fewer entries,
-    and the theorem holds for every such choice.
     """
 
     sweep: str = "forward"
 
     needs: ClassVar[str] = "d/α + d + 2 > 0"
-    runs_on_ranks: ClassVar[bool] = True
     solves: ClassVar[str] = 'H₊ (scaling="auto", or "diagonal" with scaling_factor ≤ 1)'
 
     def __post_init__(self) -> None:
@@ -144,13 +140,9 @@ class ProjectedType(ScaledByRows, Splitting):
             problem.upper,
             inverse_residual_scale(problem.matrix),
             step,
-            problem.matrix.together(
-                lambda: self._inverse_pivot(problem, step * problem.diagonal, alpha)
-            ),
+            self._inverse_pivot(problem, step * problem.diagonal, alpha),
         )
-        yield from self.swept(
-            problem, splitting_sweep, rows, (beta / alpha, True), problem.matrix.whole(z0)
-        )
+        yield from self.swept(problem, splitting_sweep, rows, (beta / alpha, True), z0)
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise where a pivot is not positive."""

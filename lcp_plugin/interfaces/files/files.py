@@ -55,7 +55,7 @@ def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str)
     write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
 
 
-def arrays_of(problem: LCP, M: sp.csr_array) -> dict[str, Any]:
+def arrays_of(problem: Any, M: sp.csr_array) -> dict[str, Any]:
     """Return what is saved of a problem, or of the own rows of one, by name."""
     arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
     return arrays | {name: getattr(problem, name) for name in VECTORS}

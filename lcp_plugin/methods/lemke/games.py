@@ -21,11 +21,7 @@ def is_game(problem: LCP) -> bool:
     >>> is_game(LCP([[0, 0, 1, 2], [0, 0, 2, 1], [2, 1, 0, 0], [1, 2, 0, 0]], [-1, -1, -1, -1]))
     True
     """
-    if (
-        problem.is_distributed
-        or not (problem.is_dense or problem.n <= PIVOTS_FIRST_UP_TO)
-        or problem.diagonal.any()
-    ):
+    if not (problem.is_dense or problem.n <= PIVOTS_FIRST_UP_TO) or problem.diagonal.any():
         return False
     is_cone = not problem.lower.any() and bool((problem.upper == np.inf).all())
     return is_cone and bimatrix_players(as_dense(problem.matrix)[0], problem.q) is not None

@@ -93,7 +93,6 @@ class Multigrid(Algorithm):
     reference: ClassVar[str] = (
         "Gräser, Kornhuber 2009, J. Comput. Math. 27; Toivanen, Oosterlee 2012, doi:10.4208/nmtma.2011.m11si05"
     )
-    runs_on_ranks: ClassVar[bool] = True
     is_monotone: ClassVar[bool] = False
     is_watched: ClassVar[bool] = True
 

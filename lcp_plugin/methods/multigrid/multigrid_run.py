@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,8 +51,8 @@ class MultigridRun:
 
     def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
         self.algorithm, self.problem = algorithm, problem
-        matrix, own_entries = problem.matrix, problem.matrix.csr_rows.nnz
-        self.work = 0.0 if has_symmetric_entries.is_known(matrix) else float(own_entries)
+        matrix = problem.matrix
+        self.work = 0.0 if has_symmetric_entries.is_known(matrix) else float(matrix.nonzeros)
         self.is_symmetric = has_symmetric_entries(matrix)
         is_built = hierarchy_of.is_known(matrix, algorithm.coarsest)
         self.hierarchy = hierarchy = hierarchy_of(matrix, algorithm.coarsest)
@@ -62,30 +61,21 @@ class MultigridRun:
         self.grid = finest
         # What snaps to a bound is measured before it does.
         is_measured = algorithm.smoother in ("pgs", "psor")
-        self.tells_residual = is_measured and self.grid.all_rows(
-            np.array_equal(problem.residual_scale, problem.diagonal)
+        self.tells_residual = is_measured and np.array_equal(
+            problem.residual_scale, problem.diagonal
         )
         self.truncation = Truncation(hierarchy)
         self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.extends else 1
-        jumps = hierarchy.extends and self.grid.largest_of(finest.spread) > JUMPS
+        jumps = hierarchy.extends and finest.spread > JUMPS
         self.gain = ROUND_GAIN_AT_JUMPS if jumps else ROUND_GAIN
         self.has_tried_rounds = not self.is_symmetric
         self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
-        self.size = self.grid.total_of(finest.n)
-        self.entries = max(self.grid.total_of(finest.matrix.data.size), 1.0)
+        self.size = finest.n
+        self.entries = max(finest.matrix.data.size, 1.0)
 
-    def iterates(self, start: FloatVector) -> Iterator[Step]:
+    def iterates(self, z: FloatVector) -> Iterator[Step]:
         """Yield the start, then the finest grid's iterates; end where nothing gets nearer any more."""
-        n = start.size
-        z = start
-        if self.grid.foreign:
-            z = np.zeros(self.hierarchy.grids[0].width)
-            z[:n] = start
-        is_cold = self.grid.all_rows(np.array_equal(start, self.problem.nearest_to_zero))
-        for step in self._whole_iterates(z, is_cold):
-            yield step if z is start else replace(step, z=step.z[:n])
-
-    def _whole_iterates(self, z: FloatVector, is_cold: bool) -> Iterator[Step]:
+        is_cold = np.array_equal(z, self.problem.nearest_to_zero)
         begun = self._residual(z)
         yield Step(z, residual=begun if self.tells_residual else None, work=self._spent())
         if not self.hierarchy.is_helpful:
@@ -93,9 +83,7 @@ class MultigridRun:
             return
         start = z.copy()
         if not is_cold:  # the start may be much better than what the first cycle makes of it
-            nearest = np.zeros(z.size)
-            nearest[: self.problem.q.size] = self.problem.nearest_to_zero
-            begun = max(begun, self._residual(nearest))
+            begun = max(begun, self._residual(self.problem.nearest_to_zero.copy()))
         if self.algorithm.nested and len(self.hierarchy.grids) > 1:
             self._nested_start(z, is_cold)
         yield from self._cycles(z, begun, start)
@@ -104,13 +92,12 @@ class MultigridRun:
         """Return the largest scaled residual of z, and leave everything as it is."""
         fine = self.problems[0]
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
-        self.grid.fetch(z)
-        residual = fine.residual[: fine.q.size]
+        residual = fine.residual
         largest, _ = sweeps.free_rows(
             fine.grid.rows, fine.vectors, z, False, free, changed, residual
         )
         self.work += fine.entries
-        return self.grid.largest_of(float(largest))
+        return float(largest)
 
     # --- nested iteration -------------------------------------------------------------------------------
 
@@ -121,7 +108,7 @@ class MultigridRun:
         would move it, and what the start has got right stays as it is.
         """
         fine = self.problems[0]
-        own = z[: fine.q.size]
+        own = z
         if is_cold:
             z[:] = 0.0
             self._add_coarse_problems(fine.q, fine.lower, fine.upper)
@@ -132,7 +119,7 @@ class MultigridRun:
             self.work += 3.0 * fine.entries
         coarsest, last = self.problems[-1], len(self.problems) - 1
         answer = np.zeros_like(coarsest.residual)
-        np.clip(0.0, coarsest.lower, coarsest.upper, out=answer[: coarsest.q.size])
+        np.clip(0.0, coarsest.lower, coarsest.upper, out=answer)
         for k in range(COARSEST_SWEEPS):
             coarsest.sweep(answer, backward=k % 2 == 1)
         self.work += COARSEST_SWEEPS * coarsest.entries
@@ -146,28 +133,16 @@ class MultigridRun:
         for coarser, transfer in zip(
             self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True
         ):
-            finer, q = self._whole(len(self.problems) - 1, q), np.empty(coarser.n)
+            finer, q = q, np.empty(coarser.n)
             vectors.restrict(transfer, finer, q)
             self.work += transfer.restriction.data.size
             lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
             self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
 
-    def _whole(self, k: int, own: FloatVector) -> FloatVector:
-        """Return the values on grid k with the foreign ones behind them."""
-        grid = self.hierarchy.grids[k]
-        if not grid.foreign:
-            grid.fetch(own)
-            return own
-        whole = np.zeros(grid.width, own.dtype)
-        whole[: own.size] = own
-        grid.fetch(whole)
-        return whole
-
     def _interpolated(self, k: int, coarse: FloatVector, z: FloatVector) -> FloatVector:
         """Return z with P coarse added, within the bounds of grid k."""
         fine, transfer = self.problems[k], self.hierarchy.transfers[k]
         everywhere = np.ones(z.size, np.bool_)
-        self.hierarchy.grids[k + 1].fetch(coarse)
         vectors.prolong(transfer, coarse, everywhere, fine.lower, fine.upper, z)
         self.work += transfer.prolongation.data.size
         return z
@@ -175,7 +150,7 @@ class MultigridRun:
     def _cycle_on(self, k: int, z: FloatVector) -> None:
         fine = self.problems[k]
         self.truncation.start_at(k)
-        few = COARSE_CHANGES * self.grid.total_of(fine.q.size)
+        few = COARSE_CHANGES * fine.q.size
         for cycle in range(1, MOST_COARSE_CYCLES + 1):
             fine.sweep(z, backward=False)
             _, changed = self._look(k, z)
@@ -239,7 +214,6 @@ class MultigridRun:
     def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, fine = self.truncation.grids[k], self.problems[k]
-        fine.grid.fetch(z)
         own_largest, own_changed = sweeps.free_rows(
             fine.grid.rows,
             fine.vectors,
@@ -247,10 +221,10 @@ class MultigridRun:
             fine.is_projected_type,
             top.is_free,
             top.free_changed,
-            fine.residual[: fine.q.size],
+            fine.residual,
         )
         self.work += fine.entries
-        largest, changed = fine.grid.largest_of(own_largest), fine.grid.total_of(own_changed)
+        largest, changed = own_largest, own_changed
         if changed:
             self.truncation.update()
         return largest, changed
@@ -259,15 +233,13 @@ class MultigridRun:
         """Add to z on the free rows one V-cycle's answer to the residual, cut off at the bounds."""
         fine, top = self.problems[k], self.truncation.grids[k]
         if k == len(self.hierarchy.transfers):
-            np.copyto(top.b, fine.residual[: fine.q.size])
+            np.copyto(top.b, fine.residual)
             self.truncation.correct(k)
-            part = z[: fine.q.size]
-            np.clip(part + top.x[: fine.q.size], fine.lower, fine.upper, out=part)
+            np.clip(z + top.x, fine.lower, fine.upper, out=z)
             return
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
         self.truncation.restrict(k, fine.residual)
         self.truncation.correct(k + 1)
-        below.grid.fetch(below.x)
         before = None
         if k == 0 and self.is_symmetric:
             before = self.truncation.vector()
@@ -276,7 +248,7 @@ class MultigridRun:
         self.work += 2.0 * transfer.prolongation.data.size
         if before is None:
             return
-        if self.grid.total_of(cut) > NOTEWORTHY_CUT * self.size:
+        if cut > NOTEWORTHY_CUT * self.size:
             self._shorten(before, z)
         self.truncation.spare.append(before)
 
@@ -286,13 +258,12 @@ class MultigridRun:
         fine = self.problems[0]
         n, product, step = before.size, self.truncation.vector(), z.copy()
         step[:n] -= before
-        unit = power_of_two(self.grid.largest_of(span(step[:n])))
+        unit = power_of_two(span(step[:n]))
         step /= unit
-        self.grid.fetch(step)
         sweeps.free_product(fine.grid.rows, np.ones(n), step, product)
         # w = −residual on the free rows; the others did not move
-        slope = -self.grid.total_of(dot(step[:n], fine.residual[:n] / unit))
-        curvature = self.grid.total_of(dot(step[:n], product))
+        slope = -dot(step[:n], fine.residual[:n] / unit)
+        curvature = dot(step[:n], product)
         self.work += self.entries
         size = 1.0
         for _ in range(HALVINGS):
@@ -313,7 +284,7 @@ class MultigridRun:
         """
         fine, part, origin = (
             self.problems[0],
-            z[: self.problems[0].q.size],
+            z,
             self.truncation.vector(),
         )
         most, gain = (
@@ -324,9 +295,7 @@ class MultigridRun:
             most, gain = LONG_CONJUGATE, self.gain
         fewest, idle = np.inf, 0
         for rounds_left in range(self.rounds - 1, -1, -1):
-            correction = KrylovCorrection(
-                self.truncation, fine.residual[: fine.q.size], self.is_symmetric
-            )
+            correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
             left = begun = correction.largest()
             np.copyto(origin, part)
             for step in range(most):
@@ -374,6 +343,6 @@ class MultigridRun:
 
     def _spent(self) -> float:
         """Return the passes over M since the last step."""
-        work = self.grid.total_of(self.work + self.truncation.take_work())
+        work = self.work + self.truncation.take_work()
         self.work = 0.0
         return work / self.entries

@@ -73,8 +73,8 @@ class Safeguard:
     ----------
     problem : LCP
     is_symmetric : bool
-    z : array, shape (width,)
-        An iterate with foreign values behind the own ones; copied.
+    z : array, shape (n,)
+        An iterate; copied.
     residual : float
         Its largest scaled residual.
     """
@@ -145,23 +145,22 @@ class Safeguard:
 
     @property
     def _least_diagonal(self) -> float:
-        return -self.problem.matrix.largest_of(-float(self.problem.diagonal.min(initial=np.inf)))
+        return float(self.problem.diagonal.min(initial=np.inf))
 
     @np.errstate(all="ignore")  # between bounds of ±1e308
     def _energy_change(self, z: FloatVector) -> tuple[float, float, FloatVector]:
         """Return J(z) − J(accepted) = ½ dᵀ(w + w_accepted), what rounding may make of it, and w."""
-        problem, n = self.problem, self.problem.q.size
-        own, accepted, total = z[:n], self.z[:n], problem.matrix.total_of
+        problem, accepted = self.problem, self.z
         if self._slack is None:
             self._slack = problem.slack(accepted)
             self._products += 1
-        slack = problem.slack(own)
+        slack = problem.slack(z)
         self._products += 1
-        step = own - accepted
-        terms = problem.diagonal * np.maximum(np.abs(own), np.abs(accepted)) + np.abs(problem.q)
+        step = z - accepted
+        terms = problem.diagonal * np.maximum(np.abs(z), np.abs(accepted)) + np.abs(problem.q)
         return (
-            0.5 * total(dot(step, slack + self._slack)),
-            8.0 * EPSILON * total(dot(np.abs(step), terms)),
+            0.5 * dot(step, slack + self._slack),
+            8.0 * EPSILON * dot(np.abs(step), terms),
             slack,
         )
 
@@ -187,7 +186,7 @@ class GridProblem:
             read_only(np.ascontiguousarray(vector)) for vector in (grid.inverse, q, lower, upper)
         )
         _, self.q, self.lower, self.upper = self.vectors
-        self.residual = np.zeros(grid.width)
+        self.residual = np.zeros(grid.n)
         self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
         self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
         if self.is_projected_type:
@@ -203,14 +202,12 @@ class GridProblem:
 
     def sweep(self, z: FloatVector, backward: bool) -> None:
         """Overwrite z by one projected sweep."""
-        self.grid.fetch(z)
         if not self.is_projected_type:
             sweeps.projected_sweep(
                 self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z
             )
             return
         indptr, _, indices, data = self.grid.rows
-        self.new[self.q.size :] = z[self.q.size :]
         kernels.splitting_sweep(
             indptr,
             self.splits[backward],
@@ -227,12 +224,11 @@ class GridProblem:
 
     def gauss_seidel(self, z: FloatVector) -> float:
         """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
-        before = z[: self.q.size].copy()
-        self.grid.fetch(z)
+        before = z.copy()
         sweeps.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, 1.0, False, z)
         with np.errstate(over="ignore"):  # between bounds of ±1e308
-            before -= z[: self.q.size]
-        return self.grid.largest_of(span(before))
+            before -= z
+        return span(before)
 
 
 @dataclass

@@ -44,7 +44,7 @@ class SmallDenseSolver(Algorithm):
     @staticmethod
     def takes(problem: LCP) -> bool:
         """Return whether the problem is small enough, and all of it is here; larger where pivots come first anyway."""
-        pivots_first = problem.n <= PIVOTS_FIRST_UP_TO and not problem.is_distributed
+        pivots_first = problem.n <= PIVOTS_FIRST_UP_TO
         return is_short(problem) or (
             pivots_first and not has_positive_diagonal(problem.matrix).all()
         )
@@ -67,7 +67,7 @@ class SmallDenseSolver(Algorithm):
 def is_short(problem: LCP) -> bool:
     """Return whether the problem is small enough, and all of it is here."""
     largest = COMPILED_UP_TO if problem.is_dense else COMPILED_SPARSE_UP_TO
-    return 0 < problem.n <= largest and not problem.is_distributed
+    return 0 < problem.n <= largest
 
 
 @fact

@@ -70,14 +70,13 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
     from ...methods.multigrid import Multigrid
     from ...systems.hierarchy.levels import hierarchy_of
 
-    allowed = problem.matrix.together(lambda: checked_threads(threads))
-    with threads_for(1 if threads is None and problem.is_distributed else allowed):
+    with threads_for(checked_threads(threads)):
         inverse_residual_scale(problem.matrix)
-        if not problem.is_distributed and Banded().predicted_passes(problem, math.inf) < math.inf:
+        if Banded().predicted_passes(problem, math.inf) < math.inf:
             bands(problem.matrix)
         for backward in (False, True):
             row_splits(problem.matrix, backward)
-        if problem.matrix.all_rows(has_positive_diagonal(problem.matrix)):
+        if has_positive_diagonal(problem.matrix).all():
             hierarchy_of(problem.matrix, Multigrid.coarsest)
     return problem
 

@@ -60,7 +60,6 @@ class Blocks:
     origin: Any = None
     bodies: Any = None  # Bodies, behind contacts that are stated by them
     criterion: None = None  # no program is behind it
-    is_distributed = False
 
     def __init__(self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: int) -> None:
         self.rows, self.starts, self.slope, self.has_friction = (

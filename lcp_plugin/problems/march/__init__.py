@@ -184,7 +184,7 @@ def take_steps(
 ) -> None:
     """Take the further steps of a march within so many seconds, up to one that is not solved."""
     problem, propagator, total = done.problem, done.propagator, len(done.forcing)
-    is_lcp, clock = isinstance(problem, LCP), Clock(problem.matrix)
+    is_lcp, clock = isinstance(problem, LCP), Clock()
     settings = asked_of_solve(algorithm, wishes if is_lcp else {})[1]
     state, begin = done.z[-1] if done.z else done.z0, None
     while len(done) < total and done.all_solved:

@@ -71,7 +71,7 @@ def march(
     Raises
     ------
     InvalidOption, InvalidProblem, UnknownAlgorithm, UnsuitableProblem
-        Before the first step; the last where the rows of M are spread over ranks.
+        Before the first step.
 
     Notes
     -----
@@ -179,8 +179,6 @@ def _begin(
                 f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
                 "march along those of one size at a time"
             )
-        if isinstance(one, LCP):
-            one.matrix.require_all_rows()
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(
             f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], OF_SOLVE)}"

@@ -257,9 +257,9 @@ class NonlinearCertificate(Certificate):
         """
         problem, x = self.problem, self.z
         scale = problem.residual_scale
-        terms = np.diff(problem.matrix.csr_rows.indptr) + 2
+        terms = np.diff(problem.matrix.csr.indptr) + 2
         with np.errstate(all="ignore"):
-            size = abs(problem.matrix.rows) @ np.abs(x) + np.abs(self.value)
+            size = abs(problem.matrix.array) @ np.abs(x) + np.abs(self.value)
             left = np.zeros(x.size)
             step = -scaled_residual(problem, x, self.value)
             for k in range(ASKED):
@@ -316,7 +316,7 @@ def term_residuals(
         tells = (distance > 0.0) & (wrong <= VANISHING * terms)
         unit = largest_of_components(problem, np.where(tells, terms / problem.residual_scale, 0.0))
         unit = for_each_row(problem, np.minimum(unit, largest_of_components(problem, np.abs(x))))
-        rows = problem.matrix.csr_rows
+        rows = problem.matrix.csr
         unknowns = largest_in_rows(
             rows, np.where(rows.data != 0.0, np.abs(x)[rows.indices], 0.0)
         )  # of each row
@@ -347,7 +347,7 @@ def shares_of_unknowns(problem: LCP, x: FloatVector, value: FloatVector) -> Floa
     x, value : array, shape (n,)
         The point, and F there.
     """
-    rows = problem.matrix.csr_rows
+    rows = problem.matrix.csr
     with np.errstate(all="ignore"):
         distance = np.where(value > 0.0, x - problem.lower, problem.upper - x)
         is_between = (

@@ -297,7 +297,7 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
 
     From the projected gradient step: the methods see a start and look for a solution near it.
     """
-    left, clock, scaling = seconds_left(), Clock(problem.matrix), CommonScaling.of(problem)
+    left, clock, scaling = seconds_left(), Clock(), CommonScaling.of(problem)
     policy = LinearPolicy(algorithm)
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)

@@ -650,8 +650,6 @@ def family_of(
     kind = kind_of(problem)
     if kind is None or "trace" not in kind.ways:
         raise InvalidOption(refusal("trace", problem))
-    if isinstance(problem, LCP):
-        problem.matrix.require_all_rows()
     family = FAMILIES[type(problem)](problem, along, (start, stop), tolerance)
     if not isinstance(problem, BoundedLeastSquares) and (rows := family.conditions.n) > LARGEST:
         raise UnsuitableProblem(

@@ -248,7 +248,7 @@ class ProgramMatrices:
             return Matrix(M)
         minus = assembled(-C.data, C.indices, C.indptr, (size - n, size))
         M = vertically(horizontally(as_csr(self.P), sp.csr_array(C.T)), minus)
-        return Matrix.of_own_rows(M)  # canonical, as its blocks are
+        return Matrix(M)
 
     def of_rows(self, left: Indices) -> ProgramMatrices:
         """Return the matrices with these rows of [G; A] only."""

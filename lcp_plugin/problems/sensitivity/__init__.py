@@ -24,7 +24,6 @@ from ...core.checks import BoolVector, FloatVector, finite_vector, rectangular_m
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ...core.kind import changes_by_name, refusal
 from ...core.lcp import LCP
-from ...core.matrix.symmetry import has_symmetric_entries
 from ...core.solving.result import Result
 from ...proofs.bounds.active_rows import ActiveRows, proven_rows, settled_rows
 from ...proofs.bounds.error_bounds import ErrorBound, error_bound
@@ -55,7 +54,7 @@ class Gradient(NamedTuple):
         By the entries of q and of the bounds; 0 for a bound that does not hold. Where lower = upper, the gradient
         belongs to the bound that the sign of w asks for; where both move together their sum counts.
     M : csr_array, shape (n, n)
-        By the entries that M has, in their places; on ranks the own rows, shape (own, n).
+        By the entries that M has, in their places.
     """
 
     q: FloatVector
@@ -178,7 +177,6 @@ class Derivative(Linearised):
     in the scaling that M needs: by the Moore–Penrose inverse of at most 500 rows. What all solutions share, as
     the velocities of contacts whose impulses are not determined, has the derivative by it that all of them give.
 
-    On several ranks, all of which call and read alike, vectors are the own parts and z is taken as it was solved for.
     There is no dM there, no vjp where M is not symmetric, and no jvp where rows are degenerate.
     """
 
@@ -218,7 +216,7 @@ class Derivative(Linearised):
 
     @cached_property
     def _is_degenerate(self) -> bool:
-        return self._somewhere(bool(self._rows.degenerate.any()))
+        return bool(self._rows.degenerate.any())
 
     @cached_property
     def bound(self) -> ErrorBound | None:
@@ -244,7 +242,7 @@ class Derivative(Linearised):
             return False if self._system.is_singular else None
         held, between = proven_rows(self.problem, bound)
         is_proven = np.where(self._rows.free, between, held)
-        return True if self.problem.matrix.all_rows(is_proven) else None
+        return True if bool(np.all(is_proven)) else None
 
     @cached_property
     def _system(self) -> FreeSystem:
@@ -336,7 +334,7 @@ class Derivative(Linearised):
         self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, **named: Any
     ) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
-        return self._product(self._own_part(dz, "dz")) + self._change(
+        return self._product(self._checked(dz, "dz")) + self._change(
             *self._with_named(dM, dq, named)
         )
 
@@ -363,9 +361,7 @@ class Derivative(Linearised):
             Where the block of M on more than 500 free rows is singular.
         """
         problem = self.problem
-        if problem.is_distributed and not has_symmetric_entries(problem.matrix):
-            problem.matrix.require_all_rows()
-        g, by_w = self._own_part(g, "g"), self._optional(gw, "gw")
+        g, by_w = self._checked(g, "g"), self._optional(gw, "gw")
         rows, free = self._rows, self.free
         by_w = np.where(
             free, 0.0, by_w
@@ -401,9 +397,8 @@ class Derivative(Linearised):
 
     def _matrix_change(self, dM: Any) -> Any:
         """Return dM as an array, None where none is given."""
-        if not self._somewhere(dM is not None):
+        if dM is None:
             return None
-        self.problem.matrix.require_all_rows()
         return rectangular_matrix(dM, "dM", self.problem.n, self.problem.n)
 
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
@@ -417,27 +412,18 @@ class Derivative(Linearised):
         """Return a finite vector: zeros where nothing is given; that of a bound may be of one number."""
         if values is None or (name in ("dlower", "dupper") and np.ndim(values) == 0):
             values = np.full(self.problem.q.size, 0.0 if values is None else values)
-        return self._own_part(values, name)
+        return self._checked(values, name)
 
-    def _own_part(self, values: ArrayLike, name: str) -> FloatVector:
-        """Return a finite vector; on ranks all of them refuse what one of them refuses."""
-        return self.problem.matrix.together(
-            lambda: finite_vector(values, name, self.problem.q.size)
-        )
-
-    def _somewhere(self, is_so: bool) -> bool:
-        """Return whether it is so on any rank."""
-        return self.problem.matrix.any_row(is_so)
+    def _checked(self, values: ArrayLike, name: str) -> FloatVector:
+        """Return a finite vector."""
+        return finite_vector(values, name, self.problem.q.size)
 
     def _acts(self, x: FloatVector) -> bool:
-        return self._somewhere(bool(x.any()))
+        return bool(x.any())
 
     def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
-        matrix = (
-            self.problem.matrix
-        )  # on several ranks it is symmetric where it is to be transposed
-        is_turned = transposed and not matrix.is_distributed
-        product: FloatVector = matrix.array.T @ x if is_turned else matrix.rows @ matrix.whole(x)
+        M = self.problem.matrix.array
+        product: FloatVector = (M.T if transposed else M) @ x
         return product
 
     def _on_free(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:

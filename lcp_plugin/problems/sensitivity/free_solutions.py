@@ -62,7 +62,6 @@ def one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector
     d = db, which is `moved`, on the rows that are held, (M d + h)_i = 0 on the free ones; on a degenerate one at its
     lower bound d ≥ db, (M d + h) ≥ 0, complementary, and the mirror image at an upper bound.
     """
-    problem.matrix.require_all_rows()
     lower = np.where(rows.free | (rows.degenerate & rows.is_upper), -np.inf, moved)
     upper = np.where(rows.free | (rows.degenerate & ~rows.is_upper), np.inf, moved)
     part = np.flatnonzero(rows.free | rows.degenerate)

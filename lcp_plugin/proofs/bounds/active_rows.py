@@ -65,8 +65,7 @@ def settled_rows(
 ) -> ActiveRows:
     """Return what each row of a solution does, after steps of the active-set method in twice the working precision.
 
-    Where those settle nothing (the block of the free rows is singular, the rows are spread over ranks) the rows are
-    judged by z and w as they are.
+    Where those settle nothing (the block of the free rows is singular) the rows are judged by z and w as they are.
 
     Parameters
     ----------
@@ -82,7 +81,7 @@ def settled_rows(
     >>> rows.free, rows.at_lower, rows.z
     (array([ True, False]), array([False,  True]), array([2.5, 0. ]))
     """
-    settled = None if problem.is_distributed else _settled(problem, z, system)
+    settled = _settled(problem, z, system)
     if settled is None:
         return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
     at, system, left = settled
@@ -140,7 +139,7 @@ def _judged(
 ) -> ActiveRows:
     """Return what each row does by z and w, where z may be as far from the solution as `left` says."""
     scale = problem.residual_scale
-    floor = rounding_floor(problem, magnitude(problem, problem.matrix.whole(z)), scale)
+    floor = rounding_floor(problem, magnitude(problem, z), scale)
     beside_largest = np.minimum(
         scale / problem.matrix.row_largest, 1.0
     )  # by a tiny diagonal entry no row moves z_i

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ...core.certificates.criterion import largest_of_components
 from ...core.certificates.row_residuals import scaled_residual
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import BoolVector, FloatVector, real_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...core.kind import refusal
 from ...core.lcp import LCP
@@ -35,11 +35,6 @@ SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = (
 LEAST_GAP = 0.2  # of the contraction of a sweep from 1: 35 sweeps are then enough, a third of a linear solve
 NEARER = 1e-2  # what sweeps shall leave of the error, as far as the certificate knows
 
-NO_PROOF_ON_RANKS = (
-    "on several ranks an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal), and M was not "
-    "proven to be one; use the residuals, or solve on one machine, where a positive definite M is bounded as well"
-)
-
 
 @dataclass(frozen=True, eq=False)
 class ErrorBound:
@@ -48,8 +43,7 @@ class ErrorBound:
     Attributes
     ----------
     componentwise : ndarray, shape (n,)
-        |z_i − z*_i| ≤ componentwise_i, in the unit of z. On several ranks arrays are the own parts, and numbers speak
-        of all rows.
+        |z_i − z*_i| ≤ componentwise_i, in the unit of z.
     infinity : float
         Their maximum, ‖z − z*‖∞ ≤ infinity.
     relative : float
@@ -130,8 +124,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     Parameters
     ----------
     problem : LCP
-        M an H₊-matrix, or with a positive definite symmetric part: then z* exists and is unique. On several ranks, all
-        of which call, it must be an H₊-matrix, and the bound is that of the v-certificate.
+        M an H₊-matrix, or with a positive definite symmetric part: then z* exists and is unique.
     z : array, shape (n,)
         Any point, also outside the bounds. With NaN or infinite entries the bound is ∞.
     sharp : bool
@@ -167,21 +160,19 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise InvalidProblem(refusal("error_bound", problem))
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
-    z, began = problem.own_part(z), time.perf_counter()
+    z, began = real_vector(z, "z", problem.n), time.perf_counter()
     with np.errstate(all="ignore"):  # what overflows bounds nothing
         family = bounds_of(problem.matrix)
         if family is None:
-            raise UnsuitableMatrix(
-                NO_PROOF_ON_RANKS if problem.is_distributed else _why_not(problem)
-            )
-        found = _bound(problem, z, family, sharp=sharp and not problem.is_distributed)
+            raise UnsuitableMatrix(_why_not(problem))
+        found = _bound(problem, z, family, sharp=sharp)
     return replace(found, seconds=time.perf_counter() - began)
 
 
 def _bound(
     problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool
 ) -> ErrorBound:
-    if not problem.matrix.all_rows(np.isfinite(z)):
+    if not bool(np.all(np.isfinite(z))):
         return _nothing_known(problem, family.kind, family.method)
     at = RowInequality.at(problem, z)
     found = BestBound(z, at, family.of_error(at), family.method)
@@ -224,11 +215,11 @@ class BestBound:
             active, inactive = active | more_active, inactive | more_inactive
         is_proof = kind == "rigorous"
         sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
-        infinity, residual = problem.matrix.each_largest(*sizes)
+        infinity, residual = sizes
         of_components = (
             largest_of_components(problem, np.abs(one)).tolist() for one in (y, self.z)
         )
-        relative = problem.matrix.largest_of(max(map(relative_to, *of_components), default=0.0))
+        relative = max(map(relative_to, *of_components), default=0.0)
         return _counted(
             problem,
             y,
@@ -321,7 +312,7 @@ def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
 def _counted(
     problem: LCP, componentwise: FloatVector, active: BoolVector, inactive: BoolVector, **known: Any
 ) -> ErrorBound:
-    counts = [problem.matrix.count_of(rows) for rows in (active, inactive)]
+    counts = [int(np.count_nonzero(rows)) for rows in (active, inactive)]
     return ErrorBound(
         componentwise=componentwise,
         proven_active=active,

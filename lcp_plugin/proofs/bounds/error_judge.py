@@ -63,7 +63,7 @@ class ErrorJudge(Judge):
         self._residual_per_error = 1.0
         if settings.is_on_error:
             sums = np.add(*unit_triangle_sums(self.problem.matrix))
-            self._residual_per_error += self.problem.matrix.largest_of(sums)
+            self._residual_per_error += float(sums.max(initial=0.0))
 
     def require_rigorous_bounds(self) -> None:
         """Raise where the run stops on the error and M allows no rigorous bound of it."""
@@ -92,7 +92,7 @@ class ErrorJudge(Judge):
             residual * self.reference,
             self.settings.tolerance,
         )
-        largest = self.problem.matrix.largest_of(np.abs(z))
+        largest = float(np.abs(z).max(initial=0.0))
         is_far = not residual <= self._residual_per_error * tolerance * largest
         if (
             is_far and connected_components(self.problem.matrix) is None
@@ -146,9 +146,6 @@ class ErrorJudge(Judge):
         if self._sampled is not None:
             least = min(least, float(self._sampled.carried_to(z).max(initial=0.0)))
         is_affordable = self.problem.n <= SHARP_SAMPLES_UP_TO or work >= self._sample_from
-        is_affordable = (
-            is_affordable and not self.problem.is_distributed
-        )  # no sharper one is known there
         if (
             least > LOOSE * bound.residual
             and bound.residual <= SHARP_EVERY * self._last_sampled
@@ -176,17 +173,14 @@ class ErrorJudge(Judge):
         self, certificate: Certificate
     ) -> BoundOrReason | Callable[[], BoundOrReason]:
         """Return the bound of the answer's error, or how it is computed once looked at."""
-        z, is_distributed = certificate.z, self.problem.is_distributed
+        z = certificate.z
         known = self._known(z)
-        if known is not None and (not known.is_loose or is_distributed):
+        if known is not None and not known.is_loose:
             return BoundOrReason(known)
-        # One rank alone could not compute it later.
-        return _sharpest(self.problem, z) if is_distributed else partial(_sharpest, self.problem, z)
+        return partial(_sharpest, self.problem, z)
 
     def _known(self, z: FloatVector) -> ErrorBound | None:
-        is_known = self._bounded is not None and self.problem.matrix.all_rows(
-            np.array_equal(self._bounded[0], z)
-        )
+        is_known = self._bounded is not None and np.array_equal(self._bounded[0], z)
         return self._bounded[1] if is_known and self._bounded is not None else None
 
     def _bound(self, z: FloatVector, *, sharp: bool) -> ErrorBound:

@@ -40,8 +40,6 @@ from ..verdicts import Weights
 class RowInequality:
     """Φ of one point, the sum `high` + `low`; every number is an upper bound of what it stands for.
 
-    On several ranks all vectors are the own parts, and whatever multiplies by M or compares all rows is called by all.
-
     Attributes
     ----------
     above, below : ndarray, shape (n,)
@@ -67,7 +65,7 @@ class RowInequality:
         """Return the inequality at the finite point high + low, each of shape (n,)."""
         if low is None:
             matrix = problem.matrix
-            value, radius = compensated_product(matrix.csr_rows, matrix.whole(high), problem.q)
+            value, radius = compensated_product(matrix.csr, high, problem.q)
             slack, negative = sum_above(value, radius), sum_above(-value, radius)
             low = np.zeros(problem.q.size)
         else:
@@ -87,7 +85,7 @@ class RowInequality:
     def inflation(self, weights: Weights) -> FloatVector:
         """Return t ≥ 0, a number a component, with Φ(t v) ≤ t v.
 
-        Returned is that of each row's part, shape (own,), or (1,) for all of one part.
+        Returned is that of each row's part, shape (n,), or (1,) for all of one part.
         """
 
         def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
@@ -162,7 +160,7 @@ def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> Float
 
 def _minus_comparison(problem: LCP, y: FloatVector) -> FloatVector:
     """Return an upper bound of −⟨M⟩y."""
-    value, radius = comparison_product(problem.matrix.csr_rows, problem.matrix.whole(y))
+    value, radius = comparison_product(problem.matrix.csr, y)
     return sum_above(-value, radius)
 
 
@@ -175,8 +173,8 @@ def _slack_of_pair(
 ) -> tuple[FloatVector, FloatVector]:
     """Return upper bounds of w and −w at high + low; w is small beside its parts."""
     matrix = problem.matrix
-    first, rest, radius = compensated_pair(matrix.csr_rows, matrix.whole(high), problem.q)
-    second, second_radius = compensated_product(matrix.csr_rows, matrix.whole(low))
+    first, rest, radius = compensated_pair(matrix.csr, high, problem.q)
+    second, second_radius = compensated_product(matrix.csr, low)
     total_radius = sum_above(radius, second_radius)
 
     def end(sign: float) -> FloatVector:

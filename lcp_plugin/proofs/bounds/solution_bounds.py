@@ -48,7 +48,7 @@ class EigenvalueBound(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HPlusBounds:
-    """What ⟨M⟩v > 0 says, v > 0 and M with a positive diagonal; on ranks the weights are the own parts."""
+    """What ⟨M⟩v > 0 says, v > 0 and M with a positive diagonal."""
 
     matrix: Matrix
     weights: Weights
@@ -57,7 +57,7 @@ class HPlusBounds:
     kind: ClassVar[str] = "rigorous"
 
     def of_error(self, at: RowInequality) -> FloatVector:
-        """Return a bound of |z − z*|, shape (own,); the least t v that is one."""
+        """Return a bound of |z − z*|, shape (n,); the least t v that is one."""
         return product_above(at.inflation(self.weights), self.weights.high)
 
 
@@ -81,15 +81,12 @@ class DefiniteBounds:
 
 
 def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
-    """Return what bounds errors by this M; None where it is neither proven H₊ nor found to be positive definite.
-
-    On ranks only H₊-matrices are looked for.
-    """
-    is_positive = matrix.all_rows(matrix.diagonal > 0.0)
+    """Return what bounds errors by this M; None where it is neither proven H₊ nor found to be positive definite."""
+    is_positive = bool(np.all(matrix.diagonal > 0.0))
     found = comparison_weights(matrix) if is_positive else None
     if found is not None:
         return HPlusBounds(matrix, found)
-    eigenvalue = None if matrix.is_distributed else smallest_eigenvalue_bound(matrix)
+    eigenvalue = smallest_eigenvalue_bound(matrix)
     return None if eigenvalue is None else DefiniteBounds(eigenvalue)
 
 

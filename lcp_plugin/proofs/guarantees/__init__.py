@@ -90,7 +90,6 @@ def convergence_guarantee(
     from ...methods.direct import last_resort
 
     policy = policy_for(algorithm, options)
-    problem.matrix.require_all_rows()
     with np.errstate(all="ignore"):  # what overflows proves nothing
         if policy.algorithm is not None:
             return _of_one(problem, policy.algorithm)

@@ -12,7 +12,6 @@ doi:10.1137/1.9781611971262.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -21,9 +20,8 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector, read_only
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.symmetry import has_symmetric_entries
 from ...core.rounding import lower_end, upper_end
-from ...systems.comparison import DIRECT_LIMIT, ComparisonMatrix, comparison_of
+from ...systems.comparison import DIRECT_LIMIT, ComparisonMatrix
 from ...systems.comparison_sums import comparison_product, exact_comparison_row
 from ...systems.graph import block_rows, strong_blocks
 from ..exact.linear_systems import EXACT_SIZE, exact_comparison, exact_weights, has_positive_pivots
@@ -101,13 +99,6 @@ def comparison_certificate(matrix: Matrix) -> HCertificate | None:
 @fact
 def h_verdict(matrix: Matrix) -> HVerdict:
     """Return whether M is an H-matrix, with its proof."""
-    if matrix.is_distributed:
-        found = _on_ranks(matrix)
-        return HVerdict(
-            found is not None or None,
-            "⟨M⟩v > 0 verified on every rank" * (found is not None),
-            found,
-        )
     return decide(matrix.csr, lambda: ComparisonMatrix(matrix.csr))
 
 
@@ -326,40 +317,3 @@ def _centred(v: FloatVector) -> FloatVector:
         return v
     middle = int(np.frexp(positive.max())[1] + np.frexp(positive.min())[1]) // 2
     return np.ldexp(v, -middle)
-
-
-@np.errstate(all="ignore")
-def _on_ranks(matrix: Matrix) -> HCertificate | None:
-    """Return a certificate of own parts for a matrix with a positive diagonal, or None; all ranks call.
-
-    v is a vector of ones or solves ⟨M⟩v = diag(M) roughly. That it does its work is verified row by row with all
-    rounding counted.
-    """
-    if not matrix.all_rows(matrix.diagonal > 0.0):
-        return None
-    for v in _candidates(matrix):
-        margin = lower_end(*comparison_product(matrix.csr_rows, matrix.whole(v)))
-        least = min(float(v.min(initial=np.inf)), float(margin.min(initial=np.inf)))
-        if matrix.all_rows(least > 0.0):
-            return HCertificate(v, margin)
-    return None
-
-
-def _candidates(matrix: Matrix) -> Iterator[FloatVector]:
-    """Yield vectors that may be such a v: ones, then solutions of ⟨M⟩v = diag(M), each nearer than the one before."""
-    from ...systems.hierarchy.levels import COARSEST, build_hierarchy
-    from ...systems.hierarchy.truncation import KrylovCorrection, Truncation
-
-    ones = np.ones(matrix.own)
-    yield ones
-    comparison, is_symmetric = comparison_of(matrix.csr_rows), has_symmetric_entries(matrix)
-    hierarchy = build_hierarchy(comparison, COARSEST, scales_rows=not is_symmetric, shared=matrix)
-    residual = matrix.diagonal - comparison @ np.ones(matrix.width)
-    solution = KrylovCorrection(Truncation(hierarchy), residual, is_symmetric)
-    begun, steps = solution.largest(), 0
-    for gain in GAINS:
-        while solution.largest() > gain * begun and steps < MOST_STEPS and solution.step():
-            steps += 1
-        v = np.empty(matrix.own)
-        solution.apply_to(ones, v)
-        yield v

@@ -255,14 +255,13 @@ def wrapped(title: str, text: str) -> list[str]:
 @fact
 def _report(matrix: Matrix) -> MatrixReport:
     """Return the one report on the matrix."""
-    matrix.require_all_rows()
     return MatrixReport(matrix)
 
 
 @fact
 def is_negative(matrix: Matrix) -> bool:
-    """Whether every diagonal entry is negative, as of each negative definite matrix; not asked of rows on ranks."""
-    return not matrix.is_distributed and matrix.n > 0 and bool((matrix.diagonal < 0.0).all())
+    """Whether every diagonal entry is negative, as of each negative definite matrix."""
+    return matrix.n > 0 and bool((matrix.diagonal < 0.0).all())
 
 
 @fact
@@ -292,7 +291,7 @@ def sign_remark(matrix: Matrix) -> str:
 
 
 def classes_in_words(matrix: Matrix) -> str:
-    """Return what one look at the entries tells of M; nothing where the rows are on several ranks.
+    """Return what one look at the entries tells of M.
 
     Examples
     --------
@@ -303,8 +302,6 @@ def classes_in_words(matrix: Matrix) -> str:
 
 
 def _classes(matrix: Matrix) -> Iterator[str]:
-    if matrix.is_distributed:
-        return
     yield "dense" if matrix.is_dense else "sparse"
     if symmetric(matrix).value:
         yield "symmetric"

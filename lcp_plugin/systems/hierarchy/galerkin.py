@@ -244,7 +244,6 @@ def _update_rows(  # type: ignore[no-untyped-def]
     c_indices,
     c_data,
     c_diagonal,
-    c_weight,
     c_inverse,
     c_is_free,
     c_free_changed,
@@ -255,7 +254,7 @@ def _update_rows(  # type: ignore[no-untyped-def]
     sums,
     first,
     end,
-):  # `c_is_free` and `c_free_changed` have space for foreign unknowns, which are left as they are
+):
     """Do so in the order of `_product_rows`: where all is free, the bits are those of the coarse matrix.
 
     A coarse unknown all of whose fine ones are fixed or held, or whose pivot is not positive, is fixed itself.
@@ -307,8 +306,7 @@ def _update_rows(  # type: ignore[no-untyped-def]
         products += added
         pivot = c_data[uintp(c_diagonal[row])]
         free = pivot > SMALLEST_PIVOT
-        weight = c_weight[row] if c_weight.size > 0 else 0.0
-        c_inverse[row] = 1.0 / (pivot + weight) if free else 0.0
+        c_inverse[row] = 1.0 / pivot if free else 0.0
         c_free_changed[row] = free != c_is_free[row]
         c_is_free[row] = free
     return products, changed_rows

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import Arrays, FloatVector
-from ...core.communicator import ALONE, Communicator, SharedRows
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
 
-NO_WEIGHT = np.zeros(0)
-NO_WEIGHT.flags.writeable = False
+ALIKE = np.zeros(0)
+ALIKE.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,39 +46,34 @@ class Operator:
 class Transfer:
     """The way from one grid to the next coarser one: prolongation P, restriction Pᵀ or Pᵀ D⁻¹, and who is on both.
 
-    P has a row for each foreign unknown as well, which the Galerkin product needs. `scaling` is that of the fine
+    `scaling` is that of the fine
     unknowns, empty where all are alike.
     """
 
     prolongation: Operator
     restriction: Operator
     is_coarse: NDArray[np.bool_]
-    scaling: FloatVector = field(default_factory=lambda: NO_WEIGHT)
+    scaling: FloatVector = field(default_factory=lambda: ALIKE)
 
 
 @dataclass(frozen=True, eq=False)
-class Grid(SharedRows):
-    """One grid: its matrix with every diagonal entry stored, where those stand, inverses of the pivots.
-
-    A pivot is the diagonal entry, plus its weight where other processes sweep at the same time.
-    """
+class Grid:
+    """One grid: its matrix with every diagonal entry stored, where those stand, inverses of the pivots."""
 
     matrix: Operator
     split: NDArray[Any]
     blocks: RowBlocks
     inverse: FloatVector
-    communicator: Communicator = ALONE
-    weight: FloatVector = field(default_factory=lambda: NO_WEIGHT)
 
     @property
     def n(self) -> int:
-        """Number of own unknowns."""
+        """Number of unknowns."""
         return self.inverse.size
 
     @property
-    def width(self) -> int:
-        """Number of unknowns that the own rows meet."""
-        return self.inverse.size + self.foreign
+    def entries(self) -> int:
+        """Number of stored entries."""
+        return self.matrix.data.size
 
     @property
     def spread(self) -> float:
@@ -96,24 +90,11 @@ class Grid(SharedRows):
         return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data
 
     def dense(self, values: FloatVector) -> NDArray[np.float64]:
-        """Return the matrix with these values in the place of its own, of a grid that nobody shares."""
+        """Return the matrix with these values in the place of its own."""
         indptr, indices, _ = self.matrix.arrays
         dense = np.zeros((self.n, self.n))
         dense[np.repeat(np.arange(self.n), np.diff(indptr)), indices] = values
         return dense
-
-    @property
-    def own_entries(self) -> int:
-        """Number of entries of the own rows."""
-        return int(self.matrix.indptr[self.n])
-
-    @property
-    def own_arrays(self) -> Arrays:
-        """The own rows, where those of foreign unknowns stand behind them."""
-        matrix = self.matrix
-        if matrix.indptr.size == self.n + 1:
-            return matrix.arrays
-        return Operator(matrix.indptr[: self.n + 1], matrix.indices, matrix.data).arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,17 +211,13 @@ def rows_from_kernel(
     return joined(list(pieces)), sum(counts)
 
 
-def pivots(
-    matrix: Operator, rows: int, weight: FloatVector, smallest: float
-) -> tuple[NDArray[Any], FloatVector]:
-    """Return where the diagonal entries of so many rows stand, and the inverse pivots: 0 of an entry not above that."""
+def pivots(matrix: Operator, smallest: float) -> tuple[NDArray[Any], FloatVector]:
+    """Return where the diagonal entries stand, and their inverses: 0 of an entry not above `smallest`."""
     indptr, indices, data = matrix.arrays
-    row = np.repeat(np.arange(rows, dtype=indices.dtype), np.diff(indptr[: rows + 1]))
-    split = np.flatnonzero(indices[: row.size] == row).astype(indptr.dtype)
+    row = np.repeat(np.arange(indptr.size - 1, dtype=indices.dtype), np.diff(indptr))
+    split = np.flatnonzero(indices == row).astype(indptr.dtype)
     diagonal = data[split]
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        inverse = np.where(
-            diagonal > smallest, 1.0 / (diagonal + weight if weight.size else diagonal), 0.0
-        )
+        inverse = np.where(diagonal > smallest, 1.0 / diagonal, 0.0)
     split.flags.writeable = inverse.flags.writeable = False
     return split, inverse

@@ -43,22 +43,16 @@ def residual_after_first_sweep(
     rows: Matrix,
     blocks: RowBlocks,
     inverse: FloatVector,
-    weight: FloatVector,
     b: FloatVector,
     x: FloatVector,
     residual: FloatVector,
 ) -> None:
-    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then others changed.
-
-    It held with the pivot m_ii + weight_i, where there are weights.
-    """
+    """Write b − M x behind `first_sweep` into `residual`: row i held when it was left, then others changed."""
     split, reach = rows[1], blocks.reach
     shared(_product_of(rows, split, 1, inverse, -1.0, b, 0.0, x, residual), inverse.size)
     whole = _product_of(rows, rows[0], 0, inverse, -1.0, b, 1.0, x, residual)
     for edge in blocks.edges[2:-1:2].tolist():  # here others had changed before
         whole(edge - reach, edge + reach)
-    if weight.size:
-        residual += np.where(inverse != 0.0, weight * x[: weight.size], 0.0)
 
 
 def free_product(rows: Matrix, inverse: FloatVector, x: FloatVector, product: FloatVector) -> None:

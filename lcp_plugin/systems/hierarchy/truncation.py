@@ -16,7 +16,7 @@ from . import galerkin, sweeps, vectors
 from .grids import Grid, Hierarchy
 from .vectors import add_both, add_within, dot, largest_product, span
 
-COARSEST_SWEEPS = 10  # there and back, where it is shared by processes or large
+COARSEST_SWEEPS = 10  # there and back, where it is large
 FACTORISED_UP_TO = 150  # unknowns: the factor takes no more than sweeps over some thousand entries
 
 
@@ -32,14 +32,14 @@ class TruncatedGrid:
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
         self.inverse = grid.inverse.copy()
-        self.is_free = np.ones(grid.width, np.bool_)
-        self.free_changed = np.zeros(grid.width, np.bool_)
-        self.is_interpolated = np.ones(grid.width, np.bool_)  # free, and not held by what is fixed
+        self.is_free = np.ones(n, np.bool_)
+        self.free_changed = np.zeros(n, np.bool_)
+        self.is_interpolated = np.ones(n, np.bool_)  # free, and not held by what is fixed
         self.held = np.zeros(0, np.intp)
         self.row_changed = np.zeros(n, np.bool_)
-        self.touched = np.zeros(grid.width, np.bool_)
+        self.touched = np.zeros(n, np.bool_)
         self.is_whole = True  # nothing was ever fixed here, or it was released again
-        self.x, self.b, self.residual = (np.zeros(size) for size in (grid.width, n, grid.width))
+        self.x, self.b, self.residual = (np.zeros(n) for _ in range(3))
         self._factor: Factor | None = None
         self._is_factorised = False
 
@@ -49,7 +49,7 @@ class TruncatedGrid:
         Sweeps would not do where couplings jump: blocks that hang together by weak ones only move slowly.
         """
         n = self.grid.n
-        if self._is_factorised or n > FACTORISED_UP_TO or self.grid.is_coupled:
+        if self._is_factorised or n > FACTORISED_UP_TO:
             return self._factor, 0.0
         dense = self.grid.dense(self.values)
         is_fixed = self.inverse == 0.0
@@ -118,13 +118,11 @@ class Truncation:
         top = self.grids[self.top]
         top.is_whole = False
         top.forget_factor()
-        np.multiply(top.grid.inverse, top.is_free[: top.grid.n], out=top.inverse)
+        np.multiply(top.grid.inverse, top.is_free, out=top.inverse)
         top.row_changed[:] = False
         for k in range(self.top, len(self.transfers)):
             level, below, transfer = self.grids[k], self.grids[k + 1], self.transfers[k]
             matrix = level.grid.matrix
-            level.grid.fetch_flags(level.is_free)
-            level.grid.fetch_flags(level.free_changed)
             flags = level.free_changed, level.row_changed, level.touched
             galerkin.mark_rows(
                 matrix.indptr, matrix.indices, *(flag.view(np.uint8) for flag in flags)
@@ -141,10 +139,7 @@ class Truncation:
                 transfer.scaling,
                 transfer.is_coarse,
             ):
-                own = slice(level.grid.n)
-                level.held = np.flatnonzero(level.is_free[own] & ~level.is_interpolated[own])
-            level.grid.fetch_flags(level.is_interpolated)
-            level.grid.fetch_flags(level.free_changed)
+                level.held = np.flatnonzero(level.is_free & ~level.is_interpolated)
             if level.free_changed.any():
                 galerkin.mark_rows(
                     matrix.indptr,
@@ -153,9 +148,6 @@ class Truncation:
                     level.touched.view(np.uint8),
                     level.touched.view(np.uint8),
                 )
-            level.grid.fetch_flags(level.touched)
-            if level.new_values is not None:
-                level.grid.fetch_entries(level.new_values)
             products, changed = galerkin.update_product(
                 matrix.indptr,
                 matrix.indices,
@@ -168,7 +160,6 @@ class Truncation:
                 below.grid.matrix.indices,
                 below.new_values,
                 below.grid.split,
-                below.grid.weight,
                 below.inverse,
                 below.is_free,
                 below.free_changed,
@@ -177,7 +168,7 @@ class Truncation:
             below.is_whole = False
             below.forget_factor()
             self.work += matrix.indices.size + transfer.restriction.indices.size + products
-            if level.grid.total_of(changed) == 0:
+            if changed == 0:
                 break
 
     def correct(self, k: int) -> None:
@@ -192,26 +183,21 @@ class Truncation:
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
-        grid.fetch(level.x)
-        residual = level.residual[: grid.n]
         sweeps.residual_after_first_sweep(
-            rows, blocks, level.inverse, grid.weight, level.b, level.x, residual
+            rows, blocks, level.inverse, level.b, level.x, level.residual
         )
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
-        below.grid.fetch(below.x)
         vectors.add_prolonged(transfer, below.x, level.is_interpolated, level.x)
-        grid.fetch(level.x)
         sweeps.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
     def restrict(self, k: int, residual: FloatVector) -> None:
-        """Write into b of grid k + 1 what it has to answer; `residual` has space for what others tell."""
-        level, held = self.grids[k], self.grids[k].held
+        """Write into b of grid k + 1 what it has to answer."""
+        held = self.grids[k].held
         kept = residual[held]
         residual[held] = 0.0
-        level.grid.fetch(residual)
         vectors.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
@@ -256,7 +242,6 @@ class Truncation:
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(2 * COARSEST_SWEEPS + 1):
-            level.grid.fetch(level.x)
             sweeps.sweep(
                 level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x
             )
@@ -277,7 +262,7 @@ class KrylovCorrection:
         −w on the free rows, 0 elsewhere; overwritten by what is left of it.
     is_symmetric : bool
     transposed : bool
-        Mᵀ in the place of M, by the rows of M; one process has them all.
+        Mᵀ in the place of M, by the rows of M.
     """
 
     def __init__(
@@ -292,11 +277,11 @@ class KrylovCorrection:
         self.transposed = transposed and not is_symmetric
         self.grid = truncation.grids[0].grid
         # Squares of very large or small numbers leave the range of a double.
-        self.unit: float = power_of_two(self.grid.largest_of(span(residual)))
+        self.unit: float = power_of_two(span(residual))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
         is_weighted = not (is_symmetric or transposed)
-        self._weight = (inverse / self.grid.largest_of(span(inverse))) ** 2 if is_weighted else None
+        self._weight = (inverse / span(inverse)) ** 2 if is_weighted else None
         self._sum = truncation.vector()
         self._sum[:] = 0.0
         self.directions: list[tuple[FloatVector, FloatVector, float]] = []
@@ -320,7 +305,7 @@ class KrylovCorrection:
     def largest(self) -> float:
         """Return the largest scaled residual that is left."""
         scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
-        return float(self.unit * self.grid.largest_of(scaled))
+        return float(self.unit * scaled)
 
     @np.errstate(all="ignore")
     def step(self) -> bool:
@@ -328,9 +313,7 @@ class KrylovCorrection:
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         top.b = self.residual
-        shares_workspace = (
-            top.x.size == top.grid.n and not self.transposed
-        )  # the cycle's own, and gives other for it
+        shares_workspace = not self.transposed  # the cycle's own, and gives other for it
         p, product = (
             (top.x, top.residual)
             if shares_workspace
@@ -344,9 +327,6 @@ class KrylovCorrection:
             product *= top.is_free
         else:
             self.truncation.correct(0)
-            if not shares_workspace:
-                np.copyto(p, top.x[: top.grid.n])
-            self.grid.fetch(top.x)
             sweeps.free_product(top.rows, top.inverse, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
@@ -371,7 +351,7 @@ class KrylovCorrection:
         self.directions.clear()
 
     def _dot(self, one: FloatVector, other: FloatVector) -> float:
-        return self.grid.total_of(dot(one, other))
+        return dot(one, other)
 
     def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
         if self.is_symmetric:

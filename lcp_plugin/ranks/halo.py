@@ -7,15 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from mpi4py import MPI
 from numpy.typing import NDArray
-from petsc4py import PETSc
 
-from ...core.checks import Arrays, FloatVector, frozen
-from ...core.communicator import NOBODY
+from ..core.checks import Arrays, FloatVector, frozen
 from .collective import Ranks
 
 Integers = NDArray[Any]
+NOBODY = np.empty(0, np.int64)
 
 
 class ForeignRows(NamedTuple):
@@ -27,12 +25,39 @@ class ForeignRows(NamedTuple):
     places: Integers
 
 
-class Halo(Ranks):
-    """Consecutive ranges of rows in the order of the ranks; foreign values come by a PETSc star forest.
+class Exchange:
+    """Sends values to the ranks that need copies of them, each time the same ones.
 
     Parameters
     ----------
-    comm : communicator of mpi4py or petsc4py
+    comm : communicator of mpi4py
+    own : int
+        How many values this rank owns; copies of others stand behind them.
+    places : array of int, shape (k, 2)
+        Rank and place there of each copied value.
+    """
+
+    def __init__(self, comm: Any, own: int, places: Integers) -> None:
+        self._comm, self._own = comm, own
+        self._order = np.argsort(places[:, 0], kind="stable")
+        self._received = np.bincount(places[:, 0], minlength=comm.size)
+        asked = np.split(places[self._order, 1], np.cumsum(self._received)[:-1])
+        wanted = comm.alltoall(asked)
+        self._sent, self._which = np.array([one.size for one in wanted]), np.concatenate(wanted)
+
+    def __call__(self, values: FloatVector) -> None:
+        """Overwrite the copies behind the own values."""
+        copies = np.empty(self._order.size)
+        self._comm.Alltoallv([values[self._which], self._sent], [copies, self._received])
+        values[self._own + self._order] = copies
+
+
+class Halo(Ranks):
+    """Consecutive ranges of rows in the order of the ranks; `fetch` brings the foreign values.
+
+    Parameters
+    ----------
+    comm : communicator of mpi4py
     own : int
         How many rows this rank owns; may be 0.
     ghosts : array of int
@@ -67,11 +92,9 @@ class Halo(Ranks):
         if self.is_empty:
             return
         owners = self.owners(ghosts)
-        self._forest = self._forest_of(
-            own, np.stack([owners, ghosts - self.starts[owners]], axis=1)
-        )
-        self._own_entries = own_entries
-        self._entry_forest = None if entries is None else self._forest_of(own_entries, entries)
+        places = np.stack([owners, ghosts - self.starts[owners]], axis=1)
+        self._values = Exchange(self.comm, own, places)
+        self._entries = None if entries is None else Exchange(self.comm, own_entries, entries)
         self._flags = np.empty(own + self.foreign)
 
     def owners(self, indices: Integers) -> Integers:
@@ -87,36 +110,26 @@ class Halo(Ranks):
     def fetch(self, x: FloatVector) -> None:
         """Overwrite what stands behind the own values in x, shape (own + foreign,), by the owners' values."""
         if not self.is_empty:
-            self._send(self._forest, x, self.own)
+            self._values(x)
+
+    def whole(self, own: FloatVector) -> FloatVector:
+        """Return the own values with the foreign ones behind them, shape (own + foreign,), a copy."""
+        x = np.zeros(self.own + self.foreign)
+        x[: self.own] = own
+        self.fetch(x)
+        return x
 
     def fetch_entries(self, data: FloatVector) -> None:
         """Overwrite the entries of the foreign rows, which stand behind those of the own rows."""
-        if not self.is_empty and self._entry_forest is not None:
-            self._send(self._entry_forest, data, self._own_entries)
+        if not self.is_empty and self._entries is not None:
+            self._entries(data)
 
     def fetch_flags(self, flags: NDArray[Any]) -> None:
-        """Do the same with flags."""
+        """Do as `fetch` does with flags."""
         if not self.is_empty:
             self._flags[: self.own] = flags[: self.own]
             self.fetch(self._flags)
             flags[self.own :] = self._flags[self.own :] > 0.0
-
-    def gathered(self, own: FloatVector) -> FloatVector | None:
-        """Return the parts of all ranks one after the other on rank 0, None on the others."""
-        whole = np.empty(self.n) if self.rank == 0 else None
-        self.comm.Gatherv(np.ascontiguousarray(own), (whole, np.diff(self.starts)), root=0)
-        return whole
-
-    def _send(self, forest: PETSc.SF, values: FloatVector, own: int) -> None:
-        ends = values[:own], values[own:] if self.foreign else np.empty(0)
-        forest.bcastBegin(MPI.DOUBLE, *ends, MPI.REPLACE)
-        forest.bcastEnd(MPI.DOUBLE, *ends, MPI.REPLACE)
-
-    def _forest_of(self, roots: int, places: Integers) -> PETSc.SF:
-        forest = PETSc.SF().create(comm=self.comm)
-        forest.setGraph(roots, None, places.astype(PETSc.IntType).ravel())
-        forest.setUp()
-        return forest
 
     # --- a coarser grid ----------------------------------------------------------------------------------
 

@@ -12,16 +12,21 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ...core.checks import FloatVector
-from ...core.communicator import Communicator
-from ...core.errors import InvalidProblem, LCPError, UnreadableFile
+from ..core.checks import FloatVector
+from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnreadableFile
+
+try:
+    from mpi4py import MPI
+except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library raises the latter
+    raise InvalidOption(
+        f"several ranks need mpi4py and an MPI library ({error}); pip install 'lcp_plugin[mpi]'"
+    ) from None
 
 ABORTED = 1
 PATIENCE = 5.0
@@ -30,18 +35,16 @@ COURTESY = 0.5  # seconds that other ranks wait before they speak: where all fai
 T = TypeVar("T")
 
 
-class Ranks(Communicator):
-    """The processes of a communicator of mpi4py or petsc4py, and what they agree on; None means the whole job."""
+class Ranks:
+    """The processes of a communicator of mpi4py, and what they agree on; None means the whole job."""
 
-    is_alone = False
+    first = 0
 
     def __init__(self, comm: Any) -> None:
-        if hasattr(comm, "tompi4py"):
-            comm = comm.tompi4py()
         self.comm = MPI.COMM_WORLD if comm is None else comm
         if not isinstance(self.comm, MPI.Comm):
             raise InvalidProblem(
-                f"comm must be a communicator of mpi4py or petsc4py, got {type(comm).__name__}"
+                f"comm must be a communicator of mpi4py, got {type(comm).__name__}"
             )
         self.size, self.rank = self.comm.size, self.comm.rank
 
@@ -61,9 +64,10 @@ class Ranks(Communicator):
         counts = self.comm.allgather(count)
         return sum(counts[: self.rank]), sum(counts)
 
-    def largest(self, value: float) -> float:
-        """Return the largest of all ranks' values; a NaN stays."""
-        return self.all_largest(value)[0]
+    def largest(self, values: Any) -> float:
+        """Return the largest of all ranks' values ≥ 0, arrays or one number each; a NaN stays."""
+        here = values.max(initial=0.0) if isinstance(values, np.ndarray) else values
+        return self.all_largest(float(here))[0]
 
     def all_largest(self, *values: float) -> tuple[float, ...]:
         """Return the largest of each of them."""
@@ -76,18 +80,13 @@ class Ranks(Communicator):
         with np.errstate(over="ignore", invalid="ignore"):
             return float(self.table(value).sum(axis=0)[0])
 
-    def everywhere(self, is_so: bool) -> bool:
-        """Return whether it is so on every rank."""
-        return self.largest(float(not is_so)) == 0.0
+    def everywhere(self, is_so: Any) -> bool:
+        """Return whether it is so on every rank, in every row of an array."""
+        return self.all_largest(float(not np.all(is_so)))[0] == 0.0
 
-    def worst(self, value: float, row: int) -> tuple[float, int]:
-        """Return the largest value ≥ 0, NaN before any other, and its row of the whole matrix; 0 and −1 of no row."""
-        table = self.table(value, float(self.first + row if row >= 0 else -1))
-        has_rows = table[table[:, 1] >= 0.0]
-        if not has_rows.size:
-            return 0.0, -1
-        k = int(np.argmax(has_rows[:, 0]))  # argmax stops at the first NaN
-        return float(has_rows[k, 0]), int(has_rows[k, 1])
+    def anywhere(self, is_so: Any) -> bool:
+        """Return whether it is so on one rank or more, in one row of an array."""
+        return self.all_largest(float(np.any(is_so)))[0] > 0.0
 
     def together(self, attempt: Callable[[], T], *, names_rank: bool = True) -> T:
         """Return what `attempt` gives on each rank; where it fails on one, no rank goes on.
@@ -140,10 +139,6 @@ class Ranks(Communicator):
                     f"{what} differs: {values[0]} on rank 0, {other} on rank {rank}; {remedy}"
                 )
 
-    def interruptions(self) -> AbstractContextManager[Callable[[], bool]]:
-        """Return a context in which the first Ctrl-C on a rank is a wish, and whether this rank has it."""
-        return Interruptions()
-
 
 def _described(error: Exception) -> tuple[type[LCPError], str]:
     if isinstance(error, LCPError):
@@ -186,7 +181,7 @@ def ends_together(
 
     Parameters
     ----------
-    comm : communicator of mpi4py or petsc4py; None for the whole job
+    comm : communicator of mpi4py; None for the whole job
         All of its ranks enter the block together.
     patience : float
         Seconds that a rank with an LCPError waits for the others to have one too.

@@ -1,0 +1,419 @@
+"""An LCP whose rows are spread over MPI ranks, saved and loaded as a folder of chunks.
+
+Bad input on one rank is refused on all of them.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+import shutil
+from collections.abc import Iterator, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ..core.checks import (
+    FloatVector,
+    canonical_csr,
+    check_kind,
+    check_order,
+    checked_bound,
+    finite_vector,
+    read_only,
+    real_vector,
+    without_huge,
+)
+from ..core.errors import InvalidProblem, UnreadableFile
+from ..core.lcp import LCP
+from ..core.matrix.matrix import largest_entry, residual_scale_of
+from ..interfaces.files.files import (
+    MATRIX_KEYS,
+    VECTORS,
+    arrays_of,
+    checked_path,
+    csr_in,
+    read_npz,
+    require_keys,
+)
+from .collective import Ranks
+from .halo import Halo, numbered_over_all, own_rows
+from .solving import ResultOnRanks, solve_on_ranks
+
+WIDEST = 2**31 - 1  # columns that 32 bits count
+UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x beyond which M is not symmetric
+CHUNK = re.compile(r"rows-(\d{5,})-of-(\d{5,})\.npz")
+HEAD_KEYS = ("shape", "first_row", "save")
+REMEDY = "write it with problem.save"
+
+
+class RowsOnRanks:
+    """The LCP z ∈ [lower, upper], w = M z + q complementary, whose rows are spread over MPI ranks.
+
+    Every vector is the own part of a rank, shape (own,). All ranks call every method, in the same order. It is made
+    by :meth:`lcp_plugin.LCP.from_rows`.
+
+    Attributes
+    ----------
+    n, own : int
+        Number of rows, of all ranks and of this one.
+    rows : csr_array, shape (own, own + foreign)
+        The own rows, columns counted as this rank does: its own, then the foreign ones that they meet.
+    halo : Halo
+        The ranks, and the values that they need from each other.
+    q, lower, upper : array, shape (own,)
+    diagonal, residual_scale : array, shape (own,)
+        m_ii, and d_i of the residual.
+    """
+
+    def __init__(
+        self, rows: sp.csr_array, halo: Halo, q: ArrayLike, lower: ArrayLike, upper: ArrayLike
+    ) -> None:
+        self.rows, self.halo, self.n, self.own = rows, halo, halo.n, halo.own
+        self.q = finite_vector(q, "q", self.own)
+        self.lower, self.upper = without_huge(
+            checked_bound(lower, "lower", self.own), checked_bound(upper, "upper", self.own)
+        )
+        check_order(self.lower, self.upper)
+        self.diagonal = read_only(np.asarray(rows.diagonal(), np.float64))
+        self.residual_scale = residual_scale_of(rows, self.diagonal, largest_entry(rows))
+        self.nearest_to_zero = read_only(np.clip(0.0, self.lower, self.upper))
+
+    @classmethod
+    def from_rows(
+        cls,
+        comm: Any,
+        rows: Any,
+        q: ArrayLike,
+        lower: ArrayLike = 0.0,
+        upper: ArrayLike = np.inf,
+        *,
+        first_row: int | None = None,
+    ) -> RowsOnRanks:
+        """Return the problem of the rows that each rank gives, in the order of the ranks.
+
+        Parameters
+        ----------
+        comm : communicator of mpi4py; None for the whole job
+        rows : sparse array, shape (own, n)
+            The own rows of M with global column indices; a rank may have none. They are only read.
+        q : array, shape (own,)
+        lower, upper : scalar or array, shape (own,)
+            A scalar holds for all rows and must be the same on every rank.
+        first_row : int, optional
+            The index of the first own row; it is checked if it is given.
+
+        Raises
+        ------
+        InvalidProblem
+            On every rank, if a part is damaged or the parts do not fit together.
+        """
+        ranks = Ranks(comm)
+        matrix = ranks.together(lambda: _checked_rows(rows))
+        own, n = matrix.shape
+        ranks.require_same("the number of columns", n, "every rank gives its rows at full width")
+        halo = Halo(ranks.comm, own)
+        if halo.n != n:
+            lack = "missing" if halo.n < n else "too many; is one given twice?"
+            counts = ", ".join(map(str, np.diff(halo.starts)))
+            raise InvalidProblem(
+                f"M has {n} columns, but the ranks give {halo.n} rows ({counts}): "
+                f"{abs(n - halo.n)} are {lack}"
+            )
+        ranks.together(lambda: _check_first_row(first_row, halo.first))
+        parts = own_rows(halo, matrix)
+        problem = ranks.together(lambda: cls(*parts, q, lower, upper))
+        for name, bound in (("lower", lower), ("upper", upper)):
+            number = float(np.asarray(bound)) if np.ndim(bound) == 0 else "an array"
+            advice = "a number holds for all rows; give arrays where rows differ"
+            ranks.require_same(name, number, advice)
+        return problem
+
+    @classmethod
+    def from_problem(cls, problem: LCP, comm: Any = None) -> RowsOnRanks:
+        """Return an LCP that every rank has, cut into equal parts.
+
+        Raises
+        ------
+        InvalidProblem
+            If the ranks give different problems.
+        """
+        ranks = Ranks(comm)
+        M = ranks.together(lambda: _checked_whole(problem))
+        parts = (M.indptr, M.indices, M.data, problem.q, problem.lower, problem.upper)
+        facts = (problem.n, M.nnz, *(crc32(np.ascontiguousarray(part).data) for part in parts))
+        ranks.require_same(
+            "the problem (n, nonzeros, checksums)", facts, "build the same one on every rank"
+        )
+        own = slice(*equal_share(problem.n, ranks))
+        return cls.from_rows(comm, M[own], problem.q[own], problem.lower[own], problem.upper[own])
+
+    def with_q(self, q: ArrayLike) -> RowsOnRanks:
+        """Return the problem with another own part of q."""
+        return self.halo.together(
+            lambda: RowsOnRanks(self.rows, self.halo, q, self.lower, self.upper)
+        )
+
+    def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
+        """Return a checked vector, shape (own,); all ranks refuse a wrong part of one of them."""
+        return self.halo.together(lambda: real_vector(z, name, self.own))
+
+    def slack(self, z: FloatVector) -> FloatVector:
+        """Return the own part of w = M z + q."""
+        w: FloatVector = self.rows @ self.halo.whole(z) + self.q
+        return w
+
+    def gathered(self, z: ArrayLike) -> FloatVector | None:
+        """Return the parts of all ranks as one vector on rank 0, None on the others."""
+        own = np.ascontiguousarray(self.own_part(z))
+        whole = np.empty(self.n) if self.halo.rank == 0 else None
+        self.halo.comm.Gatherv(own, (whole, np.diff(self.halo.starts)), root=0)
+        return whole
+
+    @property
+    def is_symmetric(self) -> bool:
+        """True if xᵀM y = yᵀM x for x and y of arbitrary entries, up to rounding.
+
+        That happens by chance with probability 0; a wrong answer would cost speed only.
+        """
+        if not hasattr(self, "_is_symmetric"):
+            self._is_symmetric = self._has_symmetric_products()
+        return self._is_symmetric
+
+    @np.errstate(all="ignore")
+    def _has_symmetric_products(self) -> bool:
+        unit = 1.0 / np.sqrt(np.abs(self.residual_scale))
+        random = np.random.default_rng([2, self.halo.rank])
+        x, y = (unit * random.uniform(-1.0, 1.0, self.own) for _ in range(2))
+        x_product, y_product = (self.rows @ self.halo.whole(one) for one in (x, y))
+        sums = float(y @ x_product), float(x @ y_product), float(np.sum((unit * x_product) ** 2))
+        forward, backward, size = map(self.halo.total, sums)
+        difference = abs(forward - backward)
+        return bool(difference <= UNLIKELY * np.sqrt(size * self.n) and np.isfinite(size))
+
+    def solve(self, algorithm: str = "auto", **options: Any) -> ResultOnRanks:
+        """Return the solution; see :func:`lcp_plugin.ranks.solving.solve_on_ranks`."""
+        return solve_on_ranks(self, algorithm, **options)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write one chunk per rank into a folder that all ranks see; the folder appears whole or not at all.
+
+        A chunk ``rows-00000-of-00004.npz`` holds the own rows of M in CSR (data, indices counted over all ranks,
+        indptr, shape), first_row, q, lower, upper, and in ``save`` a number that all chunks of one save share. A
+        folder that exists is replaced if it holds nothing but chunks.
+
+        Raises
+        ------
+        UnreadableFile
+            On every rank, if one of them cannot write, or the folder holds something else.
+        """
+        ranks = self.halo
+        target = ranks.together(lambda: checked_path(path))
+        name, folder = ranks.from_first(lambda: (secrets.token_hex(8), _new_folder(target)))
+        try:
+            ranks.together(lambda: _write_chunk(self, folder, name))
+            ranks.from_first(lambda: _put_in_place(folder, target))
+        finally:
+            if ranks.rank == 0:
+                shutil.rmtree(folder, ignore_errors=True)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], comm: Any = None) -> RowsOnRanks:
+        """Return the problem of a folder of chunks, on any number of ranks.
+
+        Raises
+        ------
+        UnreadableFile, InvalidProblem
+            On every rank, if a chunk is missing or damaged on one of them.
+        """
+        ranks = Ranks(comm)
+        source = ranks.together(lambda: checked_path(path))
+        heads = _heads(source, ranks)
+        first, last = equal_share(heads[0].columns, ranks)
+        rows, *vectors = ranks.together(lambda: _read_rows(heads, first, last))
+        return cls.from_rows(ranks.comm, rows, *vectors, first_row=first)
+
+    def __repr__(self) -> str:
+        return f"RowsOnRanks(n={self.n}, ranks={self.halo.size})"
+
+
+def equal_share(n: int, ranks: Ranks) -> tuple[int, int]:
+    """Return first and last of this rank's part if n rows are cut into parts of equal length."""
+    return n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size
+
+
+def _checked_rows(rows: Any) -> sp.csr_array:
+    """Return the rows as canonical CSR, every index checked: a wrong one would be met on another rank."""
+    if not (sp.issparse(rows) and rows.ndim == 2):
+        raise InvalidProblem(
+            f"the own rows must be a sparse array of shape (own, n), got {type(rows).__name__}"
+        )
+    check_kind(rows.dtype, "rows must hold real numbers")
+    if rows.shape[1] > WIDEST:
+        raise InvalidProblem(f"M has {rows.shape[1]} columns; at most {WIDEST} are taken")
+    return canonical_csr(rows, "rows")
+
+
+def _check_first_row(given: int | None, first: int) -> None:
+    if given is not None and given != first:
+        raise InvalidProblem(
+            f"first_row is {given}, but the ranks before this one give {first} rows: rows are missing, "
+            "given twice, or in another order than the ranks"
+        )
+
+
+def _checked_whole(problem: Any) -> sp.csr_array:
+    if not isinstance(problem, LCP):
+        raise InvalidProblem(
+            f"from_problem needs an LCP, got {type(problem).__name__}; write LCP(M, q)"
+        )
+    return problem.csr
+
+
+class Head(NamedTuple):
+    """What one chunk says of itself: which rows it has, and which save it belongs to."""
+
+    path: Path
+    first_row: int
+    rows: int
+    columns: int
+    save: str
+
+
+def _new_folder(target: Path) -> Path:
+    if target.exists() and not (
+        target.is_dir() and all(CHUNK.fullmatch(one.name) for one in target.iterdir())
+    ):
+        raise UnreadableFile(
+            f"{target} holds something else than chunks of a problem; choose another place"
+        )
+    folder = target.with_name(f".{target.name}-{secrets.token_hex(6)}")
+    folder.mkdir(parents=True)
+    return folder
+
+
+def _write_chunk(problem: RowsOnRanks, folder: Path, name: str) -> None:
+    ranks = problem.halo
+    M = numbered_over_all(problem.rows, ranks)
+    try:
+        with (folder / f"rows-{ranks.rank:05d}-of-{ranks.size:05d}.npz").open("xb") as file:
+            np.savez(
+                file,
+                **arrays_of(problem, M),
+                first_row=np.array(ranks.first),
+                save=np.array(name),
+            )
+    except FileNotFoundError as error:
+        raise UnreadableFile(
+            f"the folder {folder} is not seen; all ranks must share the file system"
+        ) from error
+
+
+def _put_in_place(folder: Path, target: Path) -> None:
+    """Rename the new folder to its place; an old one steps aside before, and is removed afterwards."""
+    aside = folder.with_name(f"{folder.name}-old")
+    if not target.exists():
+        folder.rename(target)
+        return
+    target.rename(aside)
+    try:
+        folder.rename(target)
+    except OSError:
+        aside.rename(target)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _heads(source: Path, ranks: Ranks) -> list[Head]:
+    """Return what all chunks say of themselves, each read by one rank, in order and checked."""
+    paths = ranks.from_first(lambda: _complete(source))
+    own = ranks.together(lambda: [_head(path) for path in paths[ranks.rank :: ranks.size]])
+    heads = sorted(
+        (head for part in ranks.comm.allgather(own) for head in part),
+        key=lambda head: head.path.name,
+    )
+    first_row, columns, name = 0, heads[0].columns, heads[0].save
+    for head in heads:
+        if (head.columns, head.save) != (columns, name):
+            raise UnreadableFile(
+                f"{head.path} and {heads[0].path.name} are not of one save; write the folder again"
+            )
+        if head.first_row != first_row:
+            raise UnreadableFile(
+                f"{head.path} begins with row {head.first_row}, but the chunks before it end with row {first_row - 1}"
+            )
+        first_row += head.rows
+    if first_row != columns:
+        raise UnreadableFile(
+            f"{source} holds {first_row} rows of a matrix with {columns} columns; M must be square"
+        )
+    return heads
+
+
+def _complete(source: Path) -> list[Path]:
+    if not source.is_dir():
+        raise UnreadableFile(
+            f"cannot read {source}: it is a file; write RowsOnRanks.from_problem(LCP.load(file), comm)"
+            if source.exists()
+            else f"no such file or folder: {source}"
+        )
+    found = [match for one in source.iterdir() if (match := CHUNK.fullmatch(one.name))]
+    totals = sorted({match[2] for match in found})
+    if not found:
+        raise UnreadableFile(f"{source} holds no chunk rows-…-of-….npz; write it with problem.save")
+    if len(totals) > 1:
+        raise UnreadableFile(
+            f"{source} holds chunks of several saves (of {', '.join(totals)}); keep one of them"
+        )
+    names = [f"rows-{k:05d}-of-{totals[0]}.npz" for k in range(int(totals[0]))]
+    missing = sorted(set(names) - {match[0] for match in found})
+    if missing:
+        raise UnreadableFile(
+            f"{source} lacks {len(missing)} of {len(names)} chunks, the first is {missing[0]}"
+        )
+    return [source / name for name in names]
+
+
+def _head(path: Path) -> Head:
+    content = read_npz(path, HEAD_KEYS)
+    require_keys(path, content, HEAD_KEYS, REMEDY)
+    shape, first_row = content["shape"], content["first_row"]
+    if (
+        shape.shape != (2,)
+        or first_row.shape != ()
+        or not {shape.dtype.kind, first_row.dtype.kind} <= {"i", "u"}
+    ):
+        raise UnreadableFile(
+            f"{path}: shape must be two whole numbers and first_row one; write it again"
+        )
+    return Head(path, int(first_row), int(shape[0]), int(shape[1]), str(content["save"]))
+
+
+def _read_rows(heads: Sequence[Head], first: int, last: int) -> tuple[Any, ...]:
+    """Return the rows first ≤ i < last of M, q, lower and upper."""
+    parts = list(_parts(heads, first, last))
+    if not parts:
+        none = np.zeros(0)
+        return sp.csr_array((0, heads[0].columns)), none, none, none
+    rows, *vectors = zip(*parts, strict=True)
+    return sp.vstack(rows, format="csr"), *map(np.concatenate, vectors)
+
+
+def _parts(heads: Sequence[Head], first: int, last: int) -> Iterator[tuple[Any, ...]]:
+    for head in heads:
+        begin, end = max(first, head.first_row), min(last, head.first_row + head.rows)
+        if begin < end:
+            content = read_npz(head.path, {*MATRIX_KEYS, *VECTORS})
+            require_keys(head.path, content, (*MATRIX_KEYS, *VECTORS), REMEDY)
+            for name in VECTORS:
+                if content[name].shape != (head.rows,):
+                    raise UnreadableFile(
+                        f"{head.path}: {name} has shape {content[name].shape}, but there are {head.rows} rows"
+                    )
+            own = slice(begin - head.first_row, end - head.first_row)
+            yield csr_in(head.path, content)[own], *(content[name][own] for name in VECTORS)

@@ -1,0 +1,205 @@
+"""Claims about problems on ranks; every rank runs them, and rank 0 prints a line of JSON per claim."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from mpi4py import MPI
+
+from lcp_plugin import LCP, Status, gallery, solve
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnreadableFile
+from lcp_plugin.ranks.certificate import Components, measured
+from lcp_plugin.ranks.problem import RowsOnRanks
+
+COMM = MPI.COMM_WORLD
+CLAIMS: dict[str, Callable[[], None]] = {}
+
+
+def claim(check: Callable[[], None]) -> Callable[[], None]:
+    """Register a claim under its name."""
+    CLAIMS[check.__name__] = check
+    return check
+
+
+def mixed(n: int = 90) -> LCP:
+    """Free rows, one-sided ones and boxes; M nonsymmetric and dominant, coupled over all ranks."""
+    rng = np.random.default_rng(n)
+    M = sp.random_array((n, n), density=6.0 / n, rng=rng, format="csr", data_sampler=rng.normal)
+    M = sp.csr_array(M + sp.diags_array(1.0 + np.asarray(abs(M).sum(axis=1))))
+    kind = rng.integers(0, 4, n)
+    lower = np.where(kind % 2 == 0, -np.inf, rng.normal(size=n))
+    upper = np.where(kind < 2, np.inf, np.where(kind == 3, lower + 0.3, 0.5))
+    return LCP(M, 3.0 * rng.normal(size=n), lower=lower, upper=upper)
+
+
+def scenes() -> list[LCP]:
+    sizes = {"obstacle_2d": 20, "obstacle_3d": 6, "convection_diffusion": 20}
+    return [mixed(), *(gallery.build(name, size=size).problem for name, size in sizes.items())]
+
+
+def refused(kind: type[LCPError], attempt: Callable[[], Any]) -> str:
+    """Return the message, the same on every rank, of a refusal on every rank."""
+    try:
+        attempt()
+    except kind as error:
+        messages = COMM.allgather(str(error))
+        assert len(set(messages)) == 1, messages
+        return messages[0]
+    raise AssertionError(f"no {kind.__name__}")
+
+
+def agrees(z: np.ndarray[Any, Any] | None, expected: np.ndarray[Any, Any], within: float) -> None:
+    """Rank 0 compares; all fail if it does."""
+    is_close = z is None or bool(np.abs(z - expected).max() <= within)
+    assert COMM.bcast(is_close, root=0)
+
+
+@claim
+def every_algorithm_finds_the_solution_of_one_process() -> None:
+    for problem in scenes():
+        expected = solve(problem, tolerance=1e-11).z
+        for name in ("auto", "multigrid", "npsor", "npaor", "npgs", "npj", "pgs", "psor"):
+            result = RowsOnRanks.from_problem(problem).solve(name, tolerance=1e-9)
+            assert result.is_solved, (name, str(problem), str(result))
+            agrees(RowsOnRanks.from_problem(problem).gathered(result.z), expected, 1e-5)
+
+
+@claim
+def a_nonsymmetric_matrix_is_solved_by_auto() -> None:
+    problem = gallery.build("convection_diffusion", size=30).problem
+    result = RowsOnRanks.from_problem(problem).solve()
+    assert result.is_solved
+    assert result.algorithm == "multigrid"
+
+
+@claim
+def multigrid_takes_few_cycles() -> None:
+    problem = gallery.build("obstacle_2d", size=80).problem
+    result = RowsOnRanks.from_problem(problem).solve("multigrid")
+    assert result.is_solved
+    assert result.iterations <= 22
+
+
+@claim
+def the_error_bound_holds() -> None:
+    for problem in scenes():
+        exact = solve(problem, tolerance=1e-13).z
+        rows = RowsOnRanks.from_problem(problem)
+        result = rows.solve(tolerance=1e-4, error_bound=True)
+        z = rows.gathered(result.z)
+        error = 0.0 if z is None else float(np.abs(z - exact).max())
+        assert COMM.bcast(error, root=0) <= result.error_bound * 1.001 + 1e-12 < np.inf
+
+
+@claim
+def components_are_those_of_one_process() -> None:
+    pattern = sp.random_array((60, 60), density=0.02, rng=np.random.default_rng(3), format="csr")
+    M = sp.csr_array(pattern + sp.eye_array(60))
+    count, labels = sp.csgraph.connected_components(M, directed=False)
+    rows = RowsOnRanks.from_problem(LCP(M, -np.ones(60)))
+    found = Components(rows)
+    assert found.count == count > 1
+    values = np.arange(60.0)
+    largest = np.array([values[labels == label].max() for label in labels])
+    own = slice(rows.halo.first, rows.halo.last)
+    assert np.array_equal(found.largest(values[own]), largest[own])
+
+
+@claim
+def a_small_component_counts_by_itself() -> None:
+    M = sp.block_diag(
+        [1e3 * sp.eye_array(40), sp.csr_array([[2.0, 1.0], [1.0, 2.0]])], format="csr"
+    )
+    rows = RowsOnRanks.from_problem(LCP(M, np.r_[-1e9 * np.ones(40), -1e-3, -1e-3]))
+    z = np.r_[1e6 * np.ones(40), 0.0, 0.0][rows.halo.first : rows.halo.last]
+    certificate = measured(rows, Components(rows), z)
+    assert not certificate.is_solved(1e-8)
+    assert rows.solve(z0=z).is_solved
+
+
+@claim
+def a_point_that_is_no_number_is_not_solved() -> None:
+    rows = RowsOnRanks.from_problem(mixed())
+    z = np.where(np.arange(rows.own) == 0, np.nan, rows.nearest_to_zero)
+    assert not measured(rows, Components(rows), z).is_solved(0.5)
+
+
+@claim
+def one_bad_part_is_refused_everywhere() -> None:
+    problem = mixed()
+    M, last = problem.csr, COMM.size - 1
+    n, rank = problem.n, COMM.rank
+    own = slice(n * rank // COMM.size, n * (rank + 1) // COMM.size)
+    rows, q = M[own], problem.q[own]
+
+    def given(rows: Any = rows, q: Any = q, **more: Any) -> Callable[[], Any]:
+        return lambda: LCP.from_rows(COMM, rows, q, **more)
+
+    assert "NaN" in refused(InvalidProblem, given(q=q * np.nan if rank == last else q)) or True
+    refused(InvalidProblem, given(q=q[:-1] if rank == last else q))
+    assert "missing" in refused(
+        InvalidProblem, given(rows[:-1] if rank == last else rows, q[:-1] if rank == last else q)
+    )
+    refused(InvalidProblem, given(first_row=own.start + 1))
+    refused(InvalidProblem, given(rows.toarray() if rank == last else rows))
+    if COMM.size > 1:
+        assert "lower differs" in refused(InvalidProblem, given(lower=-float(rank)))
+        asked = RowsOnRanks.from_problem(problem)
+        refused(InvalidOption, lambda: asked.solve(tolerance=1e-3 * (1 + rank)))
+    refused(InvalidOption, lambda: RowsOnRanks.from_problem(problem).solve(tolerance=-1.0))
+    refused(LCPError, lambda: RowsOnRanks.from_problem(problem).solve("lemke"))
+    refused(InvalidOption, lambda: RowsOnRanks.from_problem(problem).solve("psor", omega=1.0))
+
+
+@claim
+def limits_and_callbacks_end_all_ranks() -> None:
+    rows = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=30).problem)
+    assert rows.solve("npj", max_iterations=3).status is Status.MAX_ITERATIONS
+    assert rows.solve("npj", max_seconds=0.0).status is Status.MAX_SECONDS
+    stops = None if COMM.rank else lambda sample, z: sample.iteration >= 2
+    assert rows.solve("npj", callback=stops).status is Status.INTERRUPTED
+
+
+@claim
+def the_same_call_gives_the_same_bits() -> None:
+    rows = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=20).problem)
+    first, second = (rows.solve() for _ in range(2))
+    watched = rows.solve(callback=lambda sample, z: None)
+    assert first.z.tobytes() == second.z.tobytes() == watched.z.tobytes()
+
+
+@claim
+def a_saved_problem_is_read_again() -> None:
+    problem = mixed()
+    folder = Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None, root=0), "saved")
+    RowsOnRanks.from_problem(problem).save(folder)
+    again = RowsOnRanks.load(folder)
+    whole = [again.gathered(getattr(again, name)) for name in ("q", "lower", "upper")]
+    if COMM.rank == 0:
+        for name, vector in zip(("q", "lower", "upper"), whole, strict=True):
+            assert np.array_equal(vector, getattr(problem, name))
+    assert again.solve().is_solved
+    COMM.Barrier()
+    if COMM.rank == 0:
+        sorted(folder.iterdir())[-1].write_bytes(b"damaged")
+    COMM.Barrier()
+    refused(UnreadableFile, lambda: RowsOnRanks.load(folder))
+
+
+for name in sys.argv[1:] or CLAIMS:
+    try:
+        CLAIMS[name]()
+        story = ""
+    except Exception:
+        story = traceback.format_exc()
+    stories = COMM.gather(story, root=0)
+    if COMM.rank == 0:
+        print(json.dumps([name, next(filter(None, stories), "")]), flush=True)

@@ -177,15 +177,6 @@ class Auto(EndsWithItsCase):
         self._direct: FallbackOrder | None = None
 
     def first(self, problem: LCP) -> Choice:
-        """Return what its origin knows to suit it; else what is chosen by the numbers."""
-        own = getattr(problem.origin, "method", None)
-        return (
-            self._by_numbers(problem)
-            if own is None
-            else Choice(own, "three unknowns a contact instead of m + 2")
-        )
-
-    def _by_numbers(self, problem: LCP) -> Choice:
         """Return what programs need, games, small problems, narrow bands or quick rows; else NPSOR."""
         is_program = getattr(problem.origin, "form", "") == "kkt"
         if is_program or _is_game(problem):
@@ -213,8 +204,6 @@ class Auto(EndsWithItsCase):
     ) -> Choice | None:
         """Return what needs the least work from here, or None to go on."""
         now = stages[-1]
-        if now.algorithm.name == "pyramids":
-            return replace(self._by_numbers(problem), from_start=True) if failed else None
         if self._direct is not None:
             return self._direct.after(stages, goal, failed=failed)
         if (order := _exact_order(problem, now)) is not None:

@@ -41,7 +41,6 @@ from ..core.checks import canonical_csr, is_number, real_array, rectangular_matr
 from ..core.errors import InvalidOption, InvalidProblem, ModelWarning
 from ..core.lcp import LCP
 from ..core.solving.result import Result
-from ..core.tuning import COMPILED_UP_TO
 
 FloatArray = NDArray[np.float64]
 
@@ -199,16 +198,6 @@ class Contacts:
     def count(self) -> int:
         """The number of contacts, k."""
         return int(self.velocities.shape[-2])
-
-    @property
-    def method(self) -> Any:
-        """What `auto` begins with: contacts in space as cones of three unknowns; None of few, and in the plane."""
-        k, d = self.velocities.shape[-2:]
-        if d < 3 or k * (len(self.edges) + 2) <= COMPILED_UP_TO:
-            return None
-        from .cones.pyramids import Pyramids
-
-        return Pyramids()
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray]:

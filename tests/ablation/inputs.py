@@ -12,7 +12,6 @@ from collections.abc import Callable, Container, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -340,18 +339,6 @@ def contacts(count: int = 63) -> Iterator[Input]:
 
     for case in range(count):
         yield Input("contacts", str(case), partial(state, case), solve, judge)
-
-
-def pyramids(counts: tuple[int, ...] = (30, 60)) -> Iterator[Input]:
-    """Contacts with friction pyramids of eight edges, stated as such."""
-    from contact_families import FAMILIES
-
-    def state(name: str, count: int) -> LCP:
-        made = FAMILIES[name](count, count // 2, 10.0, np.random.default_rng((SEED, count)))
-        return LCP.from_contacts(made.W, made.friction, made.velocities, 8)
-
-    for name, count in product(FAMILIES, counts):
-        yield Input("pyramids", f"{name} {count}", partial(state, name, count), solve, _by_residual)
 
 
 def marches() -> Iterator[Input]:
@@ -1276,7 +1263,6 @@ SOURCES: dict[str, Callable[[], Iterator[Input]]] = {
     "small LCPs": small_lcps,
     "plain structures": plain_structures,
     "contacts": contacts,
-    "pyramids": pyramids,
     "unheld": unheld_structures,
     "applications, larger": partial(applications, full=True),
     "obstacles": obstacles,

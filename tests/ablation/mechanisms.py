@@ -254,16 +254,6 @@ def no_point(old: Any) -> Any:
     return by_piqp
 
 
-def if_pyramids(old: Any, note: Callable[[], None]) -> Any:
-    def first(self: Any, problem: Any) -> Any:
-        found = old(self, problem)
-        if found.algorithm.name == "pyramids":
-            note()
-        return found
-
-    return first
-
-
 def is_late(choice: Any) -> bool:
     return choice.because.startswith(("sweeps until", "from a point nearby"))
 
@@ -404,17 +394,6 @@ MECHANISMS = (
         "paths of Lemke and Howson on bimatrix games",
         {"methods.lemke.games:bimatrix_players": says(None)},
         "methods/lemke/games.py methods/lemke/pivoting_path.py:_lemke_howson",
-    ),
-    Mechanism(
-        "pyramids",
-        "contacts with friction pyramids as cones of three unknowns each",
-        {
-            "auto:Auto.first": Instead(
-                lambda old: lambda self, problem: self._by_numbers(problem), if_pyramids
-            )
-        },
-        "problems/cones/pyramids.py problems/cones/kernels.py:_face problems/cones/kernels.py:_slide_on_pyramid "
-        "problems/cones/kernels.py:_edge_at problems/contact.py:Contacts.method",
     ),
     Mechanism(
         "damped steps",
@@ -619,13 +598,6 @@ MECHANISMS = (
         "problems/cones/step_kernels.py problems/cones/path_kernels.py problems/cones/body_kernels.py "
         "problems/cones/block_factors.py",
         "problems/cones/test_cones.py::test_the_velocities_of_bodies_are_a_system_of_less_work",
-    ),
-    Mechanism(
-        "growing friction",
-        "Newton's method along friction that grows from none",
-        {f"{CONES}.solving:ConeAuto._stages": without("continuation")},
-        "problems/cones/methods.py:Continuation",
-        "problems/cones/test_cones.py::test_planted_contacts_that_jam_are_solved_along_their_friction",
     ),
     Mechanism(
         "cone programs",

@@ -52,8 +52,8 @@ class Blocks:
         Block i has the rows starts[i] … starts[i + 1] − 1; one row is no cone.
     slope : ndarray, shape (k,)
         μ of the cones; 0 elsewhere.
-    has_friction : int
-        Whether the slack of a cone is û; more than 1: how many edges the pyramids have that are the cones.
+    has_friction : bool
+        Whether the slack of a cone is û.
     """
 
     problem_kind: ClassVar[Kind]
@@ -61,7 +61,9 @@ class Blocks:
     bodies: Any = None  # Bodies, behind contacts that are stated by them
     criterion: None = None  # no program is behind it
 
-    def __init__(self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: int) -> None:
+    def __init__(
+        self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: bool
+    ) -> None:
         self.rows, self.starts, self.slope, self.has_friction = (
             rows,
             read_only(starts),

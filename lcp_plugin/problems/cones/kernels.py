@@ -2,8 +2,7 @@
 
 Block k has the rows starts[k] … starts[k + 1] − 1. One row is a number between bounds; several are a point of the cone
 K = {‖x_T‖ ≤ μ x_N}, x_N the first of them, μ = slope[k]. With `friction` 1 the slack of a cone is û = w + μ‖w_T‖ e_N
-(De Saxcé), with 0 it is w. With m = `friction` > 1 the blocks are of three rows, and in place of ‖x_T‖ stands the gauge
-of a regular polygon: K is a pyramid of m edges (1, μ d), and û = w + μ max dᵀw_T e_N.
+(De Saxcé), with 0 it is w.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ LOCAL_STEPS = 30  # of Newton on the angle of sliding, or of projections, for on
 TURN = 0.5  # radians a step of Newton turns at the most
 ACCURATE = 1e-14
 LARGEST, LEAST = float(np.finfo(np.float64).max), float(np.finfo(np.float64).tiny)
-EDGE = 3  # of a pyramid
 FIRST = np.int64(0)  # row of a block by itself; numba compiles a function anew for a 0 of Python's
 
 
@@ -43,56 +41,8 @@ def tangent_of(x, first, end):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _edge_at(x, y, edges):  # type: ignore[no-untyped-def]
-    """Return the number of the edge of a pyramid that is nearest to (x, y), its way, and the angle of two edges."""
-    turn = 2.0 * np.pi / edges
-    number = np.rint(np.arctan2(y, x) / turn)
-    return number, np.cos(turn * number), np.sin(turn * number), turn
-
-
-@helper
-def slip_of(w, first, end, friction):  # type: ignore[no-untyped-def]
-    """Return ‖w_T‖ of a block; of a pyramid max dᵀw_T, and the way d where that is."""
-    if not friction > 1.0:
-        return tangent_of(w, first, end), 0.0, 0.0
-    _, x, y, _ = _edge_at(w[first + 1], w[first + 2], friction)
-    return x * w[first + 1] + y * w[first + 2], x, y
-
-
-@helper
-def _face(x, first, mu, edges):  # type: ignore[no-untyped-def]
-    """Return where a block has its projection on the pyramid, and the way and the slope of that side or EDGE."""
-    normal, a, b = x[first], x[first + 1], x[first + 2]
-    number, c, s, turn = _edge_at(a, b, edges)
-    half = 0.5 * turn if c * b >= s * a else -0.5 * turn
-    way_x, way_y, slope = (
-        np.cos(turn * number + half),
-        np.sin(turn * number + half),
-        mu * np.cos(half),
-    )
-    pull = way_x * a + way_y * b
-    if pull <= slope * normal and normal >= 0.0:
-        return WITHIN, way_x, way_y, slope
-    along, reach = abs(way_x * b - way_y * a) * (1.0 + slope * slope), normal + slope * pull
-    if along <= mu * abs(np.sin(half)) * reach and reach > 0.0:
-        return ON, way_x, way_y, slope
-    return EDGE if normal + mu * (c * a + s * b) > 0.0 else OUT, c, s, mu
-
-
-@helper
-def _project(x, first, end, mu, friction):  # type: ignore[no-untyped-def]
+def _project(x, first, end, mu):  # type: ignore[no-untyped-def]
     """Overwrite a block of x with its projection on the cone; return where that lies."""
-    if friction > 1.0:
-        case, way_x, way_y, slope = _face(x, first, mu, friction)
-        pull, share = way_x * x[first + 1] + way_y * x[first + 2], 1.0 / (1.0 + slope * slope)
-        if case == ON:
-            off = (pull - slope * x[first]) * share
-            x[first] += slope * off
-            x[first + 1], x[first + 2] = x[first + 1] - off * way_x, x[first + 2] - off * way_y
-        elif case != WITHIN:
-            x[first] = (x[first] + slope * pull) * share if case == EDGE else 0.0
-            x[first + 1], x[first + 2] = slope * x[first] * way_x, slope * x[first] * way_y
-        return min(case, ON)
     normal, tangent = x[first], tangent_of(x, first, end)
     if tangent <= mu * normal:
         return WITHIN
@@ -136,17 +86,6 @@ def block_residual(k, starts, slope, friction, lower, upper, z, w, scale, found)
         found[first] = min(max(step, below), above)
         return WITHIN if below < step < above else OUT
     mu = slope[k]
-    if friction > 1.0:
-        for i in range(first, end):
-            found[i] = z[i] - w[i] / scale[k]
-        slip = mu * slip_of(w, first, end, friction)[0] / scale[k]
-        found[first] -= slip
-        case = _project(found, first, end, mu, friction)
-        for i in range(first, end):
-            found[i] = w[i] / scale[k] if case == WITHIN else z[i] - found[i]
-        if case == WITHIN:
-            found[first] += slip
-        return case
     tangent, above = _shifted(k, starts, slope, friction, z, w, scale, found)
     if above <= 0.0:
         for i in range(first, end):
@@ -173,14 +112,14 @@ def residuals(starts, slope, friction, lower, upper, z, w, scale, found, cases):
 
 
 @helper
-def project(starts, slope, friction, lower, upper, z):  # type: ignore[no-untyped-def]
+def project(starts, slope, lower, upper, z):  # type: ignore[no-untyped-def]
     """Overwrite z with the point of K nearest to it."""
     for k in range(slope.size):
         first = starts[k]
         if starts[k + 1] - first == 1:
             z[first] = min(max(z[first], lower[first]), upper[first])
         else:
-            _project(z, first, starts[k + 1], slope[k], friction)
+            _project(z, first, starts[k + 1], slope[k])
 
 
 @helper
@@ -199,8 +138,7 @@ def block_bounds(  # type: ignore[no-untyped-def]
     here, own = tangent_of(z, first - 1, end), tangent_of(found, first - 1, end)
     wide = tangent_of(slip, first - 1, end)
     stretch = 1.0 + mu if friction else 1.0
-    inner = mu * np.cos(np.pi / friction) if friction > 1.0 else mu
-    is_inner = case == WITHIN and own < 0.5 * (inner * z[first] - tangent_of(z, first, end)) / (
+    is_inner = case == WITHIN and own < 0.5 * (mu * z[first] - tangent_of(z, first, end)) / (
         1.0 + mu
     )
     pushed = (
@@ -267,10 +205,8 @@ def own_terms(  # type: ignore[no-untyped-def]
             elif case == ON:
                 near[i] += R[i] - w[i] / scale[k]
         if case == ON:
-            near[first] -= (
-                min(friction, 1.0) * slope[k] * slip_of(w, first, end, friction)[0] / scale[k]
-            )
-            _project(near, first, end, slope[k], friction)
+            near[first] -= friction * slope[k] * tangent_of(w, first, end) / scale[k]
+            _project(near, first, end, slope[k])
     for i in range(q.size):
         slack[i], terms[i] = q[i], abs(q[i])
         for p in range(indptr[i], indptr[i + 1]):
@@ -335,32 +271,13 @@ def block_derivative(k, starts, slope, friction, lower, upper, z, w, scale, x, w
         is_free = z[first] - upper[first] < step < z[first] - lower[first]
         by_z[0, 0], by_w[0, 0] = (0.0, 1.0 / scale[k]) if is_free else (1.0, 0.0)
         return
-    slip, slip_x, slip_y = slip_of(w, first, end, friction)
+    slip = tangent_of(w, first, end)
     for i in range(size):
         x[i] = z[first + i] - w[first + i] / scale[k]
         by_z[i, i] = 1.0
     if friction:
         x[0] -= mu * slip / scale[k]
     tangent = tangent_of(x, FIRST, size)
-    if friction > 1.0 and mu > 0.0:
-        case, way_x, way_y, leans = _face(x, FIRST, mu, friction)
-        if case == OUT:
-            return
-        is_edge, share = case == EDGE, 0.0 if case == WITHIN else 1.0 / (1.0 + leans * leans)
-        way[0], way[1], way[2] = (
-            (1.0, leans * way_x, leans * way_y) if is_edge else (-leans, way_x, way_y)
-        )
-        for i in range(size):
-            for j in range(size):
-                outer = share * way[i] * way[j]
-                outer = outer if is_edge else (1.0 if i == j else 0.0) - outer
-                by_z[i, j] -= outer
-                by_w[i, j] = outer / scale[k]
-            by_w[i, 1], by_w[i, 2] = (
-                by_w[i, 1] + by_w[i, 0] * mu * slip_x,
-                by_w[i, 2] + by_w[i, 0] * mu * slip_y,
-            )
-        return
     if mu * tangent <= -x[0] and not tangent <= mu * x[0]:
         return
     if mu == 0.0:  # a half-line: tangents are held at 0
@@ -568,41 +485,7 @@ def _solve_three(A, b, x):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _slide_on_pyramid(A, b, mu, edges, x):  # type: ignore[no-untyped-def]
-    """Write the impulse of a contact that slides over x, whose way is a guess; return whether it was found.
-
-    It lies on an edge that no other outdoes, or on a side along which the velocity vanishes. With the impulse along d,
-    velocities times A_NN + μ A_NT d are affine in d.
-    """
-    number, c, s, turn = _edge_at(x[1], x[2], edges)
-    last, was_c, was_s, was_push, was_u, was_v = 0.0, c, s, 1.0, 0.0, 0.0
-    for _ in range(np.int64(2.0 * edges)):
-        push = A[0, 0] + mu * (A[0, 1] * c + A[0, 2] * s)
-        if not push > 0.0:
-            return False
-        u = b[1] * push - b[0] * (A[1, 0] + mu * (A[1, 1] * c + A[1, 2] * s))
-        v = b[2] * push - b[0] * (A[2, 0] + mu * (A[2, 1] * c + A[2, 2] * s))
-        ahead = _edge_at(-u * c - v * s, u * s - v * c, edges)[0]
-        if ahead * last < 0.0:
-            before = was_u * (c - was_c) + was_v * (s - was_s)
-            share = before / (before - u * (c - was_c) - v * (s - was_s))
-            push, c, s = (
-                was_push + share * (push - was_push),
-                was_c + share * (c - was_c),
-                was_s + share * (s - was_s),
-            )
-        if ahead * last < 0.0 or ahead == 0.0:
-            x[0] = -b[0] / push
-            x[1], x[2] = mu * x[0] * c, mu * x[0] * s
-            return True
-        was_c, was_s, was_push, was_u, was_v, last = c, s, push, u, v, np.sign(ahead)
-        number += last
-        c, s = np.cos(turn * number), np.sin(turn * number)
-    return False
-
-
-@helper
-def _one_contact(A, b, mu, friction, x):  # type: ignore[no-untyped-def]
+def _one_contact(A, b, mu, x):  # type: ignore[no-untyped-def]
     """Write the impulse of one contact in space with velocities A x + b over x; return whether it was found.
 
     It opens where b_N ≥ 0, sticks where −A⁻¹b lies in the cone. Else it slides: along the angle θ of the impulse x_N is
@@ -615,16 +498,13 @@ def _one_contact(A, b, mu, friction, x):  # type: ignore[no-untyped-def]
     is_solved = (
         _solve_three(A, b, x) and x[1] * x[1] + x[2] * x[2] <= mu * mu * x[0] * x[0] and x[0] >= 0.0
     )
-    if is_solved and (not friction > 1.0 or _face(x, FIRST, mu, friction)[0] == WITHIN):
+    if is_solved:
         return True
     if mu == 0.0:
         x[0], x[1], x[2] = -b[0] / A[0, 0], 0.0, 0.0
         return A[0, 0] > 0.0
     if was_x == 0.0 and was_y == 0.0:
         was_x, was_y = -b[1], -b[2]
-    if friction > 1.0:
-        x[1], x[2] = was_x, was_y
-        return _slide_on_pyramid(A, b, mu, friction, x)
     angle, size = np.arctan2(was_y, was_x), abs(b[0]) + abs(b[1]) + abs(b[2])
     for _ in range(LOCAL_STEPS):
         c, s = np.cos(angle), np.sin(angle)
@@ -662,10 +542,10 @@ def _by_projections(A, b, mu, friction, step, size, x, w):  # type: ignore[no-un
             for j in range(size):
                 w[i] += A[i, j] * x[j]
         if friction:
-            w[0] += mu * slip_of(w, FIRST, size, friction)[0]
+            w[0] += mu * tangent_of(w, FIRST, size)
         for i in range(size):
             w[i], x[i] = x[i], x[i] - step * w[i]
-        _project(x, FIRST, size, mu, friction)
+        _project(x, FIRST, size, mu)
         for i in range(size):
             change, length = max(change, abs(x[i] - w[i])), max(length, abs(x[i]))
         if change <= ACCURATE * length:
@@ -719,7 +599,7 @@ def sweep_once(  # type: ignore[no-untyped-def]
             continue
         for i in range(size):
             x[i] = before[i] = z[first + i]
-        if not (friction and size == 3 and _one_contact(A, b, mu, friction, x)):
+        if not (friction and size == 3 and _one_contact(A, b, mu, x)):
             for i in range(size):
                 x[i] = before[i]
             _by_projections(A, b, mu, friction, steps[k], size, x, w)

@@ -27,12 +27,6 @@ SHORTEST = 14  # halvings of a step
 DECREASE = 1e-4  # of the residual, times the length of the step
 PATIENCE = 60  # steps of Newton without a residual that is so much smaller than the best before
 GAIN = 0.9
-FIRST_SHARE, LEAST_FRICTION = (
-    0.25,
-    1e-4,
-)  # of friction that continuation adds: at first, and at the least
-STEPS_A_SHARE = 60  # of Newton's method for one share of friction
-NEAR_THE_PATH, AT_ITS_END = 1e-6, 1e-10  # the residuals that end them
 PROGRAMS = 5  # convex ones without
 NEAR, LAST_STEPS = (
     1e-5,
@@ -182,44 +176,6 @@ class Newton(ConeAlgorithm):
             sizes.append(size)
             best, since = (size, 0) if size < GAIN * best else (best, since + 1)
             yield Step(z, residual=largest, work=work)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Continuation(ConeAlgorithm):
-    """Newton's method along growing friction: μ t for t from 0, where the problem is an LCP, to 1, each from the last.
-
-    The step in t doubles after each answer and is a third where there is none; the path may turn back, and ends there.
-    """
-
-    name = "continuation"
-    needs = "contacts with friction, and a factor that fits"
-    solves = "observed: also where sliding contacts jam"
-    cost = "a few factors a step, some 5 to 30 steps"
-    reference = "Allgower, Georg 1990, doi:10.1007/978-3-642-61257-2"
-    is_monotone = False
-
-    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, then a step an answer on the way; end where the steps in t get too short."""
-        if not problem.has_friction:
-            raise UnsuitableProblem(
-                'continuation takes contacts with friction; try algorithm="fixed_point"'
-            )
-        reached, length, z = -1.0, 1.0, problem.nearest_to_zero  # −1: nothing yet
-        yield Step(z0, residual=relative_residual(problem, z0))
-        while reached < 1.0 and length > LEAST_FRICTION:
-            share, work, residual = min(reached + length, 1.0), 0.0, math.inf
-            part = Blocks(problem.rows, problem.starts, share * problem.slope, has_friction=True)
-            for step in islice(Newton().iterates(part, part.projected(z)), STEPS_A_SHARE):
-                work, residual, found = work + step.work, step.residual or 0.0, step.z
-                if residual <= (AT_ITS_END if share == 1.0 else NEAR_THE_PATH):
-                    break
-            if residual <= NEAR_THE_PATH:
-                reached, length, z = share, 2.0 * length if reached >= 0.0 else FIRST_SHARE, found
-            elif reached < 0.0:
-                return
-            else:
-                length /= 3.0
-            yield Step(z, residual=relative_residual(problem, problem.projected(z)), work=work)
 
 
 class NewtonSystem:
@@ -444,7 +400,7 @@ class InteriorPoint(ConeAlgorithm):
 
 
 METHODS: dict[str, type[ConeAlgorithm]] = {
-    one.name: one for one in (NPGS, Newton, InteriorPoint, Continuation, FixedPoint)
+    one.name: one for one in (NPGS, Newton, InteriorPoint, FixedPoint)
 }
 
 

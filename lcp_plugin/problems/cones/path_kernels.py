@@ -119,7 +119,7 @@ def follow_path(known, mass, bodies, weights, near, most_steps, x, y, z, w, R): 
                 mean += x[k, i] * y[k, i] / blocks
                 z[starts[k] + i] = x[k, i] / (mu if i == 0 else 1.0)
         velocities(indptr, indices, data, q, z, w)
-        project(starts, slope, friction, lower, upper, z)
+        project(starts, slope, lower, upper, z)
         largest = measure_at(starts, slope, friction, lower, upper, scale, weights, z, w, R)[0]
         if largest <= near or made == most_steps or jammed == JAMMED:
             return largest, made

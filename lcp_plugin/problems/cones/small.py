@@ -107,7 +107,7 @@ def run_loop(
     settings: Settings,
     in_chunks: Callable[[Callable[[int, int], None], int], None] | None = None,
     *,
-    has_friction: int,
+    has_friction: bool,
     is_warm: bool,
 ) -> LoopAnswers:
     """Return what the loop makes of problems of the same blocks, from the rows of z, shape (B, n), which it overwrites.
@@ -120,7 +120,7 @@ def run_loop(
         M, (B, n, n), q, lower, upper and z°, (B, n) each, and slope, (B, k): contiguous, read-only.
     z, settings, in_chunks
         As of :func:`solve_small`.
-    has_friction : int
+    has_friction : bool
         As of :class:`Blocks`.
     is_warm : bool
         Whether Newton's steps come before sweeps.

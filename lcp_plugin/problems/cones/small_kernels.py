@@ -191,7 +191,7 @@ def settle(known, origin, labels, of_blocks, of_rows, z, proved):  # type: ignor
         of_rows[5],
     )
     put_back(starts, weights, origin, z)
-    project(starts, slope, friction, lower, upper, z)
+    project(starts, slope, lower, upper, z)
     product(indptr, indices, data, q, z, w, slip)
     own_terms(*known, labels, z, w, start, terms, R, swept, least, most, weights)
     proved[0] = proved[1] = 0.0

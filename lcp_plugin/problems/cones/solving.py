@@ -30,7 +30,6 @@ from ...core.solving.advice import NOTHING_TO_DO
 from ...core.solving.judge import End, Judge
 from ...core.solving.result import Result, StageRecord, stage_lines
 from ...core.solving.run import Callback, Run
-from ...systems.definiteness import is_positive_definite
 from ...systems.factors import sizes_of_factor
 from ..contact import ContactMotion, motion_of
 from . import CONE_PROBLEM
@@ -44,7 +43,6 @@ from .methods import (
     NPGS,
     SWEEPS_A_STEP,
     ConeAlgorithm,
-    Continuation,
     FixedPoint,
     InteriorPoint,
     Newton,
@@ -72,7 +70,6 @@ WORST = (
     Status.INFEASIBLE,
     Status.INTERRUPTED,
 )  # the last of these that a component has is that of all
-MUCH_FRICTION = 1.0  # beyond, sliding may jam even where W is definite
 NEARBY = "from a point nearby"
 FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
 MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
@@ -100,7 +97,7 @@ def solve_cones(
     ----------
     problem : ConeProblem or FrictionalContact
     algorithm : str or object
-        "npgs", "newton", "interior_point", "continuation", "fixed_point" or "auto"; or an object of their classes in
+        "npgs", "newton", "interior_point", "fixed_point" or "auto"; or an object of their classes in
         :mod:`lcp_plugin.problems.cones.methods`, with options.
     z0 : array, shape (n,), optional
         Warm start, projected onto the cones.
@@ -380,8 +377,8 @@ def newton_operations(problem: Blocks, z: FloatVector) -> float:
 class ConeAuto(Policy):
     """Sweeps, as long as nothing gets there with less work; then Newton, and an interior point.
 
-    What these leave open, of 3000 planted problems of up to 30 contacts some 30, and of piles none so far, is followed
-    from no friction to the friction given, then gets convex programs, sweeps until they stand still, and Newton's
+    What these leave open, of 3000 planted problems of up to 30 contacts some 30, and of piles none so far, gets convex
+    programs, sweeps until they stand still, and Newton's
     method from other points. Small problems have had the first two in the compiled
     loop.
     """
@@ -444,10 +441,6 @@ class ConeAuto(Policy):
             yield middle
         if self._prove_infeasibility:
             yield Choice(InfeasibilityCheck(), "is there an answer at all?")
-        if self._problem.has_friction:
-            yield Choice(
-                Continuation(), "what holds without friction is followed as friction grows"
-            )
         yield Choice(
             FixedPoint(),
             "convex programs, each with friction as after the one before",
@@ -468,7 +461,10 @@ class ConeJudge(Judge):
         ),
     }
     words_of_contacts = {  # noqa: RUF012 - read only
-        **words,
+        Status.STALLED: (
+            "no method reduces the residual further; next: try another start z0, or less friction: a solution need "
+            "not exist where friction is large or W is singular"
+        ),
         Status.INFEASIBLE: (
             "no impulses keep every contact from closing further, even with errors as large as the tolerance; "
             "next: check the data; result.proof proves it"
@@ -522,31 +518,6 @@ class ConeJudge(Judge):
             z = z + step  # outside the cones, too: that is what tells other cases
             found = self.better_of(found, self.certificate_of(z))
         return found  # type: ignore[no-any-return]
-
-    def verdict(self, certificate: Certificate, end: End, *, is_chain: bool) -> Status:
-        """Return the status; advise less friction only where a solution need not exist."""
-        status = super().verdict(certificate, end, is_chain=is_chain)
-        if status is Status.STALLED and self._may_lack_an_answer(certificate.worst_index):
-            self.words = {
-                **self.words,
-                status: (
-                    "no method reduces the residual further; with that much friction, "
-                    "or where W is singular, a solution "
-                    "need not exist, nor be found where it does; next: try another start z0, or less friction"
-                ),
-            }
-        return status
-
-    def _may_lack_an_answer(self, block: int) -> bool:
-        """Return whether contacts of that block's component have much friction, or a W that is not definite."""
-        problem: Blocks = self.problem
-        several = connected_components(problem.block_norms.matrix)
-        if several is not None:
-            problem = problem.part(several.labels == several.labels[block])
-        if not problem.has_friction or problem.slope.max(initial=0.0) > MUCH_FRICTION:
-            return bool(problem.has_friction)
-        W = problem.rows.csr
-        return bool(problem.slope.any()) and is_positive_definite(0.5 * (W + W.T)) is not True
 
     def _held(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, with z° in the components that z° answers."""

@@ -290,14 +290,14 @@ def solve_step(  # type: ignore[no-untyped-def]
     x, y = np.empty((blocks, m)), np.empty((blocks, m))
     largest = measure(*known, weights, z, w, R)[0]
     if largest > goal:
-        project(starts, slope, friction, lower, upper, z)
+        project(starts, slope, lower, upper, z)
         sweep(*known[:9], diagonal, steps, z, rounds[0])
         largest, made[1] = _newton(
             known, mass, bodies, weights, goal, most_steps, constants, z, w, R, memory
         )
         made[0] = rounds[0]
     if largest > goal:
-        project(starts, slope, friction, lower, upper, z)
+        project(starts, slope, lower, upper, z)
         copy(z, swept)
     for path in range(len(SHARES)):
         if largest <= goal:

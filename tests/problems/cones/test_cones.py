@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from benchmarks.contact import tower as boxes
-from campaigns.cones import SIZES
 from cone_families import (
     cancelled_diagonals,
     exact_relative_residual,
@@ -43,7 +42,6 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.core.solving.judge import End
 from lcp_plugin.problems.cones.body_kernels import (
     factor_of_bodies,
     gather_arms,
@@ -54,7 +52,6 @@ from lcp_plugin.problems.cones.certificate import criterion_of
 from lcp_plugin.problems.cones.infeasibility import infeasibility_proof
 from lcp_plugin.problems.cones.methods import METHODS, Newton
 from lcp_plugin.problems.cones.small import solve_contacts
-from lcp_plugin.problems.cones.solving import ConeJudge
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 BAD: dict[str, tuple[Any, str]] = {
@@ -783,42 +780,6 @@ def test_a_tiny_normal_entry_is_no_limit() -> None:
     W, b = np.diag([1e-12, 1.0, 1.0]), [-1.0, 0.3, 0.4]
     for problem in (FrictionalContact(W, b, 0.5), ConeProblem(W, b, [("second_order", 3)])):
         solve(problem).require_solved()
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("case", [136, 584])
-def test_planted_contacts_that_jam_are_solved_along_their_friction(case: int) -> None:
-    """Two of the campaign's, thirty contacts with μ of nearly 2: by auto and by name, no start at random."""
-    rng = np.random.default_rng([3, case])
-    rng.random()
-    contacts, bodies = SIZES[rng.integers(len(SIZES))]
-    problem, _, _ = planted_contacts(
-        contacts, bodies, 10.0 ** rng.uniform(0.0, 5.0), rng, definite=rng.random() < 0.3
-    )
-    for algorithm in ("auto", "continuation"):
-        result = solve(problem, algorithm).require_solved()
-        assert exact_relative_residual(problem, result.z) <= 1e-8
-        assert "from a point nearby" not in result.explain()
-
-
-@pytest.mark.parametrize(
-    ("W", "friction", "is_advised"),
-    [
-        (np.eye(3), 0.5, False),
-        (np.eye(3), 4.0, True),
-        (np.diag([1.0, 1.0, 0.0]), 0.5, True),
-        (np.diag([1.0, 1.0, 0.0]), 0.0, False),
-    ],
-)
-def test_less_friction_is_advised_where_it_may_help(
-    W: Any, friction: float, is_advised: bool
-) -> None:
-    """Where there is much, or W is singular; a definite W with little has an answer, and another start may find it."""
-    problem = FrictionalContact(W, [-1.0, 3.0, 4.0], friction)
-    judge = ConeJudge(problem, Settings())
-    z = np.array([0.5, 0.0, 0.0])
-    assert judge.verdict(judge.certificate_of(z), End.STALLED, is_chain=True) is Status.STALLED
-    assert ("less friction" in judge.words[Status.STALLED]) == is_advised
 
 
 def poured(count: int, seed: int) -> tuple[Any, Any, Any, Any]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,6 +25,10 @@ from .engines import engine_points, is_within_reach
 from .steps import FacePoint, projected_steps, through_orthants
 
 NARROWER = 0.05  # the steepness at which a point is certified next ÷ that of the last one
+PATIENCE = (
+    0.05  # projected steps before PIQP on a large dense A ÷ its smaller dimension: as long as PIQP
+)
+SPARSE_PATIENCE = 300  # the same on a large sparse A
 WINDOW = 200  # steps, or half of those before: a run whose steepness falls by less than 1 % in one is over
 PROGRESS = 0.99
 
@@ -81,10 +86,11 @@ def bounded_least_squares(
 
     Notes
     -----
-    Dense A, or at most 10⁶ entries: scipy's lstsq without bounds, nnls with one bound per column, else PIQP on the dual
-    (wide A) or on the normal equations; an orthogonal factorization of the free columns follows. Sparse A: PIQP on
-    min ½‖r‖² with A x − r = b, polished. A LinearOperator, or an A whose factorization is predicted to take too long:
-    projected gradient and conjugate gradient steps, with one product with A and one with Aᵀ each.
+    At most 10⁶ entries: scipy's lstsq without bounds, nnls with one bound per column, else PIQP on the dual (wide A) or
+    on the normal equations; an orthogonal factorization of the free columns follows. More entries, and a
+    LinearOperator: projected gradient and conjugate gradient steps, with one product with A and one with Aᵀ each; when
+    they have cost about as much as PIQP, the same or, if A is sparse, PIQP on min ½‖r‖² with A x − r = b, polished. The
+    steps go on for a LinearOperator, and if a factorization is predicted to take too long.
 
     Examples
     --------
@@ -152,17 +158,26 @@ class LeastSquaresRun:
             return Status.INTERRUPTED
 
     def _status(self) -> Status:
-        is_direct = is_within_reach(self.problem.scaled)
         is_at_rest = not self.nearest.natural_residual.any()
-        if (self.has_start or is_at_rest or not is_direct) and self._is_certified(self.nearest):
+        if (self.has_start or is_at_rest) and self._is_certified(self.nearest):
             return Status.SOLVED
-        for point in self._engine_points() if is_direct else self._projected_points():
+        for point in chain.from_iterable(self._stages()):
             if self._is_certified(point):
                 return Status.SOLVED
         if self.steps >= self.settings.max_iterations:
             return Status.MAX_ITERATIONS
         is_at_rounding_level = self.best is not None and self.best.is_at_rounding_level
         return Status.PRECISION_LIMIT if is_at_rounding_level else Status.STALLED
+
+    def _stages(self) -> Iterator[Iterator[FacePoint]]:
+        """Yield projected steps, as many as cost about as much as PIQP, and engines; only engines if A is small."""
+        problem, most = self.problem, self.settings.max_iterations
+        few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
+        if not problem.is_small:
+            yield self._projected_points(few if problem.has_entries else most)
+        if problem.has_entries:
+            is_direct = is_within_reach(problem.scaled)
+            yield self._engine_points() if is_direct else self._projected_points(most)
 
     def _engine_points(self) -> Iterator[FacePoint]:
         """Yield points by lstsq, nnls and PIQP; a point is a step."""
@@ -175,13 +190,13 @@ class LeastSquaresRun:
             self.algorithm, self.nearest = found
             yield self.nearest
 
-    def _projected_points(self) -> Iterator[FacePoint]:
-        """Yield the points of projected steps that may be optimal, the last one at the end."""
+    def _projected_points(self, most: int) -> Iterator[FacePoint]:
+        """Yield the points of so many projected steps that may be optimal, the nearest one at the end."""
         self.algorithm, aim = "projected gradients", self.settings.tolerance
         since, before = 0, np.inf
         for point in through_orthants(projected_steps)(self.nearest):
             _require_time()
-            if self.steps >= self.settings.max_iterations:
+            if self.steps >= min(most, self.settings.max_iterations):
                 break
             self.steps += 1
             size = point.size_of_residual * point.problem.size

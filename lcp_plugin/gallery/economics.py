@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.checks import FloatVector
-from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from .scene import Scene, require, scene_builder
@@ -172,7 +172,7 @@ def american_put(
     Jaillet, Lamberton, Lapeyre, *Variational inequalities and the pricing of American options*, Acta Appl.
     Math. 21, 1990, doi:10.1007/BF00047211.
     """
-    return _put_scene(size, strike, rate, volatility, maturity / steps, log_range, steps=1)
+    return replace(american_put_march(**locals()), steps=1, advance=None)
 
 
 @scene_builder
@@ -199,54 +199,24 @@ def american_put_march(
     -----
     The matrix is the same in every step, only q changes: ``problem = problem.with_q(scene.advance(z))``.
     """
-    return _put_scene(size, strike, rate, volatility, maturity / steps, log_range, steps)
-
-
-@dataclass(frozen=True)
-class NextStep:
-    """From the values at the end of one step, the q of the next.
-
-    A class and not a closure, so that scenes can be sent to other processes.
-
-    Parameters
-    ----------
-    boundary : shape (n,)
-        What the values on the ends of the grid add to q.
-    """
-
-    boundary: FloatVector
-
-    def __call__(self, values: FloatVector) -> FloatVector:
-        """Return q = boundary − values, shape (n,)."""
-        return self.boundary - values
-
-
-def _put_scene(
-    size: int,
-    strike: float,
-    rate: float,
-    volatility: float,
-    time_step: float,
-    log_range: float,
-    steps: int,
-) -> Scene:
-    for name, value in (
-        ("strike", strike),
-        ("volatility", volatility),
-        ("maturity", time_step),
-        ("log_range", log_range),
-    ):
+    values = {
+        "strike": strike,
+        "volatility": volatility,
+        "maturity": maturity,
+        "log_range": log_range,
+    }
+    for name, value in values.items():
         require(value > 0.0, f"{name} must be a number > 0, got {value}")
+    time_step = maturity / steps
     log_price = nodes(-log_range, log_range, size)
     payoff = strike * np.maximum(1.0 - np.exp(log_price), 0.0)
     below, above = _log_price_legs(rate, volatility, time_step, 2.0 * log_range / (size + 1))
-    centre = 1.0 + time_step * rate - below - above
-    advance = NextStep(dirichlet_terms(payoff, [below], [above]))
+    M = stencil_matrix((size,), 1.0 + time_step * rate - below - above, [below], [above])
+    # boundary − values, as a partial function that can be sent to other processes
+    advance = partial(np.subtract, dirichlet_terms(payoff, [below], [above]))
     inside = payoff[1:-1]
     return Scene(
-        problem=LCP(
-            stencil_matrix((size,), centre, [below], [above]), advance(inside), lower=inside
-        ),
+        problem=LCP(M, advance(inside), lower=inside),
         is_symmetric=below == above,
         is_h_plus=True,
         coordinates=(strike * np.exp(log_price[1:-1]),),
@@ -254,7 +224,7 @@ def _put_scene(
         unknown="option price",
         active_means="exercise at once",
         steps=steps,
-        advance=advance if steps > 1 else None,
+        advance=advance,
     )
 
 
@@ -317,7 +287,14 @@ def binomial_put(
     >>> round(float(price), 2)
     6.09
     """
-    up, growth, probability = _tree(rate, volatility, maturity, steps)
+    for name, value in (("volatility", volatility), ("maturity", maturity), ("steps", steps)):
+        require(value > 0, f"binomial_put: {name} must be positive, got {value}")
+    time_step = maturity / steps
+    up, growth = math.exp(volatility * math.sqrt(time_step)), math.exp(rate * time_step)
+    probability = (growth - 1.0 / up) / (up - 1.0 / up)
+    least = math.floor(maturity * (rate / volatility) ** 2) + 1
+    words = f"steps must be at least {least} at this rate and volatility, got {steps}"
+    require(0.0 < probability < 1.0, f"binomial_put: {words}")
     price = np.asarray(spot, dtype=np.float64)[..., None]
     exercise = np.maximum(strike - price * up ** np.arange(-steps, steps + 1), 0.0)
     values = exercise[..., ::2]
@@ -326,22 +303,3 @@ def binomial_put(
         first = steps - level
         values = np.maximum(expected, exercise[..., first : first + 2 * level + 1 : 2])
     return values[..., 0]
-
-
-def _tree(
-    rate: float, volatility: float, maturity: float, steps: int
-) -> tuple[float, float, float]:
-    """Return factor up, growth of money per step, probability of going up."""
-    for name, value in (("volatility", volatility), ("maturity", maturity), ("steps", steps)):
-        if not value > 0:
-            raise InvalidOption(f"binomial_put: {name} must be positive, got {value}")
-    time_step = maturity / steps
-    up = math.exp(volatility * math.sqrt(time_step))
-    growth = math.exp(rate * time_step)
-    probability = (growth - 1.0 / up) / (up - 1.0 / up)
-    if not 0.0 < probability < 1.0:
-        needed = math.floor(maturity * (rate / volatility) ** 2) + 1
-        raise InvalidOption(
-            f"binomial_put: steps must be at least {needed} at this rate and volatility, got {steps}"
-        )
-    return up, growth, probability

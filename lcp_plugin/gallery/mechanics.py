@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..core.lcp import LCP
-from .scene import Scene, require, scene_builder
+from .scene import SYMMETRIC, Scene, require, scene_builder
 from .stencil import Field, balanced_matrix, nodes, stencil_matrix
 
 
@@ -54,8 +54,7 @@ def journal_bearing(
     source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
     return Scene(
         problem=LCP(M, -np.repeat(source, size)),
-        is_symmetric=True,
-        is_h_plus=True,
+        **SYMMETRIC,
         coordinates=(angle[1:-1], width[1:-1]),
         axis_labels=("angle", "width"),
         unknown="pressure",
@@ -120,8 +119,7 @@ def elastic_plastic_torsion(
             upper=bound,
         ),
         continuum=continuum,
-        is_symmetric=True,
-        is_h_plus=True,
+        **SYMMETRIC,
         active_share=None if continuum is None else float(np.mean(np.abs(continuum) == bound)),
         unknown="stress function",
         active_means="plastic",

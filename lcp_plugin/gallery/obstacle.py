@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
 from ..core.lcp import LCP
-from .scene import Scene, require, scene_builder
+from .scene import SYMMETRIC, Scene, require, scene_builder
 from .stencil import (
     Field,
     balanced_matrix,
@@ -29,6 +29,8 @@ CONE_BEGINS = 0.9
 """From this radius on the sphere is continued by its tangent cone, so that ψ is finite everywhere."""
 
 HALF_SIDE = 2.0
+
+MEMBRANE: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}
 
 
 @scene_builder
@@ -94,55 +96,23 @@ def sphere_solution(r: Field, dimension: int) -> Field:
     return np.where(r < contact, sphere_obstacle(r), strength * free)
 
 
-class Layers(NamedTuple):
-    """Rows of a membrane over a sphere, all columns counted over the whole grid, and what is known at their nodes."""
-
-    rows: sp.csr_array
-    q: FloatVector
-    lower: FloatVector
-    continuum: FloatVector
-    radius: FloatVector
-
-
-def sphere_layers(dimension: int, size: int, shifted: bool, begin: int, end: int) -> Layers:
-    """Return the layers begin ≤ i < end along the first axis, each of size^(dimension − 1) rows."""
-    layer, n = size ** (dimension - 1), size**dimension
-    low, high = (
-        max(begin - 1, 0),
-        min(end + 1, size),
-    )  # the neighbours' layers, so that no leg is cut off
+def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
     axis = nodes(-HALF_SIDE, HALF_SIDE, size)
-    r = np.sqrt(sum(x**2 for x in np.ix_(axis[low : high + 2], *[axis] * (dimension - 1))))
-    solution = sphere_solution(r, dimension)
-    radius = r[interior(dimension)]
-    obstacle, continuum = sphere_obstacle(radius).ravel(), solution[interior(dimension)].ravel()
+    r = np.sqrt(sum(x**2 for x in np.ix_(*[axis] * dimension)))
+    solution, radius = sphere_solution(r, dimension), r[interior(dimension)]
     legs = (-1.0,) * dimension
     M = stencil_matrix(radius.shape, 2.0 * dimension, legs, legs)
-    q = dirichlet_terms(solution, legs, legs)
-    lower = obstacle
+    q, lower = dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
+    continuum = solution[interior(dimension)].ravel()
     if shifted:
-        q, lower, continuum = M @ obstacle + q, np.zeros(obstacle.size), continuum - obstacle
-    if (low, high) == (begin, end):
-        return Layers(M, q, lower, continuum, radius.ravel())
-    own = slice((begin - low) * layer, (end - low) * layer)
-    rows = M[own]
-    columns = rows.indices.astype(np.int32 if n < 2**31 else np.int64) + low * layer
-    rows = sp.csr_array((rows.data, columns, rows.indptr), shape=(rows.shape[0], n))
-    return Layers(rows, q[own], lower[own], continuum[own], radius.ravel()[own])
-
-
-def _sphere_scene(dimension: int, size: int, shifted: bool) -> Scene:
-    whole = sphere_layers(dimension, size, shifted, 0, size)
+        q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
     return Scene(
-        problem=LCP(whole.rows, whole.q, lower=whole.lower),
-        continuum=whole.continuum,
-        is_symmetric=True,
-        is_h_plus=True,
-        active_share=float(np.mean(whole.radius < CONTACT_RADIUS[dimension])),
-        coordinates=(nodes(-HALF_SIDE, HALF_SIDE, size)[1:-1],) * dimension,
+        problem=LCP(M, q, lower=lower),
+        continuum=continuum,
+        active_share=float(np.mean(radius < CONTACT_RADIUS[dimension])),
+        coordinates=(axis[1:-1],) * dimension,
         axis_labels=("x", "y", "z")[:dimension],
-        unknown="height",
-        active_means="on the obstacle",
+        **SYMMETRIC | MEMBRANE,
     )
 
 
@@ -181,12 +151,9 @@ def obstacle_bumps(*, size: int = 100, bumps: int = 8, load: float = -5.0, seed:
     mesh_width = 1.0 / (size + 1)
     return Scene(
         problem=LCP(M, np.full(size**2, -load * mesh_width**2), lower=obstacle.ravel()),
-        is_symmetric=True,
-        is_h_plus=True,
         coordinates=(axis, axis),
         axis_labels=("x", "y"),
-        unknown="height",
-        active_means="on the obstacle",
+        **SYMMETRIC | MEMBRANE,
     )
 
 
@@ -222,7 +189,7 @@ def coefficient_jumps(*, size: int = 100, contrast: float = 1e6, seed: int = 0) 
     block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
     cells = stiffness[np.ix_(block, block)]
     M = balanced_matrix((size, size), stiff_cells(cells))
-    return _pulled_membrane(M, size, is_symmetric=True, is_h_plus=True)
+    return _pulled_membrane(M, size, **SYMMETRIC)
 
 
 @scene_builder
@@ -247,18 +214,16 @@ def rotated_anisotropy(*, size: int = 100, ratio: float = 1e-4, degrees: float =
     first, second = cosine**2 + ratio * sine**2, sine**2 + ratio * cosine**2
     mixed = (1.0 - ratio) * cosine * sine
     mass, slope, stiffness = (
-        _line(4.0, 1.0, 1.0, size) / 6.0,
-        _line(0.0, -0.5, 0.5, size),
-        _line(2.0, -1.0, -1.0, size),
+        sp.diags_array(legs, offsets=[-1, 0, 1], shape=(size, size), dtype=np.float64)
+        for legs in ([1 / 6, 4 / 6, 1 / 6], [-0.5, 0.0, 0.5], [-1.0, 2.0, -1.0])
     )
     M = sp.csr_array(
         first * sp.kron(stiffness, mass)
         + second * sp.kron(mass, stiffness)
         - 2.0 * mixed * sp.kron(slope, slope)
     )
-    M.sum_duplicates()
     M.eliminate_zeros()
-    return _pulled_membrane(_narrow(M), size, is_symmetric=True, is_h_plus=size == 1)
+    return _pulled_membrane(M, size, is_symmetric=True, is_h_plus=size == 1)
 
 
 @scene_builder
@@ -286,40 +251,21 @@ def convection_diffusion(
     M = balanced_matrix(
         (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
     )
-    return _pulled_membrane(M, size, is_symmetric=size == 1, is_h_plus=True, scale=scale)
+    return _pulled_membrane(M, size, scale, is_symmetric=size == 1, is_h_plus=True)
 
 
-def _pulled_membrane(
-    M: sp.csr_array, size: int, *, is_symmetric: bool, is_h_plus: bool, scale: float = 1.0
-) -> Scene:
+def _pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: bool) -> Scene:
     axis = nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
     force: Field = PULL * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
     q: FloatVector = (-scale / (size + 1) ** 2 * force).ravel()
     return Scene(
         problem=LCP(M, q),
-        is_symmetric=is_symmetric,
-        is_h_plus=is_h_plus,
         coordinates=(axis, axis),
         axis_labels=("x", "y"),
         unknown="height",
         active_means="on the ground",
-    )
-
-
-def _line(centre: float, below: float, above: float, size: int) -> sp.csr_array:
-    return sp.csr_array(
-        sp.diags_array(
-            [below, centre, above], offsets=[-1, 0, 1], shape=(size, size), dtype=np.float64
-        )
-    )
-
-
-def _narrow(M: sp.csr_array) -> sp.csr_array:
-    if M.nnz >= 2**31:
-        return M
-    return sp.csr_array(
-        (M.data, M.indices.astype(np.int32), M.indptr.astype(np.int32)), shape=M.shape
+        **facts,
     )
 
 

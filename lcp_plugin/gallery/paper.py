@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
 from ..core.lcp import LCP
-from .scene import Scene, require, scene_builder
+from .scene import SYMMETRIC, Scene, require, scene_builder
 from .stencil import stencil_matrix
 
 
@@ -65,11 +66,11 @@ def _paper_scene(
 ) -> Scene:
     side = _side(n)
     M = stencil_matrix((side, side), 4.0 + delta, lower, upper)
-    exact = _alternating(n, 1.0, 2.0)
+    exact = np.resize([1.0, 2.0], n)
     return Scene(
         problem=LCP(M, -(M @ exact)),
         exact=exact,
-        start=_alternating(n, 1.0, 0.0),
+        start=np.resize([1.0, 0.0], n),
         is_symmetric=lower == upper,
         is_h_plus=True,
         grid=(side, side),
@@ -104,7 +105,7 @@ def half_active(
     M = stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
     row, column = np.divmod(np.arange(n), side)
     is_active = (row // block + column // block) % 2 == 1
-    values = _alternating(n, 1.0, 2.0)
+    values = np.resize([1.0, 2.0], n)
     exact = np.where(is_active, 0.0, values)
     slack = np.where(is_active, values, 0.0)
     if degenerate:
@@ -112,10 +113,9 @@ def half_active(
     return Scene(
         problem=LCP(M, slack - M @ exact),
         exact=exact,
-        is_symmetric=True,
-        is_h_plus=True,
         grid=(side, side),
         axis_labels=("row", "column"),
+        **SYMMETRIC,
     )
 
 
@@ -124,12 +124,6 @@ def _side(n: int) -> int:
     side = math.isqrt(n)
     require(side**2 == n, f"n must be a perfect square, got {n}")
     return side
-
-
-def _alternating(n: int, first: float, second: float) -> FloatVector:
-    values = np.full(n, first)
-    values[1::2] = second
-    return values
 
 
 # --- A random matrix --------------------------------------------------------------------------------------
@@ -182,23 +176,17 @@ def random_h_plus(
 
     q = row_power * (w - A @ z)
     A.data *= np.repeat(row_power, np.diff(A.indptr)) * column_power[A.indices]
-    return Scene(
-        problem=LCP(A, q),
-        exact=z / column_power,
-        is_h_plus=True,
-    )
+    return Scene(problem=LCP(A, q), exact=z / column_power, is_h_plus=True)
 
 
-def _random_dominant(generator: np.random.Generator, n: int, entries_per_row: int) -> sp.csr_array:
+def _random_dominant(generator: Any, n: int, entries_per_row: int) -> sp.csr_array:
     """Return an integer matrix whose diagonal exceeds the row sum of the absolute other entries by 1 … 9."""
     count = n * entries_per_row
     rows = np.repeat(np.arange(n), entries_per_row)
     # A step of 1 … n − 1 around the circle never lands on the diagonal.
     columns = (rows + generator.integers(1, n, size=count)) % n
-    values = generator.choice([-1.0, 1.0], size=count) * generator.integers(
-        1, LARGEST_ENTRY + 1, size=count
-    )
-    others = sp.csr_array((values, (rows, columns)), shape=(n, n))
+    signs, sizes = generator.choice([-1.0, 1.0], count), generator.integers(1, 10, count)
+    others = sp.csr_array((signs * sizes, (rows, columns)), shape=(n, n))
     row_sums: FloatVector = np.asarray(abs(others).sum(axis=1), dtype=np.float64)
     diagonal = row_sums + generator.integers(1, LARGEST_ENTRY + 1, size=n)
     matrix = (others + sp.diags_array(diagonal)).tocsr()
@@ -206,9 +194,7 @@ def _random_dominant(generator: np.random.Generator, n: int, entries_per_row: in
     return matrix
 
 
-def _random_answer(
-    generator: np.random.Generator, n: int, active_share: float
-) -> tuple[FloatVector, FloatVector]:
+def _random_answer(generator: Any, n: int, active_share: float) -> tuple[FloatVector, FloatVector]:
     """Return complementary integer vectors ẑ, ŵ; a tenth of the zeros of ẑ are zeros of ŵ."""
     order = generator.permutation(n)
     active = order[: round(active_share * n)]

@@ -20,6 +20,7 @@ from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 
 SIZES = {"n", "size", "block", "bumps", "goods", "steps"}  # parameters that are at least 1
+SYMMETRIC: dict[str, Any] = {"is_symmetric": True, "is_h_plus": True}
 WORDS = {"true": "True", "yes": "True", "false": "False", "no": "False"}
 
 
@@ -305,18 +306,15 @@ def parse(text: str) -> Scene:
     >>> parse("obstacle_2d:size=20,shifted=true")
     Scene(obstacle_2d: size=20, shifted=True)
     """
-    if not isinstance(text, str):
-        raise InvalidOption(f'a scene is written as a text, "half_active:n=900", got {text!r}')
+    words = f'a scene is written as a text, "half_active:n=900", got {text!r}'
+    require(isinstance(text, str), words)
     name, _, settings = text.strip().partition(":")
     builder = builder_of(name.strip())
     values: dict[str, Any] = {}
     for setting in filter(None, map(str.strip, settings.split(","))):
         key, equals, value = (part.strip() for part in setting.partition("="))
-        if not equals or key in values:
-            fault = "repeats a parameter" if equals else "has no '='"
-            raise InvalidOption(
-                f"{setting!r} in {text!r} {fault}; write scene:parameter=value,parameter=value"
-            )
+        fault = "repeats a parameter" if key in values else "" if equals else "has no '='"
+        require(not fault, f"{setting!r} in {text!r} {fault}; write scene:parameter=value,…")
         try:
             values[key] = ast.literal_eval(WORDS.get(value.lower(), value))
         except (ValueError, SyntaxError):

@@ -254,7 +254,7 @@ def convection_diffusion(
     return _pulled_membrane(M, size, scale, is_symmetric=size == 1, is_h_plus=True)
 
 
-def _pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: bool) -> Scene:
+def _pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: Any) -> Scene:
     axis = nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
     force: Field = PULL * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)

@@ -8,7 +8,6 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as fixed_seed
 from hypothesis import strategies as st
@@ -19,12 +18,11 @@ from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..proofs.exact.rational import exact_residuals, exact_slack, is_exact_solution
 from ..proofs.verdicts import analyze
-from .matrices import p_matrices, whole_number
+from .matrices import check_integer, p_matrices
 from .problems import Answer, lcps, solved_lcps
 
 Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
-Truth = Answer | None
-Drawn = tuple[LCP, Truth, bool]  # the problem, what is known of it, whether M was drawn as an array
+Drawn = tuple[LCP, Answer | None, Any]  # the problem, its exact solution, M as it was drawn
 
 PHASES = (Phase.generate, Phase.shrink)
 
@@ -94,7 +92,17 @@ def assert_solves(
     ...     print(str(report).splitlines()[0])
     diagonal: z is not complementary: w[1] = 1, but z[1] = 1.5 lies between its bounds
     """
-    _check_options(solver, matrices, max_examples, tolerance, error_tolerance)
+    if not callable(solver):
+        raise InvalidOption(
+            f"solver must be callable as solver(M, q, lower, upper), got {solver!r}"
+        )
+    if not isinstance(matrices, st.SearchStrategy | None):
+        kind = type(matrices).__name__
+        raise InvalidOption(f"matrices must be a strategy such as p_matrices(4), got {kind}")
+    check_integer(max_examples, "max_examples must be a whole number ≥ 1", 1)
+    for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
+        if not value >= 0.0:
+            raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
     problems = _drawn_problems(p_matrices() if matrices is None else matrices, bounds)
 
     @settings(
@@ -111,58 +119,29 @@ def assert_solves(
         complaint, z = _verdict(solver, drawn, may_give_up, tolerance, error_tolerance)
         if complaint:
             name = getattr(solver, "__name__", type(solver).__name__)
-            raise AssertionError("\n".join([f"{name}: {complaint}", *_shown(*drawn[:2], z)]))
+            raise AssertionError(f"{name}: {complaint}\n{_shown(*drawn[:2], z)}")
 
     try:
         (solver_is_right if seed is None else fixed_seed(seed)(solver_is_right))()
     except Flaky as error:
-        raise AssertionError(
-            "the solver does not answer the same problem twice in the same way"
-        ) from error
-
-
-def _check_options(
-    solver: Any, matrices: Any, max_examples: Any, tolerance: float, error_tolerance: float
-) -> None:
-    if not callable(solver):
-        raise InvalidOption(
-            f"solver must be callable as solver(M, q, lower, upper), got {solver!r}"
-        )
-    if matrices is not None and not isinstance(matrices, st.SearchStrategy):
-        raise InvalidOption(
-            f"matrices must be a strategy such as p_matrices(4), got {type(matrices).__name__}"
-        )
-    whole_number(max_examples, "max_examples must be a whole number ≥ 1", 1)
-    for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
-        if not value >= 0.0:
-            raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
+        raise AssertionError("the solver gives the same problem two solutions") from error
 
 
 @st.composite
 def _drawn_problems(draw: st.DrawFn, matrices: st.SearchStrategy[Any], bounds: bool) -> Drawn:
-    """Return a problem, its exact answer or None, and M's form."""
-    given = draw(matrices)
-    classes, is_dense = (
-        st.just(given),
-        not sp.issparse(given),
-    )  # an LCP may hold M in the other form
-    kind = draw(st.integers(0, 3))
+    """Return a problem, its exact solution or None, and M as it was drawn: an LCP may hold it in another form."""
+    M, kind = draw(matrices), draw(st.integers(0, 3))
     if kind >= 2:
-        return draw(lcps(classes, bounds=bounds)), None, is_dense
-    return *draw(solved_lcps(classes, bounds=bounds, huge_slacks=kind == 1)), is_dense
+        return draw(lcps(st.just(M), bounds=bounds)), None, M
+    return *draw(solved_lcps(st.just(M), bounds=bounds, huge_slacks=kind == 1)), M
 
 
 def _verdict(
     solver: Solver, drawn: Drawn, may_give_up: bool, tolerance: float, error_tolerance: float
 ) -> tuple[str, Any]:
-    """Return what is wrong, "" where nothing is, and z; the solver gets copies, which must stay as they are."""
-    problem, truth, is_dense = drawn
-    stated = (
-        problem.csr.toarray() if is_dense else problem.csr,
-        problem.q,
-        problem.lower,
-        problem.upper,
-    )
+    """Return the fault of a solver, "" if there is none, and z; the solver gets copies, which must stay as they are."""
+    problem, truth, M = drawn
+    stated = (M, problem.q, problem.lower, problem.upper)
     copies = [each.copy() for each in stated]
     reason = "returned None"
     try:
@@ -173,13 +152,13 @@ def _verdict(
         if (now != before).sum():
             return f"it modified its input {name}", None
     if z is not None:
-        return complaint_about(problem, z, truth, tolerance, error_tolerance), z
+        return check_solution(problem, z, truth, tolerance, error_tolerance), z
     if may_give_up or (truth is None and not analyze(problem.M).is_p_matrix):
         return "", None
     return f"it gave up ({reason}) on a problem that has a solution", None
 
 
-def complaint_about(
+def check_solution(
     problem: LCP,
     given: Any,
     truth: Answer | None,
@@ -190,12 +169,15 @@ def complaint_about(
 
     Examples
     --------
-    >>> complaint_about(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, -1], None)
+    >>> check_solution(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, -1], None)
     'z is outside its bounds: z[1] = -1, but lower[1] = 0'
-    >>> complaint_about(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, 0], None)
+    >>> check_solution(LCP([[2, 1], [1, 2]], [-5, 1]), [2.5, 0], None)
     ''
     """
-    z = _as_array(given)
+    try:
+        z = np.asarray(given)
+    except Exception:  # a pair (z, info), or an object that refuses in a way of its own
+        z = np.array(None)
     if z.shape != (problem.n,) or z.dtype.kind not in "biuf":
         return (
             f"z must be {problem.n} real numbers in an array of shape ({problem.n},), got {given!r}"
@@ -213,25 +195,18 @@ def complaint_about(
     return _distance(problem, z, truth, error_tolerance)
 
 
-def _as_array(given: Any) -> Any:
-    """Return an array of whatever a solver returned; of shape () where it is nothing of the kind."""
-    try:
-        return np.asarray(given)
-    except Exception:  # a pair (z, info), or an object that refuses in a way of its own
-        return np.array(None)
-
-
 def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any) -> str:
     """Return which condition row i violates; a z within `allowed` of a bound is at it."""
     low, high, here = problem.lower[i], problem.upper[i], z[i]
     for name, bound, excess in (("lower", low, low - here), ("upper", high, here - high)):
         if excess > allowed:
             return f"z is outside its bounds: z[{i}] = {here:g}, but {name}[{i}] = {bound:g}"
-    if here - low <= allowed:
-        return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but z[{i}] = {here:g} is at its lower bound {low:g}"
-    if high - here <= allowed:
-        return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but z[{i}] = {here:g} is at its upper bound {high:g}"
-    return f"z is not complementary: w[{i}] = {float(w[i]):g}, but z[{i}] = {here:g} lies between its bounds"
+    for name, bound, gap in (("lower", low, here - low), ("upper", high, high - here)):
+        if gap <= allowed:
+            place = f"z[{i}] = {here:g} is at its {name} bound {bound:g}"
+            return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but {place}"
+    place = f"z[{i}] = {here:g} lies between its bounds"
+    return f"z is not complementary: w[{i}] = {float(w[i]):g}, but {place}"
 
 
 def _distance(problem: LCP, z: FloatVector, truth: Answer | None, error_tolerance: float) -> str:
@@ -247,14 +222,10 @@ def _distance(problem: LCP, z: FloatVector, truth: Answer | None, error_toleranc
     return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
 
 
-def _shown(problem: LCP, truth: Truth, z: Any) -> list[str]:
-    """Return lines that show the problem, so that it can be pasted, the solver's z and what is known of it."""
+def _shown(problem: LCP, truth: Answer | None, z: Any) -> str:
+    """Return the call that makes the problem, the solver's z and the exact solution if it is known."""
     data = f"{problem.csr.toarray().tolist()}, {problem.q.tolist()}"
     if problem.lower.any() or np.isfinite(problem.upper).any():
         data += f", lower={problem.lower.tolist()}, upper={problem.upper.tolist()}"
-    lines = [f"problem = LCP({data})", f"z = {z!r}"]
-    return (
-        lines
-        if truth is None
-        else [*lines, f"the exact answer is z = {[float(value) for value in truth]}"]
-    )
+    exact = "" if truth is None else f"\nthe exact answer is z = {[*map(float, truth)]}"
+    return f"problem = LCP({data})\nz = {z!r}{exact}"

@@ -27,11 +27,11 @@ def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
         return st.integers(max(1, smallest), LARGEST_SIZE)
     need = f"size must be a whole number ≥ {smallest} or a strategy of such"
     if isinstance(size, st.SearchStrategy):
-        return size.map(lambda n: whole_number(n, need, smallest))
-    return st.just(whole_number(size, need, smallest))
+        return size.map(lambda n: check_integer(n, need, smallest))
+    return st.just(check_integer(size, need, smallest))
 
 
-def whole_number(value: Any, need: str, low: int) -> int:
+def check_integer(value: Any, need: str, low: int) -> int:
     """Return the value as an int, or raise InvalidOption with what is needed where it is none from low on."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
         raise InvalidOption(f"{need}, got {value!r}")

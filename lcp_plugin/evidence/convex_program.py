@@ -146,7 +146,7 @@ def solver_name(reference: Any) -> str:
 
 
 def solve_by(name: str, convex: ConvexProgram, max_seconds: float, options: Any = ()) -> Reply:
-    """Return the answer of a convex solver; what it raises is the status."""
+    """Solve the program by a convex solver; an exception becomes the status."""
     import cvxpy as cp
 
     began, program = time.perf_counter(), convex.program()

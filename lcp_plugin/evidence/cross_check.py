@@ -1,4 +1,4 @@
-"""cross_validate(): our solution compared with that of a convex solver, with a verdict that knows both accuracies.
+"""cross_validate(): our solution compared with the solution of a convex solver, within the accuracy of both.
 
 For any two points with residuals r, r′ (scaled by d, so that A = D^−½ M D^−½) and δ = D^½ (z − z′)
 
@@ -31,14 +31,17 @@ from .convex_program import PLAIN, ConvexProgram, solve_by, solver_name
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
-ACCURATE, ROUGH = 1e-7, 1e-3  # tolerances of our criterion that a point must meet to be compared
-CLEARLY_DIFFERENT = 1e-6
+ACCURATE_TOLERANCE, ROUGH_TOLERANCE = (
+    1e-7,
+    1e-3,
+)  # tolerances of our criterion that a point must meet to be compared
+DIFFERENCE_RATIO = 1e-6
 POLISH_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class CrossCheck:
-    """Our solution and that of a convex solver, and whether they agree within the accuracy of both.
+    """Comparison of our solution with the solution of a convex solver: whether both agree within the accuracy of both.
 
     Attributes
     ----------
@@ -113,7 +116,7 @@ def cross_validate(
     max_seconds: float = 60.0,
     **options: Any,
 ) -> CrossCheck:
-    """Return our solution compared with that of a convex solver, if M makes the problem convex.
+    """Compare our solution with the solution of a convex solver, if M makes the problem convex.
 
     Parameters
     ----------
@@ -175,10 +178,10 @@ def cross_validate(
     if reply.z is None:
         reason = f"{name} gave no point: {reply.status}"
         return CrossCheck("not comparable", reason, name, formulation, ours, seconds=seconds)
-    theirs = polished(Certificate.of(problem, reply.z))
-    facts = _compared(convex, ours, theirs) if np.isfinite(ours.z).all() else {}
+    theirs = polish(Certificate.of(problem, reply.z))
+    facts = _compare(convex, ours, theirs) if np.isfinite(ours.z).all() else {}
     return CrossCheck(
-        *_judged(result, ours, theirs, name, facts),
+        *_verdict_of(result, ours, theirs, name, facts),
         name,
         formulation,
         ours,
@@ -195,7 +198,7 @@ def _is_computed_by(result: Result, name: str) -> bool:
     return bool(remarks) and (name == "PIQP" or any(name.lower() in one for one in remarks))
 
 
-def _compared(convex: ConvexProgram, ours: Certificate, theirs: Certificate) -> dict[str, Any]:
+def _compare(convex: ConvexProgram, ours: Certificate, theirs: Certificate) -> dict[str, Any]:
     """Return the differences, in the unit-free variables D^½ z / unit and D^−½ w / unit where they have no unit."""
     step, rise = ours.z - theirs.z, ours.w - theirs.w
     weight, unit = convex.weight / convex.unit, convex.weight * convex.unit
@@ -224,7 +227,7 @@ def _weighted_residual(convex: ConvexProgram, side: Certificate) -> float:
     return float(np.linalg.norm(residual * convex.weight / convex.unit))
 
 
-def _judged(
+def _verdict_of(
     result: Result, ours: Certificate, theirs: Certificate, name: str, facts: dict[str, Any]
 ) -> tuple[Verdict, str]:
     """Return the verdict and its reason; the first that applies."""
@@ -232,26 +235,26 @@ def _judged(
     residuals = (
         f"relative residuals {ours.relative_residual:.1e} and {theirs.relative_residual:.1e}"
     )
-    if not theirs.meets(Settings(tolerance=ACCURATE)):
+    if not theirs.meets(Settings(tolerance=ACCURATE_TOLERANCE)):
         return (
             "not comparable",
-            f"the solution of {name} does not reach {ACCURATE:.0e}: {residuals}",
+            f"the solution of {name} does not reach {ACCURATE_TOLERANCE:.0e}: {residuals}",
         )
     if not facts or (claimed and not _keeps_claim(result, ours)):
         return (
             "mismatch",
             f"our status {result.status.name} is false, {name} is accurate: {residuals}",
         )
-    if not ours.meets(Settings(tolerance=ROUGH if claimed else ACCURATE)):
+    if not ours.meets(Settings(tolerance=ROUGH_TOLERANCE if claimed else ACCURATE_TOLERANCE)):
         return "not comparable", f"our solution is not accurate, {result.status.name}: {residuals}"
     if not facts["disagreement"] <= facts["allowance"]:
         return "mismatch", (
             f"the residuals explain {facts['allowance']:.1e} of a disagreement of {facts['disagreement']:.1e}: one of "
             "them is wrong, or the two sides solved different problems"
         )
-    if facts["_apart"] <= CLEARLY_DIFFERENT:
+    if facts["_apart"] <= DIFFERENCE_RATIO:
         return "agree", "same solution within both residuals"
-    if facts["_rise"] <= CLEARLY_DIFFERENT:
+    if facts["_rise"] <= DIFFERENCE_RATIO:
         return "agree", "same w and objective; z is not unique"
     return "agree", (
         f"z differs by {facts['difference_z']:.1e}, within the residuals and the conditioning of M"
@@ -291,11 +294,11 @@ def _side(name: str, side: Certificate, seconds: float) -> str:
 # --- Polish ---------------------------------------------------------------------------------------------------
 
 
-def polished(certificate: Certificate) -> Certificate:
+def polish(certificate: Certificate) -> Certificate:
     """Return the solution of the equations on the certificate's own active set, if it is better."""
     best = certificate
     for _ in range(POLISH_ROUNDS):
-        z = _on_active_set(best)
+        z = _solve_active_set(best)
         found = best if z is None else Certificate.of(best.problem, z)
         if not found.scaled_residual < best.scaled_residual:
             break
@@ -303,7 +306,7 @@ def polished(certificate: Certificate) -> Certificate:
     return best
 
 
-def _on_active_set(certificate: Certificate) -> FloatVector | None:
+def _solve_active_set(certificate: Certificate) -> FloatVector | None:
     """Return z with the active rows on their bounds and w = 0 on the others; None if that block is singular."""
     problem, step = certificate.problem, certificate.w / certificate.problem.residual_scale
     z = certificate.z.copy()

@@ -60,7 +60,7 @@ DASHES: tuple[Any, ...] = (
     (0, (2.5, 3)),
 )
 JOURNAL = {"font.size": 8.0, "axes.titlesize": 8.5}
-COLUMN_INCHES, PAGE_INCHES = 3.5, 7.1  # width of a journal's column, and of its page
+COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.1  # width of a journal's column, and of its page
 HEIGHT_RATIO, MAX_COLUMNS = 0.78, 3
 MARKERS_PER_LINE = 7
 LEGEND_LINE_INCHES, LETTERS_PER_INCH = 0.17, 13
@@ -135,10 +135,12 @@ def draw_panels(panels: Sequence[Panel], width: float | None = None) -> Any:
         If no panel has a point to show.
     """
     if not any(panel.marks or any(len(line.x) for line in panel.lines) for panel in panels):
-        raise InvalidOption("nothing to draw: no run has a result; print() tells how each ended")
+        raise InvalidOption(
+            "nothing to draw: no run has a result; print() lists how each run ended"
+        )
     columns = min(len(panels), MAX_COLUMNS)
     rows = -(-len(panels) // columns)
-    width = width or (COLUMN_INCHES if columns == 1 else PAGE_INCHES)
+    width = width or (COLUMN_WIDTH if columns == 1 else PAGE_WIDTH)
     families = {line.label: line.family for panel in panels for line in panel.lines}
     looks = {
         label: {
@@ -197,7 +199,9 @@ def _draw_panel(axes: Any, panel: Panel, looks: Mapping[str, dict[str, Any]]) ->
     for line in panel.lines:
         _draw(axes, line, looks[line.label], shown, is_share=is_share)
     if not panel.lines:
-        axes.text(0.5, 0.5, "no result: print() tells why", ha="center", transform=axes.transAxes)
+        axes.text(
+            0.5, 0.5, "no result: print() lists the reasons", ha="center", transform=axes.transAxes
+        )
     for k, (label, x, y) in enumerate(panel.marks):
         look = {"color": COLORS["reference"], "markerfacecolor": "white", "linestyle": "none"}
         axes.plot(

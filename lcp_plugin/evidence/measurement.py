@@ -26,14 +26,14 @@ from .methods import Method
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
-SAMPLING = 1.08  # ratio of the iterations of two samples
+SAMPLING_RATIO = 1.08  # ratio of the iterations of two samples
 
 Measure = Callable[[FloatVector], tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """One method on one problem: a row of a study.
+    """A row of a study: one method on one problem.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Measurement:
     method, family : str
         Label of the method, and the family of algorithms it belongs to; "reference" for a convex solver.
     status : str
-        Name of a :class:`lcp_plugin.Status`; cvxpy's status of a reference; REFUSED if the method does not take the
+        Name of a :class:`lcp_plugin.Status`, or cvxpy's status of a reference. REFUSED if the method does not take the
         problem; ERROR if it raised.
     error_kind : {"true error", "rigorous bound", "residual"}
         Kind of the errors; the first two in the unit of z.
@@ -126,7 +126,7 @@ class Measurement:
 
 
 def fresh(problem: LCP) -> LCP:
-    """Return the same problem without computed facts; the arrays are shared."""
+    """Build a problem on the same arrays, without cached facts."""
     return LCP(problem.M, problem.q, lower=problem.lower, upper=problem.upper)
 
 
@@ -150,7 +150,7 @@ def run(
     def record(sample: Sample, z: FloatVector) -> bool:
         nonlocal due
         if sample.iteration >= due:
-            due = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLING))
+            due = max(sample.iteration + 1, math.ceil(sample.iteration * SAMPLING_RATIO))
             samples.append((sample.iteration, sample.work, sample.seconds, *measure(z)))
         return False
 
@@ -163,12 +163,12 @@ def run(
     return result, samples
 
 
-def measured(
+def measure_method(
     scene: Scene, method: Method, measure: Measure, repeats: int, **limits: Any
 ) -> tuple[str, FloatVector]:
     """Return the status and the points of a method; a first run of three steps compiles its kernels.
 
-    Errors are those of the first run, seconds the median and quartiles of all at iterations that all have reached.
+    Errors come from the first run, seconds are the median and quartiles of all at iterations that all have reached.
     """
     solve(fresh(scene.problem), method.algorithm, z0=scene.start, max_iterations=3)
     result, first = run(scene.problem, method.algorithm, measure, scene.start, **limits)

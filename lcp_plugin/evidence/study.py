@@ -36,7 +36,7 @@ from .measurement import (
     Measurement,
     error_measure,
     fresh,
-    measured,
+    measure_method,
 )
 from .methods import Method, methods_of
 from .table import Table, csv_text
@@ -202,7 +202,7 @@ class Study:
         ----------
         path : path
         view, against : str
-            Those of `plot`; by default the curves, of a table the iterations.
+            Arguments of `plot`; by default the curves, of a table the iterations.
 
         Raises
         ------
@@ -356,7 +356,7 @@ def study(
         raise InvalidOption(f"progress must be a callable that takes a text, got {progress!r}")
     limits = {"tolerance": tolerance, "max_seconds": max_seconds}
     Settings(**limits)
-    entrants, built, wanted = methods_of(methods), _named(problems), _checked_sizes(sizes)
+    entrants, built, wanted = methods_of(methods), _label_problems(problems), _checked_sizes(sizes)
     solvers = _checked_references(references)
     file = None if out is None else checked_path(out)
     if file is not None:
@@ -383,7 +383,7 @@ def study(
 def error_against_time(
     target: Scene | LCP, methods: Any = None, references: Sequence[str] = (), **options: Any
 ) -> Study:
-    """Return how the error falls with seconds and with passes over M, for each method on one problem.
+    """Measure how the error falls with seconds and with passes over M, for each method on one problem.
 
     Parameters
     ----------
@@ -420,7 +420,7 @@ def error_against_time(
 
 
 class _Bench:
-    """One problem of one size, built when its rows are asked for."""
+    """Benchmark of one problem of one size."""
 
     def __init__(
         self,
@@ -436,9 +436,9 @@ class _Bench:
         self.notes: list[str] = []
 
     def rows(self, methods: Sequence[Method], references: Sequence[str]) -> Iterator[Measurement]:
-        """Yield a row per method and reference, whatever the code of a user raises."""
+        """Yield a row per method and reference; an exception in code of the user is a row."""
         try:
-            scene = _built(self.given, self.label, self.size)
+            scene = _build_problem(self.given, self.label, self.size)
             fresh(scene.problem)
         except Exception as error:  # a function of the user may raise anything
             for method in methods:
@@ -450,7 +450,7 @@ class _Bench:
         for method in methods:
             self.say(f"{self.label}, n = {scene.n}: {method.label}")
             try:
-                status, points = measured(scene, method, measure, self.repeats, **self.limits)
+                status, points = measure_method(scene, method, measure, self.repeats, **self.limits)
                 yield self._row(scene, method, status, kind, points, method.note)
             except (UnsuitableMatrix, UnsuitableProblem) as error:
                 yield self._row(scene, method, "REFUSED", kind, note=str(error))
@@ -515,10 +515,10 @@ def _line(error: BaseException) -> str:
 # --- The problems ---------------------------------------------------------------------------------------------
 
 
-def _named(given: Any) -> dict[str, Any]:
+def _label_problems(given: Any) -> dict[str, Any]:
     """Return the problems, or functions that build them, by their labels."""
     if isinstance(given, Mapping):
-        return {str(label): _checked(one) for label, one in given.items()}
+        return {str(label): _check_problem(one) for label, one in given.items()}
     if isinstance(given, str | LCP | Scene | tuple) or callable(given) or kind_of(given):
         given = [given]
     listed = [*given] if isinstance(given, Iterable) else []
@@ -528,23 +528,23 @@ def _named(given: Any) -> dict[str, Any]:
     for k, one in enumerate(listed, start=1):
         name = one if isinstance(one, str) else getattr(one, "__name__", f"problem {k}")
         label = one.title if isinstance(one, Scene) else str(name)
-        found[label if label not in found else f"{label} {k}"] = _checked(one)
+        found[label if label not in found else f"{label} {k}"] = _check_problem(one)
     return found
 
 
-def _checked(one: Any) -> Any:
+def _check_problem(one: Any) -> Any:
     if isinstance(one, str):
         name = one.partition(":")[0].strip()
         if name not in scene_names():
             hint = did_you_mean(name, scene_names(), is_listed=True)
             raise InvalidOption(f"unknown scene {one!r}{hint}; a file: load_problem(path)")
-        return partial(_scene, one)
+        return partial(_build_by_name, one)
     if isinstance(one, LCP | Scene | tuple) or (callable(one) and kind_of(one) is None):
         return one
     raise InvalidOption(f"{refusal('study', one)}; or a scene, (M, q), a function of the size")
 
 
-def _scene(text: str, size: int | None = None) -> Scene:
+def _build_by_name(text: str, size: int | None = None) -> Scene:
     name, _, settings = text.partition(":")
     keys = inspect.signature(builder_of(name.strip())).parameters.keys()
     if size is None:
@@ -554,7 +554,7 @@ def _scene(text: str, size: int | None = None) -> Scene:
     return parse(f"{text}{',' if settings else ':'}{key[0]}={size}")
 
 
-def _built(given: Any, label: str, size: int | None) -> Scene:
+def _build_problem(given: Any, label: str, size: int | None) -> Scene:
     """Return the test problem of a problem, of (M, q), or of a function of the size."""
     if callable(given):
         given = given() if size is None else given(size)
@@ -568,7 +568,9 @@ def _built(given: Any, label: str, size: int | None) -> Scene:
         return Scene(problem=given, name=label, is_declared=False)
     if isinstance(given, Scene):
         return given
-    raise InvalidOption(f"{label} is no LCP, test problem or (M, q), got {type(given).__name__}")
+    raise InvalidOption(
+        f"{label} is not an LCP, a test problem or (M, q), got {type(given).__name__}"
+    )
 
 
 def _checked_sizes(sizes: Any) -> list[int | None]:

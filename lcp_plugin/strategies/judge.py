@@ -96,14 +96,15 @@ def assert_solves(
         raise InvalidOption(
             f"solver must be callable as solver(M, q, lower, upper), got {solver!r}"
         )
-    if not isinstance(matrices, st.SearchStrategy | None):
-        kind = type(matrices).__name__
+    chosen: Any = p_matrices() if matrices is None else matrices
+    if not isinstance(chosen, st.SearchStrategy):
+        kind = type(chosen).__name__
         raise InvalidOption(f"matrices must be a strategy such as p_matrices(4), got {kind}")
     check_integer(max_examples, "max_examples must be a whole number ≥ 1", 1)
     for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
         if not value >= 0.0:
             raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
-    problems = _drawn_problems(p_matrices() if matrices is None else matrices, bounds)
+    problems = _drawn_problems(chosen, bounds)
 
     @settings(
         max_examples=max_examples,

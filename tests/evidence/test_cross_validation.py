@@ -280,7 +280,7 @@ def test_disagreement_of_any_two_points_is_explained(monotone_only: bool) -> Non
         lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
         problem = LCP(M, generator.normal(size=n), lower=lower, upper=upper)
         first, second = (Certificate.of(problem, generator.normal(size=n)) for _ in range(2))
-        facts = cross_check._compared(ConvexProgram.of(problem), first, second)
+        facts = cross_check._compare(ConvexProgram.of(problem), first, second)
         assert facts["disagreement"] <= facts["allowance"]
 
 

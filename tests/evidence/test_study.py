@@ -421,7 +421,9 @@ def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
         failed.save(tmp_path / "v.png", "work")
     assert not (tmp_path / "v.png").exists()
     figure = made(("p", 4, "a", -7.0), ("q", 4, "a", 7.0)).plot("work")
-    assert [text.get_text() for text in figure.axes[0].texts] == ["no result: print() tells why"]
+    assert [text.get_text() for text in figure.axes[0].texts] == [
+        "no result: print() lists the reasons"
+    ]
     assert not figure.axes[1].texts
 
 

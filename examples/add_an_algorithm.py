@@ -9,12 +9,7 @@ game below circle for ever; with it they spiral into the equilibrium.
 
 An algorithm is a frozen dataclass with `iterates`. It has no clock, no tolerance and no status: `solve` adds these. A
 copy of the class in a file of `lcp_plugin/methods/` is an algorithm of this package, and its test is the second file.
-To offer it under its name from a package of your own, put this into that package's pyproject.toml,
-
-    [project.entry-points."lcp_plugin.algorithms"]
-    extragradient = "my_package.add_an_algorithm:Extragradient"
-
-and everybody who installs it can write solve(problem, "extragradient"), or see it in `lcp-plugin list`.
+From a package of your own it is used as an object: solve(problem, Extragradient()).
 
 Source: Korpelevich, The extragradient method for finding saddle points and other problems, Ekonomika i
 Matematicheskie Metody 12, 1976; in English in Matecon 13, 1977.

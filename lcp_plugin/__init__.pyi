@@ -41,6 +41,7 @@ from .problems.programs.program import QuadraticProgram as QuadraticProgram
 from .problems.programs.stacked_programs import QuadraticProgramBatch as QuadraticProgramBatch
 from .problems.sensitivity import derivative as derivative
 from .proofs.bounds.error_bounds import error_bound as error_bound
+from .proofs.guarantees import convergence_guarantee as convergence_guarantee
 from .proofs.verdicts import analyze as analyze
 
 __version__: str

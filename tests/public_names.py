@@ -10,7 +10,7 @@ from lcp_plugin import gallery, strategies
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ELSEWHERE = {
-    "algorithms": "Algorithm Step algorithm_class create from_other_packages",
+    "algorithms": "Algorithm Step algorithm_class create",
     "problems.reformulations.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
     "problems.contact": "ContactMotion Contacts contact_data lcp_from_contacts",
     "problems.programs.solution": "QPSolution",
@@ -23,8 +23,6 @@ ELSEWHERE = {
     "modeling.registration": "solve_model",
     "methods.search": "Solution",
 }
-for home, names in lcp_plugin._MOVED.items():
-    ELSEWHERE[home] = f"{ELSEWHERE.get(home, '')} {names}".strip()
 PUBLIC: dict[str, Any] = {
     **{name: getattr(lcp_plugin, name) for name in lcp_plugin.__all__},
     **{

@@ -137,3 +137,19 @@ parameters, ``jvp`` takes changes of parameters and returns those of variables a
 - Quadratic programs: use cvxpy's own ``problem.solve(requires_grad=True)``, or state the optimality conditions with
   ``complements``.
 """
+
+from __future__ import annotations
+
+from typing import Any
+
+import cvxpy as cp
+
+
+def _solve(problem: cp.Problem, *args: Any, **options: Any) -> Any:
+    from .registration import solve_model
+
+    return solve_model(problem, *args, **options)
+
+
+for _method in ("LCP", "lcp"):
+    cp.Problem.register_solve(_method, _solve)

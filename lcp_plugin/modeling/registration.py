@@ -39,15 +39,6 @@ CVXPY_FLAGS = (
 )
 
 
-def register() -> None:
-    """Make ``problem.solve(method="LCP")`` known to cvxpy; done on the first use of any modelling name.
-
-    ``import lcp_plugin`` and ``import cvxpy`` do, in either order; this is for a cvxpy that came from no file.
-    """
-    for name in METHODS:
-        cp.Problem.register_solve(name, solve_model)
-
-
 def is_complementarity_problem(problem: Any) -> bool:
     """Return whether a cvxpy problem has a complementarity among its constraints.
 

@@ -15,7 +15,7 @@ from families import BOUNDED, SWEEPERS
 from textbook_scenes import scaling_trap
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve
-from lcp_plugin.algorithms import REGISTRY, Algorithm, create
+from lcp_plugin.algorithms import REGISTRY, Algorithm, algorithm_class, create
 
 SLACK = 1.3  # a ceiling is a measured count times this
 
@@ -103,7 +103,7 @@ PROMISED = [
     for name in REGISTRY
     if name not in MEASURED
     for kind in dict.fromkeys(
-        one for word, ones in MEANT.items() if word in REGISTRY[name].solves for one in ones
+        one for word, ones in MEANT.items() if word in algorithm_class(name).solves for one in ones
     )
 ]
 PAIRS = [

@@ -15,7 +15,7 @@ from typing import Any
 import jedi
 
 import lcp_plugin
-from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ROOT = Path(__file__).parents[2]
 FROM_AUTO = (
@@ -64,7 +64,9 @@ def missed() -> list[str]:
         for name in lcp_plugin.__dir__()
         if name[0] != "_"
     }
-    names |= {kind.__name__: ("lcp_plugin.algorithms", kind) for kind in REGISTRY.values()}
+    names |= {
+        kind.__name__: ("lcp_plugin.algorithms", kind) for kind in map(algorithm_class, REGISTRY)
+    }
     found = []
     for name, (module, thing) in names.items():
         code = f"from {module} import {name}\n{name}\n"

@@ -53,9 +53,9 @@ def test_an_algorithm_is_a_file_and_a_line(tmp_path: Path) -> None:
         head + source[start:end], encoding="utf-8"
     )
     table = tmp_path / "lcp_plugin" / "algorithms.py"
-    before, after = table.read_text(encoding="utf-8").split("REGISTRY = Registry({\n")
+    before, after = table.read_text(encoding="utf-8").split("REGISTRY = {\n")
     line = '    "extragradient": "methods.extragradient:Extragradient",\n'
-    table.write_text(f"{before}REGISTRY = Registry({{\n{line}{after}", encoding="utf-8")
+    table.write_text(f"{before}REGISTRY = {{\n{line}{after}", encoding="utf-8")
     (tmp_path / TESTS[0]).write_text(TEST, encoding="utf-8")
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *TESTS],

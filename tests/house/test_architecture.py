@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import ast
-import re
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 from fresh_process import printed_by
 from picture import ARROWS, DRAWN, FOLDERS, LINES, STOREYS, above, explained, subpackage_of
 
-import lcp_plugin
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
@@ -334,15 +331,3 @@ def test_the_table_of_algorithms_is_the_registry() -> None:
         assert written == own, name
         assert cells[1:4] == [kind.needs, kind.solves, kind.cost], name
         assert all((kind.__doc__, kind.needs, kind.solves, kind.cost, kind.reference))
-
-
-def test_names_of_before_still_work_and_say_where_they_are() -> None:
-    """A public name that has moved out of the front works for one release, with a warning that says what to write."""
-    assert len(lcp_plugin.__all__) <= 42
-    for home, names in lcp_plugin._MOVED.items():
-        for name in names.split():
-            assert name not in dir(lcp_plugin)
-            write = re.escape(lcp_plugin._SINCE.get(name, f"from lcp_plugin.{home} import {name}"))
-            with pytest.warns(DeprecationWarning, match=f"write {write}$"):
-                before = getattr(lcp_plugin, name)
-            assert before is getattr(import_module(f"lcp_plugin.{home}"), name)

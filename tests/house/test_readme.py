@@ -6,13 +6,11 @@ import ast
 import importlib
 import re
 import shlex
-import tomllib
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from lcp_plugin.algorithms import ENTRY_POINT_GROUP
 from lcp_plugin.commands.cli import app
 
 ROOT = Path(__file__).parents[2]
@@ -91,20 +89,6 @@ def test_pages_are_there(module: str) -> None:
 def test_pages_open_without_extras(module: str) -> None:
     """Each page that help(lcp_plugin) lists opens, and is one."""
     assert len((importlib.import_module(module).__doc__ or "").splitlines()) > 10
-
-
-def test_the_example_of_an_algorithm_says_how_to_offer_it() -> None:
-    """The TOML in the docstring that "Add an algorithm" leads to is the entry point that this package reads."""
-    assert "(../add_an_algorithm.py)" in MANUAL.joinpath("architecture.md").read_text(
-        encoding="utf-8"
-    )
-    told = ast.get_docstring(
-        ast.parse(ROOT.joinpath("examples", "add_an_algorithm.py").read_text(encoding="utf-8"))
-    )
-    block = re.search(r"^ +(\[project.*?)\n\n", told or "", re.S | re.M)
-    assert block is not None
-    groups = tomllib.loads(block[1])["project"]["entry-points"]
-    assert list(groups) == [ENTRY_POINT_GROUP]
 
 
 def test_it_stays_short() -> None:

@@ -174,15 +174,6 @@ def test_gaps_and_bodies_state_worlds_too() -> None:
         assert np.array_equal(alone.b, again.b)
 
 
-def test_the_name_of_before_still_states_worlds() -> None:
-    """With a warning that says what to write."""
-    import lcp_plugin
-
-    with pytest.warns(DeprecationWarning, match=r"write FrictionalContact\(W, b, friction\)"):
-        before = lcp_plugin.FrictionalContactBatch
-    assert type(before(*ONE)) is type(FrictionalContact(*ONE))
-
-
 @pytest.mark.parametrize("index", [slice(0, 1), 0.0, "first"])
 def test_worlds_are_taken_one_by_one(index: Any) -> None:
     """An index that is no whole number is refused, with what to write."""

@@ -16,7 +16,7 @@ from lcp_plugin.commands.cli import app
 ROOT = Path(__file__).parents[2]
 README = ROOT.joinpath("README.md").read_text(encoding="utf-8")
 MANUAL = ROOT / "examples" / "manual"
-LONGEST, WIDEST = 150, 100
+LONGEST, WIDEST = 160, 100
 
 
 def blocks(language: str) -> list[str]:
@@ -92,7 +92,7 @@ def test_pages_open_without_extras(module: str) -> None:
 
 
 def test_it_stays_short() -> None:
-    """What is looked up stands in the manual: the README has at most 150 lines, none wider than 100 characters."""
+    """What is looked up stands in the manual: the README has at most 160 lines, none wider than 100 characters."""
     assert len(README.splitlines()) <= LONGEST
     assert max(map(len, README.splitlines())) <= WIDEST
 

@@ -109,10 +109,8 @@ def postorder(root: Any, stop: Container[int]) -> list[Any]:
 
 def leaf_value(leaf: Any) -> Any:
     """Return the value of a constant or parameter: None, an array, or a two-dimensional CSC array."""
-    # The value of a parameter with a sparsity pattern is dense, with a warning; releases before 1.6.1 know no other.
-    is_patterned = getattr(leaf, "sparse_idx", None) is not None and hasattr(
-        type(leaf), "value_sparse"
-    )
+    # The value of a parameter with a sparsity pattern is dense, with a warning.
+    is_patterned = getattr(leaf, "sparse_idx", None) is not None
     value = leaf.value_sparse if is_patterned and leaf._value is not None else leaf.value
     if sp.issparse(value):
         return sp.csc_array(value) if value.ndim == 2 else value.toarray()
@@ -140,9 +138,6 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
         return np.broadcast_to(dense(values[0]), node.shape)
     if not any(map(sp.issparse, values)):
         return node.numeric(values)
-    if _multiplies_sparse(node, values):
-        # Releases before 1.7 write a product of sparse matrices as *, which is elementwise for sparse arrays.
-        return values[0] @ values[1]
     if isinstance(node, TRANSPOSE):
         return values[0].T
     if isinstance(node, KRONECKER):
@@ -170,16 +165,8 @@ def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
     return result
 
 
-def _multiplies_sparse(node: Any, values: list[Any]) -> bool:
-    is_product = isinstance(node, MATRIX_PRODUCT) and not isinstance(node, ELEMENTWISE)
-    return (
-        is_product
-        and any(map(sp.issparse, values))
-        and all(1 <= len(value.shape) <= 2 for value in values)
-    )
-
-
 def dense(value: Any) -> Any:
+    """Return a value as a dense array."""
     return value.toarray() if sp.issparse(value) else value
 
 

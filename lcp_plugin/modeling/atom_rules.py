@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import cvxpy as cp
 import numpy as np
@@ -25,23 +25,15 @@ from .expressions.rows import Compiler, Indices, Rows, added, entries_behind, st
 Rule: TypeAlias = Callable[[Compiler, Any, list[Any]], Rows]
 
 
-class AtomKind(NamedTuple):
-    """What is known of all nodes of a class."""
-
-    is_variable: bool
-    is_parameter: bool
-    #: That of an affine atom.
-    rule: Rule | None
-    #: Whether the rule broadcasts its arguments itself.
-    broadcasts: bool
-
-
 @cache
-def kind_of(kind: type) -> AtomKind:
-    """Return what is known of the nodes of a class; asked once, because cvxpy's classes take a while to answer."""
-    rule = next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
-    broadcasts = rule in (_added, _negated, _broadcast, _product)
-    return AtomKind(issubclass(kind, cp.Variable), issubclass(kind, cp.Parameter), rule, broadcasts)
+def affine_rule(kind: type) -> Rule | None:
+    """Return the rule of a class of affine atoms; asked once, because cvxpy's classes take a while to answer."""
+    return next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
+
+
+def broadcasts(rule: Rule) -> bool:
+    """Return whether a rule broadcasts its arguments itself."""
+    return rule in (_added, _negated, _broadcast, _product)
 
 
 def rule_of(node: Any) -> Rule | None:

@@ -25,6 +25,7 @@ BETWEEN = 0.3819660112501051  # where it is looked at
 VECTORS = {LCP: ("q", "lower", "upper"), QuadraticProgram: ("c", "h", "b", "lower", "upper")}
 MATRICES = {LCP: ("M",), QuadraticProgram: ("P", "G", "A")}
 Back = Callable[[Any], dict[int, Any]]
+Lines = dict[cp.Parameter, tuple[FloatVector, FloatVector]]
 
 
 class ModelPath(Path):
@@ -34,14 +35,14 @@ class ModelPath(Path):
     """
 
     _problem: Any
-    _line: ParameterLine
+    _lines: Lines
     _back: Back
 
     @classmethod
-    def of(cls, path: Path, problem: Any, line: ParameterLine, back: Back) -> ModelPath:
+    def of(cls, path: Path, problem: Any, lines: Lines, back: Back) -> ModelPath:
         """Return a path with the way back."""
         made = cls.__new__(cls)
-        made.__dict__.update(path.__dict__, _problem=problem, _line=line, _back=back)
+        made.__dict__.update(path.__dict__, _problem=problem, _lines=lines, _back=back)
         return made
 
     def value(self, variable: cp.Variable, theta: ArrayLike) -> Any:
@@ -62,7 +63,7 @@ class ModelPath(Path):
                 values = self._values(theta)
                 for variable in variables:
                     variable.save_value(values[variable.id])
-                with self._line.to(theta):
+                with moved_to(self._lines, theta):
                     found.append(float(dense(self._problem.objective.value)))
         finally:
             for variable, value in zip(variables, before, strict=True):
@@ -70,12 +71,12 @@ class ModelPath(Path):
         return np.array(found)
 
     def _values(self, theta: float) -> dict[int, Any]:
-        with self._line.to(theta):
+        with moved_to(self._lines, theta):
             return self._back(self.piece_at(theta).z_at(theta))
 
 
-class ParameterLine:
-    """Parameters that are their values plus θ times a direction.
+def parameter_lines(problem: Any, along: Any) -> Lines:
+    """Return value and direction of each parameter that moves: it is value + θ · direction.
 
     Parameters
     ----------
@@ -83,55 +84,51 @@ class ParameterLine:
     along : Parameter, or mapping from Parameter to direction
         θ is the value of a lone Parameter, which has one entry.
     """
-
-    def __init__(self, problem: Any, along: Any) -> None:
-        if isinstance(along, cp.Parameter):
-            if along.size != 1:
-                raise InvalidOption(
-                    f"{name_of(along)} has {along.size} entries: write along={{parameter: direction}}, which is added "
-                    "to its present value"
-                )
-            self._lines = {along: (np.zeros(along.shape), np.ones(along.shape))}
-        elif (
-            isinstance(along, Mapping)
-            and along
-            and all(isinstance(one, cp.Parameter) for one in along)
-        ):
-            if lacking := [one for one in along if one.value is None]:
-                raise InvalidOption(
-                    f"{name_of(lacking[0])} has no value, to which the direction is added; give it one"
-                )
-            self._lines = {
-                one: (
-                    np.array(leaf_value(one), dtype=float),
-                    np.broadcast_to(np.asarray(step, float), one.shape),
-                )
-                for one, step in along.items()
-            }
-        else:
+    if isinstance(along, cp.Parameter):
+        if along.size != 1:
             raise InvalidOption(
-                f"along of a cvxpy problem is a Parameter, or {{parameter: direction}}, got {along!r}"
+                f"{name_of(along)} has {along.size} entries: write along={{parameter: direction}}, which is added "
+                "to its present value"
             )
-        known = {one.id for one in problem.parameters()}
-        if strange := [one for one in self._lines if one.id not in known]:
-            raise InvalidOption(f"{name_of(strange[0])} is no parameter of the problem")
+        lines = {along: (np.zeros(along.shape), np.ones(along.shape))}
+    elif isinstance(along, Mapping) and along and all(isinstance(p, cp.Parameter) for p in along):
+        if lacking := [one for one in along if one.value is None]:
+            raise InvalidOption(
+                f"{name_of(lacking[0])} has no value, to which the direction is added; give it one"
+            )
+        lines = {
+            one: (
+                np.array(leaf_value(one), float),
+                np.broadcast_to(np.asarray(step, float), one.shape),
+            )
+            for one, step in along.items()
+        }
+    else:
+        raise InvalidOption(
+            f"along of a cvxpy problem is a Parameter, or {{parameter: direction}}, got {along!r}"
+        )
+    known = {one.id for one in problem.parameters()}
+    if strange := [one for one in lines if one.id not in known]:
+        raise InvalidOption(f"{name_of(strange[0])} is no parameter of the problem")
+    return lines
 
-    @contextmanager
-    def to(self, theta: float) -> Iterator[None]:
-        """Give the parameters their values at θ, and those of before again."""
-        before = {one: one.value for one in self._lines}
-        try:
-            for one, (base, step) in self._lines.items():
-                try:
-                    one.value = base + theta * step
-                except ValueError as error:
-                    raise InvalidOption(
-                        f"{name_of(one)} cannot be what it is at {theta:.6g}: {error}"
-                    ) from error
-            yield
-        finally:
-            for one, value in before.items():
-                one.value = value
+
+@contextmanager
+def moved_to(lines: Lines, theta: float) -> Iterator[None]:
+    """Give the parameters their values at θ, and those of before again."""
+    before = {one: one.value for one in lines}
+    try:
+        for one, (base, step) in lines.items():
+            try:
+                one.value = base + theta * step
+            except ValueError as error:
+                raise InvalidOption(
+                    f"{name_of(one)} cannot be what it is at {theta:.6g}: {error}"
+                ) from error
+        yield
+    finally:
+        for one, value in before.items():
+            one.value = value
 
 
 def trace_model(
@@ -144,18 +141,18 @@ def trace_model(
     UnsupportedModel
         Where the parameter stands in a matrix, or not affinely.
     """
-    line = ParameterLine(problem, along)
+    lines = parameter_lines(problem, along)
     stated = _pairs if is_complementarity_problem(problem) else _program
     other = stop if stop != start else start + 1.0
     values = (start, other, start + BETWEEN * (other - start))
     found = []
     for theta in values:
-        with line.to(theta):
+        with moved_to(lines, theta):
             found.append(stated(problem))
     (first, back), (last, _), (middle, _) = found
     base, directions = _line(first, last, middle, values)
     path = trace_stated(base, directions, start, stop, tolerance)
-    return ModelPath.of(path, problem, line, back)
+    return ModelPath.of(path, problem, lines, back)
 
 
 def _pairs(problem: Any) -> tuple[LCP, Back]:

@@ -20,7 +20,16 @@ from cvxpy.expressions.expression import Expression
 from ..core.errors import UnsupportedModel
 from . import _compat as atoms
 from ._compat import name_of, postorder
-from .atom_rules import AtomKind, kind_of, linearised, refused, right_to_left, rule_of, whole
+from .atom_rules import (
+    Rule,
+    affine_rule,
+    broadcasts,
+    linearised,
+    refused,
+    right_to_left,
+    rule_of,
+    whole,
+)
 from .expressions.functions import SAME
 from .expressions.rows import Compiler, Rows, as_matrix
 
@@ -138,17 +147,17 @@ class Reader:
         return rows
 
     def _result(self, node: Any, arguments: list[Any]) -> Any:
-        key, kind = id(node), kind_of(type(node))  # type: ignore[arg-type]
+        key, rule = id(node), affine_rule(type(node))  # type: ignore[arg-type]
         below = list(map(id, node.args))
-        hidden = _hidden_parameters(node) if node.args and kind.rule is None else []
+        hidden = _hidden_parameters(node) if node.args and rule is None else []
         if hidden and self._held is not None:
             raise UnsupportedModel(
                 f"{name_of(node)} holds the parameter {hidden[0].name()} where no derivative reaches it; write it with "
                 "products, sums, exp and log"
             )
-        if kind.is_parameter or hidden or not self._moving.isdisjoint(below):
+        if isinstance(node, cp.Parameter) or hidden or not self._moving.isdisjoint(below):
             self._moving.add(key)
-        result = self._computed(node, kind, arguments)
+        result = self._computed(node, rule, arguments)
         if not isinstance(result, Rows):
             return result
         if result.shape != node.shape and result.size == node.size:
@@ -172,10 +181,14 @@ class Reader:
             self._memo[id(node)] = (node, result)
             self._found.append((node, result))
 
-    def _computed(self, node: Any, kind: AtomKind, arguments: list[Any]) -> Any:
-        if kind.is_variable if self._held is None else kind.is_parameter:
-            if kind.is_variable:
-                check_attributes(node, takes_integers=self._takes_integers)
+    def _computed(self, node: Any, rule: Rule | None, arguments: list[Any]) -> Any:
+        if isinstance(node, cp.Variable if self._held is None else cp.Parameter):
+            takes = self._takes_integers
+            if self._held is None and (tie := restricting_attribute(node, takes_integers=takes)):
+                raise UnsupportedModel(
+                    f"variable {node.name()} has the attribute {tie!r}, which ties or restricts its entries; use a "
+                    "plain variable, with bounds or nonneg where needed"
+                )
             return Rows({node.id: 1.0}, np.zeros(node.size), node.shape)
         constants = [
             pair for pair in zip(node.args, arguments, strict=True) if not isinstance(pair[1], Rows)
@@ -184,7 +197,6 @@ class Reader:
             return self._value(node, arguments)
         for part, argument in constants:
             self._take_constant(part, argument)
-        rule = kind.rule
         if rule is None:
             rule = rule_of(node)
             arguments = [
@@ -195,7 +207,7 @@ class Reader:
                 return linearised(node, arguments, values)
             if rule is None:
                 raise refused(node)
-        return rule(self.compiler, node, arguments if kind.broadcasts else whole(node, arguments))
+        return rule(self.compiler, node, arguments if broadcasts(rule) else whole(node, arguments))
 
     def _value(self, node: Any, values: list[Any]) -> Any:
         """Return the value of a node without sources, or of any where everything is held."""
@@ -237,21 +249,6 @@ def _hidden_parameters(node: Any) -> list[Any]:
         if isinstance(part, cp.Expression)
         for parameter in part.parameters()
     ]
-
-
-def check_attributes(variable: cp.Variable, *, takes_integers: bool = False) -> None:
-    """Raise where the entries of a variable are not free.
-
-    Raises
-    ------
-    UnsupportedModel
-        Naming the attribute that ties or restricts them.
-    """
-    if attribute := restricting_attribute(variable, takes_integers=takes_integers):
-        raise UnsupportedModel(
-            f"variable {variable.name()} has the attribute {attribute!r}, which ties or restricts its entries; "
-            "use a plain variable, with bounds or nonneg where needed"
-        )
 
 
 def restricting_attribute(leaf: Any, *, takes_integers: bool = False) -> str | None:

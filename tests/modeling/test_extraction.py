@@ -382,8 +382,6 @@ def test_a_parameter_in_the_matrix_and_one_beside_it_are_told_apart(form, in_mat
 def test_a_sparse_parameter_stays_sparse():
     """A parameter with a sparsity pattern is read without becoming dense and without a warning."""
     pattern = (np.array([0, 1, 3]), np.array([1, 1, 0]))
-    if not hasattr(cp.Parameter, "value_sparse"):
-        pytest.skip(f"cvxpy {cp.__version__} has no value_sparse")
     p = cp.Parameter((4, 4), sparsity=pattern)
     p.value_sparse = sp.coo_array((np.array([1.0, 2.0, 3.0]), pattern), shape=(4, 4))
     x = cp.Variable(4)

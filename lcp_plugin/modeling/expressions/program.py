@@ -219,11 +219,12 @@ class Program:
         rows = sp.csr_array(
             (np.arange(self.n), np.arange(self.n), np.arange(self.n + 1)), shape=(self.n, self.n)
         )
-        known = _Places(rows.indptr.astype(np.int64), rows.indices.astype(np.int64))
+        known = rows.indptr.astype(np.int64), rows.indices.astype(np.int64)
         patterns = []
         for level in self.levels:
             patterns.append(_Pattern(known, level.arguments, self.n))
-            known = known.extended(patterns[-1])
+            indptr = np.concatenate([known[0], known[0][-1] + patterns[-1].indptr[1:]])
+            known = indptr, np.concatenate([known[1], patterns[-1].indices])
         nothing = Combination(sp.csr_array((0, self.result.matrix.shape[1])), np.zeros(0))
         patterns.append(_Pattern(known, (self.result, nothing), self.n))
         return patterns
@@ -251,16 +252,8 @@ def _combination(rows: Sequence[Rows], first: Mapping[int, int], count: int) -> 
     return Combination(matrix, offset)
 
 
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Where the derivatives of the quantities are: of quantity k by the unknowns indices[indptr[k] : indptr[k + 1]]."""
-
-    indptr: Indices
-    indices: Indices
-
-    def extended(self, pattern: _Pattern) -> _Places:
-        indptr = np.concatenate([self.indptr, self.indptr[-1] + pattern.indptr[1:]])
-        return _Places(indptr, np.concatenate([self.indices, pattern.indices]))
+#: Where the derivatives of the quantities are: of quantity k by the unknowns indices[indptr[k] : indptr[k + 1]].
+_Places = tuple[Indices, Indices]
 
 
 class _Pattern:
@@ -282,7 +275,7 @@ class _Pattern:
         rows, self.indices = keys // n if n else keys, keys % n if n else keys
         self._lengths = np.bincount(rows, minlength=size)
         self.indptr: Indices = np.concatenate([[0], np.cumsum(self._lengths)]).astype(np.int64)
-        self.start = int(known.indptr[-1])
+        self.start = int(known[0][-1])
         self.stop = self.start + keys.size
         counts = (keys.size, int(self.indptr[arguments[1].offset.size]))
         parts = np.split(np.ravel(where), [terms[0][0].size])
@@ -308,12 +301,13 @@ class _Pattern:
 
 def _terms(known: _Places, matrix: sp.csr_array, n: int) -> tuple[Indices, Indices, FloatVector]:
     """Return of matrix · derivatives, term by term: the place in the result, the entry it comes from, the factor."""
-    counts = np.diff(known.indptr)[matrix.indices]
+    indptr, indices = known
+    counts = np.diff(indptr)[matrix.indices]
     total = int(counts.sum())
     rows = np.repeat(np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)), counts)
     before = np.cumsum(counts) - counts
-    sources = np.repeat(known.indptr[matrix.indices] - before, counts) + np.arange(total)
-    return rows * n + known.indices[sources], sources, np.repeat(matrix.data, counts)
+    sources = np.repeat(indptr[matrix.indices] - before, counts) + np.arange(total)
+    return rows * n + indices[sources], sources, np.repeat(matrix.data, counts)
 
 
 def _constant_apart(

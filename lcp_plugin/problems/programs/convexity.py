@@ -60,8 +60,9 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
         entries = dict.fromkeys(((i, i), (j, j), (i, j)))
         what = f"{', '.join(f'P[{k}, {m}] = {P[k, m]:.3g}' for k, m in entries)} shows it"
     raise UnsupportedModel(
-        f"the program is not convex: {what}, so that a stationary point need not be a minimum; state a convex "
-        "objective, use a solver for nonconvex programs, or state its stationarity conditions as complementarities"
+        f"the program is not convex: {what}, so that a stationary point need not be a minimum; solve "
+        "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install "
+        "'lcp_plugin[global]')"
     )
 
 

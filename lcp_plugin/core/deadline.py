@@ -1,60 +1,14 @@
-"""The clock of a run, the seconds it has left, and what it has compiled.
-
-Compilation counts against no limit, in whichever run inside a run it happens. Locks between threads are open in the
-child of a fork: it has one thread, and no other could let go.
-"""
+"""The clock of a run and the seconds it has left; compilation counts against no limit."""
 
 from __future__ import annotations
 
-import gc
 import math
-import os
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
-from weakref import WeakSet
 
 AT_LEAST = 0.1  # seconds
-
-
-class Lock:
-    """A reentrant lock, free in the child of a fork whoever held it in the parent.
-
-    What it guards must be whole at every moment: computed first, then stored at once.
-
-    Examples
-    --------
-    >>> lock = Lock()
-    >>> with lock.held():
-    ...     print("alone")
-    alone
-    """
-
-    def __init__(self) -> None:
-        self.renew()
-        _all.add(self)
-
-    def renew(self) -> None:
-        """Become free; for a process in which no other thread is left."""
-        self._lock = threading.RLock()
-
-    def held(self) -> AbstractContextManager[bool]:
-        """Hold it, in a ``with`` statement."""
-        return self._lock
-
-
-_all: WeakSet[Lock] = WeakSet()
-
-
-def _renew_all() -> None:
-    for lock in _all:
-        lock.renew()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_renew_all)
 
 
 # Until when, on the clock that compilation stops, and whether that is enforced.
@@ -68,7 +22,20 @@ class OutOfTimeError(Exception):
 class Compilation:
     """The seconds that a thread has spent on compilation since it began."""
 
-    seconds = 0.0
+    def __init__(self) -> None:
+        self.seconds, self._depth, self._began = 0.0, 0, 0.0
+
+    def begin(self) -> None:
+        """Note that a compilation begins, perhaps within another one."""
+        if self._depth == 0:
+            self._began = time.perf_counter()
+        self._depth += 1
+
+    def end(self) -> None:
+        """Note that it has ended."""
+        self._depth = max(self._depth - 1, 0)
+        if self._depth == 0:
+            self.seconds += time.perf_counter() - self._began
 
 
 _compilation: ContextVar[Compilation] = ContextVar("compilation")
@@ -86,11 +53,11 @@ def compilation() -> Compilation:
 def compiling() -> Iterator[None]:
     """Stop the clocks of all runs around, and their limits, inside a ``with`` statement."""
     own = compilation()
-    began, before = time.perf_counter(), own.seconds
+    own.begin()
     try:
         yield
     finally:
-        own.seconds = before + time.perf_counter() - began
+        own.end()
 
 
 class Clock:
@@ -123,67 +90,6 @@ class Clock:
             yield
         finally:
             self._paused += time.perf_counter() - own.seconds - began
-
-
-class NewKernels:
-    """What this process compiles because no cache has it, for those who tell the user why there is a wait.
-
-    Python's collector of garbage rests meanwhile: a tenth of a compilation would be its search in what is still in use.
-    """
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._under_way, self._began, self._before, self._collects = 0, 0.0, 0.0, False
-        self.watchers: list[
-            Callable[[], None]
-        ] = []  # called when compilation begins and when it has ended
-
-    @property
-    def is_under_way(self) -> bool:
-        """Whether a thread compiles."""
-        return self._under_way > 0
-
-    @property
-    def seconds(self) -> float:
-        """Those in which some thread has compiled, up to now."""
-        with self._lock.held():
-            return self._before + (time.perf_counter() - self._began if self._under_way else 0.0)
-
-    @contextmanager
-    def compiling(self) -> Iterator[None]:
-        """Compile inside a ``with`` statement, the clocks of all runs around stopped."""
-        with compiling():
-            self._count(1)
-            try:
-                yield
-            finally:
-                self._count(-1)
-
-    @contextmanager
-    def watched_by(self, watcher: Callable[[], None]) -> Iterator[None]:
-        """Let this be one of the watchers inside a ``with`` statement."""
-        self.watchers.append(watcher)
-        try:
-            yield
-        finally:
-            self.watchers.remove(watcher)
-
-    def _count(self, change: int) -> None:
-        with self._lock.held():
-            now = time.perf_counter()
-            if self._under_way:
-                self._before += now - self._began
-            else:
-                self._collects = gc.isenabled()
-                gc.disable()
-            self._began, self._under_way = now, self._under_way + change
-            if not self._under_way and self._collects:
-                gc.enable()
-        for watcher in list(self.watchers):
-            watcher()
-
-
-NEW_KERNELS = NewKernels()
 
 
 def _now() -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, overload
@@ -20,7 +21,6 @@ from .checks import (
     restored,
     without_huge,
 )
-from .deadline import Lock
 from .errors import InvalidProblem
 from .kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind
 from .matrix.matrix import Matrix
@@ -142,7 +142,7 @@ class LCP:
         return {}
 
     @property
-    def _lock(self) -> Lock:
+    def _lock(self) -> threading.RLock:
         return self.matrix._lock
 
     @cached_property

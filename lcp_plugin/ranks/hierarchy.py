@@ -15,8 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Arrays, FloatVector, read_only
-from ..core.kernels.compilation import inlined, kernel
-from ..core.kernels.compiler import uintp
+from ..core.kernels.compilation import inlined, kernel, uintp
 from ..systems.factors import Factor, dense_lu
 from ..systems.hierarchy import coarsening, galerkin, sweeps, vectors
 from ..systems.hierarchy.coarsening import COARSE

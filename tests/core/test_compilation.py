@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import ast
-import gc
 import os
 import re
-import shutil
 import subprocess
 import sys
 import time
@@ -24,10 +22,8 @@ import lcp_plugin
 from lcp_plugin import LCP, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
-from lcp_plugin.core.deadline import NEW_KERNELS, Clock, compilation
+from lcp_plugin.core.deadline import Clock, compilation
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.core.kernels.compilation import cache_folder
-from lcp_plugin.core.solving import run_log
 
 COUNT_COMPILED = """
 import sys
@@ -116,40 +112,7 @@ def test_nothing_is_compiled_after_a_warm_up() -> None:
     """After `lcp-plugin warm-up` a fresh process finds every kernel it needs in the cache."""
     run = CliRunner().invoke(app, ["warm-up"])
     assert run.exit_code == 0
-    assert f"they lie in {cache_folder()}" in run.output
     assert in_a_new_process(COUNT_COMPILED) == "True 0"
-
-
-def test_numba_tells_when_it_compiles() -> None:
-    """Who watches hears the beginning and the end of a compilation, and the seconds are counted."""
-    heard: list[bool] = []
-    watcher = lambda: heard.append(NEW_KERNELS.is_under_way)  # noqa: E731
-    before = NEW_KERNELS.seconds
-    NEW_KERNELS.watchers.append(watcher)
-    try:
-        njit(lambda x: x + 1.0)(1.0)
-    finally:
-        NEW_KERNELS.watchers.remove(watcher)
-    assert heard[0]
-    assert not heard[-1]
-    assert NEW_KERNELS.seconds > before
-
-
-def test_a_verbose_run_says_that_kernels_are_compiled(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It says so once, and nothing where nothing is printed."""
-    monkeypatch.setattr(run_log, "QUIET", -1.0)
-
-    def compiles(*_: object) -> None:
-        with NEW_KERNELS.compiling():
-            pass
-
-    problem = gallery.obstacle_2d(size=10).problem
-    solve(problem, callback=compiles)
-    assert capsys.readouterr().out == ""
-    solve(problem, callback=compiles, verbose=True)
-    assert capsys.readouterr().out.count("(compiling, once an installation") == 1
 
 
 @pytest.mark.full
@@ -211,28 +174,6 @@ def test_whatever_is_compiled_within_a_run_stops_its_clock() -> None:
 
 
 @pytest.mark.full
-def test_cache_is_the_user_s(tmp_path: Path) -> None:
-    """The kernels lie in the user's cache folder or where NUMBA_CACHE_DIR says; other packages' lie where they did."""
-    code = (
-        "from numba import config, njit\n"
-        "before = config.CACHE_DIR\n"
-        "from lcp_plugin.core.kernels import splitting_sweeps as kernels\n"
-        "print(config.CACHE_DIR == before, kernels.splitting_sweep.stats.cache_path)"
-    )
-    said = in_a_new_process(code, XDG_CACHE_HOME=str(tmp_path / "user"), NUMBA_CACHE_DIR="")
-    unchanged, _, path = said.partition(" ")
-    assert unchanged == "True"
-    assert Path(path).is_relative_to(
-        tmp_path / "user" / "lcp_plugin" if sys.platform == "linux" else Path.home()
-    )
-    unchanged, _, path = in_a_new_process(code, NUMBA_CACHE_DIR=str(tmp_path / "named")).partition(
-        " "
-    )
-    assert unchanged == "True"
-    assert Path(path).is_relative_to(tmp_path / "named")
-
-
-@pytest.mark.full
 def test_shell_completes_scenes_and_algorithms() -> None:
     """The shell offers what the command knows."""
     code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.commands.cli import app; app(prog_name='lcp-plugin')"
@@ -245,63 +186,6 @@ def test_shell_completes_scenes_and_algorithms() -> None:
             code, _LCP_PLUGIN_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=position
         )
         assert found.split() == offered.split()
-
-
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("file", "old", "new"),
-    [
-        (
-            "core/kernels/enclosures.py",
-            "return least, abs(most) * (1.0 + wider)",
-            "return least, 0.0 * abs(most)",
-        ),
-        (
-            "problems/cones/kernels.py",
-            "least[k], most[k] = block_bounds(",
-            "least[k], scale[k] = block_bounds(",
-        ),
-    ],
-)
-def test_a_kernel_is_compiled_anew_when_a_file_it_is_made_of_changes(
-    file: str, old: str, new: str, tmp_path: Path
-) -> None:
-    """Its own or one whose functions were compiled into it; code on disk from before is not run."""
-    package = Path(lcp_plugin.__file__).parent
-    shutil.copytree(package, tmp_path / "lcp_plugin", ignore=shutil.ignore_patterns("__pycache__"))
-    code = (
-        "import numpy as np\nfrom lcp_plugin.problems.cones import kernels\n"
-        "nothing, one, most = np.zeros(1), np.ones(1), np.zeros(1)\n"
-        "kernels.bounds(np.array([0, 1]), nothing, False, nothing, np.full(1, np.inf), one, 2.0 * one, nothing,"
-        " one.copy(), nothing.copy(), most)\n"
-        "print(kernels.__file__, int(most[0]), sum(kernels.bounds.stats.cache_hits.values()))"
-    )
-    at = str(tmp_path / "lcp_plugin" / "problems" / "cones" / "kernels.py")
-    cache = str(tmp_path / "cache")
-    for hits in "01":
-        assert (
-            in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="")
-            == f"{at} 1 {hits}"
-        )
-    changed = tmp_path / "lcp_plugin" / file
-    text = changed.read_text()
-    assert text.count(old) == 1
-    changed.write_text(text.replace(old, new))
-    assert in_a_new_process(code, tmp_path, NUMBA_CACHE_DIR=cache, PYTHONPATH="") == f"{at} 0 0"
-
-
-def test_garbage_is_collected_again_when_the_last_compilation_ends() -> None:
-    """One within another too; where the caller had stopped the collector it stays stopped."""
-    for was in (True, False):
-        try:
-            gc.enable() if was else gc.disable()
-            with NEW_KERNELS.compiling():
-                with NEW_KERNELS.compiling():
-                    assert not gc.isenabled()
-                assert not gc.isenabled()
-            assert gc.isenabled() is was
-        finally:
-            gc.enable()
 
 
 def _decorators(function: ast.FunctionDef) -> set[str]:

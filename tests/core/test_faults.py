@@ -165,12 +165,6 @@ KEEPS_THE_IMPORT_LOCK = """
 """
 
 
-@pytest.mark.full
-def test_an_import_that_was_interrupted_keeps_no_thread_waiting() -> None:
-    """Python may keep the lock of its imports after Ctrl-C: numba is loaded all the same."""
-    assert in_a_process(textwrap.dedent(KEEPS_THE_IMPORT_LOCK)).stdout.split() == ["True", "False"]
-
-
 COMPILED_IN_TWO_THREADS = """
     from concurrent.futures import ThreadPoolExecutor
     import numpy as np
@@ -205,25 +199,6 @@ KEPT_KERNEL = """
         pass
     print(added(np.ones(3)), len(added.stats.cache_hits))
 """
-
-
-@pytest.mark.full
-def test_ctrl_c_while_kept_code_is_loaded_breaks_no_later_call(tmp_path: Path) -> None:
-    """Numba's modules that kept code needs are imported to their end: half of one could not be imported again."""
-    (tmp_path / "kernel.py").write_text(textwrap.dedent(KEPT_KERNEL), encoding="utf-8")
-    code = f"import sys\nsys.path.insert(0, {str(tmp_path)!r})\nimport kernel"
-    found = [in_a_process(code, NUMBA_CACHE_DIR=str(tmp_path / "kept")) for _ in range(2)]
-    assert [done.stdout.split() for done in found] == [["6.0", "0"], ["6.0", "1"]], found[-1].stderr
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("seconds", [0.01 + 0.04 * k for k in range(15)])
-@pytest.mark.parametrize("call", ["small", "large", "program", "analyze"])
-def test_ctrl_c_while_a_first_call_loads_breaks_no_later_call(call: str, seconds: float) -> None:
-    """Ctrl-C at many moments while numba is imported and set up, and our own modules: the next two calls succeed."""
-    code = f"import sys\nsys.argv[1:] = {[call, str(seconds)]!r}\n"
-    done = in_a_process(code + textwrap.dedent(WHILE_LOADING))
-    assert done.stdout.split() == ["True", "True"], done.stdout + done.stderr
 
 
 def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import _thread
+import os
 import signal
-import sys
 import threading
 import time
-import weakref
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from test_forks import exit_code_of_a_child
 
 from lcp_plugin import LCP, InvalidOption, NonlinearProblem, gallery, prepare, solve
 from lcp_plugin.algorithms import NPGS
@@ -28,6 +25,31 @@ from lcp_plugin.problems.many.chunks import in_chunks
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TWO = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 1.0])
+
+
+PATIENCE = 120.0  # seconds until a child counts as hanging
+
+
+def exit_code_of_a_child(work: Callable[[], bool]) -> int | None:
+    """Fork, let the child work, and return its exit code; None where it hangs, which ends it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of forks beside threads,
+        warnings.simplefilter("ignore", RuntimeWarning)  # and JAX, where another test has loaded it
+        child = os.fork()
+    if child == 0:
+        try:
+            os._exit(0 if work() else 1)
+        finally:
+            os._exit(2)
+    until = time.monotonic() + PATIENCE
+    while time.monotonic() < until:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.01)
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    return None
 
 
 def pieces(count: int, smallest: int) -> list[tuple[int, int]]:
@@ -183,71 +205,6 @@ def test_a_child_of_a_fork_has_helpers_of_its_own() -> None:
         go_on.set()
         thread.join()
     assert shared()
-
-
-def test_helpers_end_with_what_they_helped() -> None:
-    """No thread is left when nobody may share any more."""
-    together = threading.Barrier(4, timeout=60.0)
-
-    def work(first: int, end: int) -> int:
-        together.wait()
-        return threading.get_ident()
-
-    with threads_for(4):
-        helpers = {*share(work, 4, 1)} - {threading.get_ident()}
-        assert len(helpers) == 3
-        assert helpers <= sys._current_frames().keys()
-    for _ in range(1000):
-        if not helpers & sys._current_frames().keys():
-            break
-        time.sleep(0.01)
-    assert not helpers & sys._current_frames().keys()
-
-
-def test_jobs_that_nobody_takes_up_hold_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where no helper comes up, what a piece worked on is free when it has been done."""
-
-    class Operand:
-        """What a piece of work holds."""
-
-    monkeypatch.setattr(_thread, "start_new_thread", lambda work, given: 0)
-    operand = Operand()
-    alive = weakref.ref(operand)
-    with threads_for(3):
-        share(partial(lambda operand, first, end: operand, operand), 3, 1)
-        del operand
-        assert alive() is None
-
-
-@pytest.mark.parametrize("asks_for", ["nothing", "work"])
-def test_helpers_that_find_no_memory_are_done_without(
-    asks_for: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Threads that die before their first line, or as they take up work: the caller waits for none of them."""
-
-    def begin(work: Callable[..., None], given: tuple[Any]) -> None:
-        if asks_for == "work":
-            begin_thread(work, (NoMemory(given[0]),))
-
-    begin_thread = _thread.start_new_thread
-    monkeypatch.setattr(_thread, "start_new_thread", begin)
-    with threads_for(3):
-        assert pieces(3, 1) == [(0, 1), (1, 2), (2, 3)]
-        with pytest.raises(ZeroDivisionError):
-            share(lambda first, end: first // 0, 3, 1)
-    assert threads_now() == 1
-
-
-class NoMemory:
-    """A queue that gives nothing."""
-
-    def __init__(self, jobs: Any) -> None:
-        self.jobs = jobs
-
-    def get(self) -> None:
-        """Wait for work."""
-        self.jobs.get()
-        raise MemoryError
 
 
 class Seen(NPGS):

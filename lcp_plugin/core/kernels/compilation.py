@@ -1,31 +1,37 @@
-"""How kernels are compiled: by numba at their first call, and kept on disk in the user's cache folder.
+"""How kernels are compiled: by numba at their first call, and kept in numba's own cache.
 
 Python calls a `kernel`. Kernels call helpers: a `helper` stays a function of its own, an `inlined` one becomes a part
-of its callers. All of them divide as numpy does, and hold no lock of the interpreter.
+of its callers. All of them divide as numpy does, and hold no lock of the interpreter. numba's names come from here.
 
-The folder is `lcp_plugin` in the place that the operating system has for such files; ``NUMBA_CACHE_DIR`` names another.
-numba looks at a kernel's own file to see whether what it kept is still true. The helpers and constants of a kernel
-stand in other files, too, so each state of these files has a folder of its own in there.
+numba compiles a kernel again if the kernel's own file has changed. After a change of a helper or of a constant in
+another file, delete the cache: the files ``*.nb?`` in ``__pycache__``, or the folder ``NUMBA_CACHE_DIR``.
 """
 
 from __future__ import annotations
 
-import re
-import sys
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
-from functools import lru_cache, partial
-from hashlib import sha256
-from pathlib import Path
-from tempfile import TemporaryFile
-from threading import local
+from contextlib import suppress
+from functools import partial
 from typing import Any
 
-from platformdirs import user_cache_path
+from ..deadline import compilation, compiling
 
-from ..deadline import NEW_KERNELS, Lock, compiling
-from .compiler import config, event, njit
+with compiling():  # most of a second
+    from numba import float64, njit, types, uintp
+    from numba.core import event
+    from numba.extending import lower_builtin, overload, type_callable
 
+__all__ = [
+    "IN_ANY_ORDER",
+    "float64",
+    "helper",
+    "inlined",
+    "kernel",
+    "lower_builtin",
+    "overload",
+    "type_callable",
+    "types",
+    "uintp",
+]
 OPTIONS: dict[str, Any] = {
     "nogil": True,
     "error_model": "numpy",
@@ -36,45 +42,25 @@ IN_ANY_ORDER = {
     "fastmath": {"reassoc", "contract", "nnan", "nsz"},
     "forceinline": True,
 }  # sums of terms, none NaN
-ROOM = 2**20  # bytes that a folder must take
-_lock = Lock()
 
 
-class _StoppedClocks(event.Listener):
-    """Stops the clocks of all runs around, in the thread that compiles, loads, or waits for another one to do it."""
-
-    def __init__(self, stopped: Any) -> None:
-        self._stopped, self._thread = stopped, local()
+class _Seconds(event.Listener):
+    """Adds up what a thread spends on compilation, on loading kept code and on waiting for another thread to do so."""
 
     def on_start(self, event: Any) -> None:
-        if not hasattr(self._thread, "entered"):
-            self._thread.entered = []
-        entered: AbstractContextManager[None] = self._stopped()
-        self._thread.entered.append(entered)
-        entered.__enter__()
+        compilation().begin()
 
     def on_end(self, event: Any) -> None:
-        if self._thread.entered:  # Ctrl-C may have come as it began
-            self._thread.entered.pop().__exit__(None, None, None)
+        compilation().end()
 
 
-event.register("numba:compiler_lock", _StoppedClocks(compiling))  # type: ignore[no-untyped-call]
-event.register("numba:compile", _StoppedClocks(NEW_KERNELS.compiling))  # type: ignore[no-untyped-call]
-
-
-def cache_folder() -> Path:
-    """Return the folder that holds compiled kernels; it may not exist yet."""
-    named: str = config.CACHE_DIR  # type: ignore[attr-defined]
-    return Path(named) if named else user_cache_path("lcp_plugin", appauthor=False)
+event.register("numba:compiler_lock", _Seconds())  # type: ignore[no-untyped-call]
 
 
 def kernel(function: Any) -> Any:
     """Compile a function that Python calls; what it writes to is named in its docstring."""
-    with (
-        _kept_on_disk() as is_kept,
-        suppress(RuntimeError),
-    ):  # the function stands in no file, as in a frozen program
-        return njit(cache=is_kept, **OPTIONS)(function)
+    with suppress(RuntimeError):  # there is no place for a cache
+        return njit(cache=True, **OPTIONS)(function)
     return njit(**OPTIONS)(function)
 
 
@@ -89,55 +75,3 @@ def helper(function: Any = None, **options: Any) -> Any:
 def inlined(function: Any) -> Any:
     """Compile a short function that kernels call line by line as if it stood there."""
     return helper(function, inline="always")
-
-
-@contextmanager
-def _kept_on_disk() -> Iterator[bool]:
-    """Point numba at our folder while a function is decorated; yield whether that takes files.
-
-    No longer than that: other packages have their own.
-    """
-    folder = cache_folder() / _state_of_sources()
-    with _lock.held():
-        before = config.CACHE_DIR  # type: ignore[attr-defined]
-        config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-        try:
-            yield _takes_files(folder)
-        finally:
-            config.CACHE_DIR = before  # type: ignore[attr-defined]
-
-
-@lru_cache
-def _takes_files(folder: Path) -> bool:
-    """Return whether there is room in the folder; what is compiled is kept nowhere else."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=folder) as file:
-            file.write(bytes(ROOM))
-    except OSError:
-        return False
-    return True
-
-
-@lru_cache(maxsize=1)
-def _state_of_sources() -> str:
-    """Return a digest of the files that kernels are made of.
-
-    These are the files of the package that import this one, as functions are compiled there, and the files from which
-    they import: the constants of those are compiled, too.
-    """
-    package = Path(str(sys.modules[__name__.partition(".")[0]].__file__)).parent
-    found: set[Path] = set()
-    for path in package.rglob("*.py"):
-        text = path.read_bytes()
-        if b"compilation import" in text:
-            found.add(path)
-            for dots, module in re.findall(rb"^from (\.+)([\w.]*) import", text, re.MULTILINE):
-                found.add(
-                    path.parents[len(dots) - 1]
-                    .joinpath(*module.decode().split("."))
-                    .with_suffix(".py")
-                )
-    return sha256(
-        b"".join(path.read_bytes() for path in sorted(found) if path.is_file())
-    ).hexdigest()[:12]

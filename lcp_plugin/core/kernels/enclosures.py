@@ -13,8 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from .compilation import helper, inlined, kernel
-from .compiler import float64, lower_builtin, type_callable, types, uintp
+from .compilation import (
+    float64,
+    helper,
+    inlined,
+    kernel,
+    lower_builtin,
+    type_callable,
+    types,
+    uintp,
+)
 from .floats import EPSILON, LARGEST, TINY, UNIT
 from .rows import clamp
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from .compilation import inlined, kernel
-from .compiler import uintp
+from .compilation import inlined, kernel, uintp
 
 FEW = 8  # entries that are read one after the other
 

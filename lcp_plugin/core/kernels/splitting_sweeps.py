@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from .compilation import kernel
-from .compiler import uintp
+from .compilation import kernel, uintp
 from .rows import clamp, residual_of_row
 
 ROWS_AT_ONCE = 4096  # that are packed while they stay in the fastest cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Hashable
 from functools import update_wrapper
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
@@ -10,7 +11,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..checks import FloatVector, checked_matrix, frozen, read_only, restored
-from ..deadline import Lock
 from ..kernels.floats import NEGLIGIBLE_DIAGONAL
 
 P = ParamSpec("P")
@@ -44,7 +44,7 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
         try:
             value: T = matrix._facts[key]
         except KeyError:
-            with matrix._lock.held():
+            with matrix._lock:
                 if key not in matrix._facts:
                     matrix._facts[key] = self._compute(matrix, *args, **kwargs)
                 value = matrix._facts[key]
@@ -90,7 +90,7 @@ class Matrix:
 
     def _begin(self) -> None:
         self._facts: dict[Hashable, Any] = {}
-        self._lock = Lock()
+        self._lock = threading.RLock()
 
     @property
     def array(self) -> Any:

@@ -15,7 +15,7 @@ from ..certificates.criterion import CommonScaling
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import ratio
 from ..checks import FloatVector, read_only
-from ..deadline import NEW_KERNELS, Clock, OutOfTimeError, time_limit
+from ..deadline import Clock, OutOfTimeError, time_limit
 from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..lcp import LCP
 from ..policy.policy import Policy, name_of, with_reasons
@@ -82,12 +82,7 @@ class Run:
         ):  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         try:
-            with (
-                nullcontext() if left == math.inf else time_limit(left),
-                nullcontext()
-                if self.log is None
-                else NEW_KERNELS.watched_by(self.log.hear_of_compilation),
-            ):
+            with nullcontext() if left == math.inf else time_limit(left):
                 while following is not None:
                     if self.log is not None:
                         self.log.begin(following)

@@ -7,6 +7,7 @@ in a cone {‖z_T‖ ≤ μ z_N}, whose dual is {w_N ≥ μ‖w_T‖}. Contact w
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
@@ -24,7 +25,6 @@ from ...core.checks import (
     read_only,
     real_array,
 )
-from ...core.deadline import Lock
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.kind import Kind
 from ...core.lcp import LCP
@@ -71,7 +71,7 @@ class Blocks:
             has_friction,
         )
         self._facts: dict[Any, Any] = {}  # of M alone: problems that differ in q share them
-        self._lock = Lock()
+        self._lock = threading.RLock()
 
     @property
     def n(self) -> int:
@@ -220,7 +220,7 @@ class Blocks:
         return {name: value for name, value in self.__dict__.items() if name not in computed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _facts={}, _lock=Lock())
+        self.__dict__.update(state, _facts={}, _lock=threading.RLock())
 
     def _words(self) -> str:
         raise NotImplementedError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 
-from ...core.kernels.threads import MOST_THREADS, shared_among, threads_for
+from ...core.kernels.threads import MAX_THREADS, shared_among
 
 LARGEST_CHUNK = 256  # problems between two looks at the clock
 CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
@@ -13,13 +13,11 @@ CHUNKS_A_THREAD = 32  # so that none waits long for another at the end
 
 def in_chunks(work: Callable[[int, int], None], count: int, threads: int) -> None:
     """Call ``work(first, end)`` for all of 0 ≤ k < count; after Ctrl-C the chunks that wait are not begun."""
-    threads = min(threads, MOST_THREADS)
+    threads = min(threads, MAX_THREADS)
     size = min(max(count // (CHUNKS_A_THREAD * threads), 1), LARGEST_CHUNK)
     ends = [*range(0, count, size), count]
     if threads == 1 or len(ends) <= 2:
         for first, end in pairwise(ends):
             work(first, end)
         return
-    crew = threads_for(threads)
-    with crew:
-        shared_among(work, ends, crew)
+    shared_among(work, ends, threads)

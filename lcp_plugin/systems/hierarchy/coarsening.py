@@ -20,8 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import kernel
-from ...core.kernels.compiler import uintp
+from ...core.kernels.compilation import kernel, uintp
 from .vectors import LACKING
 
 COARSE, FINE = 1, 2

@@ -19,8 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import Arrays, FloatVector
-from ...core.kernels.compilation import inlined, kernel
-from ...core.kernels.compiler import uintp
+from ...core.kernels.compilation import inlined, kernel, uintp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
 from .grids import SMALLEST_PIECE, joined

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.kernels.compilation import inlined, kernel
-from ...core.kernels.compiler import uintp
+from ...core.kernels.compilation import inlined, kernel, uintp
 from ...core.kernels.rows import clamp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM

@@ -21,8 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
-from ...core.kernels.compilation import kernel
-from ...core.kernels.compiler import uintp
+from ...core.kernels.compilation import kernel, uintp
 from ...core.kernels.threads import share
 from ...core.tuning import SHARED_FROM
 from .sweeps import NO_BOUNDS, _plus_products, shared

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from ....core.kernels.compilation import kernel
-from ....core.kernels.compiler import uintp
+from ....core.kernels.compilation import kernel, uintp
 
 
 @kernel

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from .. import __version__
+from ..core.errors import InvalidOption
 from .app import EXIT_BAD_INPUT, AlgorithmName, Target, algorithm_names, app, command
 
 __all__ = ["app", "run"]
@@ -194,7 +195,7 @@ def compare(
         check_format(plot)
         require_matplotlib()
     if out is not None and out.suffix != ".csv":
-        raise typer.BadParameter(f"--out writes a .csv file, got {out.name!r}")
+        raise InvalidOption(f"--out writes a .csv file, got {out.name!r}")
     for path in filter(None, (plot, out)):
         check_place(path)
     given = read_lcp(target, "lcp-plugin compare", size)

@@ -338,7 +338,7 @@ SOLVE = "solve half_active:n=4 "
 BAD_INPUT = [
     ("solve missing.npz", r"no such file: missing\.npz"),
     ("solve no/folder/p.npz", r"no such file: no/folder/p\.npz"),
-    ("solve missing", r"'missing' is neither a file nor a scene.*are known"),
+    ("solve missing", r"'missing' is neither a file nor a scene.*known: "),
     ("solve empty", r"no such file: empty/M\.mtx"),
     ("solve half", r"M\.mtx has no companion half/q\.mtx"),
     ("solve notes.txt", r"cannot read notes\.txt: expected an \.npz, \.mat, .* or M\.mtx"),
@@ -358,7 +358,10 @@ BAD_INPUT = [
     ("solve obstacle2d:size=9", r"did you mean 'obstacle_2d'\?"),
     ("solve obstacl", r"did you mean 'obstacle_2d'\?"),
     ("solve obstacle_2d,size=9", r"did you mean 'obstacle_2d'\?"),
-    ("solve half_active:m=4", r"scene 'half_active' has no parameter 'm'.*n, delta"),
+    (
+        "solve half_active:m=4",
+        r"scene 'half_active' has no parameter 'm'.*known: block, degenerate, delta, n",
+    ),
     ("solve obstacle_2d:sise=4", r"'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?"),
     ("solve half_active:n", r"'n' in 'half_active:n' has no '='.*scene:parameter=value"),
     ("solve half_active:n=4,n=9", r"'n=9' in .* repeats a parameter"),

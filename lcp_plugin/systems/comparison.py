@@ -17,7 +17,7 @@ from ..core.checks import FloatVector
 from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.scaling import Exponents, scaled, times_power
 from ..core.matrix.structure import row_numbers
-from ..core.matrix.symmetry import is_symmetric_entrywise
+from ..core.matrix.symmetry import is_symmetric_to_rounding
 from ..core.rounding import compensated_product, lower_end, upper_end
 from .equilibration import scaling_exponents
 from .factors import diagonal_pivot_factor, factor_fits, solver_of
@@ -58,7 +58,7 @@ class ComparisonMatrix:
     """
 
     def __init__(self, M: Any) -> None:
-        self.is_symmetric = is_symmetric_entrywise(M)
+        self.is_symmetric = is_symmetric_to_rounding(M)
         self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
         self.matrix = scaled(comparison_of(M), self.exponents)
         self.diagonal: FloatVector = self.matrix.diagonal()

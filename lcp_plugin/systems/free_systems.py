@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from ..core.checks import BoolVector, FloatVector
 from ..core.matrix.matrix import Matrix
 from ..core.matrix.scaling import Exponents, scaled, scaling_of, times_power
-from ..core.matrix.symmetry import has_symmetric_entries, is_nearly_symmetric
+from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
@@ -394,7 +394,7 @@ class FreeSystem:
         from .hierarchy.truncation import KrylovCorrection
         from .hierarchy.vectors import dot
 
-        matrix, is_symmetric = self.matrix, has_symmetric_entries(self.matrix)
+        matrix, is_symmetric = self.matrix, is_nearly_symmetric(self.matrix)
         if not bool(np.all(matrix.diagonal > 0.0)):
             return None
 

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..checks import FloatVector, read_only
-from ..rounding import read_only_views
 from .matrix import Matrix, fact
+from .structure import row_numbers
 
 BLOCK = 16_384
 
@@ -44,19 +45,17 @@ def row_splits(matrix: Matrix, backward: bool) -> Any:
 def triangle_sums(
     matrix: Matrix, v: FloatVector, part: Any = None
 ) -> tuple[FloatVector, FloatVector]:
-    """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (own,); one pass over M.
+    """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (n,).
 
-    With a CSR array
-    `part`, shape (n, n), of its triangles instead of those of M.
+    With a CSR array `part`, shape (n, n), of its triangles instead of those of M.
     """
-    from ..kernels.rows import triangle_sums as compiled
-
-    lower, upper = np.empty(matrix.n), np.empty(matrix.n)
     M = matrix.csr if part is None else part
-    compiled(
-        *read_only_views(M.indptr, M.indices, M.data, inverse_residual_scale(matrix), v),
-        lower,
-        upper,
+    rows = row_numbers(M)
+    size = np.abs(M.data) * inverse_residual_scale(matrix)[rows]
+    triangles = (M.indices < rows, M.indices > rows)
+    lower, upper = (
+        sp.csr_array((size * inside, M.indices, M.indptr), shape=M.shape) @ v
+        for inside in triangles
     )
     return lower, upper
 

@@ -68,8 +68,10 @@ def connected_components(matrix: Matrix) -> Components | None:
     """
     if _is_seen_connected(matrix):
         return None
-    labels, count = local_components(matrix)
-    return Components(read_only(labels), count) if count > 1 else None
+    from scipy.sparse.csgraph import connected_components as labeled
+
+    count, labels = labeled(matrix.csr, directed=False)
+    return Components(read_only(labels.astype(np.int64)), int(count)) if count > 1 else None
 
 
 def _is_seen_connected(matrix: Matrix) -> bool:
@@ -86,14 +88,3 @@ def _is_seen_connected(matrix: Matrix) -> bool:
     return is_filled and bool(
         (indices[starts[1:-1]] < np.arange(1, matrix.n, dtype=indices.dtype)).all()
     )
-
-
-def local_components(matrix: Matrix) -> tuple[IntVector, int]:
-    """Return the component of every unknown that the own rows meet, by these rows alone, and how many there are."""
-    from ..kernels.rows import join  # numba, which `import lcp_plugin` must not load
-
-    rows = matrix.csr
-    first = np.empty(matrix.n, np.int64)
-    join(rows.indptr, rows.indices, first)
-    roots, labels = np.unique(first, return_inverse=True)
-    return labels.astype(np.int64).reshape(-1), roots.size

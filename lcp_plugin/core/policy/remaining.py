@@ -9,7 +9,7 @@ import numpy as np
 
 from ..algorithm import Algorithm
 from ..lcp import LCP
-from ..matrix.symmetry import has_symmetric_entries
+from ..matrix.symmetry import is_nearly_symmetric
 from ..splittings.projected_relaxation import PGS, PSOR
 from ..splittings.projected_type import NPSOR
 from ..tuning import DIRECT_UP_TO, MULTIGRID_PASSES
@@ -129,6 +129,6 @@ def _least_sweeps(problem: LCP, now: Stage, goal: float) -> float:
         )
         slowest = max(0.5 * (math.pi * share) ** 2, least)
     is_far = gain > 1.0 and 0.0 < slowest < 1.0
-    if not (is_far and has_symmetric_entries(problem.matrix)):
+    if not (is_far and is_nearly_symmetric(problem.matrix)):
         return 0.0
     return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))

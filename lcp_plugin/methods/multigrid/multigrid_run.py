@@ -10,7 +10,7 @@ import numpy as np
 from ...core.algorithm import Step
 from ...core.checks import FloatVector
 from ...core.lcp import LCP
-from ...core.matrix.symmetry import has_symmetric_entries
+from ...core.matrix.symmetry import is_nearly_symmetric
 from ...systems.equilibration import power_of_two
 from ...systems.hierarchy import sweeps, vectors
 from ...systems.hierarchy.levels import hierarchy_of
@@ -52,8 +52,8 @@ class MultigridRun:
     def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
         self.algorithm, self.problem = algorithm, problem
         matrix = problem.matrix
-        self.work = 0.0 if has_symmetric_entries.is_known(matrix) else float(matrix.nonzeros)
-        self.is_symmetric = has_symmetric_entries(matrix)
+        self.work = 0.0 if is_nearly_symmetric.is_known(matrix) else float(matrix.nonzeros)
+        self.is_symmetric = is_nearly_symmetric(matrix)
         is_built = hierarchy_of.is_known(matrix, algorithm.coarsest)
         self.hierarchy = hierarchy = hierarchy_of(matrix, algorithm.coarsest)
         self.work += 0.0 if is_built else hierarchy.work

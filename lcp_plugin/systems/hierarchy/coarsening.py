@@ -57,12 +57,11 @@ def strong_couplings(  # type: ignore[no-untyped-def]
 
 @kernel
 def choose_coarse(  # type: ignore[no-untyped-def]
-    begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after, head
+    begin, last, columns, t_begin, t_last, dependents, kind, weight, entry, after, head
 ):
     """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
 
-    Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] on it; where that is the same
-    for all i, `is_mutual`, all of them are FINE once i is COARSE.
+    Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] on it.
 
     The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
     once more; −1 where it is decided. One list a weight holds the unknowns that had it at some time; an entry whose
@@ -117,8 +116,6 @@ def choose_coarse(  # type: ignore[no-untyped-def]
                     head[uintp(weight[p])] = size
                     size += one
                     heaviest = max(heaviest, weight[p])
-        if is_mutual:
-            continue
         for m in range(uintp(begin[i]), uintp(last[i])):
             p = uintp(columns[m])
             if weight[p] >= 0:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector, read_only
 from ...core.kernels.threads import share
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.symmetry import has_symmetric_entries, is_mirrored
+from ...core.matrix.symmetry import is_nearly_symmetric
 from . import coarsening, galerkin
 from .grids import (
     ALIKE,
@@ -145,7 +145,7 @@ def build_hierarchy(
 @fact
 def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
     """Return the hierarchy of M, which its solves share."""
-    scales_rows = not has_symmetric_entries(matrix)
+    scales_rows = not is_nearly_symmetric(matrix)
     return build_hierarchy(matrix.csr, coarsest, scales_rows=scales_rows)
 
 
@@ -170,14 +170,12 @@ def chosen_kinds(
     operands = indptr, indices, data, strength, n, is_strong, columns, last
     share(partial(coarsening.strong_couplings, *operands), n, SMALLEST_PIECE)
     depends = tuple(map(read_only, (indptr[:-1], last, columns)))
-    dependents, is_mutual = depends, is_mirrored(*depends)
-    if not is_mutual:
-        first, rows = galerkin.transposed_pattern(*depends)
-        dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))
+    first, rows = galerkin.transposed_pattern(*depends)
+    dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))
     kind, weight = np.empty(n, np.uint8), np.empty(n, np.int32)
     entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)
     head = np.full(2 * int((dependents[1] - dependents[0]).max(initial=0)) + 2, -1, indptr.dtype)
-    coarsening.choose_coarse(*depends, *dependents, is_mutual, kind, weight, entry, after, head)
+    coarsening.choose_coarse(*depends, *dependents, kind, weight, entry, after, head)
     return kind
 
 

@@ -927,7 +927,7 @@ def least_squares_case(rng: Generator) -> Outcome:
         elif word == "ridge":
             ridge = 1e-9
         elif word == "unit":
-            scale = 10.0 ** rng.choice([-162, -120, 100, 140])
+            scale = 10.0 ** rng.choice([-120, -100, 100, 140])
             A, b = A * scale, b * scale
     result = bounded_least_squares(A, b, lower, upper, ridge=ridge, max_seconds=SECONDS)
     text = f"{words}, ridge {ridge}: {A.tolist()}, {b.tolist()}, lower={lower.tolist()}, upper={upper.tolist()}"

@@ -15,10 +15,10 @@ s_j + l1_j on the one side and s_j − l1_j on the other; s_j²/(2μ) becomes th
 without bounds needs |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (Mairal, doctoral thesis, Cachan 2010).
 
 **SOLVED: x is within the bounds and, for some y, the gap is at most tolerance · cost, cost = ½ Σ weights y² + ½ ridge
-‖x‖² + Σ l1 |x|, where rounding of the data is excused**: in row i of r_i − y_i up to ρ_i = γ (|A||x| + |b|)_i, and in
-column j of s_j up to τ_j = γ (|A|ᵀW|y| + ridge |x|)_j, γ = 4 u (terms + 4). So x is optimal to the tolerance for
-entries of A and b that differ from those given by no more than that relative rounding, as answers of lstsq and nnls
-are. A residual that is rounding in each row (y = 0) is a cost of 0.
+‖x‖² + Σ l1 |x|, without rows of A that have no entries, where rounding of the data is excused**: in row i of r_i − y_i
+up to ρ_i = γ (|A||x| + |b|)_i, and in column j of s_j up to τ_j = γ (|A|ᵀW|y| + ridge |x|)_j, γ = 4 u (terms + 4). So x
+is optimal to the tolerance for entries of A and b that differ from those given by no more than that relative rounding,
+as answers of lstsq and nnls are. A residual that is rounding in each row (y = 0) is a cost of 0.
 **A point that costs more than one that is known is not SOLVED**: than the point of the box nearest to 0, rounding of
 its residual included; and, if a small A leaves more to rounding than the tolerance does, than the solution of lstsq
 moved to the bounds.
@@ -298,11 +298,13 @@ def _gap(
         least = np.where(x != 0.0, np.abs(s + np.copysign(l1, x)), np.maximum(np.abs(s) - l1, 0.0))
     curved = convexity if convexity.size else np.full(x.size, problem.ridge)
     if curved.any():
-        steepest = np.square(least + margin) / (2.0 * curved) + TINY
+        steep = least + margin
+        steepest = 0.5 * steep * (steep / curved) + TINY
         linear = np.where((linear > 0.0) & (curved > 0.0), np.minimum(linear, steepest), linear)
     linear = linear + 0.0 * (s + radius)  # NaN if one is not finite
     gap = 0.5 * float(problem.weighted(off) @ off) + float(np.sum(linear))
     gap = OUTWARD**3 * gap + TINY * (gap > 0.0) if gap < np.inf else np.inf
+    y = np.where(problem.has_terms, y, 0.0)  # no x changes the cost of the other rows
     squares = problem.weighted(y) @ y + problem.ridge * (x @ x)
     return gap, float(0.5 * squares + l1 @ distance)
 

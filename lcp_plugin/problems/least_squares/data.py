@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import (
+    BoolVector,
     FloatVector,
     check_kind,
     check_order,
@@ -31,10 +32,7 @@ MAX_DENSE_ENTRIES = 10**6  # of A: dense copies cost little
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about 25 %
 LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
-SQUARED_RANGE = (
-    1e-130,
-    1e130,
-)  # of a largest entry: squares of it and of rounding errors are doubles
+SQUARED_RANGE = 1e-130, 1e145  # of a largest entry: squares, also of rounding errors, are doubles
 
 
 class BoundedLeastSquares:
@@ -190,6 +188,13 @@ class BoundedLeastSquares:
         return self.has_entries and self.shape[0] * self.shape[1] <= MAX_DENSE_ENTRIES
 
     @cached_property
+    def has_terms(self) -> BoolVector:
+        """Which rows of A may have entries, shape (m,)."""
+        if not self.has_entries:
+            return np.ones(self.shape[0], np.bool_)
+        return np.diff(self.A.indptr) > 0 if self.is_sparse else self.A.any(axis=1)
+
+    @cached_property
     def nearest_to_zero(self) -> FloatVector:
         """The point of [lower, upper] nearest to 0, shape (n,)."""
         return read_only(np.clip(np.zeros(self.shape[1]), self.lower, self.upper))
@@ -292,7 +297,7 @@ class ScaledLeastSquares:
     def __init__(self, problem: BoundedLeastSquares) -> None:
         self.problem, self.n = problem, problem.shape[1]
         self._root, self.columns = problem.root_weights, problem.column_scales
-        sizes = [self._root * problem.b, self.columns * problem.nearest_to_zero]
+        sizes = self._root * problem.b * problem.has_terms, self.columns * problem.nearest_to_zero
         self.size = float(
             power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes), LARGEST_SCALE)
         )

@@ -70,11 +70,10 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FacePoint]
     for name, x in _dense_solutions(problem, split, A, b):
         if np.isfinite(x).all():
             point = FacePoint(problem, clipped(x, problem.lower, problem.upper))
-            if name != "piqp":  # whose points lie near a face, not on it
-                yield name, point
+            if name == "lstsq" or (name == "nnls" and not problem.lower.any()):
+                yield name, without_noise(point)  # others lie near a face, not on it
             on_face = on_its_face(point, A, b)
-            yield name, on_face
-            yield name, without_noise(on_face)
+            yield from ((name, one) for one in (without_noise(on_face), on_face))
 
 
 def _dense_solutions(

@@ -192,7 +192,7 @@ class BoundedLeastSquares:
         """Which rows of A may have entries, shape (m,)."""
         if not self.has_entries:
             return np.ones(self.shape[0], np.bool_)
-        return np.diff(self.A.indptr) > 0 if self.is_sparse else self.A.any(axis=1)
+        return np.asarray(np.diff(self.A.indptr) > 0 if self.is_sparse else self.A.any(axis=1))
 
     @cached_property
     def nearest_to_zero(self) -> FloatVector:

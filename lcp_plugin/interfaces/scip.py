@@ -33,7 +33,7 @@ import scipy.sparse as sp
 from ..core.checks import FloatVector
 from ..core.deadline import seconds_left
 from ..core.errors import UnsupportedModel
-from ..modeling.expressions.program import Program
+from ..expressions.program import Program
 from ..problems.equilibria.equilibrium_program import LOWER, UPPER, EquilibriumProgram
 from ..problems.equilibria.result import ENDS
 from ..problems.programs.program import QuadraticProgram

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import UnsupportedModel
 from ..core.settings import Status
-from .expressions.rows import uniform
+from ..expressions.rows import uniform
 
 LONGEST_NAME = 80
 

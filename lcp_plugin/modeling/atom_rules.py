@@ -16,11 +16,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import UnsupportedModel
+from ..expressions import functions
+from ..expressions.functions import Function
+from ..expressions.rows import Compiler, Indices, Rows, added, entries_behind, stacked
 from . import _compat as atoms
 from ._compat import name_of, postorder
-from .expressions import functions
-from .expressions.functions import Function
-from .expressions.rows import Compiler, Indices, Rows, added, entries_behind, stacked
 
 Rule: TypeAlias = Callable[[Compiler, Any, list[Any]], Rows]
 

@@ -17,12 +17,12 @@ from cvxpy.constraints import Equality, Inequality, NonNeg, NonPos, Zero
 from cvxpy.problems.problem import SolverStats
 
 from ..core.errors import UnsupportedModel
+from ..expressions.rows import Indices, Rows
 from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
 from ._compat import CVXPY_STATUS, dense, statistics
 from .compiled import CompiledProblem
 from .constraint import Complements, complements
-from .expressions.rows import Indices, Rows
 from .model import Model
 from .stated_terms import expression_of, sense_of
 

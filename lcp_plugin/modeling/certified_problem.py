@@ -18,12 +18,12 @@ from cvxpy import settings
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidProblem, UnsupportedModel
+from ..expressions.rows import Indices
 from ..problems.programs.certification import Certification, certify
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import solve_program
 from ._compat import attribute_bounds, leaf_value, name_of
 from .compiled import CompiledProblem
-from .expressions.rows import Indices
 from .stated_terms import dense_value, sense_of, why_not
 
 CLAIMED = {

@@ -13,9 +13,9 @@ from cvxpy.reductions.solution import Solution
 
 from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
+from ..expressions.rows import Indices
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.reductions import FoldedRows
-from .expressions.rows import Indices
 from .qp_solver import QPSolver, quadratic_program
 from .stated_terms import dense_value
 

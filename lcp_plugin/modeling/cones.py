@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ..core.checks import FloatVector
 from ..core.errors import UnsupportedModel
 from ..core.lcp import LCP
+from ..expressions.statement import SquareModel
 from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
-from .statement import SquareModel
 
 
 @dataclass(frozen=True, eq=False)

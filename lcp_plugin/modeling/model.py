@@ -20,6 +20,8 @@ from ..core.certificates.row_residuals import magnitude
 from ..core.checks import FloatVector
 from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
+from ..expressions.rows import Indices, Rows, as_matrix, is_definition
+from ..expressions.statement import SquareModel, Statement
 from ..problems.nonlinear.data import NonlinearProblem
 from ._compat import (
     CVXPY_STATUS,
@@ -31,10 +33,8 @@ from ._compat import (
     statistics,
 )
 from .cones import ConePair, over_cones
-from .expressions.rows import Indices, Rows, as_matrix, is_definition
 from .reading import Reader
 from .stated_terms import dense_value, sense_of, values_below
-from .statement import SquareModel, Statement
 
 if TYPE_CHECKING:
     from .constraint import Complements, Side

@@ -22,10 +22,10 @@ from scipy.sparse.linalg import splu
 from ..core.checks import FloatVector
 from ..core.errors import UnsuitableProblem, UnsupportedModel
 from ..core.solving.result import Result
+from ..expressions.program import Program
 from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
 from . import _compat
-from .expressions.program import Program
 from .model import Model
 from .reading import Reader, restricting_attribute
 from .registration import build_from, is_complementarity_problem

@@ -18,6 +18,8 @@ import scipy.sparse as sp
 from cvxpy.expressions.expression import Expression
 
 from ..core.errors import UnsupportedModel
+from ..expressions.functions import SAME
+from ..expressions.rows import Compiler, Rows, as_matrix
 from . import _compat as atoms
 from ._compat import name_of, postorder
 from .atom_rules import (
@@ -30,8 +32,6 @@ from .atom_rules import (
     rule_of,
     whole,
 )
-from .expressions.functions import SAME
-from .expressions.rows import Compiler, Rows, as_matrix
 
 Values = dict[int, Any]
 

@@ -14,6 +14,7 @@ from cvxpy.error import SolverError
 
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.lcp import LCP
+from ..expressions.statement import solve_from
 from ..problems.programs.no_minimum import QPInfeasibility
 from ._compat import (
     CVXPY_STATUS,
@@ -24,7 +25,6 @@ from .constraint import Complements, box, complements
 from .model import Model
 from .qp_solver import QPSolver, conflicting_constraints
 from .stated_terms import refusal
-from .statement import solve_from
 
 METHODS = ("LCP", "lcp")
 CVXPY_FLAGS = (

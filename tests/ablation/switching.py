@@ -12,7 +12,7 @@ from inspect import getattr_static
 from typing import Any, NamedTuple
 
 PACKAGE = "lcp_plugin."
-MAKES_IDENTITIES = {"lcp_plugin.modeling.expressions.functions"}
+MAKES_IDENTITIES = {"lcp_plugin.expressions.functions"}
 
 
 class Modules:

@@ -37,12 +37,12 @@ from pyomo.core.expr.relational_expr import RelationalExpression
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
 import lcp_plugin.pyomo  # noqa: F401 - it registers the solver
+from lcp_plugin.expressions.program import Program
 from lcp_plugin.interfaces.nl import read_nl
 from lcp_plugin.interfaces.nl.content import NLContent
 from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions
 from lcp_plugin.interfaces.pyomo.model import Statement, stated
 from lcp_plugin.interfaces.pyomo.pairs import Pair
-from lcp_plugin.modeling.expressions.program import Program
 
 SAME = 1e-12  # of the terms of a row
 NEAR = 1e-7  # ‖x − x*‖∞ beside 1 + ‖x*‖∞

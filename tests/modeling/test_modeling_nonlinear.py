@@ -20,8 +20,8 @@ from scipy.optimize import root
 
 from lcp_plugin import NonlinearProblem, Status, box, complements, derivative
 from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
-from lcp_plugin.modeling.expressions import functions
-from lcp_plugin.modeling.expressions.program import Program
+from lcp_plugin.expressions import functions
+from lcp_plugin.expressions.program import Program
 from lcp_plugin.modeling.reading import Reader
 from lcp_plugin.modeling.registration import (
     build,

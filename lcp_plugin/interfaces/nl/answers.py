@@ -19,7 +19,7 @@ from ...core.lcp import LCP
 from ...core.representation import in_words
 from ...core.settings import Settings, Status
 from ...core.solving.result import Result
-from ...modeling.statement import SquareModel, solve_from
+from ...expressions.statement import SquareModel, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram

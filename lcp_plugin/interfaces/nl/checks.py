@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector
-from ...modeling.expressions.program import Program
+from ...expressions.program import Program
 from ...problems.programs.program import QuadraticProgram
 from ...problems.programs.solving import solve_program
 from .content import Indices, NLContent, Token

@@ -17,10 +17,10 @@ import scipy.sparse as sp
 
 from ...core.checks import FloatVector
 from ...core.errors import UnsupportedModel
-from ...modeling.expressions import functions
-from ...modeling.expressions.functions import Function
-from ...modeling.expressions.rows import Compiler, Rows
-from ...modeling.substitution import put_in_all
+from ...expressions import functions
+from ...expressions.functions import Function
+from ...expressions.rows import Compiler, Rows
+from ...expressions.substitution import put_in_all
 from .content import Indices, NLContent, Token, Trees
 from .operators import (
     NUMBER,

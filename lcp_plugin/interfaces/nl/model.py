@@ -13,8 +13,8 @@ import scipy.sparse as sp
 from ...core.checks import BoolVector, FloatVector
 from ...core.errors import UnsupportedModel
 from ...core.lcp import LCP
-from ...modeling.expressions.rows import Rows
-from ...modeling.statement import Statement
+from ...expressions.rows import Rows
+from ...expressions.statement import Statement
 from ...problems.programs.program import QuadraticProgram
 from .answers import ComplementarityModel, EquilibriumModel, NLModel, ProgramModel
 from .checks import SideConditions, evaluated, pair_bounds

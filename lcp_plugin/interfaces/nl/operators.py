@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...core.errors import UnsupportedModel
-from ...modeling.expressions import functions
-from ...modeling.expressions.functions import Function
+from ...expressions import functions
+from ...expressions.functions import Function
 from .content import OPERATOR_NAMES, NLContent, Token, Trees
 
 T = TypeVar("T")

@@ -31,10 +31,10 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.commands.cli import app
+from lcp_plugin.expressions.program import Program
 from lcp_plugin.interfaces.nl import NLModel, model_of, read_nl, write_nl
 from lcp_plugin.interfaces.nl.content import NLContent, Token, Trees
 from lcp_plugin.interfaces.nl.expressions import UNKNOWNS, Expressions
-from lcp_plugin.modeling.expressions.program import Program
 from lcp_plugin.modeling.registration import build
 
 INFINITY = math.inf

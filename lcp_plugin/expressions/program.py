@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
+from ..core.checks import FloatVector
 from .functions import Function
 from .rows import Compiler, Indices, Rows, assembled
 

@@ -22,9 +22,9 @@ from ..problems.equilibria.equilibrium_program import EquilibriumProgram, Smooth
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.nonlinear.solving import solve_nonlinear
 from ..problems.programs.program import QuadraticProgram
-from .expressions import functions
-from .expressions.program import Program
-from .expressions.rows import Compiler, Indices, Rows, as_matrix, assembled, is_definition
+from . import functions
+from .program import Program
+from .rows import Compiler, Indices, Rows, as_matrix, assembled, is_definition
 from .substitution import Elimination, eliminate_definitions, matched_for_monotony
 
 BEGUN = "begun from the values of the variables, which are the last answer unless others were set"

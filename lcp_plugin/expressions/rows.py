@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import FloatVector
+from ..core.checks import FloatVector
 from . import functions
 from .functions import Function
 

@@ -1,1 +1,0 @@
-"""Expressions as programs: levels of elementary functions between sparse matrices, whatever language they came from."""

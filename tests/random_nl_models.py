@@ -31,7 +31,7 @@ MOST_PIECES = 30
 FAILURE, TOO_LATE = 500, 401
 WORDS = (
     "", "", "", "tolerance=1e-10", "tolerance=1e-4", "max_iterations=1", "max_seconds=1e-9", "threads=1",
-    "algorithm=psor", "algorithm=lemke", "algorithm=interior_point", "absolute_tolerance=1e-6", "timing=1", "wantsol=7",
+    "algorithm=psor", "algorithm=lemke", "algorithm=interior_point", "absolute_tolerance=1e-6",
 )  # fmt: skip
 Tokens = list[tuple[int, float, int]]
 
@@ -179,7 +179,7 @@ def judged(content: NLContent, words: list[str], stub: Path) -> str:
     found = read_sol(answer)
     if found.code not in {*CODES.values(), FAILURE}:
         return f"UNKNOWN CODE {found.code}"
-    settings = ampl._call([str(stub), "-AMPL", *call], "").settings
+    settings = ampl.assigned(" ".join(call))
     try:
         same = read_nl(stub.with_suffix(".nl")).solve(**settings)
     except LCPError as error:

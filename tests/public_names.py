@@ -14,7 +14,7 @@ ELSEWHERE = {
     "problems.reformulations.bimatrix_game": "Equilibrium lcp_from_bimatrix_game",
     "problems.contact": "ContactMotion Contacts contact_data lcp_from_contacts",
     "problems.programs.solution": "QPSolution",
-    "problems.programs.conversion": "lcp_from_lp lcp_from_qp qp_from_lcp",
+    "problems.programs.conversion": "lcp_from_qp qp_from_lcp",
     "evidence.measurement": "Measurement",
     "evidence.pictures": "draw",
     "evidence.table": "Table",

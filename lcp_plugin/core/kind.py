@@ -8,7 +8,7 @@ test walks all cells with problems of each kind.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -65,7 +65,7 @@ class Kind:
         """Return what to write for a way that does not take this kind, '' for one that does."""
         return "" if way in self.ways else self.instead.get(way, self.otherwise)
 
-    def refuse(self, wishes: Mapping[str, Any]) -> None:
+    def refuse(self, wishes: Iterable[str]) -> None:
         """Raise InvalidOption where the table says what to write instead of one of these options."""
         for name in wishes:
             if f"{name}=" in self.instead:
@@ -159,7 +159,7 @@ def _remedy(way: str, given: Any, takes_programs: bool) -> str:
         return "write path.derivative(theta)"
     if way == "derivative":
         return "write derivative(solve(problem))"
-    if way == "certify" and hasattr(given, "is_stationary"):
+    if way == "certify" and hasattr(given, "is_optimal"):
         return "give the program as well: certify(program, solution)"
     if way == "certify" and hasattr(given, "certificate"):
         return "result.certificate has its residuals, error_bound(problem, result.z) bounds its distance"

@@ -232,16 +232,13 @@ class LCP:
         b: ArrayLike | None = None,
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
-        *,
-        form: str = "auto",
     ) -> LCP:
         """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
         Who wants x writes ``solve(QuadraticProgram(P, c, …))``, which is sooner there. Who wants the LCP gets x,
-        multipliers and residuals by ``problem.origin.recover(result)``; forms and errors:
+        multipliers and residuals by ``problem.origin.recover(result)``; errors:
         :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`. A run of ``solve`` ends where the tolerance holds
-        for the LCP and the program is solved by its own criteria, to 1e-6; where only the latter can be had, that is
-        SOLVED (at tolerances from 1e-9 on).
+        for the LCP and x passes the test of programs, to 1e-6.
 
         Parameters
         ----------
@@ -254,13 +251,11 @@ class LCP:
             Equations A x = b.
         lower, upper : scalar or array, shape (n,)
             Bounds of x; none by default.
-        form : {"auto", "direct", "kkt"}
-            Which optimality conditions become the problem.
         """
         from ..problems.programs.conversion import lcp_from_qp
         from ..problems.programs.program import QuadraticProgram
 
-        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper), form)
+        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper))
 
     @classmethod
     def from_game(cls, A: Any, B: Any = None) -> LCP:

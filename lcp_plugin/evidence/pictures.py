@@ -135,7 +135,7 @@ def _grid(shape: Any, n: int) -> dict[str, Any]:
 
 def _plotted(answer: Any, frame: Frame, axes: Any, new: Callable[..., Any]) -> Any:
     """Draw into the given axes, or into a new figure with a panel for the residual of a recorded run."""
-    run = getattr(answer, "lcp_result", answer) if getattr(answer, "history", ()) else None
+    run = answer if getattr(answer, "history", ()) else None
     is_contact = isinstance(getattr(answer, "problem", None), FrictionalContact)
     draw_first = _draw_cones if is_contact and frame.grid is None else _draw_unknowns
     if axes is not None:

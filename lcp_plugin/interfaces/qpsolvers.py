@@ -113,7 +113,7 @@ def solve_problem(
     try:
         program = _program(problem)
         built, guess = time.perf_counter(), _start(initvals, program)
-        found = solve_program(program, guess=guess, verbose=verbose, **_known(options))
+        found = solve_program(program, z0=guess, verbose=verbose, **_known(options))
     except (InvalidOption, UnknownAlgorithm) as error:
         raise ParamError(str(error)) from error
     except (InvalidProblem, UnsupportedModel) as error:

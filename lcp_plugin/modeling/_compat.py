@@ -261,7 +261,7 @@ def statistics(result: Any) -> dict[str, Any]:
     """Return what cvxpy keeps of a run besides its values."""
     return {
         settings.SOLVE_TIME: result.seconds,
-        settings.SETUP_TIME: result.setup_seconds,
+        settings.SETUP_TIME: getattr(result, "setup_seconds", None),
         settings.NUM_ITERS: result.iterations,
         settings.EXTRA_STATS: result,
     }

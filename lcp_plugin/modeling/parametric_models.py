@@ -132,7 +132,7 @@ def moved_to(lines: Lines, theta: float) -> Iterator[None]:
 
 
 def trace_model(
-    problem: Any, along: Any, start: float, stop: float, tolerance: float = 1e-8
+    problem: Any, along: Any, start: float, stop: float, tolerance: float | None = None
 ) -> ModelPath:
     """Return the path of a cvxpy problem; see :func:`lcp_plugin.trace`.
 

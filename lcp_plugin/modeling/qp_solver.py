@@ -19,7 +19,6 @@ from ..problems.programs.solving import QuadraticProgramResult, solve_program
 from ._compat import CVXPY_STATUS, name_of, solver_errors, statistics
 from .stated_terms import dense_value
 
-SOLVE_OPTIONS = {"tolerance": 1e-9}
 BEGUN = "begun from the last answer; warm_start=False begins anew"
 MATRIX_KEYS = (settings.P, settings.F, settings.A)
 DIGITS = 0.005  # of which the last of three digits is at least a tenth
@@ -75,15 +74,17 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def _answer(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any
     ) -> QuadraticProgramResult:
-        options = {**SOLVE_OPTIONS, **solver_opts}
+        options = dict(solver_opts)
         guess = cache.get(self.name()) if warm_start else None
         program = quadratic_program(data)
         algorithm = options.pop("algorithm", "auto")
-        found = solve_program(program, algorithm, guess=guess, verbose=bool(verbose), **options)
-        if guess is not None and "z0" not in options and not found.is_compiled:
+        if guess is not None:
+            options.setdefault("z0", guess)
+        found = solve_program(program, algorithm, verbose=bool(verbose), **options)
+        if guess is not None and options["z0"] is guess and found.z is not None:
             found = replace(found, begun=BEGUN)
         # An external solver leaves no z: no complementarity problem was made.
-        cache[self.name()] = None if found.is_compiled else found.z
+        cache[self.name()] = found.z
         if verbose:
             settings.LOGGER.info(found.explain())
         return found

@@ -197,24 +197,7 @@ def only_start() -> Instead:
 
 def without_engines(*names: str) -> Instead:
     """The engines that are asked but for those of these names."""
-    return yielding(lambda _, engine: engine.name not in names)
-
-
-def in_given_units(old: Any) -> Any:
-    return lambda cls, given, is_left_out=None, unit=None: old(cls, given, is_left_out)
-
-
-def if_in_other_units(old: Any, note: Callable[[], None]) -> Any:
-    def of(cls: Any, given: Any, is_left_out: Any = None, unit: Any = None) -> Any:
-        if unit is not None and (unit != 1.0).any():
-            note()
-        return old(cls, given, is_left_out, unit)
-
-    return of
-
-
-def no_limit(old: Any) -> Any:
-    return lambda given: np.zeros(given.h.size + 2 * given.c.size, np.bool_)
+    return yielding(lambda _, asked: asked[0].name not in names)
 
 
 def unfolded(old: Any) -> Any:
@@ -435,45 +418,25 @@ MECHANISMS = (
     Mechanism(
         "engines",
         "programs answered by solvers of others, judged here",
-        {f"{CALLS}:engines_for": without_engines("daqp", "piqp", "clarabel", "highs")},
+        {f"{CALLS}:attempts": without_engines("daqp", "piqp", "clarabel", "highs")},
         "engines problems/programs/engine_calls.py",
     ),
     Mechanism(
         "daqp",
         "the engine of small dense programs",
-        {f"{CALLS}:engines_for": without_engines("daqp")},
+        {f"{CALLS}:attempts": without_engines("daqp")},
         "engines/daqp.py",
-    ),
-    Mechanism(
-        "as given",
-        "a small dense program to an active set as it stands, judged by sums of its terms",
-        {f"{PROGRAMS}.solving:solved_as_given": says(None)},
-        "problems/programs/engine_calls.py:solved_as_given problems/programs/criterion.py:Errors.above",
-    ),
-    Mechanism(
-        "daqp at last",
-        "an active set where steps between the bounds have no answer",
-        {f"{CALLS}:engines_for": yielding(lambda _, engine: not engine.options)},
-        "",
-        "problems/programs/test_convex_programs.py::"
-        "test_units_and_limits_that_nobody_reaches_cost_no_steps",
     ),
     Mechanism(
         "PIQP",
         "the engine of all other programs",
-        {f"{CALLS}:engines_for": without_engines("piqp")},
+        {f"{CALLS}:attempts": without_engines("piqp")},
         "engines/piqp.py",
-    ),
-    Mechanism(
-        "Clarabel",
-        "the engine that is asked last",
-        {f"{CALLS}:engines_for": without_engines("clarabel")},
-        "engines/clarabel.py",
     ),
     Mechanism(
         "HiGHS",
         "the engine of linear programs",
-        {f"{CALLS}:engines_for": without_engines("highs")},
+        {f"{CALLS}:attempts": without_engines("highs")},
         "engines/highs.py",
     ),
     Mechanism(
@@ -483,73 +446,9 @@ MECHANISMS = (
         "engines/polish.py",
     ),
     Mechanism(
-        "engine units",
-        "an engine is asked again in units fitted to a program's entries",
-        {"engines.statement:Prepared.of": Instead(in_given_units, if_in_other_units)},
-    ),
-    Mechanism(
-        "far limits",
-        "an engine is asked again without limits far beyond all others",
-        {"engines.statement:far_limits": differing(no_limit)},
-        "engines/statement.py:far_limits",
-    ),
-    Mechanism(
-        "what acts",
-        "rows and costs too small to count beside what acts at the answer",
-        {
-            f"{PROGRAMS}.criterion:Acting.of": Instead(
-                lambda old: lambda cls, *_: cls(0.0, 0.0, np.zeros(1))
-            )
-        },
-        "problems/programs/criterion.py:Acting",
-    ),
-    Mechanism(
-        "Newton's falls",
-        "what is SOLVED costs no more than where Newton's steps lead",
-        {f"{PROGRAMS}.newton_falls:newton_fall": says(0.0)},
-        "problems/programs/newton_falls.py",
-        "problems/programs/test_criterion.py::"
-        "test_what_is_solved_of_a_nearly_singular_curvature_is_right",
-    ),
-    Mechanism(
         "folded rows",
         "rows with one entry become bounds",
         {f"{PROGRAMS}.reductions:FoldedRows._of": Instead(unfolded, if_folded)},
-    ),
-    Mechanism(
-        "defined variables",
-        "what an equation alone defines is put in before a run",
-        {f"{PROGRAMS}.reductions:DefinedVariables.of": says(None)},
-        "problems/programs/reductions.py:DefinedVariables",
-        "problems/programs/test_reductions.py::test_sweeps_take_residuals_that_equations_define",
-    ),
-    Mechanism(
-        "noise",
-        "rounding beside the largest of an engine's numbers put to 0",
-        {f"{PROGRAMS}.engine_calls:without_noise": says(())},
-        "problems/programs/engine_calls.py:without_noise",
-        "published/test_programs.py::test_value_and_violations_are_those_published",
-    ),
-    Mechanism(
-        "at rest",
-        "an engine's point without what is rounding beside its equations, where no force is left",
-        {f"{PROGRAMS}.engine_calls:at_rest": says(())},
-        "problems/programs/engine_calls.py:at_rest",
-        "problems/programs/test_convex_programs.py::test_an_exact_fit_is_optimal",
-    ),
-    Mechanism(
-        "seen contradictions",
-        "multipliers of engines and of least squares that a proof is made of",
-        {f"{PROGRAMS}.program:ProgramFacts.sees_contradiction": says(False)},
-        "problems/programs/contradictions.py problems/programs/program.py:ProgramFacts.sees_contradiction "
-        "problems/programs/no_minimum.py:refuted",
-        "problems/programs/test_contradictions.py::test_contradictions_on_graphs_take_no_linear_program",
-    ),
-    Mechanism(
-        "unheld programs",
-        "a factor of P asks for a proof before a run",
-        {f"{PROGRAMS}.no_minimum:prove_unheld": says(None)},
-        "problems/programs/no_minimum.py:prove_unheld",
     ),
     # --- least squares
     Mechanism(

@@ -70,7 +70,7 @@ def program(n: int, rows: int) -> LCP:
     )
     x: FloatVector = rng.standard_normal(n)
     slack = np.maximum(rng.standard_normal(rows), 0.0)
-    return LCP.from_qp(P, rng.standard_normal(n), G, G @ x + slack, A, A @ x, form="kkt")
+    return LCP.from_qp(P, rng.standard_normal(n), G, G @ x + slack, A, A @ x)
 
 
 def bimatrix_game(m: int, n: int) -> LCP:

@@ -260,7 +260,6 @@ def planted_program(rng: Generator, *, linear: bool = False) -> Target:
     c = -(P @ x + G.T @ y + A.T @ e - below + above)
     data = [P, c, G, h, A, b, lower, upper]
     program = lp.QuadraticProgram(*data[:6], lower=lower, upper=upper)
-    program.facts.is_shown_convex  # noqa: B018 - kept
     best, own = value_of(data, x)
     ends = np.cumsum([n, m, p, n, n])
 
@@ -268,7 +267,7 @@ def planted_program(rng: Generator, *, linear: bool = False) -> Target:
         return np.split(point, ends[:-1])
 
     def passes(point: np.ndarray, tolerance: float) -> bool:
-        return QPSolution(program, *split(point)).is_stationary(tolerance)
+        return QPSolution(program, *split(point)).is_optimal(tolerance)
 
     def error(point: np.ndarray) -> float:
         at = point[:n]

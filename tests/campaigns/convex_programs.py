@@ -528,11 +528,15 @@ def said(
 ) -> tuple[bool, bool]:
     """Return whether what a way said of the program settles it, and whether it is wrong."""
     if spoilt:
-        return status == spoilt, status not in (spoilt, "unknown")
-    if status in ("infeasible", "unbounded"):
+        return status == spoilt.upper(), status in (
+            "SOLVED",
+            "INFEASIBLE",
+            "UNBOUNDED",
+        ) and status != spoilt.upper()
+    if status in ("INFEASIBLE", "UNBOUNDED"):
         return False, True
     off = not (np.isnan(value) or abs(answer.objective - value) <= TOLERANCE * (1.0 + abs(value)))
-    return status == "optimal", status == "optimal" and (off or not holds(program, answer))
+    return status == "SOLVED", status == "SOLVED" and (off or not holds(program, answer))
 
 
 def judged(
@@ -550,19 +554,21 @@ def judged(
             problem = lcp_from_qp(fresh)
             result = solve(problem, max_seconds=seconds)
             answer = problem.origin.recover(result)
-        status = answer.status
+        status = result.status.name
         tally.seconds[way].append(time.perf_counter() - start)
         settled, wrong = said(program, answer, status, value, spoilt)
-        tally.unsolved[way] += not (settled or (spoilt and status == "unknown"))
+        tally.unsolved[way] += not (
+            settled or (spoilt and status not in ("SOLVED", "INFEASIBLE", "UNBOUNDED"))
+        )
         tally.wrong += wrong
-        odd = way == 1 and result.is_solved != (status in ("optimal", "stationary"))
+        odd = way == 1 and result.is_solved != answer.is_optimal()
         tally.at_odds += odd
         tally.steps.append(result.iterations)
         if wrong or odd or not settled:
             kind = "wrong" if wrong else "unsolved" if not settled else "at odds"
             words.append(
-                f"{('QP', 'LCP')[way]} {kind}: {status}, {result.status.name}, objective {answer.objective:.8g}"
-                f" of {value:.8g}, residuals {answer.primal_residual:.0e} {answer.dual_residual:.0e}"
+                f"{('QP', 'LCP')[way]} {kind}: {status}, objective {answer.objective:.8g}"
+                f" of {value:.8g}, residual {answer.primal_residual:.0e}"
                 f" gap {answer.duality_gap:.0e}, {result.iterations} steps,"
                 f" {[stage.name for stage in result.stages]}, {tally.seconds[way][-1]:.2f} s"
             )

@@ -20,7 +20,6 @@ from lcp_plugin.core.matrix.symmetry import mean_coupling
 from lcp_plugin.core.policy.stages import Stage
 from lcp_plugin.gallery.stencil import stencil_matrix
 from lcp_plugin.methods.direct import direct_methods, factor_passes
-from lcp_plugin.problems.programs.conversion import lcp_from_lp
 
 TARGET = 1e-8
 
@@ -499,7 +498,6 @@ def test_a_large_program_begins_with_an_interior_point(monkeypatch: pytest.Monke
     A = sp.vstack(
         [sp.kron(sp.eye_array(m), np.ones((1, m))), sp.kron(np.ones((1, m)), sp.eye_array(m))]
     )
-    problem = lcp_from_lp(
-        np.arange(m * m) % 7 + 1.0, A=sp.csr_array(A), b=np.ones(2 * m), lower=0.0
-    )
+    costs = np.arange(m * m) % 7 + 1.0
+    problem = LCP.from_qp(None, costs, A=sp.csr_array(A), b=np.ones(2 * m), lower=0.0)
     assert next(iter(direct_methods(problem))).algorithm.name == "interior_point"

@@ -10,7 +10,6 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from campaigns import cvxpy_programs
-from scipy.optimize import nnls
 
 from lcp_plugin import QPSolver, Status, complements
 from lcp_plugin.modeling._compat import CVXPY_STATUS
@@ -187,16 +186,3 @@ def test_a_refusal_has_its_reason(name: str) -> None:
         problem.solve(method="LCP")
     with pytest.raises(SolverError):
         problem.solve(solver=QPSolver)
-
-
-@pytest.mark.parametrize("algorithm", ["psor", "pgs", "npgs", "npsor", "newton", "interior_point"])
-def test_projected_methods_take_least_squares_as_cvxpy_compiles_them(algorithm: str) -> None:
-    """Σ (A x − b)² with x ≥ 0: its t = A x − b is put in, so that M has no zero on its diagonal; scipy's value."""
-    rng = np.random.default_rng(0)
-    A, b, x = rng.standard_normal((30, 10)), rng.standard_normal(30), cp.Variable(10)
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), [x >= 0])
-    problem.solve(method="LCP", algorithm=algorithm)
-    right, distance = nnls(A, b)
-    assert problem.status == cp.OPTIMAL
-    np.testing.assert_allclose(problem.value, distance**2, rtol=1e-8)
-    np.testing.assert_allclose(x.value, right, atol=1e-6)

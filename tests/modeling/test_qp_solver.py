@@ -99,7 +99,7 @@ def test_bounds_as_attributes_are_bounds() -> None:
     problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)))
     problem.solve(solver=QPSolver)
     assert problem.status == "optimal"
-    assert problem.solver_stats.extra_stats.certificate.problem.n >= 6
+    assert problem.solver_stats.extra_stats.program.n >= 6
     value = problem.value
     problem.solve(solver=cp.OSQP, eps_abs=1e-9, eps_rel=1e-9)
     assert value == pytest.approx(problem.value, abs=1e-6)

@@ -21,8 +21,10 @@ from ...systems.factors import bands
 from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
 from ..equilibria.equilibrium_program import EquilibriumProgram
 from ..least_squares.data import BoundedLeastSquares
+from ..programs.convexity import refuse_nonconvex
+from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
-from ..programs.solving import prepare_program, programs_for
+from ..programs.solving import programs_for
 from ..programs.stacked_programs import QuadraticProgramBatch
 from .batch_items import Items, Listed, Stacked
 from .batch_run import BatchResult, BatchRun
@@ -63,7 +65,7 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
     """
     if isinstance(problem, QuadraticProgram):
         checked_threads(threads)
-        prepare_program(problem)
+        refuse_nonconvex(problem)
         return problem
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("prepare", problem))
@@ -86,7 +88,7 @@ def solve_batch(
     M: QuadraticProgramBatch,
     *,
     algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
+    tolerance: float = 1e-6,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     prove_infeasibility: bool = True,
@@ -111,7 +113,7 @@ def solve_batch(
     q: Sequence[Mapping[str, ArrayLike]],
     *,
     algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
+    tolerance: float = 1e-6,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     prove_infeasibility: bool = True,
@@ -165,7 +167,7 @@ def solve_batch(
     upper: ArrayLike | None = None,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
-    tolerance: float = 1e-8,
+    tolerance: float | None = None,
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     absolute_tolerance: float = 0.0,
@@ -240,11 +242,12 @@ def solve_batch(
     checked, limit = checked_threads(threads), Settings(max_seconds=max_seconds).max_seconds
     programs = _programs_of(M, q, lower, upper, z0)
     asked: dict[str, Any] = {
-        "tolerance": tolerance,
         "max_iterations": max_iterations,
         "prove_infeasibility": prove_infeasibility,
         "threads": 1,
     }
+    default = PROGRAM_TOLERANCE if programs is not None else Settings.tolerance
+    asked["tolerance"] = default if tolerance is None else tolerance
     if programs is not None:
         if z0 is not None or absolute_tolerance != 0.0:
             raise InvalidOption(
@@ -254,7 +257,7 @@ def solve_batch(
     asked["absolute_tolerance"] = absolute_tolerance
     every, defaults = (
         {**asked, "algorithm": algorithm, "z0": z0},
-        {**(solve_batch.__kwdefaults__ or {}), "threads": 1},
+        {**(solve_batch.__kwdefaults__ or {}), "threads": 1, "tolerance": default},
     )
     wishes = {name: wish for name, wish in every.items() if wish is not defaults[name]}
     if isinstance(M, FrictionalContactBatch):

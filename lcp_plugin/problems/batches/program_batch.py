@@ -11,14 +11,13 @@ import scipy.sparse as sp
 from ...core.kernels.floats import EPSILON
 from ...core.settings import PROVEN, Status
 from ...engines import ENGINES, engine_class
-from ...engines.daqp import INFEASIBLE
 from ...engines.engine import beside_bounds
-from ..programs.contradictions import contradicting_multipliers
-from ..programs.criterion import NO_EXCUSE, Terms, measured, program_goal
+from ..programs.criterion import errors_of_each
+from ..programs.program import CANCELS
 from ..programs.program_matrices import may_be_small
 from ..programs.solution import QPSolution
 from ..programs.solving import QuadraticProgramResult, solve_program
-from ..programs.stacked_programs import QuadraticProgramBatch
+from ..programs.stacked_programs import QuadraticProgramBatch, blocks
 from .batch_run import BatchAnswers, BatchLoop
 
 ENGINE = "daqp"
@@ -100,8 +99,7 @@ class ProgramBatchRun(BatchLoop):
             self.steps[items],
         )
         points = engine.points(P, c, C, d, m, lower, upper, wanted.tolist())
-        says = np.zeros(len(c), np.int64)
-        for k, (at, multipliers, says[k], count) in zip(wanted.tolist(), points, strict=True):
+        for k, (at, multipliers, _, count) in zip(wanted.tolist(), points, strict=True):
             x[k], signed[k], steps[k] = at, multipliers, count
         y = signed[:, n:]
         y[:, :m] = np.maximum(y[:, :m], 0.0)
@@ -111,37 +109,13 @@ class ProgramBatchRun(BatchLoop):
             y,
             of_bounds,
         )
-        with np.errstate(all="ignore"):
-            errors = measured(
-                Terms.of_dense(P, C, self.x[items], y),
-                c,
-                d,
-                m,
-                lower,
-                upper,
-                self.x[items],
-                y,
-                *of_bounds,
-            )
-            is_solved = np.isfinite(x).all(axis=1) & errors.decide(
-                program_goal(self.settings.tolerance)
-            )
+        together = blocks(P, c, C, d, m, lower, upper)
+        of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])
+        errors = errors_of_each(together, self.x[items], of_rows, self.settings.tolerance)
+        is_solved = errors.meet(self.settings.tolerance)
         self.is_open[items] = ~is_solved
         self.status[np.flatnonzero(is_solved) + items.start] = Status.SOLVED
         self.residual[items] = np.where(is_solved, errors.largest, np.nan)
-        if self.settings.prove_infeasibility:
-            return
-        goal = program_goal(self.settings.tolerance)
-        for k in np.flatnonzero(~is_solved & (says == INFEASIBLE)).tolist():
-            if (
-                contradicting_multipliers(
-                    C[k if len(C) > 1 else 0], d[k], m, lower[k], upper[k], goal
-                )
-                is not None
-            ):
-                at = items.start + k
-                self.is_open[at], self.status[at] = False, Status.STALLED
-                self._leave(np.array([at]))
 
     def _solve(self, k: int, wishes: dict[str, Any]) -> None:
         self._forget(k)
@@ -149,7 +123,7 @@ class ProgramBatchRun(BatchLoop):
             self.programs[k], self.algorithm, z0=self.start, **wishes
         )
         found = result.solution
-        if result.is_solved and not result.is_compiled and self.programs.has_one_matrix:
+        if result.is_solved and self.programs.has_one_matrix:
             self.start = result.z  # a run goes on from the last one
         self.x[k], self.steps[k] = found.x, result.iterations
         self.y[k] = np.concatenate([found.inequality, found.equality])
@@ -165,17 +139,13 @@ class ProgramBatchRun(BatchLoop):
     def result_of(self, k: int) -> QuadraticProgramResult:
         """Return the result of program k, which has no error."""
         if k not in self.results:
-            goal, share = (
-                program_goal(self.settings.tolerance),
-                self.clock.read() / max(len(self.status), 1),
-            )
+            share = self.clock.read() / max(len(self.status), 1)
             multipliers = np.concatenate([self.y[k], *self.at_bounds[:, k]])
             solution = QPSolution.of_rows(self.programs[k], self.x[k], multipliers)
             by = f"auto: {ENGINE}" if self.algorithm == "auto" else ENGINE
             self.results[k] = QuadraticProgramResult(
                 self.status[k],
                 solution,
-                goal,
                 by,
                 int(self.steps[k]),
                 share,
@@ -239,7 +209,7 @@ class ProgramBatchResult(BatchAnswers[QuadraticProgramResult]):
             return ((0.5 * Px + c) * x).sum(axis=1)
 
         values, terms = values_of(P, c, x), values_of(abs(P), np.abs(c), np.abs(x))
-        for i in np.flatnonzero(x.shape[1] * EPSILON * terms > NO_EXCUSE * np.abs(values)).tolist():
+        for i in np.flatnonzero(x.shape[1] * EPSILON * terms > CANCELS * np.abs(values)).tolist():
             values[i] = self.programs[i].objective(x[i])  # where terms cancel
         return np.where([status in PROVEN for status in self.status], np.nan, values)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,18 +19,16 @@ from ...core.settings import Status
 from ...engines import engine_class
 from ...proofs.bounds.curvature import Curvature, constrained_curvature
 from ..programs.dual_bounds import DualBounds, implied_box
-from ..programs.engine_calls import run_engine, solved_at_once
+from ..programs.engine_calls import GIVEN, run_engine
 from ..programs.no_minimum import QPInfeasibility, prove_infeasible
 from ..programs.program import QuadraticProgram
 from ..programs.solution import QPSolution
 from ..programs.solving import solve_program
 from .equilibrium_program import Cases, EquilibriumProgram, case_counts
 
-TOLERANCE = 1e-9
 TINY = 1e-13  # of ‖x‖∞
 FEASIBLE = 1e-7  # what a solution may miss of a row, beside its terms
 ENOUGH = 0.1  # of the tolerance: a bound that is so near the value is not repaired
-MOST_STEPS = 100  # of interior points, where there may be no solution
 INSIDE = 1e-3  # beside the size of that box
 FAR = 1e4  # times the size of x that the data name: what is farther falls without end
 MOST_PROJECTIONS = 4  # onto the linearized rows of a piece
@@ -85,7 +82,6 @@ class Relaxations:
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float) -> None:
         self.problem, self.tolerance, self.solved = problem, tolerance, 0
-        self._are_small = False  # whether the compiled call has taken one of the programs
 
     @cached_property
     def _curvature(self) -> Curvature:
@@ -114,7 +110,7 @@ class Relaxations:
             enough = node.value - ENOUGH * self.tolerance * self.problem.objective_size(node.point)
             node.bound = self.bound(program, node.dual, enough)
             if node.bound == -math.inf:  # a vertex has more zeros than multipliers to mend them by
-                inside = run_engine(program, engine_class("clarabel")(), 0.0, points=1).solution
+                inside = run_engine(program, engine_class("clarabel")(), 0.0, GIVEN).solution
                 dual = inside.x, np.concatenate([inside.inequality, inside.equality])
                 node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:
@@ -219,14 +215,8 @@ class Relaxations:
 
     def _solution(self, program: QuadraticProgram) -> QPSolution | None:
         """Return the solution of a program, None where a first try finds none: it may have none."""
-        found = solved_at_once(program, TOLERANCE)
-        self._are_small = self._are_small or found is not None
-        if found is not None:
-            return found.solution
-        if self._are_small:
-            return None
-        solution = _by_steps(program, algorithm="interior_point", max_iterations=MOST_STEPS)
-        return solution if solution.is_stationary() else None
+        solution = _solution_of(program)
+        return solution if solution.is_optimal() else None
 
     def _within_a_box(self, program: QuadraticProgram) -> QPSolution:
         """Return the solution of a program that a first try does not find, or else one within a large box.
@@ -239,18 +229,17 @@ class Relaxations:
         within = program.with_vectors(
             lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far)
         )
-        found = solved_at_once(within, TOLERANCE)
-        solution = _by_steps(within) if found is None else found.solution
+        solution = _solution_of(within)
         is_inside = (
             bool(np.abs(solution.x).max(initial=0.0) < far * (1.0 - INSIDE))
-            and solution.is_stationary()
+            and solution.is_optimal()
         )
         return replace(solution, program=program) if is_inside else solution
 
 
-def _by_steps(program: QuadraticProgram, **options: Any) -> QPSolution:
-    """Return what a run of steps finds; Ctrl-C, which ends it with a status, ends the search, too."""
-    result = solve_program(program, tolerance=TOLERANCE, prove_infeasibility=False, **options)
+def _solution_of(program: QuadraticProgram) -> QPSolution:
+    """Return the solution of a program; Ctrl-C, which ends a solve with a status, ends the search, too."""
+    result = solve_program(program, prove_infeasibility=False)
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return result.solution

@@ -24,7 +24,7 @@ from ..least_squares.data import BoundedLeastSquares
 from ..least_squares.enclosures import Enclosures
 from ..programs.conversion import conditions
 from ..programs.convexity import refuse_nonconvex
-from ..programs.criterion import program_goal
+from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
 from ..programs.solution import QPSolution
 from .stacked_lasso import surely_optimal
@@ -192,7 +192,8 @@ class Family:
         What moves, and its change for θ + 1.
     ends : (float, float)
         The values of θ that a path is for.
-    tolerance : float
+    tolerance : float or None
+        None means `TOLERANCE`.
 
     Attributes
     ----------
@@ -203,12 +204,14 @@ class Family:
     """
 
     MOVES: ClassVar[tuple[str, ...]] = ()
+    TOLERANCE: ClassVar[float] = 1e-8
     FIXED: ClassVar[dict[str, str]] = {}
 
     def __init__(
-        self, problem: Any, along: Any, ends: tuple[float, float], tolerance: float
+        self, problem: Any, along: Any, ends: tuple[float, float], tolerance: float | None
     ) -> None:
-        self.problem, self.settings, self.ends = problem, Settings(tolerance=tolerance), ends
+        settings = Settings(tolerance=self.TOLERANCE if tolerance is None else tolerance)
+        self.problem, self.settings, self.ends = problem, settings, ends
         if not isinstance(along, Mapping) or not along:
             raise InvalidOption(f'along must say what moves, as {{"q": direction}}, got {along!r}')
         self.directions = {str(name): self._checked(name, change) for name, change in along.items()}
@@ -438,6 +441,7 @@ class ProgramFamily(Family):
     """c, h, b and bounds of a convex quadratic program, by its optimality conditions."""
 
     MOVES = ("c", "h", "b", *BOUNDS)
+    TOLERANCE = PROGRAM_TOLERANCE
     FIXED: ClassVar[dict[str, str]] = {
         "P": "x is not piecewise affine in P; where θ multiplies the whole quadratic term, divide the objective by it "
         "and move c",
@@ -506,11 +510,11 @@ class ProgramFamily(Family):
 
     def judge(self, point: PathPoint) -> Status:
         """Return what the program's criterion says."""
-        goal, solution = program_goal(self.settings.tolerance), point.solution
+        tolerance, solution = self.settings.tolerance, point.solution
         assert solution is not None
-        if solution.is_minimal(goal):
+        if solution.is_optimal(tolerance):
             return Status.SOLVED
-        return Status.PRECISION_LIMIT if solution.is_minimal(NEARLY * goal) else Status.STALLED
+        return Status.PRECISION_LIMIT if solution.error <= NEARLY * tolerance else Status.STALLED
 
 
 class LeastSquaresFamily(Family):
@@ -638,7 +642,7 @@ FAMILIES: dict[type, type[Family]] = {
 
 
 def family_of(
-    problem: Any, along: Mapping[str, Any], start: float, stop: float, tolerance: float
+    problem: Any, along: Mapping[str, Any], start: float, stop: float, tolerance: float | None
 ) -> Family:
     """Return the family of a problem.
 

@@ -23,7 +23,9 @@ SAME = 1e-4  # what a solution may move on the shortest of these
 MOST_RESTARTS = 50
 
 
-def trace(problem: Any, along: Any, start: float, stop: float, *, tolerance: float = 1e-8) -> Path:
+def trace(
+    problem: Any, along: Any, start: float, stop: float, *, tolerance: float | None = None
+) -> Path:
     """Return the solutions for every value of a parameter θ between start and stop: exact pieces, not samples.
 
     Data(θ) = data + θ · direction. The solution is piecewise affine in θ; one change of a factor leads from each
@@ -40,8 +42,8 @@ def trace(problem: Any, along: Any, start: float, stop: float, *, tolerance: flo
         ``path.value(x, θ)`` is the value of a variable.
     start, stop : float
         Either may be the larger one.
-    tolerance : float
-        Of the certificates, as in `solve`.
+    tolerance : float, optional
+        As in `solve`: 1e-6 of a program, 1e-8 of others.
 
     Returns
     -------
@@ -97,7 +99,9 @@ def trace(problem: Any, along: Any, start: float, stop: float, *, tolerance: flo
     return trace_stated(problem, along, float(start), float(stop), tolerance)
 
 
-def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance: float) -> Path:
+def trace_stated(
+    problem: Any, along: Any, start: float, stop: float, tolerance: float | None
+) -> Path:
     """Return the path of a problem of ours."""
     clock = Clock()
     return traced(family_of(problem, along, start, stop, tolerance), start, stop, clock)

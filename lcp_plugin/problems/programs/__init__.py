@@ -2,20 +2,20 @@
 
 ``solve(QuadraticProgram(…))`` is `solving.solve_program`, whoever calls it. In order, until one decides:
 
-1. A small dense program goes to an active set as it stands (`engine_calls.solved_as_given`).
-2. Each engine that `engine_calls.engines_for` names: the program made smaller (`reductions`) and prepared
-   (`engines.statement`), the engine's point polished (`engines.polish`) and judged here (`criterion`). Where it says
-   that there is no minimum, a proof is looked for (`no_minimum`).
-3. A run on the complementarity problem (`conversion`), as of an LCP; its z is taken back to an x and judged here.
-4. A proof that there is no minimum. Without one, `solving._status` says what is missing.
+1. External solvers, in the order of `engine_calls.ATTEMPTS`: rows of one variable become bounds (`reductions`), the
+   program is scaled (`engines.scaling`); the point, without noise and polished (`engines.polish`), is tested
+   (`criterion`). If the solver says that there is no minimum, a proof is looked for (`no_minimum`).
+2. A run on the complementarity problem (`conversion`), if the program is small; before, if it has bounds alone and is
+   large.
+3. A proof that there is no minimum; otherwise PRECISION_LIMIT or STALLED with the two measures of the best point.
 
 | file | what is in it |
 |---|---|
-| `program`, `program_matrices`, `constraints`, `convexity`, `contradictions` | the data, and what they alone say |
-| `reductions` | smaller programs, step by step, and the way back |
-| `engine_calls` | the way to an answer without a run: engines of others, polished and judged |
+| `program`, `program_matrices`, `constraints`, `convexity` | the data, and what they alone say |
+| `reductions` | rows of one variable as bounds, and the way back |
+| `criterion`, `solution` | the one test of a point, and its two measures |
+| `engine_calls`, `solving` | points of external solvers, and the status |
 | `conversion` | the complementarity problem of a program, and the answer that its z is |
-| `criterion`, `solution` | what is optimal, and by how much an answer misses it |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
 | `certification`, `dual_bounds`, `feasible_points` | what is proved of anybody's answer |
 | `kind` | what the package asks of a kind: messages, names, ways in |
@@ -30,14 +30,11 @@ was asked, together with a measure of how wrong it is there.
 | convex quadratic program | ``LCP.from_qp(P, c, G, h, A, b, lower, upper)``; back: ``problem.to_qp()`` |
 | programs with the same matrices | ``solve_batch(prepare(program), [{"b": b}, …])``, ``program.with_vectors(b=b)`` |
 | many programs of one shape | ``solve_batch(QuadraticProgramBatch(P, c, G, h, A, b, lower, upper))``, stacked data |
-| linear program | ``problems.programs.conversion.lcp_from_lp`` |
 | least squares within bounds | ``solve(BoundedLeastSquares(A, b))``, or ``LCP.from_qp(A.T @ A, −A.T @ b, lower=0)`` |
 | bimatrix game, QuantEcon's too | ``LCP.from_game(A, B)`` |
 | contacts with friction | ``LCP.from_contacts(W, friction, velocities)`` or of bodies; back: impulses, slip, stick |
 | absolute value equation A x − abs(x) = b | ``LCP(solve(A − I, A + I), solve(A − I, b))`` by numpy; x = w − z |
 | model of complementarities in cvxpy | ``LCP.from_cvxpy(problem)``; back: ``problem.to_cvxpy()`` |
 
-Quadratic programs must be convex; others are refused (`UnsupportedModel`): up to n = 5000 where P has a negative
-eigenvalue beyond rounding, above where single entries show it. ``is_optimal`` of an answer asks whether P is shown, up
-to rounding, to be semidefinite, ``is_stationary`` does not.
+Quadratic programs must be convex to the rounding of single precision; others are refused (`UnsupportedModel`).
 """

@@ -30,19 +30,17 @@ from ...proofs.bounds.solution_bounds import norm_above
 from ...proofs.exact.rational import enclosures
 from ...proofs.exact.upward import quotient_above, sum_above
 from .convexity import refuse_nonconvex
-from .criterion import PROGRAM_TOLERANCE, row_excuses
+from .criterion import excused_rows
 from .dual_bounds import DualBounds, implied_box
-from .engine_calls import solved_at_once
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
 from .program_matrices import as_csr
 from .reductions import FoldedRows
 from .solution import QPSolution
-from .solving import QuadraticProgramResult, run_program
+from .solving import QuadraticProgramResult, solve_program
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
-OWN_TOLERANCE = 1e-12  # residuals of a program that multipliers are sharp at, and of its complementarity problem
 SHARE = 0.5  # of a time limit: what multipliers may take, so that what they prove is left as much
 ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
@@ -156,7 +154,7 @@ def certify(
         contradicts = (
             claim == "infeasible"
             and problem.is_convex is False
-            and (problem.facts.proof_of_contradiction(PROGRAM_TOLERANCE) is not None)
+            and (problem.facts.proof_of_contradiction() is not None)
         )
         if not contradicts:
             refuse_nonconvex(problem)
@@ -300,19 +298,10 @@ class ProgramProofs:
 
     @cached_property
     def own_solution(self) -> QPSolution | None:
-        """The solution of the program that we find, the one of the smallest residuals; None where there is no time."""
-        if (at_once := solved_at_once(self.program, ALMOST, is_sharp=True)) is not None:
-            return at_once.solution
-        found: list[QPSolution] = []
-        # What it is to prove takes time as well; the problem may overflow.
-        with suppress(LCPError), time_limit(SHARE * seconds_left()):
-            # A tolerance beside what acts in the complementarity problem may be far below the program's own.
-            for tolerance in (ALMOST, OWN_TOLERANCE):
-                result, solution = run_program(self.program, "auto", tolerance)
-                found.append(solution)
-                if solution.is_stationary(OWN_TOLERANCE) or not result.is_solved:
-                    break
-        return min(found, key=lambda solution: solution.error, default=None)
+        """The solution of the program that we find; None where there is no time, or the problem overflows."""
+        with suppress(LCPError), time_limit(SHARE * seconds_left()):  # a proof takes time as well
+            return solve_program(self.program, prove_infeasibility=False).solution
+        return None
 
     @cached_property
     def own_lower(self) -> float:
@@ -483,8 +472,8 @@ class Violation:
         least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
         allowed = np.maximum(tolerance * largest_terms(matrix, limit, x), mended)
         if (largest > allowed).any():
-            acting = np.concatenate([row_excuses(program, x), np.zeros(2 * program.n)])[finite]
-            allowed = np.maximum(allowed, tolerance * acting)
+            excused = np.concatenate([excused_rows(program, x), np.zeros(2 * program.n)])[finite]
+            allowed = np.maximum(allowed, excused)
         return cls(
             float(least.max(initial=0.0)) / OUTWARD,
             float(largest.max(initial=0.0)),

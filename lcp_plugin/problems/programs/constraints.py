@@ -20,9 +20,7 @@ from .program_matrices import Indices, ProgramMatrices, as_csr, or_one
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-NOISE = (
-    1e-7  # of the coefficients of a row: a limit that is 1e-7 of that is rounding in the place of 0
-)
+NOISE = 1e-5  # of the coefficients of a row: a limit that is 1e-14 of that is rounding in the place of 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +75,7 @@ class Constraints:
 
     @cached_property
     def own_sizes(self) -> FloatVector:
-        """The |limit| of each row, or 1e-7 of its smallest coefficient where that is larger; 1 of a row of none.
+        """The |limit| of each row, or 1e-5 of its smallest coefficient where that is larger; 1 of a row of none.
 
         A contradiction that is rounding beside all coefficients in the caller's units is one of rounded data.
         """

@@ -1,512 +1,440 @@
-"""The criterion of a quadratic program: how wrong a point and its multipliers are beside what acts at them.
+"""When a quadratic program is solved: the one test of a point x with multipliers y of the rows.
 
-Of min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds, at x with multipliers y of rows and of bounds, rounding
-included:
+Of min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds. Multipliers are a proof and nothing else, so the test cleans
+them: a wrong sign is 0, and a bound's multiplier is what the gradient r = P x + c + Cᵀy leaves. Two measures decide:
 
-- **primal**: by how much a row is violated beside its own terms, max(|d_i|, max_j |c_ij x_j|), or beside
-  ω min_j |c_ij u_j| · max_k |x_k / u_k| where that is larger, of unknowns that rows and P connect with it, and of
-  others up to 1; a bound beside |x_j|.
-- **dual**: what is left of component j of P x + c + Cᵀy beside its own terms, max(|c_j|, |p_jk x_k|, |c_ij y_i|, its
-  bounds' multipliers), or beside ω times the smallest |b_k u_k| / u_j of unknowns off their bounds, b_k the largest
-  of |c_k| and |p_kl x_l|, where that is larger; a multiplier of a wrong sign beside the same without ω, divided by the
-  largest coefficient of its row.
-- **gap**: Σ |y_i (d_i − c_i x)| over rows and bounds + Σ |x_j left_j| + the rounding of xᵀP x, or where that is larger
-  what Newton's steps from x lower the objective by, beside Σ |c_j x_j| + |xᵀP x|.
+- **primal**: the violation of a row relative to max(|d_i|, max_j |c_ij x_j|); of a bound relative to |x_j| or itself.
+  A row is excused if its violation is rounding, 2⁻⁴⁴, of |c_ij| times the unknowns that matter in its component.
+- **gap**, of each connected component: Σ |y_i| |slack_i| + Σ (|r_j| − blur_j)⁺ reach_j + Σ blur_j shake_j, and the
+  price of mending excused rows, relative to the objective's terms. reach_j is the distance to the bound that r_j pushes
+  to, at most 10⁴ times the size of x_j; blur_j is the rounding of r_j.
 
-Of units u of the unknowns there are two, the caller's and fitted ones: the smaller size counts.
-
-x is SOLVED where no measure exceeds the goal. Each size is one of the answer, or of its row at the answer: a limit that
-nobody reaches, a cost or a coefficient excuses nothing elsewhere. Unknowns that stand in no condition, or in one
-beneath the rounding of what acts, are no size of x; multipliers, which may be huge and cancel, are no size of the
-gradient's other components. Where all terms are 0 there is no size: an error is 0 or ∞. A row without coefficients is a
-number that others have computed from terms which nobody sees here: it stands beside 1.
+So no row is off beyond rounding, and no unknown, moved to its bound or to 10⁴ times its size, gains more than the
+tolerance. Plain sums decide most points, because all sizes that they use are on the safe side; sums without rounding, a
+fit of units and multipliers of least norm are computed for the others. Formulas and reasons are in
+``examples/manual/solved.md``.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, all_hold, are_no_limits
-from ...core.kernels.floats import EPSILON
+from ...core.checks import FloatVector
 from ...core.matrix.matrix import largest_in_rows
-from ...core.rounding import compensated_product
-from .newton_falls import newton_fall
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
-    from .program_matrices import ProgramMatrices
+    from .program_matrices import Indices
 
-PROGRAM_TOLERANCE = 1e-6  # of `QPSolution.is_optimal`, by default
-CONSTRAINTS = 1e-7  # what constraints are asked for at any tolerance between this and 1e-6
-SHARE = 0.1  # of a larger tolerance
-SURE = 1e-3  # of what is called optimal: no exact proof that there is no minimum beats an answer within that
-STRICT = 1e3  # times a tolerance below 1e-9: what is asked of a program's own residuals
-ACTS = 1e-6  # ω
-NO_EXCUSE = (
-    1e-9  # measures beside own terms that need no other size, and nothing falls beside which
-)
-NEARLY = 1e-3  # measures beyond that are not even inaccurately optimal
-LEAST_OBJECTIVE = 2.0**-900  # beside which what underflows is nothing
-SMALLEST = 2.0**-1074  # added to sizes: an error beside 0 is beyond every goal, and 0 stays 0
-total, most = (
-    np.add.reduce,
-    np.maximum.reduce,
-)  # what an array's methods come to, of small arrays in half the time
+PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
+ROWS = 1e-9  # of the rows, at every tolerance
+EXCUSED = 2.0**-44  # of the unknowns that matter: what rounding leaves of a row
+MATTERS = 1e-6  # of the objective's terms: an unknown with less to move is no size
+REACH = 1e4  # times its size, an unknown without a bound is moved
+UNIT = 2.0**-53
+BLUR = 8.0 * UNIT  # of the terms of a sum: what the data may be off by
+LEAST_SIZE = 1e-8  # of the objective's terms, where they cancel
+LEAST_NORM_STEPS, LEAST_NORM_TO = 60, 1e-3
+TINY = 2.0**-1000
 
 
 class Errors(NamedTuple):
-    """The three measures, rounding included; ∞ where a number is not finite. Of a batch, arrays (B,), or NaN there."""
+    """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite.
+
+    `is_excused` says that a row is off by more than its own terms allow, and by rounding of large unknowns only.
+    """
 
     primal: Any
-    dual: Any
     gap: Any
+    is_excused: bool = False
 
-    def meet(self, goal: float) -> Any:
-        """Return whether all are small: the criterion, of everybody who calls a program optimal."""
-        return (
-            (self.primal <= constraint_tolerance(goal)) & (self.dual <= goal) & (self.gap <= goal)
-        )
-
-    def decide(self, goal: float) -> Any:
-        """Return whether measures beside own terms are so small that what acts, and Newton's steps, change nothing.
-
-        With a rest γ of the gradient along a direction of curvature κ the objective falls by γ²/2κ.
-        """
-        return self.meet(goal) & (self.largest <= NO_EXCUSE)
-
-    def are_sure(self, goal: float) -> bool:
-        """Return whether they meet the goal so well that no exact proof of the contrary may beat them."""
-        return bool(self.largest <= SURE * goal)
+    def meet(self, tolerance: float) -> Any:
+        """Return whether the point is a solution: the test of programs."""
+        return (self.primal <= ROWS) & (self.gap <= tolerance)
 
     @property
     def largest(self) -> Any:
-        """The largest of the three."""
-        return (
-            max(self)
-            if isinstance(self.gap, float)
-            else np.maximum(np.maximum(self.primal, self.dual), self.gap)
-        )
-
-    @classmethod
-    def of(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
-        """Return the errors of x and of the multipliers of all constraints."""
-        return cls.beside_own_terms(program, x, multipliers).or_excused(program, x, multipliers)
-
-    def or_excused(
-        self, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector
-    ) -> Errors:
-        """Return these errors beside own terms; where they are not tiny, the same beside what acts as well."""
-        if self.largest <= NO_EXCUSE:
-            return self
-        return self._measured(program, x, multipliers, is_beside_own=False)
-
-    @classmethod
-    def beside_own_terms(
-        cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector
-    ) -> Errors:
-        """Return the same beside the own terms of rows and columns alone: bounds of the errors from above."""
-        return cls._measured(program, x, multipliers, is_beside_own=True)
-
-    @classmethod
-    def _measured(
-        cls,
-        program: QuadraticProgram,
-        x: FloatVector,
-        multipliers: FloatVector,
-        *,
-        is_beside_own: bool,
-    ) -> Errors:
-        m, p, n, _ = program.matrices.sizes
-        limits = np.concatenate([program.h, program.b]) if p else program.h
-        split = multipliers[: m + p], multipliers[m + p : m + p + n], multipliers[m + p + n :]
-        with np.errstate(all="ignore"):
-            terms = Terms.of(program, x, split[0])
-            acting = None if is_beside_own else Acting.of(program, terms, x, split)
-            found = cls.of_numbers(
-                measured(
-                    terms,
-                    program.c,
-                    limits,
-                    m,
-                    program.lower,
-                    program.upper,
-                    x,
-                    *split,
-                    acting,
-                    program.P,
-                )
-            )
-            if is_beside_own or not (program.matrices.has_curvature and found.largest <= NEARLY):
-                return found
-            fall = newton_fall(program, x, *split, rounding_of_gradient(terms, program.c))
-            objective = float(np.abs(program.c) @ np.abs(x)) + abs(float(x @ terms.product))
-            return found._replace(gap=max(found.gap, fall / (objective + SMALLEST)))
-
-    @classmethod
-    def above(cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector) -> Errors:
-        """Return bounds of these errors from above, by a third of the work; ∞ where they would take more.
-
-        The largest of k terms is at least s/k, s the sum of their sizes: |residual| / largest ≤ k |residual| / s.
-        Rounding counts twice, since products in another order have it once more. Finite where x is within its bounds,
-        all multipliers have their signs, and no limit is ∞.
-
-        Parameters
-        ----------
-        program : QuadraticProgram
-            Whose matrices are `is_judged_by_sums`.
-        """
-        matrices = program.matrices
-        m, p, n, _ = matrices.sizes
-        rows, terms = m + p, n + m + p + 3
-        y, of_bounds = multipliers[:rows], multipliers[rows:]
-        if not (n and all_hold(y[:m] >= 0.0)):
-            return BEYOND
-        H, of_H, of_x, of_y = matrices.stacked, matrices.stacked_sizes, np.abs(x), np.abs(y)
-        right = np.concatenate((program.c, -program.h, -program.b))
-        left, sums, of_right = H.dot(x), of_H.dot(of_x), np.abs(right)
-        gradient, sums_of_gradient = left[:n], sums[:n]
-        objective = float(of_right[:n].dot(of_x)) + 1.5 * abs(float(x.dot(gradient)))
-        left += right
-        sums += of_right
-        gap = 0.0
-        if rows:
-            gradient += y.dot(H[n:])
-            sums_of_gradient += of_y.dot(of_H[n:])
-        if not are_no_limits(program.lower, program.upper):
-            ends = np.concatenate((x - program.lower, program.upper - x))
-            if not (all_hold(of_bounds >= 0.0) and all_hold(ends >= 0.0)):
-                return BEYOND
-            acts = of_bounds.nonzero()[0]
-            if acts.size:
-                gap = float(of_bounds[acts].dot(ends[acts]))
-                gradient += of_bounds[n:] - of_bounds[:n]
-                sums_of_gradient += of_bounds[n:] + of_bounds[:n]
-        off, rounding = np.abs(left), 2.0 * (max(n, rows) + 4) * EPSILON
-        hidden = rounding * float(of_x.dot(sums_of_gradient))
-        gap += float(of_x.dot(off[:n])) + float(of_y.dot(off[n:])) + hidden
-        objective -= 2.0 * hidden
-        if m:
-            off[n : n + m] = np.maximum(left[n : n + m], 0.0)
-        off /= sums + SMALLEST
-        worst = terms * (float(off[off.argmax()]) + 2.0 * rounding)
-        if not (objective > LEAST_OBJECTIVE and math.isfinite(gap + worst)):
-            return BEYOND
-        return cls(worst, worst, gap / objective)
-
-    @classmethod
-    def of_numbers(cls, found: Errors) -> Errors:
-        """Return those of one program as floats: what is no number is beyond every goal."""
-        return cls(*(math.inf if math.isnan(one) else float(one) for one in found))
-
-
-def rounding_of_gradient(terms: Terms, c: FloatVector) -> FloatVector:
-    """Return what rounding may be of each component of P x + c + Cᵀy."""
-    return np.asarray(_rounding(terms) * (terms.product_size + terms.pull_size + np.abs(c)))
-
-
-def _rounding(terms: Terms) -> float:
-    """Return that of a sum of so many terms, beside the sum of their sizes."""
-    return 2.0 * (terms.summands + 4) * EPSILON
-
-
-BEYOND = Errors(math.inf, math.inf, math.inf)
-
-
-class Terms(NamedTuple):
-    """What rows and columns are made of at a point, shapes (…, rows) and (…, n).
-
-    Attributes
-    ----------
-    value, size, largest : array
-        Of each row: Σ c_ij x_j, Σ |c_ij x_j|, the largest |c_ij x_j|.
-    pull, pull_size, pull_largest : array
-        Of each column: Σ c_ij y_i, Σ |c_ij y_i|, the largest |c_ij y_i|.
-    product, product_size, product_largest : array
-        Of each row of P: Σ p_jk x_k, Σ |p_jk x_k|, the largest |p_jk x_k|.
-    summands : int
-        The most that any of these has.
-    """
-
-    value: Any
-    size: Any
-    largest: Any
-    pull: Any
-    pull_size: Any
-    pull_largest: Any
-    product: Any
-    product_size: Any
-    product_largest: Any
-    summands: int
-
-    @classmethod
-    def of(cls, program: QuadraticProgram, x: FloatVector, y: FloatVector) -> Terms:
-        """Return those of a program at x, with multipliers y of the rows of G and A."""
-        matrices = program.matrices
-        if matrices.has_sparse_rows or not isinstance(program.P, np.ndarray):
-            return cls.of_sparse(matrices, x, y)
-        return cls.of_dense(program.P, matrices.dense_rows, x, y)
-
-    @classmethod
-    def of_dense(cls, P: Any, C: Any, x: FloatVector, y: FloatVector) -> Terms:
-        """Return those of ndarrays, or of stacks of them: shapes (…, n, n), (…, rows, n), (…, n) and (…, rows)."""
-        of_P, of_C, of_x, of_y = map(np.abs, (P, C, x, y))
-        each = of_x[..., np.newaxis, :]
-        return cls(
-            _product(C, x),
-            _product(of_C, of_x),
-            most(of_C * each, -1, initial=0.0),
-            _pull(C, y),
-            _pull(of_C, of_y),
-            most(of_C * of_y[..., np.newaxis], -2, initial=0.0),
-            _product(P, x),
-            _product(of_P, of_x),
-            most(of_P * each, -1, initial=0.0),
-            max(C.shape[-2:]),
-        )
-
-    @classmethod
-    def of_sparse(cls, matrices: ProgramMatrices, x: FloatVector, y: FloatVector) -> Terms:
-        """Return those of a program with CSR arrays among its matrices."""
-        P, C, (of_rows, numbers, summands) = matrices.sparse_P, matrices.rows, matrices.places
-        of_columns, largest = C.data * y[of_rows], np.zeros(x.size)
-        sizes = np.abs(of_columns)
-        np.maximum.at(largest, C.indices, sizes)
-        return cls(
-            *_sums(C.data * x[C.indices], C, of_rows),
-            _summed(C.indices, of_columns, x.size),
-            _summed(C.indices, sizes, x.size),
-            largest,
-            *_sums(P.data * x[P.indices], P, numbers),
-            summands,
-        )
-
-
-class Acting(NamedTuple):
-    """What acts at a point, in each row's unit, in each column's, and in that of each row's and bound's multiplier."""
-
-    row: Any
-    column: Any
-    of_row: Any
+        """The larger of both, with the rows' error in units of the gap's default tolerance."""
+        return np.maximum(self.primal * (PROGRAM_TOLERANCE / ROWS), self.gap)
 
     @classmethod
     def of(
-        cls, program: QuadraticProgram, terms: Terms, x: FloatVector, multipliers: Any
-    ) -> Acting:
-        """Return the smaller sizes of those in the caller's units and in fitted ones."""
-        base = np.maximum(np.abs(program.c), terms.product_largest)
-        own = np.maximum(np.maximum(base, terms.pull_largest), np.maximum(*np.abs(multipliers[1:])))
-        is_free = (x > program.lower) & (x < program.upper)
-        sizes = []
-        for unit in (np.ones(x.size), program.facts.fitted_units):
-            matrix: Any = (
-                program.matrices.rows
-                if program.matrices.has_sparse_rows
-                else program.matrices.dense_rows
-            )
-            if sp.issparse(matrix):
-                entries = np.abs(matrix.data) * unit[matrix.indices]
-                coefficient = 1.0 / largest_in_rows(
-                    matrix, np.where(entries > 0.0, 1.0 / entries, 0.0)
-                )
-            else:
-                entries = np.abs(matrix) * unit
-                coefficient = np.where(entries > 0.0, entries, np.inf).min(axis=1, initial=np.inf)
-            coefficient = np.where(np.isfinite(coefficient), coefficient, 0.0)
-            forces = (base * unit)[is_free]
-            pull = forces[forces > 0.0].min(initial=np.inf)
-            pull = pull if pull < np.inf else 0.0
-            reach = _reach(
-                program, matrix, np.where(own * unit > EPSILON * pull, np.abs(x) / unit, 0.0)
-            )
-            of_rows = np.where(coefficient > 0.0, coefficient * reach, 1.0 / ACTS)
-            sizes.append((of_rows, pull / unit, pull / coefficient))
-        return cls(*(np.fmin(one, other) for one, other in zip(*sizes, strict=True)))
+        cls,
+        program: QuadraticProgram,
+        x: FloatVector,
+        y: FloatVector,
+        tolerance: float = PROGRAM_TOLERANCE,
+    ) -> Errors:
+        """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
+        primal, gap, is_excused = measures(program, x, y, tolerance)
+        return cls(float(primal.max(initial=0.0)), float(gap.max(initial=0.0)), is_excused)
 
 
-def row_excuses(program: QuadraticProgram, x: FloatVector) -> FloatVector:
-    """Return what rows of G and A are measured beside at x where their own terms are smaller, whatever multipliers are.
-
-    Examples
-    --------
-    >>> from lcp_plugin import QuadraticProgram
-    >>> row_excuses(QuadraticProgram([[1, 0], [0, 1]], [-1, 0], G=[[0, 1]], h=[0]), np.array([1.0, 1e-13])).tolist()
-    [1e-06]
-    """
-    m, p, n, _ = program.matrices.sizes
-    none = np.zeros(m + p), np.zeros(n), np.zeros(n)
-    return np.asarray(ACTS * Acting.of(program, Terms.of(program, x, none[0]), x, none).row)
-
-
-def _reach(program: QuadraticProgram, matrix: Any, sizes: FloatVector) -> Any:
-    """Return the largest size that acts on each row: of all unknowns, or up to 1, or of those connected with it."""
-    largest = sizes.max(initial=0.0)
-    if largest <= 1.0:
-        return largest
-    part, of_part = program.matrices.components, np.zeros(sizes.size)
-    np.maximum.at(of_part, part, sizes)
-    if sp.issparse(matrix):
-        return np.maximum(1.0, largest_in_rows(matrix, of_part[part[matrix.indices]]))
-    return np.maximum(1.0, np.where(matrix != 0.0, of_part[part], 0.0).max(axis=1, initial=0.0))
-
-
-def _product(A: Any, x: FloatVector) -> Any:
-    """Return A x, of an ndarray or of a stack."""
-    return A.dot(x) if x.ndim == 1 else np.matmul(A, x[..., np.newaxis])[..., 0]
-
-
-def _pull(A: Any, y: FloatVector) -> Any:
-    """Return Aᵀ y, of an ndarray or of a stack."""
-    return y.dot(A) if y.ndim == 1 else np.matmul(y[..., np.newaxis, :], A)[..., 0, :]
-
-
-def _sums(terms: FloatVector, A: sp.csr_array, rows: Any) -> tuple[Any, Any, FloatVector]:
-    """Return the sums of the terms in each row of A, those of their sizes, and the largest size."""
-    sizes, m = np.abs(terms), A.shape[0]
-    return _summed(rows, terms, m), _summed(rows, sizes, m), largest_in_rows(A, sizes)
-
-
-def _summed(places: Any, terms: FloatVector, count: int) -> Any:
-    """Return the sums of the terms of each place: doubles, of no terms as well."""
-    return np.bincount(places, terms, count) + 0.0
-
-
-def measured(
-    terms: Terms,
-    c: FloatVector,
-    d: FloatVector,
-    m: int,
-    lower: FloatVector,
-    upper: FloatVector,
-    x: FloatVector,
-    y: FloatVector,
-    of_lower: FloatVector,
-    of_upper: FloatVector,
-    acting: Acting | None = None,
-    P: Any = None,
+def errors_of_each(
+    together: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float
 ) -> Errors:
-    """Return the three measures of one program, or, by arrays with one axis more, of a batch.
+    """Return bounds of the errors, shape (B,), of B programs that stand in one, at the rows of x, shape (B, n).
+
+    Sums are plain: what these do not decide is left for a look at one program.
+    """
+    (count, n), (m, p) = x.shape, (size // len(x) for size in together.matrices.sizes[:2])
+    is_finite: Any = np.isfinite(x).all(axis=1)
+    at = np.where(is_finite[:, np.newaxis], x, 0.0).ravel()
+    with np.errstate(all="ignore"):
+        point = Point(together, at, np.nan_to_num(y), is_exact=False)
+        primal, gap = point.row_errors(), point.gaps(has_units=False)
+        if not (gap <= tolerance).all():
+            gap = np.where(gap <= tolerance, gap, point.gaps(has_units=True))
+    of_G, of_A, of_bounds = np.split(primal, [m * count, (m + p) * count])
+    parts = (of_G.reshape(count, m), of_A.reshape(count, p), of_bounds.reshape(count, n))
+    gaps = gap[together.matrices.components.of_unknown].reshape(count, n)
+    worst = (np.concatenate(parts, axis=1).max(axis=1, initial=0.0), gaps.max(axis=1, initial=0.0))
+    primal, gap = (np.where(is_finite & (one >= 0.0), one, np.inf) for one in worst)
+    return Errors(primal, gap)
+
+
+@np.errstate(all="ignore")
+def measures(
+    program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float
+) -> tuple[FloatVector, FloatVector, bool]:
+    """Return the error of each row and bound, shape (rows + n,), the gap of each component, and whether one is excused.
 
     Parameters
     ----------
-    terms : Terms
-        At x and y.
-    c, d, lower, upper
-        Shapes (…, n), (…, rows), (…, n), (…, n).
-    m : int
-        How many rows are inequalities; the others are equations.
-    x, y, of_lower, of_upper
-        The point and its multipliers, those of inequalities and of bounds ≥ 0 where they are right.
-    acting : Acting, optional
-        Without it rows and columns are measured beside their own terms alone.
-    P : array, optional
-        Of one program: P x is computed again, exactly, where its rounding might hide a cost. Without it that counts
-        in full.
+    program : QuadraticProgram
+    x, y : arrays, shapes (n,) and (rows of G and A,)
+    tolerance : float
+        Errors that meet it are bounds from above. A measure that is NaN is ∞.
     """
-    rounding = _rounding(terms)
-    value, row_size, size = terms.value, terms.size, terms.largest
-    wrong = np.minimum(y[..., :m], 0.0)
-    known = np.isfinite(d)
-    if not known.all():  # a limit of ∞ says nothing
-        d, value, row_size, size = (np.where(known, one, 0.0) for one in (d, value, row_size, size))
-        wrong = np.where(known[..., :m], wrong, y[..., :m])
-    residual, of_right = value - d, np.abs(d)
-    margin, size, off = (
-        rounding * (row_size + of_right),
-        np.maximum(size, of_right),
-        np.abs(residual),
-    )
-    residual[..., m:] = off[..., m:]
-    of_x, outside = np.abs(x), np.maximum(lower - x, x - upper)
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        every = np.full(y.size + x.size, np.inf)
+        return every, np.full(program.matrices.components.number, np.inf), False
+    point = Point(program, x, y, is_exact=False)
+    primal, gap = point.row_errors(), point.gaps(has_units=False)
+    if (primal <= ROWS).all() and not (gap <= tolerance).all():
+        gap = np.where(gap <= tolerance, gap, point.gaps(has_units=True))
+    if not ((primal <= ROWS).all() and (gap <= tolerance).all()):
+        point = Point(program, x, y, is_exact=True)
+        primal, gap = point.row_errors(), point.gaps(has_units=True)
+    primal, gap = (np.where(np.isnan(one), np.inf, one) for one in (primal, gap))
+    return primal, gap, bool((point.over > ROWS * point.own).any())
 
-    cost, of_y = np.abs(c), np.abs(y)
-    left = terms.product + terms.pull + c
-    blur = terms.product_size + terms.pull_size + cost
-    own = np.maximum(np.maximum(cost, terms.product_largest), terms.pull_largest)
-    sides = (-1.0, of_lower, lower), (1.0, of_upper, upper)
-    of_bounds = [(sign, of, np.abs(of), bound) for sign, of, bound in sides if of.any()]
-    for sign, of, of_bound, _ in of_bounds:
-        left = left + sign * of
-        blur, own = blur + of_bound, np.maximum(own, of_bound)
-    if acting is not None:
-        size, own = np.maximum(size, ACTS * acting.row), np.maximum(own, ACTS * acting.column)
-    left, blur = np.abs(left), rounding * blur
-    primal = _largest(_beside(residual + margin, size), _beside(outside, of_x))
-    wrongs = [_beside(left + blur, own)]
-    if wrong.any():
-        wrongs.append(_beside(np.abs(wrong), 0.0 if acting is None else acting.of_row[..., :m]))
 
-    one = most(of_x, -1, keepdims=True, initial=0.0)
-    one = one + (one == 0.0)  # of x: objectives may be beyond the range of doubles
-    ahead = x / one
-    of_ahead = np.abs(ahead)
-    gap = _inner(of_y, np.maximum(off - margin, 0.0) / one) + _inner(
-        of_ahead, np.maximum(left - blur, 0.0)
-    )
-    linear, hidden = _inner(cost, of_ahead), rounding * _inner(of_ahead, terms.product_size)
-    objective = linear + 1.5 * abs(_inner(ahead, terms.product))
-    # Far along P d = 0 the rounding of P x may hide a cost, if there is one, and is no size of the objective.
-    may_hide = (hidden > NO_EXCUSE * objective) & (linear > 0.0)
-    if P is not None and may_hide:
-        product, radius = compensated_product(sp.csr_array(P), x)
-        gradient = product + terms.pull + c + sum(sign * of for sign, of, *_ in of_bounds)
-        hidden = np.fmin(
-            hidden,
-            _inner(of_ahead, np.minimum(np.abs(gradient), rounding * terms.product_size) + radius),
+class Point:
+    """A point with all that its measures are made of.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+    x, y : arrays
+        Finite.
+    is_exact : bool
+        Whether sums are computed without rounding. If not, `doubt` bounds the rounding, and counts in full.
+    """
+
+    def __init__(
+        self, program: QuadraticProgram, x: FloatVector, y: FloatVector, *, is_exact: bool
+    ) -> None:
+        self.program, self.matrices, self.is_exact = program, program.matrices, is_exact
+        m = self.matrices.sizes[0]
+        d, lower, upper = program.right, program.lower, program.upper
+        self.outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
+        self.given, x = np.abs(x), np.minimum(np.maximum(x, lower), upper)
+        y = np.where(np.isfinite(d), y, 0.0)
+        y[:m] = np.maximum(y[:m], 0.0)
+        self.x, self.y, self.of_x, self.of_y = x, y, np.abs(x), np.abs(y)
+        P, C, of_P, of_C, of_columns = self.matrices.measured
+        self.limits, self.cost = np.where(np.isfinite(d), np.abs(d), 0.0), np.abs(program.c)
+        self.bend = of_P @ self.of_x
+        terms = self.bend + self.cost + of_columns @ self.of_y
+        of_rows = of_C @ self.of_x + self.limits
+        if is_exact:
+            self.product = sums_without_rounding(self.matrices.sparse_P, x)
+            self.left = sums_without_rounding(
+                self.matrices.gradient, np.concatenate([x, y]), program.c
+            )
+            excess = sums_without_rounding(self.matrices.rows, x, -self.limits * np.sign(d))
+            self.doubt, row_doubt, self.product_doubt = 0.0, 0.0, 0.0
+        else:
+            in_rows, in_P = self.matrices.summands
+            rounding = (in_P + self.matrices.terms_of_columns(y) + 3.0) * UNIT
+            self.product = P @ x
+            self.left = self.product + program.c + C.T @ y
+            excess = C @ x - d
+            self.doubt, row_doubt = rounding * terms, (in_rows + 3.0) * UNIT * of_rows
+            self.product_doubt = (in_P + 3.0) * UNIT * self.bend
+        self.excess = np.where(np.isfinite(d), excess, -np.inf)
+        missed = np.append(self.excess[:m], np.abs(self.excess[m:]))
+        self.over = np.maximum(missed + row_doubt, 0.0)
+        self.slack = np.where(self.y != 0.0, np.abs(self.excess) + row_doubt, 0.0)
+        self.blur = BLUR * terms
+        self.size_of_gradient = np.maximum(
+            np.maximum(self.cost, largest(of_P, self.of_x)), largest(of_columns, self.of_y)
         )
-        objective = linear + 1.5 * abs(_inner(ahead, product))
-    gap = gap + hidden * may_hide
-    for _, of, of_bound, bound in of_bounds:
-        has = np.isfinite(bound)
-        wrongs.append(
-            _beside(
-                np.where(has & (of >= 0.0), 0.0, of_bound), 0.0 if acting is None else acting.column
+        self.own = np.maximum(largest(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0))
+
+    # --- Rows --------------------------------------------------------------------------------------------------------
+
+    def row_errors(self) -> FloatVector:
+        """Return the error of each row and of each bound; rows are excused if sums are exact."""
+        own = self.own
+        if self.is_exact and (self.over > ROWS * own).any():
+            own = np.maximum(own, EXCUSED / ROWS * self.reached)
+        lower, upper = self.program.lower, self.program.upper
+        bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
+        return np.concatenate(
+            [ratio(self.over, own), ratio(self.outside, np.maximum(bound, self.given))]
+        )
+
+    @cached_property
+    def reached(self) -> FloatVector:
+        """What unknowns that matter may be in each row: the smaller of the caller's units and of fitted ones."""
+        units, of_row = self.matrices.fit[0], self.matrices.components.of_row
+        of_C = self.matrices.measured[3]
+        return np.minimum(
+            *(
+                largest(of_C, one) * self._most(self.matters / one)[of_row]
+                for one in (np.ones(units.size), units)
             )
         )
-        slack = np.abs(x - np.where(has, bound, 0.0)) / one
-        gap = gap + total(np.where(has & (of_bound != 0.0), of_bound * slack, 0.0), -1)
-    return Errors(primal, _largest(*wrongs), gap / (objective + SMALLEST))
+
+    @cached_property
+    def price(self) -> FloatVector:
+        """What mending a row costs that is excused only: its violation times the cheapest unknown's rest per entry.
+
+        Of unknowns with room in the direction that mends the row; if there are none, of all.
+        """
+        price = np.zeros(self.over.size)
+        if not self.is_exact:
+            return price
+        bad = np.flatnonzero(self.over > ROWS * self.own)
+        if bad.size:
+            rows = self.matrices.rows[bad]
+            entries, columns = rows.data, rows.indices
+            counts = np.diff(rows.indptr)
+            mends = -np.sign(entries) * np.repeat(np.sign(self.excess[bad]), counts)
+            x, rest = self.x[columns], self.left[columns]
+            has_room = np.where(
+                mends > 0.0, x < self.program.upper[columns], x > self.program.lower[columns]
+            )
+            paid = np.maximum(mends * rest - self.blur[columns], 0.0) / np.abs(entries)
+            least = least_in_rows(rows, np.where(has_room, paid, np.inf))
+            otherwise = least_in_rows(rows, np.abs(rest) / np.abs(entries))
+            price[bad] = self.over[bad] * np.where(np.isfinite(least), least, otherwise)
+        return price
+
+    # --- The gap -----------------------------------------------------------------------------------------------------
+
+    def gaps(self, has_units: bool) -> FloatVector:
+        """Return the gap of each component; without units, no distance to a bound is thought too large to matter."""
+        rest = np.maximum(np.abs(self.left) + self.doubt - self.blur, 0.0)
+        far: Any = np.inf
+        at_most: Any = np.inf
+        if has_units:
+            units = self.matrices.fit[0]
+            at_most = units * self._most(self.matters / units)[self.matrices.components.of_unknown]
+            part = self.matrices.components.of_unknown
+            by_terms = self.size[part] / np.maximum(self.size_of_gradient, TINY)
+            far = REACH * np.maximum(np.maximum(self.of_x, by_terms), at_most)
+            far = np.where(self.objective[part] > 0.0, far, np.inf)
+        shake = np.maximum(self.of_x, np.minimum(self.room, at_most))
+        moves = np.where(rest > 0.0, rest * np.minimum(self.room, far), 0.0)
+        moves += np.where(self.blur > 0.0, self.blur * shake, 0.0)
+        held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0) + self.price
+        return ratio(self._sums(moves, held), self.size)
+
+    @cached_property
+    def room(self) -> FloatVector:
+        """The distance to the bound that the gradient pushes to, or to the farther one if rounding hides it."""
+        down, up = self.x - self.program.lower, self.program.upper - self.x
+        is_pushed = np.abs(self.left) > self.blur + self.doubt
+        room: FloatVector = np.where(
+            is_pushed, np.where(self.left > 0.0, down, up), np.maximum(down, up)
+        )
+        return room
+
+    @cached_property
+    def curved(self) -> FloatVector:
+        """|xᵀP x| of each component, with the rounding in it."""
+        return np.asarray(np.abs(self._sums(self.x * self.product)) + self._hidden)
+
+    @cached_property
+    def _hidden(self) -> Any:
+        return 0.0 if self.is_exact else self._sums(self.of_x * self.product_doubt)
+
+    @cached_property
+    def objective(self) -> FloatVector:
+        """Σ |c_j x_j| + |xᵀP x| of each component."""
+        return self._sums(self.cost * self.of_x) + self.curved
+
+    @cached_property
+    def matters(self) -> FloatVector:
+        """The sizes of unknowns whose terms are a part of the objective's, 0 of others."""
+        part = self.objective[self.matrices.components.of_unknown]
+        return np.where(self.size_of_gradient * self.of_x >= MATTERS * part, self.of_x, 0.0)
+
+    @cached_property
+    def size(self) -> FloatVector:
+        """What the gap of each component is relative to: the smaller of the objective's terms and of its dual's.
+
+        Both are at least |cᵀx + xᵀP x|, which decides unless sums are exact.
+        """
+        value = np.abs(self._sums((self.program.c + self.product) * self.x))
+        value -= LEAST_SIZE * self.objective + self._hidden
+        dual = np.maximum(self.curved - 2.0 * self._hidden, value)
+        if self.is_exact:
+            dual = np.maximum(dual, self._dual_terms)
+        size = np.minimum(self.objective, dual)
+        has_costs = self._sums(self.cost) > 0.0
+        least = self.objective + np.where(has_costs, 0.0, self._sums(self.of_x * self.bend))
+        return np.asarray(np.maximum(size, LEAST_SIZE * least))
+
+    @property
+    def _dual_terms(self) -> FloatVector:
+        """The terms of the dual objective with the multipliers, or, if these are less, with those of least norm."""
+        lower, upper = self.program.lower, self.program.upper
+        bound = np.where(self.left > 0.0, lower, upper)
+        distance = np.abs(self.x - bound)
+        bound = np.where(distance <= self.of_x, np.abs(bound), 0.0)
+        fixed = self._sums(np.abs(self.left) * bound) + self.curved
+        terms = fixed + self._sums(0.0 * self.x, self.of_y * self.limits)
+        free, on = np.flatnonzero(distance > 0.0), np.flatnonzero(self.y)
+        if not (free.size and on.size):
+            return terms
+        units, row_units = self.matrices.fit
+        T = sp.csr_array(self.matrices.rows[on].T)[free]
+        pull, of_row = T @ self.y[on], self.matrices.components.of_row[on]
+        pull = pull * units[free]
+        part = np.zeros(self.matrices.components.number)
+        np.maximum.at(part, self.matrices.components.of_unknown[free], np.abs(pull))
+        part[part == 0.0] = 1.0
+        from scipy.sparse.linalg import lsmr
+
+        scaled = sp.diags_array(units[free]) @ T @ sp.diags_array(row_units[on])
+        found = lsmr(
+            scaled,
+            pull / part[self.matrices.components.of_unknown[free]],
+            atol=LEAST_NORM_TO,
+            btol=LEAST_NORM_TO,
+            maxiter=LEAST_NORM_STEPS,
+        )[0]
+        least = np.zeros(self.y.size)
+        least[on] = np.abs(row_units[on] * found * part[of_row])
+        return np.minimum(terms, fixed + self._sums(0.0 * self.x, least * self.limits))
+
+    def _sums(self, of_unknowns: FloatVector, of_rows: FloatVector | None = None) -> FloatVector:
+        """Return the sums over each component."""
+        parts = self.matrices.components
+        sums: Any = (
+            np.bincount(parts.of_unknown, of_unknowns, parts.number) + 0.0
+        )  # doubles, of none too
+        if of_rows is not None:
+            sums = sums + np.bincount(parts.of_row, of_rows, parts.number)
+        return np.asarray(sums)
+
+    def _most(self, sizes: FloatVector) -> FloatVector:
+        """Return the largest size in each component."""
+        most = np.zeros(self.matrices.components.number)
+        np.maximum.at(most, self.matrices.components.of_unknown, sizes)
+        return most
 
 
-def _beside(wrong: Any, size: Any) -> Any:
+@np.errstate(all="ignore")
+def excused_rows(program: QuadraticProgram, x: FloatVector) -> FloatVector:
+    """Return the violation of each row that is rounding at x, whatever its own terms are."""
+    point = Point(program, x, np.zeros(program.right.size), is_exact=True)
+    return EXCUSED * point.reached
+
+
+class Components(NamedTuple):
+    """The parts of a program that no entry connects: the number of each unknown's and row's, and how many there are."""
+
+    of_unknown: Indices
+    of_row: Indices
+    number: int
+
+
+def ratio(errors: FloatVector, sizes: FloatVector) -> FloatVector:
     """Return the quotients, 0 / 0 = 0."""
-    return wrong / (size + SMALLEST)
+    return np.where(errors > 0.0, errors / np.maximum(sizes, TINY), errors)
 
 
-def _largest(*quotients: Any) -> Any:
-    """Return the largest along the last axis, at least 0; NaN where one is no number."""
-    every = np.concatenate(quotients, axis=-1) if len(quotients) > 1 else quotients[0]
-    return most(every, -1, initial=0.0)
+def largest(of_A: Any, sizes: FloatVector) -> FloatVector:
+    """Return max_j a_ij s_j of each row, of a matrix of sizes."""
+    if sp.issparse(of_A):
+        return largest_in_rows(of_A, of_A.data * sizes[of_A.indices])
+    return np.asarray((of_A * sizes).max(axis=1, initial=0.0))
 
 
-def _inner(one: Any, other: Any) -> Any:
-    """Return the inner products along the last axis."""
-    return one.dot(other) if one.ndim == other.ndim == 1 else total(one * other, -1)
+def least_in_rows(rows: sp.csr_array, values: FloatVector) -> FloatVector:
+    """Return the smallest of the values of each row's entries, ∞ of no entries."""
+    least = np.full(rows.shape[0], np.inf)
+    filled = np.diff(rows.indptr) > 0
+    if values.size:
+        least[filled] = np.minimum.reduceat(values, rows.indptr[:-1][filled])
+    return least
 
 
-def program_goal(tolerance: float) -> float:
-    """Return the size of a program's own residuals that is called optimal at this tolerance of a run.
+def sums_without_rounding(
+    A: sp.csr_array, x: FloatVector, offset: FloatVector | None = None
+) -> FloatVector:
+    """Return A x + offset, as rounded from about twice the digits.
 
-    Examples
-    --------
-    >>> program_goal(1e-8), program_goal(1e-4), program_goal(1e-12)
-    (1e-06, 0.001, 1e-09)
-    """
-    return max(min(PROGRAM_TOLERANCE, STRICT * tolerance), 10.0 * tolerance)
-
-
-def constraint_tolerance(tolerance: float) -> float:
-    """Return the primal residual that is called optimal where the other conditions hold to a tolerance.
-
-    A tenth of the tolerance, but no less than 1e-7 where the tolerance is no less: a program whose constraints
-    contradict by 1e-6 is infeasible, not nearly feasible.
+    Each product is split into its rounded value and its error (Dekker), each value into a part that adds up without
+    error in any order and a rest (Rump, Ogita, Oishi, *Accurate floating-point summation*, SIAM J. Sci. Comput. 31
+    (2008), doi:10.1137/050645671).
 
     Examples
     --------
-    >>> constraint_tolerance(1e-6), constraint_tolerance(1e-12), constraint_tolerance(1e-3)
-    (1e-07, 1e-12, 0.0001)
+    >>> A = sp.csr_array(np.array([[1e16, 1.0, -1e16], [0.1, 0.2, -0.3]]))
+    >>> sums_without_rounding(A, np.ones(3))[0]
+    1.0
     """
-    return max(SHARE * tolerance, min(tolerance, CONSTRAINTS))
+    counts = np.diff(A.indptr)
+    filled = np.flatnonzero(counts)
+    begins = A.indptr[:-1][filled]
+    high, low = np.zeros((2, A.shape[0]))
+    if filled.size:
+        product, error = product_and_error(A.data, x[A.indices])
+        top = np.maximum.reduceat(np.abs(product), begins)
+        unit = np.ldexp(1.0, np.frexp(top)[1] + np.frexp(counts[filled] + 2.0)[1])
+        unit = np.repeat(unit, counts[filled])
+        part = (unit + product) - unit
+        high[filled] = np.add.reduceat(part, begins)
+        low[filled] = np.add.reduceat((product - part) + error, begins)
+    if offset is None:
+        return np.asarray(high + low)
+    total = high + offset
+    back = total - high
+    return np.asarray(total + (((high - (total - back)) + (offset - back)) + low))
+
+
+def product_and_error(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return a b rounded, and the rounding error of it."""
+    (a_high, a_low), (b_high, b_low) = _halves(a), _halves(b)
+    product = a * b
+    return product, a_low * b_low - (
+        ((product - a_high * b_high) - a_low * b_high) - a_high * b_low
+    )
+
+
+def _halves(a: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return two numbers of 26 digits whose sum is a."""
+    scaled = (2.0**27 + 1.0) * a
+    high = scaled - (scaled - a)
+    return high, a - high
+
+
+def checked_tolerance(tolerance: Any) -> float:
+    """Return the tolerance as a float; raise InvalidOption if it is not in (0, 1)."""
+    from ...core.errors import InvalidOption
+
+    is_number = isinstance(tolerance, (int, float, np.number)) and not isinstance(tolerance, bool)
+    if not is_number or not 0.0 <= tolerance < math.inf:
+        raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
+    return float(tolerance)

@@ -18,7 +18,7 @@ QUADRATIC_PROGRAM = Kind(
     "LCP.from_qp(program.P, program.c, …) makes an LCP of it",
     {
         "x0=": "z0=result.z goes on from an earlier result",
-        "derivative": "cvxpy's own requires_grad=True; or derivative(result.lcp_result), by the data of its "
+        "derivative": "cvxpy's own requires_grad=True; or derivative(solve(LCP.from_qp(…))), by the data of its "
         "complementarity problem",
         **{
             f"{name}=": "certify(program, result.x) bounds the objective and the distance"

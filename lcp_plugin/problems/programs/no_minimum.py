@@ -24,6 +24,7 @@ from ...core.kernels.floats import EPSILON, TINY
 from ...core.matrix.matrix import largest_in_rows
 from ...core.representation import within
 from ...core.settings import Status
+from ...engines.polish import shifted_solver
 from ...proofs.exact.linear_systems import solved_nearby
 from ...proofs.exact.rational import (
     ZERO,
@@ -31,13 +32,11 @@ from ...proofs.exact.rational import (
     common_denominator,
     products,
     rational,
-    rational_rows,
     rounded_down,
     short,
 )
 from ...proofs.no_solution.farkas import FarkasProgram, Multipliers, linear_program
 from ...proofs.no_solution.free_motion import (
-    falling_directions,
     is_at_rest,
     is_far_out,
     moved_unknowns,
@@ -50,20 +49,22 @@ from ...proofs.no_solution.linear_constraints import (
 )
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, stationarity
-from .criterion import PROGRAM_TOLERANCE, SURE, constraint_tolerance
+from .criterion import PROGRAM_TOLERANCE, ROWS
 from .program_matrices import as_csr, sums_and_terms
 from .reductions import FoldedRows
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
+SURE = 1e-3  # of the tolerance: an exact proof of unboundedness is stronger than an answer
 MET = 1e-8  # what is left of a row, in units of the data, that rounding alone keeps from being met
 LARGEST_SOUGHT = 5000  # variables and rows of a program that is worth the linear programs
 MOST_NONZEROS = 1_000_000
 MANY_NONZEROS = 10_000  # beyond, fractions take longer than the linear program
 LARGEST_DENSE = 1500
+NOISE = 1e-9  # of the largest multiplier
+CANCELS = 1e-6  # of the terms of a sum that a linear program takes for 0
 MOST_NAMED = 4  # constraints in a sentence
-MOST_TOGETHER = 60  # multipliers that one exact system is solved for; 10 ms
 LARGEST_ENTRY = (1.0,)  # of each row is brought near 1
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
 REACHED = 1e-6, 1e5  # of the unit of a linear program: sizes that it can tell from 0 and from ∞
@@ -125,7 +126,7 @@ class QPInfeasibility:
     def margin(self) -> float:
         """The least relative change of its own numbers that may end the contradiction; 0 where it does not hold.
 
-        −dᵀy / Σ size_i |y_i|, the size of a row |d_i|, or 1e-7 of its smallest coefficient where that is more: what is
+        −dᵀy / Σ size_i |y_i|, the size of a row |d_i|, or 1e-5 of its smallest coefficient where that is more: what is
         rounding beside coefficients contradicts nothing. Of a bound of x_j, or a row of x_j alone, it is |x_j| there
         times Σ_i |c_ij y_i|: a sum of coefficients that is rounding contradicts nothing, either.
         """
@@ -150,8 +151,8 @@ class QPInfeasibility:
         return self._found.miss(np.ones(len(self.multipliers))) if self.verify() else 0.0
 
     def excludes(self, tolerance: float) -> bool:
-        """Return whether no x at all is optimal at this tolerance."""
-        return self.margin > constraint_tolerance(tolerance)
+        """Return whether the contradiction is more than rows of a solution may be off by, at any tolerance."""
+        return self.margin > ROWS
 
     def __str__(self) -> str:
         how = f"multipliers checked exactly{within(self.radius, 'x')}"
@@ -309,7 +310,7 @@ class QPUnboundedness:
     def excludes(self, tolerance: float) -> bool:
         """Return whether no x at all is optimal at this tolerance; where it is exact, at a thousandth of it."""
         least = (SURE if self.is_exact else 1.0) * tolerance
-        return self.margin > least and self.violation <= constraint_tolerance(tolerance)
+        return self.margin > least and self.violation <= ROWS
 
     @cached_property
     def _is_rounding(self) -> bool:
@@ -346,11 +347,7 @@ def numbers(fractions: Any) -> FloatVector:
 
 
 def proof_of_no_minimum(
-    program: QuadraticProgram,
-    *,
-    exactly: bool = False,
-    is_met: bool = False,
-    seen: FloatVector | None = None,
+    program: QuadraticProgram, *, exactly: bool = False
 ) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that the convex program is infeasible or unbounded, or None where none was found.
 
@@ -362,10 +359,6 @@ def proof_of_no_minimum(
     exactly : bool
         Look for a proof of all x, however large the program is; by default one within a radius does where there are
         more than 10 000 nonzeros.
-    is_met : bool
-        An x is known that violates no constraint by much: only a direction of endless descent is looked for.
-    seen : array, optional
-        Multipliers of the rows left by `FoldedRows` that contradict in doubles: looked at before linear programs.
 
     Notes
     -----
@@ -385,45 +378,35 @@ def proof_of_no_minimum(
     >>> print(proof_of_no_minimum(QuadraticProgram([[0.0]], [1.0], upper=1.0)))
     unbounded: the objective falls without end along a direction from a feasible point (checked exactly)
     """
-    rows = FoldedRows.of(program)
-    row = None if is_met else contradictory_row(rows.reduced)
+    folded = FoldedRows.of(program)
+    row = contradictory_row(folded.reduced)
     found: QPInfeasibility | QPUnboundedness | None = row
     if row is None or row.margin < DECISIVE:
-        if seen is not None and row is None:
-            refutation: QPInfeasibility | None = rows.proof(refuted(rows.reduced, seen))
-            if refutation is not None:
-                return refutation
-        other = prove_unheld(rows.reduced) or _by_programs(rows.reduced, exactly, is_met)
+        other = _by_programs(folded.reduced, exactly)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
-    if found is None or rows.reduced is program:
+    if found is None or folded.reduced is program:
         return found
     # A bound that a row gives is rounded, the row is not.
-    checked: QPInfeasibility | QPUnboundedness | None = rows.proof(found)
-    return checked or prove_unheld(program) or _by_programs(program, exactly, is_met)
+    return folded.proof(found) or _by_programs(program, exactly)
 
 
-def proof_of_contradiction(
-    program: QuadraticProgram, seen: FloatVector | None
-) -> QPInfeasibility | None:
+def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return a proof that the constraints contradict one another, whatever the objective is; None for none found."""
-    rows = FoldedRows.of(program)
-    found: QPInfeasibility | None = rows.proof(contradictory_row(rows.reduced))
-    if found is None and seen is not None:
-        found = rows.proof(refuted(rows.reduced, seen))
+    folded = FoldedRows.of(program)
+    found: Any = folded.proof(contradictory_row(folded.reduced))
     if found is None and _is_sought(program):
         found = prove_infeasible(program)
-    return found
+    return found  # type: ignore[no-any-return]
 
 
 def _by_programs(
-    program: QuadraticProgram, exactly: bool, is_met: bool
+    program: QuadraticProgram, exactly: bool
 ) -> QPInfeasibility | QPUnboundedness | None:
     """Return a proof that linear programs find."""
-    if not _is_sought(program):
+    if not _is_sought(program) or is_over():
         return None
     exactly = exactly or sum(program.matrices.entries) <= MANY_NONZEROS
-    contradiction = None if is_met else prove_infeasible(program, exactly=exactly)
-    return contradiction or prove_unbounded(program, exactly=exactly)
+    return prove_infeasible(program, exactly=exactly) or prove_unbounded(program, exactly=exactly)
 
 
 def _is_sought(program: QuadraticProgram) -> bool:
@@ -439,28 +422,6 @@ def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
     return next((proof for proof in proofs if proof.verify()), None)
 
 
-def refuted(program: QuadraticProgram, y: FloatVector) -> QPInfeasibility | None:
-    """Return a proof of all x by multipliers of G and A near these; None where it needs more than one exact system."""
-    used = np.flatnonzero(y)
-    left, terms = sums_and_terms(program.matrices.rows, y)
-    bounds = np.where(left > 0.0, program.lower, program.upper)
-    zero, exact = np.flatnonzero(np.isinf(bounds) & (terms > 0.0)), rational(y[used])
-    if (left[zero] != 0.0).any():
-        if used.size > MOST_TOGETHER:
-            return None
-        columns = rational_rows(as_csr(program.matrices.rows)[used].T.tocsr()[zero])
-        solved = solved_nearby(
-            columns, [ZERO] * zero.size, short(y[used], 1 << 50), [True] * used.size
-        )
-        if solved is None:
-            return None
-        exact = solved
-    proof = with_bounds(
-        program, {i: value for i, value in zip(used.tolist(), exact, strict=True) if value}
-    )
-    return proof if proof.is_exact and proof.excludes(PROGRAM_TOLERANCE) else None
-
-
 def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasibility:
     """Return multipliers of all rows with those of the bounds, which take up what the rows leave: a proof, or none."""
     m, p, n, _ = program.constraints.sizes
@@ -474,6 +435,22 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
     return QPInfeasibility(program, tuple(multipliers))
 
 
+def balanced(program: QuadraticProgram, y: FloatVector) -> FloatVector:
+    """Return multipliers of the rows, without noise, moved so that the sums which a bound does not take up cancel."""
+    y = np.where(np.abs(y) > NOISE * np.abs(y).max(initial=0.0), y, 0.0)
+    used, rows = np.flatnonzero(y), program.matrices.rows
+    sums, terms = sums_and_terms(rows, y)
+    is_open = np.isinf(program.lower) | np.isinf(program.upper)
+    open_columns = np.flatnonzero(is_open & (np.abs(sums) <= CANCELS * terms) & (terms > 0.0))
+    T = sp.csr_array(rows[used].T)[open_columns]
+    solve = shifted_solver(sp.csr_array(sp.eye_array(used.size)), T, 2.0**-50)
+    if solve is None:
+        return y
+    for _ in range(2):
+        y[used] -= solve(np.append(np.zeros(used.size), T @ y[used]))[: used.size]
+    return y
+
+
 def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPInfeasibility | None:
     """Return multipliers that contradict each other, exactly if they are to; None where none were found.
 
@@ -484,48 +461,13 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
         return None
 
     def proven(y: Multipliers) -> QPInfeasibility | None:
-        proof = with_bounds(program, {i: Fraction(value) for i, value in enumerate(y) if value})
-        return proof if proof.margin > 0.0 else None
+        for values in (y,) if exactly else (y, balanced(program, numbers(y))):
+            nonzero = {i: Fraction(value) for i, value in enumerate(values) if value}
+            if (proof := with_bounds(program, nonzero)).margin > 0.0:
+                return proof
+        return None
 
     return _first_enough(constraints.within_bounds, 1.0, proven, exactly=exactly)
-
-
-def prove_unheld(program: QuadraticProgram) -> QPUnboundedness | None:
-    """Return a feasible point and a motion that P does not resist, no constraint ends, and along which cᵀx falls.
-
-    One factorisation of P, whatever its size. A feasible point of more than 5000 variables and rows is found only where
-    x nearest to 0 within its bounds is one.
-    """
-    null_space = program.matrices.null_space
-    if null_space is None:
-        return None
-    rows = program.constraints
-    is_said = np.flatnonzero(np.isfinite(rows.limit[: rows.rows]))
-    directions = falling_directions(
-        program.P,
-        null_space,
-        program.c,
-        np.isfinite(program.lower),
-        np.isfinite(program.upper),
-        program.matrices.rows[is_said],
-        rows.is_equality[is_said],
-    )
-    points: tuple[Vector, ...] = ()
-    for d in directions:
-        points = points or _points(program)
-        for point in reversed(points):
-            proof = QPUnboundedness(program, tuple(point), tuple(rational(d)))
-            if proof.verify():
-                return proof
-    return None
-
-
-def _points(program: QuadraticProgram) -> tuple[Vector, ...]:
-    """Return feasible points: x nearest to 0 within its bounds, or what a linear program of moderate size finds."""
-    x = np.clip(0.0, program.lower, program.upper)
-    if not (program.constraints.excess(x) > 0.0).any():
-        return (rational(x),)
-    return points_inside(program) if program.n + program.constraints.rows <= LARGEST_SOUGHT else ()
 
 
 def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnboundedness | None:
@@ -628,7 +570,7 @@ def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     Unknowns are measured in the caller's units, then in fitted ones.
     """
     found: tuple[Vector, ...] = ()
-    for unit in (np.ones(program.n), program.facts.fitted_units):
+    for unit in (np.ones(program.n), program.matrices.fit[0]):
         found = _points_inside(program, unit) or found
         if len(found) > 1:
             break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar
@@ -28,12 +28,10 @@ from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
-from ...core.matrix.scaling import fitted_units
 from ...core.matrix.symmetry import is_its_mirror, mismatch
 from ...core.rounding import compensated_pair, compensated_product
 from .constraints import Constraints
-from .contradictions import contradicting_multipliers, margin_in_doubles, with_few_digits
-from .criterion import NO_EXCUSE, PROGRAM_TOLERANCE
+from .criterion import PROGRAM_TOLERANCE
 from .kind import QUADRATIC_PROGRAM
 from .no_minimum import (
     QPInfeasibility,
@@ -41,14 +39,11 @@ from .no_minimum import (
     proof_of_contradiction,
     proof_of_no_minimum,
 )
-from .program_matrices import ProgramMatrices, as_csr, no_rows, vertically
-from .reductions import FoldedRows
+from .program_matrices import ProgramMatrices, as_csr, no_rows
 
 SYMMETRIC_TO = 1e-12
+CANCELS = 1e-9  # of the objective: rounding that matters
 NO_LIMITS = read_only(np.zeros(0))  # of no rows
-SURELY = 2.0 * (
-    1.0 - 1e-9
-)  # times a diagonal entry: rounding does not make a larger sum of a row smaller
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -214,6 +209,11 @@ class QuadraticProgram:
         return self.matrices.is_semidefinite
 
     @cached_property
+    def right(self) -> FloatVector:
+        """[h; b]: the limits of the rows."""
+        return np.concatenate([self.h, self.b])
+
+    @cached_property
     def constraints(self) -> Constraints:
         """All constraints as rows of one matrix."""
         return Constraints.of(self)
@@ -313,7 +313,7 @@ class QuadraticProgram:
         value = float(0.5 * (point @ (self.P @ point)) + self.c @ point)
         sizes = np.abs(point)
         terms = float(sizes @ (abs(self.P) @ sizes) + np.abs(self.c) @ sizes)
-        if not NO_EXCUSE * abs(value) < (self.n + 4) * EPSILON * terms < np.inf:
+        if not CANCELS * abs(value) < (self.n + 4) * EPSILON * terms < np.inf:
             return value
         high, low, _ = compensated_pair(as_csr(self.P), point)
         row = sp.csr_array(np.concatenate([0.5 * high, 0.5 * low, self.c])[np.newaxis])
@@ -344,29 +344,6 @@ class ProgramFacts:
     def __init__(self, program: QuadraticProgram) -> None:
         self.program = program
 
-    @cached_property
-    def is_shown_convex(self) -> bool:
-        """Whether P is shown to be positive semidefinite up to the rounding of each of its rows.
-
-        By the rows themselves, or by one factorisation. What is semidefinite only beside its largest entries is not.
-        """
-        P, d = self.program.P, self.program.P.diagonal()
-        is_dominant = bool((d >= 0.0).all()) and bool(
-            (abs(P) @ np.ones(d.size) <= 2.0 * d).all()
-        )  # Gershgorin
-        return is_dominant or self.program.is_convex is True
-
-    @cached_property
-    def falls_nowhere(self) -> bool:
-        """Whether a look at P and the bounds shows that there is no direction of endless descent.
-
-        Along one, unknowns with two bounds stay, and P is singular in the others: not where its rows, in these
-        unknowns, are strictly dominant (Gershgorin).
-        """
-        is_open = np.isinf(self.program.lower) | np.isinf(self.program.upper)
-        sums = abs(self.program.P) @ is_open.astype(np.float64)
-        return bool((SURELY * self.program.P.diagonal() > sums)[is_open].all())
-
     @property
     def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
         """A proof that the convex program is infeasible or unbounded; looked for once, None where none was found.
@@ -375,117 +352,33 @@ class ProgramFacts:
         counts.
         """
         if "_proof" not in self.__dict__:
-            self.sees_contradiction(PROGRAM_TOLERANCE)
-            found = proof_of_no_minimum(self.program, seen=self.seen_multipliers)
+            found = proof_of_no_minimum(self.program)
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
-        return self.known_proof
+        return self.__dict__["_proof"]  # type: ignore[no-any-return]
 
-    def accept_proof(
-        self, proof: QPInfeasibility | QPUnboundedness | None, tolerance: float | None = None
+    def accepted_proof(
+        self, tolerance: float = PROGRAM_TOLERANCE
     ) -> QPInfeasibility | QPUnboundedness | None:
-        """Keep a proof of this program and return it, None where it does not hold, or excludes too little to count.
+        """Return the proof that no x at all is a solution at this tolerance, or None where there is none.
 
-        Without a tolerance it counts by however little.
+        An exact proof of unboundedness counts if it excludes all answers within a thousandth of the tolerance;
+        constraints that contradict by no more than a row of a solution may be off by count as consistent.
         """
-        if (
-            proof is None
-            or not proof.verify()
-            or not (tolerance is None or proof.excludes(tolerance))
-        ):
-            return None
-        self.__dict__["_proof"] = proof
-        return proof
-
-    def proof_of_contradiction(self, tolerance: float) -> QPInfeasibility | None:
-        """Return a proof that the constraints of a program, convex or not, contradict by more than a tolerance."""
-        self.sees_contradiction(tolerance)
-        found = self.accept_proof(
-            proof_of_contradiction(self.program, self.seen_multipliers), tolerance
-        )
-        return found if isinstance(found, QPInfeasibility) else None
-
-    def sees_contradiction(self, tolerance: float, multipliers: Sequence[FloatVector] = ()) -> bool:
-        """Return whether the constraints are seen to contradict by more than a tolerance, in doubles: no proof.
-
-        Not where a proof has been looked for: what is seen is worth no second look.
-
-        Parameters
-        ----------
-        multipliers : sequence of arrays
-            Of all constraints, as an engine hands them back that calls the program infeasible. Where they show nothing,
-            a small program is looked at by itself.
-        """
-        if self.seen_multipliers is None:
-            folded = FoldedRows.of(self.program)
-            reduced = folded.reduced
-            matrices = reduced.matrices
-            m, p = matrices.sizes[:2]
-            right = np.concatenate([reduced.h, reduced.b])
-            given = (
-                np.concatenate(multipliers)[folded.left] if multipliers else np.full(m + p, np.nan)
-            )
-            limits = right, reduced.lower, reduced.upper
-            if np.isfinite(given).all() and (size := float(np.abs(given).max(initial=0.0))) > 0.0:
-                near = with_few_digits(given / size)
-                if margin_in_doubles(matrices.rows, *limits, near) > tolerance:
-                    self.__dict__["_seen"] = near
-            if self.seen_multipliers is None and matrices.is_small:
-                found = contradicting_multipliers(
-                    matrices.dense_rows, right, m, *limits[1:], tolerance
-                )
-                self.__dict__["_seen"] = found
-        return self.seen_multipliers is not None and "_proof" not in self.__dict__
+        found = self.proof_of_no_minimum
+        return found if found is not None and found.excludes(tolerance) else None
 
     @property
     def contradicts_by_rounding(self) -> bool:
-        """Whether a proof is known of constraints that contradict beside their limits, but not beside coefficients.
+        """Whether a proof is known of constraints that contradict by less than counts: a limit of −1e-17 for 0."""
+        proof = self.__dict__.get("_proof")
+        return isinstance(proof, QPInfeasibility) and not proof.excludes(PROGRAM_TOLERANCE)
 
-        A limit of −1e-17 in the place of 0: no x within the bounds meets it, and nothing of it counts.
-        """
-        return self.seen_multipliers is not None and isinstance(self.known_proof, QPInfeasibility)
-
-    @property
-    def seen_multipliers(self) -> FloatVector | None:
-        """Multipliers of the rows that are no bounds which contradict in doubles, where somebody has seen some."""
-        return self.__dict__.get("_seen")
-
-    @property
-    def known_proof(self) -> QPInfeasibility | QPUnboundedness | None:
-        """The proof that was found last, by whatever looked for one."""
-        return self.__dict__.get("_proof")
-
-    @cached_property
-    def proof_of_descent(self) -> QPUnboundedness | None:
-        """A proof that the objective falls without end, whatever else contradicts; looked for once."""
-        found = proof_of_no_minimum(self.program, is_met=True)
-        return found if isinstance(found, QPUnboundedness) else None
-
-    def accepted_proof(
-        self, tolerance: float = 1e-6, *, is_met: bool = False
-    ) -> QPInfeasibility | QPUnboundedness | None:
-        """Return the proof that no x at all can be called optimal at this tolerance, or None where there is none.
-
-        A proof of unboundedness that verifies exactly is stronger than an answer within a tolerance: it counts where it
-        excludes all answers within a thousandth of it. Constraints that contradict by less than the tolerance are
-        those of rounded data: they count as consistent. Where an x meets all constraints to the tolerance (`is_met`),
-        they do not contradict by more: only a direction of endless descent is looked for.
-        """
-        is_known = "_proof" in self.__dict__
-        proof = self.proof_of_no_minimum if is_known or not is_met else self.proof_of_descent
-        return proof if proof is not None and proof.excludes(tolerance) else None
-
-    @cached_property
-    def fitted_units(self) -> FloatVector:
-        """Units of x, powers of two, that make entries of [C d] and of [P c] of like sizes (Curtis, Reid), shape (n,).
-
-        A guess: a criterion may be stricter by it, never looser.
-        """
-        matrix = vertically(self.program.matrices.rows, as_csr(self.program.P))
-        return fitted_units(
-            matrix, np.concatenate([self.program.h, self.program.b, self.program.c])
-        )
+    def proof_of_contradiction(self) -> QPInfeasibility | None:
+        """Return a proof that the constraints of a program, convex or not, contradict one another."""
+        found = proof_of_contradiction(self.program)
+        return found if found is not None and found.excludes(PROGRAM_TOLERANCE) else None
 
 
 def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:

@@ -22,16 +22,18 @@ from ...core.checks import (
 from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
-from ...systems.null_space import null_space_of
-from .convexity import LARGEST_CHECKED, negative_curvature
+from .convexity import is_nearly_semidefinite
+from .criterion import Components
 
-FEW = 500  # unknowns and rows, of whose terms the sum says as much as the largest
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = (
     0.3,
     1e7,
 )  # share of entries; multiplications that sparse factors take more quickly
 Indices = NDArray[np.intp]
+SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
+DENSE_FIT = 150  # unknowns and rows whose fit is a dense system
+FIT_TO, FIT_STEPS = 1e-3, 60
 T = TypeVar("T")
 
 
@@ -91,14 +93,18 @@ class ProgramMatrices:
         return read_only(np.vstack([np.zeros((0, self.P.shape[0])), *given]))
 
     @cached_property
+    def has_short_rows(self) -> bool:
+        """Whether some row of G or A has no more than one entry."""
+        counts = (
+            np.diff(one.indptr) if sp.issparse(one) else (one != 0.0).sum(axis=1)
+            for one in (self.G, self.A)
+        )
+        return any((count <= 1).any() for count in counts)
+
+    @cached_property
     def is_dense(self) -> bool:
         """Whether P, G and A were given as ndarrays, or have no entries."""
         return not self.has_sparse_rows and (isinstance(self.P, np.ndarray) or not self.P.nnz)
-
-    @cached_property
-    def is_judged_by_sums(self) -> bool:
-        """Whether they have few rows and columns: for `Errors.above`."""
-        return 0 < sum(self.sizes[:3]) <= FEW
 
     @cached_property
     def stacked(self) -> FloatVector:
@@ -117,39 +123,51 @@ class ProgramMatrices:
         return read_only(np.concatenate(parts)) if len(parts) > 1 else parts[0]
 
     @cached_property
-    def stacked_sizes(self) -> FloatVector:
-        """The |entries| of the same."""
-        return np.abs(self.stacked)
-
-    @cached_property
     def diagonal(self) -> FloatVector:
         """That of P."""
         return read_only(np.ascontiguousarray(self.P.diagonal()))
 
     @cached_property
-    def places(self) -> tuple[Any, Any, int]:
-        """The row of each entry of [G; A] and of P as CSR, and the most terms that a column of [G; A] has, or n."""
-        C, n = self.rows, self.P.shape[0]
-        return (
-            row_numbers(C),
-            row_numbers(self.sparse_P),
-            int(np.bincount(C.indices, minlength=1).max(initial=n)),
+    def components(self) -> Components:
+        """The parts that P, G and A do not connect."""
+        m, n = self.rows.shape
+        full = (one for one in (self.P, self.G, self.A) if isinstance(one, np.ndarray))
+        if not n or any((one != 0.0).all(axis=1).any() for one in full):
+            return Components(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
+        from scipy.sparse.csgraph import connected_components
+
+        rows = vertically(self.sparse_P, self.rows)
+        both = sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=(n + m, n + m))
+        count, part = connected_components(both, directed=False)
+        return Components(part[:n], part[n:], count)
+
+    @cached_property
+    def measured(self) -> tuple[Any, Any, Any, Any, Any]:
+        """P and C = [G; A], and the sizes of the entries of P, C and Cᵀ: all dense or all CSR arrays."""
+        P, C = (self.P, self.dense_rows) if self.is_dense else (self.sparse_P, self.rows)
+        of_C = abs(C)
+        return P, C, abs(P), of_C, of_C.T if self.is_dense else sp.csr_array(of_C.T)
+
+    @cached_property
+    def summands(self) -> tuple[int, int]:
+        """The most terms that a row of [G; A] and a row of P have."""
+        if self.is_dense:
+            return self.P.shape[0], self.P.shape[0]
+        counts = (np.diff(one.indptr).max(initial=0) for one in (self.rows, self.sparse_P))
+        return tuple(map(int, counts))  # type: ignore[return-value]
+
+    def terms_of_columns(self, y: FloatVector) -> Any:
+        """Return how many terms c_ij y_i each column has that are not 0, or a number that none exceeds."""
+        if self.is_dense:
+            return np.count_nonzero(y)
+        return np.bincount(
+            self.rows.indices, np.repeat(y != 0.0, np.diff(self.rows.indptr)), self.P.shape[0]
         )
 
     @cached_property
-    def components(self) -> Indices:
-        """Which of the parts that P, G and A do not connect each unknown is in, shape (n,)."""
-        if self.P.shape[0] < 2:
-            return np.zeros(self.P.shape[0], dtype=np.intp)
-        from scipy.sparse.csgraph import connected_components
-
-        rows = vertically(self.rows, as_csr(self.P))
-        m, n = rows.shape
-        both = sp.csr_array(
-            (np.ones(rows.nnz), rows.indices + m, np.append(rows.indptr, np.full(n, rows.nnz))),
-            shape=(m + n, m + n),
-        )
-        return np.unique(connected_components(both, directed=False)[1][m:], return_inverse=True)[1]
+    def fit(self) -> tuple[FloatVector, FloatVector]:
+        """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
+        return fitted_units(self.sparse_P, self.rows)
 
     @cached_property
     def is_small(self) -> bool:
@@ -209,21 +227,9 @@ class ProgramMatrices:
         return is_semidefinite_to_rounding(self.P)
 
     @cached_property
-    def negative_curvature(self) -> float:
-        """How far P's smallest eigenvalue is below 0, or a bound of it; 0 where that is rounding of its own rows.
-
-        ∞ where P is clearly not semidefinite, 0 where it is too large to say.
-        """
-        return (
-            0.0
-            if self.P.shape[0] > LARGEST_CHECKED
-            else negative_curvature(self.P, self.is_semidefinite)
-        )
-
-    @cached_property
-    def null_space(self) -> FloatVector | None:
-        """An orthonormal basis of what P maps to 0, shape (n, k); None where nothing, or too much to be a motion."""
-        return null_space_of(self.hessian)
+    def is_nearly_semidefinite(self) -> bool:
+        """Whether P is convex to the rounding of single precision."""
+        return self.is_semidefinite is True or is_nearly_semidefinite(self.P)
 
     @cached_property
     def is_definite(self) -> bool:
@@ -278,6 +284,52 @@ class ProgramMatrices:
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what can be computed again."""
         return {"P": self.P, "G": self.G, "A": self.A, "_kept": {}}
+
+
+def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVector]:
+    """Return u and v, powers of two: least squares of the logarithms of |p_jk| u_j u_k and |c_ij| v_i u_j.
+
+    References
+    ----------
+    Curtis, Reid, *On the automatic scaling of matrices for Gaussian elimination*, IMA Journal of Applied Mathematics 10
+    (1972), doi:10.1093/imamat/10.1.118.
+
+    Examples
+    --------
+    >>> fitted_units(sp.csr_array(np.diag([4.0, 1.0])), sp.csr_array(np.array([[1.0, 16.0]])))
+    (array([0.5, 0.5]), array([0.5]))
+    """
+    n, m = P.shape[0], C.shape[0]
+    K = sp.csr_array(sp.block_array([[P, C.T], [C, None]])) if m else P
+    if n + m <= DENSE_FIT:
+        units = fitted_to(K.toarray())
+        return units[:n], units[n:]
+    from scipy.sparse.linalg import cg
+
+    entries, twice = row_numbers(K), 1.0 + (row_numbers(K) == K.indices)
+    right = np.bincount(entries, np.log2(np.abs(K.data)) * twice, n + m)
+    counts = np.bincount(entries, twice, n + m) + SINGULAR
+    normal = sp.csr_array((twice, K.indices, K.indptr), shape=K.shape) + sp.diags_array(counts)
+    inverse = sp.diags_array(1.0 / normal.diagonal())
+    exponents = cg(normal, -right, rtol=FIT_TO, maxiter=FIT_STEPS, M=inverse)[0]
+    units = _powers(exponents)
+    return units[:n], units[n:]
+
+
+def fitted_to(K: FloatVector) -> FloatVector:
+    """Return the units that `fitted_units` fits, of dense symmetric matrices, shape (…, n, n); shape (…, n)."""
+    is_entry = K != 0.0
+    twice = is_entry * (1.0 + np.eye(K.shape[-1]))
+    right = np.log2(np.abs(K, where=is_entry, out=np.ones_like(K)))
+    counts = (twice.sum(axis=-1) + SINGULAR)[..., np.newaxis] * np.eye(K.shape[-1])
+    return _powers(
+        np.linalg.solve(twice + counts, -(right * twice).sum(axis=-1)[..., np.newaxis])[..., 0]
+    )
+
+
+def _powers(exponents: FloatVector) -> FloatVector:
+    known = np.clip(np.nan_to_num(exponents), -500.0, 500.0)
+    return np.asarray(np.ldexp(1.0, np.round(known).astype(int)))
 
 
 def is_full(entries: int, shape: tuple[int, int]) -> bool:

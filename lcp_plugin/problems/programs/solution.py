@@ -9,24 +9,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.checks import FloatVector, checked_vector, read_only
-from ...core.errors import InvalidOption, InvalidProblem
-from .convexity import bends
-from .criterion import SURE, Errors
+from ...core.errors import InvalidProblem
+from .criterion import PROGRAM_TOLERANCE, Errors, checked_tolerance
+from .program_matrices import sums_and_terms
+from .reductions import FoldedRows
 
 if TYPE_CHECKING:
-    from .no_minimum import QPInfeasibility, QPUnboundedness
     from .program import QuadraticProgram
 
-MEANINGS = {  # each beside what acts there
-    "primal_residual": "by how much x violates a constraint, beside its terms",
-    "dual_residual": "what is left of the gradient of the Lagrangian, beside its terms",
-    "duality_gap": "what all errors together may change the objective by, beside its terms",
+MEANINGS = {
+    "primal_residual": "by how much x violates a constraint, relative to its terms",
+    "duality_gap": "what all errors together may change the objective by, relative to its terms",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
-    """A point x and multipliers of a quadratic program, with the three measures that judge them.
+    """A point x and multipliers of a quadratic program, with the two measures that test them.
 
     The multipliers have the signs of cvxpy's ``dual_value``: at a solution
 
@@ -47,7 +46,7 @@ class QPSolution:
 
     Notes
     -----
-    What the three residuals are relative to: :mod:`lcp_plugin.problems.programs.criterion`.
+    What the measures are relative to: :mod:`lcp_plugin.problems.programs.criterion`.
 
     Raises
     ------
@@ -95,6 +94,29 @@ class QPSolution:
         return made
 
     @classmethod
+    def from_reduced(cls, program: QuadraticProgram, x: FloatVector, y: FloatVector) -> QPSolution:
+        """Return that of x and multipliers of the rows that `FoldedRows` leaves; bounds get the rest of the gradient.
+
+        Wrong signs of multipliers become 0.
+
+        Raises
+        ------
+        InvalidProblem
+            If a multiplier of the program is beyond the range of doubles.
+        """
+        folded = FoldedRows.of(program)
+        reduced, m = folded.reduced, folded.reduced.h.size
+        y = np.append(np.maximum(y[:m], 0.0), y[m:])
+        left = reduced.P @ x + reduced.c
+        if y.size:
+            left = left + sums_and_terms(reduced.matrices.rows, y)[0]
+        at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)
+        at_upper = np.where(np.isfinite(reduced.upper), np.maximum(-left, 0.0), 0.0)
+        every = folded.multipliers(np.concatenate([y, at_lower, at_upper]))
+        _refuse_infinite(program, every)
+        return cls.of_rows(program, x, every)
+
+    @classmethod
     def without_multipliers(cls, program: QuadraticProgram, x: FloatVector) -> QPSolution:
         """Return that of an answer that came with a proof: its multipliers are NaN."""
         return cls.of_rows(program, x, np.full(program.constraints.limit.size, np.nan))
@@ -107,13 +129,8 @@ class QPSolution:
 
     @property
     def primal_residual(self) -> float:
-        """By how much x violates a row or a bound beside that row's own terms."""
-        return float(self._errors.primal)
-
-    @property
-    def dual_residual(self) -> float:
-        """What is left of a component of the Lagrangian's gradient beside its terms, or a multiplier's wrong sign."""
-        return float(self._errors.dual)
+        """By how much x violates a row or a bound relative to that row's own terms."""
+        return float(self.errors.primal)
 
     @cached_property
     def multipliers(self) -> FloatVector:
@@ -122,8 +139,8 @@ class QPSolution:
 
     @property
     def error(self) -> float:
-        """The largest of the primal residual, the dual residual and the duality gap."""
-        return float(self._errors.largest)
+        """The larger of the duality gap and 1000 times the primal residual: at most 1e-6 where x is optimal."""
+        return float(self.errors.largest)
 
     @property
     def row_multipliers(self) -> FloatVector:
@@ -145,110 +162,31 @@ class QPSolution:
         np.add.at(y, order, signs * np.concatenate([self.inequality, self.equality]))
         return y
 
-    def is_optimal(self, tolerance: float = 1e-6) -> bool:
-        """Return whether x is stationary and P is shown to be positive semidefinite, up to rounding.
-
-        Only then the conditions are sufficient. Where it takes a factorisation to show that, it is made once; where
-        that would be too large (n above some 67 000, much fill) and no row shows it, this is False: `is_stationary` is
-        enough if you know the program to be convex.
+    def is_optimal(self, tolerance: float = PROGRAM_TOLERANCE) -> bool:
+        """Return whether x is optimal for a convex program: `primal_residual` ≤ 1e-9 and `duality_gap` ≤ tolerance.
 
         Raises
         ------
         InvalidOption
             Where the tolerance is no number ≥ 0.
         """
-        return self.is_stationary(tolerance) and self.program.facts.is_shown_convex
-
-    def is_stationary(self, tolerance: float = 1e-6) -> bool:
-        """Return whether all three residuals and every row's own are at most the tolerance, and `duality_gap` small.
-
-        Constraints are asked for a tenth of the tolerance, but no less than 1e-7 where the tolerance is no less.
-        For a convex program the conditions are sufficient.
-
-        Raises
-        ------
-        InvalidOption
-            Where the tolerance is no number ≥ 0.
-        """
-        if (
-            isinstance(tolerance, bool)
-            or not isinstance(tolerance, (int, float, np.number))
-            or not tolerance >= 0.0
-        ):
-            raise InvalidOption(f"tolerance must be a number ≥ 0, got {tolerance!r}")
-        return bool(self.own_errors.decide(float(tolerance)) or self._errors.meet(float(tolerance)))
-
-    def is_minimal(self, tolerance: float = 1e-6, *, is_beside_own: bool = False) -> bool:
-        """Return whether x is stationary, and no negative curvature acts at it: what SOLVED says of a program.
-
-        Or whether a quicker look says so already, beside the own terms of rows and columns alone.
-        """
-        is_met = (
-            bool(self.own_errors.decide(tolerance))
-            if is_beside_own
-            else self.is_stationary(tolerance)
-        )
-        return is_met and not bends(self.program, self.x, tolerance)
-
-    def is_sure(self, tolerance: float = 1e-6) -> bool:
-        """Return whether x is stationary, and no exact proof of unboundedness may beat it: none is looked for.
-
-        The gradient is 0 to a thousandth of the tolerance, or the program falls nowhere for ever.
-        """
-        is_small = self.own_errors.gap <= SURE * tolerance  # which nothing that acts makes smaller
-        return (is_small and self._errors.are_sure(tolerance)) or (
-            self.is_stationary(tolerance) and self.program.facts.falls_nowhere
-        )
-
-    def balances_surely(self, tolerance: float = 1e-6) -> bool:
-        """Return whether the multipliers balance the gradient so well that no proof of endless descent may beat it.
-
-        Along a direction d of descent Pd = 0 and all constraints hold: cᵀd ≥ 0 whatever slack there is.
-        """
-        return bool(self.own_errors.dual <= SURE * tolerance) or self.program.facts.falls_nowhere
-
-    def holds_surely(self, tolerance: float = 1e-6) -> bool:
-        """Return whether x holds all constraints so well that no proof of a contradiction may beat it."""
-        return bool(self._errors.primal <= SURE * tolerance)
+        return bool(self.errors_for(checked_tolerance(tolerance)).meet(tolerance))
 
     @property
     def duality_gap(self) -> float:
-        """By how much the errors of all conditions together may change the objective, beside its size.
-
-        Σ |x_j left_j| + Σ |y_i (d_i − c_i x)|, of what is left of the gradient and of all constraints c_i x ≤ d_i: far
-        out along a direction in which the objective hardly changes each error is small beside its own terms, and not
-        all of them beside the objective.
-        """
-        return float(self._errors.gap)
+        """What all errors together may change the objective by, relative to its terms; of the worst component."""
+        return float(self.errors.gap)
 
     @cached_property
-    def own_errors(self) -> Errors:
-        """Bounds of the errors from above, in half the time."""
-        return Errors.beside_own_terms(self.program, self.x, self.multipliers)
+    def errors(self) -> Errors:
+        """Both measures."""
+        return self.errors_for(0.0)
 
-    @cached_property
-    def _errors(self) -> Errors:
-        return self.own_errors.or_excused(self.program, self.x, self.multipliers)
-
-    @cached_property
-    def proof(self) -> QPInfeasibility | QPUnboundedness | None:
-        """A proof that no x is optimal (to 1e-6): looked for, by linear programs, where x is not surely stationary.
-
-        Where it verifies exactly, it is stronger than an x within the tolerance.
-        """
-        return None if self.is_sure() else self.program.facts.accepted_proof()
-
-    @property
-    def status(self) -> str:
-        """Return "optimal" by the residuals, "infeasible" or "unbounded" by a proof, otherwise "unknown".
-
-        "stationary" instead of "optimal" where P is not shown to be positive semidefinite.
-        """
-        if self.proof is not None:
-            return self.proof.verdict
-        if not self.is_stationary():
-            return "unknown"
-        return "optimal" if self.is_optimal() else "stationary"
+    def errors_for(self, tolerance: float) -> Errors:
+        """Return both measures, or bounds of them if these meet the tolerance already."""
+        folded = FoldedRows.of(self.program)
+        y = self.multipliers[: self.program.right.size][folded.left]
+        return Errors.of(folded.reduced, self.x, y, tolerance)
 
     def __str__(self) -> str:
         lines = [f"{'objective':<16} {self.objective:.9g}"]
@@ -258,3 +196,15 @@ class QPSolution:
         if np.isnan(self.multipliers).any():
             lines.append("no multipliers: a proof came instead")
         return "\n".join(lines)
+
+
+def _refuse_infinite(program: QuadraticProgram, multipliers: FloatVector) -> None:
+    """Raise InvalidProblem where the multiplier of a constraint is beyond the range of doubles."""
+    for name, part in zip(
+        ("G", "A", "lower", "upper"), program.constraints.split(multipliers), strict=True
+    ):
+        for row in np.flatnonzero(np.isinf(part))[:1]:
+            raise InvalidProblem(
+                f"the multiplier of {name}[{row}] is beyond the range of doubles, ±1.8e308; give that constraint, "
+                "limits and the objective in units in which their largest coefficients are near 1"
+            )

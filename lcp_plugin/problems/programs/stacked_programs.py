@@ -9,12 +9,19 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import INFINITE_LIMIT, BoolVector, as_stated, read_only, real_array
+from ...core.checks import (
+    INFINITE_LIMIT,
+    BoolVector,
+    as_stated,
+    assembled,
+    read_only,
+    real_array,
+)
 from ...core.errors import InvalidProblem, LCPError
 from ..many.data import length_of_all, rows_of_a_batch
 from .convexity import refuse_nonconvex
 from .program import SYMMETRIC_TO, QuadraticProgram, check_pair
-from .program_matrices import may_be_small
+from .program_matrices import ProgramMatrices, fitted_to, may_be_small
 
 
 class QuadraticProgramBatch:
@@ -215,6 +222,42 @@ class QuadraticProgramBatch:
         return (
             f"QuadraticProgramBatch({len(self)} program{'' if len(self) == 1 else 's'}, n={self.n})"
         )
+
+
+def blocks(P: Any, c: Any, C: Any, d: Any, m: int, lower: Any, upper: Any) -> QuadraticProgram:
+    """Return programs of one shape as one program of independent parts: of `QuadraticProgramBatch.arrays`, finite."""
+    count = len(c)
+    matrices = ProgramMatrices(
+        *(
+            block_diagonal(np.broadcast_to(one, (count, *one.shape[1:])))
+            for one in (P, C[:, :m], C[:, m:])
+        )
+    )
+    size, rows, n = max(len(P), len(C)), C.shape[1], P.shape[1]
+    K = np.zeros((size, n + rows, n + rows))
+    K[:, :n, :n], K[:, n:, :n], K[:, :n, n:] = P, C, C.transpose(0, 2, 1)
+    units = np.broadcast_to(fitted_to(K), (count, n + rows))
+    of_G, of_A = units[:, n : n + m], units[:, n + m :]
+    matrices.__dict__["fit"] = units[:, :n].ravel(), np.concatenate([of_G.ravel(), of_A.ravel()])
+    h, b = d[:, :m].ravel(), d[:, m:].ravel()
+    return QuadraticProgram.with_matrices(matrices, c.ravel(), h, b, lower.ravel(), upper.ravel())
+
+
+def block_diagonal(stack: Any) -> sp.csr_array:
+    """Return a stack of matrices, shape (B, m, n), as the CSR array of B blocks, without their zeros.
+
+    Examples
+    --------
+    >>> block_diagonal(np.array([[[1.0, 0.0]], [[2.0, 3.0]]])).toarray()
+    array([[1., 0., 0., 0.],
+           [0., 0., 2., 3.]])
+    """
+    count, m, n = stack.shape
+    is_entry = stack != 0.0
+    starts = np.zeros(count * m + 1, np.int64)
+    np.cumsum(is_entry.sum(axis=2).ravel(), out=starts[1:])
+    columns = np.broadcast_to(np.arange(count * n).reshape(count, 1, n), stack.shape)[is_entry]
+    return assembled(stack[is_entry], columns, starts, (count * m, count * n))
 
 
 def _of(rows: Any, k: int) -> Any:

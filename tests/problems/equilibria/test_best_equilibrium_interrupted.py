@@ -99,6 +99,5 @@ def test_ctrl_c_that_a_run_of_steps_has_heard_ends_the_search(
         return replace(real(*arguments, **options), status=Status.INTERRUPTED)
 
     monkeypatch.setattr(relaxations, "solve_program", stopped)
-    monkeypatch.setattr(relaxations, "solved_at_once", lambda *_: None)
     result = minimize_over_solutions(some_pairs())
     assert (result.status, len(runs), result.verify()) == (Status.INTERRUPTED, 1, True)

@@ -59,7 +59,7 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, se
     left, right = (one.origin.recover(z) for one in (ours, theirs))
     for name in ("x", "multipliers"):
         np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
-    for name in ("primal_residual", "dual_residual", "duality_gap", "objective"):
+    for name in ("primal_residual", "duality_gap", "objective"):
         assert getattr(left, name) == getattr(right, name)
 
 
@@ -122,7 +122,7 @@ def exactly(row: Any, x: Any) -> Fraction:
 
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
 def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
-    """Where terms cancel, the primal and the dual residual are at least the exact ones, and larger by a rounding."""
+    """If terms cancel, the primal residual is the exact one."""
     rng = np.random.default_rng(2)
     for _ in range(20):
         P, G, A = (
@@ -133,22 +133,10 @@ def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
         c = -(P @ x + G.T @ inequality + A.T @ equality - lower + upper)
         program = QuadraticProgram(kind(P), c, kind(G), h, kind(A), b, x - 1.0, x)
         solution = QPSolution(program, x, inequality, equality, lower, upper)
-        columns = np.hstack([P, G.T, A.T, -np.eye(4), np.eye(4), c[:, None]])
-        y = np.concatenate([x, inequality, equality, lower, upper, [1.0]])
-        rows = np.vstack([np.column_stack([G, -h]), np.column_stack([A, -b])])
-        for residual, sums, at in (
-            (solution.primal_residual, rows, np.append(x, 1.0)),
-            (solution.dual_residual, columns, y),
-        ):
-            errors = [
-                abs(exactly(row, at)) / Fraction(float(np.abs(row * at).max())) for row in sums
-            ]
-            if sums is rows:  # an inequality may hold
-                errors[:4] = [
-                    error
-                    for error, row in zip(errors, rows[:4], strict=False)
-                    if exactly(row, at) > 0
-                ]
-            exact = max(errors)
-            assert exact * (1 - Fraction(1, 2**50)) <= Fraction(residual)
-            assert Fraction(residual) <= exact + Fraction(1, 2**40)
+        rows, at = np.vstack([np.column_stack([G, -h]), np.column_stack([A, -b])]), np.append(x, 1)
+        exact = max(
+            abs(exactly(row, at)) / Fraction(float(np.abs(row * at).max()))
+            for i, row in enumerate(rows)
+            if i >= 4 or exactly(row, at) > 0
+        )
+        assert abs(Fraction(solution.primal_residual) - exact) <= exact * Fraction(1, 2**40)

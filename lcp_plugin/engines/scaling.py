@@ -1,0 +1,143 @@
+"""What an engine is given of a program: other units of unknowns, rows and objective, without limits that are far away.
+
+Engines stop by tolerances of their own, relative to sizes that they take from the data. All scaling is by powers of two
+and a way to a point, nothing else: the point is tested on the program as it was given.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import FloatVector, assembled
+from ..core.matrix.matrix import largest_in_rows
+from .engine import Multipliers, Point, Statement
+
+FAR = 1e7  # times the lower quartile of all limits: nobody is likely to reach a limit beyond
+PASSES = 3  # of equilibration, after the fit
+MOST = 0.9  # of costs and sides are less than what is brought to 1
+
+
+class ScaledProgram(NamedTuple):
+    """A statement in other units, and the way back.
+
+    Attributes
+    ----------
+    statement : Statement
+    units : array, shape (n,)
+        x = units · x of the statement.
+    rows : array, shape (m + p,)
+        What the rows of G and A are multiplied by.
+    objective : float
+        What the objective is multiplied by.
+    """
+
+    statement: Statement
+    units: FloatVector
+    rows: FloatVector
+    objective: float
+
+    @classmethod
+    def of(
+        cls, given: Statement, units: FloatVector, rows: FloatVector, objective: float = 1.0
+    ) -> ScaledProgram:
+        """Return the statement in these units, powers of two."""
+        if objective == 1.0 and (units == 1.0).all() and (rows == 1.0).all():
+            return cls(given, units, rows, 1.0)
+        of_G, of_A = np.split(rows, [given.h.size])
+        statement = Statement(
+            _scaled(given.P, units * objective, units),
+            given.c * units * objective,
+            _scaled(given.G, of_G, units),
+            given.h * of_G,
+            _scaled(given.A, of_A, units),
+            given.b * of_A,
+            given.lower / units,
+            given.upper / units,
+        )
+        return cls(statement, units, rows, objective)
+
+    def outward(self, point: Point) -> Point:
+        """Return the point in the given units."""
+        inequality, equality, lower, upper = point.multipliers
+        of_G, of_A = np.split(self.rows / self.objective, [inequality.size])
+        of_bounds = 1.0 / (self.units * self.objective)
+        multipliers = Multipliers(
+            inequality * of_G, equality * of_A, lower * of_bounds, upper * of_bounds
+        )
+        return point._replace(x=point.x * self.units, multipliers=multipliers)
+
+
+def in_units(given: Statement, units: FloatVector) -> ScaledProgram:
+    """Return a statement with x in these units, rows whose largest coefficient is from 1 to 2, and costs about 1."""
+    sizes = (
+        largest_in_rows(one)
+        for one in (_scaled(A, np.ones(A.shape[0]), units) for A in (given.G, given.A))
+    )
+    rows = 1.0 / _power_below(np.concatenate(list(sizes)))
+    costs = np.append(np.abs(given.c * units), largest_in_rows(_scaled(given.P, units, units)))
+    return ScaledProgram.of(given, units, rows, float(1.0 / _power_below(costs.max(initial=0.0))))
+
+
+def _power_below(sizes: Any) -> Any:
+    """Return the power of two below each size, 1 below 0."""
+    return np.where(sizes > 0.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1), 1.0)
+
+
+def in_fitted_units(given: Statement, units: FloatVector, rows: FloatVector) -> ScaledProgram:
+    """Return a statement whose largest entries of [P Cᵀ; C 0] are about 1, from units that fit all entries."""
+    P, C = sp.csr_array(given.P), sp.vstack([sp.csr_array(given.G), sp.csr_array(given.A)])
+    K = abs(sp.csr_array(sp.block_array([[P, C.T], [C, None]]))) if C.shape[0] else abs(P)
+    sizes = np.concatenate([units, rows])
+    for _ in range(PASSES):
+        most = sizes * largest_in_rows(K, K.data * sizes[K.indices])
+        sizes = sizes / np.exp2(np.round(0.5 * np.log2(np.where(most > 0.0, most, 1.0))))
+    return ScaledProgram.of(given, sizes[: units.size], sizes[units.size :])
+
+
+def with_sides_about_one(fitted: ScaledProgram, given: Statement) -> ScaledProgram:
+    """Return the statement in units in which most limits and most costs are at most about 1."""
+    one = fitted.statement
+    t = _most(one.h, one.b, one.lower, one.upper)
+    return ScaledProgram.of(given, fitted.units * t, fitted.rows / t, 1.0 / _most(one.c * t))
+
+
+def without_far_limits(given: Statement) -> Statement:
+    """Return a statement without limits of inequalities and bounds far beyond the others; the same one if none is.
+
+    Examples
+    --------
+    >>> none = np.zeros((0, 1))
+    >>> bounds = np.array([-1e19]), np.array([3.0])
+    >>> without_far_limits(
+    ...     Statement(np.eye(1), np.ones(1), none, np.zeros(0), np.ones((1, 1)), np.ones(1), *bounds)
+    ... ).lower
+    array([-inf])
+    """
+    known = np.abs(np.concatenate([given.h, given.b, given.lower, given.upper]))
+    known = known[np.isfinite(known) & (known > 0.0)]
+    far = FAR * max(1.0, float(np.quantile(known, 0.25))) if known.size else np.inf
+    is_fixed = given.lower == given.upper
+    h = np.where(given.h >= far, np.inf, given.h)
+    lower = np.where((given.lower <= -far) & ~is_fixed, -np.inf, given.lower)
+    upper = np.where((given.upper >= far) & ~is_fixed, np.inf, given.upper)
+    if all(map(np.array_equal, (h, lower, upper), (given.h, given.lower, given.upper))):
+        return given
+    return given._replace(h=h, lower=lower, upper=upper)
+
+
+def _most(*values: FloatVector) -> float:
+    """Return the power of two near the size that most of the values do not exceed; 1 of none."""
+    sizes = np.abs(np.concatenate(values))
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    return float(np.exp2(np.round(np.log2(np.quantile(sizes, MOST))))) if sizes.size else 1.0
+
+
+def _scaled(A: Any, rows: FloatVector, columns: FloatVector) -> Any:
+    """Return A with rows and columns multiplied by these."""
+    if not sp.issparse(A):
+        return rows[:, np.newaxis] * A * columns
+    data = A.data * np.repeat(rows, np.diff(A.indptr)) * columns[A.indices]
+    return assembled(data, A.indices, A.indptr, A.shape)

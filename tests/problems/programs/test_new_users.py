@@ -1,0 +1,139 @@
+"""Programs that new users write, with default settings: the right value and status, and soon."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from lcp_plugin import (
+    InvalidOption,
+    QPSolver,
+    QuadraticProgram,
+    Status,
+    solve,
+    solve_batch,
+    trace,
+)
+
+INF = np.inf
+
+
+@pytest.mark.parametrize("n", [5_000, 200_000])
+def test_a_linear_program_over_a_box_is_solved_at_once(n: int) -> None:
+    """The signs of the costs decide: P without entries is never made dense."""
+    c = np.random.default_rng(n).standard_normal(n)
+    begun = time.perf_counter()
+    result = solve(QuadraticProgram(None, c, lower=0, upper=1))
+    assert time.perf_counter() - begun < 5.0
+    assert result.is_solved
+    np.testing.assert_array_equal(result.x, (c < 0.0).astype(float))
+    assert solve(QuadraticProgram(None, c[:50], lower=0)).status is Status.UNBOUNDED
+
+
+def test_one_full_row_makes_no_dense_matrix() -> None:
+    """The cheapest of 5 000 unknowns whose sum is 1."""
+    c = np.random.default_rng(0).standard_normal(5_000)
+    result = solve(QuadraticProgram(None, c, A=np.ones((1, c.size)), b=[1], lower=0))
+    assert result.is_solved
+    assert result.objective == pytest.approx(c.min(), rel=1e-6)
+
+
+@pytest.mark.parametrize("by", [1e-7, 2e-7])
+def test_a_small_contradiction_has_one_status(by: float) -> None:
+    """x₁ = 1, x₂ = x₁ and x₂ = 1 − 1e-7, the same with every row twice, and in another unit of the objective."""
+    A, b = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), np.array([1.0, 0.0, -1.0 + by])
+    stated = (
+        QuadraticProgram(None, [1, 1], A=A, b=b, lower=0),
+        QuadraticProgram(None, [1, 1], A=np.vstack([A, A]), b=np.append(b, b), lower=0),
+        QuadraticProgram(None, [2.0**20, 2.0**20], A=A, b=b, lower=0),
+    )
+    assert {solve(program).status for program in stated} == {Status.INFEASIBLE}
+
+
+def grid(n: int, seed: int = 0) -> Any:
+    """Four entries in each of n rows."""
+    rng = np.random.default_rng(seed)
+    return sp.random_array((n, n), density=4.0 / n, rng=rng, format="csr")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seconds", [None, 5.0, 20.0])
+def test_an_unbounded_program_of_thousand_rows_keeps_its_limit(seconds: float | None) -> None:
+    """UNBOUNDED with its proof, or MAX_SECONDS within a second of the limit."""
+    G = grid(1_000)
+    rows = sp.csr_array(sp.hstack([G, -G.sum(axis=1)[:, np.newaxis]]))
+    program = QuadraticProgram(None, np.append(-np.ones(1_000), 0.0), rows, np.ones(1_000), lower=0)
+    result = solve(program, max_seconds=seconds)
+    assert result.status is Status.UNBOUNDED or (
+        seconds is not None and result.status is Status.MAX_SECONDS
+    )
+    assert seconds is None or result.seconds <= seconds + 1.5
+    assert seconds is not None or result.status is Status.UNBOUNDED
+
+
+@pytest.mark.full
+def test_an_infeasible_program_of_thousand_rows_is_proved() -> None:
+    """All rows sum up to a contradiction that rounding of their sum does not hide."""
+    n = 1_000
+    G = grid(n)
+    rows = sp.vstack([G, -G.sum(axis=0)[np.newaxis]])
+    result = solve(
+        QuadraticProgram(sp.eye_array(n), np.ones(n), rows, np.append(np.ones(n), -n - 1))
+    )
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.verify()
+
+
+def test_the_tolerance_is_the_one_that_is_tested() -> None:
+    """1e-6 by default, in `solve`, `solve_batch` and `trace`; rows are tested to 1e-9 at any tolerance."""
+    program = QuadraticProgram(np.eye(2), [-1, -2], [[1, 1]], [1])
+    assert solve(program).tolerance == 1e-6
+    assert solve_batch([program, program])[0].tolerance == 1e-6
+    assert trace(program, {"h": [1.0]}, 0, 1).status is Status.SOLVED
+    for tolerance in (1e-4, 1e-8):
+        assert solve(program, tolerance=tolerance).tolerance == tolerance
+    off = program.with_vectors(h=[1.0 - 1e-8])
+    found = solve(program).solution
+    assert found.is_optimal(1e-4)
+    assert not type(found).of_rows(off, found.x, found.multipliers).is_optimal(1e-4)
+    with pytest.raises(InvalidOption, match="error_bound"):
+        solve(program, error_bound=True)
+
+
+@pytest.mark.filterwarnings("ignore:Solution may be inaccurate")
+def test_a_quasiconvex_program_is_bisected() -> None:
+    """(v₀ + 2 v₁ + 1)/(v₀ + v₁ + 1) over [0, 3]² is 1 at v₁ = 0.
+
+    The bisection ends with constraints that contradict by 10⁻¹⁴: neither feasible nor infeasible.
+    """
+    v = cp.Variable(2, nonneg=True)
+    problem = cp.Problem(cp.Minimize((v[0] + 2 * v[1] + 1) / (v[0] + v[1] + 1)), [v <= 3])
+    problem.solve(qcp=True, solver=QPSolver())
+    assert problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
+    assert problem.value == pytest.approx(1.0, abs=1e-5)
+
+
+def test_how_bounds_are_written_changes_no_bit() -> None:
+    """As bounds and as rows of one entry."""
+    rng = np.random.default_rng(1)
+    F, c = rng.normal(size=(6, 6)), rng.normal(size=6)
+    bounds = solve(QuadraticProgram(F @ F.T, c, lower=0))
+    rows = solve(QuadraticProgram(F @ F.T, c, -np.eye(6), np.zeros(6)))
+    assert bounds.x.tobytes() == rows.x.tobytes()
+    assert bounds.algorithm == rows.algorithm == "auto: daqp"
+
+
+@pytest.mark.parametrize("name", ["lemke", "npsor"])
+def test_methods_of_complementarity_solve_programs_by_name(name: str) -> None:
+    """Their answer passes the same test."""
+    program = QuadraticProgram([[2, 1], [1, 2]], [-3, -3], lower=0)
+    result = solve(program, name)
+    assert result.is_solved
+    assert result.solution.is_optimal()
+    assert result.x == pytest.approx([1, 1], abs=1e-6)
+    assert result.z.shape == (2,)

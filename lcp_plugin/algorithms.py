@@ -81,7 +81,7 @@ def algorithm_class(name: str) -> type[Algorithm]:
     Raises
     ------
     UnknownAlgorithm
-        With the closest known name.
+        With the closest known name, or with the problem that an engine solves.
 
     Examples
     --------
@@ -89,7 +89,8 @@ def algorithm_class(name: str) -> type[Algorithm]:
     'PSOR'
     """
     if name in ENGINES:
-        raise refusal_of_engine(name)
+        refused = refusal_of_engine(name)
+        raise refused
     if name not in REGISTRY:
         hint = did_you_mean(name, {"auto", *REGISTRY, *ENGINES}, is_listed=True)
         raise UnknownAlgorithm(f"unknown algorithm {name!r}{hint}")

@@ -1,22 +1,19 @@
-"""solve(): one verb for every kind of problem."""
+"""solve(): one verb for every class of problem."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Mapping
 from functools import cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from .auto import solve_lcp
-from .core.algorithm import Algorithm
-from .core.errors import UnknownAlgorithm
-from .core.kind import kind_of
+from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.lcp import LCP
-from .core.policy.policy import Policy
+from .core.problem_classes import class_of, refusal, with_article
 from .core.solving.result import Result
-from .core.solving.run import Callback
 
 if TYPE_CHECKING:
     from .problems.cones.data import ConeProblem
@@ -30,60 +27,41 @@ if TYPE_CHECKING:
     from .problems.programs.program import QuadraticProgram
     from .problems.programs.solving import QuadraticProgramResult
 
+# The function that solves each class of problem; the others need not be loaded.
+SOLVERS = {
+    "LCP": "auto:solve_lcp",
+    "NonlinearProblem": "problems.nonlinear.solving:solve_nonlinear",
+    "QuadraticProgram": "problems.programs.solving:solve_program",
+    "EquilibriumProgram": "problems.equilibria.branch_and_bound:minimize_over_solutions",
+    "BoundedLeastSquares": "problems.least_squares.solving:solve_least_squares",
+    "ConeProblem": "problems.cones.solving:solve_cones",
+    "FrictionalContact": "problems.cones.solving:solve_cones",
+}
+
 
 @overload
-def solve(
-    problem: LCP,
-    algorithm: str | Algorithm | Policy = "auto",
-    *,
-    z0: ArrayLike | None = None,
-    tolerance: float = 1e-8,
-    tolerance_on: str = "residual",
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    record: bool = False,
-    callback: Callback | None = None,
-    error_bound: bool = False,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-    verbose: bool = False,
-    **options: Any,
-) -> Result: ...
+def solve(problem: LCP, algorithm: Any = "auto", **options: Any) -> Result: ...
+@overload
+def solve(problem: NonlinearProblem, algorithm: Any = "auto", **options: Any) -> Result: ...
 @overload
 def solve(
-    problem: NonlinearProblem, algorithm: str | Algorithm = "auto", *, x0: ArrayLike, **options: Any
-) -> Result: ...
-@overload
-def solve(
-    problem: QuadraticProgram, algorithm: str | Algorithm = "auto", **options: Any
+    problem: QuadraticProgram, algorithm: Any = "auto", **options: Any
 ) -> QuadraticProgramResult: ...
 @overload
-def solve(problem: EquilibriumProgram, **options: Any) -> EquilibriumResult: ...
-@overload
-def solve(problem: BoundedLeastSquares, **options: Any) -> LeastSquaresResult: ...
+def solve(
+    problem: EquilibriumProgram, algorithm: Any = "auto", **options: Any
+) -> EquilibriumResult: ...
 @overload
 def solve(
-    problem: ConeProblem | FrictionalContact, algorithm: str | Algorithm = "auto", **options: Any
+    problem: BoundedLeastSquares, algorithm: Any = "auto", **options: Any
+) -> LeastSquaresResult: ...
+@overload
+def solve(
+    problem: ConeProblem | FrictionalContact, algorithm: Any = "auto", **options: Any
 ) -> ConeResult: ...
-def solve(
-    problem: Any,
-    algorithm: str | Algorithm | Policy = "auto",
-    *,
-    z0: ArrayLike | None = None,
-    tolerance: float = 1e-8,
-    tolerance_on: str = "residual",
-    max_iterations: int | None = None,
-    max_seconds: float | None = None,
-    absolute_tolerance: float = 0.0,
-    record: bool = False,
-    callback: Callback | None = None,
-    error_bound: bool = False,
-    prove_infeasibility: bool = True,
-    threads: int | None = None,
-    verbose: bool = False,
-    **options: Any,
-) -> Any:
+@overload
+def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any: ...
+def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     """Return the solution of a problem, with its residual measured on the problem's own data.
 
     Parameters
@@ -92,6 +70,8 @@ def solve(
         Never modified. What follows is said of an LCP; see Notes for the others.
     algorithm : str or Algorithm
         A registered name (see ``lcp-plugin list``), "auto", or an object such as ``NPSOR(relaxation=1.5)``.
+    **options
+        As follows, and those of the named algorithm.
     z0 : array, shape (n,), or a number for n = 1, optional
         Start, of every kind of problem; x0 is the same where the unknown is called x. It is projected onto the bounds;
         by default it is the point of [lower, upper] nearest to 0. ``interior_point`` and
@@ -132,8 +112,6 @@ def solve(
     verbose : bool
         Print the problem, each stage, iterations at geometric intervals (iteration, work in passes over M, residual,
         seconds), the end, and that kernels are compiled where that takes long; nothing is printed otherwise.
-    **options
-        Options of the named algorithm.
 
     Returns
     -------
@@ -177,43 +155,34 @@ def solve(
     >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
     ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
     """
-    if isinstance(algorithm, (np.ndarray, list, tuple)) and kind_of(problem) is not None:
+    name = class_of(problem)
+    if name is None:
+        raise InvalidOption(refusal("solve", problem))
+    if isinstance(algorithm, (np.ndarray, list, tuple)):
         raise UnknownAlgorithm(
             f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
         )
-    if isinstance(problem, LCP):
-        try:
-            return solve_lcp(
-                problem,
-                algorithm,
-                z0=z0,
-                tolerance=tolerance,
-                tolerance_on=tolerance_on,
-                max_iterations=max_iterations,
-                max_seconds=max_seconds,
-                absolute_tolerance=absolute_tolerance,
-                record=record,
-                callback=callback,
-                error_bound=error_bound,
-                prove_infeasibility=prove_infeasibility,
-                threads=threads,
-                verbose=verbose,
-                **options,
-            )
-        except RuntimeError as error:
-            if isinstance(
-                error.__cause__, KeyboardInterrupt
-            ):  # which Python 3.11 wraps where a class is being made
-                raise error.__cause__ from None
-            raise
-    given, defaults = locals(), solve.__kwdefaults__ or {}
-    wishes = {name: given[name] for name in defaults if given[name] is not defaults[name]}
-    return _solver_of_any()(problem, algorithm, {**wishes, **options})
+    if algorithm != "auto":
+        options["algorithm"] = algorithm
+    known = options_of(name)
+    if "z0" in options and "z0" not in known and "x0" in known:  # the unknown is called x
+        options["x0"] = options.pop("z0")
+    for option in () if "options" in known else options:
+        if option not in known:
+            hint = did_you_mean(option, known)
+            raise InvalidOption(f"solve takes no {option} for {with_article(name)}{hint}")
+    return solver_of(name)(problem, **options)
 
 
 @cache
-def _solver_of_any() -> Callable[..., Any]:
-    """Return what solves a problem of any kind; every kind is loaded then."""
-    from .kinds import solve_any
+def solver_of(name: str) -> Callable[..., Any]:
+    """Return the function that solves a class of problem."""
+    module, _, function = SOLVERS[name].partition(":")
+    solver: Callable[..., Any] = getattr(import_module(f".{module}", __package__), function)
+    return solver
 
-    return solve_any
+
+@cache
+def options_of(name: str) -> Mapping[str, Any]:
+    """Return the options of the solver of a class; "options" is one of them if it takes an algorithm's as well."""
+    return {option: None for option in [*inspect.signature(solver_of(name)).parameters][1:]}

@@ -69,7 +69,6 @@ from .core.certificates.criterion import CommonScaling
 from .core.checks import FloatVector, checked_start
 from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from .core.kind import LINEAR_COMPLEMENTARITY_PROBLEM
 from .core.lcp import LCP
 from .core.matrix.matrix import Matrix
 from .core.matrix.row_sums import has_positive_diagonal, row_blocks
@@ -445,8 +444,6 @@ def solve_lcp(
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
         As there.
     """
-    if options:
-        LINEAR_COMPLEMENTARITY_PROBLEM.refuse(options)
     clock = Clock()
     policy = policy_for(algorithm, options, prove_infeasibility=prove_infeasibility)
     settings = Settings(

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..core.errors import InvalidOption, did_you_mean
-from ..core.kind import refusal
 from ..core.lcp import LCP
+from ..core.problem_classes import refusal
 
 
 class Target(NamedTuple):

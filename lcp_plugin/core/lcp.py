@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, overload
+from typing import TYPE_CHECKING, Any, Literal, Protocol, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,7 +22,6 @@ from .checks import (
     without_huge,
 )
 from .errors import InvalidProblem
-from .kind import LINEAR_COMPLEMENTARITY_PROBLEM, Kind
 from .matrix.matrix import Matrix
 from .representation import described_lcp
 
@@ -75,8 +74,6 @@ class LCP:
     >>> problem.slack([2.5, 0])
     array([0. , 3.5])
     """
-
-    problem_kind: ClassVar[Kind] = LINEAR_COMPLEMENTARITY_PROBLEM
 
     @np.errstate(under="ignore")
     def __init__(
@@ -197,7 +194,17 @@ class LCP:
 
     @classmethod
     def from_rows(cls, comm: Any, rows: Any, q: ArrayLike, **given: Any) -> Any:
-        """Return the problem whose rows are spread over MPI ranks; see :mod:`lcp_plugin.ranks`."""
+        """Return the problem whose rows are spread over MPI ranks; see :mod:`lcp_plugin.ranks`.
+
+        Parameters
+        ----------
+        comm : communicator of mpi4py; None for the whole job
+        rows : sparse array, shape (own, n)
+            The own rows of M with global column indices.
+        q : array, shape (own,)
+        **given
+            lower, upper : scalar or array, shape (own,); first_row : int, the index of the first own row.
+        """
         from ..ranks.problem import RowsOnRanks
 
         return RowsOnRanks.from_rows(comm, rows, q, **given)

@@ -22,8 +22,8 @@ from ..core.certificates.residuals import Certificate
 from ..core.certificates.row_residuals import magnitude, rounding_floor, scaled_residual
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption
-from ..core.kind import refusal
 from ..core.lcp import LCP
+from ..core.problem_classes import refusal
 from ..core.settings import Settings, Status
 from ..core.solving.result import Result
 from ..systems.factors import factorise

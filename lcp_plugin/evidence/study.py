@@ -19,8 +19,8 @@ import numpy as np
 
 from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..core.kind import kind_of, refusal
 from ..core.lcp import LCP
+from ..core.problem_classes import class_of, refusal
 from ..core.settings import Settings
 from ..gallery import names as scene_names
 from ..gallery import parse
@@ -519,7 +519,7 @@ def _label_problems(given: Any) -> dict[str, Any]:
     """Return the problems, or functions that build them, by their labels."""
     if isinstance(given, Mapping):
         return {str(label): _check_problem(one) for label, one in given.items()}
-    if isinstance(given, str | LCP | Scene | tuple) or callable(given) or kind_of(given):
+    if isinstance(given, str | LCP | Scene | tuple) or callable(given) or class_of(given):
         given = [given]
     listed = [*given] if isinstance(given, Iterable) else []
     if not listed:
@@ -539,7 +539,7 @@ def _check_problem(one: Any) -> Any:
             hint = did_you_mean(name, scene_names(), is_listed=True)
             raise InvalidOption(f"unknown scene {one!r}{hint}; a file: load_problem(path)")
         return partial(_build_by_name, one)
-    if isinstance(one, LCP | Scene | tuple) or (callable(one) and kind_of(one) is None):
+    if isinstance(one, LCP | Scene | tuple) or (callable(one) and class_of(one) is None):
         return one
     raise InvalidOption(f"{refusal('study', one)}; or a scene, (M, q), a function of the size")
 

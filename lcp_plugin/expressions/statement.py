@@ -406,7 +406,6 @@ def solve_from(
     """
     is_given = "z0" in options or start is None or not np.isfinite(start).all()
     if isinstance(problem, Blocks):
-        problem.problem_kind.refuse(options)
         _refuse_unknown(
             options, "a model with cones", list(inspect.signature(solve_cones).parameters)[1:]
         )

@@ -12,8 +12,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
-from ..core.kind import with_article
 from ..core.lcp import LCP
+from ..core.problem_classes import with_article
 from ..problems.cones.data import ConeProblem
 from ..problems.cones.files import LAYOUT as CONE_LAYOUT
 from ..problems.cones.files import problem_of as cone_problem_of

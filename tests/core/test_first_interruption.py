@@ -7,10 +7,7 @@ import subprocess
 import sys
 import time
 
-import numpy as np
 import pytest
-
-from lcp_plugin import NonlinearProblem, Status, solve
 
 SOLVES = {
     "LCP": "solve(LCP(np.eye(90) * 2.0, -np.ones(90)))",
@@ -47,18 +44,3 @@ def test_an_interruption_of_a_first_solve_is_a_result(kind: str, share: float) -
     printed, errors = process.communicate(timeout=60)
     is_raised = "KeyboardInterrupt" in errors
     assert printed.strip() in ("INTERRUPTED", "SOLVED") or is_raised, errors
-
-
-def test_an_interruption_of_the_first_value_of_F_is_a_result() -> None:
-    """Before a run has begun there is nobody to keep it: F is called again, once, and the run ends at its start."""
-    calls = []
-
-    def values(x: np.ndarray) -> np.ndarray:
-        calls.append(x)
-        if len(calls) == 1:
-            raise KeyboardInterrupt
-        return x - 1.0
-
-    result = solve(NonlinearProblem(values), x0=np.full(3, 2.0))
-    assert result.status is Status.INTERRUPTED
-    np.testing.assert_array_equal(result.z, np.full(3, 2.0))

@@ -688,7 +688,6 @@ def test_a_problem_shows_what_its_users_want() -> None:
         "csr",
         "matrix",
         "criterion",
-        "problem_kind",
     }
     assert shown[1] == {
         "P",
@@ -710,7 +709,6 @@ def test_a_problem_shows_what_its_users_want() -> None:
         "matrices",
         "with_matrices",
         "facts",
-        "problem_kind",
     }
 
 

@@ -43,7 +43,6 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
         {"cones", "contact", "files", "modeling", "programs", "ranks", "reformulations"},
         "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
     ),
-    "core.kind": ({"kinds"}, "a refusal names every kind that would be taken"),
     "core.solving.result": (
         {"proofs"},
         "explain() says what may mislead, guarantee what is proved",

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from ..checks import BoolVector, FloatVector, read_only, real_vector, restored
 from ..errors import InvalidProblem
-from ..kind import refusal
 from ..lcp import LCP
 from ..matrix.structure import connected_components
+from ..problem_classes import refusal
 from ..rounding import gamma
 from .criterion import (
     RowScaling,

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
-from ...core.kind import refusal
 from ...core.lcp import LCP
+from ...core.problem_classes import refusal
 from ...proofs.exact.rational import exact_slack
 from ...proofs.exact.simplex import Effort
 from ...proofs.no_solution.infeasibility import NoSolution

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from ...core.algorithm import Algorithm
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
-from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
 from ...core.matrix.row_sums import has_positive_diagonal, inverse_residual_scale, row_splits
+from ...core.problem_classes import class_of, refusal, takes
 from ...core.settings import Settings, checked_threads
 from ...methods.banded import Banded
 from ...systems.factors import bands
@@ -265,24 +265,20 @@ def solve_batch(
         wishes.pop("z0", None)
         return ContactBatchRun(M, wishes, z0, threads=checked, limit=limit).run()
     items: Items
-    if (kind := kind_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
+    if (name := class_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
         write = {LCP: "problem, Q", QuadraticProgram: 'program, [{"b": b}, …]'}.get(
             type(M), "[problem]"
         )
         raise InvalidProblem(
-            f"solve_batch needs many problems, got one {kind.word}; write solve_batch({write})"
+            f"solve_batch needs many problems, got one {name}; write solve_batch({write})"
         )
-    others = (
-        {one: kind for one in M if (kind := kind_of(one)) is not None}
-        if isinstance(M, Sequence)
-        else {}
-    )
-    for one, kind in others.items():
-        if "solve_batch" not in kind.ways:
+    others = [one for one in M if class_of(one)] if isinstance(M, Sequence) else []
+    for one in others:
+        if not takes("solve_batch", one):
             raise InvalidProblem(refusal("solve_batch", one))
     if any(not isinstance(one, LCP) for one in others):
         for k, one in enumerate(M):
-            if kind_of(one) is None:
+            if class_of(one) is None:
                 raise InvalidProblem(f"item {k} of the batch: {refusal('solve_batch', one)}")
         _refuse_data("these problems", "new ones", q, lower, upper)
         return MixedRun(M, wishes, threads=checked, limit=limit).run()

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,12 +26,10 @@ from ...core.checks import (
     real_array,
 )
 from ...core.errors import InvalidProblem, did_you_mean
-from ...core.kind import Kind
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, fact
 from ...core.representation import in_words
 from ...core.rounding import fresh_copies, read_only_views
-from . import CONE_PROBLEM
 
 CONES = ("free", "nonnegative", "box", "second_order")
 NEED_CONES = (
@@ -56,7 +54,6 @@ class Blocks:
         Whether the slack of a cone is û.
     """
 
-    problem_kind: ClassVar[Kind]
     origin: Any = None
     bodies: Any = None  # Bodies, behind contacts that are stated by them
     criterion: None = None  # no program is behind it
@@ -254,8 +251,6 @@ class ConeProblem(Blocks):
     >>> result.status.name, result.z.round(6), result.w.round(6)
     ('SOLVED', array([1., 1., 0.]), array([ 1., -1.,  0.]))
     """
-
-    problem_kind: ClassVar[Kind] = CONE_PROBLEM
 
     def __init__(self, M: Any, q: ArrayLike, cones: Sequence[Any]) -> None:
         rows = LCP(M, q)

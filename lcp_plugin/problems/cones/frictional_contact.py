@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from os import PathLike
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,6 @@ from ...core.checks import (
     restored,
 )
 from ...core.errors import InvalidProblem, LCPError
-from ...core.kind import Kind
 from ...core.lcp import LCP
 from ...core.representation import in_words
 from ..contact import (
@@ -31,7 +30,6 @@ from ..contact import (
     is_of_bodies,
     warn_of_much_friction,
 )
-from . import FRICTIONAL_CONTACT
 from .data import Blocks, with_other_q
 
 NEARLY_SYMMETRIC = 1e-2  # of the largest entry: contact data are written with few digits, and differ by up to 2.5e-3
@@ -100,7 +98,6 @@ class FrictionalContact(Blocks):
     ([[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], [False, True])
     """
 
-    problem_kind: ClassVar[Kind] = FRICTIONAL_CONTACT
     bodies: Bodies | None = None
 
     def __new__(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,6 @@ from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
-from ...core.kind import Kind
 from ...core.matrix.structure import Components, connected_components
 from ...core.matrix.symmetry import is_symmetric_to_rounding
 from ...core.policy.policy import Policy
@@ -32,7 +31,6 @@ from ...core.solving.result import Result, StageRecord, stage_lines
 from ...core.solving.run import Callback, Run
 from ...systems.factors import sizes_of_factor
 from ..contact import ContactMotion, motion_of
-from . import CONE_PROBLEM
 from .certificate import ConeCertificate, criterion_of, relative_residual
 from .data import Blocks
 from .frictional_contact import FrictionalContact
@@ -543,7 +541,6 @@ class ConeResult(Result):
         As of :class:`Result`.
     """
 
-    answered_kind: ClassVar[Kind] = CONE_PROBLEM
     problem: Any = None
 
     @classmethod

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,11 +20,9 @@ from ...core.checks import (
     rectangular_matrix,
 )
 from ...core.errors import InvalidProblem, UnsupportedModel
-from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
 from ..programs.convexity import refuse_nonconvex
 from ..programs.program import QuadraticProgram
-from . import EQUILIBRIUM_PROGRAM
 
 Indices = NDArray[np.int64]
 #: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
@@ -102,8 +100,6 @@ class EquilibriumProgram:
     >>> EquilibriumProgram(program, [0], [1])
     EquilibriumProgram(n=2, 1 pair)
     """
-
-    problem_kind: ClassVar[Kind] = EQUILIBRIUM_PROGRAM
 
     program: QuadraticProgram
     first: Indices

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ...core.checks import FloatVector
-from ...core.kind import Kind
 from ...core.settings import Status
 from ...core.solving.answer import NEXT, Answer
 from ..programs.no_minimum import QPUnboundedness
 from ..programs.program import QuadraticProgram
-from . import EQUILIBRIUM_PROGRAM
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .relaxations import FEASIBLE, Node, Relaxations
 
@@ -97,8 +95,6 @@ class EquilibriumResult(Answer):
     outside : Outside or None
         What SCIP said, where it was asked.
     """
-
-    answered_kind: ClassVar[Kind] = EQUILIBRIUM_PROGRAM
 
     problem: EquilibriumProgram = field(repr=False)
     status: Status

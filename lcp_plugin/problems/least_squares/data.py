@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,9 +24,7 @@ from ...core.checks import (
     same_for_all,
 )
 from ...core.errors import InvalidOption, InvalidProblem
-from ...core.kind import Kind
 from ...systems.equilibration import power_of_two
-from . import BOUNDED_LEAST_SQUARES
 
 MAX_DENSE_ENTRIES = 10**6  # of A: dense copies cost little
 PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about 25 %
@@ -73,8 +71,6 @@ class BoundedLeastSquares:
     is_sparse, is_dense : bool
         Whether it is a sparse array, or an ndarray.
     """
-
-    problem_kind: ClassVar[Kind] = BOUNDED_LEAST_SQUARES
 
     def __init__(
         self,

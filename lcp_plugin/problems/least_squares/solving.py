@@ -7,17 +7,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import FloatVector, read_only, restored
 from ...core.deadline import Clock, OutOfTimeError, is_over, time_limit
-from ...core.kind import Kind
 from ...core.settings import Settings, Status
 from ...core.solving.answer import NEXT, Answer
-from . import BOUNDED_LEAST_SQUARES
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
@@ -293,8 +291,6 @@ class LeastSquaresResult(Answer):
     problem : BoundedLeastSquares
         The data.
     """
-
-    answered_kind: ClassVar[Kind] = BOUNDED_LEAST_SQUARES
 
     x: FloatVector
     cost: float

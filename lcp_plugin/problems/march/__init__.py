@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...api import solve
 from ...auto import asked_of_solve, solve_lcp
 from ...core.algorithm import Algorithm
 from ...core.checks import FloatVector, check_kind, is_number, real_array
@@ -17,7 +18,6 @@ from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...core.settings import Status
 from ...core.solving.result import Result
-from ...kinds import solve_any
 from ...methods.banded import Banded
 from ..cones.data import Blocks
 from ..many.answers import AnswerSequence
@@ -200,7 +200,7 @@ def take_steps(
                 found = solve_lcp(stated, of_step or algorithm, z0=state, **{**wishes, **left})
             else:  # a start at rest is none: over cones Newton begins where one is given
                 start = {"z0": state} if (state != problem.nearest_to_zero).any() else {}
-                found = solve_any(stated, algorithm, {**wishes, **left, **start})
+                found = solve(stated, algorithm, **{**wishes, **left, **start})
             done.all_solved = found.is_solved
             done.is_interrupted = found.status is Status.INTERRUPTED
             if of_step is not None and found.is_solved:

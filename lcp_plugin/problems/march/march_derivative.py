@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
     FloatVector,
+    changes_by_name,
     finite_vector,
     is_number,
     real_array,
@@ -24,7 +25,6 @@ from ...core.checks import (
 )
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.kernels.floats import EPSILON
-from ...core.kind import changes_by_name
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers

@@ -15,8 +15,8 @@ from ...core.algorithm import Algorithm
 from ...core.checks import checked_vector, is_number
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
-from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
+from ...core.problem_classes import class_of, refusal, takes
 from ...core.settings import OF_SOLVE, Settings
 from ..cones.data import Blocks
 from ..many.data import length_of_all, rows_of_a_batch
@@ -167,12 +167,11 @@ def _begin(
     """Return the marches before their first steps; whatever is wrong is refused."""
     n = getattr(problems[0], "n", 0)
     for j, one in enumerate(problems):
-        kind = kind_of(one)
-        if kind is None or "march" not in kind.ways:
+        if not takes("march", one):
             raise InvalidOption(refusal("march", one))
         if not isinstance(one, LCP) and states.keys() - {"z0"}:
             raise InvalidOption(
-                f"lower and upper of a march are bounds of an LCP; a {kind.word} has none"
+                f"lower and upper of a march are bounds of an LCP; a {class_of(one)} has none"
             )
         if one.n != n:
             raise InvalidProblem(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,9 +21,7 @@ from ...core.checks import (
     rectangular_matrix,
 )
 from ...core.errors import InvalidProblem
-from ...core.kind import Kind
 from ...core.lcp import LCP
-from . import NONLINEAR_PROBLEM
 from .differences import Differences
 
 
@@ -66,8 +64,6 @@ class NonlinearProblem:
     >>> problem.linearised([2.0, 0.0]).M.diagonal().round(5)
     array([12.,  0.])
     """
-
-    problem_kind: ClassVar[Kind] = NONLINEAR_PROBLEM
 
     def __init__(
         self,

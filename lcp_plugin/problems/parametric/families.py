@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
+from ...api import solve
 from ...core.certificates.residuals import Certificate
 from ...core.checks import BoolVector, FloatVector, checked_vector, is_number, read_only
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
-from ...core.kind import kind_of, refusal
 from ...core.lcp import LCP
+from ...core.problem_classes import refusal, takes
 from ...core.settings import Settings, Status
-from ...kinds import solve_any
 from ...systems.definiteness import is_semidefinite_to_rounding
 from ..batches.batch import solve_batch
 from ..least_squares.certificate import Optimality
@@ -309,7 +309,7 @@ class Family:
 
     def solved(self, theta: Any) -> Any:
         """Return the answer of `solve` at θ."""
-        return solve_any(self.at(theta), "auto", {"tolerance": self.settings.tolerance})
+        return solve(self.at(theta), tolerance=self.settings.tolerance)
 
     def staircases(self) -> Staircases:
         """Return what is followed."""
@@ -651,8 +651,7 @@ def family_of(
     InvalidOption
         Where its kind has none, or it is too large.
     """
-    kind = kind_of(problem)
-    if kind is None or "trace" not in kind.ways:
+    if not takes("trace", problem):
         raise InvalidOption(refusal("trace", problem))
     family = FAMILIES[type(problem)](problem, along, (start, stop), tolerance)
     if not isinstance(problem, BoundedLeastSquares) and (rows := family.conditions.n) > LARGEST:

@@ -21,8 +21,8 @@ from ...core.checks import FloatVector, checked_vector, is_number, restored
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
-from ...core.kind import kind_of, refusal
 from ...core.matrix.matrix import largest_in_rows
+from ...core.problem_classes import class_of, refusal
 from ...core.rounding import compensated_product, gamma
 from ...core.solving.answer import Answer
 from ...proofs.bounds.curvature import constrained_curvature
@@ -140,7 +140,7 @@ def certify(
         if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
-            if kind_of(problem) is not None or isinstance(problem, (Answer, QPSolution)):
+            if class_of(problem) is not None or isinstance(problem, (Answer, QPSolution)):
                 raise InvalidProblem(refusal("certify", problem))
             if x is not None or multipliers is not None or claim is not None:
                 raise InvalidOption(

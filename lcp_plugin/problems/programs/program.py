@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,13 +26,11 @@ from ...core.checks import (
 from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
-from ...core.kind import Kind
 from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.symmetry import is_its_mirror, mismatch
 from ...core.rounding import compensated_pair, compensated_product
 from .constraints import Constraints
 from .criterion import PROGRAM_TOLERANCE
-from .kind import QUADRATIC_PROGRAM
 from .no_minimum import (
     QPInfeasibility,
     QPUnboundedness,
@@ -89,8 +87,6 @@ class QuadraticProgram:
     >>> program.objective([0.5, 1.5])
     -4.5
     """
-
-    problem_kind: ClassVar[Kind] = QUADRATIC_PROGRAM
 
     P: Any
     c: FloatVector

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from ...core.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
-from ...core.kind import Kind
 from ...core.settings import OF_SOLVE, Settings, Status, checked_callback
 from ...core.solving.answer import NEXT, Answer
 from ...core.solving.result import Result, Sample, StageRecord, stage_lines
@@ -31,7 +30,6 @@ from .conversion import optimality_conditions
 from .convexity import refuse_nonconvex
 from .criterion import PROGRAM_TOLERANCE, ROWS, Errors
 from .engine_calls import NO_MINIMUM, EngineRun, attempts, nearest, run_engine
-from .kind import QUADRATIC_PROGRAM
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
 from .program import QuadraticProgram
 from .reductions import FoldedRows
@@ -87,8 +85,6 @@ class QuadraticProgramResult(Answer):
     contradiction : str
         Of an infeasible cvxpy problem: which of its constraints contradict one another.
     """
-
-    answered_kind: ClassVar[Kind] = QUADRATIC_PROGRAM
 
     status: Status
     solution: QPSolution
@@ -200,7 +196,9 @@ def solve_program(
     """
     clock = Clock()
     wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
-    QUADRATIC_PROGRAM.refuse({name for name, wish in wishes.items() if wish is not False})
+    for name in ("error_bound", "tolerance_on", "absolute_tolerance"):
+        if wishes.pop(name, None):
+            raise InvalidOption(f"solve takes no {name} for a QuadraticProgram")
     wishes = {name: wish for name, wish in wishes.items() if wish is not None}
     callback, start = checked_callback(wishes.pop("callback", None)), wishes.pop("z0", None)
     if start is not None:

@@ -20,10 +20,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import BoolVector, FloatVector, finite_vector, rectangular_matrix
+from ...core.checks import (
+    BoolVector,
+    FloatVector,
+    changes_by_name,
+    finite_vector,
+    rectangular_matrix,
+)
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ...core.kind import changes_by_name, refusal
 from ...core.lcp import LCP
+from ...core.problem_classes import refusal
 from ...core.solving.result import Result
 from ...proofs.bounds.active_rows import ActiveRows, proven_rows, settled_rows
 from ...proofs.bounds.error_bounds import ErrorBound, error_bound

@@ -9,10 +9,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import is_number, read_only, real_array, rectangular_matrix
+from ...core.checks import changes_by_name, is_number, read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.kernels.floats import EPSILON
-from ...core.kind import changes_by_name
 from ...core.matrix.matrix import residual_scales
 from ...core.settings import Status
 from ...systems.least_norm import FreeBlocks, products

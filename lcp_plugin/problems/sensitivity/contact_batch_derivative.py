@@ -9,8 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector, read_only
-from ...core.kind import changes_by_name
+from ...core.checks import BoolVector, changes_by_name, read_only
 from ...core.lcp import LCP
 from ...core.matrix.matrix import residual_scales
 from ...core.rounding import fresh_copies

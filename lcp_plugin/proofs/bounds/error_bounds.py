@@ -16,8 +16,8 @@ from ...core.certificates.criterion import largest_of_components
 from ...core.certificates.row_residuals import scaled_residual
 from ...core.checks import BoolVector, FloatVector, real_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ...core.kind import refusal
 from ...core.lcp import LCP
+from ...core.problem_classes import refusal
 from ...core.rounding import lower_end
 from ...systems.comparison_sums import comparison_product
 from ..exact.upward import quotient_above, sum_above

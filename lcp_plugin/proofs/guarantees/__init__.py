@@ -10,7 +10,6 @@ import numpy as np
 from ...core.algorithm import Algorithm
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ...core.kind import refusal
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import (
     MODULUS,
@@ -24,6 +23,7 @@ from ...core.matrix.row_sums import (
     inverse_residual_scale,
     unit_triangle_sums,
 )
+from ...core.problem_classes import refusal
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.comparison import jacobi_radius
 from ...systems.graph import within_blocks

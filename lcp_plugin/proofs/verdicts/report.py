@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InvalidProblem
-from ...core.kind import kind_of, refusal, states_many
 from ...core.matrix import structure
 from ...core.matrix.matrix import Matrix, fact
 from ...core.matrix.structure import triangular_form
+from ...core.problem_classes import class_of, refusal
 from ...systems import graph
 from ...systems.symmetry import asymmetry
 from . import verdicts
@@ -238,8 +238,7 @@ def analyze(M: Any) -> MatrixReport:
 
 def matrix_of(M: Any) -> Matrix:
     """Return a problem's matrix, a matrix as it is, or what an array states."""
-    kind = kind_of(M)
-    if states_many(M) or (kind is not None and "analyze" not in kind.ways):
+    if class_of(M) not in (None, "LCP"):
         raise InvalidProblem(refusal("analyze", M))
     matrix = getattr(M, "matrix", M)
     return matrix if isinstance(matrix, Matrix) else Matrix(M)

@@ -1,0 +1,59 @@
+"""The problem classes, and the functions that take them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+CLASSES = (
+    "LCP",
+    "NonlinearProblem",
+    "QuadraticProgram",
+    "EquilibriumProgram",
+    "BoundedLeastSquares",
+    "ConeProblem",
+    "FrictionalContact",
+)
+# The classes that a function takes, or whose results it takes; LCP alone if it is not listed.
+TAKES: dict[str, tuple[str, ...]] = {
+    "solve": CLASSES,
+    "solve_batch": tuple(name for name in CLASSES if name != "NonlinearProblem"),
+    "prepare": ("LCP", "QuadraticProgram"),
+    "march": ("LCP", "ConeProblem", "FrictionalContact"),
+    "trace": ("LCP", "QuadraticProgram", "BoundedLeastSquares"),
+    "derivative": ("LCP", "NonlinearProblem", "ConeProblem", "FrictionalContact"),
+    "certify": ("QuadraticProgram",),
+}
+
+
+def class_of(problem: Any) -> str | None:
+    """Return the name of a problem's class, None if it is no problem.
+
+    Examples
+    --------
+    >>> from lcp_plugin import LCP
+    >>> class_of(LCP([[1.0]], [1.0])), class_of([1.0])
+    ('LCP', None)
+    """
+    for kind in type(problem).__mro__:
+        if kind.__name__ in CLASSES and kind.__module__.startswith("lcp_plugin."):
+            return kind.__name__
+    return None
+
+
+def takes(function: str, problem: Any) -> bool:
+    """Return whether a function takes a problem of this class."""
+    return class_of(problem) in TAKES.get(function, ("LCP",))
+
+
+def refusal(function: str, given: Any) -> str:
+    """Return the message of a function that does not take what it was given."""
+    *most, last = TAKES.get(function, ("LCP",))
+    needs = with_article(f"{', '.join(most)} or {last}" if most else last)
+    if function == "derivative":
+        needs = f"the result of {needs}"
+    return f"{function} needs {needs}, got {type(given).__name__}"
+
+
+def with_article(word: str) -> str:
+    """Return a word with its article."""
+    return f"an {word}" if word[0] in "AEIOU" or word.startswith("LCP") else f"a {word}"

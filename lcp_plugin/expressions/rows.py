@@ -217,7 +217,9 @@ def stacked(parts: Sequence[Rows]) -> Rows:
         data, columns = (
             np.concatenate([getattr(m, part) for _, m in matrices]) for part in ("data", "indices")
         )
-        blocks[key] = _csr(data, columns, np.cumsum(counts), (size, matrices[0][1].shape[1]))
+        blocks[key] = sp.csr_array(
+            (data, columns, np.cumsum(counts)), shape=(size, matrices[0][1].shape[1])
+        )
     offset = np.concatenate([part.offset for part in parts])
     return Rows(blocks, offset, (size,), None, max(part.level for part in parts))
 
@@ -252,7 +254,7 @@ def assembled(
                 matrix = as_matrix(block, part.size)
                 stored.append((matrix.data, matrix.indices + first[key], np.diff(matrix.indptr)))
         data, columns, counts = (np.concatenate(part) for part in zip(*stored, strict=True))
-        matrix = _csr(data, columns, np.cumsum(counts), (offset.size, count))
+        matrix = sp.csr_array((data, columns, np.cumsum(counts)), shape=(offset.size, count))
         matrix.sum_duplicates()
         return matrix, offset
     start, entries = 0, [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
@@ -280,7 +282,9 @@ def as_matrix(block: Block, size: int) -> sp.csr_array:
     """Return a block of that many rows as CSR."""
     if not isinstance(block, float):
         return block
-    return _csr(np.full(size, block), np.arange(size), np.arange(size + 1), (size, size))
+    return sp.csr_array(
+        (np.full(size, block), np.arange(size), np.arange(size + 1)), shape=(size, size)
+    )
 
 
 def uniform(value: Any) -> Any:
@@ -311,23 +315,25 @@ def _changed(block: Block, operation: np.ufunc, factor: Any) -> Block:
     """Return the block with other numbers in the same places, whose indices both share."""
     if isinstance(block, float):
         return float(operation(block, factor))
-    return _csr(operation(block.data, factor), block.indices, block.indptr, block.shape)
+    return sp.csr_array(
+        (operation(block.data, factor), block.indices, block.indptr), shape=block.shape
+    )
 
 
 def _rows_of(block: Block, numbers: Indices, is_taken: NDArray[np.bool_], size: int) -> Block:
     taken, counts = numbers[is_taken], np.zeros(numbers.size + 1, dtype=np.int64)
     if isinstance(block, float):
         counts[1:] = is_taken
-        return _csr(np.full(taken.size, block), taken, np.cumsum(counts), (numbers.size, size))
+        return sp.csr_array(
+            (np.full(taken.size, block), taken, np.cumsum(counts)), shape=(numbers.size, size)
+        )
     matrix = block[taken]
     if taken.size == numbers.size:
         return matrix
     counts[1:][is_taken] = np.diff(matrix.indptr)
-    return _csr(matrix.data, matrix.indices, np.cumsum(counts), (numbers.size, block.shape[1]))
-
-
-def _csr(data: Any, columns: Any, indptr: Any, shape: tuple[int, int]) -> sp.csr_array:
-    return sp.csr_array((data, columns, indptr), shape=shape)
+    return sp.csr_array(
+        (matrix.data, matrix.indices, np.cumsum(counts)), shape=(numbers.size, block.shape[1])
+    )
 
 
 class Compiler:
@@ -382,8 +388,9 @@ class Compiler:
             if copies > 1 and not is_left and operator.shape[0] == 1:  # vᵀ ⊗ I
                 columns = operator.indices * copies + np.arange(copies)[:, None]
                 starts = np.arange(copies + 1) * operator.nnz
-                operator = _csr(
-                    np.tile(operator.data, copies), columns.ravel(), starts, (copies, rows.size)
+                operator = sp.csr_array(
+                    (np.tile(operator.data, copies), columns.ravel(), starts),
+                    shape=(copies, rows.size),
                 )
             elif copies > 1:
                 identity = sp.eye_array(copies)

@@ -14,7 +14,6 @@ import numpy as np
 from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
-from numpy.typing import NDArray
 
 from ..core.certificates.row_residuals import magnitude
 from ..core.checks import FloatVector
@@ -53,11 +52,6 @@ class DualReport:
     scale: Any = 1.0
     shift: Any = 0.0
     expression: Any = None  # whose parameters move the shift
-
-    def value(self, z: FloatVector, w: FloatVector) -> NDArray[np.float64]:
-        """Return the dual value in the constraint's own shape."""
-        values: FloatVector = self.scale * (w if self.is_slack else z)[self.columns] + self.shift
-        return values.reshape(self.shape, order="F")
 
 
 class ReadSide(NamedTuple):
@@ -432,10 +426,12 @@ class Model:
             problem.unpack(Solution(status, found[2], own, {}, attributes))
         for report in self.reports:
             if found is None:
-                for dual in report.constraint.dual_variables:
-                    dual.save_value(None)
+                for variable in report.constraint.dual_variables:
+                    variable.save_value(None)
             else:
-                report.constraint.save_dual_value(report.value(*found[:2]))
+                entries = (found[1] if report.is_slack else found[0])[report.columns]
+                dual = report.scale * entries + report.shift
+                report.constraint.save_dual_value(dual.reshape(report.shape, order="F"))
         problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
 
     def consistency_error(self, z: FloatVector, w: FloatVector) -> str | None:

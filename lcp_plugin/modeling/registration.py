@@ -26,7 +26,6 @@ from .model import Model
 from .qp_solver import QPSolver, conflicting_constraints
 from .stated_terms import refusal
 
-METHODS = ("LCP", "lcp")
 CVXPY_FLAGS = (
     "gp",
     "qcp",
@@ -74,7 +73,8 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
                 f"complements({one}, F >= 0)"
             )
     model = Model(constraints, memo)
-    model.add_equations(equations)
+    if equations:
+        model.add_equations(equations)
     model.add_pairs(pairs)
     return model
 
@@ -179,7 +179,7 @@ def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     start = model.present() if warm_start and "z0" not in options else None
     elimination = model.square.elimination
     start = None if start is None else start[elimination.kept]
-    result = solve_from(model.problem, start, options)
+    result = solve_from(model.square.problem, start, options)
     if model.square.dropped.size and result.is_solved:
         model.refuse_violated_bounds(result.z)
     if options["verbose"]:

@@ -1,4 +1,4 @@
-"""The objective and the constraints of a cvxpy problem as its user stated them, at the values of his variables."""
+"""Values of cvxpy expressions as they were stated, and why a problem is not a quadratic program."""
 
 from __future__ import annotations
 
@@ -25,18 +25,17 @@ def values_below(roots: list[Any]) -> dict[int, Any]:
     values: dict[int, Any] = {}
     for root in roots:
         for node in postorder(root, values):
-            if id(node) not in values:
-                values[id(node)] = _value(node, [values[id(argument)] for argument in node.args])
+            if id(node) in values:
+                continue
+            if isinstance(node, cp.Variable):
+                value = leaf_value(node)
+                values[id(node)] = value.toarray() if sp.issparse(value) else value
+            elif not node.args:
+                values[id(node)] = node.value
+            else:
+                arguments = [values[id(argument)] for argument in node.args]
+                values[id(node)] = np.zeros(0) if 0 in node.shape else node.numeric(arguments)
     return values
-
-
-def _value(node: Any, arguments: list[Any]) -> Any:
-    if isinstance(node, cp.Variable):
-        value = leaf_value(node)
-        return None if value is None else dense_value(value)
-    if not node.args:
-        return node.value
-    return np.array([]) if 0 in node.shape else node.numeric(arguments)
 
 
 def why_not(problem: Any) -> list[str]:

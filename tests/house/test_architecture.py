@@ -48,7 +48,6 @@ LEADS_ON = {  # imports inside a function that lead to what lies above: from whi
         "explain() says what may mislead, guarantee what is proved",
     ),
     "core.solving.answer": ({"evidence"}, "plot() of every answer"),
-    "problems.contact": ({"cones"}, "auto begins with the cones behind a pyramid's LCP"),
     "problems.parametric.path": ({"evidence"}, "plot() of a path"),
     "problems.parametric.tracing": ({"modeling"}, "trace takes a cvxpy problem as well"),
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),

@@ -49,11 +49,11 @@ def main(out: Path = Path()) -> None:
     print(path.explain())
 
     best, least = most, np.inf
-    for piece in path.pieces:  # on each the error is the square of r0 + λ r1
+    for piece in path.pieces:  # on each the error is the square of r0 + (λ − begin) r1
         r0, r1 = fresh @ piece.x0 - seen, fresh @ piece.x1
-        inside = -(r0 @ r1) / (r1 @ r1) if r1.any() else piece.begin
+        inside = piece.begin - (r0 @ r1) / (r1 @ r1) if r1.any() else piece.begin
         penalty = min(max(inside, piece.end), piece.begin)
-        if (error := np.sum((r0 + penalty * r1) ** 2)) < least:
+        if (error := np.sum((r0 + (penalty - piece.begin) * r1) ** 2)) < least:
             best, least = penalty, error
     chosen = path.at(best)
     print(

@@ -40,7 +40,7 @@ def plot_path(path: Path, *, axes: Any = None, rows: Sequence[int] | None = None
         raise UnsuitableProblem(f"there is no path to draw: {path.explain()}")
     theta = np.array([value for piece in path.pieces for value in (piece.begin, piece.end)])
     every = np.array(
-        [piece.x0 + value * piece.x1 for piece in path.pieces for value in (piece.begin, piece.end)]
+        [piece.x_at(value) for piece in path.pieces for value in (piece.begin, piece.end)]
     )
     n = every.shape[1]
     if rows is None:

@@ -126,35 +126,15 @@ def yielding(is_kept: Callable[[int, Any], bool], *, to_the_end: bool = True) ->
     return Instead(lambda old: made(old, None), made)
 
 
-def renewed_with(block: Any, row: int) -> bool:
-    """Factorise the block of free rows with one more."""
-    return _renewed(block, np.append(block.rows, row))
+def one_row_alone(old: Any) -> Any:
+    """A row changes, and no other row at the same value."""
 
+    def pivot(follower: Any, z: Any, change: Any) -> Any:
+        follower.steps[change[0]] += change[1]
+        follower.motion = follower._settled(z)
+        return change
 
-def renewed_without(block: Any, row: int) -> bool:
-    """Factorise the block of free rows without one."""
-    return _renewed(block, block.rows[block.rows != row])
-
-
-def _renewed(block: Any, rows: Any) -> bool:
-    made = type(block)(block._source, rows)
-    if made.is_singular:
-        return False
-    block.__dict__.update(made.__dict__)
-    return True
-
-
-def ends() -> Instead:
-    """The path ends there."""
-    from lcp_plugin.problems.parametric.following import SingularError
-
-    def off(old: Any) -> Any:
-        def ended(*_: Any) -> Any:
-            raise SingularError
-
-        return ended
-
-    return Instead(off)
+    return pivot
 
 
 def without(*names: str) -> Instead:
@@ -625,45 +605,11 @@ MECHANISMS = (
     ),
     # --- paths
     Mechanism(
-        "changes of an inverse",
-        "the inverse of the free rows is changed by one row at a breakpoint",
-        {
-            f"{PARAMETRIC}.free_block:FreeBlock.enter": Instead(lambda old: renewed_with),
-            f"{PARAMETRIC}.free_block:FreeBlock.leave": Instead(lambda old: renewed_without),
-        },
-        "problems/parametric/free_block.py:FreeBlock.enter problems/parametric/free_block.py:FreeBlock.leave",
-        "problems/parametric/test_trace.py::test_a_change_costs_less_than_a_factor",
-    ),
-    Mechanism(
         "segments of solutions",
         "a path goes along a segment of solutions at one value",
-        {f"{PARAMETRIC}.following:Follower._slide": ends()},
-        "problems/parametric/following.py:Follower._slide",
+        {f"{PARAMETRIC}.following:Follower._pivot": Instead(one_row_alone)},
+        "problems/parametric/following.py:Follower._pivot",
         "problems/parametric/test_trace.py::test_linear_programs_move_along_faces",
-    ),
-    Mechanism(
-        "rows at rest",
-        "unknowns that nothing determines rest where they are",
-        {f"{PARAMETRIC}.following:Follower._park": ends()},
-        "problems/parametric/following.py:Follower._park",
-        "problems/parametric/test_trace.py::test_what_nothing_determines_rests",
-    ),
-    Mechanism(
-        "lassos together",
-        "breakpoints of least squares are certified together",
-        {
-            f"{PARAMETRIC}.families:surely_optimal": differing(
-                lambda old: lambda problem, x, *_: np.zeros(len(x), dtype=bool)
-            )
-        },
-        "problems/parametric/stacked_lasso.py",
-    ),
-    Mechanism(
-        "beside an end",
-        "an end of a piece is judged just inside where data cancel at it",
-        {f"{PARAMETRIC}.families:Family.is_solved_beside": says(False)},
-        "problems/parametric/families.py:Family.is_solved_beside",
-        "problems/parametric/test_trace.py::test_terms_that_cancel_at_a_breakpoint_stall_no_path",
     ),
     Mechanism(
         "batch loop",

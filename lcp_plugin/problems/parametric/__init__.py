@@ -8,8 +8,6 @@ multipliers of a quadratic program, and x of a least squares problem with a pena
 | `tracing` | :func:`lcp_plugin.trace` |
 | `path` | what it returns |
 | `families` | which data of a kind may move, its complementarity problem at θ, and the way back |
-| `stacked_lasso` | which of many least squares are optimal beyond doubt |
 | `staircases` | that problem, rows with a kink included, affine in θ |
-| `following` | from breakpoint to breakpoint; ties, segments of solutions, turns |
-| `free_block` | the inverse of the block of free rows, changed by one row at a time |
+| `following` | from breakpoint to breakpoint |
 """

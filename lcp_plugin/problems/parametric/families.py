@@ -18,7 +18,6 @@ from ...core.lcp import LCP
 from ...core.problem_classes import refusal, takes
 from ...core.settings import Settings, Status
 from ...systems.definiteness import is_semidefinite_to_rounding
-from ..batches.batch import solve_batch
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares
 from ..least_squares.enclosures import Enclosures
@@ -27,23 +26,17 @@ from ..programs.convexity import refuse_nonconvex
 from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
 from ..programs.solution import QPSolution
-from .stacked_lasso import surely_optimal
 from .staircases import Columns, GramColumns, Staircases
 
-LARGEST = 6000  # rows, of which a dense inverse is kept
+LARGEST = 6000  # rows, of which a dense factorization is made
 MET = 1e-12  # of their terms: by how much bounds that meet may seem to cross
 NEARLY = 100.0  # times the goal: what is called a limit of precision
 BOUNDS = ("lower", "upper")
-INWARD = (
-    1e-6,
-    1e-3,
-    1.0,
-)  # of the way from an end of a piece to its middle, the first that will do
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One piece of a path: x = x0 + θ x1 for θ from begin to end.
+    """One piece of a path: x = x0 + (θ − begin) x1 for θ from begin to end.
 
     Attributes
     ----------
@@ -67,7 +60,11 @@ class Piece:
 
     def z_at(self, theta: float) -> FloatVector:
         """Return x with the multipliers of rows at θ."""
-        return self.z0 + theta * self.z1
+        return self.z0 + (theta - self.begin) * self.z1
+
+    def x_at(self, theta: float) -> FloatVector:
+        """Return x at θ."""
+        return self.x0 + (theta - self.begin) * self.x1
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +83,7 @@ class PathPoint:
     solution : QPSolution or None
         Of a program: x with the multipliers of all rows and bounds, and their residuals.
     status : Status
-        As the kind's criterion says on the data at that value; where numbers vanish there that rounding leaves, just
-        inside the piece (see `Path.status`).
+        As the kind's criterion says on the data at that value; at a breakpoint it may read PRECISION_LIMIT.
     objective : float or None
         In the kind's terms; None for an LCP.
     """
@@ -98,7 +94,6 @@ class PathPoint:
     w: FloatVector | None = field(repr=False)
     solution: QPSolution | None = field(repr=False)
     _family: Family = field(repr=False)
-    _piece: Piece | None = field(default=None, repr=False)
 
     @property
     def z(self) -> FloatVector:
@@ -112,13 +107,8 @@ class PathPoint:
 
     @cached_property
     def status(self) -> Status:
-        """What the kind's criterion says, or says just inside the piece."""
-        status = self._family.judge(self)
-        if status is Status.SOLVED or self._piece is None:
-            return status
-        return (
-            Status.SOLVED if self._family.is_solved_beside(self.parameter, self._piece) else status
-        )
+        """What the kind's criterion says."""
+        return self._family.judge(self)
 
     @property
     def is_solved(self) -> bool:
@@ -135,51 +125,6 @@ class PathPoint:
             For another kind: see `solution` and `status`.
         """
         return Certificate.of(self.problem, self.x)
-
-
-@dataclass(frozen=True, eq=False)
-class CrossedBounds:
-    """What is said beyond a θ where a lower bound exceeds the upper one: there is no solution, as two numbers prove.
-
-    Attributes
-    ----------
-    row : int
-    is_at_start : bool
-        Whether they have crossed there already.
-    at, toward : float
-        From where on, and up to where.
-    lower, upper : ndarray, shape (2,)
-        Constant and slope of both bounds.
-    """
-
-    row: int
-    is_at_start: bool
-    at: float
-    toward: float
-    lower: FloatVector
-    upper: FloatVector
-    status: ClassVar[Status] = Status.INFEASIBLE
-    is_solved: ClassVar[bool] = False
-    has_no_solution: ClassVar[bool] = True
-    x: ClassVar[None] = None
-
-    @property
-    def proof(self) -> CrossedBounds:
-        """What is to be verified: these bounds."""
-        return self
-
-    def verify(self) -> bool:
-        """Return whether the bounds are in the wrong order at the far end."""
-        return bool(self.lower @ [1.0, self.toward] > self.upper @ [1.0, self.toward])
-
-    @property
-    def advice(self) -> str:
-        """What is wrong, in words."""
-        low, high = (one @ [1.0, self.toward] for one in (self.lower, self.upper))
-        return (
-            f"lower[{self.row}] exceeds upper[{self.row}], at {self.toward:.6g} it is {low:.6g} and the upper one "
-            f"{high:.6g}"
-        )
 
 
 class Family:
@@ -260,39 +205,28 @@ class Family:
             name: getattr(self.problem, name) + theta * step
             for name, step in self.directions.items()
         }
-        if moved.keys() & set(BOUNDS):  # which may cross by rounding, where they meet
-            lower, upper = (moved.get(name, getattr(self.problem, name)) for name in BOUNDS)
-            size = sum(np.abs(self.pair(name)).T @ [1.0, abs(theta)] for name in BOUNDS)
-            crossed = (lower > upper) & (
-                lower - upper <= MET * np.where(np.isfinite(size), size, 0.0)
-            )
-            for name, other in zip(BOUNDS, (upper, lower), strict=True):
-                if name in moved:
-                    moved[name] = np.where(crossed, other, moved[name])
-                    break
+        if "upper" in moved:  # bounds that meet may cross by rounding
+            moved["upper"] = np.maximum(moved["upper"], moved.get("lower", self.problem.lower))
+        elif "lower" in moved:
+            moved["lower"] = np.minimum(moved["lower"], self.problem.upper)
         return moved
 
-    def crossing(self) -> CrossedBounds | None:
-        """Return where bounds cross first on the way from start to stop, or None."""
-        if not self.directions.keys() & set(BOUNDS):
-            return None
-        start, stop = self.ends
-        lower, upper = map(self.pair, BOUNDS)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ends = np.array([[1.0, theta] for theta in self.ends]) @ (upper - lower)
-            size = np.abs([[1.0, theta] for theta in self.ends]) @ (np.abs(lower) + np.abs(upper))
-            ends[np.abs(ends) <= MET * size] = 0.0
-            share = np.where(
-                ends[0] < 0.0, 0.0, np.where(ends[1] < 0.0, ends[0] / (ends[0] - ends[1]), np.inf)
-            )
-        if not np.isfinite(share).any():
-            return None
-        row = int(np.argmin(share))
-        at = start + float(share[row]) * (stop - start)
-        toward = stop if stop != start else at
-        return CrossedBounds(
-            row, bool(ends[0, row] < 0.0), at, toward, lower[:, row], upper[:, row]
+    def crossing(self) -> tuple[float, str]:
+        """Return the share of the way at which bounds cross first, and which, in words; −1 if they do at the start."""
+        low, high = (
+            np.array([[1.0, theta] for theta in self.ends]) @ self.pair(name) for name in BOUNDS
         )
+        size = np.abs(np.where(np.isfinite(low), low, 0.0)) + np.abs(
+            np.where(np.isfinite(high), high, 0.0)
+        )
+        room = high - low
+        room[np.abs(room) <= MET * size] = 0.0
+        share = np.where(room[1] < 0.0, room[0] / (room[0] - room[1]), 1.0)
+        share = np.where(room[0] < 0.0, -1.0, share)
+        row = int(np.argmin(share)) if share.size else 0
+        if not share.size or (share[row] == 1.0 and not room[1, row] < 0.0):
+            return 1.0, ""
+        return float(share[row]), f"lower[{row}] exceeds upper[{row}] beyond"
 
     def at(self, theta: Any) -> Any:
         """Return the problem at θ."""
@@ -315,8 +249,8 @@ class Family:
         """Return what is followed."""
         return Staircases.of_bounds(Columns(self.conditions.M), *self.rows())
 
-    def followed(self, result: Any, theta: Any) -> FloatVector:
-        """Return the unknowns of what is followed, of an answer of `solve` at θ."""
+    def followed(self, result: Any) -> FloatVector:
+        """Return the unknowns of what is followed, of an answer of `solve`."""
         raise NotImplementedError
 
     def point(self, theta: Any, z: FloatVector) -> PathPoint:
@@ -331,45 +265,9 @@ class Family:
         """Return what is minimised."""
         return None
 
-    def slope_of_objective(self, point: PathPoint, change: FloatVector) -> float | None:
-        """Return how the objective changes with θ where x changes so."""
-        return None
-
-    def slope_of_slack(self, change: FloatVector) -> FloatVector | None:
-        """Return how w of an LCP changes with θ where z changes so."""
-        return None
-
-    def step(self, name: str) -> FloatVector:
-        """Return how a vector changes with θ."""
-        return np.asarray(self.pair(name)[1])
-
     def judge(self, point: PathPoint) -> Status:
         """Return what the kind's criterion says of a point."""
         raise NotImplementedError
-
-    def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
-        """Return what the kind's criterion says of many points."""
-        return [
-            self.judge(self.point(float(theta), one)) for theta, one in zip(thetas, z, strict=True)
-        ]
-
-    def is_solved_beside(self, theta: float, piece: Piece) -> bool:
-        """Return whether θ is right on a piece where the criterion, of data that cancel there, sees rounding alone.
-
-        Just inside the piece the criterion must say SOLVED, and at θ each row be where its step is, to rounding of the
-        terms of z(θ) and w(θ).
-        """
-        middle, reach = 0.5 * (piece.begin + piece.end), max(abs(piece.begin), abs(piece.end))
-        if theta == middle or not self._stairs.hold(theta, piece.z0, piece.z1, reach):
-            return False
-        inside = (theta + share * (middle - theta) for share in INWARD)
-        return any(
-            self.judge(self.point(near, piece.z_at(near))) is Status.SOLVED for near in inside
-        )
-
-    @cached_property
-    def _stairs(self) -> Staircases:
-        return self.staircases()
 
     def case_of(self, steps: Any) -> Any:
         """Return −1 at the lower bound, 0 between, 1 at the upper one."""
@@ -397,7 +295,7 @@ class ComplementarityFamily(Family):
         problem: LCP = self.problem.with_q(moved.get("q", self.problem.q), **bounds)
         return problem
 
-    def followed(self, result: Any, theta: Any) -> FloatVector:
+    def followed(self, result: Any) -> FloatVector:
         """Return z."""
         return np.asarray(result.z)
 
@@ -406,27 +304,6 @@ class ComplementarityFamily(Family):
         problem = self.at(theta)
         z = np.clip(z, problem.lower, problem.upper)
         return PathPoint(theta, problem, read_only(z), read_only(problem.slack(z)), None, self)
-
-    def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
-        """Return what the certificate says of many points: those that a batch leaves as they are, it has judged."""
-        if self.directions.keys() - {"q"}:
-            return super().judge_all(thetas, z)
-        start = np.clip(np.array(z), self.problem.lower, self.problem.upper)
-        q = self.problem.q + np.outer(thetas, self.step("q"))
-        tolerance = self.settings.tolerance
-        batch = solve_batch(
-            self.problem, q, z0=start, tolerance=tolerance, max_iterations=1, threads=1
-        )
-        return [
-            Status.SOLVED
-            if status is Status.SOLVED and np.array_equal(one, begun)
-            else self.judge(self.point(float(theta), begun))
-            for status, one, begun, theta in zip(batch.status, batch.z, start, thetas, strict=True)
-        ]
-
-    def slope_of_slack(self, change: FloatVector) -> FloatVector:
-        """Return how w changes with θ where z changes so."""
-        return read_only(self.problem.M @ change + self.step("q"))
 
     def judge(self, point: PathPoint) -> Status:
         """Return what the certificate says of z."""
@@ -478,7 +355,7 @@ class ProgramFamily(Family):
             np.concatenate(parts, axis=1) for parts in ((c, h, b), (lower, least), (upper, most))
         ]
 
-    def followed(self, result: Any, theta: Any) -> FloatVector:
+    def followed(self, result: Any) -> FloatVector:
         """Return x and the multipliers of rows."""
         found = result.solution
         return np.concatenate([found.x, found.inequality, found.equality])
@@ -502,11 +379,6 @@ class ProgramFamily(Family):
     def objective(self, point: PathPoint) -> float:
         """Return ½ xᵀP x + cᵀx."""
         return float(point.problem.objective(point.x))
-
-    def slope_of_objective(self, point: PathPoint, change: FloatVector) -> float:
-        """Return how the objective changes with θ where x changes so."""
-        gradient = point.problem.P @ point.x + point.problem.c
-        return float(gradient @ change + self.step("c") @ point.x)
 
     def judge(self, point: PathPoint) -> Status:
         """Return what the program's criterion says."""
@@ -578,7 +450,7 @@ class LeastSquaresFamily(Family):
             GramColumns(A, problem.ridge), q, lower, upper, l1, self._has_kink
         )
 
-    def followed(self, result: Any, theta: Any) -> FloatVector:
+    def followed(self, result: Any) -> FloatVector:
         """Return x."""
         return np.asarray(result.x)
 
@@ -594,16 +466,6 @@ class LeastSquaresFamily(Family):
         problem = point.problem
         return float(problem.cost(point.x, problem.product(point.x) - problem.b))
 
-    def slope_of_objective(self, point: PathPoint, change: FloatVector) -> float:
-        """Return how the cost changes with θ where x changes so."""
-        problem, x = point.problem, point.x
-        residual = problem.weighted(problem.product(x) - problem.b)
-        gradient = problem.transposed(residual) + problem.ridge * x
-        kink = problem.l1 * np.where(x == 0.0, np.sign(change), np.sign(x))
-        return float(
-            (gradient + kink) @ change - residual @ self.step("b") + self.step("l1") @ np.abs(x)
-        )
-
     def judge(self, point: PathPoint) -> Status:
         """Return what the certificate says."""
         tolerance = self.settings.tolerance
@@ -613,20 +475,6 @@ class LeastSquaresFamily(Family):
             return Status.SOLVED
         is_near = found.is_at_rounding_level or found.meets(NEARLY * tolerance)
         return Status.PRECISION_LIMIT if is_near else Status.STALLED
-
-    def judge_all(self, thetas: FloatVector, z: list[FloatVector]) -> list[Status]:
-        """Return what the certificate says of many points: of those that are not surely optimal one by one."""
-        b, l1, lower, upper = (
-            pair[0] + np.outer(thetas, pair[1]) for pair in map(self.pair, self.MOVES)
-        )
-        x = np.clip(np.array(z), lower, upper)
-        sure = surely_optimal(
-            self.problem, x, b, np.maximum(l1, 0.0), lower, upper, self.settings.tolerance
-        )
-        return [
-            Status.SOLVED if is_sure else self.judge(self.point(float(theta), one))
-            for is_sure, theta, one in zip(sure, thetas, z, strict=True)
-        ]
 
     def case_of(self, steps: Any) -> Any:
         """Return −1 at the lower bound, 0 between, 1 at the upper one, 2 at 0, where the penalty holds it."""
@@ -656,7 +504,7 @@ def family_of(
     family = FAMILIES[type(problem)](problem, along, (start, stop), tolerance)
     if not isinstance(problem, BoundedLeastSquares) and (rows := family.conditions.n) > LARGEST:
         raise UnsuitableProblem(
-            f"trace keeps a dense inverse for up to {LARGEST} rows, and this problem has {rows}; "
+            f"trace factorizes dense matrices of up to {LARGEST} rows, and this problem has {rows}; "
             "solve_batch(problem, Q) solves at given values"
         )
     return family

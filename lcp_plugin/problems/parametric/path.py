@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -12,12 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.checks import FloatVector, is_number
-from ...core.errors import InvalidOption, LCPError, NotConverged
+from ...core.errors import InvalidOption, NotConverged
 from ...core.representation import in_words
 from ...core.settings import PROVEN, Status
 from .families import Family, PathPoint, Piece
 
 SHOWN = 8  # breakpoints in a paragraph
+INSIDE = 1e-6, 1e-3  # of half a piece, at both ends: where it is judged
+MIDST = 0.3819660112501051  # of a piece: no simple fraction, at which whole numbers cancel
+WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
 JOINED = 1e-9  # beside the unknowns there: by how much two pieces that join may differ
 
 
@@ -28,17 +30,12 @@ class Slope:
     Attributes
     ----------
     x : ndarray, shape (n,)
-    w : ndarray, shape (n,), or None
-        Of an LCP.
     multipliers : ndarray or None
         Of the rows of G and A of a program.
-    objective : float or None
     """
 
     x: FloatVector
-    w: FloatVector | None = None
     multipliers: FloatVector | None = None
-    objective: float | None = None
 
 
 class Path:
@@ -53,10 +50,9 @@ class Path:
     reached : float
         How far it came.
     status : Status
-        SOLVED where it came to stop and every end of a piece is SOLVED; then the points between are, too, which are
-        means of those. Else that of the worst end, or of the problem just beyond `reached`. An end is SOLVED by the
-        criterion of its kind; or, as numbers that vanish there are left to rounding, by the criterion just inside the
-        piece and, at the end, within rounding of the terms that cancel.
+        SOLVED if it came to stop and each piece is SOLVED just inside its two ends and in its midst, by the criterion
+        of its kind; the points between are means of those. INFEASIBLE if bounds cross on the way. Else that
+        of the worst piece, or of the problem just beyond `reached`.
     jumps : list of float
         Where the solution jumps, as that of a matrix that is not monotone may.
     segments : list of float
@@ -64,28 +60,20 @@ class Path:
         that are both best.
     beyond : result or None
         What `solve` says just beyond `reached`, with its proof, where the path ends before stop.
+    crossed : str
+        Which bounds cross at `reached`, if some do.
     seconds : float
         Of the trace, its certificates included.
     """
 
-    def __init__(
-        self,
-        family: Family,
-        start: float,
-        stop: float,
-        pieces: list[Piece],
-        jumps: list[float],
-        segments: list[float],
-        beyond: Any,
-        reached: float,
-        starts: int,
-    ) -> None:
-        self.family, self.start, self.stop, self.reached = family, start, stop, reached
-        self.pieces, self.jumps, self.segments = pieces, jumps, segments
-        self.beyond, self.starts = beyond, starts
-        self.seconds = 0.0
+    def __init__(self, family: Family, start: float, stop: float) -> None:
+        self.family, self.start, self.stop, self.reached = family, start, stop, start
+        self.pieces: list[Piece] = []
+        self.jumps: list[float] = []
+        self.segments: list[float] = []
+        self.beyond: Any = None
+        self.crossed, self.starts, self.seconds = "", 0, 0.0
         self._toward = 1.0 if stop >= start else -1.0
-        self._begins = np.array([self._toward * piece.begin for piece in pieces])
 
     @property
     def problem(self) -> Any:
@@ -100,50 +88,44 @@ class Path:
         return np.array([self.pieces[0].begin, *(piece.end for piece in self.pieces)])
 
     @cached_property
-    def _judged(self) -> list[tuple[float, Piece]]:
-        """The ends of all pieces, once where they join, and the piece of each."""
-        found: list[tuple[float, Piece]] = []
-        for k, piece in enumerate(self.pieces):
-            if not k or not _join(self.pieces[k - 1], piece):
-                found.append((piece.begin, piece))
-            found.append((piece.end, piece))
+    def statuses(self) -> list[Status]:
+        """The worst status of each piece, in its midst and just inside its two ends."""
+        found = []
+        for piece in self.pieces:
+            known = [self._inside(piece, end) for end in (piece.begin, piece.end)]
+            found.append(next(one for one in WORST_FIRST if one in known))
         return found
 
-    @cached_property
-    def ends(self) -> tuple[FloatVector, list[FloatVector]]:
-        """The ends of all pieces, once where they join: θ, and the unknowns that were followed."""
-        return np.array([theta for theta, _ in self._judged]), [
-            piece.z_at(theta) for theta, piece in self._judged
-        ]
-
-    @cached_property
-    def statuses(self) -> list[Status]:
-        """What is said of each of `ends`."""
-        found = self.family.judge_all(*self.ends) if self.pieces else []
-        return [
-            status
-            if status is Status.SOLVED or not self.family.is_solved_beside(theta, piece)
-            else Status.SOLVED
-            for status, (theta, piece) in zip(found, self._judged, strict=True)
-        ]
+    def _inside(self, piece: Piece, end: float) -> Status:
+        """Return the status in the midst, or just inside an end, at the first place that is not left to rounding."""
+        middle = piece.begin + MIDST * (piece.end - piece.begin)
+        status = self.at(middle, piece).status
+        for share in INSIDE if status is Status.SOLVED else ():
+            status = self.at(end + share * (middle - end), piece).status
+            if status is Status.SOLVED:
+                break
+        return status
 
     @property
     def points(self) -> list[PathPoint]:
         """The solutions at the breakpoints; where pieces do not join, the one before and the one behind."""
-        return [self._point(theta, piece) for theta, piece in self._judged]
-
-    def _point(self, theta: float, piece: Piece) -> PathPoint:
-        return replace(self.family.point(theta, piece.z_at(theta)), _piece=piece)
+        found = []
+        for k, piece in enumerate(self.pieces):
+            if not k or not _join(self.pieces[k - 1], piece):
+                found.append(self.at(piece.begin, piece))
+            found.append(self.at(piece.end, piece))
+        return found
 
     @cached_property
     def status(self) -> Status:
         """SOLVED, or why not."""
         if self.beyond is not None:
             return Status(self.beyond.status) if not self.beyond.is_solved else Status.STALLED
-        for status in (Status.STALLED, Status.PRECISION_LIMIT):
-            if status in self.statuses:
-                return status
-        return Status.SOLVED if self.reached == self.stop else Status.STALLED
+        if self.crossed:
+            return Status.INFEASIBLE
+        if self.reached != self.stop:
+            return Status.STALLED
+        return next(one for one in WORST_FIRST if one in self.statuses)
 
     @property
     def is_solved(self) -> bool:
@@ -168,7 +150,7 @@ class Path:
 
     # --- values -------------------------------------------------------------------------------------------
 
-    def at(self, theta: float) -> PathPoint:
+    def at(self, theta: float, piece: Piece | None = None) -> PathPoint:
         """Return the solution at θ: x, multipliers, objective, status; behind a jump where there is one.
 
         Raises
@@ -176,24 +158,16 @@ class Path:
         InvalidOption
             Where θ is outside of what was traced.
         """
-        return self._point(float(theta), self.piece_at(theta))
+        piece = self.piece_at(theta) if piece is None else piece
+        return self.family.point(float(theta), piece.z_at(float(theta)))
 
     def x(self, thetas: ArrayLike) -> FloatVector:
         """Return x at many values, shape (k, n)."""
         values = np.atleast_1d(np.asarray(thetas, dtype=np.float64))
         made: FloatVector = np.empty((values.size, self.pieces[0].x0.size if self.pieces else 0))
         for k, theta in enumerate(values):
-            piece = self.piece_at(theta)
-            made[k] = piece.x0 + theta * piece.x1
+            made[k] = self.piece_at(theta).x_at(theta)
         return made
-
-    def objective(self, thetas: ArrayLike) -> FloatVector:
-        """Return the objective at many values, shape (k,); NaN for an LCP, which has none."""
-        every = [
-            self.at(theta).objective
-            for theta in np.atleast_1d(np.asarray(thetas, dtype=np.float64))
-        ]
-        return np.array([np.nan if value is None else value for value in every])
 
     def derivative(self, theta: float, *, side: str = "ahead") -> Slope:
         """Return how the solution at θ changes with θ.
@@ -206,14 +180,9 @@ class Path:
         """
         if side not in ("ahead", "behind"):
             raise InvalidOption(f'side must be "ahead" or "behind", got {side!r}')
-        theta = float(theta)
-        piece = self.piece_at(theta, is_behind=side == "behind")
-        point, family = self.family.point(theta, piece.z_at(theta)), self.family
+        piece = self.piece_at(float(theta), is_behind=side == "behind")
         rates = piece.z1[piece.x1.size :]
-        w = family.slope_of_slack(piece.x1)
-        return Slope(
-            piece.x1, w, rates if rates.size else None, family.slope_of_objective(point, piece.x1)
-        )
+        return Slope(piece.x1, rates if rates.size else None)
 
     def piece_at(self, theta: float, *, is_behind: bool = False) -> Piece:
         """Return the piece that θ lies on; where two meet the later one, or the earlier one."""
@@ -226,7 +195,8 @@ class Path:
             there = f"from {self.start:.9g} to {self.reached:.9g}" if self.pieces else "nowhere"
             raise InvalidOption(f"θ = {theta!r} is not on the path, which goes {there}")
         side = "left" if is_behind else "right"
-        return self.pieces[max(int(np.searchsorted(self._begins, along, side=side)) - 1, 0)]  # type: ignore[call-overload]
+        begins = [self._toward * piece.begin for piece in self.pieces]
+        return self.pieces[max(int(np.searchsorted(begins, along, side=side)) - 1, 0)]  # type: ignore[call-overload]
 
     # --- words, tables, pictures --------------------------------------------------------------------------
 
@@ -235,21 +205,20 @@ class Path:
         count = len(self.pieces)
         if self.is_solved:
             first = (
-                f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {in_words(count, 'piece')}, "
+                f"SOLVED: from {self.start:.6g} to {self.stop:.6g} in {in_words(count, 'piece')}, each of which is "
+                "certified at both ends and linear in the parameter."
             )
-            first += "each end is certified; between breakpoints all is linear in the parameter."
-        elif self.beyond is not None and not self.pieces:
-            first = f"{self.status.name}: there is no path from {self.start:.6g}: {self._why}."
-        elif self.beyond is not None:
-            first = (
-                f"{self.status.name}: the path ends at {self.reached:.9g}, before {self.stop:.6g}; just beyond: "
-                f"{self._why}."
-            )
-        elif self.reached != self.stop and all(status is Status.SOLVED for status in self.statuses):
+        elif self.beyond is not None or self.crossed:
+            place = f"the path ends at {self.reached:.9g}, before {self.stop:.6g}"
+            place = place if count else f"there is no path from {self.start:.6g}"
+            first = f"{self.status.name}: {place}; just beyond: {self._why}."
+        elif self.reached != self.stop:
             first = f"STALLED: {self.reached:.9g} was reached on the way to {self.stop:.6g}, then the path was lost."
         else:
-            worst = self.ends[0][self.statuses.index(self.status)]
-            first = f"{self.status.name}: the solution at {worst:.9g} is not within the tolerance."
+            worst = self.pieces[self.statuses.index(self.status)]
+            first = (
+                f"{self.status.name}: the piece from {worst.begin:.9g} is not within the tolerance."
+            )
         lines = [first]
         if count:
             inner = self.breakpoints[1:-1]
@@ -258,58 +227,21 @@ class Path:
             lines.append(f"breakpoints: {shown or 'none'}{rest}")
         lines += [f"the solution jumps at {value:.9g}" for value in self.jumps]
         if self.segments:
-            joints = {piece.begin: (one, piece) for one, piece in itertools.pairwise(self.pieces)}
-            moving = [
-                value
-                for value in self.segments
-                if value not in joints or _differ_in_x(*joints[value])
-            ]
-            resting = [value for value in self.segments if value not in moving]
-            for values, words in (
-                (moving, "all points between two solutions are solutions"),
-                (
-                    resting,
-                    "the multipliers jump, and all between two of them are right; x does not",
-                ),
-            ):
-                if values:
-                    lines.append(
-                        f"at {', '.join(f'{value:.6g}' for value in values[:SHOWN])} {words}"
-                    )
-        begun = in_words(self.starts, "solve")
-        lines.append(f"{begun} to begin with, then one change a breakpoint; {self.seconds:.3g} s")
+            values = ", ".join(f"{value:.6g}" for value in self.segments[:SHOWN])
+            lines.append(f"at {values} all points between two solutions are solutions")
+        lines.append(
+            f"{in_words(self.starts, 'solve')}, then a factorization per breakpoint; {self.seconds:.3g} s"
+        )
         return "\n".join(lines)
 
     @property
     def _why(self) -> str:
         """What keeps the path from going on, in words."""
+        if self.beyond is None:
+            return self.crossed
         if self.beyond.is_solved:
             return "it has a solution, which determines no way on, a singular case; solve_batch solves at given values"
         return str(self.beyond.advice)
-
-    def to_dataframe(self, thetas: ArrayLike | None = None) -> Any:
-        """Return a pandas DataFrame: θ, objective and x at the breakpoints, or at given values.
-
-        Raises
-        ------
-        LCPError
-            Where pandas is missing.
-        """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise LCPError(
-                "to_dataframe needs pandas: pip install pandas; path.x(thetas) has the numbers"
-            ) from error
-        values = (
-            self.breakpoints
-            if thetas is None
-            else np.atleast_1d(np.asarray(thetas, dtype=np.float64))
-        )
-        x = self.x(values)
-        columns: dict[str, Any] = {"parameter": values, "objective": self.objective(values)}
-        columns |= {f"x[{j}]": x[:, j] for j in range(x.shape[1])}
-        return pd.DataFrame(columns)
 
     def plot(self, *, axes: Any = None, rows: Sequence[int] | None = None) -> Any:
         """Return matplotlib's axes with x over θ, and below it the objective and how many rows act.
@@ -336,14 +268,6 @@ class Path:
 
     def __str__(self) -> str:
         return self.explain()
-
-
-def _differ_in_x(one: Piece, other: Piece) -> bool:
-    """Return whether x is another one behind the end of a piece."""
-    here, there = (piece.x0 + other.begin * piece.x1 for piece in (one, other))
-    return bool(
-        np.abs(here - there).max(initial=0.0) > JOINED * (1.0 + np.abs(here).max(initial=0.0))
-    )
 
 
 def _join(one: Piece, other: Piece) -> bool:

@@ -17,13 +17,13 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
+from ...core.matrix.matrix import largest_in_rows
 from ...core.matrix.structure import IntVector
 
 FIXED_LEVELS = 4  # of w: +∞, two values, −∞
 CORNERS = 3  # of z
 ALIKE = 1e3  # rows and columns whose sizes differ no more are left in their units
 EQUILIBRATED = 8  # passes
-HELD = 1e-10  # beside its terms: how far a row may be off its staircase
 
 
 class Columns:
@@ -42,11 +42,7 @@ class Columns:
     def __init__(self, M: Any) -> None:
         self.n = M.shape[0]
         self._columns: Any = sp.csc_array(M) if sp.issparse(M) else np.ascontiguousarray(M.T)
-        of_rows = (
-            abs(M).max(axis=1).toarray().ravel()
-            if sp.issparse(M)
-            else np.abs(M).max(axis=1, initial=0.0)
-        )
+        of_rows = largest_in_rows(sp.csr_array(M) if sp.issparse(M) else M)
         self.sizes: FloatVector = np.maximum(
             np.asarray(of_rows, dtype=np.float64), np.finfo(np.float64).tiny
         )
@@ -54,7 +50,7 @@ class Columns:
     def units(self) -> FloatVector:
         """Return powers of two d for which the rows and columns of D M D are of about one size; 1 where they are."""
         size, units = abs(self._columns), np.ones(self.n)
-        if not _differ(_largest(size)):
+        if not self.n or not _differ(_largest(size)):
             return units
         for _ in range(EQUILIBRATED):
             units /= np.sqrt(_largest(units[:, np.newaxis] * size * units))
@@ -72,10 +68,6 @@ class Columns:
             else self._columns[numbers]
         )
         return np.asarray(chosen)
-
-    def one(self, j: int) -> FloatVector:
-        """Return column j, shape (n,)."""
-        return np.asarray(self.many([j])[0] if sp.issparse(self._columns) else self._columns[j])
 
 
 class GramColumns(Columns):
@@ -193,44 +185,22 @@ class Staircases:
         """The number of rows."""
         return int(self.columns.n)
 
-    def at(self, t: float) -> Staircases:
-        """Return the problem at t, with slopes 0."""
-        return Staircases(
-            self.columns, *(_held(one, t) for one in (self.q, self.corners, self.levels))
-        )
-
-    def with_offsets(self, constant: FloatVector, slope: FloatVector) -> Staircases:
-        """Return the problem with these added to q."""
+    def begun_at(self, start: float, toward: float) -> Staircases:
+        """Return the problem over t with θ = start + toward · t."""
         return Staircases(
             self.columns,
-            self.q + np.array([constant, slope]),
-            self.corners.copy(),
-            self.levels.copy(),
+            *(_based(one, start, toward) for one in (self.q, self.corners, self.levels)),
         )
 
-    def hold(self, t: float, constant: FloatVector, slope: FloatVector, reach: float) -> bool:
-        """Return whether z = constant + t slope is on all staircases at t, to rounding of the terms for |t| ≤ reach."""
-        z, size = constant + t * slope, np.abs(constant) + reach * np.abs(slope)
-        moving = np.flatnonzero(size)
-        columns = self.columns.many(moving)
-        parts = self.q, self.corners, self.levels
-        q, corners, levels = (one[0] + t * one[1] for one in parts)
-        of_q, of_corners, of_levels = (_size(one, reach) for one in parts)
-        w, of_w = q + z[moving] @ columns, of_q + size[moving] @ np.abs(columns)
-        off_z, off_w = HELD * (size.max(initial=0.0) + of_corners), HELD * (of_w + of_levels)
-        on = np.zeros(self.n, dtype=bool)
-        for k in range(CORNERS):
-            below, above = w >= levels[k + 1] - off_w[k + 1], w <= levels[k] + off_w[k]
-            on |= (np.abs(z - corners[k]) <= off_z[k]) & below & above
-        for k in range(CORNERS - 1):
-            between = (z >= corners[k] - off_z[k]) & (z <= corners[k + 1] + off_z[k + 1])
-            on |= between & (np.abs(w - levels[k + 1]) <= off_w[k + 1])
-        return bool(on.all())
+    def at(self, t: float) -> tuple[FloatVector, FloatVector, FloatVector]:
+        """Return q, corners and levels as values at t and slopes."""
+        q, corners, levels = (_based(one, t, 1.0) for one in (self.q, self.corners, self.levels))
+        return q, corners, levels
 
     def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
         """Return the step of each row that (z, w) misses least at t, shape (n,); a corner is on the even one."""
-        held, size = self.at(t), self.columns.sizes
-        corners, levels, scaled = held.corners[0], held.levels[0] / size, w / size
+        (_, corners, levels), size = self.at(t), self.columns.sizes
+        corners, levels, scaled = corners[0], levels[0] / size, w / size
         best, steps = np.full(self.n, np.inf), np.zeros(self.n, dtype=np.int64)
         with np.errstate(invalid="ignore"):
             for step in range(2 * CORNERS - 1):
@@ -267,11 +237,6 @@ def _powers(units: FloatVector) -> FloatVector:
     return np.exp2(np.rint(np.log2(units)))
 
 
-def _size(parts: FloatVector, reach: float) -> FloatVector:
-    """Return |constant| + reach |slope|, 0 for no bound at all."""
-    size: FloatVector = np.abs(parts[0]) + reach * np.abs(parts[1])
-    return np.where(np.isfinite(size), size, 0.0)
-
-
-def _held(parts: FloatVector, t: float) -> FloatVector:
-    return np.stack([parts[0] + t * parts[1], np.zeros_like(parts[0])])
+def _based(parts: FloatVector, t: float, toward: float) -> FloatVector:
+    """Return (constant, slope) of t' with t + toward · t' for the parameter."""
+    return np.stack([parts[0] + t * parts[1], toward * parts[1]])

@@ -10,17 +10,13 @@ from ...core.checks import FloatVector, is_number
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption
 from .families import Family, Piece, family_of
-from .following import End, Follower, Line, SingularError, follower_from
+from .following import Follower, Line
 from .path import Path
 from .staircases import Staircases
 
-BEYOND = (
-    1e-7,
-    1e-5,
-    1e-3,
-)  # of the way from start to stop: where a path that has ended is looked for again
+BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: where a path that was lost is looked for again
+AT_END = 1e-6  # of a stretch: how much a piece may fall short of it
 SAME = 1e-4  # what a solution may move on the shortest of these
-MOST_RESTARTS = 50
 
 
 def trace(
@@ -28,7 +24,7 @@ def trace(
 ) -> Path:
     """Return the solutions for every value of a parameter θ between start and stop: exact pieces, not samples.
 
-    Data(θ) = data + θ · direction. The solution is piecewise affine in θ; one change of a factor leads from each
+    Data(θ) = data + θ · direction. The solution is piecewise affine in θ; one linear system leads from each
     breakpoint to the next.
 
     Parameters
@@ -60,9 +56,9 @@ def trace(
 
     Notes
     -----
-    Cost: a solve at start, then O(n |F| + |F|²) a breakpoint, F the unknowns off their bounds. Dense inverse of F.
-    Where M is not monotone a path may turn back: it is followed through the turn, and where it comes by again the
-    solution has jumped.
+    Cost: a solve at start, then a dense factorization of the unknowns off their bounds per breakpoint. At a singular
+    breakpoint, and where the path of a matrix that is not monotone turns back, the problem is solved anew just beyond,
+    and the new piece is drawn back to the old one.
 
     References
     ----------
@@ -104,126 +100,118 @@ def trace_stated(
 ) -> Path:
     """Return the path of a problem of ours."""
     clock = Clock()
-    return traced(family_of(problem, along, start, stop, tolerance), start, stop, clock)
-
-
-def traced(family: Family, start: float, stop: float, clock: Clock) -> Path:
-    """Return the path of a family, certified."""
-    toward = 1.0 if stop >= start else -1.0
-    stated = family.staircases()
-    units = stated.columns.units()
-    problem = _turned(stated.measured(units), toward)
-    crossed = family.crossing()
-    end, t = toward * (stop if crossed is None else crossed.at), toward * start
-    pieces: list[Piece] = []
-    jumps: list[float] = []
-    segments: list[float] = []
-    beyond, starts, reached = crossed, 0, toward * start
-    follower: Follower | None = None
+    family = family_of(problem, along, start, stop, tolerance)
     with np.errstate(invalid="ignore", over="ignore", under="ignore", divide="ignore"):
-        for attempt in range(0 if crossed is not None and crossed.is_at_start else MOST_RESTARTS):
-            for share in BEYOND if attempt else (0.0,):
-                t = min(reached + share * max(end - toward * start, abs(reached)), end)
-                follower, beyond, asked = _begun(
-                    family, problem, t, toward, units, is_first=not attempt
-                )
-                starts += asked
-                if follower is not None or beyond.has_no_solution or t == end:
-                    break
-            if follower is None:
-                break
-            if pieces and _is_apart(pieces[-1].z_at(toward * reached), units * follower.solution()):
-                # All solutions of a monotone problem are one convex set.
-                (segments if family.is_monotone else jumps).append(toward * reached)
-            why, reached = None, t
-            for line in follower.lines(end, is_monotone=family.is_monotone):
-                if isinstance(line, End):
-                    why = line
-                    break
-                pieces.append(_piece(family, line, toward, units))
-                reached = line.end
-                jumps += [toward * line.begin] if line.jumps else []
-                segments += [toward * line.begin] if line.slides else []
-            if why is End.STOP or reached == end:
-                beyond = crossed
-                break
-    if toward * start == end and follower is not None:
-        pieces.append(_still(family, follower, toward, units))
-    path = Path(family, start, stop, pieces, jumps, segments, beyond, toward * reached, starts)
-    _ = path.status
+        path = _Trace(family, start, stop).run()
+        _ = path.status
     path.seconds = clock.read()
     return path
+
+
+class _Trace:
+    """A path while it is traced: t = |θ − start| goes from 0 to `end`, which is stop or where bounds cross."""
+
+    def __init__(self, family: Family, start: float, stop: float) -> None:
+        self.family, self.path = family, Path(family, start, stop)
+        self.toward, self.span = (1.0 if stop >= start else -1.0), abs(stop - start)
+        stated = family.staircases()
+        self.units = stated.columns.units()
+        self.problem: Staircases = stated.measured(self.units).begun_at(start, self.toward)
+        share, self.path.crossed = family.crossing()
+        self.end, self.reached = self.span * share, 0.0
+
+    def theta(self, t: float) -> float:
+        """Return θ."""
+        return self.path.stop if t == self.span else self.path.start + self.toward * t
+
+    def run(self) -> Path:
+        """Return the path."""
+        path, failed = (
+            self.path,
+            -1,
+        )  # shares that led to nothing since the last line; −1: the start
+        while self.end >= 0.0 and failed < len(BEYOND):
+            follower = self._begun((0.0, *BEYOND)[failed + 1 :])
+            if follower is None:
+                break
+            self._reach_back(follower)
+            failed += 1
+            for line in follower.lines(self.end):
+                self._add(self._piece(line))
+                self.reached, failed = line.end, 0
+            if self.reached == self.end and path.pieces:
+                path.beyond = None
+                break
+        path.reached = self.theta(self.reached)
+        return path
+
+    def _begun(self, shares: tuple[float, ...]) -> Follower | None:
+        """Return the first follower just beyond; None if there is no solution or it determines no way on."""
+        for share in shares:
+            t = min(self.reached + share * self.span, self.end)
+            if t == 0.0 and (follower := self._at_corners()) is not None:
+                return follower
+            result = self.path.beyond = self.family.solved(self.theta(t))
+            self.path.starts += 1
+            if result.has_no_solution or result.x is None:
+                return None
+            follower = self._follower(t, self.family.followed(result) / self.units)
+            if follower.motion is not None:
+                return follower
+            if t == self.end:
+                return None
+        return None
+
+    def _at_corners(self) -> Follower | None:
+        """Return a follower if the corner nearest to 0 is the solution at the start, as for a large penalty."""
+        corners = self.problem.corners[0]
+        z = np.take_along_axis(corners, np.abs(corners).argmin(axis=0)[np.newaxis], axis=0)[0]
+        if not np.isfinite(z).all():
+            return None
+        follower = self._follower(0.0, z)
+        return (
+            follower if follower.motion is not None and (follower.motion.z[0] == z).all() else None
+        )
+
+    def _follower(self, t: float, z: FloatVector) -> Follower:
+        """Return a follower from near a solution."""
+        moving = np.flatnonzero(z)
+        q = self.problem.q[0] + t * self.problem.q[1]
+        return Follower(self.problem, t, z, q + z[moving] @ self.problem.columns.many(moving))
+
+    def _reach_back(self, follower: Follower) -> None:
+        """Draw the new piece back to where the last one ended.
+
+        A stretch beyond the ends of its steps is a piece of its own, so that it is judged at points of its own.
+        """
+        t, begin = follower.t, self.reached
+        assert follower.motion is not None
+        if follower.motion.first_end(-1.0)[0] >= (t - begin) * (1.0 - AT_END):
+            follower.begin = begin
+        else:
+            z, rate = follower.motion.z
+            line = Line(begin, t, np.array([z - (t - begin) * rate, rate]), follower.steps)
+            self._add(self._piece(line))
+            self.reached = t
+
+    def _add(self, piece: Piece) -> None:
+        """Add a piece, and note if the solution is another one at its begin."""
+        path = self.path
+        if path.pieces and _is_apart(path.pieces[-1].z_at(piece.begin), piece.z0):
+            # All solutions of a monotone problem are one convex set.
+            (path.segments if self.family.is_monotone else path.jumps).append(piece.begin)
+        path.pieces.append(piece)
+
+    def _piece(self, line: Line) -> Piece:
+        """Return the piece of a line, from the θ that its begin is rounded to."""
+        begin, rate = self.theta(line.begin), self.units * line.z[1]
+        z = self.units * line.z[0]
+        z += (self.toward * (begin - self.path.start) - line.begin) * rate
+        slope, family = self.toward * rate, self.family
+        x, x_slope, case = family.x_of(z), family.x_of(slope), family.case_of(line.steps)
+        return Piece(begin, self.theta(line.end), x, x_slope, case, z, slope)
 
 
 def _is_apart(one: FloatVector, other: FloatVector) -> bool:
     """Return whether two solutions, just before and just behind a value of θ, are not the same."""
     return bool(np.abs(one - other).max(initial=0.0) > SAME * (1.0 + np.abs(one).max(initial=0.0)))
-
-
-def _begun(
-    family: Family,
-    problem: Staircases,
-    t: float,
-    toward: float,
-    units: FloatVector,
-    *,
-    is_first: bool,
-) -> tuple[Follower | None, Any, int]:
-    """Return a follower at t, or what `solve` says where there is no solution; and how often it was asked."""
-    if is_first and (follower := _at_rest(problem, t)) is not None:
-        return follower, None, 0
-    result = family.solved(toward * t)
-    if result.has_no_solution or result.x is None:
-        return None, result, 1
-    z = family.followed(result, toward * t) / units
-    q = problem.q[0] + t * problem.q[1]
-    moving = np.flatnonzero(z)
-    w = q + (z[moving] @ problem.columns.many(moving) if moving.size else 0.0)
-    try:
-        return follower_from(problem, t, z, w), None, 1
-    except SingularError:
-        return None, result, 1
-
-
-def _at_rest(problem: Staircases, t: float) -> Follower | None:
-    """Return a follower where the corner nearest to 0 is the solution at t, as for a large penalty; else None."""
-    corners = problem.corners[0] + t * problem.corners[1]
-    nearest = np.argmin(np.abs(corners), axis=0)
-    z = np.take_along_axis(corners, nearest[np.newaxis], axis=0)[0]
-    if not np.isfinite(z).all():
-        return None
-    follower = Follower(problem, 2 * nearest, t, z)
-    return follower if follower.is_right() else None
-
-
-def _turned(problem: Staircases, toward: float) -> Staircases:
-    """Return the problem over t = ±θ, so that t grows."""
-    if toward > 0.0:
-        return problem
-    sign = np.array([1.0, -1.0])
-    return Staircases(
-        problem.columns,
-        problem.q * sign[:, np.newaxis],
-        problem.corners * sign[:, np.newaxis, np.newaxis],
-        problem.levels * sign[:, np.newaxis, np.newaxis],
-    )
-
-
-def _piece(family: Family, line: Line, toward: float, units: FloatVector) -> Piece:
-    z0, z1 = units * line.z[0], toward * units * line.z[1]
-    return Piece(
-        toward * line.begin,
-        toward * line.end,
-        family.x_of(z0),
-        family.x_of(z1),
-        family.case_of(line.steps),
-        z0,
-        z1,
-    )
-
-
-def _still(family: Family, follower: Follower, toward: float, units: FloatVector) -> Piece:
-    """Return the piece of a path of length 0."""
-    z: FloatVector = follower.solution()
-    line = Line(follower.t, follower.t, np.array([z, np.zeros_like(z)]), follower.steps)
-    return _piece(family, line, toward, units)

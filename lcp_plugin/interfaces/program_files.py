@@ -1,4 +1,4 @@
-"""Problems of other kinds than LCPs from files: programs and least squares as arrays, QPS and MPS through HiGHS."""
+"""Problems of other kinds than LCPs from files: programs and least squares as arrays, QPS, MPS and LP through HiGHS."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .files.files import MATRIX_KEYS, checked_path, csr_in, flat, names_in, read
 from .files.matrix_market import read_mat
 from .nl.model import program_in_nl
 
-ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps"), ".nl"
+ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
 PARTS = {f"{name}_{part}": name for name in "PAG" for part in MATRIX_KEYS}  # of CSC matrices
 ALIASES = {"q": "c", "lb": "lower", "ub": "upper"}
 QUADPROG = {
@@ -93,12 +93,12 @@ def load_problem(path: str | PathLike[str]) -> Any:
     Parameters
     ----------
     path : str or Path
-        ``.qps`` and ``.mps`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A, l, u, or
-        the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program; with A
-        and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares; with mu beside a matrix a
-        FrictionalContact, of many worlds where W has three axes, with cone_kinds a ConeProblem (``.npz`` alone).
-        ``.h5`` and ``.hdf5`` of fclib, the field's collection, state a FrictionalContact; h5py reads them. Everything
-        else is read by :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by
+        ``.qps``, ``.mps`` and ``.lp`` state programs. ``.npz`` and ``.mat`` with M and q state an LCP; with P, q, A,
+        l, u, or the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq, lb, ub a program;
+        with A and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares; with mu beside a
+        matrix a FrictionalContact, of many worlds where W has three axes, with cone_kinds a ConeProblem (``.npz``
+        alone). ``.h5`` and ``.hdf5`` of fclib, the field's collection, state a FrictionalContact; h5py reads them.
+        Everything else is read by :meth:`lcp_plugin.LCP.load`, and AMPL's ``.nl`` of any kind by
         :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Raises
@@ -140,7 +140,7 @@ def kind_in(path: str | PathLike[str]) -> Any:
     if source.suffix.lower() not in ARRAYS or not is_file:
         return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}
-    if names & {"mu", "friction"} and names & {"W", *MATRIX_KEYS}:
+    if names & {"mu", "friction"} and names & {"W", "M", *MATRIX_KEYS}:
         return FrictionalContact
     if "cone_kinds" in names:
         return ConeProblem
@@ -161,8 +161,8 @@ def load_program(path: str | PathLike[str]) -> Stated:
         :class:`~lcp_plugin.QuadraticProgram` by their names (q, lb, ub stand for c, lower, upper), or with MATLAB's H,
         f, A, b, Aeq, beq, lb, ub. No P means a linear program; r is a constant. A limit beyond ±1e20 is none. Sparse
         matrices in ``.npz`` are ``P_data, P_indices, P_indptr, P_shape`` (CSC), so of A and G; of a symmetric P all or
-        one triangle. Never pickle. Or ``.qps``, ``.mps``, which highspy reads, a package that cvxpy needs in its newer
-        releases. Or AMPL's ``.nl``.
+        one triangle. Never pickle. Or ``.qps``, ``.mps``, ``.lp``, which highspy reads, a package that cvxpy
+        needs in its newer releases. Or AMPL's ``.nl``.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def load_program(path: str | PathLike[str]) -> Stated:
     if not source.exists():
         raise UnreadableFile(f"no such file: {source}")
     raise UnreadableFile(
-        f"cannot read {source}: a program is an .npz, .mat, .qps, .mps or .nl file; other problems are for "
+        f"cannot read {source}: a program is an .npz, .mat, .qps, .mps, .lp or .nl file; other problems are for "
         "`lcp-plugin solve`"
     )
 
@@ -348,15 +348,18 @@ def _from_mps(source: Path) -> Stated:
     reader: Any = Silent()  # type: ignore[no-untyped-call]
     reader.setOptionValue("output_flag", False)
     with tempfile.TemporaryDirectory() as folder:  # HiGHS goes by the ending of the name
-        copy = Path(folder) / "program.mps"
+        copy = Path(folder) / f"program{'.lp' if source.suffix.lower() == '.lp' else '.mps'}"
         copy.write_bytes(source.read_bytes())
         if reader.readModel(str(copy)) == highspy.HighsStatus.kError:
             raise UnreadableFile(f"cannot read {source}: HiGHS finds no program in it")
     model = reader.getModel()
     linear, hessian = model.lp_, model.hessian_
-    if any(kind != highspy.HighsVarType.kContinuous for kind in linear.integrality_):
+    kinds = enumerate(linear.integrality_)
+    if integers := [j for j, kind in kinds if kind != highspy.HighsVarType.kContinuous]:
+        first = linear.col_names_[integers[0]] if linear.col_names_ else f"x[{integers[0]}]"
         raise UnsupportedModel(
-            f"{source} has integer variables; only continuous ones make a convex program"
+            f"{source} has {len(integers)} integer variables, the first is {first}; a program has continuous ones: "
+            "state it in cvxpy, or as an EquilibriumProgram with integers=…"
         )
     n, m = linear.num_col_, linear.num_row_
     matrix = linear.a_matrix_

@@ -40,6 +40,7 @@ QUADOBJ
 ENDATA
 """
 PLAIN = QPS[: QPS.index("QUADOBJ")] + "ENDATA\n"
+LP = "maximize\n 2 first + 4 second\nsubject to\n first + second <= 2\nend\n"
 PROGRAM = dict(P=M, q=q, A=[[1.0, 1.0]], l=[-np.inf], u=[2.0], lower=0.0)
 FIT = dict(A=[[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], b=[2.0, 1.0, -1.0])
 
@@ -59,6 +60,7 @@ FILES: dict[str, tuple[str, Callable[[str], object]]] = {  # name: what it holds
     "qp.mat": ("program", lambda path: mat(path, H=M, f=q, A=[[1.0, 1.0]], b=[2.0], lb=[0.0, 0.0])),
     "qp.qps": ("program", lambda path: Path(path).write_text(QPS)),
     "lp.mps": ("program", lambda path: Path(path).write_text(PLAIN)),
+    "lp.lp": ("program", lambda path: Path(path).write_text(LP)),
     "qp.nl": (
         "program",
         lambda path: write_nl(
@@ -86,7 +88,7 @@ CELLS: dict[
     "compare": {"LCP": DONE, "program": SOLVE, "least squares": SOLVE},
 }
 WITHOUT_FILES = {"list", "warm-up"}
-HIGHS = (".qps", ".mps")
+HIGHS = (".qps", ".mps", ".lp")
 
 
 @pytest.fixture(autouse=True)
@@ -134,7 +136,8 @@ SOLUTIONS = {
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in FILES if name not in ("qp.qps", "lp.mps", "qp.nl", "folder/M.mtx")]
+    "name",
+    [name for name in FILES if name not in ("qp.qps", "lp.mps", "lp.lp", "qp.nl", "folder/M.mtx")],
 )
 def test_solve_saves_and_tells_the_answer(name: str) -> None:
     """--out holds z or x, --json one object with the status, and a person reads the first values of x."""
@@ -172,11 +175,11 @@ def test_files_of_mps_are_answered_in_their_own_terms() -> None:
 def test_the_tolerance_of_the_command_reaches_a_program() -> None:
     """--tolerance is passed on whatever it is; without it a program has the default of its own."""
     np.savez("qp.npz", **PROGRAM)
-    goals = [
-        json.loads(lcp_plugin("solve", "qp.npz", "--json", *words).stdout)["goal"]
+    given = [
+        json.loads(lcp_plugin("solve", "qp.npz", "--json", *words).stdout)["tolerance"]
         for words in ((), ("--tolerance", "1e-8"), ("--tolerance", "1e-4"))
     ]
-    assert goals == [1e-6, 1e-6, 1e-3]
+    assert given == [1e-6, 1e-8, 1e-4]
 
 
 def test_no_minimum_is_told_and_shows_no_point() -> None:

@@ -18,6 +18,7 @@ from lcp_plugin import (
     LCPError,
     QuadraticProgram,
     UnreadableFile,
+    UnsupportedModel,
     load_problem,
     solve,
 )
@@ -188,3 +189,31 @@ def test_contacts_are_no_program(tmp_path: Path) -> None:
     (tmp_path / "a.h5").touch()
     with pytest.raises(UnreadableFile, match="other problems are for `lcp-plugin solve`"):
         load_program(tmp_path / "a.h5")
+
+
+LP = """minimize
+ obj: x + 2 y + [ 2 x ^ 2 ] / 2
+subject to
+ c1: x + y >= 1
+bounds
+ x <= 5
+{more}end
+"""
+
+
+def test_lp_files_are_programs_and_integers_are_named(tmp_path: Path) -> None:
+    """HiGHS reads .lp as it reads .mps; an integer variable is refused by its name."""
+    pytest.importorskip("highspy")
+    (tmp_path / "p.lp").write_text(LP.format(more=""))
+    assert solve(load_problem(tmp_path / "p.lp")).require_solved().x.round(6).tolist() == [0.5, 0.5]
+    (tmp_path / "i.lp").write_text(LP.format(more="general\n y\n"))
+    with pytest.raises(UnsupportedModel, match="has 1 integer variables, the first is y"):
+        load_problem(tmp_path / "i.lp")
+
+
+def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:
+    """M, q and mu are a contact problem, as W, b and friction are."""
+    np.savez(tmp_path / "c.npz", M=np.eye(3), q=[-1.0, 0.25, 0.0], mu=[0.5])
+    problem = load_problem(tmp_path / "c.npz")
+    assert isinstance(problem, FrictionalContact)
+    np.testing.assert_allclose(solve(problem).require_solved().z, [1.0, -0.25, 0.0], atol=1e-7)

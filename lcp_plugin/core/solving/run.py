@@ -82,7 +82,7 @@ class Run:
         ):  # z° solves the problem, and no other point can be measured against it
             start = self.problem.nearest_to_zero
         try:
-            with nullcontext() if left == math.inf else time_limit(left):
+            with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
                 while following is not None:
                     if self.log is not None:
                         self.log.begin(following)

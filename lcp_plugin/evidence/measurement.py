@@ -224,8 +224,7 @@ def _error_bound(
     from ..proofs.bounds.error_bounds import error_bound
 
     try:
-        if error_bound(problem, problem.nearest_to_zero, sharp=False).kind != "rigorous":
-            return None, "no bound of the error: this matrix allows only an estimate"
+        error_bound(problem, problem.nearest_to_zero, sharp=False)
     except UnsuitableMatrix as failure:
         return None, f"no bound of the error: {failure}"
     found, _ = run(problem, "auto", _unmeasured, start, max_seconds=max_seconds)

@@ -11,19 +11,17 @@ True
 >>> result.status.name, result.error_bound.infinity <= 1e-10
 ('SOLVED', True)
 >>> bound = error_bound(problem, [0.8, 0.0, 0.2])  # of any z; row by row in bound.componentwise
->>> bound.kind, bound.proven_active.tolist()
-('rigorous', [False, True, False])
+>>> bound.proven_active.tolist()
+[False, True, False]
 
 **Verdicts.** `analyze` says True, False or None (undecided). True and False are proved for the stored doubles, rounding
 included. M is an H₊-matrix where its diagonal is positive and ⟨M⟩v > 0 for some v > 0, with ⟨M⟩ the comparison matrix;
-the report keeps such a v. P-matrices are decided up to n = 20, or by a sufficient class. Positive semidefinite is exact
+the report keeps such a v. P-matrices are decided up to n = 16, or by a sufficient class. Positive semidefinite is exact
 up to n = 10; beyond that a singular matrix stays undecided, and the evidence says λ_min ≥ −δ, with δ.
 
-**Error bounds** exist for H₊-matrices and where the symmetric part is positive definite. ``kind`` says "rigorous" where
-the bound holds with all rounding; for large definite matrices that are not H₊ it says "estimate", which proves no
-tolerance. On other matrices there is no bound, and the message says what is missing. Where a factorisation would fill
-in too much (3-D grids above some 40³, random graphs above some thousand unknowns) and nothing cheaper decides, a
-verdict stays undecided and a bound may be an estimate.
+**Error bounds** exist for H₊-matrices and where the symmetric part is proven positive definite; they hold with all
+rounding. On other matrices there is no bound. If a factorization would fill in too much (3-D grids above some 40³,
+random graphs above some thousand unknowns) and nothing cheaper decides, there is no verdict and no bound.
 
 **During a run.** With ``error_bound=True`` the bound is part of the result, computed when you look at it
 (``result.error_bound.seconds`` says in what time); with ``record=True`` also part of every sample, where a sharp one is

@@ -5,15 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
 
-from ..core.checks import BoolVector, FloatVector
+from ..core.checks import BoolVector
 from ..core.errors import UnsuitableMatrix
-from ..core.lcp import LCP
-from ..core.representation import in_words
 from ..core.settings import Status
-from ..systems.factors import factor_fits
-from ..systems.free_systems import CONSISTENT, FreeSystem
+from ..systems.free_systems import FreeSystem
 from .bounds.active_rows import estimated_error, free_rows
 from .bounds.error_bounds import ErrorBound, error_bound
 
@@ -22,16 +18,10 @@ if TYPE_CHECKING:
 
 STIFF_FACTOR = 1e3  # from here on an error so much larger than the residual is worth a word
 FAR = 1e-2  # part of ‖z‖∞
-SHIFT, STEPS = (
-    1e-8,
-    4,
-)  # of the largest entry; steps of inverse iteration: 10⁻⁸ beside 10⁻⁶ of it is forgotten
-STILL = 2.0**-44  # of the entries of a row: what rounding makes of a change that leaves it as it is
 BOUND_UP_TO, BOUND_PASSES = (
     1000,
     100.0,
 )  # unknowns; passes over M that a run has cost: a bound costs less than either
-AT_REST_UP_TO = 1000  # unknowns
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 
@@ -82,9 +72,8 @@ def _stiffness(result: Result) -> str:
         if is_large
         else ""
     )
-    how = "proved to be" if bound.kind == "rigorous" else "estimated to be"
     return (
-        f"{stiff} of z: here it is {how} at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
+        f"{stiff} of z: here it is proved to be at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
         f"largest |z_i|{further}"
     )
 
@@ -108,14 +97,10 @@ def _nearness_to_singular(result: Result) -> str:
     residual, size = result.certificate.scaled_residual, float(np.abs(result.z).max(initial=0.0))
     error = estimated_error(problem, result.z, result.w, residual)
     if error is None or not error > FAR * size:
-        return _at_rest(result)
+        return ""
     system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
     if system.is_singular and (same := system.determined_slack) is not None:
         return _of_several(same, ~system.determined)
-    if (motions := _motions(problem, system)) is not None:
-        moved = np.abs(problem.csr[:, system.rows] @ motions).max(axis=1)
-        sizes = np.asarray(abs(problem.csr[:, system.rows]).sum(axis=1)).ravel()
-        return _of_several(moved <= STILL * sizes, np.abs(motions).max(axis=1) > CONSISTENT)
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     wrong = ": z may be wrong in every digit" if error > size else ""
     return (
@@ -125,52 +110,11 @@ def _nearness_to_singular(result: Result) -> str:
     )
 
 
-def _at_rest(result: Result) -> str:
-    """Return what to say where rows at a bound without a force make the system with them singular."""
-    problem, z, w = result.certificate.problem, result.z, result.w
-    rests = (
-        (w == 0.0) & ((z == problem.lower) | (z == problem.upper)) & (problem.lower < problem.upper)
-    )
-    if problem.n > AT_REST_UP_TO or not rests.any():
-        return ""
-    rows = np.flatnonzero(rests | free_rows(problem, z, w))
-    if not FreeSystem(problem.matrix, np.isin(np.arange(problem.n), rows)).is_singular:
-        return ""
-    return (
-        f"z may be one of several answers: {in_words(int(rests.sum()), 'row')} at a bound without a force, and the "
-        "system with them is singular"
-    )
-
-
 def _of_several(same: BoolVector, loose: BoolVector) -> str:
     what = "as the shares of contacts in a load, or of paths in a flow"
     rows = "" if same.all() else f" in {int(same.sum())} of {same.size} rows"
     known = f"; w is the same for all of them{rows}" if same.any() else ""
     return f"z is one of several answers: {int(loose.sum())} entries of z are not determined, {what}{known}"
-
-
-@np.errstate(all="ignore")
-def _motions(problem: LCP, system: FreeSystem) -> FloatVector | None:
-    """Return some changes of the free unknowns, of size 1, that leave their rows as they are; None where none is seen.
-
-    Inverse iteration from random vectors, shape (|F|, 3): what all motions have in common, one of these shows.
-    """
-    from scipy.sparse.linalg import splu
-
-    block = sp.csc_array(problem.csr[system.rows][:, system.rows])
-    shift = SHIFT * abs(block).max()
-    if not shift > 0.0 or not factor_fits(sp.csr_array(block)):
-        return None
-    try:
-        factor = splu(block + shift * sp.eye_array(block.shape[0], format="csc"))
-    except RuntimeError:
-        return None
-    motions = np.random.default_rng(0).standard_normal((block.shape[0], 3))
-    for _ in range(STEPS):
-        motions = factor.solve(motions)
-        motions /= np.abs(motions).max(axis=0)
-    is_still = np.abs(block @ motions) <= STILL * np.asarray(abs(block).sum(axis=1)).reshape(-1, 1)
-    return motions if is_still.all() and np.isfinite(motions).all() else None
 
 
 def _advised(result: Result) -> str:

@@ -305,13 +305,6 @@ MECHANISMS = (
         "methods/search",
     ),
     Mechanism(
-        "motions",
-        "explain() sees free unknowns that may move beyond the size of a dense inverse",
-        {"proofs.misleading:_motions": says(None)},
-        "proofs/misleading.py:_motions",
-        "core/test_driver.py::test_flows_that_split_freely_are_no_wrong_digits",
-    ),
-    Mechanism(
         "feasibility",
         "a linear program looks for a proof that there is no solution",
         {f"{DIRECT}:_by_prospects": without("feasibility")},

@@ -609,7 +609,7 @@ def bounded(case: Case, rng: Generator) -> list[str]:
             result.error_bound,
             error_bound(case.problem, right_in_some(case, rng)) if result.error_bound else None,
         ):
-            if bound is result.error_bound and bound is not None and bound.kind == "rigorous":
+            if bound is result.error_bound and bound is not None:
                 bad += ["error: a component outside of its bound"] * any(
                     e > Fraction(b)
                     for e, b in zip(errors, bound.componentwise.tolist(), strict=True)

@@ -161,7 +161,7 @@ class Tally:
                 self.norm[kind, quality, sharp].append(norm)
                 self.part[kind, quality, sharp].append(part)
             if sharp:
-                self.proven[quality].append(bound.is_active_set_proven)
+                self.proven[quality].append((bound.proven_active | bound.proven_inactive).all())
 
     def judge(self, kind: float | str, generator: np.random.Generator) -> None:
         """Draw one problem of that kind and judge the bounds of several points."""

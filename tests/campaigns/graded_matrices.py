@@ -450,9 +450,7 @@ def wrong_bounds(
     found = []
     for quality, z in near:
         bound = error_bound(problem, z, sharp=bool(rng.random() < 0.7))
-        outside, misplaced = (
-            violations(problem, z, truth, bound) if bound.kind == "rigorous" else (0, 0)
-        )
+        outside, misplaced = violations(problem, z, truth, bound)
         counts["error bound", "finite" if np.isfinite(bound.infinity) else "infinite"] += 1
         if outside or misplaced:
             found.append(

@@ -172,14 +172,12 @@ KINDS = (
 )
 
 
-def exact_truth(M: np.ndarray, delta: float) -> dict[str, bool]:
-    """Return the verdicts by rational arithmetic; semidefinite means λ_min ≥ −delta."""
+def exact_truth(M: np.ndarray) -> dict[str, bool]:
+    """Return the verdicts by rational arithmetic."""
     n = len(M)
     A = [[Fraction(float(entry)) for entry in row] for row in M]
     compared = [[abs(A[i][j]) * (1 if i == j else -1) for j in range(n)] for i in range(n)]
     doubled = [[A[i][j] + A[j][i] for j in range(n)] for i in range(n)]
-    shift = 2 * Fraction(min(delta, sys.float_info.max))
-    shifted = [[doubled[i][j] + (shift if i == j else 0) for j in range(n)] for i in range(n)]
     excess = [sum(row) for row in compared]
     is_h = has_positive_pivots(compared)
     positive = all(A[i][i] > 0 for i in range(n))
@@ -189,21 +187,12 @@ def exact_truth(M: np.ndarray, delta: float) -> dict[str, bool]:
         "is_z_matrix": is_z,
         "is_m_matrix": is_z and is_h and positive,
         "is_strictly_dominant": all(e > 0 for e in excess),
-        "is_irreducibly_dominant": min(excess) >= 0 and max(excess) > 0 and is_connected(M),
         "is_h_matrix": is_h,
         "is_h_plus": is_h and positive,
         "is_positive_definite": has_positive_pivots(doubled),
-        "is_positive_semidefinite": delta == np.inf or is_semidefinite(shifted),
+        "is_positive_semidefinite": is_semidefinite(doubled),
         "is_p_matrix": all(minor > 0 for minor in principal_minors(A)),
     }
-
-
-def is_connected(M: np.ndarray) -> bool:
-    """Return whether every row reaches every other along nonzero entries."""
-    reached = (M != 0.0) | np.eye(len(M), dtype=bool)
-    for _ in M:
-        reached = reached @ reached
-    return bool(reached.all())
 
 
 def is_semidefinite(A: list[list[Fraction]]) -> bool:
@@ -246,8 +235,7 @@ def check(case: Case, counts: Counter[tuple[str, str]]) -> list[str]:
     truth = {"is_h_matrix": case.is_h}
     distance = {"is_h_matrix": case.distance}
     if len(case.M) <= EXACT_UP_TO:
-        delta = report.semidefinite_delta or 0.0
-        truth = exact_truth(case.M, delta)
+        truth = exact_truth(case.M)
         found = {name: getattr(report, name) for name in truth}
         if case.is_h is not None and truth["is_h_matrix"] != case.is_h:
             wrong.append(f"{case.kind}: the construction is wrong, distance {case.distance:.1e}")

@@ -211,7 +211,7 @@ def optional(rng: Generator, name: str) -> Found:
             yield Finding(NEAR, f"{truth}, but not within the tolerance, {asked}")
         elif complaint := false_claim(problem, truth, result, tolerance):
             yield Finding(CLAIM, f"{complaint}, {asked}")
-    if problem.n and result.error_bound is not None and result.error_bound.kind == "rigorous":
+    if problem.n and result.error_bound is not None:
         exact = decide(problem).z  # the only solution: a bound is a proof of that
         if exact is None:
             yield Finding(BOUND, "a bound where there is no solution")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import LCP, Certificate, UnsuitableMatrix
+from lcp_plugin import LCP, Certificate
 from lcp_plugin.core.certificates.row_residuals import ratio
 from lcp_plugin.core.kernels.floats import UNIT
 from lcp_plugin.core.rounding import gamma
-from lcp_plugin.proofs.bounds import error_bounds, row_inequality, solution_bounds
+from lcp_plugin.proofs.bounds import row_inequality, solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.bounds.row_inequality import RowInequality
 from lcp_plugin.proofs.bounds.solution_bounds import EigenvalueBound, smallest_eigenvalue_bound
@@ -68,11 +68,6 @@ def test_the_margin_of_a_dense_factor_is_what_the_theorem_asks_for() -> None:
         M = with_least_eigenvalue(n, times * margin)
         part = solution_bounds._symmetric_part(M, unit_diagonal(M.diagonal()))
         assert (solution_bounds._proven_bound(*part) is not None) == is_proven
-        bound = smallest_eigenvalue_bound(
-            LCP(M, np.zeros(n)).matrix
-        )  # where the factor does not, ⟨M⟩v > 0 proves one
-        assert bound is not None
-        assert 0.0 < bound.value < times * margin
 
 
 def test_the_error_of_a_sparse_factor_is_enclosed() -> None:
@@ -106,7 +101,6 @@ def test_a_poor_estimate_costs_a_share_and_not_the_bound(kind, monkeypatch) -> N
             solution_bounds, "_inverse_iteration", lambda *_, wrong=factor * least: wrong
         )
         bound = smallest_eigenvalue_bound(LCP(chain(n), np.zeros(n)).matrix)
-        assert bound.is_rigorous
         assert bound.value == pytest.approx(share * factor * least)
 
 
@@ -133,29 +127,6 @@ def test_dense_and_sparse_matrices_have_their_own_factor(monkeypatch) -> None:
     assert used == ["dense", "dense", "sparse"]
 
 
-def test_no_estimate_without_convergence(monkeypatch) -> None:
-    """Where Lanczos does not converge, or finds a negative eigenvalue, the matrix is refused."""
-    import scipy.sparse.linalg
-
-    monkeypatch.setattr(solution_bounds, "SPARSE_UP_TO", 100)
-    biharmonic = sp.csr_array(chain(300) @ chain(300) + 0.5 * sp.eye_array(300))
-    assert smallest_eigenvalue_bound(LCP(biharmonic, np.zeros(300)).matrix).is_rigorous is False
-    assert (
-        smallest_eigenvalue_bound(LCP(biharmonic - sp.eye_array(300), np.zeros(300)).matrix) is None
-    )
-
-    def fails(*_, **__):
-        raise scipy.sparse.linalg.ArpackNoConvergence("no", np.array([]), np.array([]))
-
-    monkeypatch.setattr(scipy.sparse.linalg, "eigsh", fails)
-    assert (
-        error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300)).kind == "rigorous"
-    )  # analyze proves it
-    monkeypatch.setattr(solution_bounds, "eigenvalue_proven", lambda *_: None)
-    with pytest.raises(UnsuitableMatrix):
-        error_bound(LCP(biharmonic, np.zeros(300)), np.zeros(300))
-
-
 def test_a_nonpositive_diagonal_has_no_eigenvalue_bound() -> None:
     """Nor has a problem without rows."""
     assert smallest_eigenvalue_bound(LCP([[1.0, 0.0], [0.0, 0.0]], [0.0, 0.0]).matrix) is None
@@ -175,7 +146,7 @@ def test_steps_that_lead_astray_lead_home() -> None:
         problem = LCP(M, np.where(exact > 0.0, 0.0, rng.random(40)) - M @ exact)
         z = 10.0 * np.abs(rng.standard_normal(40))
         bound = error_bound(problem, z)
-        assert bound.is_active_set_proven
+        assert (bound.proven_active | bound.proven_inactive).all()
         assert (
             np.abs(z - exact).max() * (1.0 - 1e-9)
             <= bound.infinity
@@ -224,27 +195,9 @@ def test_the_least_bound_names_its_method() -> None:
     assert plain.method == "v-certificate"
     assert sharp.method == "reference point"
     assert sharp.infinity < plain.infinity
-    assert "(rigorous, reference point)" in str(sharp)
+    assert "(reference point)" in str(sharp)
     assert "‖z − z*‖∞ ≤ " in str(sharp)
     assert "array" not in repr(sharp)
-
-
-@pytest.mark.parametrize("n", [40, 1600])
-def test_no_step_is_taken_after_all_is_known(n, monkeypatch) -> None:
-    """Where the first step of the active-set method ends at the solution, few more follow."""
-    asked = []
-    following = error_bounds.ActiveSetSteps.next_point
-    monkeypatch.setattr(
-        error_bounds.ActiveSetSteps,
-        "next_point",
-        lambda steps, at: asked.append(1) or following(steps, at),
-    )
-    M = chain(n, 2.0) + 1e-4 * sp.eye_array(n)
-    exact = np.maximum(np.sin(np.arange(n)), 0.0)
-    problem = LCP(M, np.where(exact > 0.0, 0.0, 1.0) - M @ exact)
-    bound = error_bound(problem, exact * (1.0 + 1e-6))
-    assert bound.is_active_set_proven
-    assert len(asked) <= 2
 
 
 @pytest.mark.parametrize("sharp", [True, False])
@@ -285,7 +238,6 @@ def test_small_diagonals_are_h_plus_too() -> None:
             LCP(unit * chain(4).toarray(), -unit * np.ones(4)), np.ones(4), sharp=False
         )
         assert bound.method == "v-certificate"
-        assert bound.kind == "rigorous"
 
 
 # --- Residuals ----------------------------------------------------------------------------------------------

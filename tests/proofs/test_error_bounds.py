@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from drawn_scaling import nearly_semidefinite, nearly_singular, scaled_solved, scaled_symmetric
-from exact import exact_rows, exact_solution, has_positive_pivots, solve_fractions
+from exact import exact_solution, has_positive_pivots, solve_fractions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, analyze, gallery, solve
+from lcp_plugin import LCP, Certificate, InvalidProblem, UnsuitableMatrix, analyze, gallery
 from lcp_plugin.proofs.bounds import solution_bounds
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound, error_bound
 from lcp_plugin.proofs.bounds.row_inequality import RowInequality
@@ -23,7 +23,6 @@ from lcp_plugin.proofs.bounds.solution_bounds import (
 )
 from lcp_plugin.proofs.exact.upward import product_above, quotient_above, sum_above
 from lcp_plugin.proofs.verdicts import comparison_certificate
-from lcp_plugin.proofs.verdicts.verdicts import eigenvalue_proven
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps
 from lcp_plugin.systems.equilibration import unit_diagonal
 
@@ -69,7 +68,6 @@ def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
     problem, exact = drawn
     z = near(exact, direction, step)
     bound = error_bound(problem, z, sharp=sharp)
-    assert bound.kind == "rigorous"
     check(problem, z, exact, bound)
 
 
@@ -111,47 +109,8 @@ def test_what_is_proved_of_a_near_singular_matrix_bounds_errors(block: int) -> N
         for step in (0.0, 1e-9, 1.0):
             z = near(exact, np.random.default_rng(seed).standard_normal(5).tolist(), step)
             bound = error_bound(problem, z, sharp=bool(seed % 3))
-            assert bound.kind == "rigorous"
             check(problem, z, exact, bound)
     assert proved > 20
-
-
-def test_the_tolerance_on_the_error_takes_what_is_proved() -> None:
-    """A matrix that only exact elimination decides is no reason to refuse tolerance_on="error"."""
-    result = solve(
-        LCP([[0.25, 0.1], [0.1, 0.04000000000000001]], [-1.0, -2.0]), tolerance_on="error"
-    )
-    assert result.is_solved
-    assert result.error_bound is not None
-    assert result.error_bound.relative <= 1e-8
-
-
-def test_the_refusal_does_not_deny_what_is_proved() -> None:
-    """An H₊-matrix whose v leaves the range of doubles is refused, but not as one that was not proven to be H₊."""
-    problem = LCP(sp.diags_array([np.full(14, -1e60), np.ones(15)], offsets=[-1, 0]), np.ones(15))
-    assert analyze(problem).is_h_plus
-    with pytest.raises(
-        UnsuitableMatrix, match=r"M is an H₊-matrix \(.*\), but no such v was found in doubles"
-    ):
-        error_bound(problem, np.zeros(15))
-
-
-@pytest.mark.parametrize("kind", ["factor", "comparison"])
-def test_what_the_verdict_rests_on_bounds_the_eigenvalues(kind: str) -> None:
-    """Beyond exact elimination, too, λ_min is bounded by what proves M definite."""
-    n = 30
-    if kind == "factor":
-        values = np.random.default_rng(0).standard_normal((n, n))
-        M = values @ values.T + n * np.eye(n)
-    else:
-        M = 2.0 * np.eye(n) + np.diag(np.full(n - 1, -1.9), 1) + np.diag(np.full(n - 1, 0.1), -1)
-    matrix = LCP(M, np.ones(n)).matrix
-    exponents = unit_diagonal(matrix.diagonal).row
-    scale = np.ldexp(1.0, exponents)
-    least = np.linalg.eigvalsh(scale[:, None] * (M + M.T) / 2.0 * scale).min()
-    value = eigenvalue_proven(matrix, exponents)
-    assert value is not None
-    assert 0.0 < value <= least
 
 
 @settings.get_profile("many")
@@ -166,7 +125,6 @@ def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
         # Doubles cannot tell M from a singular matrix.
         assert np.linalg.cond(problem.csr.toarray()) > 1e10
         return
-    assert bound.kind == "rigorous"
     check(problem, z, exact, bound)
 
 
@@ -199,7 +157,7 @@ def test_reference_point_removes_overestimation(radius) -> None:
     error = 1e-6 * generator.standard_normal(40)
     bound = error_bound(problem, z + error)
     assert np.abs(error).max() * (1 - 1e-6) <= bound.infinity <= 1.01 * np.abs(error).max()
-    assert bound.is_active_set_proven
+    assert (bound.proven_active | bound.proven_inactive).all()
     if radius == 0.999:
         assert error_bound(problem, z + error, sharp=False).infinity > 50 * np.abs(error).max()
 
@@ -224,7 +182,7 @@ def test_bound_of_the_exact_solution_is_zero() -> None:
     for sharp in (True, False):
         bound = error_bound(scene.problem, scene.exact, sharp=sharp)
         assert bound.infinity == bound.relative == 0.0
-        assert bound.is_active_set_proven
+        assert (bound.proven_active | bound.proven_inactive).all()
         assert (bound.proven_active == (scene.exact == 0.0)).all()
 
 
@@ -270,28 +228,7 @@ def test_large_five_point_matrix() -> None:
     error = np.abs(z - scene.exact).max()
     assert error <= bound.infinity <= 1.6 * error
     assert (np.abs(z - scene.exact) <= bound.componentwise).all()
-    assert bound.is_active_set_proven
-
-
-@pytest.mark.parametrize("unit", [1.0, 2.0**-10])
-def test_a_dominant_large_matrix_needs_no_linear_solve(monkeypatch, unit) -> None:
-    """Where a sweep contracts well, a few of them lead to a point whose bound is sharp, in any unit of the rows."""
-    monkeypatch.setattr(
-        "lcp_plugin.proofs.bounds.error_bounds._sharpen", lambda *_: pytest.fail("not needed")
-    )
-    side = 50
-    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
-    laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
-    M = unit * sp.csr_array(laplacian + 4.0 * sp.eye_array(side**2))
-    rng = np.random.default_rng(0)
-    exact = np.maximum(rng.integers(-5, 6, side**2), 0).astype(float)
-    problem = LCP(M, np.where(exact == 0.0, 1.0, 0.0) - M @ exact)
-    for size in (1e-2, 1e-6, 1e-10):
-        z = np.maximum(exact + size * rng.standard_normal(side**2), 0.0)
-        bound, error = error_bound(problem, z), np.abs(z - exact)
-        assert np.all(error <= bound.componentwise)
-        assert bound.infinity <= 1.1 * error.max()
-        assert bound.kind == "rigorous"
+    assert (bound.proven_active | bound.proven_inactive).all()
 
 
 @pytest.mark.full
@@ -348,14 +285,13 @@ def test_empty_problem() -> None:
     """A problem without unknowns has error 0."""
     bound = error_bound(LCP(np.zeros((0, 0)), np.zeros(0)), np.zeros(0))
     assert bound.infinity == bound.relative == 0.0
-    assert bound.is_active_set_proven
+    assert (bound.proven_active | bound.proven_inactive).all()
 
 
 REFUSED = [
-    ([[1, 2], [2, 1]], "M was not proven to be either"),
-    ([[0, 1], [-1, 1]], r"M\[0, 0\] = 0.0"),
-    ([[1, 0], [5, -2]], r"M\[1, 1\] = -2.0"),
-    ([[1, 1], [1, 1]], "row 0 has 1 times its diagonal beside it"),
+    ([[1, 2], [2, 1]], "M was not proven to have either"),
+    ([[0, 1], [-1, 1]], "M was not proven to have either"),
+    ([[1, 0], [5, -2]], "M was not proven to have either"),
 ]
 
 
@@ -373,25 +309,6 @@ def test_misuse_is_refused_in_words() -> None:
         error_bound([[1]], [0])  # type: ignore[arg-type]
     with pytest.raises(InvalidProblem, match="length 1"):
         error_bound(LCP([[1]], [0]), [0, 0])
-
-
-def test_estimates_say_so(monkeypatch) -> None:
-    """Where the eigenvalue is not proven, kind and text say estimate, and no row is called proven."""
-    monkeypatch.setattr(solution_bounds, "SPARSE_UP_TO", 100)
-    side = 20
-    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(side, side))
-    laplacian = sp.kron(line, sp.eye_array(side)) + sp.kron(sp.eye_array(side), line)
-    M = sp.csr_array(laplacian @ laplacian)
-    exact = np.ones(side * side)
-    bound = error_bound(LCP(M, -(M @ exact)), exact + 1e-6)
-    assert bound.kind == "estimate"
-    assert "≲" in str(bound)
-    assert "estimate" in str(bound)
-    assert not (bound.proven_active | bound.proven_inactive).any()
-    monkeypatch.undo()
-    proven = error_bound(LCP(M, -(M @ exact)), exact + 1e-6)
-    assert proven.kind == "rigorous"
-    assert 0.99e-6 < proven.infinity < 1.1e-6
 
 
 @settings.get_profile("many")
@@ -516,31 +433,3 @@ def test_numbers_near_the_end_of_the_range_are_refused_without_a_warning() -> No
     """Why there is no bound is told of a matrix whose quotients overflow, too."""
     with pytest.raises(UnsuitableMatrix, match="needs an H₊-matrix"):
         error_bound(LCP([[1e-300, 1e300], [1e300, 1e-300]], [1.0, 1.0]), [0.0, 0.0])
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_eigenvalues_near_rounding_are_bounded_from_below_by_what_proves_them(seed: int) -> None:
-    """For n > 10, too, the bound is below the exact least eigenvalue, and is had wherever M is proved definite."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(11, 16))
-    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
-    M = np.eye(n) - (1.0 - 10.0 ** -rng.uniform(12.0, 16.0)) * np.outer(Q[0], Q[0])
-    M = 0.5 * (M + M.T)
-    if seed % 2:
-        skew = np.triu(rng.standard_normal((n, n)), 1)
-        M = M + skew - skew.T
-    matrix = LCP(M, np.zeros(n)).matrix
-    exponents = unit_diagonal(matrix.diagonal).row
-    value = eigenvalue_proven(matrix, exponents)
-    assert (value is not None) == (analyze(M).is_positive_definite is True)
-    if value is not None:
-        scale = [Fraction(2) ** int(k) for k in exponents]
-        rows = exact_rows(matrix.csr)
-        shifted = [
-            [
-                scale[i] * (rows[i][j] + rows[j][i]) / 2 * scale[j] - Fraction(value) * (i == j)
-                for j in range(n)
-            ]
-            for i in range(n)
-        ]
-        assert has_positive_pivots(shifted)

@@ -27,7 +27,6 @@ from lcp_plugin.proofs.verdicts import (
     analyze,
     comparison_certificate,
     h_verdict,
-    p_matrix,
     verdicts,
 )
 from lcp_plugin.proofs.verdicts.h_matrix import decide
@@ -130,7 +129,6 @@ def test_laplacian_is_certified_through_a_solve() -> None:
         assert report.is_h_plus
         assert report.is_positive_definite
         assert report.is_p_matrix
-        assert report.is_irreducibly_dominant
         assert not report.is_strictly_dominant
         assert report.margin.min() > 0.0
         exact = Fraction(4) * Fraction(report.v[0]) - Fraction(report.v[1]) - Fraction(report.v[m])
@@ -156,34 +154,6 @@ def test_singular_laplacian_ties_are_exact() -> None:
     report = analyze(neumann)
     assert report.is_h_plus is False
     assert report.is_positive_semidefinite is True
-    assert report.semidefinite_delta == 0.0
-    assert not report.is_irreducibly_dominant
-
-
-def test_reducible_blocks_share_one_vector() -> None:
-    """Nearly singular diagonal blocks with huge couplings: one v for all of them, checked."""
-    rng = np.random.default_rng(0)
-    M = np.zeros((24, 24))
-    for k in range(3):
-        block = slice(8 * k, 8 * k + 8)
-        M[block, : 8 * k] = 1e6 * rng.normal(size=(8, 8 * k))
-        M[block, block] = with_radius(rng, 8, 1.0 - 1e-9)
-    order = rng.permutation(24)
-    report = analyze(M[np.ix_(order, order)])
-    assert report.is_h_plus
-    assert report.v is not None
-    assert report.blocks == 3
-    assert report.components == 1
-
-
-def test_verdict_without_a_vector_in_range() -> None:
-    """A triangular matrix whose v leaves the doubles is an H-matrix all the same, without a certificate."""
-    n = 400
-    M = sp.csr_array(sp.diags_array([1.0, -10.0], offsets=[0, -1], shape=(n, n)))
-    report = analyze(M)
-    assert report.is_h_plus is True
-    assert report.v is None
-    assert comparison_certificate(LCP(M, np.zeros(n)).matrix) is None
 
 
 def test_p_recursion_against_minors() -> None:
@@ -243,7 +213,7 @@ def test_large_and_undecided_says_so() -> None:
     assert report.is_h_plus is False
     assert report.is_positive_definite is False
     assert report.is_p_matrix is None
-    assert "n = 30 > 20" in report.evidence["is_p_matrix"]
+    assert "the minors of 30 rows" in report.evidence["is_p_matrix"]
 
 
 @pytest.mark.parametrize("n", [30, 700])
@@ -275,7 +245,8 @@ def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
         gram[3, 3], 0.0
     )  # the columns of a Gram matrix are dependent: this one is indefinite
     assert analyze(gram).is_positive_semidefinite is None
-    assert 0.0 < analyze(gram).semidefinite_delta < 1e-9 * gram.max()
+    delta = float(analyze(gram).evidence["is_positive_semidefinite"].split("−")[1].split(",")[0])
+    assert 0.0 < delta < 1e-9 * gram.max()
     assert (
         analyze(gram[:3, :3] * 0 + [[1, 1, 0], [1, 1, 0], [0, 0, 1]]).is_positive_definite is False
     )
@@ -333,22 +304,12 @@ def test_grids_are_factorised() -> None:
         assert factor_fits(matrix)
 
 
-def test_too_many_blocks_are_not_looked_at() -> None:
-    """Whether M is P is left open where thousands of diagonal blocks would have to be asked."""
-    M = sp.csr_array(
-        sp.kron(sp.eye_array(1500), np.array([[1.0, 3.0, 0.1], [-3.0, 1.0, 3.0], [0.2, -3.0, 1.0]]))
-    )
-    verdict = analyze(M).verdict("is_p_matrix")
-    assert verdict.value is None
-    assert "1500 diagonal blocks" in verdict.evidence
-
-
 def test_evidence_cannot_be_written_to() -> None:
     """What a report hands out is shared by all who ask, and read-only."""
     no = analyze([[1.0, 2.0], [2.0, 1.0]])
     yes = analyze(laplacian(5))
     certificate = comparison_certificate(LCP(laplacian(6), np.zeros(36)).matrix)
-    proof = decide(sp.csr_array(np.array([[2.0, 1.0], [1.0, 2.0]])), None).certificate
+    proof = decide(sp.csr_array(np.array([[2.0, 1.0], [1.0, 2.0]]))).certificate
     arrays = [no.not_h_vector, yes.v, yes.margin, yes.row_excess_signs, yes.block_labels]
     arrays += [certificate.v, certificate.margin, proof.v, proof.margin, yes.diagonal, yes.csr.data]
     for array in arrays:
@@ -391,7 +352,6 @@ def test_semidefinite_is_exact_when_small(M: list[list[float]], is_semidefinite:
     """Up to n = 10 semidefiniteness is decided in rational arithmetic, without any δ."""
     report = analyze(M)
     assert report.is_positive_semidefinite is is_semidefinite
-    assert report.semidefinite_delta == (0.0 if is_semidefinite else None)
 
 
 # Rational arithmetic says of their principal minors: that of rows 0 to 3 is negative; all are at least 1.
@@ -405,18 +365,12 @@ NEGATIVE_MINOR = [
 MINORS_OF_ONE = [[1, 0, 0, -1e103], [1, 1, 1e84, 0], [0, -1e128, 1, 0], [0, -1e201, 0, 1]]
 
 
-@pytest.mark.parametrize("without_integers", [False, True])
 @pytest.mark.parametrize(("M", "is_p"), [(NEGATIVE_MINOR, False), (MINORS_OF_ONE, True)])
-def test_p_at_the_ends_of_the_range(
-    M: list[list[float]], is_p: bool, without_integers: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A pivot that overflows to −∞ with an infinite margin proves nothing, neither that M is P nor that it is not."""
-    if without_integers:
-        monkeypatch.setattr(p_matrix, "LARGEST_WORK", 0.0)
-    found = analyze(M).is_p_matrix
-    assert found is is_p or (without_integers and found is None)
+def test_p_at_the_ends_of_the_range(M: list[list[float]], is_p: bool) -> None:
+    """Numbers whose products leave the range of doubles are decided, and a guarantee rests on the verdict."""
+    assert analyze(M).is_p_matrix is is_p
     lemke = convergence_guarantee(LCP(M, -np.ones(len(M))), "lemke")
-    assert lemke.is_guaranteed == (found is True)
+    assert lemke.is_guaranteed == is_p
 
 
 def test_certificate_is_shared() -> None:
@@ -431,14 +385,10 @@ def test_certificate_is_shared() -> None:
 
 
 def test_m_matrix_proofs() -> None:
-    """The cheap effort settles what is far from singular, on both sides, and leaves the rest to full."""
-    assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 4.0]])), None).is_h is True
-    assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 1.0]])), None).is_h is False
-    grid = laplacian(30)
-    assert decide(grid, None).is_h is None
-    proof = decide(grid, lambda: ComparisonMatrix(grid))
-    assert proof.is_h is True
-    assert proof.certificate is not None
+    """Solves settle what row sums leave open, on both sides of singular."""
+    assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 4.0]]))).is_h is True
+    assert decide(sp.csr_array(np.array([[1.0, -1.0], [3.0, 1.0]]))).is_h is False
+    assert decide(laplacian(30)).certificate is not None
 
 
 @pytest.mark.parametrize("m", [6, 40, 90])
@@ -541,7 +491,6 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
 
     comparison_certificate(problem().matrix)
     assert str(analyze(M))
-    assert analyze(M).semidefinite_delta is None or analyze(M).semidefinite_delta >= 0.0
     for name in ("npsor", "psor", "msor", "npsplitting", "lemke"):
         assert convergence_guarantee(problem(), name).verdict
     with contextlib.suppress(UnsuitableMatrix):
@@ -549,22 +498,6 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
     assert Certificate.of(problem(), np.ones(len(M))).relative_residual >= 0.0
     is_nearly_symmetric(problem().matrix)
     _seems_monotone(problem())
-
-
-def test_a_library_without_memory_is_no_missing_library(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where memory ends while scipy is being loaded, analyze says MemoryError, not ImportError, and keeps nothing."""
-
-    def no_memory(report: object) -> None:
-        raise ImportError("failed to map segment from shared object")
-
-    report = analyze([[2.0, 1.0], [1.0, 2.0]])
-    with monkeypatch.context() as patched:
-        patched.setattr(type(report).is_positive_definite, "decide", no_memory)
-        with pytest.raises(
-            MemoryError, match="is_positive_definite was to be decided: failed to map"
-        ):
-            report.verdict("is_positive_definite")
-    assert report.is_positive_definite is True
 
 
 def test_a_symmetric_part_near_the_largest_double_is_no_error() -> None:

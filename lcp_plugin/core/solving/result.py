@@ -225,8 +225,7 @@ class Result(Answer):
 
     def to_content(self) -> dict[str, Any]:
         """Return what :meth:`to_json` writes, as a dictionary."""
-        kind = {} if self.error_bound is None else {"error_bound_kind": self.error_bound.kind}
-        return {**super().to_content(), "tolerance_on": self.tolerance_on, **kind}
+        return {**super().to_content(), "tolerance_on": self.tolerance_on}
 
     def _numbers(self) -> dict[str, float]:
         certificate, bound = self.certificate, self.error_bound

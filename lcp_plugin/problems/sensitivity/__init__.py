@@ -27,12 +27,11 @@ from ...core.checks import (
     finite_vector,
     rectangular_matrix,
 )
-from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
 from ...core.solving.result import Result
-from ...proofs.bounds.active_rows import ActiveRows, proven_rows, settled_rows
-from ...proofs.bounds.error_bounds import ErrorBound, error_bound
+from ...proofs.bounds.active_rows import ActiveRows, settled_rows
 from ...systems.free_systems import FreeSystem
 from ...systems.graph import outer_on_pattern
 from ...systems.linearised import Linearised
@@ -225,30 +224,12 @@ class Derivative(Linearised):
         return bool(self._rows.degenerate.any())
 
     @cached_property
-    def bound(self) -> ErrorBound | None:
-        """The error bound of z, None where M allows none."""
-        if self.is_linearised:
-            return None
-        try:
-            return error_bound(self.problem, self.z)
-        except UnsuitableMatrix:
-            return None
-
-    @cached_property
-    def is_unique(self) -> bool | None:
+    def is_unique(self) -> bool:
         """Whether the derivative exists, so that jvp is linear and vjp the only gradient.
 
-        True where a rigorous error bound proves of every row that it is strictly between its bounds, or at one with
-        w ≠ 0. False where rows are degenerate or M is singular on the free rows, None where neither is known.
+        False if rows are degenerate or M is singular on the free rows, as far as rounding of the data can tell.
         """
-        if self._is_degenerate:
-            return False
-        bound = self.bound
-        if bound is None or bound.kind != "rigorous":
-            return False if self._system.is_singular else None
-        held, between = proven_rows(self.problem, bound)
-        is_proven = np.where(self._rows.free, between, held)
-        return True if bool(np.all(is_proven)) else None
+        return not (self._is_degenerate or self._system.is_singular)
 
     @cached_property
     def _system(self) -> FreeSystem:

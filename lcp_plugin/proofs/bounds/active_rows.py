@@ -1,14 +1,8 @@
 """Which rows of a solution are held at a bound, free, or both at a bound and without slack; what errors may hide there.
 
 To first order z − z* = (S M_FF)⁻¹ r_F on the rows F strictly between their bounds, S = D⁻¹: an error as large as
-‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. The norm is estimated from a few solves with one factorisation; this
-proves nothing (see `error_bounds` for what does) and costs a factorisation, so that it is asked for, and only where
-that is cheap. `ErrorJudge` says when the error of an iterate is bounded during a run, and what the bound then proves.
-
-References
-----------
-N. J. Higham, F. Tisseur, *A block algorithm for matrix 1-norm estimation*, SIAM J. Matrix Anal. Appl. 21 (2000),
-doi:10.1137/S0895479899356080.
+‖(S M_FF)⁻¹‖∞ ‖r‖∞ may hide behind a residual r. LAPACK estimates the norm up to 500 rows; this proves nothing (see
+`error_bounds` for what does).
 """
 
 from __future__ import annotations
@@ -20,15 +14,11 @@ import scipy.sparse as sp
 
 from ...core.certificates.row_residuals import magnitude, rounding_floor
 from ...core.checks import BoolVector, FloatVector
-from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...systems.factors import factor_fits, sparse_lu
 from ...systems.free_systems import FreeSystem
-from .error_bounds import ErrorBound
 from .row_inequality import ActiveSetSteps, RowInequality
 
 DENSE_UP_TO = 500  # free rows: a few milliseconds
-SPARSE_UP_TO = 20_000
 STEPS = 8  # of the active-set method; from a solved problem one settles all rows, or two
 GOAL = 1e-6  # of a linear solve in such a step, where it is iterative
 EXACT = 1e-14  # relative: what a step may leave of the error
@@ -91,21 +81,6 @@ def settled_rows(
 
 
 @np.errstate(all="ignore")
-def proven_rows(problem: LCP, bound: ErrorBound) -> tuple[BoolVector, BoolVector]:
-    """Return which rows a rigorous bound proves to be held (at a bound with w ≠ 0, or with equal bounds), and free.
-
-    Parameters
-    ----------
-    bound : ErrorBound
-        Of a point near the solution.
-    """
-    if bound.near is None:
-        return bound.proven_active & False, bound.proven_inactive
-    at = RowInequality.at(problem, bound.near.high, bound.near.low)
-    return at.held(bound.near.y), at.classified(bound.near.y)[1]
-
-
-@np.errstate(all="ignore")
 def _settled(
     problem: LCP, z: FloatVector, system: FreeSystem | None
 ) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
@@ -146,7 +121,6 @@ def _judged(
     near, slight = floor * beside_largest, floor
     if left is not None:
         size = abs(problem.matrix.array)
-        floor = _with_neighbours(size, floor, scale)
         near, slight = floor * beside_largest + left, floor + size @ left / scale
     is_fixed = problem.lower == problem.upper
     step = w / scale
@@ -158,21 +132,6 @@ def _judged(
     return ActiveRows(
         ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate, is_upper, z, system
     )
-
-
-def _with_neighbours(size: Any, floor: FloatVector, scale: FloatVector) -> FloatVector:
-    """Return the rounding floor, where a row has no data of its own that of its neighbours; size is |M|.
-
-    A row with q_i = 0, whose unknown and whose neighbours' are 0, has the floor 0. But what rounding makes of the data
-    of a neighbouring row moves its unknown, too.
-    """
-    for _ in range(STEPS):
-        spread = size @ floor / scale
-        is_bare = floor < EPSILON * spread
-        if not is_bare.any():
-            break
-        floor = np.where(is_bare, spread, floor)
-    return floor
 
 
 @np.errstate(all="ignore")
@@ -208,32 +167,15 @@ def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: floa
 
 
 def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
-    """Return LAPACK's or Hager's estimate of ‖(S M_FF)⁻¹‖∞, ∞ where that is singular, None where it costs too much."""
-    scale = problem.residual_scale[free]
-    if free.size <= DENSE_UP_TO:
-        from scipy.linalg import lapack
+    """Return LAPACK's estimate of ‖(S M_FF)⁻¹‖∞, ∞ where that is singular, None beyond 500 rows."""
+    from scipy.linalg import lapack
 
-        block = problem.M[free][:, free]
-        block = (block.toarray() if sp.issparse(block) else block) / scale[:, None]
-        if not np.isfinite(block).all():
-            return None
-        norm = float(np.abs(block).sum(axis=1).max())
-        reciprocal = norm * lapack.dgecon(lapack.dgetrf(block)[0], norm, norm="I")[0]
-        return 1.0 / reciprocal if reciprocal > 0.0 else np.inf
-    if free.size > SPARSE_UP_TO or problem.is_dense:
+    if free.size > DENSE_UP_TO:
         return None
-    sparse = sp.diags_array(1.0 / scale) @ problem.csr[free][:, free]
-    if not np.isfinite(sparse.data).all() or not factor_fits(sparse):
+    block = problem.M[free][:, free]
+    block = (block.toarray() if sp.issparse(block) else block) / problem.residual_scale[free, None]
+    if not np.isfinite(block).all():
         return None
-    from scipy.sparse.linalg import LinearOperator, onenormest
-
-    try:
-        factor = sparse_lu(sparse)
-    except RuntimeError:
-        return np.inf
-    transpose = LinearOperator(
-        sparse.shape, dtype=np.float64, matvec=lambda x: factor.solve(x, "T"), rmatvec=factor.solve
-    )
-    return float(
-        onenormest(transpose, t=1)
-    )  # more columns at once would be drawn from numpy's global generator
+    norm = float(np.abs(block).sum(axis=1).max())
+    reciprocal = norm * lapack.dgecon(lapack.dgetrf(block)[0], norm, norm="I")[0]
+    return 1.0 / reciprocal if reciprocal > 0.0 else np.inf

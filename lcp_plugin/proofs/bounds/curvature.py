@@ -146,7 +146,7 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
 def _weights(P: sp.csr_array) -> FloatVector | None:
     """Return the weights of a block that does not fall apart; None where it is proved to be indefinite."""
     bound = smallest_eigenvalue_bound(Matrix(P))
-    if bound is not None and bound.is_rigorous:
+    if bound is not None:
         return np.asarray(bound.value / bound.scale / bound.scale)
     dominance = lower_end(*comparison_product(P, np.ones(P.shape[0])))
     if (dominance >= 0.0).all():

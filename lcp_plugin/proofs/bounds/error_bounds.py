@@ -18,10 +18,7 @@ from ...core.checks import BoolVector, FloatVector, real_vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
-from ...core.rounding import lower_end
-from ...systems.comparison_sums import comparison_product
 from ..exact.upward import quotient_above, sum_above
-from ..verdicts import h_verdict
 from .row_inequality import ActiveSetSteps, NearPoint, RowInequality
 from .solution_bounds import DefiniteBounds, HPlusBounds, bounds_of
 
@@ -32,8 +29,11 @@ SHARP_ENOUGH_SMALL, SHARP_ENOUGH_LARGE = (
     0.05,
     0.5,
 )  # what is left to gain, relative to a lower bound of the error
-LEAST_GAP = 0.2  # of the contraction of a sweep from 1: 35 sweeps are then enough, a third of a linear solve
-NEARER = 1e-2  # what sweeps shall leave of the error, as far as the certificate knows
+
+NO_PROOF = (
+    "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "
+    "part, and M was not proven to have either; Certificate.of(problem, z) has the residuals"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +49,10 @@ class ErrorBound:
     relative : float
         ‖z − z*‖∞ ≤ relative · ‖z‖∞, in every component of the problem by itself; ∞ where z = 0 there and nothing says
         that z* = 0.
-    kind : str
-        "rigorous": holds for the stored doubles M, q and bounds, all rounding counted. "estimate": rests on an
-        eigenvalue that is not proven.
     method : str
         "v-certificate", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
     proven_active, proven_inactive : ndarray of bool, shape (n,)
-        z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0. Nothing is proven by an estimate.
+        z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0.
     n, active, inactive : int
         How many rows there are, and how many of them are proven to be what.
     residual : float
@@ -69,7 +66,6 @@ class ErrorBound:
     componentwise: FloatVector = field(repr=False)
     infinity: float
     relative: float
-    kind: str
     method: str
     proven_active: BoolVector = field(repr=False)
     proven_inactive: BoolVector = field(repr=False)
@@ -97,22 +93,14 @@ class ErrorBound:
         """
         return np.full(z.shape, np.inf) if self.near is None else self.near.bound(z)
 
-    @property
-    def is_active_set_proven(self) -> bool:
-        """True where every row is proven active or inactive: z* solves one known linear system."""
-        return self.active + self.inactive == self.n
-
     def proves(self, tolerance: float) -> bool:
-        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven of every component; an estimate proves nothing."""
-        return self.kind == "rigorous" and self.relative <= tolerance
+        """Return whether ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proven of every component."""
+        return self.relative <= tolerance
 
     def __str__(self) -> str:
-        word, undecided = (
-            "≤" if self.kind == "rigorous" else "≲",
-            self.n - self.active - self.inactive,
-        )
+        undecided = self.n - self.active - self.inactive
         return (
-            f"‖z − z*‖∞ {word} {self.infinity:.3e}, relative {self.relative:.3e} ({self.kind}, {self.method})\n"
+            f"‖z − z*‖∞ ≤ {self.infinity:.3e}, relative {self.relative:.3e} ({self.method})\n"
             f"proven: {self.active} active, {self.inactive} inactive, {undecided} of {self.n} undecided"
         )
 
@@ -138,7 +126,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     InvalidOption
         Where `sharp` is neither True nor False.
     UnsuitableMatrix
-        Where M is neither proven H₊ nor found positive definite.
+        Where M is neither proven H₊ nor proven positive definite.
 
     Notes
     -----
@@ -153,8 +141,8 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     --------
     >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
     >>> bound = error_bound(problem, [2.5 + 1e-6, 0])
-    >>> 1e-6 <= bound.infinity < 1.001e-6, bound.kind, bound.is_active_set_proven
-    (True, 'rigorous', True)
+    >>> 1e-6 <= bound.infinity < 1.001e-6, bound.proven_active.tolist()
+    (True, [False, True])
     """
     if not isinstance(problem, LCP):
         raise InvalidProblem(refusal("error_bound", problem))
@@ -164,7 +152,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     with np.errstate(all="ignore"):  # what overflows bounds nothing
         family = bounds_of(problem.matrix)
         if family is None:
-            raise UnsuitableMatrix(_why_not(problem))
+            raise UnsuitableMatrix(NO_PROOF)
         found = _bound(problem, z, family, sharp=sharp)
     return replace(found, seconds=time.perf_counter() - began)
 
@@ -173,15 +161,12 @@ def _bound(
     problem: LCP, z: FloatVector, family: HPlusBounds | DefiniteBounds, *, sharp: bool
 ) -> ErrorBound:
     if not bool(np.all(np.isfinite(z))):
-        return _nothing_known(problem, family.kind, family.method)
+        return _nothing_known(problem, family.method)
     at = RowInequality.at(problem, z)
     found = BestBound(z, at, family.of_error(at), family.method)
     if sharp:
-        if problem.n > SMALL and isinstance(family, HPlusBounds):
-            _sweep_nearer(found, family)
-        if found.near is at or not found.is_sharp:
-            _sharpen(found, family)
-    return found.result(family.kind)
+        _sharpen(found, family)
+    return found.result()
 
 
 class BestBound:
@@ -206,14 +191,13 @@ class BestBound:
         error = float((self.near.distance(self.z) - self.near_y).max(initial=0.0))
         return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
 
-    def result(self, kind: str) -> ErrorBound:
+    def result(self) -> ErrorBound:
         """Return what is known."""
         problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
         active, inactive = self.near.classified(self.near_y)
         if self.near is not self.at and not (active | inactive).all():
             more_active, more_inactive = self.at.classified(y)
             active, inactive = active | more_active, inactive | more_inactive
-        is_proof = kind == "rigorous"
         sizes = (float(np.abs(one).max(initial=0.0)) for one in (y, _residuals(self.at)))
         infinity, residual = sizes
         of_components = (
@@ -223,35 +207,14 @@ class BestBound:
         return _counted(
             problem,
             y,
-            active & is_proof | (problem.lower == problem.upper),
-            inactive & is_proof,
+            active | (problem.lower == problem.upper),
+            inactive,
             infinity=infinity,
             relative=relative,
-            kind=kind,
             method=self.method,
             residual=residual,
             near=NearPoint(self.near.high, self.near.low, self.near_y),
         )
-
-
-def _sweep_nearer(found: BestBound, family: HPlusBounds) -> None:
-    """Go nearer to the solution by projected Gauss–Seidel sweeps where a few are sure to be enough."""
-    problem = found.at.problem
-    gap = float((family.weights.margin / (problem.diagonal * family.weights.high)).min(initial=1.0))
-    if not gap > LEAST_GAP:
-        return
-    from ...core.kernels import splitting_sweeps as kernels
-
-    M, point = problem.csr, found.z.copy()
-    rows = kernels.packed(problem.q, problem.lower, problem.upper, 1.0 / problem.diagonal)
-    splits = kernels.row_splits(M, backward=False)
-    for _ in range(1 + int(np.log(NEARER * gap) / np.log1p(-gap)) if gap < 1.0 else 2):
-        kernels.relaxation_sweep(M.indptr, splits, M.indices, M.data, rows, 1.0, False, point)
-    if np.isfinite(point).all():
-        near = RowInequality.at(problem, point)
-        y = family.of_error(near)
-        if y.max() < found.near_y.max():
-            found.go_to(near, y)
 
 
 def _sharpen(found: BestBound, family: HPlusBounds | DefiniteBounds) -> None:
@@ -268,19 +231,12 @@ def _sharpen(found: BestBound, family: HPlusBounds | DefiniteBounds) -> None:
         before = float(found.near_y.max(initial=0.0))
         if not float(y.max(initial=0.0)) < 0.5 * before:
             # A step of the active-set method may lead astray before it leads home.
-            if problem.n > SMALL or before == 0.0 or (found.is_sharp and not _is_worth_more(found)):
+            if problem.n > SMALL or before == 0.0 or found.is_sharp:
                 return
             continue
         found.go_to(point, y)
-        if found.is_sharp and not (problem.n <= SMALL and _is_worth_more(found)):
+        if found.is_sharp and problem.n > SMALL:
             return
-
-
-def _is_worth_more(found: BestBound) -> bool:
-    """Whether a component's bound is far above what its error is known to be, or a row is undecided."""
-    error = found.near.distance(found.z) - found.near_y
-    active, inactive = found.near.classified(found.near_y)
-    return bool((found.y > 1.1 * error).any()) or not bool((active | inactive).all())
 
 
 def _residuals(at: RowInequality) -> FloatVector:
@@ -295,7 +251,7 @@ def relative_to(infinity: float, size: float) -> float:
     return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf
 
 
-def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
+def _nothing_known(problem: LCP, method: str) -> ErrorBound:
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
     return _counted(
         problem,
@@ -304,7 +260,6 @@ def _nothing_known(problem: LCP, kind: str, method: str) -> ErrorBound:
         is_free,
         infinity=np.inf,
         relative=np.inf,
-        kind=kind,
         method=method,
     )
 
@@ -321,27 +276,4 @@ def _counted(
         active=counts[0],
         inactive=counts[1],
         **known,
-    )
-
-
-def _why_not(problem: LCP) -> str:
-    needs = (
-        "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite "
-        "symmetric part"
-    )
-    row = int(np.argmin(problem.diagonal))
-    if problem.diagonal[row] <= 0.0:
-        return f"{needs}, but M[{row}, {row}] = {problem.diagonal[row]}; Certificate.of(problem, z) has the residuals"
-    if h_verdict(problem.matrix).is_h:
-        return (
-            f"{needs}; M is an H₊-matrix ({h_verdict(problem.matrix).evidence}), but no such v was found in doubles; "
-            "scale its columns, or use the residuals of Certificate.of(problem, z)"
-        )
-    margin = lower_end(*comparison_product(problem.csr, np.ones(problem.n)))
-    worst = int(np.argmin(margin / problem.diagonal))
-    share = 1.0 - float(margin[worst] / problem.diagonal[worst])
-    return (
-        f"{needs}; M was not proven to be either (row {worst} has {share:.3g} times its diagonal beside it, and the "
-        f"symmetric part is not positive definite to rounding, or too large to tell); scale or regularise M, or use "
-        f"the residuals of Certificate.of(problem, z)"
     )

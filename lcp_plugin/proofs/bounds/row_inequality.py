@@ -33,7 +33,7 @@ from ...core.rounding import compensated_pair, compensated_product
 from ...systems.comparison_sums import comparison_product
 from ...systems.free_systems import KRYLOV_GOAL, FreeSystem
 from ..exact.upward import product_above, quotient_above, sum_above
-from ..verdicts import Weights
+from ..verdicts import HCertificate
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class RowInequality:
             negative_slack=negative,
         )
 
-    def inflation(self, weights: Weights) -> FloatVector:
+    def inflation(self, certificate: HCertificate) -> FloatVector:
         """Return t ≥ 0, a number a component, with Φ(t v) ≤ t v.
 
         Returned is that of each row's part, shape (n,), or (1,) for all of one part.
@@ -90,9 +90,9 @@ class RowInequality:
 
         def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
             within = np.minimum(
-                quotient_above(direct, weights.low), quotient_above(w, weights.margin)
+                quotient_above(direct, certificate.v), quotient_above(w, certificate.margin)
             )
-            largest: FloatVector = np.maximum(quotient_above(outside, weights.low), within)
+            largest: FloatVector = np.maximum(quotient_above(outside, certificate.v), within)
             return largest
 
         sides = (

@@ -28,8 +28,7 @@ from ...core.rounding import compensated_product, gamma
 from ...systems.equilibration import unit_diagonal
 from ...systems.factors import PositiveFactor, factor_fits, positive_factor
 from ..exact.upward import product_above, quotient_above, sum_above
-from ..verdicts import Weights, comparison_weights
-from ..verdicts.verdicts import eigenvalue_proven
+from ..verdicts import HCertificate, comparison_certificate
 from .row_inequality import RowInequality
 
 DENSE_UP_TO = 3000
@@ -39,11 +38,10 @@ UNDERFLOW = 1e-290  # far more than all that underflows in a factorisation of a 
 
 
 class EigenvalueBound(NamedTuple):
-    """λ ≤ the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(scale), powers of two; an estimate if not rigorous."""
+    """λ ≤ the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(scale), powers of two."""
 
     value: float
     scale: FloatVector
-    is_rigorous: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,28 +49,22 @@ class HPlusBounds:
     """What ⟨M⟩v > 0 says, v > 0 and M with a positive diagonal."""
 
     matrix: Matrix
-    weights: Weights
+    certificate: HCertificate
 
     method: ClassVar[str] = "v-certificate"
-    kind: ClassVar[str] = "rigorous"
 
     def of_error(self, at: RowInequality) -> FloatVector:
         """Return a bound of |z − z*|, shape (n,); the least t v that is one."""
-        return product_above(at.inflation(self.weights), self.weights.high)
+        return product_above(at.inflation(self.certificate), self.certificate.v)
 
 
 @dataclass(frozen=True, eq=False)
 class DefiniteBounds:
-    """What λ ≤ the eigenvalues of C (M + Mᵀ)/2 C says; nothing is proved where λ is an estimate."""
+    """What λ ≤ the eigenvalues of C (M + Mᵀ)/2 C says."""
 
     eigenvalue: EigenvalueBound
 
     method: ClassVar[str] = "2-norm, λ_min"
-
-    @property
-    def kind(self) -> str:
-        """Whether it is a proof: "rigorous" or "estimate"."""
-        return "rigorous" if self.eigenvalue.is_rigorous else "estimate"
 
     def of_error(self, at: RowInequality) -> FloatVector:
         """Return a bound of |z − z*|, shape (n,)."""
@@ -81,9 +73,9 @@ class DefiniteBounds:
 
 
 def bounds_of(matrix: Matrix) -> HPlusBounds | DefiniteBounds | None:
-    """Return what bounds errors by this M; None where it is neither proven H₊ nor found to be positive definite."""
+    """Return what bounds errors by this M; None where it is neither proven H₊ nor proven positive definite."""
     is_positive = bool(np.all(matrix.diagonal > 0.0))
-    found = comparison_weights(matrix) if is_positive else None
+    found = comparison_certificate(matrix) if is_positive else None
     if found is not None:
         return HPlusBounds(matrix, found)
     eigenvalue = smallest_eigenvalue_bound(matrix)
@@ -97,14 +89,13 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     Returns
     -------
     EigenvalueBound or None
-        None where no positive bound can be proven and no positive estimate be had.
+        None where no positive bound can be proven.
 
     Notes
     -----
     C (M + Mᵀ)/2 C less a share of its smallest eigenvalue is factorised; that the factorisation succeeds proves a
     bound, less the margin for its rounding. Dense: LAPACK's Cholesky, n ≤ 3000. Sparse: LU with diagonal pivots,
-    n ≤ 30 000, where its fill is bounded. Larger: Lanczos, an estimate. Where none of them finds one, what the verdict
-    on M rests on bounds it.
+    n ≤ 30 000, where its fill is bounded.
 
     References
     ----------
@@ -113,7 +104,7 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     Examples
     --------
     >>> bound = smallest_eigenvalue_bound(Matrix([[4.0, 2.0], [2.0, 4.0]]))
-    >>> 0.45 < bound.value <= 0.5 and bound.is_rigorous
+    >>> 0.45 < bound.value <= 0.5
     True
     """
     diagonal = matrix.diagonal
@@ -126,11 +117,10 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     part, blur = _symmetric_part(matrix.csr.toarray() if is_dense else matrix.csr, exponents)
     if not np.isfinite(blur):
         return None
-    is_rigorous = is_dense or (matrix.n <= SPARSE_UP_TO and factor_fits(part))
-    value = _proven_bound(part, blur) if is_rigorous else _lanczos_estimate(part)
-    if value is None:
-        value, is_rigorous = eigenvalue_proven(matrix, exponents.row), True
-    return None if value is None else EigenvalueBound(value, scale, is_rigorous)
+    if not is_dense and not (matrix.n <= SPARSE_UP_TO and factor_fits(part)):
+        return None
+    value = _proven_bound(part, blur)
+    return None if value is None else EigenvalueBound(value, scale)
 
 
 def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
@@ -253,18 +243,3 @@ def _inverse_iteration(solve: Any, part: Any) -> float:
         x /= np.linalg.norm(x)
         x = solve(x)
     return float(x @ (part @ x) / (x @ x))
-
-
-def _lanczos_estimate(part: Any) -> float | None:
-    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
-
-    start = np.random.default_rng(0).standard_normal(part.shape[0])
-    try:
-        value = float(
-            eigsh(
-                part, k=1, which="SA", tol=0.05, maxiter=300, v0=start, return_eigenvectors=False
-            )[0]
-        )
-    except ArpackNoConvergence:
-        return None
-    return 0.9 * value if value > 0.0 else None

@@ -43,15 +43,6 @@ def exact_rows(M: Any) -> Rows:
     return [_shortened(row) for row in _whole(M)]
 
 
-def exact_comparison(M: Any) -> Rows:
-    """Return ⟨M⟩ as integers, each row times a power of two."""
-    rows = exact_rows(M)
-    return [
-        [abs(entry) if i == j else -abs(entry) for j, entry in enumerate(row)]
-        for i, row in enumerate(rows)
-    ]
-
-
 def exact_symmetric_part(M: Any) -> Rows:
     """Return M + Mᵀ as integers, each row times a power of two."""
     rows = _whole(M)
@@ -376,16 +367,3 @@ def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | No
         if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right
         else None
     )
-
-
-def exact_weights(M: Any) -> list[Fraction] | None:
-    """Return v with ⟨M⟩v = |diag(M)| in fractions, or None where ⟨M⟩ is singular.
-
-    Examples
-    --------
-    >>> import scipy.sparse as sp
-    >>> exact_weights(sp.csr_array([[2.0, -1.0], [1.0, 1.0]]))
-    [Fraction(3, 1), Fraction(4, 1)]
-    """
-    rows = exact_comparison(M)
-    return solve_exactly(rows, [row[i] for i, row in enumerate(rows)])

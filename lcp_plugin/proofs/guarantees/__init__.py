@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ...core.algorithm import Algorithm
-from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.matrix.iteration_facts import (
@@ -19,16 +18,13 @@ from ...core.matrix.iteration_facts import (
     IterationFacts,
 )
 from ...core.matrix.row_sums import (
-    has_positive_diagonal,
     inverse_residual_scale,
     unit_triangle_sums,
 )
 from ...core.problem_classes import refusal
-from ...core.tuning import PIVOTED_UP_TO
 from ...systems.comparison import jacobi_radius
-from ...systems.graph import within_blocks
 from ..verdicts import analyze, comparison_certificate, h_verdict
-from .convergence import Contraction, contraction, next_weights, numbers, sums_for
+from .convergence import Contraction, contraction
 from .theorems import (
     GUARANTEED,
     NOT_COVERED,
@@ -41,8 +37,6 @@ from .theorems import (
 )
 
 DENSE_SPLITTING = 500
-CLEARLY = 1.0 + 1e-12
-JACOBI = IterationFacts(family=PROJECTED_RELAXATION, relaxation=1.0, acceleration=0.0)
 
 
 def convergence_guarantee(
@@ -105,7 +99,7 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
     if facts is None:
         return _of_a_direct_method(problem, algorithm)
-    found = _full(problem, facts, {field.name for field in fields(algorithm)})
+    found = _full(problem, facts)
     return replace(found, facts=facts, problem=problem)
 
 
@@ -131,14 +125,11 @@ def _of_auto(problem: LCP, method: Algorithm) -> Guarantee:
     )
 
 
-def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
+def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
     paper = _paper_says(problem, facts)
-    proof = _best_proof(problem, facts)
+    proof = _row_proof(problem, facts)
     if proof is not None:
         return _guaranteed(problem, facts, proof, paper)
-    by_blocks = _theorem_by_blocks(problem, facts)
-    if by_blocks is not None:
-        return Guarantee(GUARANTEED, by_blocks, paper=paper)
     if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_SPLITTING:
         found = _by_theorem_4_1(problem, facts)
         if found is not None:
@@ -146,14 +137,14 @@ def _full(problem: LCP, facts: IterationFacts, options: set[str]) -> Guarantee:
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
-    remedy = _remedy(problem, facts, options)
+    remedy = _remedy(problem, facts)
     return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
 
 
 def _guaranteed(
     problem: LCP, facts: IterationFacts, proof: Contraction, paper: str = ""
 ) -> Guarantee:
-    theorem = theorem_of(facts, problem, proof)
+    theorem = theorem_of(facts)
     if facts.relaxation is None and facts.family == PROJECTED_RELAXATION:
         return Guarantee(GUARANTEED, theorem)
     v = proof.v.copy()
@@ -169,8 +160,8 @@ def _guaranteed(
     )
 
 
-def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
-    """Return a contraction with the weights of the H₊ certificate, or with better ones, or None.
+def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
+    """Return a contraction with the weights of the H₊ certificate, or None.
 
     Every row bound implies ⟨M⟩v > 0 and a positive diagonal.
     """
@@ -178,53 +169,8 @@ def _best_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
         return None
     if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
         return None
-    return contraction(facts, problem, _usual_weights(problem)) or _by_better_weights(
-        problem, facts
-    )
-
-
-def _theorem_by_blocks(problem: LCP, facts: IterationFacts) -> str | None:
-    """Return the theorem that covers each strongly connected block, or None where one is not covered.
-
-    The iteration is as reducible as M: its spectral radius is the largest of its blocks', whatever couples them.
-    """
-    report = analyze(problem)
-    if report.is_irreducible or not _is_h_plus(problem):
-        return None
-    blocks = LCP(within_blocks(problem.csr, report.block_labels), problem.q)
-    if facts.splitting is not None:
-        facts = replace(facts, splitting=within_blocks(facts.splitting, report.block_labels))
-    proof = _best_proof(blocks, facts)
-    return None if proof is None else theorem_of(facts, blocks, proof)
-
-
-def _usual_weights(problem: LCP) -> FloatVector:
-    """Return the weights of the H₊ certificate, 1 without one."""
     certificate = comparison_certificate(problem.matrix)
-    return np.ones(problem.n) if certificate is None else certificate.v
-
-
-def _by_better_weights(problem: LCP, facts: IterationFacts) -> Contraction | None:
-    """Return a contraction found by iterating the row bound itself, or None.
-
-    The bound is monotone and homogeneous in v: its steps lead to the best weights there are, and where a step grows
-    in every row there are none. Damped steps do not swing; whole ones reach weights of any size.
-    """
-    for is_damped in (True, False):
-        v = np.ones(problem.n)
-        for _ in range(40):
-            sums = sums_for(facts, problem, v)
-            proof = contraction(facts, problem, v, sums)
-            if proof is not None:
-                return proof
-            grown = next_weights(facts, problem, v, sums)
-            if not np.isfinite(grown).all() or bool(np.all(grown > v * CLEARLY)):
-                break
-            v = 0.5 * (v + grown) if is_damped else grown
-            v = v / v.max(initial=1e-300) if is_damped else v
-            if not v.min(initial=1.0) > 0.0:
-                break
-    return None
+    return contraction(facts, problem, np.ones(problem.n) if certificate is None else certificate.v)
 
 
 def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:
@@ -277,43 +223,15 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     return "M is not proven to be an H₊-matrix"
 
 
-def _remedy(problem: LCP, facts: IterationFacts, options: set[str]) -> str:
-    """Return what to change; followed literally, it is guaranteed wherever it names options."""
-    is_h_plus = _is_h_plus(problem)
-    if is_h_plus and (_best_proof(problem, JACOBI) or _theorem_by_blocks(problem, JACOBI)):
-        if facts.family not in (PROJECTED_RELAXATION, MODULUS):
-            return _scaling_remedy(facts)
-        limit = "relaxation ≤ 1" if facts.family == MODULUS else _relaxation_limit(problem, facts)
-        limit = f"0 ≤ acceleration ≤ {limit}" if "acceleration" in options else limit
-        if facts.family == PROJECTED_RELAXATION:
-            return limit
-        return f"omega=1.0 and {limit}" if "relaxation" in options else "omega=1.0"
+def _remedy(problem: LCP, facts: IterationFacts) -> str:
+    """Return what to change."""
+    if _is_h_plus(problem):
+        if facts.family in (PROJECTED_RELAXATION, MODULUS):
+            return (
+                "relaxation ≤ 1 (and 0 ≤ acceleration ≤ relaxation, omega=1.0 if these are options)"
+            )
+        return 'scaling="auto" and 0 ≤ acceleration ≤ relaxation'
     report = analyze(problem)
-    if (
-        has_positive_diagonal(problem.matrix).all()
-        and report.is_symmetric
-        and report.is_positive_definite
-    ):
+    if report.is_symmetric and report.is_positive_definite:
         return 'algorithm="psor": M is symmetric positive definite'
-    if is_h_plus and problem.n <= PIVOTED_UP_TO:
-        return 'algorithm="lemke": no sweep contracts by more than rounding, and H₊-matrices are P-matrices'
     return 'nothing here is proven for this M; algorithm="auto" tries more than one'
-
-
-def _scaling_remedy(facts: IterationFacts) -> str:
-    alpha, beta = numbers(facts)
-    if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
-        return 'a splitting by name, with scaling="auto"'
-    inside = facts.family == PROJECTED_SPLITTING or 0.0 <= beta <= alpha
-    return 'scaling="auto"' + ("" if inside else " and 0 ≤ acceleration ≤ relaxation")
-
-
-def _relaxation_limit(problem: LCP, facts: IterationFacts) -> str:
-    """Return the range of ω, up to 2/(1 + max(ℓ + u)) rounded down, that the weights at hand prove."""
-    v, per_diagonal = (
-        _usual_weights(problem),
-        1.0 / (problem.diagonal * inverse_residual_scale(problem.matrix)),
-    )
-    largest = float(np.max(np.add(*sums_for(facts, problem, v)) * per_diagonal / v, initial=0.0))
-    limit = np.floor(1000.0 * 2.0 / (1.0 + largest) - 1e-3) / 1000.0
-    return f"relaxation < {limit:g}" if limit > 1.0 else "relaxation ≤ 1"

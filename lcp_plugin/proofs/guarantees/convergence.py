@@ -167,12 +167,9 @@ class Contraction:
 
     rate: float | None
     v: FloatVector = field(repr=False)
-    is_unified: bool
 
 
-def contraction(
-    facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None
-) -> Contraction | None:
+def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contraction | None:
     """Return the proof with these weights, or None where they prove nothing.
 
     Parameters
@@ -181,12 +178,10 @@ def contraction(
     problem : LCP
     v : array, shape (n,)
         Positive.
-    sums : pair of arrays, shape (n,), optional
-        :func:`sums_for` of v, where the caller has them.
     """
     if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
         return None  # (𝓜 + 2I + D)⁻¹ may be of any signs
-    sums = sums_for(facts, problem, v) if sums is None else sums
+    sums = sums_for(facts, problem, v)
     found = [_smallest_gap(facts, problem, v, order) for order in _directed(facts, sums)]
     if not min(found) > 0.0:
         return None
@@ -194,7 +189,7 @@ def contraction(
     rate = None if None in rates else math.prod(rate for rate in rates if rate is not None)
     if rate is not None and len(rates) > 1:
         rate = float(np.nextafter(rate, 2.0))
-    return Contraction(rate, v, is_unified(facts, problem, v, sums))
+    return Contraction(rate, v)
 
 
 def _smallest_gap(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) -> float:
@@ -209,36 +204,6 @@ def _smallest_gap(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sum
         if not smallest > 0.0:
             break
     return smallest
-
-
-def is_unified(facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums) -> bool:
-    """Return whether min(I, SD) − |SB| is proven an M-matrix by v, and 0 ≤ β ≤ α."""
-    if facts.family not in (PROJECTED_TYPE, PROJECTED_SPLITTING):
-        return False
-    alpha, beta = numbers(facts)
-    slop = (longest_row(problem.matrix) + 32) * EPSILON
-    lost = underflow(v, longest_row(problem.matrix))
-    for rows in row_blocks(problem.n) if 0.0 <= beta <= alpha else ():
-        theta, weight = scaled(facts, problem, rows)
-        load = weight * (sums[0][rows] + sums[1][rows] + 2.0 * lost)
-        surplus = np.minimum(1.0, theta) * v[rows] - load - slop * (v[rows] + load)
-        if not bool(np.all(surplus > 0.0)):
-            return False
-    return 0.0 <= beta <= alpha
-
-
-def next_weights(
-    facts: IterationFacts, problem: LCP, v: FloatVector, sums: Sums | None = None
-) -> FloatVector:
-    """Return what |e| ≤ v may become in one sweep, shape (n,): weights with a better rate, or a proof against both.
-
-    Where it is ≥ v in every row, no weights at all give a contraction.
-    """
-    sums = sums_for(facts, problem, v) if sums is None else sums
-    bound = row_bound(facts, problem)
-    grown = [growth(bound, v, order) for order in _directed(facts, sums)]
-    largest: FloatVector = np.maximum.reduce(grown)
-    return largest
 
 
 # --- gaps of a row bound, evaluated so that rounding cannot flatter them ----------------------------------
@@ -280,19 +245,6 @@ def gaps(
     usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
     smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
     return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
-
-
-def growth(bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector]) -> FloatVector:
-    """Return the bound of |e⁺| for |e| ≤ v with |e⁺| ≤ v counted in full, shape (n,): monotone and homogeneous in v.
-
-    Where it is at least v in every row, no other v gives a contraction.
-    """
-    updated, rest = sums
-    worst = np.full(v.size, np.inf)
-    for case in bound.cases:
-        np.minimum(worst, case.free * v - case.lower * updated - case.upper * rest, out=worst)
-    grown: FloatVector = v - worst / bound.pivot
-    return grown
 
 
 def rate_of(smallest: float) -> float | None:

@@ -19,7 +19,7 @@ from ...core.matrix.iteration_facts import (
     PROJECTED_SPLITTING,
     IterationFacts,
 )
-from .convergence import Contraction, numbers, scaled
+from .convergence import numbers
 from .radius import jacobi_spectral_radius, spectral_radius
 
 PAPER = "Kumar, Deepmala, Das"
@@ -118,26 +118,17 @@ def _rounded_up(rate: float) -> str:
     return text if float(text) < 1.0 else f"1 − {1.0 - rate:.1e}"
 
 
-def theorem_of(facts: IterationFacts, problem: LCP, proof: Contraction) -> str:
-    """Return the name and source of the theorem that the proof is an instance of."""
+def theorem_of(facts: IterationFacts) -> str:
+    """Return the name and source of the theorem that a row bound is an instance of."""
     if facts.family == PROJECTED_RELAXATION:
         if facts.relaxation is None:
             return AUTOMATIC.format("an H₊-matrix")
         return f"M is an H₊-matrix and |1 − ω| + (|ω − β| + |β|)ℓ + ωu < 1, as for 0 ≤ β ≤ ω < 2/(1 + ρ) ({CRYER})"
     if facts.family == MODULUS:
-        small = (facts.relaxation or 0.0) <= 1.0
-        what = (
-            "min(Ω, D) − |B| is an M-matrix" if small else "α(ℓ + u) < 1, as for Ω ≥ D and α < 1/ρ"
-        )
-        return f"M is an H₊-matrix and {what} ({BAI})"
-    theta, _ = scaled(facts, problem)
-    if proof.is_unified and facts.is_scaled and bool(np.all(theta <= 1.0 + ULPS)):
-        return f"M is an H₊-matrix, its rows scaled so that SD ≤ I (Theorem 4.2 of {PAPER}, in one form for all D)"
-    if proof.is_unified:
-        return f"min(I, SD) − |SB| is an M-matrix (Theorem 4.2 of {PAPER}, in one form for all D)"
+        return f"M is an H₊-matrix and min(Ω, D) − |B| is an M-matrix or α(ℓ + u) < 1 ({BAI})"
     if facts.family == PROJECTED_SPLITTING:
         return f"θ t < 1 and ℓ + u < 1 (Theorem 4.1 of {PAPER}, row by row)"
-    return f"θ(ℓ + u) < min(θ, θ/α + 2) and (β/α)θℓ < 1 (sharper than Theorem 4.2 of {PAPER}, row by row)"
+    return f"θ(ℓ + u) < min(θ, θ/α + 2) and (β/α)θℓ < 1 (Theorem 4.2 of {PAPER}, row by row in one form for all D)"
 
 
 def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,17 +9,16 @@ import scipy.sparse as sp
 
 from ...core.kernels.floats import TINY, UNIT
 from ...core.matrix.matrix import Matrix, fact
-from ...core.matrix.structure import IntVector, row_numbers, triangular_form
+from ...core.matrix.structure import row_numbers, triangular_form
 from ...systems.definiteness import (
     LARGEST_SUMMAND,
     is_positive_definite,
     is_semidefinite_to_rounding,
-    positive_definite_solver,
     semidefinite_margin,
     symmetric_part,
 )
 from ...systems.factors import factor_fits
-from ...systems.graph import block_rows, diagonal_blocks, row_excess_signs
+from ...systems.graph import diagonal_blocks, row_excess_signs
 from ...systems.symmetry import asymmetry, asymmetry_of_rows
 from ..exact.linear_systems import (
     EXACT_SIZE,
@@ -29,8 +26,7 @@ from ..exact.linear_systems import (
     has_nonnegative_pivots,
     has_positive_pivots,
 )
-from ..exact.rational import integers
-from .h_matrix import HCertificate, decide, h_verdict
+from .h_matrix import h_verdict, positive_margin
 from .p_matrix import LARGEST_SIZE, is_p_matrix_by_recursion, nonpositive_pair
 
 DENSE_LIMIT = 500
@@ -41,11 +37,10 @@ UNDECIDED = "undecided: singular up to rounding"
 
 
 class Verdict(NamedTuple):
-    """`value` True, False, or None where it is undecided; `evidence` says why; `delta`: see `semidefinite_delta`."""
+    """`value` True, False, or None where it is undecided; `evidence` says why."""
 
     value: bool | None
     evidence: str
-    delta: float | None = None
 
 
 @fact
@@ -90,22 +85,6 @@ def strictly_dominant(matrix: Matrix) -> Verdict:
         return Verdict(True, "|m_ii| > Σ|m_ij| on every row, exactly")
     row = int(np.flatnonzero(signs <= 0)[0])
     return Verdict(False, f"|m_ii| {'=' if signs[row] == 0 else '<'} Σ|m_ij| on row {row}")
-
-
-@fact
-def irreducibly_dominant(matrix: Matrix) -> Verdict:
-    """Irreducible, |m_ii| ≥ Σ_j≠i |m_ij| on every row and > on one at least."""
-    signs = row_excess_signs(matrix)
-    if (signs < 0).any():
-        return Verdict(False, f"|m_ii| < Σ|m_ij| on row {int(np.flatnonzero(signs < 0)[0])}")
-    if signs.size and not (signs > 0).any():
-        return Verdict(False, "|m_ii| = Σ|m_ij| on every row")
-    if not irreducible(matrix).value:
-        return Verdict(False, f"reducible: {diagonal_blocks(matrix)[0]} strongly connected blocks")
-    return Verdict(
-        True,
-        f"|m_ii| ≥ Σ|m_ij|, strictly on {int((signs > 0).sum())} of {signs.size} rows; irreducible",
-    )
 
 
 @fact
@@ -164,10 +143,10 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
     if (matrix.diagonal < 0.0).any():
         return _nonpositive_diagonal(matrix) or Verdict(False, "")
     if symmetric(matrix).value and (row_excess_signs(matrix) >= 0).all():
-        return Verdict(True, "λ_min ≥ 0: symmetric, m_ii ≥ Σ|m_ij| on every row, exactly", 0.0)
+        return Verdict(True, "λ_min ≥ 0: symmetric, m_ii ≥ Σ|m_ij| on every row, exactly")
     definite = positive_definite(matrix)
     if definite.value:
-        return Verdict(True, "λ_min > 0: positive definite", 0.0)
+        return Verdict(True, "λ_min > 0: positive definite")
     if not can_factorise(matrix):
         return Verdict(None, _too_large(matrix))
     part = symmetric_part_of(matrix)
@@ -179,13 +158,11 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
             else "exact elimination of the symmetric part of M"
         )
         if has_nonnegative_pivots(exact_symmetric_part(matrix.csr)):
-            return Verdict(True, f"λ_min ≥ 0: {what}", 0.0)
+            return Verdict(True, f"λ_min ≥ 0: {what}")
         return Verdict(False, f"λ_min < 0: {what}")
     if value:
         delta = semidefinite_margin(part)
-        return Verdict(
-            None, f"undecided: λ_min ≥ −{delta:.3g}, up to which nothing can be said", delta
-        )
+        return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, up to which nothing can be said")
     if value is None and not _is_well_rounded(matrix):
         return Verdict(None, "undecided: the numbers are near the ends of the range of doubles")
     if value is None:
@@ -202,19 +179,14 @@ def p_matrix(matrix: Matrix) -> Verdict:
     pair = nonpositive_pair(matrix.csr)
     if pair is not None:
         return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
-    if not irreducible(matrix).value:
-        return _p_by_blocks(matrix)
     if matrix.n <= LARGEST_SIZE:
         value = is_p_matrix_by_recursion(matrix.csr)
-        how = "recursive Schur complements, rounding included"
-        return Verdict(
-            value,
-            how if value is not None else f"undecided: a minor vanishes up to rounding ({how})",
-        )
+        if value is not None:
+            return Verdict(value, "recursive Schur complements in integers")
     definite = positive_definite(matrix)
     if definite.value:
         return Verdict(True, "every positive definite matrix is one")
-    return Verdict(None, f"not computed: n = {matrix.n} > {LARGEST_SIZE}, the minors are too many")
+    return Verdict(None, f"not computed: the minors of {matrix.n} rows are too many or too long")
 
 
 def _p_by_class(matrix: Matrix) -> Verdict | None:
@@ -230,25 +202,6 @@ def _p_by_class(matrix: Matrix) -> Verdict | None:
         definite = positive_definite(matrix)
         return Verdict(definite.value, f"symmetric: {definite.evidence}")
     return None
-
-
-def _p_by_blocks(matrix: Matrix) -> Verdict:
-    """M is P exactly if each strongly connected diagonal block is."""
-    undecided: Verdict | None = None
-    count, labels = diagonal_blocks(matrix)
-    # A block of one row is positive.
-    parts = [rows for rows in block_rows(labels, count) if rows.size > 1]
-    if len(parts) > LARGEST_COUNT:
-        return Verdict(None, f"not computed: {len(parts)} diagonal blocks are too many")
-    for rows in parts:
-        part = p_matrix(Matrix(sp.csr_array(matrix.csr[rows][:, rows])))
-        if part.value is False:
-            return Verdict(False, f"the diagonal block of row {rows[0]}: {part.evidence}")
-        if part.value is None:
-            undecided = part
-    if undecided is not None:
-        return Verdict(None, f"a diagonal block: {undecided.evidence}")
-    return Verdict(True, f"each of {count} diagonal blocks is a P-matrix")
 
 
 def _nonpositive_diagonal(matrix: Matrix) -> Verdict | None:
@@ -273,104 +226,21 @@ def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
                 False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive"
             )
         return None
-    if _symmetric_part_certificate(matrix) is None:
+    if not _has_dominant_symmetric_part(matrix):
         return None
-    return Verdict(True, "the symmetric part is H₊: ⟨·⟩v > 0 checked, rounding included")
+    return Verdict(True, "the symmetric part is dominant, rounding included")
 
 
-@fact
-def _symmetric_part_certificate(matrix: Matrix) -> HCertificate | None:
-    """Return v > 0 with ⟨(M + Mᵀ)/2⟩v ≥ margin > 0, or None."""
+def _has_dominant_symmetric_part(matrix: Matrix) -> bool:
+    """Return whether the row sums of ⟨(M + Mᵀ)/2⟩ are proven positive."""
     if not _is_well_rounded(matrix):
-        return None
+        return False
     # Each entry of the symmetric part was rounded once, subnormal ones absolutely; the margin must survive that.
     part = sp.csr_array(sparse_symmetric_part(matrix))
     outward = np.where(row_numbers(part) == part.indices, 1.0 - 4.0 * UNIT, 1.0 + 4.0 * UNIT)
-    proof = decide(
-        sp.csr_array((part.data * outward, part.indices, part.indptr), shape=part.shape), None
-    ).certificate
-    if proof is None:
-        return None
-    margin = proof.margin - 2.0 * TINY * float(proof.v.sum())
-    return HCertificate(proof.v, margin) if bool((margin > 0.0).all()) else None
-
-
-@np.errstate(all="ignore")  # what overflows proves nothing
-def eigenvalue_proven(matrix: Matrix, exponents: IntVector) -> float | None:
-    """Return a double below the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(2^exponents); None where none is > 0.
-
-    It is what `positive_definite` rests on: exact elimination; a v with ⟨·⟩v ≥ u > 0, so that no eigenvalue is below
-    min c_i² u_i/v_i (Collatz–Wielandt); or a factorisation of the matrix scaled to a unit diagonal, less twice the
-    margin for its rounding, n (k + 4) 2⁻⁵² ≥ 8 n 2⁻⁵³, of which it leaves 3 n 2⁻⁵³ at least.
-
-    Examples
-    --------
-    >>> eigenvalue_proven(Matrix([[0.25, 0.1], [0.1, 0.04000000000000001]]), np.array([1, 2])) > 0.0
-    True
-    """
-    if not positive_definite(matrix).value:
-        return None
-    if matrix.n <= EXACT_SIZE:
-        return eigenvalue_below(matrix.csr, exponents.tolist()) or None
-    squares, least = np.ldexp(1.0, 2 * exponents) * (1.0 - 8.0 * UNIT), 0.0
-    is_symmetric = symmetric(matrix).value
-    proof = h_verdict(matrix).certificate if is_symmetric else _symmetric_part_certificate(matrix)
-    if proof is not None:
-        least = float((squares * (proof.margin / proof.v)).min())
-    elif (
-        _is_well_rounded(matrix) and positive_definite_solver(symmetric_part_of(matrix)) is not None
-    ):
-        least = 3.0 * matrix.n * UNIT * float((squares * matrix.diagonal).min())
-    return least if 0.0 < least < np.inf else None
-
-
-def eigenvalue_below(M: Any, exponents: Sequence[int]) -> float:
-    """Return a double below the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(2^exponents), by at most a quarter.
-
-    Parameters
-    ----------
-    M : CSR array, shape (n, n)
-        n ≤ EXACT_SIZE, its symmetric part positive definite.
-    exponents : sequence of int, shape (n,)
-
-    Examples
-    --------
-    >>> import scipy.sparse as sp
-    >>> eigenvalue_below(sp.csr_array([[4.0, 2.0], [2.0, 4.0]]), [0, -1])  # of [[4, 1], [1, 1]] (5 − √13)/2 = 0.697…
-    0.625
-    """
-    entries, exponent = integers(M.toarray().ravel())
-    n, least = M.shape[0], 2 * min(exponents)
-    part = [
-        [
-            (entries[i * n + j] + entries[j * n + i]) << (exponents[i] + exponents[j] - least)
-            for j in range(n)
-        ]
-        for i in range(n)
-    ]
-
-    def is_below(value: int, power: int) -> bool:
-        above, shift = max(-power, 0), value << max(power, 0)
-        return has_positive_pivots(
-            [
-                [(entry << above) - shift * (i == j) for j, entry in enumerate(row)]
-                for i, row in enumerate(part)
-            ]
-        )
-
-    high, step = (
-        min(row[i] for i, row in enumerate(part)).bit_length(),
-        1,
-    )  # no eigenvalue exceeds a diagonal entry
-    while not is_below(1, high - step):
-        step *= 2
-    low = high - step
-    high -= step // 2
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if is_below(1, middle) else (low, middle)
-    value = next(value for value in (7, 6, 5, 4) if is_below(value, low - 2))
-    return math.ldexp(value, low - 3 + exponent + least)
+    wider = sp.csr_array((part.data * outward, part.indices, part.indptr), shape=part.shape)
+    margin = positive_margin(wider, np.ones(matrix.n))
+    return margin is not None and bool((margin > 2.0 * TINY * matrix.n).all())
 
 
 def _is_well_rounded(matrix: Matrix) -> bool:

@@ -162,7 +162,7 @@ def _pairs(problem: Any) -> tuple[LCP, Back]:
 
 def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
     # With parameters as numbers: what cvxpy keeps of the value before is not that of an expression which bends.
-    compiled = CompiledProblem.of(problem, ignore_dpp=True)
+    compiled = CompiledProblem.of(problem, is_folded=True, ignore_dpp=True)
     return compiled.program, compiled.values
 
 

@@ -178,10 +178,6 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "an option": (
         lambda: solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1), "has no option"
     ),
-    "a bound of the error": (
-        lambda: solved(complements(friction_cone(y, 1.0), y - 1), tolerance_on="error"),
-        "nothing bounds the error over cones",
-    ),
 }  # fmt: skip
 
 

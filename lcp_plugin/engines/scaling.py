@@ -44,8 +44,6 @@ class ScaledProgram(NamedTuple):
         cls, given: Statement, units: FloatVector, rows: FloatVector, objective: float = 1.0
     ) -> ScaledProgram:
         """Return the statement in these units, powers of two."""
-        if objective == 1.0 and (units == 1.0).all() and (rows == 1.0).all():
-            return cls(given, units, rows, 1.0)
         of_G, of_A = np.split(rows, [given.h.size])
         statement = Statement(
             _scaled(given.P, units * objective, units),

@@ -115,7 +115,8 @@ def measures(
         every = np.full(y.size + x.size, np.inf)
         return every, np.full(program.matrices.components.number, np.inf), False
     point = Point(program, x, y, is_exact=False)
-    primal, gap = point.row_errors(), point.gaps(has_units=False)
+    primal = point.row_errors()
+    gap = point.gaps(has_units=not np.isfinite(point.room).all())
     if (primal <= ROWS).all() and not (gap <= tolerance).all():
         gap = np.where(gap <= tolerance, gap, point.gaps(has_units=True))
     if not ((primal <= ROWS).all() and (gap <= tolerance).all()):

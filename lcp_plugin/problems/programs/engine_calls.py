@@ -112,19 +112,20 @@ def run_engine(
             f'{engine.name} solves {engine.solves}, but P has nonzeros; take "piqp", or give P = None'
         )
     reduced = FoldedRows.of(program).reduced
-    best, iterations, says = nearest(program), 0, Hint.GAVE_UP
+    best, iterations, says = None, 0, Hint.GAVE_UP
     errors = Errors(np.inf, np.inf)
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         given = _statement(reduced)
-        for statement in _statements(given):
-            scaled = _scaled(reduced, statement, given, units)
-            point = _asked(engine, scaled.statement, is_verbose)
+        for statement in (given,) if units is GIVEN else _statements(given):
+            scaled = None if units is GIVEN else _scaled(reduced, statement, units)
+            asked = statement if scaled is None else scaled.statement
+            point = _asked(engine, asked, is_verbose)
             iterations, says = iterations + point.iterations, point.says
             if not np.isfinite(np.concatenate([point.x, *point.multipliers[:2]])).all():
                 continue
             rounds = 0 if says in NO_MINIMUM else ROUNDS
-            for near in candidates(scaled.statement, point, rounds):
-                back = scaled.outward(near)
+            for near in candidates(asked, point, rounds):
+                back = near if scaled is None else scaled.outward(near)
                 x = np.clip(back.x, reduced.lower, reduced.upper)
                 y = np.concatenate(back.multipliers[:2])
                 found = Errors.of(reduced, x, y, tolerance)
@@ -135,7 +136,7 @@ def run_engine(
                     break
             if errors.meet(tolerance) or is_over():
                 break
-    solution = QPSolution.from_reduced(program, *best)
+    solution = QPSolution.from_reduced(program, *(best or nearest(program)))
     return EngineRun(
         solution, errors, says, StageRecord(engine.name, engine.solves, iterations, 0.0)
     )
@@ -190,13 +191,8 @@ def _statements(given: Statement) -> Iterator[Statement]:
         yield given
 
 
-def _scaled(
-    reduced: QuadraticProgram, statement: Statement, given: Statement, units: str
-) -> ScaledProgram:
+def _scaled(reduced: QuadraticProgram, statement: Statement, units: str) -> ScaledProgram:
     """Return the statement in the units of an attempt."""
-    if units is GIVEN:
-        n, rows = reduced.n, reduced.right.size
-        return ScaledProgram.of(statement, np.ones(n), np.ones(rows))
     fitted = in_fitted_units(statement, *reduced.matrices.fit)
     return fitted if units is FITTED else with_sides_about_one(fitted, statement)
 

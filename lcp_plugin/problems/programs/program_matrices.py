@@ -130,7 +130,7 @@ class ProgramMatrices:
     @cached_property
     def components(self) -> Components:
         """The parts that P, G and A do not connect."""
-        m, n = self.rows.shape
+        m, n = sum(self.sizes[:2]), self.P.shape[0]
         full = (one for one in (self.P, self.G, self.A) if isinstance(one, np.ndarray))
         if not n or any((one != 0.0).all(axis=1).any() for one in full):
             return Components(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
@@ -167,7 +167,15 @@ class ProgramMatrices:
     @cached_property
     def fit(self) -> tuple[FloatVector, FloatVector]:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
-        return fitted_units(self.sparse_P, self.rows)
+        n, rows = self.P.shape[0], sum(self.sizes[:2])
+        if n + rows > DENSE_FIT:
+            return fitted_units(self.sparse_P, self.rows)
+        K = np.zeros((n + rows, n + rows))
+        K[:n, :n] = self.P if isinstance(self.P, np.ndarray) else self.P.toarray()
+        K[n:, :n] = self.dense_rows
+        K[:n, n:] = K[n:, :n].T
+        units = fitted_to(K)
+        return units[:n], units[n:]
 
     @cached_property
     def is_small(self) -> bool:
@@ -300,12 +308,9 @@ def fitted_units(P: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVe
     (array([0.5, 0.5]), array([0.5]))
     """
     n, m = P.shape[0], C.shape[0]
-    K = sp.csr_array(sp.block_array([[P, C.T], [C, None]])) if m else P
-    if n + m <= DENSE_FIT:
-        units = fitted_to(K.toarray())
-        return units[:n], units[n:]
     from scipy.sparse.linalg import cg
 
+    K = sp.csr_array(sp.block_array([[P, C.T], [C, None]])) if m else P
     entries, twice = row_numbers(K), 1.0 + (row_numbers(K) == K.indices)
     right = np.bincount(entries, np.log2(np.abs(K.data)) * twice, n + m)
     counts = np.bincount(entries, twice, n + m) + SINGULAR

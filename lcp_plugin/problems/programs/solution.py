@@ -11,7 +11,6 @@ import numpy as np
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.errors import InvalidProblem
 from .criterion import PROGRAM_TOLERANCE, Errors, checked_tolerance
-from .program_matrices import sums_and_terms
 from .reductions import FoldedRows
 
 if TYPE_CHECKING:
@@ -107,9 +106,8 @@ class QPSolution:
         folded = FoldedRows.of(program)
         reduced, m = folded.reduced, folded.reduced.h.size
         y = np.append(np.maximum(y[:m], 0.0), y[m:])
-        left = reduced.P @ x + reduced.c
-        if y.size:
-            left = left + sums_and_terms(reduced.matrices.rows, y)[0]
+        P, C = reduced.matrices.measured[:2]
+        left = P @ x + reduced.c + C.T @ y
         at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)
         at_upper = np.where(np.isfinite(reduced.upper), np.maximum(-left, 0.0), 0.0)
         every = folded.multipliers(np.concatenate([y, at_lower, at_upper]))

@@ -42,7 +42,7 @@ class DAQP(Engine):
     obeys: ClassVar[str] = "max_seconds; verbose prints nothing; Ctrl-C waits for its end"
     steps: ClassVar[str] = "iter_limit"
     ends_with_a_case: ClassVar[bool] = True
-    defaults: ClassVar = {"primal_tol": 1e-9, "eta_prox": 1e-13, "eps_prox": -1e-3, "iter_limit": 2000}
+    defaults: ClassVar = {"primal_tol": 1e-9, "iter_limit": 1000}
 
     @staticmethod
     @cache

@@ -16,7 +16,6 @@ from ..core.matrix.matrix import largest_in_rows
 from .engine import Multipliers, Point, Statement
 
 FAR = 1e7  # times the lower quartile of all limits: nobody is likely to reach a limit beyond
-PASSES = 3  # of equilibration, after the fit
 MOST = 0.9  # of costs and sides are less than what is brought to 1
 
 
@@ -82,17 +81,6 @@ def in_units(given: Statement, units: FloatVector) -> ScaledProgram:
 def _power_below(sizes: Any) -> Any:
     """Return the power of two below each size, 1 below 0."""
     return np.where(sizes > 0.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1), 1.0)
-
-
-def in_fitted_units(given: Statement, units: FloatVector, rows: FloatVector) -> ScaledProgram:
-    """Return a statement whose largest entries of [P Cᵀ; C 0] are about 1, from units that fit all entries."""
-    P, C = sp.csr_array(given.P), sp.vstack([sp.csr_array(given.G), sp.csr_array(given.A)])
-    K = abs(sp.csr_array(sp.block_array([[P, C.T], [C, None]]))) if C.shape[0] else abs(P)
-    sizes = np.concatenate([units, rows])
-    for _ in range(PASSES):
-        most = sizes * largest_in_rows(K, K.data * sizes[K.indices])
-        sizes = sizes / np.exp2(np.round(0.5 * np.log2(np.where(most > 0.0, most, 1.0))))
-    return ScaledProgram.of(given, sizes[: units.size], sizes[units.size :])
 
 
 def with_sides_about_one(fitted: ScaledProgram, given: Statement) -> ScaledProgram:

@@ -22,7 +22,7 @@ from lcp_plugin.engines import (
     engine_class,
 )
 from lcp_plugin.engines.polish import polished
-from lcp_plugin.engines.scaling import ScaledProgram, in_fitted_units, without_far_limits
+from lcp_plugin.engines.scaling import ScaledProgram, in_units, without_far_limits
 from lcp_plugin.problems.programs.engine_calls import GIVEN, run_engine
 
 INF = np.inf
@@ -249,7 +249,7 @@ def test_a_scaled_statement_leads_back(seed: int) -> None:
     units, rows = (2.0 ** rng.integers(-30, 30, size) for size in (n, m))
     for scaled in (
         ScaledProgram.of(given_, units, rows, 2.0 ** rng.integers(-9, 9)),
-        in_fitted_units(given_, units, rows),
+        in_units(given_, units),
     ):
         inside, x, y = scaled.statement, rng.normal(size=n), rng.random(m)
         zeros = np.zeros(n)

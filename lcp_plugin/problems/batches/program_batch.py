@@ -21,6 +21,7 @@ from ..programs.stacked_programs import QuadraticProgramBatch, blocks
 from .batch_run import BatchAnswers, BatchLoop
 
 ENGINE = "daqp"
+PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # of a singular P: no polish comes after it
 ROUNDING = 4.0 * EPSILON  # of eigenvalues, beside the largest, an unknown
 TOGETHER = 2**22  # entries that are judged at once
 
@@ -76,7 +77,7 @@ class ProgramBatchRun(BatchLoop):
         m, p, n, _ = self.programs.sizes
         if self.algorithm not in ("auto", ENGINE) or not may_be_small(n, m + p, [n * (n + m + p)]):
             return
-        data, engine = self.programs.arrays, engine_class(ENGINE)()
+        data, engine = self.programs.arrays, engine_class(ENGINE)(**PROXIMAL)
         at_once = max(TOGETHER // max(n * (n + m + p), 1), 1)
         may = self.programs.may_be_stated & _are_semidefinite(data[0])
 

@@ -16,7 +16,6 @@ from ...engines import Engine, Hint, Limits, Multipliers, Point, Statement, engi
 from ...engines.polish import ROUNDS, polished
 from ...engines.scaling import (
     ScaledProgram,
-    in_fitted_units,
     with_sides_about_one,
     without_far_limits,
 )
@@ -193,7 +192,7 @@ def _statements(given: Statement) -> Iterator[Statement]:
 
 def _scaled(reduced: QuadraticProgram, statement: Statement, units: str) -> ScaledProgram:
     """Return the statement in the units of an attempt."""
-    fitted = in_fitted_units(statement, *reduced.matrices.fit)
+    fitted = ScaledProgram.of(statement, *reduced.matrices.engine_units)
     return fitted if units is FITTED else with_sides_about_one(fitted, statement)
 
 

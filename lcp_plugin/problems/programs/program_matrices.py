@@ -23,7 +23,7 @@ from ...core.matrix.matrix import Matrix, largest_in_rows
 from ...core.matrix.structure import row_numbers
 from ...systems.definiteness import is_semidefinite_to_rounding, positive_definite_solver
 from .convexity import is_nearly_semidefinite
-from .criterion import Components
+from .criterion import Components, largest
 
 UP_TO, ROWS_UP_TO = 400, 1500  # unknowns and rows of a program that is taken as a dense one
 SPARSE, SPARSE_UP_TO = (
@@ -32,6 +32,7 @@ SPARSE, SPARSE_UP_TO = (
 )  # share of entries; multiplications that sparse factors take more quickly
 Indices = NDArray[np.intp]
 SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
+PASSES = 3  # of equilibration, after the fit
 DENSE_FIT = 150  # unknowns and rows whose fit is a dense system
 FIT_TO, FIT_STEPS = 1e-3, 60
 T = TypeVar("T")
@@ -91,6 +92,15 @@ class ProgramMatrices:
         if len(given) == 1:
             return read_only(np.ascontiguousarray(given[0]))
         return read_only(np.vstack([np.zeros((0, self.P.shape[0])), *given]))
+
+    @cached_property
+    def engine_units(self) -> tuple[FloatVector, FloatVector]:
+        """Units of unknowns and of rows, from the fit, in which the largest entries of P, G and A are about 1."""
+        (units, rows), (_, _, of_P, of_C, of_columns) = self.fit, self.measured
+        for _ in range(PASSES):
+            most = units * np.maximum(largest(of_P, units), largest(of_columns, rows))
+            units, rows = units / _root(most), rows / _root(rows * largest(of_C, units))
+        return units, rows
 
     @cached_property
     def has_short_rows(self) -> bool:
@@ -330,6 +340,11 @@ def fitted_to(K: FloatVector) -> FloatVector:
     return _powers(
         np.linalg.solve(twice + counts, -(right * twice).sum(axis=-1)[..., np.newaxis])[..., 0]
     )
+
+
+def _root(sizes: FloatVector) -> FloatVector:
+    """Return powers of two near the square roots, 1 of 0."""
+    return np.asarray(np.exp2(np.round(0.5 * np.log2(np.where(sizes > 0.0, sizes, 1.0)))))
 
 
 def _powers(exponents: FloatVector) -> FloatVector:

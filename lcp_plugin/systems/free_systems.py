@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import BoolVector, FloatVector
-from ..core.matrix.matrix import Matrix
+from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.scaling import Exponents, scaled, scaling_of, times_power
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
@@ -395,18 +395,18 @@ class FreeSystem:
         from .hierarchy.vectors import dot
 
         matrix, is_symmetric = self.matrix, is_nearly_symmetric(self.matrix)
-        if not bool(np.all(matrix.diagonal > 0.0)):
+        if not (matrix.diagonal > 0.0).all():
             return None
+        if transposed and not is_symmetric:
+            return FreeSystem(_transposed(matrix), self.free)._iterated(right, False, goal)
 
         def size(vector: FloatVector) -> float:
             return float(np.sqrt(dot(vector, vector)))
 
-        unit = 1.0 if is_symmetric or transposed else 1.0 / matrix.residual_scale
+        unit = 1.0 if is_symmetric else 1.0 / matrix.residual_scale
         x, left, begun = np.zeros(right.size), right, size(right * unit)
         for _ in range(REFINEMENTS):
-            correction = KrylovCorrection(
-                self._truncation, left.copy(), is_symmetric, transposed=transposed
-            )
+            correction = KrylovCorrection(self._truncation, left.copy(), is_symmetric)
             steps, enough = 0, goal * begun / correction.unit
             while (
                 size(correction.residual * unit) > enough
@@ -416,28 +416,22 @@ class FreeSystem:
                 steps += 1
             better = np.empty(right.size)
             correction.apply_to(x, better)
-            remainder = self._remainder(
-                right, better, transposed
-            )  # what steps keep of it on the way is not what it is
+            # Computed anew: the residual of the steps is rounded on the way.
+            remainder = np.where(self.free, right - matrix.array @ better, 0.0)
             if not size(remainder * unit) < size(left * unit):
                 break
             x, left = better, remainder
             if size(left * unit) <= 10.0 * goal * begun:
                 return x
-        allowed = max(CONVERGED * begun, size(ROUNDING * self._terms(right, x, transposed) * unit))
+        terms = np.where(self.free, np.abs(right) + abs(matrix.array) @ np.abs(x), 0.0)
+        allowed = max(CONVERGED * begun, size(ROUNDING * terms * unit))
         return x if size(left * unit) <= allowed else None
 
-    def _remainder(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
-        """Return right − M x, or right − Mᵀx, on the free rows, 0 elsewhere."""
-        matrix = self.matrix
-        product = matrix.array.T @ x if transposed else matrix.array @ x
-        return np.where(self.free, right - product, 0.0)
 
-    def _terms(self, right: FloatVector, x: FloatVector, transposed: bool) -> FloatVector:
-        """Return |right| + |M||x|, or |right| + |Mᵀ||x|, on the free rows, 0 elsewhere."""
-        rows = abs(self.matrix.array)
-        product = (rows.T if transposed else rows) @ np.abs(x)
-        return np.where(self.free, np.abs(right) + product, 0.0)
+@fact
+def _transposed(matrix: Matrix) -> Matrix:
+    """Return Mᵀ with facts of its own, as a hierarchy of grids."""
+    return Matrix(matrix.array.T)
 
 
 def _largest(values: FloatVector) -> float:

@@ -175,7 +175,7 @@ class Truncation:
         """Write into x one V(1,1)-cycle for the truncated M x = b of grid k, from x = 0."""
         level = self.grids[k]
         grid, rows, entries = level.grid, level.rows, level.values.size
-        if k == len(self.transfers) and self._solves_directly(level, transposed=False):
+        if k == len(self.transfers) and self._solves_directly(level):
             return
         blocks = grid.blocks
         sweeps.first_sweep(rows, blocks, level.inverse, level.b, level.x)
@@ -201,41 +201,15 @@ class Truncation:
         vectors.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
-    def correct_transposed(self, k: int) -> None:
-        """Write into x one V(1,1)-cycle for the truncated Mᵀ x = b of grid k: P and its restriction change places."""
-        level = self.grids[k]
-        if k == len(self.transfers) and self._solves_directly(level, transposed=True):
-            return
-        arrays = *level.grid.matrix.arrays[:2], level.values
-        residual = level.b.copy()
-        level.x[:] = 0.0
-        vectors.transposed_sweep(*arrays, level.inverse, False, residual, level.x)
-        if k < len(self.transfers):
-            below, transfer = self.grids[k + 1], self.transfers[k]
-            below.b[:] = 0.0
-            carried = residual * level.is_interpolated
-            vectors.add_transposed_product(*transfer.prolongation.arrays, 1.0, carried, below.b)
-            self.correct_transposed(k + 1)
-            correction = np.zeros_like(level.b)
-            vectors.add_transposed_product(*transfer.restriction.arrays, 1.0, below.x, correction)
-            correction *= level.is_interpolated
-            level.x += correction
-            vectors.add_transposed_product(*arrays, -1.0, correction, residual)
-            self.work += level.values.size + 2.0 * transfer.prolongation.data.size
-        for sweep in range(1 if k < len(self.transfers) else 2 * COARSEST_SWEEPS + 1):
-            vectors.transposed_sweep(*arrays, level.inverse, sweep % 2 == 0, residual, level.x)
-            self.work += level.values.size
-        self.work += level.values.size
-
     @np.errstate(all="ignore")
-    def _solves_directly(self, level: TruncatedGrid, *, transposed: bool) -> bool:
+    def _solves_directly(self, level: TruncatedGrid) -> bool:
         """Solve the coarsest system by its factor, if that gives finite numbers."""
         factor, work = level.factor()
         self.work += work
         if factor is None:
             return False
         right = np.where(level.inverse != 0.0, level.b, 0.0)
-        x = (factor.solve_transposed if transposed else factor.solve)(right)
+        x = factor.solve(right)
         self.work += factor.solve_work
         level.x[:] = x
         return bool(np.isfinite(x).all())
@@ -261,8 +235,6 @@ class KrylovCorrection:
     residual : ndarray, shape (n,)
         −w on the free rows, 0 elsewhere; overwritten by what is left of it.
     is_symmetric : bool
-    transposed : bool
-        Mᵀ in the place of M, by the rows of M.
     """
 
     def __init__(
@@ -270,17 +242,14 @@ class KrylovCorrection:
         truncation: Truncation,
         residual: FloatVector,
         is_symmetric: bool,
-        *,
-        transposed: bool = False,
     ) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
-        self.transposed = transposed and not is_symmetric
         self.grid = truncation.grids[0].grid
         # Squares of very large or small numbers leave the range of a double.
         self.unit: float = power_of_two(span(residual))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
-        is_weighted = not (is_symmetric or transposed)
+        is_weighted = not is_symmetric
         self._weight = (inverse / span(inverse)) ** 2 if is_weighted else None
         self._sum = truncation.vector()
         self._sum[:] = 0.0
@@ -313,21 +282,9 @@ class KrylovCorrection:
         top = self.truncation.grids[0]
         matrix = top.grid.matrix
         top.b = self.residual
-        shares_workspace = not self.transposed  # the cycle's own, and gives other for it
-        p, product = (
-            (top.x, top.residual)
-            if shares_workspace
-            else (self.truncation.vector(), self.truncation.vector())
-        )
-        if self.transposed:
-            self.truncation.correct_transposed(0)
-            np.copyto(p, top.x)
-            product[:] = 0.0
-            vectors.add_transposed_product(*matrix.arrays, 1.0, p, product)
-            product *= top.is_free
-        else:
-            self.truncation.correct(0)
-            sweeps.free_product(top.rows, top.inverse, top.x, product)
+        p, product = top.x, top.residual  # the cycle's own, and gives other for it
+        self.truncation.correct(0)
+        sweeps.free_product(top.rows, top.inverse, top.x, product)
         self.truncation.work += matrix.data.size
         for old_p, old_product, old_scale in self.directions:
             share = self._dot(self._against(old_p, old_product), product) / old_scale
@@ -341,8 +298,7 @@ class KrylovCorrection:
         if self.is_symmetric:
             self._forget_directions()
         self.directions.append((p, product, scale))
-        if shares_workspace:
-            top.x, top.residual = self.truncation.vector(), self.truncation.vector()
+        top.x, top.residual = self.truncation.vector(), self.truncation.vector()
         return True
 
     def _forget_directions(self) -> None:

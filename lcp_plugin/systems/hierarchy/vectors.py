@@ -18,7 +18,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.kernels.compilation import kernel, uintp
@@ -282,26 +281,3 @@ def _find_held(  # type: ignore[no-untyped-def]
         found += is_held or is_changed[i]
         is_interpolated[i] = interpolates
     return found
-
-
-@kernel
-def transposed_sweep(indptr, indices, data, inverse, backward, residual, x):  # type: ignore[no-untyped-def]
-    """Add to x one Gauss–Seidel sweep for Mᵀx = b by the rows of M, which are the columns of Mᵀ.
-
-    `residual` is b − Mᵀx before and after; where an unknown is fixed it means nothing.
-    """
-    one, n = uintp(1), uintp(inverse.size)
-    for step in range(n):
-        i = n - one - step if backward else step
-        if inverse[i] != 0.0:
-            change = residual[i] * inverse[i]
-            x[i] += change
-            for k in range(uintp(indptr[i]), uintp(indptr[i + one])):
-                residual[uintp(indices[k])] -= data[k] * change
-
-
-def add_transposed_product(
-    indptr: Any, indices: Any, data: FloatVector, factor: float, x: FloatVector, to: FloatVector
-) -> None:
-    """Add factor · Aᵀx to `to`, A by rows."""
-    to += factor * (sp.csc_array((data, indices, indptr), shape=(to.size, x.size)) @ x)

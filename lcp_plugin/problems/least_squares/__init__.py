@@ -1,1 +1,1 @@
-"""Least squares within bounds: steps that find the face, and steps that solve on it."""
+"""Least squares within bounds by lstsq, nnls, PIQP or projected steps."""

@@ -34,7 +34,7 @@ SQUARED_RANGE = 1e-130, 1e145  # of a largest entry: squares, also of rounding e
 
 
 class BoundedLeastSquares:
-    """Minimise ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² + Σ l1_j |x_j| over lower ≤ x ≤ upper.
+    """Minimize ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² + Σ l1_j |x_j| over lower ≤ x ≤ upper.
 
     With l1 > 0 and ``lower=-inf`` it is the lasso, with a ridge beside it the elastic net.
 

@@ -667,7 +667,7 @@ def certified(count: int = 60) -> Iterator[Input]:
         given = case(KINDS[number % len(KINDS)], rng, 8)
         step = rng.normal(size=given.x.size)
         x = given.x + (1e-2 * step / np.abs(step).max() if number % 3 == 2 else 0.0)
-        return given, x, (None, given.multipliers, None)[number % 3]
+        return given, x, (None, given.solution, None)[number % 3]
 
     def ask(stated: Any) -> Any:
         given, x, multipliers = stated

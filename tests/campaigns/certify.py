@@ -4,11 +4,7 @@ Run as ``python tests/campaigns/certify.py --cases 1000 --seed 0``. Data are mul
 first, so that the optimal value is a fraction; every bound is compared with it in fractions, without any allowance.
 Exit code 1 where a bound is violated, a right answer disproved or a wrong one proved.
 
-Of 600 programs (120 of seed 901, 480 of seed 902) nothing false was said: no bound was violated, no right answer
-disproved; all 1200 right answers were proved, 98 % of those off by 1e-2 disproved, none with a multiplier's sign turned
-and no false "infeasible" proved; the gap was the true one in the median. Of those right to 1e-9, 2 were disproved: at
-x* = 0 all terms vanish, and the comparison is exact. Of those off by 1e-4, 12 were proved: all are
-optimal to the tolerance.
+"proved" is a statement on the value and the constraints: of those off by 1e-4 some are proved.
 """
 
 from __future__ import annotations
@@ -25,13 +21,11 @@ import numpy as np
 
 from lcp_plugin import QuadraticProgram, certify
 from lcp_plugin.problems.programs.certification import Certification
+from lcp_plugin.problems.programs.solution import QPSolution
 
 MULTIPLIERS = ("a sign", "both bounds")  # planted in the multipliers of a right x
 KINDS = ("definite", "definite, equations", "semidefinite", "linear", "free", "degenerate")
-TOLERANCE, LOOSE = (
-    1e-6,
-    10,
-)  # x is disproved where it is farther than LOOSE · TOLERANCE ‖x‖∞ from all optima
+TOLERANCE = 1e-6
 ROUNDING = 1e-13  # gaps below that, beside 1 + |f|, are nobody's to be sharp about
 
 
@@ -44,6 +38,11 @@ class Case:
     multipliers: tuple[Any, ...]
     value: Fraction
     is_definite: bool
+
+    @property
+    def solution(self) -> QPSolution:
+        """The optimal x with its multipliers."""
+        return QPSolution(self.program, self.x, *self.multipliers)
 
 
 def eighths(rng: np.random.Generator, shape: Any, low: int = -16, high: int = 17) -> Any:
@@ -124,36 +123,17 @@ def size(program: QuadraticProgram, x: Any) -> Fraction:
 
 
 def is_met(program: QuadraticProgram, x: Any) -> bool:
-    """Return whether x violates each row by no more than its terms or a small step excuses, without rounding."""
-    rows, at, tolerance = (
-        program.constraints,
-        [Fraction(value) for value in x.tolist()],
-        Fraction(TOLERANCE),
-    )
-    step = tolerance * min(Fraction(1), max(map(abs, at), default=Fraction(0)))
-    bounds = list(zip(program.lower.tolist(), program.upper.tolist(), strict=True))
+    """Return whether x violates each row by no more than its terms excuse, without rounding."""
+    rows, at = program.constraints, [Fraction(value) for value in x.tolist()]
     for row, limit, is_equality in zip(
         rows.matrix.toarray().tolist(), rows.limit, rows.is_equality, strict=True
     ):
-        if not np.isfinite(limit):
-            continue
-        terms = [Fraction(e) * a for e, a in zip(row, at, strict=True)]
-        excess, mended = sum(terms, Fraction(0)) - Fraction(limit), Fraction(0)
-        if excess < 0 and not is_equality:
-            continue
-        for entry, a, ends in zip(row, at, bounds, strict=True):
-            end = ends[0] if (entry > 0) == (excess > 0) else ends[1]
-            room = (
-                max(
-                    abs(a - Fraction(end)) if (a > end) == (end == ends[0]) else Fraction(0),
-                    Fraction(0),
-                )
-                if np.isfinite(end)
-                else step
-            )
-            mended += abs(Fraction(entry)) * min(room, step)
-        if abs(excess) > max(tolerance * max(abs(Fraction(limit)), *map(abs, terms)), mended):
-            return False
+        if np.isfinite(limit):
+            terms = [Fraction(e) * a for e, a in zip(row, at, strict=True)]
+            excess = sum(terms, Fraction(0)) - Fraction(limit)
+            excess = abs(excess) if is_equality else excess
+            if excess > Fraction(TOLERANCE) * max(abs(Fraction(limit)), *map(abs, terms)):
+                return False
     return True
 
 
@@ -177,15 +157,7 @@ def faults(given: Case, x: Any, said: Certification) -> list[str]:
         not given.is_definite or Fraction(said.distance) ** 2 < apart
     ):
         found.append("distance")
-    far = LOOSE * tolerance * Fraction(float(np.abs(x).max(initial=0.0)))
-    off = max(
-        (abs(Fraction(a) - Fraction(b)) for a, b in zip(x.tolist(), given.x.tolist(), strict=True)),
-        default=0,
-    )
-    is_near = off <= far or (
-        missed <= 0 and value == given.value
-    )  # "farther from every optimal one" is disproved
-    if said.verdict == "disproved" and is_optimal and is_near:
+    if said.verdict == "disproved" and is_optimal:
         found.append("wrong disproof")
     if said.verdict == "proved" and not is_optimal:
         found.append("wrong proof")
@@ -203,13 +175,14 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
     if (used := np.flatnonzero(y * acts)).size:
         k = int(rng.choice(used))
         y[k] = -y[k]
-        wrong["a sign"] = (x, y)
+        ends = np.cumsum([len(part) for part in multipliers])[:3]
+        wrong["a sign"] = (x, QPSolution(program, x, *np.split(y, ends)))
     apart = np.flatnonzero(program.lower < program.upper)
     if apart.size:
         both = [part.copy() for part in multipliers]
         for part in both[2:]:
             part[apart[0]] += 1.0
-        wrong["both bounds"] = (x, both)
+        wrong["both bounds"] = (x, QPSolution(program, x, *both))
     step = rng.normal(size=x.size)
     step /= np.abs(step).max()
     wrong["off by 1e-4"], wrong["off by 1e-2"] = (x + 1e-4 * step, None), (x + 1e-2 * step, None)
@@ -238,10 +211,9 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
 
 
 def is_still_right(given: Case, x: Any) -> bool:
-    """Whether x is within the promise although it was moved: where P is not definite there may be flat directions."""
+    """Return whether x is within the promise although it was moved."""
     gap = abs(objective(given.program, x) - given.value)
-    is_near = gap <= Fraction(TOLERANCE) * size(given.program, x) and is_met(given.program, x)
-    return is_near and (not given.is_definite or bool(np.abs(x - given.x).max() <= TOLERANCE))
+    return gap <= Fraction(TOLERANCE) * size(given.program, x) and is_met(given.program, x)
 
 
 def main() -> int:
@@ -266,7 +238,7 @@ def main() -> int:
         noise = given.x + 1e-9 * rng.normal(size=given.x.size)
         answers = {
             f"right, {kind}": (given.x, None),
-            f"right, with multipliers, {kind}": (given.x, given.multipliers),
+            f"right, with multipliers, {kind}": (given.x, given.solution),
             "right to 1e-9": (noise, None),
             **planted(given, rng),
         }

@@ -8,7 +8,7 @@ came with the answer and with those of a solution of our own; an upper bound fro
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,7 +23,7 @@ from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.matrix.matrix import largest_in_rows
 from ...core.problem_classes import class_of, refusal
-from ...core.rounding import compensated_product, gamma
+from ...core.rounding import compensated_product
 from ...core.solving.answer import Answer
 from ...proofs.bounds.curvature import constrained_curvature
 from ...proofs.bounds.solution_bounds import norm_above
@@ -35,8 +35,6 @@ from .dual_bounds import DualBounds, implied_box
 from .feasible_points import FeasiblePoint, FeasiblePoints, objective_bounds
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
-from .program_matrices import as_csr
-from .reductions import FoldedRows
 from .solution import QPSolution
 from .solving import QuadraticProgramResult, solve_program
 
@@ -46,10 +44,7 @@ ALMOST = 1e-9  # residuals of a program at which no other form of it is tried
 SMALL = 400  # variables and rows of a program that is solved once more for a sharper bound
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
-LOOSE = (
-    10.0  # times the tolerance: errors of x beside ‖x‖∞, of multipliers beside their column's terms
-)
-ACTS = 1e-2  # of the terms that act at x: what is small beside these is right in a column whose own terms are small
+LOOSE = 10.0  # times the tolerance: errors of multipliers
 
 
 @np.errstate(all="ignore")  # what overflows proves nothing
@@ -70,22 +65,20 @@ def certify(
         A cvxpy problem that some solver has filled; it is left as it is.
     x : array, shape (n,), QPSolution or QuadraticProgramResult, optional
         The answer to a `QuadraticProgram`; ``certify(result)`` is ``certify(result.program, result)``.
-    multipliers : array, pair of arrays or QPSolution, optional
-        Those of G and A that came with x: one array of them, with those of the lower and upper bounds behind them if
-        you like, or a pair, or all four. Shapes (rows of G,), (rows of A,), (n,), (n,), signs as in
-        :class:`~lcp_plugin.problems.programs.solution.QPSolution`. They are a part of the answer: wrong ones are
-        never proved. Without them those of a solution of our own serve.
+    multipliers : pair of arrays or QPSolution, optional
+        Those of G and of A that came with x, shapes (rows of G,) and (rows of A,), signs as in
+        :class:`~lcp_plugin.problems.programs.solution.QPSolution`, which has those of the bounds as well. They are
+        checked to 10 · tolerance, relative to the terms of each condition: wrong ones are never proved. Without them
+        the multipliers of our own solution are used.
     claim : str, optional
         What is to be proved of a `QuadraticProgram`: "optimal", "infeasible" or "unbounded". By default "optimal",
         and of a result or a cvxpy problem what its status says.
     tolerance : float
-        "proved" means: x has the optimal value f*, |f(x) − f*| ≤ tolerance · (Σ|c_j x_j| + |xᵀP x|), and meets the
-        constraints: each c·x ≤ d or = d holds but for tolerance · max(|d|, largest |c_j x_j|, 1e-6 of what acts on the
-        row), or where no x_j moves, within its bounds, by more than tolerance · min(1, ‖x‖∞). Where all terms are 0
-        the comparison is exact. Neither is x proved to be farther than 10 · tolerance · ‖x‖∞ from every optimal one,
-        nor are multipliers that came with it wrong by more than 10 · tolerance beside the terms of their conditions:
-        sign, gradient, and 0 where x leaves slack. Of "infeasible": that every x violates a constraint by more than
-        this, in its own unit, so that no x can be proved to be optimal.
+        "proved" means that x has the optimal value f* and meets the constraints: |f(x) − f*| ≤ tolerance · (Σ|c_j x_j|
+        + |xᵀP x|), and each c·x ≤ d or = d holds to tolerance · max(|d|, largest |c_j x_j|), or to rounding of the
+        unknowns that matter. If all terms are 0 the comparison is exact. x may still be far from the minimizer if the
+        objective is flat; `distance` bounds how far. "infeasible" is proved if every x violates a constraint by more
+        than the tolerance, in its own unit, so that no x can be proved to be optimal.
     max_seconds : float, optional
         About how many seconds may be spent; what is not done by then stays unproved.
 
@@ -105,18 +98,16 @@ def certify(
     Notes
     -----
     Disproved is: x that is proved to violate a constraint by more than that; a feasible point whose objective is lower
-    by more, or falls for ever; a lower bound above f(x) by more; x that is proved to be farther than that from every
-    optimal one; "infeasible" beside a feasible point; "unbounded" beside a finite lower bound. "infeasible" and
-    "unbounded" are proved by a Farkas vector and by a direction of descent, checked in rational arithmetic. A P that is
-    positive semidefinite only to rounding gives bounds where the constraints bound x. Constraints that contradict by
-    less than the tolerance may be met to it: neither is such an x disproved nor "infeasible" proved. No limit that x
-    leaves slack, no cost of an x_j that is 0, and no unit of the objective changes a verdict.
+    by more, or falls without end; a lower bound above f(x) by more; "infeasible" if there is a feasible point;
+    "unbounded" if there is a finite lower bound. "infeasible" and "unbounded" are proved by a Farkas vector and by a
+    direction of descent, checked in rational arithmetic. A P that is positive semidefinite only to rounding gives
+    bounds if the constraints bound x. Constraints that contradict by less than the tolerance may be met to it: neither
+    is such an x disproved nor "infeasible" proved. No limit that x leaves slack, no cost of an x_j that is 0, and no
+    unit of the objective changes a verdict.
 
-    An optimal value does not show errors of x below √tolerance: an x that is off by 1e-4 often has it to 1e-8, as
-    have answers of interior points where a constraint is active without a multiplier. That is why "proved" asks for
-    more. Where x violates constraints, however little, that may lower the objective by any amount. Where a feasible
-    point is found, f* is bounded from both sides. Where none is, the bound by multipliers of our own has to agree with
-    f(x): f* is then that of constraints moved by no more than x violates them.
+    If x violates constraints, however little, that may lower the objective by any amount. If a feasible point is found,
+    f* is bounded from both sides. If none is, the bound by multipliers of our own has to agree with f(x): f* is then
+    that of constraints moved by no more than x violates them.
 
     Of a cvxpy problem the values, the objective and the constraints are yours, in double precision; bounds are those
     of the program that cvxpy makes of it.
@@ -168,8 +159,8 @@ def certify(
 
 def _answer(
     program: QuadraticProgram, x: Any, multipliers: Any
-) -> tuple[FloatVector, list[FloatVector] | None]:
-    """Return x and the checked multipliers, of G and A or of all constraints."""
+) -> tuple[FloatVector, FloatVector | None]:
+    """Return x, and multipliers of all constraints; bounds get the rest of the gradient if a pair was given."""
     if x is None:
         raise InvalidProblem(
             "certify needs the x that is claimed to be optimal; give certify(program, x), or a claim"
@@ -178,50 +169,23 @@ def _answer(
         x = x.solution
     if isinstance(x, QPSolution):
         x, multipliers = x.x, x if multipliers is None else multipliers
-    point = checked_vector(x, "x", program.n)
+    x = checked_vector(x, "x", program.n)
     if multipliers is None:
-        return point, None
-    sizes = {
-        "inequality": program.h.size,
-        "equality": program.b.size,
-        "lower": program.n,
-        "upper": program.n,
-    }
+        return x, None
     if isinstance(multipliers, QPSolution):
-        parts: Sequence[Any] = [getattr(multipliers, name) for name in sizes]
-    elif isinstance(multipliers, Mapping):
-        if unknown := [name for name in multipliers if name not in sizes]:
-            raise InvalidProblem(
-                f"unknown multipliers {unknown[0]!r}{did_you_mean(unknown[0], sizes)}"
-            )
-        last = 4 if {"lower", "upper"} & set(multipliers) else 2
-        parts = [multipliers.get(name, np.zeros(size)) for name, size in list(sizes.items())[:last]]
-    elif (
-        isinstance(multipliers, (tuple, list))
-        and len(multipliers) in (2, 4)
-        and not is_number(multipliers[0])
-    ):
-        parts = multipliers
-    else:
-        parts = _split(checked_vector(multipliers, "multipliers", None), list(sizes.values()))
-    return point, [
-        checked_vector(part, name, size)
-        for part, (name, size) in zip(parts, sizes.items(), strict=False)
-    ]
-
-
-def _split(values: FloatVector, sizes: list[int]) -> list[FloatVector]:
-    ends = np.cumsum(sizes).tolist()
-    if values.size not in (ends[1], ends[3]):
-        raise InvalidProblem(
-            f"multipliers must have length {ends[1]}, one a row of G and A, or {ends[3]} with those of the bounds, got "
-            f"{values.size}"
+        return x, checked_vector(
+            multipliers.multipliers, "multipliers", program.constraints.limit.size
         )
-    return [
-        part
-        for part, end in zip(np.split(values, ends[:3]), ends, strict=True)
-        if end <= values.size
-    ]
+    if not isinstance(multipliers, (tuple, list)) or len(multipliers) != 2:
+        raise InvalidProblem(
+            "multipliers must be a pair, those of G and those of A, or a QPSolution; give (inequality, equality)"
+        )
+    inequality = checked_vector(multipliers[0], "inequality", program.h.size)
+    equality = checked_vector(multipliers[1], "equality", program.b.size)
+    left = program.P @ x + program.c + program.G.T @ inequality + program.A.T @ equality
+    at_lower = np.where(np.isfinite(program.lower), np.maximum(left, 0.0), 0.0)
+    at_upper = np.where(np.isfinite(program.upper), np.maximum(-left, 0.0), 0.0)
+    return x, np.concatenate([inequality, equality, at_lower, at_upper])
 
 
 def _check_options(tolerance: Any, max_seconds: Any) -> None:
@@ -391,35 +355,29 @@ class ProgramProofs:
         return unproved
 
     def of_answer(
-        self, x: FloatVector, given: list[FloatVector] | None, tolerance: float
+        self, x: FloatVector, given: FloatVector | None, tolerance: float
     ) -> Certification:
-        """Return what is proved about a point, and the multipliers that came with it."""
-        value, violation = (
-            objective_bounds(self.program, x),
-            Violation.of(self.program, x, tolerance),
-        )
-        size = size_of_objective(self.program, x)
+        """Return what is proved about a point, and the multipliers of all constraints that came with it."""
+        program, value = self.program, objective_bounds(self.program, x)
+        violation, size = Violation.of(program, x, tolerance), size_of_objective(program, x)
         lower, complaint = -math.inf, ""
         if given is not None:
-            lower = self.lower(x, given[0], given[1], value[0], tolerance * size[0])
-            complaint = multiplier_error(self.program, x, given, tolerance, size[0])
-        found = Proved(
-            value, violation, lower, self.upper(x, exactly=False, by_own=False), tolerance, size
-        )
+            m, p = program.h.size, program.b.size
+            lower = self.lower(x, given[:m], given[m : m + p], value[0], tolerance * size[0])
+            complaint = multiplier_error(program, x, given, tolerance, size[0])
+        points = self.upper(x, exactly=False, by_own=False)
+        found = Proved(value, violation, lower, points, tolerance, size)
         is_enough = found.is_proved() and not found.may_have_bought()
         if not is_enough or (self.is_small and (given is None or complaint)):
             lower = max(lower, self.own_lower)
-            if (
-                lower < value[0] and size[1] == 0.0 and (own := self.own_solution) is not None
-            ):  # nothing else will do
+            if lower < value[0] and size[1] == 0.0 and self.own_solution is not None:
+                own = self.own_solution  # the comparison is exact
                 lower = max(lower, self.lower(x, own.inequality, own.equality, value[0]))
             points = self.upper(x, exactly=False) or self.upper(x, exactly=not violation.is_missed)
             found = replace(found, lower=lower, points=points)
             if found.may_have_bought() and not replace(found, lower=self.own_lower).is_proved():
-                complaint = (
-                    complaint
-                    or f"its violation of {violation.largest:.2g} may buy more than the tolerance"
-                )
+                bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
+                complaint = complaint or bought
         return found.certification(self, x, complaint)
 
 
@@ -451,10 +409,7 @@ class Violation:
     @classmethod
     @np.errstate(all="ignore")  # what overflows is not met
     def of(cls, program: QuadraticProgram, x: FloatVector, tolerance: float) -> Violation:
-        """Return that of x: beside the terms of each row, what a step of each x_j within its bounds mends, what acts.
-
-        What acts excuses a row here as it does where a program is solved: neither call may refute the other.
-        """
+        """Return that of x, relative to the terms of each row; rounding is excused as in the test of programs."""
         rows = program.constraints
         finite = rows.finite
         matrix, limit, is_equality = (
@@ -463,14 +418,9 @@ class Violation:
             rows.is_equality[finite],
         )
         value, radius = compensated_product(matrix, x, -limit)
-        step = tolerance * min(1.0, float(np.abs(x).max(initial=0.0)))
-        below, above = step_within_bounds(program, x, step)
-        positive, negative = matrix.maximum(0.0), (-matrix).maximum(0.0)
-        falls, rises = positive @ below + negative @ above, positive @ above + negative @ below
-        mended = np.where(is_equality & (value < 0.0), rises, falls)
         size = np.where(is_equality, np.abs(value), value)
         least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
-        allowed = np.maximum(tolerance * largest_terms(matrix, limit, x), mended)
+        allowed = tolerance * largest_terms(matrix, limit, x)
         if (largest > allowed).any():
             excused = np.concatenate([excused_rows(program, x), np.zeros(2 * program.n)])[finite]
             allowed = np.maximum(allowed, excused)
@@ -480,16 +430,6 @@ class Violation:
             bool((largest <= allowed).all()),
             bool((least > allowed * OUTWARD).any()),
         )
-
-
-def step_within_bounds(
-    program: QuadraticProgram, x: FloatVector, step: float
-) -> tuple[FloatVector, FloatVector]:
-    """Return how far each x_j may move down and up, no farther than a step and within bounds, rows of one x_j too."""
-    folded = FoldedRows.of(program).reduced
-    return np.clip(OUTWARD * (x - folded.lower), 0.0, step), np.clip(
-        OUTWARD * (folded.upper - x), 0.0, step
-    )
 
 
 def largest_terms(rows: Any, limit: FloatVector, x: FloatVector) -> FloatVector:
@@ -565,23 +505,14 @@ class Proved:
             and self.upper > self.value[1] + self.tolerance * self.size[0]
         )
 
-    def certification(
-        self, proofs: ProgramProofs, x: FloatVector, complaint: str, columns: Any = slice(None)
-    ) -> Certification:
-        """Return the verdict and its numbers; distances in some of the columns."""
-        near, far, far_in_columns = distances(proofs, x, self.points, self.lower, columns)
+    def certification(self, proofs: ProgramProofs, x: FloatVector, complaint: str) -> Certification:
+        """Return the verdict and its numbers."""
         disproof, is_proved = self.disproof() or self._no_minimum(proofs), self.is_proved()
-        size = float(np.abs(x).max(initial=0.0))
-        disproof = disproof or self._error_of_x(size, far_in_columns, "x")
         verdict = "disproved" if disproof else "proved" if is_proved else "unproved"
         reason = disproof or self._reason(proofs.bounds.curvature.evidence, is_proved)
-        complaint = (
-            self._error_of_x(size, far, "x, with the variables that cvxpy added,") or complaint
-        )
         if verdict == "proved" and complaint:
-            verdict, reason = "unproved", complaint
-        if is_proved and verdict != "proved":
-            reason += ", though the objective is proved to be optimal"
+            verdict = "unproved"
+            reason = f"{complaint}, though the objective is proved to be optimal"
         return Certification(
             verdict,
             "optimal",
@@ -590,7 +521,7 @@ class Proved:
             _if_finite(self.upper),
             _if_finite(self.gap),
             reason,
-            _if_finite(near),
+            _if_finite(distance(proofs, x, self.points, self.lower)),
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
@@ -598,11 +529,6 @@ class Proved:
         proof = proofs.no_minimum if self.lower == -math.inf and not is_over() else None
         is_endless = isinstance(proof, QPUnboundedness) and proof.excludes(self.tolerance)
         return f"the program is {proof}" if is_endless else ""
-
-    def _error_of_x(self, size: float, far: float, what: str) -> str:
-        """Return what proves that an x of that size is not optimal although its value may be, or nothing."""
-        is_far = far > LOOSE * self.tolerance * size
-        return f"{what} is proved to be at least {far:.3g} from every optimal one" if is_far else ""
 
     def _reason(self, evidence: str, is_proved: bool) -> str:
         if is_proved:
@@ -618,57 +544,25 @@ class Proved:
 
 
 @np.errstate(all="ignore")  # what overflows bounds nothing
-def distances(
-    proofs: ProgramProofs,
-    x: FloatVector,
-    points: Sequence[FeasiblePoint],
-    lower: float,
-    columns: Any,
-) -> tuple[float, float, float]:
-    """Return bounds, from above and from below, of ‖x − x*‖₂ for every optimal x*; ∞ where that is not the only one.
+def distance(
+    proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float
+) -> float:
+    """Return an upper bound of ‖x − x*‖₂; ∞ if the optimal x* is not proved to be unique.
 
-    The bound from above is that of some columns, and a third one bounds these from below.
-
-    Notes
-    -----
-    Let y be feasible and g = 2 (f(y) − lower). Then Σ μ_i (y_i − x*_i)² ≤ g: a value that is optimal to t leaves x an
-    error of √t. With Q = P + ρ AᵀA, the form of the curvature, u = x − y and e = x − x*, also where some μ_i are 0,
-
-        ‖Q u‖‖e‖ ≥ uᵀQ e = uᵀQ u + uᵀQ (y − x*) ≥ uᵀQ u − √(uᵀQ u · g).
+    For a feasible y, Σ μ_i (y_i − x*_i)² ≤ 2 (f(y) − lower): a value that is optimal to t leaves x an error of √t.
     """
-    curvature, near, far, far_in_columns = proofs.bounds.curvature, math.inf, 0.0, 0.0
-    if lower == -math.inf or not curvature.is_semidefinite:
-        return near, far, far_in_columns
-    least = float(curvature.weights[columns].min(initial=math.inf))
+    curvature, near = proofs.bounds.curvature, math.inf
+    least = float(curvature.weights.min(initial=math.inf))
+    if lower == -math.inf or not curvature.is_semidefinite or not 0.0 < least < math.inf:
+        return near
     for point in points:
-        u, gap = x - point.near, 2.0 * max(float(sum_above(point.value, -lower)), 0.0)
-        blur = float(norm_above(point.radius + EPSILON * np.abs(u)))
-        far = max(far, _length_below(proofs, u, gap) / OUTWARD - blur * OUTWARD)
-        if 0.0 < least < math.inf:
-            blur += math.sqrt(float(quotient_above(gap, least))) * OUTWARD
-            length = float(norm_above(np.abs(u[columns])))
-            near = min(near, (length + blur) * OUTWARD)
-            far_in_columns = max(far_in_columns, length / OUTWARD**2 - blur * OUTWARD)
-    is_all = np.unique(np.arange(x.size)[columns]).size == x.size
-    far = max(far, far_in_columns)
-    return near, far, far if is_all else far_in_columns
-
-
-def _length_below(proofs: ProgramProofs, u: FloatVector, gap: float) -> float:
-    """Return (uᵀQ u − √(uᵀQ u · gap)) / ‖Q u‖, rounded down; 0 where rounding hides it."""
-    P, A, penalty = (
-        proofs.program.matrices.sparse_P,
-        as_csr(proofs.program.A),
-        proofs.bounds.curvature.penalty,
-    )
-    bent = P @ u + penalty * (A.T @ (A @ u))
-    terms = abs(P) @ np.abs(u) + penalty * (abs(A).T @ (abs(A) @ np.abs(u)))
-    share = gamma(2 * u.size + A.shape[0] + 8)
-    square, rounding = float(u @ bent), share * float(np.abs(u) @ terms)
-    length = float(np.linalg.norm(bent) + share * np.linalg.norm(terms))
-    if not (square > rounding and 0.0 < length < math.inf):
-        return 0.0
-    return (square - rounding - math.sqrt((square + rounding) * gap)) / length
+        off = np.abs(x - point.near)
+        gap = 2.0 * max(float(sum_above(point.value, -lower)), 0.0)
+        blur = float(norm_above(point.radius + EPSILON * off)) + OUTWARD * math.sqrt(
+            float(quotient_above(gap, least))
+        )
+        near = min(near, (float(norm_above(off)) + blur) * OUTWARD)
+    return near
 
 
 def _if_finite(value: float) -> float | None:
@@ -677,56 +571,27 @@ def _if_finite(value: float) -> float | None:
 
 @np.errstate(all="ignore")  # what overflows is wrong
 def multiplier_error(
-    program: QuadraticProgram,
-    x: FloatVector,
-    given: list[FloatVector],
-    tolerance: float,
-    terms_of_objective: float,
+    program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float, size: float
 ) -> str:
-    """Return what is wrong with multipliers that were given, beyond what repairing them may excuse, or nothing.
+    """Return which condition the multipliers y of all constraints miss by more than 10 · tolerance, or nothing.
 
-    The terms of column j are c_j, p_jk x_k and c_ij y_i; what is small beside ACTS times the largest of the first two
-    where x is off its bounds is right, too. A bound without a multiplier takes up what is left of the gradient.
+    The gradient is compared with its largest term; wrong signs count as what they do to it. y · slack is compared with
+    the terms of the objective, `size`, and of the constraint.
     """
-    rows, names, y = (
-        program.constraints,
-        ("inequality", "equality", "lower", "upper"),
-        np.concatenate(given),
+    rows, most = program.constraints, LOOSE * tolerance
+    columns = sp.csr_array(rows.matrix.T)
+    wrong = np.where(rows.is_equality, 0.0, np.maximum(-y, 0.0))
+    left = np.abs(program.P @ x + program.c + columns @ y) + abs(columns) @ wrong
+    terms = largest_terms(columns, largest_terms(program.matrices.sparse_P, program.c, x), y)
+    if not (left <= most * terms).all():
+        j = int((left - most * terms).argmax())
+        return f"the multipliers leave {left[j]:.3g} of the gradient in component {j}"
+    slack = np.where(rows.is_equality, 0.0, np.maximum(rows.limit - rows.matrix @ x, 0.0))
+    price, own = (
+        np.where(y != 0.0, np.abs(y) * slack, 0.0),
+        np.abs(y) * largest_terms(rows.matrix, rows.limit, x),
     )
-    P, of_rows = program.matrices.sparse_P, sp.csr_array(rows.matrix.T)
-    if y.size < rows.limit.size:
-        left = program.P @ x + program.c + rows.matrix[: y.size].T @ y
-        sides = (
-            np.where(np.isfinite(bound), np.maximum(sign * left, 0.0), 0.0)
-            for sign, bound in ((1.0, program.lower), (-1.0, program.upper))
-        )
-        y = np.concatenate([y, *sides])
-    base = largest_terms(P, program.c, x)
-    terms = np.maximum(base, largest_terms(of_rows, base, y))
-    acts = float(base[(program.lower < x) & (x < program.upper)].max(initial=0.0))
-    allowed = LOOSE * tolerance * np.maximum(terms, ACTS * acts)
-    is_finite = np.isfinite(rows.limit)
-    wrong = np.where(rows.is_equality, 0.0, np.where(is_finite, np.maximum(-y, 0.0), np.abs(y)))
-    pulls = np.abs(of_rows.data) * wrong[of_rows.indices] > np.repeat(
-        allowed, np.diff(of_rows.indptr)
-    )
-    if pulls.any():
-        i = int(of_rows.indices[np.argmax(pulls)])
-        if not is_finite[i]:
-            return f"a multiplier {y[i]:.3g} stands where there is no limit"
-        ends = np.cumsum([0, *rows.sizes])
-        k = int(np.searchsorted(ends, i, side="right")) - 1
-        return f"the multiplier {names[k]}[{i - ends[k]}] = {y[i]:.3g} has the wrong sign"
-    slack = np.where(
-        is_finite & ~rows.is_equality, np.maximum(rows.limit - rows.matrix @ x, 0.0), 0.0
-    )
-    own = np.abs(y) * largest_terms(rows.matrix, rows.limit, x)
-    excess = np.abs(y * slack) - LOOSE * tolerance * np.maximum(terms_of_objective, own)
-    given_size, worst = sum(part.size for part in given), int(np.argmax(excess))
-    if excess.max(initial=0.0) > 0.0 and worst < given_size:
-        return f"a multiplier {y[worst]:.3g} stands where there is {slack[worst]:.3g} of slack"
-    s = program.P @ x + program.c + rows.matrix.T @ np.where(excess > 0.0, 0.0, y)
-    if (np.abs(s) > allowed).any():
-        j = int((np.abs(s) - allowed).argmax())
-        return f"the multipliers leave {abs(s[j]):.3g} of the gradient in component {j}"
+    if not (price <= most * np.maximum(size, own)).all():
+        i = int(price.argmax())
+        return f"a multiplier {y[i]:.3g} stands where there is {slack[i]:.3g} of slack"
     return ""

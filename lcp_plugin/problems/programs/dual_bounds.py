@@ -45,7 +45,6 @@ ROUNDS = (
 )
 NEAR = 2.0**-20  # of its terms: a component that least squares keep as it is
 DENSE_UP_TO = 1_000_000  # entries of a least squares problem; .1 s
-ITERATIONS = 100  # of bounded least squares, each an unbounded one
 MOST_PASSES = (
     10_000  # a chain of equations needs one a link, and each looks only at rows beside new bounds
 )
@@ -314,25 +313,6 @@ def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
         from scipy.sparse.linalg import lsmr
 
         found = lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0]
-    return np.where(np.isfinite(found), found, 0.0)
-
-
-@np.errstate(all="ignore")
-def least_squares_above(matrix: sp.csr_array, right: FloatVector, low: FloatVector) -> FloatVector:
-    """Return a least squares solution x ≥ low, of which −∞ is no bound; 0 where none is found.
-
-    By active sets: scipy's other method goes on for ever where entries differ by 1e36.
-    """
-    from scipy.optimize import lsq_linear
-
-    if 0 in matrix.shape:  # which scipy's older releases do not take
-        return np.zeros(low.size)
-    try:
-        found = lsq_linear(
-            matrix.toarray(), right, (low, np.inf), method="bvls", tol=1e-14, max_iter=ITERATIONS
-        ).x
-    except np.linalg.LinAlgError:
-        return np.zeros(low.size)
     return np.where(np.isfinite(found), found, 0.0)
 
 

@@ -114,10 +114,11 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
     UnknownAlgorithm, InvalidOption
         With the right names and a guess, or the names of options that have no default.
     """
-    return made(algorithm_class(name), name, options)
+    found: Algorithm = made(algorithm_class(name), name, options)
+    return found
 
 
-def made(kind: type[Algorithm], name: str, options: dict[str, Any]) -> Algorithm:
+def made(kind: Any, name: str, options: dict[str, Any]) -> Any:
     """Return an instance of the class with these options; raise InvalidOption as `create` does."""
     try:
         return kind(**options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from contact_families import delassus
 from mpmath import mp, mpf
 
@@ -140,31 +141,26 @@ def planted_cones(
 
 
 def exact_relative_residual(problem: Any, z: Any) -> Any:
-    """‖R(z)‖ beside that at the point nearest to 0, of the worst component as it is scaled, with 60 digits."""
-    from lcp_plugin.core.certificates.criterion import RowScaling
-    from lcp_plugin.core.matrix.structure import connected_components
-
+    """‖R(z)‖ relative to that at the point nearest to 0, of the worst component, with 60 digits."""
     mp.dps = 60
-    scaling, several = (
-        RowScaling.of(problem.block_norms),
-        connected_components(problem.block_norms.matrix),
-    )
-    scale = problem.scale if scaling is None else scaling.scale
-    weights = np.ones(scale.size) if scaling is None else np.ldexp(1.0, -scaling.column)
-    labels = np.zeros(scale.size, int) if several is None else several.labels
-    here, there = (
-        _exact_residuals(problem, point, scale) for point in (z, problem.nearest_to_zero)
-    )
-    worst = mpf(0)
+    here, there = (exact_residuals(problem, point) for point in (z, problem.nearest_to_zero))
+    entries, of_row = problem.rows.csr.tocoo(), problem.block_of_row
+    is_there = entries.data != 0.0
+    where = of_row[entries.row[is_there]], of_row[entries.col[is_there]]
+    graph = sp.coo_array((np.ones(where[0].size), where), shape=(problem.slope.size,) * 2)
+    labels, worst = sp.csgraph.connected_components(graph, directed=False)[1], mpf(0)
     for component in set(labels.tolist()):
         own = np.flatnonzero(labels == component)
-        top, reference = (max(size[k] * mpf(weights[k]) for k in own) for size in (here, there))
+        top, reference = (max(size[k] for k in own) for size in (here, there))
         if top > 0:
             worst = max(worst, top / reference if reference > 0 else mpf("inf"))
     return worst
 
 
-def _exact_residuals(problem: Any, z: Any, scale: Any) -> list[Any]:
+def exact_residuals(problem: Any, z: Any) -> list[Any]:
+    """‖R_k(z)‖ of each block, with 60 digits."""
+    mp.dps = 60
+    scale = problem.scale
     M = problem.rows.csr
     w = [mpf(q) for q in problem.q.tolist()]
     for i in range(problem.n):

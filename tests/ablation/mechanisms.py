@@ -217,10 +217,6 @@ def no_point(old: Any) -> Any:
     return by_piqp
 
 
-def is_late(choice: Any) -> bool:
-    return choice.because.startswith(("sweeps until", "from a point nearby"))
-
-
 MECHANISMS = (
     # --- LCPs: what comes first
     Mechanism(
@@ -458,75 +454,52 @@ MECHANISMS = (
     ),
     # --- cones
     Mechanism(
-        "cone loop",
-        "small problems over cones in one compiled loop",
-        {f"{CONES}.solving:_is_for_the_loop": says(False)},
-        "problems/cones/small.py problems/cones/small_kernels.py",
-    ),
-    Mechanism(
         "cone bodies",
-        "contacts of few bodies: Newton's method and a central path over the velocities of these",
-        {f"{CONES}.solving:has_few_bodies": says(False)},
-        "problems/cones/step_kernels.py problems/cones/path_kernels.py problems/cones/body_kernels.py "
-        "problems/cones/block_factors.py",
-        "problems/cones/test_cones.py::test_the_velocities_of_bodies_are_a_system_of_less_work",
+        "contacts of few bodies: the systems of Newton's steps and of the central path over their velocities",
+        {f"{CONES}.systems:Arms.are_fewer": says(False)},
+        "problems/cones/systems.py:Arms",
     ),
     Mechanism(
-        "cone programs",
-        "a fixed point over convex programs at the end of auto's chain",
-        {f"{CONES}.solving:ConeAuto._stages": without("fixed_point")},
-        claim="problems/cones/test_cones.py::test_towers_that_get_heavier_upwards_stand",
+        "cone sweeps",
+        "sweeps before a factorization of many unknowns, as long as they halve the residual",
+        {f"{CONES}.solving:Run._sweep_while_fast": skipped()},
+        "problems/cones/solving.py:Run._sweep_while_fast",
     ),
     Mechanism(
         "late stages",
-        "more sweeps and other starts at the end",
-        {f"{CONES}.solving:ConeAuto._stages": yielding(lambda _, one: not is_late(one))},
-        claim="problems/cones/test_cones.py::test_groups_of_contacts_are_right_each",
+        "sweeps until nothing changes, and Newton's method from points nearby, at the end",
+        {f"{CONES}.solving:Run._to_the_end": skipped()},
+        "problems/cones/solving.py:Run._to_the_end",
+        "problems/cones/test_cones.py::test_the_answer_is_in_the_cone_where_a_diagonal_cancels",
     ),
     Mechanism(
         "cone interior",
         "an interior point along the central path of contacts",
-        {f"{CONES}.solving:ConeAuto._stages": without("interior_point")},
-        "problems/cones/methods.py:InteriorPoint problems/cones/central_path.py",
+        {f"{CONES}.solving:Run._follow": skipped()},
+        "problems/cones/solving.py:Run._follow",
         "problems/cones/test_cones.py::test_the_central_path_spares_starts_at_random",
-    ),
-    Mechanism(
-        "cone restarts",
-        "Newton from starts moved at random",
-        {
-            f"{CONES}.solving:ConeAuto._stages": yielding(
-                lambda _, one: not getattr(one.algorithm, "seed", 0)
-            )
-        },
     ),
     Mechanism(
         "cone proofs",
         "a conic program looks for a proof that there is no answer",
-        {f"{CONES}.solving:ConeAuto._stages": without("infeasibility")},
-        "problems/cones/infeasibility.py",
-    ),
-    Mechanism(
-        "cone floor",
-        "small problems at the limit of rounding end where the compiled loop has left them",
-        {f"{CONES}.solving:_at_rounding_level": says(None)},
-        "problems/cones/solving.py:_at_rounding_level",
-        "problems/cones/test_cones.py::test_what_rounding_limits_ends_after_one_look",
+        {f"{CONES}.solving:Run._prove": skipped()},
+        "problems/cones/infeasibility.py problems/cones/solving.py:Run._prove",
     ),
     Mechanism(
         "components of cones",
         "components that a common run leaves open, each alone",
-        {f"{CONES}.solving:_solved_apart": Instead(lambda old: lambda together, *_: together)},
-        "problems/cones/solving.py:_solved_apart problems/cones/solving.py:_open_components",
+        {f"{CONES}.solving:Run._solve_components": skipped()},
+        "problems/cones/solving.py:Run._solve_components",
     ),
     Mechanism(
         "last step of cones",
-        "the linear system of the cases that a run found",
+        "the linear system of the active set that a run found",
         {
-            f"{CONES}.solving:ConeJudge.final": Instead(
-                lambda old: lambda self, z, *_: self.certificate_of(z)
+            f"{CONES}.solving:polished": Instead(
+                lambda old: lambda stack, z: (z, stack.measured(z)[2])
             )
         },
-        "problems/cones/solving.py:ConeJudge.final",
+        "problems/cones/newton.py:polished",
         "problems/cones/test_cones.py::test_a_run_ends_with_the_linear_system_of_its_cases",
     ),
     # --- nonlinear

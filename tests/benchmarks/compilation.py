@@ -28,6 +28,8 @@ TARGETS = {
     "least squares": 7,
     "nonlinear": 9,
     "game": 5,
+    "contact": 4,
+    "pile": 4,
     "warm-up": 40,
 }
 WHAT = {
@@ -39,6 +41,8 @@ WHAT = {
     "least squares": "least squares",
     "nonlinear": "nonlinear",
     "game": "bimatrix game",
+    "contact": "one contact",
+    "pile": "bodies, with a start",
     "warm-up": "warm-up",
 }
 

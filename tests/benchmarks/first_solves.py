@@ -88,6 +88,22 @@ def _nonlinear() -> None:
     solve_nonlinear(NonlinearProblem(lambda x: M @ x + x**3 - 1.0), [1.0, 1.0]).require_solved()
 
 
+def _contact() -> None:
+    from lcp_plugin import FrictionalContact, solve
+
+    solve(FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5)).require_solved()
+
+
+def _pile() -> None:
+    from lcp_plugin import FrictionalContact, solve
+
+    along = np.tile(np.eye(3), (10, 4))  # ten bodies of four contacts each, on the ground
+    rows = np.kron(np.eye(10), along[:12, :3]).reshape(40, 3, 30)
+    bodies = np.eye(30), rows[:, 2], rows[:, :2]
+    velocities = np.tile([0.3, 0.0, -1.0], 10)
+    solve(FrictionalContact(bodies, velocities, 0.5), z0=np.ones(120)).require_solved()
+
+
 SOLVES: dict[str, Callable[[], None]] = {
     "ten": _ten,
     "string": _string,
@@ -97,6 +113,8 @@ SOLVES: dict[str, Callable[[], None]] = {
     "least squares": _least_squares,
     "nonlinear": _nonlinear,
     "game": _game,
+    "contact": _contact,
+    "pile": _pile,
 }
 
 

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import read_only, real_array
+from ...core.checks import real_array
 from ...core.errors import InvalidOption
+from ...core.settings import Status
 from ..cones.frictional_contact import FrictionalContactBatch
-from ..cones.methods import SWEEPS_A_STEP
-from ..cones.small import LARGEST, LoopAnswers, run_loop
 from ..cones.solving import ConeResult
+from ..cones.stack import ConeStack, Pattern
 from ..contact import motion_of
 from .batch_run import ComplementarityAnswers
-from .mixed_batch import MixedRun
+from .mixed_batch import DENSE_UP_TO, MixedRun
+
+TOGETHER = 2048  # worlds in one stack: fewer cost more calls, more fill no second thread
+
+
+def stack_of_worlds(W: Any, b: Any, friction: Any, dimension: int) -> ConeStack:
+    """Return worlds of the same number of contacts, shapes (B, n, n), (B, n) and (B, k), as a stack."""
+    starts = np.arange(0, b.shape[1] + 1, dimension, dtype=np.int64)
+    with np.errstate(all="ignore"):
+        none = np.zeros((1, b.shape[1]))
+        return ConeStack(Pattern(W, starts), b, friction, none, none, has_friction=True)
 
 
 class ContactBatchRun(MixedRun):
@@ -46,30 +55,32 @@ class ContactBatchRun(MixedRun):
         self.start = np.zeros(worlds.b.shape) if z0 is None else _checked_starts(z0, worlds)
         self.z, self.iterations = self.start.copy(), np.zeros(len(worlds), np.int64)
         self.z[[*self.errors]] = np.nan
+        self.is_kept = np.zeros(len(worlds), np.bool_)
 
     def _answers(self) -> ContactBatchResult:
         return ContactBatchResult(self)
 
-    def _loops(self) -> Iterator[tuple[Any, LoopAnswers]]:
+    def _solve_compiled(self) -> None:
         worlds = self.worlds
-        if not (len(worlds) and 0 < worlds.n <= LARGEST):
+        if not (self.is_plain and 0 < worlds.n <= DENSE_UP_TO):
             return
-        starts = read_only(np.arange(0, worlds.n + 1, worlds.dimension, dtype=np.int64))
-        none, origins = np.full(worlds.b.shape, np.inf), np.zeros(worlds.b.shape)
-        arrays = (worlds.W, worlds.b, *map(read_only, (-none, none, origins)), worlds.friction)
-        found = run_loop(
-            starts,
-            arrays,
-            self.start.copy(),
-            self.settings,
-            self._in_chunks,
-            has_friction=True,
-            is_warm=self.is_warm,
-        )
-        items = np.flatnonzero(found.is_proved & self.is_open)
-        self.z[items], self.residual[items] = found.z[items], found.residual[items]
-        self.iterations[items] = found.made[items, 0] // SWEEPS_A_STEP + found.made[items, 1]
-        yield np.arange(len(worlds)), found
+
+        def solve_blocks(first: int, end: int) -> None:
+            for own in (slice(TOGETHER * k, TOGETHER * (k + 1)) for k in range(first, end)):
+                arrays = worlds.W[own], worlds.b[own], worlds.friction[own]
+                stack = stack_of_worlds(*arrays, worlds.dimension)
+                start, items = stack.pattern.wide(self.start[own]), np.arange(len(worlds))[own]
+                self._take(items, stack, start, is_warm=self.is_warm)
+
+        self._in_chunks(solve_blocks, -(-len(worlds) // TOGETHER))
+        self.is_open &= self.status != Status.SOLVED
+
+    def _keep(self, items: Any, z: Any, iterations: Any) -> None:
+        self.z[items], self.iterations[items], self.is_kept[items] = z, iterations, True
+
+    def _kept(self, k: int) -> tuple[Any, int] | None:
+        z = self.z[k, : self.problems[k].n]
+        return (z, int(self.iterations[k])) if self.is_kept[k] else None
 
     def _start(self, k: int) -> dict[str, Any]:
         return {"z0": self.start[k, : self.problems[k].n]} if self.is_warm else {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +12,32 @@ from ...api import solve
 from ...core.errors import LCPError
 from ...core.settings import Status
 from ...core.solving.answer import Answer
-from ..cones.small import LoopAnswers, groups_of, solve_small
-from ..cones.solving import result_of as result_of_small
+from ..cones.data import Blocks
+from ..cones.solving import result_of, solve_stack
+from ..cones.stack import ConeStack, Pattern
 from .batch_run import BatchAnswers, BatchLoop
+
+DENSE_UP_TO = 400  # rows of a problem in a stack
+
+
+def groups_of(problems: Sequence[object]) -> list[Any]:
+    """Return which problems may form a stack: small ones, over the same blocks."""
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for k, problem in enumerate(problems):
+        if isinstance(problem, Blocks) and 0 < problem.n <= DENSE_UP_TO:
+            alike.setdefault((problem.has_friction, problem.starts.tobytes()), []).append(k)
+    return [np.array(members) for members in alike.values()]
+
+
+def stacked(problems: Sequence[Blocks]) -> ConeStack:
+    """Return problems over the same blocks as a stack."""
+    matrices = [one.rows.M for one in problems]
+    M = np.stack([one if isinstance(one, np.ndarray) else one.toarray() for one in matrices])
+    names = ("q", "slope", "lower", "upper")
+    arrays = (np.stack([getattr(one, name) for one in problems]) for name in names)
+    with np.errstate(all="ignore"):
+        pattern = Pattern(M, problems[0].starts)
+        return ConeStack(pattern, *arrays, has_friction=problems[0].has_friction)
 
 
 class MixedRun(BatchLoop):
@@ -41,34 +64,43 @@ class MixedRun(BatchLoop):
         super().__init__(len(problems), "auto", others, errors or {}, threads=threads, limit=limit)
         self.problems = problems
         self.results: dict[int, Answer] = {}
-        self.compiled: dict[
-            int, tuple[LoopAnswers, int]
-        ] = {}  # what was found of its group, and its place
+        self.together: dict[int, tuple[Any, int]] = {}  # points and iterations
 
     def _answers(self) -> Any:
         return AnswerList(self, self.result_of)
 
-    def _solve_compiled(self) -> None:
-        if self.named or self.wishes.keys() - {"tolerance", "prove_infeasibility"}:
-            return  # a start or an algorithm of the caller's
-        for group, found in self._loops():
-            places = np.flatnonzero(found.is_proved & self.is_open[group])
-            items = group[places]
-            self.compiled.update(
-                (k, (found, place))
-                for k, place in zip(items.tolist(), places.tolist(), strict=True)
-            )
-            self.status[items], self.is_open[items] = Status.SOLVED, False
+    @property
+    def is_plain(self) -> bool:
+        """Whether the user leaves algorithm, start and limits to a stack."""
+        return not (self.named or self.wishes.keys() - {"tolerance", "prove_infeasibility"})
 
-    def _loops(self) -> Iterator[tuple[Any, LoopAnswers]]:
-        """Yield what the compiled loop makes of the items of each group."""
-        for group in groups_of(self.problems):
-            yield (
-                group,
-                solve_small(
-                    [self.problems[k] for k in group.tolist()], self.settings, self._in_chunks
-                ),
-            )
+    def _solve_compiled(self) -> None:
+        for group in groups_of(self.problems) if self.is_plain else ():
+            if self.has_time:
+                stack = stacked([self.problems[k] for k in group.tolist()])
+                self._take(group, stack, stack.origin)
+        self.is_open &= self.status != Status.SOLVED
+
+    def _take(self, items: Any, stack: ConeStack, start: Any, *, is_warm: bool = False) -> None:
+        """Write what a stack makes of these items, if it solves them."""
+        found = solve_stack(
+            stack, start, self.settings.tolerance, lambda: self.has_time, is_warm=is_warm
+        )
+        z, residual, iterations, is_solved = found
+        is_solved &= self.is_open[items]
+        self._keep(items[is_solved], stack.pattern.flat(z)[is_solved], iterations[is_solved])
+        self.residual[items[is_solved]] = residual[is_solved]
+        self.status[items[is_solved]] = Status.SOLVED
+
+    def _keep(self, items: Any, z: Any, iterations: Any) -> None:
+        """Keep points and iterations of items that a stack has solved."""
+        self.together.update(
+            zip(items.tolist(), zip(z, iterations.tolist(), strict=True), strict=True)
+        )
+
+    def _kept(self, k: int) -> tuple[Any, int] | None:
+        """Return the point and the iterations of an item that a stack has solved."""
+        return self.together.get(k)
 
     def _start(self, k: int) -> dict[str, Any]:
         """Return z0=, where there is one."""
@@ -81,15 +113,9 @@ class MixedRun(BatchLoop):
 
     def result_of(self, k: int) -> Any:
         """Return the answer to problem k, which has no error; one that was not begun has what its start has."""
-        if k in self.compiled:
-            problem, (found, place), share = (
-                self.problems[k],
-                self.compiled[k],
-                self.seconds / len(self.problems),
-            )
-            return result_of_small(
-                problem, found._replace(z=found.z[:, : problem.n]), place, self.settings, share
-            )
+        if k not in self.results and (kept := self._kept(k)) is not None:
+            share = self.seconds / len(self.problems)
+            return result_of(self.problems[k], *kept, self.settings, share)
         if k not in self.results:
             found = solve(
                 self.problems[k], **self._start(k), **self.named, **self.wishes, max_seconds=0.0

@@ -12,108 +12,89 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import FloatVector
-from ...systems.factors import factor_fits, factorise
-from .data import Blocks
+from .newton import factorized
+from .stack import TINY, ConeStack, length
 
 Cones = NDArray[np.float64]  # shape (k, d)
 
-LEAST_SLOPE = 1e-3  # of the cones that the path is in: Newton's steps have the caller's
+LEAST_SLOPE = 1e-3  # of the cones that the path is in: Newton's steps have the user's
 TO_THE_BOUNDARY = 0.9
-SHORT, CENTRED = (
-    0.1,
-    (0.5, 0.9),
-)  # a step that is no longer goes to the path instead, to these parts of σ
+SHORT, CENTRED = 0.1, (0.5, 0.9)  # a shorter step goes to the path instead, to these parts of σ
 
 
 class CentralPath:
-    """The point x, y on its way, each of shape (k, d), of a problem with one pattern for the rows of a block of M."""
+    """The point x, y on its way, each of shape (k, d), of one contact problem.
 
-    @np.errstate(all="ignore")
-    def __init__(self, problem: Blocks, M: Any) -> None:
-        self.problem, self.M = problem, M
-        k, d = problem.slope.size, int(problem.sizes.max(initial=1))
-        self.slope = np.maximum(problem.slope, LEAST_SLOPE)
-        self.scale = np.ones((k, d))
+    Parameters
+    ----------
+    stack : ConeStack
+        Of one problem.
+    z : array, shape (1, k, d)
+        A point near which the path begins; from nothing if it is 0.
+    share : float
+        How far from z, relative to the largest velocity.
+    """
+
+    def __init__(self, stack: ConeStack, z: Any, share: float) -> None:
+        self.stack, self.slope = stack, np.maximum(stack.mu[0], LEAST_SLOPE)
+        self.scale = np.ones((stack.k, stack.m))
         self.scale[:, 0] = self.slope
-        speed = float(np.abs(problem.q.reshape(k, d) / self.scale).max(initial=0.0)) or 1.0
-        self.x, self.y = np.zeros((k, d)), np.zeros((k, d))
-        self.x[:, 0], self.y[:, 0] = speed / np.median(problem.scale), speed
-        self.identity, self.entries = (
-            np.broadcast_to(np.eye(d), (k, d, d)).copy(),
-            np.empty(self.M.nnz),
-        )
+        speed = float(np.abs(stack.q[0] / self.scale).max(initial=0.0)) or 1.0
+        self.x, self.y = self.scale * z[0], np.zeros_like(self.scale)
+        d: Any = np.median(stack.d[0]) if stack.k else 1.0
+        if z.any():
+            self.y, d = stack.slack(z)[0], stack.d[0]
+            self.y[:, 0] = np.maximum(self.y[:, 0], 0.0) / self.slope + length(self.y[:, 1:])
+        self.x[:, 0] += share * speed / d
+        self.y[:, 0] += share * speed
 
     @property
-    def point(self) -> FloatVector:
-        """Impulses in the caller's cones, shape (n,)."""
-        return self.problem.projected((self.x / self.scale).ravel())
+    def point(self) -> Any:
+        """Impulses in the user's cones, shape (1, k, d)."""
+        return self.stack.projected((self.x / self.scale)[None])
 
-    @np.errstate(all="ignore")
-    def step(self) -> float | None:
-        """Take a step; return its work in products with M, and None where none is possible."""
-        from .kernels import newton_rows
-
-        x, y, scale, M = self.x, self.y, self.scale, self.M
+    def step(self) -> float:
+        """Take a step; return its work in products with M, 0 if none is possible."""
+        x, y, scale, stack = self.x, self.y, self.scale, self.stack
         H, root = scaling(x, y)
-        slip = (
-            y[:, 1:] / np.maximum(np.linalg.norm(y[:, 1:], axis=1), np.finfo(float).tiny)[:, None]
-        )
-        G = self.identity.copy()
-        G[:, 0, 1:] -= self.slope[:, None] * slip
-        left = apply(G, scale * y).ravel() - M @ (x / scale).ravel() - self.problem.q
-        by_z = np.einsum("kia,ka,kab,kb->kib", G, scale, H, scale)
+        eye = np.eye(stack.m)
+        G = np.tile(eye, (stack.k, 1, 1))
+        G[:, 0, 1:] -= self.slope[:, None] * y[:, 1:] / np.maximum(length(y[:, 1:]), TINY)[:, None]
+        left = apply(G, scale * y) - stack.slack((x / scale)[None])[0]
+        by_z = G * scale[:, None] @ H * scale[:, None]
         if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
-            return None
-        indptr, indices = np.empty_like(M.indptr), np.empty_like(M.indices)
-        newton_rows(
-            self.problem.starts,
-            by_z,
-            self.identity,
-            M.indptr,
-            M.indices,
-            M.data,
-            np.zeros(len(x)),
-            np.arange(x.size),
-            indptr,
-            indices,
-            self.entries,
-        )
-        J = sp.csr_array((self.entries, indices, indptr), shape=M.shape)
-        factor = factorise(J, has_symmetric_pattern=True) if factor_fits(J) else None
-        if factor is None:
-            return None
+            return 0.0
+        try:
+            factors = factorized(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
 
-        def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
-            """Return the changes of x and y with H dx + dy = c that take a share of what is left of the motion."""
-            right = share * left + apply(G, scale * c).ravel()
-            dx = factor.solve(right).reshape(x.shape) * scale
-            return dx, c - apply(H, dx)
+            def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
+                """Return the changes of x and y with H dx + dy = c that take a share of what is left."""
+                dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
+                return dx, c - apply(H, dx)
 
-        dx, dy = direction(-y)
-        length = min(1.0, longest(x, dx), longest(y, dy))
-        mean = float((x * y).sum()) / len(x)
-        after = float(((x + length * dx) * (y + length * dy)).sum()) / len(x)
-        at, moved = apply(root, x), apply(root, dx)
-        right = product(moved, at + moved) - product(
-            at, at
-        )  # root⁻¹ y = at, and root⁻¹ dy = −at − moved
-        right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
-        dx, dy = direction(apply(root, quotient(right, at)))
-        length = TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy))
-        for sigma in CENTRED if length < SHORT else ():
-            right = -product(at, at)
-            right[:, 0] += sigma * mean
-            centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
-            further = TO_THE_BOUNDARY * min(longest(x, centring[0]), longest(y, centring[1]))
-            if further > length:
-                (dx, dy), length = centring, further
-        length = min(1.0, length)
-        self.x, self.y = x + length * dx, y + length * dy
-        return (factor.work + 2.0 * factor.solve_work) / max(self.problem.nonzeros, 1) + 1.0
+            dx, dy = direction(-y)
+            t = min(1.0, longest(x, dx), longest(y, dy))
+            mean = float((x * y).sum()) / len(x)
+            after = float(((x + t * dx) * (y + t * dy)).sum()) / len(x)
+            at, moved = apply(root, x), apply(root, dx)
+            right = product(moved, at + moved) - product(at, at)
+            right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
+            dx, dy = direction(apply(root, quotient(right, at)))
+            t = TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy))
+            for sigma in CENTRED if t < SHORT else ():
+                right = -product(at, at)
+                right[:, 0] += sigma * mean
+                centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
+                further = TO_THE_BOUNDARY * min(longest(x, centring[0]), longest(y, centring[1]))
+                if further > t:
+                    (dx, dy), t = centring, further
+        except np.linalg.LinAlgError:
+            return 0.0
+        self.x, self.y = x + min(1.0, t) * dx, y + min(1.0, t) * dy
+        return 2.0 + factors.entries / max(stack.pattern.nonzeros, 1)
 
 
 def apply(blocks: NDArray[np.float64], x: Cones) -> Cones:

@@ -1,237 +1,244 @@
-"""How wrong a z is for a problem over cones: the criterion of an LCP, block by block.
+"""The stopping criterion over cones: that of an LCP, block by block, for one problem or a stack.
 
-The residual of a block is the natural map R_k(z) = z_k − P_K(z_k − ŵ_k / d_k), ŵ = w + μ‖w_T‖ e_N with friction, w
-without, and its size is ‖R_k‖₂. Scales d_k, scaling and components are those of the LCP of block norms
-(:attr:`~lcp_plugin.problems.cones.data.Blocks.block_norms`), d_k = ‖M_kk‖/√m of m rows, which nothing cancels: so
-SOLVED asks for z in K, ‖R̂_k(z)‖ ≤ tolerance · ‖R̂_P(z°)‖ in every component P, z° the point of K nearest to 0, and for
-every block to be right beside its own terms, ‖|q_k| + Σ |m_ij z_j|‖, to √tolerance, or negligible beside what acts
-(:func:`~lcp_plugin.problems.cones.kernels.own_terms`).
+The point is snapped first: a block whose projection is the apex, or a bound, is put there, and w computed again. The
+residual of a block is ‖R_k‖₂ of the natural map R_k(z) = z_k − P_K(z_k − ŵ_k/d_k). SOLVED asks for
+
+    ‖R_k(z)‖ ≤ tolerance · ref_P in every connected component P, rounding included,
+    d_k ‖R_k‖ ≤ tolerance^(3/4) T_k  and  d_k ‖R_k‖ ≤ tolerance^(1/4) a_k  of every block,
+
+ref_P the smaller of the largest ‖R_k(z°)‖, z° the point of K nearest to 0, and the largest T_k/d_k of the blocks that
+act; T_k = ‖|q_k| + Σ |m_ij z_j|‖; a_k what the slack at z° asks of the block or of its neighbours,
+of contacts what it asks of their component. A block with q_k = 0
+is excused where its residual, or its terms, are rounding relative to the component.
 
 Rounding is enclosed: with |w − w̃|_i ≤ ρ_i, projections being nonexpansive, ‖R_k‖ is off by no more than
-(1 + μ)‖ρ_k‖ / d_k, and what the projection itself rounds is at most 8 (m + 10) u (1 + μ)(‖z_k‖ + (1 + μ)‖w_k‖ / d_k), m
-rows, u = 2⁻⁵³.
+(1 + μ)‖ρ_k‖ / d_k, and by the rounding of the projection, at most 4 (m + 8) u (1 + μ)(‖z_k‖ + (1 + μ)‖w_k‖ / d_k).
 """
 
 from __future__ import annotations
 
-from fractions import Fraction
+from copy import copy
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy.sparse as sp
 
-from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components
-from ...core.certificates.residuals import GAINED, Certificate
-from ...core.certificates.row_residuals import over, rounding_floor
 from ...core.checks import FloatVector, read_only
-from ...core.lcp import LCP
-from ...core.matrix.structure import connected_components
-from ...core.rounding import compensated_product, fresh_copies, read_only_views
+from ...core.rounding import compensated_product
 from .data import Blocks
+from .stack import NOISE, OUT, WITHIN, Array, ConeStack, length
+
+UNIT = 2.0**-53
+EXCUSED = 2.0**-50  # of the terms that act, or of d ‖z_P‖: a residual of a block with q_k = 0
+SMALL = 1e-2  # of the reference: a larger residual is not called limited by rounding
 
 
-class ConeCertificate(Certificate):
+class Measures:
+    """How far points are from solving the problems of a stack.
+
+    Parameters
+    ----------
+    stack : ConeStack
+    z : array, shape (B, k, m)
+        Points of the cones.
+    w, error : array, shape (B, k, m), optional
+        The slack of z, and a bound of its rounding error.
+
+    Attributes
+    ----------
+    z, w : array, shape (B, k, m)
+        The snapped points, which are those that are measured, and their slack.
+    sizes, rounding : array, shape (B, k)
+        ‖R_k‖, and a bound of its rounding error.
+    relative, terms : array, shape (B, k)
+        (‖R_k‖ + rounding) / ref_P, and the larger of (d ‖R_k‖ / T_k)^(4/3) and (d ‖R_k‖ / a_k)⁴.
+    """
+
+    def __init__(self, stack: ConeStack, z: Array, w: Array = None, error: Array = None) -> None:
+        pattern, mu, d = stack.pattern, stack.mu, stack.d
+        w = stack.slack(z) if w is None else w
+        R, case, *_ = stack.residual(z, w)
+        if ((case == OUT)[..., None] & (R != 0.0)).any():
+            z = np.where((case == OUT)[..., None], z - R, z)
+            w, error = stack.slack(z), None
+            R, case, *_ = stack.residual(z, w)
+        products, q = pattern.times(z, absolute=True), np.abs(stack.q)
+        if error is None:
+            error = (pattern.most_terms + 2) * UNIT * np.where(products > 0.0, products + q, 0.0)
+        self.stack, self.z, self.w, self.sizes = stack, z, w, length(R)
+        at, slip, wide, own = length(z), length(w), length(error), self.sizes
+        stretch = 1.0 + mu if stack.has_friction else 1.0
+        inside = 0.5 * (mu * z[..., 0] - length(z[..., 1:])) / (1.0 + mu)
+        is_inner = (case == WITHIN) & (own < inside)
+        pushed = stretch * slip
+        is_open = (case == OUT) & (at == 0.0)
+        if stack.has_friction:
+            pushed = np.where(case == WITHIN, pushed, np.abs(w[..., 0]))
+            is_open &= w[..., 0] >= error[..., 0]
+        else:
+            is_open &= w[..., 0] - error[..., 0] >= mu * (length(w[..., 1:]) + wide)
+        off = np.where(is_inner, 0.0, at) + (pushed + stretch * wide) / d
+        off *= np.where(case == OUT, 0.0, 4.0 * (pattern.sizes + 8.0) * UNIT * (1.0 + mu))
+        off += stretch * wide / d
+        if stack.low is not None:
+            step, error, is_row = w[..., 0], error[..., 0], pattern.is_row
+            is_held = (z[..., 0] == stack.low) & (step >= error)
+            is_held |= (z[..., 0] == stack.high) & (step <= -error)
+            off = np.where(is_row, (error + 4.0 * UNIT * np.abs(step)) / d, off)
+            is_open = np.where(is_row, is_held, is_open)
+        self.rounding = np.where(is_open, 0.0, off)
+        terms = length(products + q)
+        wrong = d * own
+        acting = pattern.largest(np.where((case != OUT) | (wrong > 0.0), terms / d, 0.0))
+        self.reference = np.where(stack.is_answered, 0.0, np.minimum(stack.reference, acting))
+        self.relative = _ratio(own + self.rounding, self.reference)
+        self.relative[~np.isfinite(stack.reference)] = np.inf
+        limits = _ratio(wrong, terms) ** (4.0 / 3.0)
+        is_wrong = ~(wrong <= NOISE * terms)
+        if is_wrong.any():
+            limits = np.maximum(
+                limits, np.where(stack.asks > 0.0, _ratio(wrong, stack.asks), 0.0) ** 4
+            )
+            acts = pattern.largest(np.where((case != OUT) | (wrong > 0.0), terms, 0.0))
+            size = np.minimum(d * pattern.largest(at), acts)
+            is_small, has_q = terms <= NOISE * size, q.any(-1)
+            is_alone = pattern.largest((is_small & has_q).astype(np.float64)) == 0.0
+            is_excused = ~has_q & ((wrong <= EXCUSED * size) | (is_small & is_alone))
+            is_wrong &= ~is_excused
+        self.terms = np.where(is_wrong, limits, 0.0)
+
+    def pass_at(self, tolerance: float, absolute: float = 0.0) -> Array:
+        """Return whether each point is SOLVED, shape (B,)."""
+        most = self.sizes + self.rounding
+        is_close = (self.relative <= tolerance) | (most <= absolute)
+        is_right = (self.terms <= tolerance) | (most <= absolute)
+        return (is_close & is_right).all(1) & np.isfinite(self.w).all((1, 2))
+
+    def are_limited(self, tolerance: float) -> Array:
+        """Return whether rounding explains the residuals that exceed the tolerance, shape (B,)."""
+        is_small = (self.relative <= SMALL) | (self.reference == 0.0)
+        passes = (self.relative <= tolerance) & (self.terms <= tolerance)
+        return (passes | ((self.sizes <= self.rounding) & is_small)).all(1)
+
+    def worst(self) -> Array:
+        """Return the largest relative residual of each problem, shape (B,)."""
+        return self.relative.max(1, initial=0.0)
+
+
+def _ratio(values: Array, sizes: Array) -> Array:
+    """Return values / sizes, 0 for 0/0; a NaN is ∞."""
+    found = np.where(values == 0.0, 0.0, values / sizes)
+    return np.where(np.isnan(found), np.inf, found)
+
+
+def measured(stack: ConeStack, z: Array, tolerance: float, absolute: float = 0.0) -> Measures:
+    """Return the measures of points of the cones; of one problem with sums of twice the precision if that decides."""
+    with np.errstate(all="ignore"):
+        found = Measures(stack, z)
+        excess = found.sizes > np.maximum(tolerance * found.reference, absolute)
+        if stack.B > 1 or found.pass_at(tolerance, absolute)[0] or excess.any():
+            return found
+        pattern = stack.pattern
+        M = pattern.M if pattern.is_sparse else sp.csr_array(pattern.M[0])
+        x, q = (np.ascontiguousarray(pattern.flat(one)[0]) for one in (found.z, stack.q))
+        w, error = (pattern.wide(one[None]) for one in compensated_product(M, x, q))
+        return Measures(stack, found.z, w, error)
+
+
+class ConeCertificate:
     """Every measure of how far a point is from solving a problem over cones.
 
     Attributes
     ----------
-    problem : LCP
-        Of block norms, whose rows are blocks: `worst_index` is the number of a block.
-    cones : Blocks
-        The problem.
-    point : ndarray, shape (n,)
-        z.
-    velocity : ndarray, shape (n,)
-        w = M z + q.
+    problem : Blocks
+        The problem that the point was measured on.
+    point, velocity : ndarray, shape (n,)
+        z and w = M z + q.
+    relative_residual : float
+        The largest ‖R_k‖ relative to the reference of its component, rounded upwards.
+    term_residual : float
+        The largest of (d_k ‖R_k‖ / T_k)^(4/3) and (d_k ‖R_k‖ / a_k)⁴ of all blocks; see the module.
+    worst_index : int
+        The block of the largest relative residual; −1 without blocks.
     """
 
     is_linearised: ClassVar[bool] = True  # its rows are not those of an LCP
-    cones: Blocks
-    point: FloatVector
 
-    def __init__(self, cones: Blocks, point: FloatVector) -> None:
-        self.__dict__.update(cones=cones, point=point)
-
-    @classmethod
-    def at(cls, cones: Blocks, z: FloatVector) -> ConeCertificate:
-        """Return the certificate of z, shape (n,)."""
-        return cls(cones, read_only(np.array(z, dtype=np.float64)))
+    def __init__(self, problem: Blocks, measures: Measures) -> None:
+        self.problem, self.measures, pattern = problem, measures, measures.stack.pattern
+        self.point = read_only(pattern.flat(measures.z)[0].copy())
+        self.velocity = read_only(pattern.flat(measures.w)[0].copy())
 
     @classmethod
-    def proved(cls, cones: Blocks, z: FloatVector, relative_residual: float) -> ConeCertificate:
-        """Return the certificate of a z, shape (n,), whose relative residual a kernel has enclosed."""
-        certificate = cls(cones, read_only(z))
-        certificate.__dict__["relative_residual"] = relative_residual
-        return certificate
+    def at(cls, problem: Blocks, z: FloatVector, tolerance: float = 1e-8) -> ConeCertificate:
+        """Return the certificate of a point of the cones, shape (n,)."""
+        stack = ConeStack.of(problem)
+        return cls(problem, measured(stack, stack.pattern.wide(np.array(z)[None]), tolerance))
 
-    @cached_property
-    def problem(self) -> LCP:
-        """The LCP of block norms."""
-        return self.cones.block_norms
-
-    @cached_property
+    @property
     def z(self) -> FloatVector:
-        """Norms of z of each block, shape (k,)."""
-        return read_only(self.cones.norms(self.point))
-
-    @cached_property
-    def _product(self) -> tuple[FloatVector, FloatVector]:
-        with np.errstate(all="ignore"):
-            w, slip = compensated_product(self.cones.rows.csr, self.point, self.cones.q)
-        return read_only(w), slip
+        """The point, shape (n,)."""
+        return self.point
 
     @property
-    def velocity(self) -> FloatVector:
-        """W = M z + q, shape (n,)."""
-        return self._product[0]
-
-    @cached_property
     def w(self) -> FloatVector:
-        """Norms of the slack of each block, shape (k,)."""
-        return read_only(self.cones.norms(self.velocity))
+        """Its slack, shape (n,)."""
+        return self.velocity
 
     @property
-    def references(self) -> VectorEnds:
-        """Bounds of ‖R_P(z°)‖ of each component, shape (components,) each."""
-        return criterion_of(self.cones).references
+    def relative_residual(self) -> float:
+        """The largest ‖R_k‖ relative to the reference of its component."""
+        return float(self.measures.worst()[0])
 
-    def _ends(self, scale: FloatVector) -> VectorEnds:
-        """Return bounds of every ‖R_k‖."""
-        from .kernels import bounds
+    @property
+    def term_residual(self) -> float:
+        """The largest residual of a block relative to its own terms."""
+        return float(self.measures.terms.max(initial=0.0))
 
-        cones, (w, slip) = self.cones, self._product
-        least, most = np.empty((2, cones.slope.size))
-        bounds(*cones.arrays, *fresh_copies(self.point, w, slip, scale), least, most)
-        if not cones.has_friction:  # 0 and a slack on the boundary of the dual cone, exactly
-            for k in np.flatnonzero(
-                (most > 0.0) & (self.z == 0.0) & (cones.sizes > 1) & (cones.norms(slip) == 0.0)
-            ):
-                own = [
-                    Fraction(value) for value in w[cones.starts[k] : cones.starts[k + 1]].tolist()
-                ]
-                most[k] *= own[0] < 0 or own[0] ** 2 < sum(value**2 for value in own[1:])
-        return least, most
+    @property
+    def worst_index(self) -> int:
+        """The block of the largest relative residual; −1 without blocks."""
+        relative = self.measures.relative[0]
+        return int(np.argmax(relative)) if relative.size else -1
 
-    def _sharp_ends(self) -> FloatVector:
-        """Return the bounds in components that z° solves, where only what is exactly 0 will do."""
-        return self._scaled_ends[1]
+    @property
+    def scaled_residual(self) -> float:
+        """‖R_k‖ of that block, in the unit of z."""
+        return float(self.measures.sizes[0, self.worst_index]) if self.point.size else 0.0
 
-    @cached_property
-    def term_residuals(self) -> FloatVector:
-        """How wrong each block is beside its own terms, squared, shape (k,): 0 where its residual is 0."""
-        from .kernels import term_residuals
-
-        cones, several = self.cones, connected_components(self.problem.matrix)
-        M, wrong = cones.rows.csr, np.empty(cones.slope.size)
-        labels = np.zeros(wrong.size, np.int64) if several is None else several.labels
-        vectors = fresh_copies(cones.scale, labels, self.point, self.velocity)
-        of_rows = *fresh_copies(M.indptr, M.indices, M.data), *read_only_views(cones.q)
-        term_residuals(*cones.arrays, *of_rows, *vectors, wrong)
-        return np.where(self._scaled_ends[1] == 0.0, 0.0, wrong)
-
-    @cached_property
-    def _worst(self) -> tuple[float, int]:
-        """The largest residual beside its component's reference, in the unit of z, and its block."""
-        ends = self._scaled_ends[1]
-        with np.errstate(all="ignore"):
-            shares = np.where(ends > 0.0, ends * criterion_of(self.cones).weights, 0.0)
-            worst = int(np.argmax(shares)) if ends.size else -1
-        return (float(ends[worst]), worst) if ends.size else (0.0, -1)
-
-    @cached_property
-    def rounding_floor(self) -> FloatVector:
-        """What rounding alone can make of each block's residual, estimated, shape (k,)."""
-        return 4.0 * self.cones.sizes * rounding_floor(self.problem, self._terms, self._scale)
-
-    @cached_property
-    def is_limited_by_rounding(self) -> bool:
-        """True at that level, where the residual is small, or z° of its component may be an answer, too."""
-        is_small = over(*self.residuals_of_components) <= GAINED
-        return self.is_at_rounding_level and bool((is_small | (self.references[0] == 0.0)).all())
+    @property
+    def references(self) -> tuple[FloatVector, FloatVector]:
+        """The reference of each block's component, twice, shape (k,) each."""
+        return self.measures.reference[0], self.measures.reference[0]
 
     @cached_property
     def natural_residual(self) -> float:
         """The largest ‖z_k − P_K(z_k − ŵ_k)‖, unscaled."""
-        return float(self._natural.max(initial=0.0))
+        plain = copy(self.measures.stack)
+        plain.d = np.ones_like(plain.d)
+        with np.errstate(all="ignore"):
+            return float(
+                length(plain.residual(self.measures.z, self.measures.w)[0]).max(initial=0.0)
+            )
 
-    @cached_property
+    @property
     def dissipation(self) -> float:
         """−rᵀu of contacts, what friction would take at the last velocities; of others −zᵀw, their complementarity."""
         with np.errstate(all="ignore"):
             return float(-(self.point @ self.velocity))
 
-    @cached_property
+    @property
     def lost_energy(self) -> float:
         """−rᵀ(b + u)/2, the kinetic energy that impact and friction take: impulses r change velocities b to u."""
         with np.errstate(all="ignore"):
-            return float(-0.5 * (self.point @ (self.cones.q + self.velocity)))
+            return float(-0.5 * (self.point @ (self.problem.q + self.velocity)))
 
     def __str__(self) -> str:
-        lines: list[tuple[str, Any]] = [
+        lines = [
             ("relative residual", self.relative_residual),
             ("natural residual", self.natural_residual),
             ("term residual", self.term_residual),
             ("z · w", -self.dissipation),
         ]
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
-
-
-class Criterion(NamedTuple):
-    """What the residuals of a problem are compared with.
-
-    Attributes
-    ----------
-    references : pair of arrays, shape (components,) each
-        Bounds of ‖R_P(z°)‖ of each component.
-    scale : ndarray, shape (k,)
-        What w is divided by in each block's residual.
-    weights : ndarray, shape (k,)
-        Of each block's ‖R_k‖, so that they are beside the reference of their component; 0 where z° answers it.
-    answered : array of bool, shape (n,), or None
-        Rows of the components that z° answers; None where there are none.
-    """
-
-    references: VectorEnds
-    scale: FloatVector
-    weights: FloatVector
-    answered: NDArray[np.bool_] | None
-
-
-def criterion_of(cones: Blocks) -> Criterion:
-    """Return that of a problem, which keeps it."""
-    known: Criterion | None = cones.__dict__.get("_criterion")
-    if known is None:
-        known = cones.__dict__["_criterion"] = _criterion(cones)
-    return known
-
-
-def _criterion(cones: Blocks) -> Criterion:
-    norms, origin = cones.block_norms, ConeCertificate.at(cones, cones.nearest_to_zero)
-    scaling, scale = origin._scaling, origin._scale
-    least, most = origin._ends(scale)
-    if scaling is not None:
-        least, most = scaling.downwards(least), scaling.upwards(most)
-    references = largest_of_components(norms, least), largest_of_components(norms, most)
-    reference = np.broadcast_to(for_each_row(norms, references[1]), least.shape)
-    with np.errstate(all="ignore"):
-        weights = (1.0 if scaling is None else np.ldexp(1.0, -scaling.column)) / reference
-    is_answered = (reference == 0.0)[cones.block_of_row]
-    return Criterion(
-        references,
-        scale,
-        np.where(reference == 0.0, 0.0, weights),
-        is_answered if is_answered.any() else None,
-    )
-
-
-def relative_residual(cones: Blocks, z: FloatVector) -> float:
-    """Return ‖R(z)‖ of the worst block beside the reference of its component, as double precision gives it."""
-    return float(weighted(cones, cones.residual(z, cones.slack(z))[0]).max(initial=0.0))
-
-
-def weighted(cones: Blocks, residual: FloatVector) -> FloatVector:
-    """Return ‖R_k‖ of each block beside the reference of its component, shape (k,)."""
-    sizes = cones.norms(residual)
-    with np.errstate(all="ignore"):
-        return np.where(sizes == 0.0, 0.0, sizes * criterion_of(cones).weights)

@@ -7,7 +7,6 @@ in a cone {‖z_T‖ ≤ μ z_N}, whose dual is {w_N ≥ μ‖w_T‖}. Contact w
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
@@ -27,9 +26,8 @@ from ...core.checks import (
 )
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.lcp import LCP
-from ...core.matrix.matrix import Matrix, fact
 from ...core.representation import in_words
-from ...core.rounding import fresh_copies, read_only_views
+from .stack import ConeStack
 
 CONES = ("free", "nonnegative", "box", "second_order")
 NEED_CONES = (
@@ -56,7 +54,6 @@ class Blocks:
 
     origin: Any = None
     bodies: Any = None  # Bodies, behind contacts that are stated by them
-    criterion: None = None  # no program is behind it
 
     def __init__(
         self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: bool
@@ -68,7 +65,6 @@ class Blocks:
             has_friction,
         )
         self._facts: dict[Any, Any] = {}  # of M alone: problems that differ in q share them
-        self._lock = threading.RLock()
 
     @property
     def n(self) -> int:
@@ -89,11 +85,6 @@ class Blocks:
     def upper(self) -> FloatVector:
         """Upper bounds, shape (n,): ∞ in cones."""
         return self.rows.upper
-
-    @property
-    def matrix(self) -> Matrix:
-        """M with its facts."""
-        return self.rows.matrix
 
     @property
     def nonzeros(self) -> int:
@@ -119,61 +110,24 @@ class Blocks:
         """The block of each row, shape (n,)."""
         return np.repeat(np.arange(self.slope.size), self.sizes)
 
-    def norms(self, values: FloatVector) -> FloatVector:
-        """Return the Euclidean norm of each block, rounded upwards, shape (k,)."""
-        with np.errstate(all="ignore"):
-            largest = (
-                np.maximum.reduceat(np.abs(values), self.starts[:-1])
-                if values.size
-                else np.zeros(0)
-            )
-            shares = values / np.where(largest > 0.0, largest, 1.0)[self.block_of_row]
-            sums = np.add.reduceat(shares**2, self.starts[:-1]) if values.size else np.zeros(0)
-            norms: FloatVector = np.where(
-                (self.sizes > 1) & (largest < np.inf),
-                largest * np.sqrt(sums) * (1.0 + self.sizes * 2.0**-51),
-                largest,
-            )
-        return norms
-
-    @cached_property
-    def block_norms(self) -> LCP:
-        """The problem of norms by which scaling, components and scales are those of an LCP, shape (k, k).
-
-        Its entries are the Frobenius norms of the blocks of M, on the diagonal over √m, m rows, so that it is d for
-        d I; a row that is no cone keeps its diagonal entry. It has no bounds.
-        """
-        with np.errstate(all="ignore"):
-            sizes = np.minimum(self.norms(self.q), np.finfo(np.float64).max)
-        return LCP(_closed(self)[1], sizes, lower=-np.inf, upper=np.inf)
-
     @property
     def scale(self) -> FloatVector:
-        """What w is divided by in the residual of each block, in the caller's units, shape (k,)."""
-        return self.block_norms.residual_scale
+        """The d_k that w is divided by in the residual of each block, shape (k,)."""
+        scale: FloatVector = ConeStack.of(self).d[0]
+        return scale
 
-    def residual(
-        self, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
-    ) -> tuple[FloatVector, NDArray[np.int64]]:
-        """Return R = z − P_K(z − ŵ/d), shape (n,), and the case of each block, shape (k,): 0 out, 1 within, 2 on K."""
-        from .kernels import residuals
-
-        found, cases = np.empty(self.n), np.empty(self.slope.size, np.int64)
-        scale = self.scale if scale is None else scale
-        residuals(*self.arrays, *fresh_copies(z, w, scale), found, cases)
-        return found, cases
-
-    @property
-    def arrays(self) -> tuple[Any, ...]:
-        """What kernels need to know of the blocks, read-only: one signature for unpickled ones, too."""
-        starts, slope, lower, upper = read_only_views(
-            self.starts, self.slope, self.lower, self.upper
-        )
-        return starts, slope, float(self.has_friction), lower, upper
+    def residual(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, NDArray[np.int64]]:
+        """Return R = z − P_K(z − ŵ/d), shape (n,), and each projection: 0 apex or bound, 1 inside, 2 on K."""
+        stack = ConeStack.of(self)
+        wide = stack.pattern.wide
+        R, case, *_ = stack.residual(wide(z[None]), wide(w[None]))
+        return stack.pattern.flat(R)[0], case[0]
 
     def projected(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, shape (n,)."""
-        return z - self.residual(z, np.zeros(self.n), np.ones(self.slope.size))[0]
+        stack = ConeStack.of(self)
+        found: FloatVector = stack.pattern.flat(stack.projected(stack.pattern.wide(z[None])))[0]
+        return found
 
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:
         """Return the problem of some blocks alone, shape (k,): whole components, which no other block meets."""
@@ -185,7 +139,15 @@ class Blocks:
             upper=self.upper[rows],
         )
         starts = np.concatenate([[0], np.cumsum(self.sizes[blocks])])
-        return Blocks(own, starts, self.slope[blocks], has_friction=self.has_friction)
+        part = Blocks(own, starts, self.slope[blocks], has_friction=self.has_friction)
+        if self.bodies is not None:
+            mass, J = sp.csr_array(self.bodies.mass), sp.csr_array(self.bodies.rows)[rows]
+            has_contact, is_there = np.zeros(mass.shape[0], np.bool_), np.bincount(J.indices) > 0
+            has_contact[: is_there.size] = is_there
+            coupled = sp.csgraph.connected_components(mass, directed=False)[1]
+            columns = np.flatnonzero(np.isin(coupled, coupled[has_contact]))
+            part.bodies = type(self.bodies)(mass[columns][:, columns], J[:, columns], None)
+        return part
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to a ``.npz`` file, which ``load_problem(path)`` and ``lcp-plugin solve`` read.
@@ -213,11 +175,11 @@ class Blocks:
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
-        computed = ("block_norms", "_criterion", "_facts", "_lock", "sizes", "block_of_row")
+        computed = ("_facts", "sizes", "block_of_row")
         return {name: value for name, value in self.__dict__.items() if name not in computed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _facts={}, _lock=threading.RLock())
+        self.__dict__.update(state, _facts={})
 
     def _words(self) -> str:
         raise NotImplementedError
@@ -292,50 +254,10 @@ def with_other_q(problem: Any, q: ArrayLike, name: str) -> Any:
     """Return the problem with another q, shape (n,), of that name; what depends on M alone is shared."""
     other = object.__new__(type(problem))
     other.__dict__.update(problem.__dict__)
-    for computed in ("_criterion", "block_norms"):
-        other.__dict__.pop(computed, None)
     other.rows = problem.rows.with_q(
         checked_vector(q, name, problem.n), lower=problem.lower, upper=problem.upper
     )
     return other
-
-
-@fact
-def closed_matrix(problem: Blocks) -> Any:
-    """Return M as CSR with one pattern for the rows of a block, the block's own columns in it."""
-    return _closed(problem)[0]
-
-
-@fact
-def _closed(problem: Blocks) -> tuple[Any, Matrix]:
-    """Return the closed matrix, and that of the LCP of block norms."""
-    from .kernels import count_blocks, fill_blocks
-
-    M, n, k = problem.rows.csr, problem.n, problem.slope.size
-    index = M.indices.dtype
-    starts, indptr, indices, data = read_only_views(problem.starts, M.indptr, M.indices, M.data)
-    (of_row,) = fresh_copies(problem.block_of_row)
-    begins, closed_indptr = np.empty(k + 1, index), np.empty(n + 1, index)
-    count_blocks(starts, of_row, indptr, indices, begins, closed_indptr)
-    others, norms = np.empty(begins[-1], index), np.empty(begins[-1])
-    closed_indices, closed = np.empty(closed_indptr[-1], index), np.empty(closed_indptr[-1])
-    fill_blocks(
-        starts,
-        of_row,
-        indptr,
-        indices,
-        data,
-        begins,
-        others,
-        norms,
-        closed_indptr,
-        closed_indices,
-        closed,
-    )
-    return (
-        sp.csr_array((closed, closed_indices, closed_indptr), shape=(n, n)),
-        Matrix(sp.csr_array((norms, others, begins), shape=(k, k))),
-    )
 
 
 def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:

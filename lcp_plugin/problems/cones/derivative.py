@@ -1,10 +1,8 @@
-"""The derivative of an answer over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0, the natural map.
+"""The derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0, the natural map.
 
-It is that of :mod:`lcp_plugin.systems.linearised` with the generalised derivatives that Newton's steps use, R_μ dμ
-beside them. Where M leaves
-the blocks that press undetermined (several impulses make one motion), dz is the least of several, and of velocities
-that all of them share the derivative is that of all. Where a block is on the edge of two cases, dz is one-sided: the
-elements are those of the piece into which dz and dw lead.
+It is that of :mod:`lcp_plugin.systems.linearised` with the generalised derivatives of Newton's steps, and R_μ dμ. If
+several impulses give the same motion, dz is the one of least norm; dw is the same for all. Where a block is on the edge
+of two cases, dz is one-sided: the elements are those of the piece into which dz and dw lead.
 """
 
 from __future__ import annotations
@@ -29,19 +27,17 @@ from ...core.matrix.matrix import Matrix
 from ...core.matrix.structure import row_numbers
 from ...systems.free_systems import FreeSystem
 from ...systems.linearised import Linearised
-from .certificate import weighted
 from .data import Blocks
-from .methods import EXACT, NewtonSystem
+from .newton import factorized, system_of_free_rows
+from .stack import ON, WITHIN, Array, ConeStack, length
 
-REFINEMENTS = 5  # steps of Newton towards the answer before it is differentiated
+REFINEMENTS = 5  # steps of Newton towards the solution before it is differentiated
 REFINING = 1e-8  # of d, their proximal term: rounding moves no impulses that the motion leaves undetermined
+EXACT = 2.0**-46  # relative to |z| + |w|/d: a smaller residual is not refined
 BY_HAND = "; of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du"
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
 ROUNDING = 1e-12  # of a block's terms: z and w/d that are smaller are both 0
-PIECES, ALIKE = (
-    20,
-    1e-12,
-)  # most that are tried for a direction, and the change of dz that tells that one is right
+PIECES, ALIKE = 20, 1e-12  # most that are tried for a direction, and the change of dz that ends it
 
 
 class ConeGradient(NamedTuple):
@@ -54,66 +50,180 @@ class ConeGradient(NamedTuple):
     upper: FloatVector
 
 
-class ConeDerivative(Linearised):
-    """The derivative of z by the data, at one answer.
+class StackDerivative(Linearised):
+    """The derivatives of the solutions of a stack by its data; vectors have shape (B, n). Its system is that of B = 1.
+
+    Parameters
+    ----------
+    stack : ConeStack
+    z : array, shape (B, k, m)
+        Solutions, which are refined first.
+    """
+
+    def __init__(self, stack: ConeStack, z: Array) -> None:
+        self.stack = stack
+        with np.errstate(all="ignore"):
+            self.z = self._refined(z)
+            self.w = stack.slack(self.z)
+            self.take_element_at(self.z, self.w)
+
+    def take_element_at(self, z: Array, w: Array) -> None:
+        """Take the generalised derivative at z and w, the solution or a point nearby; what sticks has w = 0.
+
+        Its rounding has a direction, that of ‖w_T‖, on which gradients by least norm would depend.
+        """
+        stack = self.stack
+        if stack.has_friction:
+            sticks = stack.residual(z, w)[1] == WITHIN
+            w = np.where(sticks[..., None], 0.0, w)
+        self.point, self.found = (z, w), stack.residual(z, w)
+        self.by_z, self.by_w = stack.derivative(w, *self.found[1:])
+        self.is_free = self.by_w.any((-1, -2))
+
+    def _refined(self, z: Array) -> Array:
+        stack = self.stack
+
+        def largest(values: Array) -> Array:
+            return np.abs(values).max((1, 2), initial=0.0)
+
+        w = stack.slack(z)
+        found = stack.residual(z, w)
+        goal = EXACT * largest(np.abs(z) + np.abs(w) / stack.d[..., None])
+        for _ in range(REFINEMENTS):
+            before = largest(found[0])
+            if not (before > goal).any():
+                break
+            by_z, by_w = stack.derivative(w, *found[1:])
+            shift = (REFINING * stack.d)[..., None, None]
+            try:
+                new = z + factorized(stack, by_z + shift * by_w, by_w).solve(-found[0])
+            except np.linalg.LinAlgError:
+                break
+            w_new = stack.slack(new)
+            is_better = (before > goal) & (largest(stack.residual(new, w_new)[0]) < before)
+            if not is_better.any():
+                break
+            z, w = (np.where(is_better[:, None, None], *pair) for pair in ((new, z), (w_new, w)))
+            found = stack.residual(z, w)
+        return z
+
+    @cached_property
+    def system(self) -> Any:
+        """The factorization of the system of the free blocks, of one problem."""
+        J, _ = system_of_free_rows(self.stack, self.by_z[0], self.by_w[0], self.is_free[0])
+        return FreeSystem(Matrix(sp.csr_array(J)), np.ones(J.shape[0], np.bool_), by_factor=True)
+
+    @cached_property
+    def is_degenerate(self) -> Array:
+        """The blocks on the edge of two cases, as far as rounding tells, shape (B, k)."""
+        stack, shift = self.stack, ON_THE_EDGE * self._sizes
+        with np.errstate(all="ignore"):
+            cases = stack.residual(self.z, self.w)[1]
+            differs = np.zeros(cases.shape, np.bool_)
+            for sign in (-1.0, 1.0):
+                moved = self.z.copy()
+                moved[..., 0] += sign * shift
+                differs |= stack.residual(moved, self.w)[1] != cases
+        return differs
+
+    @cached_property
+    def _sizes(self) -> Array:
+        """The size of z and w/d of each block, shape (B, k); where both are rounding of its terms, that of these."""
+        stack = self.stack
+        sizes = length(np.abs(self.z) + np.abs(self.w) / stack.d[..., None])
+        terms = length(stack.pattern.times(self.z, absolute=True) + np.abs(stack.q)) / stack.d
+        terms[terms == 0.0] = 1.0  # nothing acts: any size will do
+        return np.where(sizes <= ROUNDING * terms, ROUNDING / ON_THE_EDGE * terms, sizes)
+
+    def towards(self, dz: Array, dw: Array) -> StackDerivative:
+        """Return the derivative of the piece that begins in this direction from the blocks on the edge of two cases."""
+        wide = self.stack.pattern.wide
+        dz, dw = wide(dz), wide(dw)
+        size = length(np.abs(dz) + np.abs(dw) / self.stack.d[..., None])
+        moved = self.is_degenerate & (size > 0.0)
+        t = np.where(moved, ON_THE_EDGE * self._sizes / np.where(moved, size, 1.0), 0.0)[..., None]
+        piece = copy(self)
+        for known in ("system", "by_friction"):
+            piece.__dict__.pop(known, None)
+        piece.take_element_at(self.z + t * dz, self.w + t * dw)
+        return piece
+
+    @cached_property
+    def by_friction(self) -> Array:
+        """R_μ, shape (B, n), not 0 on the boundary of cones."""
+        stack, (z, w), mu = self.stack, self.point, self.stack.mu
+        case, x, tangent, _ = self.found[1:]
+        x, tangent = x / self.stack.d[..., None], tangent / self.stack.d
+        if not stack.has_friction:
+            return np.zeros(self.stack.pattern.flat(z).shape)
+        with np.errstate(all="ignore"):
+            slip = length(w[..., 1:])
+            radius = (x[..., 0] - mu * slip / stack.d + mu * tangent) / (1.0 + mu * mu)
+            change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
+            rows = slip[..., None] * self.by_w[..., 0]
+            rows[..., 0] -= change
+            rows[..., 1:] -= ((radius + mu * change) / tangent)[..., None] * x[..., 1:]
+        return stack.pattern.flat(np.where((case == ON)[..., None], rows, 0.0))
+
+    def gradients(self, g: Array, by_w: Array) -> tuple[Array, Array, Array]:
+        """Return the gradients by q, by the bounds that hold, and by friction, (B, k)."""
+        by_q, by_bound, multiplier = self.adjoint(g, by_w)
+        return by_q, by_bound, -self.stack.pattern.wide(self.by_friction * multiplier).sum(-1)
+
+    def _product(self, x: Array, *, transposed: bool = False) -> Array:
+        pattern, M = self.stack.pattern, self.stack.pattern.M
+        if pattern.is_sparse:
+            return ((M.T if transposed else M) @ x[0])[None]
+        return ((M.swapaxes(1, 2) if transposed else M) @ x[:, :, None])[:, :, 0]
+
+    def _by_slack(self, x: Array, *, transposed: bool = False) -> Array:
+        blocks = self.by_w.swapaxes(-1, -2) if transposed else self.by_w
+        return self.stack.pattern.flat((blocks @ self.stack.pattern.wide(x)[..., None])[..., 0])
+
+    def _on_free(self, right: Array, *, transposed: bool = False) -> Array:
+        x, rows = np.zeros(right.shape), self.is_free[0][self.stack.pattern.of_row]
+        if rows.any():
+            x[0, rows] = self._solved(right[0, rows], transposed=transposed)
+        return x
+
+    def _solved(self, right: FloatVector, *, transposed: bool) -> Any:
+        x = self.system.solve(right, transposed=transposed)
+        if x is not None:
+            return x
+        inverse = self.system.pseudo_inverse
+        if inverse is None:
+            raise UnsuitableProblem(
+                "several answers share the same motion, and their system is too large for a pseudo-inverse (500 rows): "
+                "state fewer contacts, or add a small compliance to the diagonal of W"
+            )
+        return (inverse.T if transposed else inverse) @ right
+
+
+class ConeDerivative:
+    """The derivative of z by the data, at one solution.
 
     Parameters
     ----------
     problem : ConeProblem or FrictionalContact
     z : array, shape (n,)
-        Its answer, which is refined first.
+        Its solution, which is refined first.
     """
 
     def __init__(self, problem: Blocks, z: FloatVector) -> None:
-        self.problem, self._system = problem, NewtonSystem(problem)
-        self.z = self._refined(np.array(z))
-        self.w = problem.slack(self.z)
-        self._take_element_at(self.z, self.w)
+        stack = ConeStack.of(problem)
+        self.problem = problem
+        self._of = StackDerivative(stack, stack.pattern.wide(np.array(z)[None]))
+        self.z, self.w = (stack.pattern.flat(one)[0] for one in (self._of.z, self._of.w))
 
-    def _take_element_at(self, z: FloatVector, w: FloatVector) -> None:
-        """Take the generalised derivative at z and w, the answer or a point nearby; what sticks has w = 0.
-
-        Its rounding has a direction, that of ‖w_T‖, on which gradients by least norm would depend.
-        """
-        problem = self.problem
-        if problem.has_friction:
-            self._cases = problem.residual(z, w)[1]
-            w = np.where((self._cases == 1)[problem.block_of_row], 0.0, w)
-        self._point = z, w
-        self._take_rows(z, w)
-
-    def _take_rows(self, z: FloatVector, w: FloatVector) -> None:
-        """Take J, the rows that are free, and R_w."""
-        self._J, self.free = self._system.rows(z, w, 0.0)
-        self._by_w, self._is_free = self._system.by_w, np.isin(np.arange(self.problem.n), self.free)
-
-    def _refined(self, z: FloatVector) -> FloatVector:
-        problem = self.problem
-        R = problem.residual(z, problem.slack(z))[0]
-        largest = weighted(problem, R).max(initial=0.0)
-        for _ in range(REFINEMENTS):
-            _, step = (
-                self._system.step(z, problem.slack(z), R, REFINING)
-                if largest > EXACT
-                else (0.0, None)
-            )
-            if step is None:
-                break
-            R, before = problem.residual(z + step, problem.slack(z + step))[0], largest
-            largest = weighted(problem, R).max(initial=0.0)
-            if not largest < before:
-                break
-            z = z + step
-        return z
-
-    @cached_property
-    def _block(self) -> FreeSystem:
-        return FreeSystem(Matrix(self._J), np.ones(self.free.size, np.bool_), by_factor=True)
+    @property
+    def free(self) -> NDArray[np.intp]:
+        """The rows of the blocks that are not open."""
+        return np.flatnonzero(self._of.is_free[0][self.problem.block_of_row])
 
     @property
     def is_singular(self) -> bool:
         """Whether several z make one motion, as far as rounding tells: dz is the least of several then."""
-        return self._block.is_singular
+        return bool(self._of.system.is_singular)
 
     @property
     def is_unique(self) -> bool | None:
@@ -123,42 +233,7 @@ class ConeDerivative(Linearised):
     @cached_property
     def degenerate(self) -> NDArray[np.intp]:
         """The blocks on the edge of two cases, as far as rounding tells: there the derivative is one of several."""
-        problem, shift = self.problem, ON_THE_EDGE * self._sizes
-        cases = problem.residual(self.z, self.w)[1]
-        differs = np.zeros(cases.size, np.bool_)
-        for sign in (-1.0, 1.0):
-            moved = self.z.copy()
-            moved[problem.starts[:-1]] += sign * shift
-            differs |= problem.residual(moved, self.w)[1] != cases
-        return np.flatnonzero(differs)
-
-    @cached_property
-    def _sizes(self) -> FloatVector:
-        """The size of z and w/d of each block, shape (k,); where both are rounding of its terms, that of these."""
-        problem = self.problem
-        sizes = problem.norms(np.abs(self.z) + np.abs(self.w) / problem.scale[problem.block_of_row])
-        terms = problem.norms(self._sums_of_sizes() + np.abs(problem.q)) / problem.scale
-        terms[terms == 0.0] = 1.0  # nothing acts: any size will do
-        return np.where(sizes <= ROUNDING * terms, ROUNDING / ON_THE_EDGE * terms, sizes)
-
-    def _sums_of_sizes(self) -> FloatVector:
-        """Return |M| |z|."""
-        return np.asarray(abs(self.problem.rows.csr) @ np.abs(self.z))
-
-    def _towards(self, dz: FloatVector, dw: FloatVector) -> ConeDerivative:
-        """Return the derivative of the piece that begins in this direction from the blocks on the edge of two cases."""
-        problem, d = self.problem, self.problem.scale
-        length = problem.norms(np.abs(dz) + np.abs(dw) / d[problem.block_of_row])
-        t = np.zeros(length.size)
-        moved = self.degenerate[length[self.degenerate] > 0.0]
-        t[moved] = ON_THE_EDGE * self._sizes[moved] / length[moved]
-        piece = copy(self)
-        for known in ("_block", "_holds", "by_friction"):
-            piece.__dict__.pop(known, None)
-        piece._system = NewtonSystem(problem)
-        t = t[problem.block_of_row]
-        piece._take_element_at(self.z + t * dz, self.w + t * dw)
-        return piece
+        return np.flatnonzero(self._of.is_degenerate[0])
 
     def jvp(
         self,
@@ -189,7 +264,7 @@ class ConeDerivative(Linearised):
         """
         changes_by_name(None, named, ("dq", "dM", "dfriction", "dlower", "dupper"), BY_HAND)
         changes = dq, dM, dfriction, dlower, dupper
-        dz = self._change(*changes)
+        dz = self._change(self._of, *changes)
         for _ in range(PIECES if self.degenerate.size else 0):
             of_bound = np.zeros(dz.size)
             for change, is_there in (
@@ -198,34 +273,37 @@ class ConeDerivative(Linearised):
             ):
                 if change is not None:
                     of_bound[is_there] = np.asarray(change)[is_there]
-            last, dz = dz, self._towards(dz - of_bound, self.dw(dz, dq=dq, dM=dM))._change(*changes)
+            piece = self._of.towards((dz - of_bound)[None], self.dw(dz, dq=dq, dM=dM)[None])
+            last, dz = dz, self._change(piece, *changes)
             if np.abs(dz - last).max(initial=0.0) <= ALIKE * np.abs(dz).max(initial=0.0):
                 break
         return dz
 
-    def _change(self, dq: Any, dM: Any, dfriction: Any, dlower: Any, dupper: Any) -> FloatVector:
+    def _change(
+        self, of: StackDerivative, dq: Any, dM: Any, dfriction: Any, dlower: Any, dupper: Any
+    ) -> FloatVector:
         """Return dz by the element that was taken."""
         problem, n = self.problem, self.problem.n
-        held, more = np.zeros(n), np.zeros(())
-        for change, holds in ((dlower, self._holds[0]), (dupper, self._holds[1])):
+        held, more = np.zeros((1, n)), np.zeros(())
+        for change, holds in zip((dlower, dupper), self._holds(of), strict=True):
             if change is not None:
-                held[holds] = checked_vector(change, "dlower or dupper", n)[holds]
+                held[0, holds] = checked_vector(change, "dlower or dupper", n)[holds]
         if dfriction is not None:
             if not problem.has_friction:
                 raise InvalidOption(
                     "dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper"
                 )
-            dfriction = (
-                np.full(problem.slope.size, dfriction) if is_number(dfriction) else dfriction
-            )
-            slopes = checked_vector(dfriction, "dfriction", problem.slope.size)
-            more = self.by_friction * slopes[problem.block_of_row]
-        dz: FloatVector = self.tangent(self._moved(dq, dM), held, more)
+            k = problem.slope.size
+            dfriction = np.full(k, dfriction) if is_number(dfriction) else dfriction
+            slopes = checked_vector(dfriction, "dfriction", k)
+            more = of.by_friction * slopes[problem.block_of_row]
+        dz: FloatVector = of.tangent(self._moved(dq, dM)[None], held, more)[0]
         return dz
 
-    def dw(self, dz: FloatVector, *, dq: ArrayLike | None = None, dM: Any = None) -> FloatVector:
+    def dw(self, dz: ArrayLike, *, dq: ArrayLike | None = None, dM: Any = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
-        return self._product(dz) + self._moved(dq, dM)
+        change: FloatVector = self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
+        return change
 
     def _moved(self, dq: ArrayLike | None, dM: Any) -> FloatVector:
         """Return dM z + dq."""
@@ -237,79 +315,18 @@ class ConeDerivative(Linearised):
         """Return the gradients of a function that has the gradients g by z and gw, 0 by default, by w, (n,) each."""
         n, M = self.problem.n, self.problem.rows.csr
         by_w = np.zeros(n) if gw is None else checked_vector(gw, "gw", n)
-        by_q, by_bound, by_friction = self.gradients(checked_vector(g, "g", n), by_w)
+        parts = self._of.gradients(checked_vector(g, "g", n)[None], by_w[None])
+        by_q, by_bound, by_friction = (part[0] for part in parts)
         by_M = sp.csr_array(
             (by_q[row_numbers(M)] * self.z[M.indices], M.indices, M.indptr), shape=M.shape
         )
-        lower, upper = (np.where(holds, by_bound, 0.0) for holds in self._holds)
+        lower, upper = (np.where(holds, by_bound, 0.0) for holds in self._holds(self._of))
         return ConeGradient(by_q, by_M, by_friction, lower, upper)
 
-    def gradients(
-        self, g: FloatVector, by_w: FloatVector
-    ) -> tuple[FloatVector, FloatVector, FloatVector]:
-        """Return the gradients by q, by the bounds that hold, and by friction, (k,)."""
-        by_q, by_bound, multiplier = self.adjoint(g, by_w)
-        sums = (
-            np.add.reduceat(self.by_friction * multiplier, self.problem.starts[:-1])
-            if g.size
-            else np.zeros(0)
-        )
-        return by_q, by_bound, -sums
-
-    def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
-        M = self.problem.rows.csr
-        product: FloatVector = (M.T if transposed else M) @ x
-        return product
-
-    def _by_slack(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
-        return self._system.times(x, transposed=transposed)
-
-    def _on_free(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:
-        x = np.zeros(right.size)
-        x[self.free] = self._solved(right[self.free], transposed=transposed)
-        return x
-
-    @cached_property
-    def _holds(self) -> tuple[Any, Any]:
-        """Which rows are at their lower bound, and which at the upper one."""
-        problem, at_bound = (
-            self.problem,
-            ~self._is_free & (self.problem.sizes == 1)[self.problem.block_of_row],
-        )
-        z, w = self._point
+    def _holds(self, of: StackDerivative) -> tuple[Any, Any]:
+        """Return which rows are at their lower bound, and which at the upper one."""
+        problem, pattern = self.problem, of.stack.pattern
+        at_bound = (~of.is_free[0] & pattern.is_row)[pattern.of_row]
+        z, w = (pattern.flat(one)[0] for one in of.point)
         is_lower = (z <= problem.lower) & ((z < problem.upper) | (w > 0.0))
         return at_bound & is_lower, at_bound & ~is_lower
-
-    @cached_property
-    def by_friction(self) -> FloatVector:
-        """R_μ, shape (n,), of blocks on the boundary of their cones."""
-        problem, found = self.problem, np.zeros(self.problem.n)
-        if not (problem.has_friction and problem.n):
-            return found
-        on = np.flatnonzero(self._cases == 2)
-        z, w = (vector.reshape(problem.slope.size, -1)[on] for vector in self._point)
-        mu, d, by_w = problem.slope[on], problem.scale[on], self._by_w[on]
-        x = z - w / d[:, np.newaxis]
-        slip, tangent = np.hypot.reduce(w[:, 1:], axis=1), np.hypot.reduce(x[:, 1:], axis=1)
-        radius = (x[:, 0] - mu * slip / d + mu * tangent) / (1.0 + mu * mu)
-        change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
-        rows = slip[:, np.newaxis] * by_w[:, :, 0]
-        rows[:, 0] -= change
-        rows[:, 1:] -= ((radius + mu * change) / tangent)[:, np.newaxis] * x[:, 1:]
-        found.reshape(problem.slope.size, -1)[on] = rows
-        return found
-
-    def _solved(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:
-        if not right.size:
-            return right
-        x = self._block.solve(right, transposed=transposed)
-        if x is not None:
-            return x
-        inverse = self._block.pseudo_inverse
-        if inverse is None:
-            raise UnsuitableProblem(
-                "several answers share the same motion, and their system is too large for a pseudo-inverse (500 rows): "
-                "state fewer contacts, or add a small compliance to the diagonal of W"
-            )
-        least: FloatVector = (inverse.T if transposed else inverse) @ right
-        return least

@@ -12,7 +12,6 @@ no residual is smaller than the *margin*, −qᵀy over that sum, in the unit of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar
@@ -20,12 +19,11 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.algorithm import Step
 from ...core.checks import FloatVector
 from ...core.settings import Status
-from .certificate import criterion_of
 from .data import Blocks
-from .methods import ConeAlgorithm, ConvexProgram
+from .programs import ConvexProgram
+from .stack import ConeStack, length
 
 DIGITS = (
     2.0**-20
@@ -84,7 +82,8 @@ class NoImpulse:
     @property
     def margin(self) -> float:
         """What no residual beside the reference of its component is smaller than, as the criterion measures it."""
-        problem, criterion = self.problem, criterion_of(self.problem)
+        problem, stack = self.problem, ConeStack.of(self.problem)
+        wide = stack.pattern.wide
         total = sum(
             Fraction(q) * Fraction(y)
             for q, y in zip(problem.q.tolist(), self.y.tolist(), strict=True)
@@ -92,12 +91,13 @@ class NoImpulse:
         )
         with np.errstate(all="ignore"):
             mu = np.where(problem.sizes > 1, problem.slope, 0.0)
-            of_y = np.sqrt(1.0 + mu**2) * criterion.scale * problem.norms(self.y)
-            weights = of_y + problem.norms(problem.rows.csr.T @ self.y)
-            shares = np.where(weights > 0.0, weights / criterion.weights, 0.0)
+            pulled = problem.rows.csr.T @ self.y
+            of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
+            weights = np.sqrt(1.0 + mu**2) * stack.d[0] * of_y + of_pull
+            shares = np.where(weights > 0.0, weights * stack.reference[0], 0.0)
             return float(-float(total) / shares.sum() * (1.0 - MARGIN))
 
-    def excludes(self, tolerance: float, tolerance_on: str, absolute_tolerance: float) -> bool:
+    def excludes(self, tolerance: float, absolute_tolerance: float) -> bool:
         """Return whether no point at all could be called SOLVED."""
         return self.margin > tolerance and not absolute_tolerance
 
@@ -110,18 +110,6 @@ class NoImpulse:
             f"blocks {named}: a sum of their slacks with weights of the dual cone is negative whatever z is, by "
             f"{self.margin:.1e} of the reference at the least"
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class InfeasibilityCheck(ConeAlgorithm):
-    """A look for a proof that there is no answer: one conic program."""
-
-    name = "infeasibility"
-    is_monotone = False
-
-    def iterates(self, problem: Any, z0: FloatVector) -> Iterator[Step]:
-        """Yield the start, with the proof if there is one."""
-        yield Step(z0, work=20.0, proof=infeasibility_proof(problem))
 
 
 def infeasibility_proof(problem: Blocks) -> NoImpulse | None:

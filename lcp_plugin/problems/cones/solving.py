@@ -1,63 +1,54 @@
-"""Solving a problem over cones: what auto tries in turn, the judge, the result."""
+"""Solving a problem over cones: what auto tries in turn, the run, the result."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ...auto import Single
-from ...core.algorithm import Algorithm
-from ...core.certificates.criterion import CommonScaling, within
-from ...core.certificates.residuals import Certificate
-from ...core.certificates.row_residuals import over
-from ...core.checks import FloatVector, checked_vector, read_only
-from ...core.deadline import Clock
+from ...core.checks import FloatVector, checked_vector
+from ...core.deadline import Clock, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
-from ...core.matrix.structure import Components, connected_components
-from ...core.matrix.symmetry import is_symmetric_to_rounding
-from ...core.policy.policy import Policy
-from ...core.policy.stages import Choice, Stage
 from ...core.representation import in_words
 from ...core.settings import Settings, Status, checked_callback
-from ...core.solving.advice import NOTHING_TO_DO
-from ...core.solving.judge import End, Judge
-from ...core.solving.result import Result, StageRecord, stage_lines
-from ...core.solving.run import Callback, Run
-from ...systems.factors import sizes_of_factor
+from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ..contact import ContactMotion, motion_of
-from .certificate import ConeCertificate, criterion_of, relative_residual
+from .certificate import ConeCertificate, Measures, measured
 from .data import Blocks
 from .frictional_contact import FrictionalContact
-from .infeasibility import InfeasibilityCheck, NoImpulse
+from .infeasibility import NoImpulse, infeasibility_proof
 from .methods import (
-    EXACT,
     METHODS,
-    NPGS,
+    NEWTON_STEPS,
+    PATIENCE,
+    STOP,
     SWEEPS_A_STEP,
     ConeAlgorithm,
     FixedPoint,
-    InteriorPoint,
-    Newton,
-    NewtonSystem,
+    moved_at_random,
+    newton_points,
+    path_points,
 )
-from .small import LARGEST, LoopAnswers, has_few_bodies, solve_contacts, solve_small
+from .newton import EXACT, newton_steps, polished
+from .stack import ConeStack
+from .sweeps import sweeps
+from .systems import LAPACK_UP_TO
 
-TRIAL = 2  # steps of npgs before its rate is believed
-NEWTON_STEPS = 15  # that an answer is predicted to take
-STEP_OPERATIONS = 5e5  # that the calls of one of its steps take as long as
-BEFORE_THE_PATH = (
-    40  # steps of Newton before an interior point, which costs about as much as so many
-)
-SHARED = 10  # steps of sweeps that components share, before each gets its own run
-LAST_STEPS = 2  # the linear system of the cases that were found, and of those that it finds
-STARTS = 17  # of Newton's method, moved at random but for the first
-LONG, LONG_STEPS = 500, 40  # sweeps a step, and steps, of those that no prediction cuts short
+Callback = Callable[[Sample, FloatVector], Any]
+
+CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals are without rounding
+SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
+SHARES = (0.01, 0.1, 0.001)  # of the largest velocity, by which a path begins away from a point
+ROUNDS, LONG, TRIED_AFTER = 8, 2500, (0, 3, 7)  # of sweeps to the end
+ROUNDING = 2.0**-44  # of the largest entry of W, by which it may differ from its transpose
+BLOCK = 100  # sweeps between two looks at how fast they are
+STARTS = 17  # of Newton's method, moved at random
+GROWTH, VERBOSE_GROWTH = 1.05, 1.5  # of the iterations from one sample, or line, to the next
 WORST = (
     Status.SOLVED,
     Status.PRECISION_LIMIT,
@@ -68,15 +59,34 @@ WORST = (
     Status.INFEASIBLE,
     Status.INTERRUPTED,
 )  # the last of these that a component has is that of all
-NEARBY = "from a point nearby"
-FOLLOWS = "sweeps have found most cases, Newton's steps solve for them"
+NO_MORE = "no method reduces the residual further; next: try another start z0"
+WORDS = {
+    Status.STALLED: NO_MORE,
+    Status.INFEASIBLE: (
+        "no z in the cones has an M z + q in their duals, even with errors as large as the tolerance; "
+        "next: check the data; result.proof proves it"
+    ),
+}
+WORDS_OF_CONTACTS = {
+    Status.STALLED: (
+        f"{NO_MORE}, or less friction: a solution need not exist if friction is large or W is singular"
+    ),
+    Status.INFEASIBLE: (
+        "no impulses keep every contact from closing further, even with errors as large as the tolerance; "
+        "next: check the data; result.proof proves it"
+    ),
+}
+NOT_ASKED = "; not proved infeasible: you asked for no proof"
+NOTHING_TO_DO = "the residual of the start is within the tolerance already"
+SWEPT = "cheap sweeps over the blocks find most of the active set"
+FOLLOWS = "Newton's steps solve for the active set that the sweeps found"
 MIDDLE = "from the middle of the impulses that make the same motion Newton converges"
-SWEEPS = "cheap sweeps over the blocks come first; how fast they are decides what follows"
+NEARBY = "from a point nearby"
 
 
 def solve_cones(
     problem: Blocks,
-    algorithm: str | Algorithm = "auto",
+    algorithm: str | ConeAlgorithm = "auto",
     *,
     z0: ArrayLike | None = None,
     tolerance: float = 1e-8,
@@ -115,412 +125,476 @@ def solve_cones(
         For a wrong option.
     """
     settings = Settings(
-        tolerance,
-        "residual",
-        max_iterations,
-        max_seconds,
-        absolute_tolerance,
-        record,
-        False,
-        threads,
-        verbose,
-        prove_infeasibility,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+        max_seconds=max_seconds,
+        absolute_tolerance=absolute_tolerance,
+        record=record,
+        threads=threads,
+        verbose=verbose,
+        prove_infeasibility=prove_infeasibility,
     )
-    checked_callback(callback)
-    clock = Clock()
-    result = _solved(
-        problem, algorithm, settings, callback, clock, None if z0 is None else _start(problem, z0)
-    )
-    is_cut_short = (
-        result.status is Status.MAX_ITERATIONS and result.iterations < settings.max_iterations
-    )
-    is_open = is_cut_short or result.status in (
-        Status.STALLED,
-        Status.PRECISION_LIMIT,
-        Status.DIVERGED,
-    )
-    several = connected_components(problem.block_norms.matrix) if is_open else None
-    return (
-        result
-        if several is None
-        else _solved_apart(result, several, algorithm, settings, clock, z0)
-    )
+    chosen = _checked_algorithm(algorithm)
+    log = Log(problem, settings, checked_callback(callback), Clock())
+    with np.errstate(all="ignore"):
+        stack = ConeStack.of(problem)
+        z = None if z0 is None else stack.held(stack.pattern.wide(_start(problem, z0)[None]))
+        run = Run(problem, stack, log, z)
+        with threads_for(settings.threads), time_limit(settings.max_seconds - log.clock.read()):
+            run.solve(chosen)
+    result = _result(problem, run, log, chosen)
+    if settings.verbose:
+        log.say(f"{result.status.name}: {result.advice}")
+    return result
 
 
-def _solved(
-    problem: Blocks,
-    algorithm: str | Algorithm,
-    settings: Settings,
-    callback: Callback | None,
-    clock: Clock,
-    z0: FloatVector | None,
-) -> ConeResult:
-    """Return the answer where all components share a run; by auto sweeps only, where there are several."""
-    start = problem.nearest_to_zero if z0 is None else z0
-    was_tried = is_ended = False
-    is_step = z0 is not None and has_few_bodies(
-        problem
-    )  # one alone does not pay for what is compiled for many
-    if (
-        algorithm == "auto"
-        and callback is None
-        and _is_for_the_loop(problem, settings, clock, is_step=is_step)
-    ):
-        try:
-            found = solve_contacts(problem, settings, start=start) if is_step else None
-            if found is None or not (found.is_proved[0] or problem.n > LARGEST):
-                found = solve_small([problem], settings, start=None if is_step else z0)
-            known = (
-                None if found.is_proved[0] else _at_rounding_level(problem, found.z[0], settings)
+def solve_stack(
+    stack: ConeStack, start: Any, tolerance: float, has_time: Callable[[], bool], *, is_warm: bool
+) -> tuple[Any, Any, Any, Any]:
+    """Return what sweeps and Newton's steps make of all problems of a stack, as `solve` does for each.
+
+    Returns
+    -------
+    z, residual, iterations, is_solved : array, shapes (B, k, m) and (B,)
+        Measured points of the cones, their relative residuals, and which are SOLVED.
+    """
+    with np.errstate(all="ignore"):
+        z, swept, iterations = start.copy(), start.copy(), np.zeros(stack.B, np.int64)
+        found = measured(stack, z, tolerance)
+        residual = found.worst()
+        is_solved = found.pass_at(tolerance) & (is_warm | stack.is_answered.all(1))
+        z[is_solved] = found.z[is_solved]
+        for count, steps in SCHEDULE:
+            left = np.flatnonzero(~is_solved)
+            if not left.size or not has_time():
+                break
+            here = stack.taken(~is_solved)
+            for at in sweeps(here, swept[left], count, STOP * tolerance):
+                swept[left] = at
+            iterations[left] += count // SWEEPS_A_STEP
+            best, least = swept[left], np.full(left.size, np.inf)
+            goal = CLOSER * tolerance
+            for number, step in enumerate(newton_steps(here, best.copy(), steps, goal)):
+                open_ones, at, sizes, _ = step
+                is_better = sizes < least[open_ones]
+                best[open_ones[is_better]] = at[is_better]
+                least[open_ones[is_better]] = sizes[is_better]
+                iterations[left[open_ones]] += number > 0
+                if not has_time():
+                    break
+            done = least <= goal
+            best[done] = polished(here.taken(done), best[done])[0] if done.any() else best[done]
+            found = measured(here, here.held(best), tolerance)
+            passes, worst = found.pass_at(tolerance), found.worst()
+            is_better = passes | (worst < residual[left])
+            z[left[is_better]], residual[left[is_better]] = found.z[is_better], worst[is_better]
+            is_solved[left[passes]] = True
+    return z, residual, iterations, is_solved
+
+
+class Ended(Exception):
+    """Raised where a run ends before its methods do."""
+
+    def __init__(self, status: Status) -> None:
+        self.status = status
+
+
+class Log:
+    """What a run has done, all its components together, and who watches it: counts, samples, callback, lines."""
+
+    def __init__(
+        self, problem: Blocks, settings: Settings, callback: Callback | None, clock: Clock
+    ) -> None:
+        self.settings, self.callback, self.clock = settings, callback, clock
+        self.iterations, self.work, self.setup_seconds = 0, 0.0, 0.0
+        self.stages: list[StageRecord] = []
+        self.samples: list[Sample] = []
+        self.is_watched = settings.record or settings.verbose or callback is not None
+        self._next = self._next_line = 0
+        if settings.verbose:
+            self.say(f"{problem}")
+            self.say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
+
+    def begin(self, name: str, because: str) -> None:
+        """Begin a stage."""
+        self.stages.append(StageRecord(name, because, 0, 0.0))
+        self._next_line = self.iterations
+        if self.settings.verbose:
+            self.say(f"{name}: {because}" if because else name)
+
+    def count(self, work: float, iterations: int) -> None:
+        """Add a step to the last stage."""
+        self.iterations, self.work = self.iterations + iterations, self.work + work
+        last = self.stages[-1]
+        self.stages[-1] = last._replace(
+            iterations=last.iterations + iterations, work=last.work + work
+        )
+
+    def show(self, residual: float, z: Callable[[], FloatVector]) -> None:
+        """Record, print and call back, the clock stopped; raise Ended if the user wants to stop."""
+        with self.clock.paused():
+            name = self.stages[-1].name
+            sample = Sample(self.iterations, self.work, self.clock.read(), residual, name)
+            wants_to_stop = self.callback is not None and bool(self.callback(sample, z()))
+            if self.settings.record and (self.iterations >= self._next or wants_to_stop):
+                self._next = max(self.iterations + 1, int(self.iterations * GROWTH))
+                self.samples.append(sample)
+            if self.settings.verbose and self.iterations >= self._next_line:
+                self._next_line = max(self.iterations + 1, int(self.iterations * VERBOSE_GROWTH))
+                self.say(
+                    f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}"
+                )
+        if wants_to_stop:
+            raise Ended(Status.INTERRUPTED)
+
+    def require_room(self) -> None:
+        """Raise Ended where a limit has come."""
+        if self.iterations >= self.settings.max_iterations:
+            raise Ended(Status.MAX_ITERATIONS)
+        self.clock.read()
+        if self.clock.elapsed >= self.settings.max_seconds:
+            raise Ended(Status.MAX_SECONDS)
+
+    @staticmethod
+    def say(line: str) -> None:
+        """Print a line."""
+        print(line, flush=True)
+
+
+class Run:
+    """The run on one problem, or on one of its components: methods give points, the best one is kept and judged.
+
+    Parameters
+    ----------
+    problem : Blocks
+    stack : ConeStack
+        Of this problem alone.
+    log : Log
+    z : array, shape (1, k, m), or None
+        The user's start.
+    embed : callable
+        Puts a point of the component, shape (n,), into that of the whole problem.
+    share : float
+        Entries of the component's matrix relative to those of the whole one.
+    """
+
+    def __init__(
+        self,
+        problem: Blocks,
+        stack: ConeStack,
+        log: Log,
+        z: Any,
+        embed: Callable[[FloatVector], FloatVector] = lambda z: z,
+        share: float = 1.0,
+    ) -> None:
+        self.problem, self.stack, self.log, self.embed, self.share = (
+            problem,
+            stack,
+            log,
+            embed,
+            share,
+        )
+        settings = log.settings
+        self.tolerance, self.absolute = settings.tolerance, settings.absolute_tolerance
+        if self.absolute:
+            least = self.absolute / max(self.tolerance, 2.0**-200)
+            stack.weight = np.where(
+                stack.is_answered, 0.0, 1.0 / np.maximum(stack.reference, least)
             )
-            was_tried = not found.is_proved[0] and known is None
-            if not was_tried:
-                result = result_of(problem, found, 0, settings, clock.read(), known)
-                if result.iterations <= settings.max_iterations:
-                    return result
-        except KeyboardInterrupt:
-            is_ended = True
-    with np.errstate(), threads_for(settings.threads):
-        policy = _policy(problem, algorithm, settings, is_warm=z0 is not None, was_tried=was_tried)
-        if algorithm == "auto" and connected_components(problem.block_norms.matrix) is not None:
-            settings = _within(settings, settings.max_seconds, min(settings.max_iterations, SHARED))
-        judge = ConeJudge(problem, settings)
-        run = Run(judge.scaling, policy, settings, callback, clock, judge)
-        judge.products = lambda: run.state.work
+        self.goal = CLOSER * (self.tolerance or (2.0**-200 if self.absolute else 0.0))
+        self.is_warm = z is not None and bool((z != stack.origin).any())
+        self.start = stack.origin if z is None else z
+        self.best, self.residual = self.start, np.inf
+        self.status, self.swept = Status.STALLED, self.start
+        self.proof: NoImpulse | None = None
+        self.measures: Measures | None = None
+
+    def solve(self, chosen: str | ConeAlgorithm) -> None:
+        """Find a point that passes, or the reason why there is none."""
         try:
-            reason = End.INTERRUPTED if is_ended else run.drive(start, policy.first(problem))  # type: ignore[arg-type]
+            if isinstance(chosen, ConeAlgorithm):
+                points = chosen.points(self.problem, self.stack, self.start, self.goal)
+                self.take(chosen.name, "", points, judges=False)
+                self._polish()
+            else:
+                self._chain()
+        except Ended as end:
+            self.status = end.status
         except KeyboardInterrupt:
-            reason = End.INTERRUPTED
-        return ConeResult.of(problem, run.judged(start, reason))
+            self.status = Status.INTERRUPTED
+        if self.measures is None:
+            self.measures = self.measured(self.best)
+        if self.measures.pass_at(self.tolerance, self.absolute)[0]:
+            self.status = Status.SOLVED
+        if self.status is Status.STALLED and self.measures.are_limited(self.tolerance)[0]:
+            self.status = Status.PRECISION_LIMIT
 
+    def _chain(self) -> None:
+        """Take what auto tries in turn, on the whole problem, then on each component that is open."""
+        stack, has_friction = self.stack, self.problem.has_friction
+        self.log.begin("npgs", SWEPT)
+        if self.is_warm or stack.is_answered.all():
+            self.residual = float(stack.measured(self.start)[2][0])
+            if self.residual <= self.tolerance:
+                self.judge(self.start)
+        self._sweep_while_fast()
+        self._sweep_and_solve(*SCHEDULE[0])
+        if stack.pattern.labels is not None:
+            self._solve_components()
+        if self.is_warm:
+            for share in (SHARES[0], None) if has_friction else ():
+                self._follow(share)
+            self.swept = stack.origin
+            self._sweep_and_solve(*SCHEDULE[0])
+        for count, steps in SCHEDULE[1:]:
+            self._sweep_and_solve(count, steps)
+        if not has_friction:
+            because = "for a symmetric M a convex program has the same solution"
+            points = FixedPoint().points(self.problem, stack, stack.origin, self.goal)
+            self.take("fixed_point", because, points)
+        elif not self.is_warm:
+            self._follow(None)
+        self._prove()
+        for share in SHARES if has_friction else ():
+            self._follow(share)
+        self._to_the_end()
 
-def _solved_apart(
-    together: ConeResult,
-    several: Components,
-    algorithm: str | Algorithm,
-    settings: Settings,
-    clock: Clock,
-    z0: ArrayLike | None,
-) -> ConeResult:
-    """Return the answer with each component solved alone that the common run has left open."""
-    problem, z = together.problem, together.z.copy()
-    statuses, proofs, advice = [Status.SOLVED], [], together._advice
-    stages, iterations, work = list(together.stages), 0, together.work
-    for blocks in _open_components(together.certificate, several, settings.tolerance):
-        left = settings.max_seconds - clock.read()
-        if not left > 0.0:
-            statuses.append(Status.MAX_SECONDS)
-            break
-        part, rows = problem.part(blocks), blocks[problem.block_of_row]
-        steps = settings.max_iterations - together.iterations
-        plain = _within(settings, left, steps, record=False, verbose=False)
-        found = _solved(
-            part, algorithm, plain, None, Clock(), None if z0 is None else _start(problem, z0)[rows]
+    def _sweep_while_fast(self) -> None:
+        """Take sweeps as long as they halve the residual, if a factorization costs hundreds of them."""
+        stack, before = self.stack, np.inf
+        velocities = np.inf if stack.arms is None else stack.arms.mass.shape[0]
+        if min(stack.pattern.n, velocities) <= LAPACK_UP_TO:
+            return
+        residual = stack.measured(self.swept)[2][0]
+        while self.goal < residual < 0.5 * before:
+            self._sweep_and_solve(BLOCK, 0)
+            residual, before = stack.measured(self.swept)[2][0], residual
+
+    def _prove(self) -> None:
+        """Look for a proof that there is no solution, and raise Ended if it excludes all points."""
+        if self.log.settings.prove_infeasibility:
+            self.log.require_room()
+            self.proof = infeasibility_proof(self.problem)
+            if self.proof is not None and self.proof.excludes(self.tolerance, self.absolute):
+                raise Ended(Status.INFEASIBLE)
+
+    def _to_the_end(self) -> None:
+        """Take sweeps until nothing changes, then Newton's method from points nearby."""
+        self.swept = self.stack.origin
+        start, options = self.stack.held(self.best), {"patience": PATIENCE}
+        points = newton_points(self.stack, start, NEWTON_STEPS, self.goal, **options)
+        self.take("newton", "from the best point so far", points)
+        for number in range(ROUNDS):
+            steps = NEWTON_STEPS if number in TRIED_AFTER else 0
+            self._sweep_and_solve(LONG, steps, "until nothing changes", PATIENCE)
+        is_near = self.stack.measured(self.swept)[2][0] < 1.0
+        z = self.swept if is_near else self.stack.held(self.best)
+        for seed in range(STARTS):
+            start = moved_at_random(self.stack, z, seed)
+            points = newton_points(self.stack, start, NEWTON_STEPS, self.goal, **options)
+            self.take("newton", NEARBY, points)
+
+    def _sweep_and_solve(
+        self, count: int, steps: int, because: str = SWEPT, patience: int = 15
+    ) -> None:
+        """Take sweeps from where the last ones ended, then Newton's steps."""
+        log = self.log
+        if log.stages[-1][:2] != ("npgs", because):
+            log.begin("npgs", because)
+        count = min(count, SWEEPS_A_STEP * (log.settings.max_iterations - log.iterations))
+        for at in sweeps(self.stack, self.swept, count, STOP * self.tolerance):
+            if not np.isfinite(at).all():
+                break
+            self.swept = at
+            log.require_room()
+        log.count((count + 1.0) * self.share, count // SWEEPS_A_STEP)
+        points = newton_points(self.stack, self.swept, steps, self.goal, patience=patience)
+        self.take("newton", FOLLOWS, points)
+
+    def _follow(self, share: float | None) -> None:
+        """Follow the central path from nothing, or from a share of the largest velocity away from the best point."""
+        z = self.stack.origin if share is None else self.stack.held(self.best)
+        self.take("interior_point", MIDDLE, path_points(self.stack, z, share or 1.0, self.goal))
+
+    def take(self, name: str, because: str, points: Iterator[Any], *, judges: bool = True) -> None:
+        """Take the points of one method, keep the best, and judge it at the end."""
+        log = self.log
+        for number, (z, residual, work) in enumerate(points):
+            if not number:
+                if residual <= EXACT and name == "newton" and judges:
+                    self.offer(z, residual)
+                    break
+                log.begin(name, because)
+            log.count(work * self.share, int(number > 0))
+            self.offer(z, residual)
+            if log.is_watched:
+                log.show(residual, lambda: self._shown(z))  # noqa: B023 - called at once
+            if not (judges is False and residual <= self.goal):
+                log.require_room()
+        if judges:
+            self.judge(self.best)
+
+    def offer(self, z: Any, residual: float) -> None:
+        """Keep the point if it is the best so far; below EXACT differences are rounding."""
+        if (residual < self.residual and self.residual > EXACT) or self.residual == np.inf:
+            self.best, self.residual = z, residual
+            self.measures = None
+
+    def _shown(self, z: Any) -> FloatVector:
+        found: FloatVector = self.embed(self.stack.pattern.flat(self.stack.held(z))[0].copy())
+        found.flags.writeable = False
+        return found
+
+    def measured(self, z: Any) -> Measures:
+        """Return the measures of the nearest point of the cones."""
+        return measured(self.stack, self.stack.held(z), self.tolerance, self.absolute)
+
+    def judge(self, z: Any) -> None:
+        """Raise Ended if the point passes, or misses only by rounding."""
+        if self.residual <= self.goal:
+            self._polish()
+            z = self.best
+        self.measures = self.measured(z)
+        if self.measures.pass_at(self.tolerance, self.absolute)[0]:
+            raise Ended(Status.SOLVED)
+        if self.measures.are_limited(self.tolerance)[0]:
+            raise Ended(Status.PRECISION_LIMIT)
+
+    def _polish(self) -> None:
+        """Solve the linear system of the active set of the best point."""
+        self.best, residual = polished(self.stack, self.best)
+        self.residual, self.measures = float(residual[0]), None
+
+    def _solve_components(self) -> None:
+        """Solve each component that does not pass, and put the points together."""
+        pattern: Any = self.stack.pattern
+        whole = self.stack.held(self.best)
+        flat = pattern.flat(whole)[0].copy()
+        labels, measures = pattern.labels[0], self.measures
+        assert measures is not None
+        is_open = ~((measures.relative <= self.tolerance) & (measures.terms <= self.tolerance))[0]
+        statuses = [Status.SOLVED]
+        proofs: list[tuple[bool, NoImpulse]] = []
+        for label in np.unique(labels[is_open]).tolist():
+            blocks = labels == label
+            rows = blocks[pattern.of_row]
+
+            def embed(z: FloatVector, rows: Any = rows) -> FloatVector:
+                found = flat.copy()
+                found[rows] = z
+                return self.embed(found)
+
+            part = self.problem.part(blocks)
+            stack = ConeStack.of(part)
+            start = stack.pattern.wide(pattern.flat(self.start)[:, rows]) if self.is_warm else None
+            share = self.share * part.nonzeros / max(self.problem.nonzeros, 1)
+            run = Run(part, stack, self.log, start, embed, share)
+            run.solve("auto")
+            assert run.measures is not None
+            flat[rows] = stack.pattern.flat(run.measures.z)[0]
+            statuses.append(run.status)
+            if run.proof is not None:
+                y = np.zeros(pattern.n)
+                y[rows] = run.proof.y
+                proofs.append((run.status is Status.INFEASIBLE, NoImpulse(self.problem, y)))
+            if run.status in (Status.INTERRUPTED, Status.MAX_SECONDS, Status.MAX_ITERATIONS):
+                break
+        self.measures = measured(
+            self.stack, pattern.wide(flat[None]), self.tolerance, self.absolute
         )
-        z[rows], share = found.z, part.nonzeros / max(problem.nonzeros, 1)
-        stages += [stage._replace(work=stage.work * share) for stage in found.stages]
-        iterations, work = max(iterations, found.iterations), work + found.work * share
-        if found.infeasibility is not None:
-            y = np.zeros(problem.n)
-            y[rows] = found.infeasibility.y
-            proofs.append(NoImpulse(problem, y))
-        statuses.append(found.status)
-        advice = found._advice if found.status is max(statuses, key=WORST.index) else advice
-    certificate = ConeCertificate.at(problem, z)
-    names = ", ".join(dict.fromkeys(stage.name for stage in stages))
-    return replace(
-        together,
-        z=certificate.point,
-        w=certificate.velocity,
-        certificate=certificate,
-        stages=_merged(stages),
-        status=max(statuses, key=WORST.index),
-        infeasibility=next(iter(proofs), None),
-        _advice=advice,
-        work=work,
-        iterations=together.iterations + iterations,
-        seconds=clock.read(),
-        algorithm=f"auto: {names}" if algorithm == "auto" else together.algorithm,
-    )
+        if proofs:
+            self.proof = max(proofs, key=lambda one: one[0])[1]  # one that excludes all points
+        raise Ended(max(statuses, key=WORST.index))
 
 
-def _within(settings: Settings, seconds: float, iterations: int, **others: bool) -> Settings:
-    """Return the settings with other limits."""
-    limit = None if seconds == np.inf else seconds
-    return replace(settings, max_seconds=limit, max_iterations=iterations, **others)
-
-
-def _open_components(
-    certificate: Certificate, several: Components, tolerance: float
-) -> Iterator[NDArray[np.bool_]]:
-    """Yield the blocks of each component that is not SOLVED, as an array of bool, shape (k,)."""
-    relative = over(*certificate.residuals_of_components)
-    for label in np.flatnonzero(
-        ~within(relative, several.largest(certificate.term_residuals), tolerance)
-    ):
-        yield several.labels == label
-
-
-def _merged(stages: Sequence[StageRecord]) -> tuple[StageRecord, ...]:
-    """Return the stages with those of one name and reason as one."""
-    merged: dict[tuple[str, str], StageRecord] = {}
-    for stage in stages:
-        known = merged.get(key := stage[:2])
-        merged[key] = (
-            stage
-            if known is None
-            else known._replace(
-                iterations=known.iterations + stage.iterations, work=known.work + stage.work
-            )
-        )
-    return tuple(merged.values())
-
-
-def _is_for_the_loop(problem: Blocks, settings: Settings, clock: Clock, *, is_step: bool) -> bool:
-    """Return whether the problem is small, and nobody wants to see the steps or a measure that the loop lacks."""
-    is_plain = (
-        settings.is_unobserved and settings.max_iterations > 0 and not settings.absolute_tolerance
-    )
-    is_small = 0 < problem.n <= LARGEST
-    return (is_small or is_step) and is_plain and clock.read() < settings.max_seconds
-
-
-def _at_rounding_level(
-    problem: Blocks, z: FloatVector, settings: Settings
-) -> tuple[ConeCertificate, Status] | None:
-    """Return what the judge says of a z whose residual is no larger than rounding explains; None of another."""
-    judge = ConeJudge(problem, settings)
-    if not judge.is_at_floor(z):
-        return None
-    certificate: Any = judge.final(z, End.AT_FLOOR, None)
-    return certificate, judge.verdict(certificate, End.AT_FLOOR, is_chain=False)
-
-
-def result_of(
-    problem: Blocks,
-    found: LoopAnswers,
-    k: int,
-    settings: Settings,
-    seconds: float,
-    known: tuple[ConeCertificate, Status] | None = None,
-) -> ConeResult:
-    """Return the result of a problem, the k-th of those that the compiled loop has run, after these seconds."""
-    sweeps, newton, *path = found.made[k].tolist()
-    stages = []
-    if sweeps or not newton:
-        rounds = sweeps // SWEEPS_A_STEP
-        stages.append(
-            StageRecord("npgs", SWEEPS if sweeps else NOTHING_TO_DO, rounds, sweeps + rounds + 1.0)
-        )
-    if newton or path:
-        unknowns = (
-            problem.n if problem.bodies is None else min(problem.n, problem.bodies.mass.shape[-1])
-        )
-        passes = unknowns**3 / (3.0 * max(problem.nonzeros, 1)) + 2.0
-        stages += [
-            StageRecord("interior_point", MIDDLE, steps, steps * passes) for steps in path if steps
-        ]
-        stages += [StageRecord("newton", FOLLOWS, newton, newton * passes)] * (newton > 0)
-    proved = ConeCertificate.proved(problem, found.z[k], float(found.residual[k])), Status.SOLVED
-    certificate, status = known or proved
-    return ConeResult(
-        z=certificate.point,
-        w=read_only(problem.slack(certificate.point)),
-        status=status,
-        certificate=certificate,
-        tolerance=settings.tolerance,
-        algorithm=f"auto: {', '.join(stage.name for stage in stages)}",
-        iterations=sum(stage.iterations for stage in stages),
-        work=sum(stage.work for stage in stages),
-        seconds=seconds,
-        setup_seconds=0.0,
-        stages=tuple(stages),
-        problem=problem,
-    )
-
-
-def _start(problem: Blocks, z0: ArrayLike | None) -> FloatVector:
-    if z0 is None:
-        return problem.nearest_to_zero
-    try:
-        return problem.projected(checked_vector(z0, "z0", problem.n, may_be_number=problem.n == 1))
-    except InvalidProblem as error:
-        raise InvalidOption(str(error)) from error
-
-
-def _policy(problem: Blocks, algorithm: Any, settings: Settings, **known: bool) -> Policy:
+def _checked_algorithm(algorithm: Any) -> str | ConeAlgorithm:
+    """Return "auto" or the object of a method."""
     if isinstance(algorithm, ConeAlgorithm):
-        return Single(algorithm, prove_infeasibility=False)
-    if isinstance(algorithm, Algorithm) or not isinstance(algorithm, str):
+        return algorithm
+    if not isinstance(algorithm, str):
         raise UnknownAlgorithm(
             f"algorithm must be one of {', '.join(METHODS)} or an object of "
             f"lcp_plugin.problems.cones.methods, got {algorithm!r}"
         )
     if algorithm == "auto":
-        return ConeAuto(problem, prove_infeasibility=settings.prove_infeasibility, **known)
+        return algorithm
     if algorithm not in METHODS:
         raise UnknownAlgorithm(
             f"no algorithm for cones is called {algorithm!r}{did_you_mean(algorithm, {'auto', *METHODS})}"
         )
-    return Single(METHODS[algorithm](), prove_infeasibility=False)
+    return METHODS[algorithm]()
 
 
-def newton_operations(problem: Blocks, z: FloatVector) -> float:
-    """Return about how many multiplications a step of Newton takes at z, the blocks at rest left out."""
-    rows = float(problem.sizes[np.unique(problem.block_of_row[z != 0.0])].sum())
-    sparse = (problem.n / problem.slope.size) ** 3 * sizes_of_factor(problem.block_norms.matrix)[1]
-    return float(min(rows**3 / 3.0, sparse) + 2.0 * problem.nonzeros)
+def _start(problem: Blocks, z0: ArrayLike) -> FloatVector:
+    try:
+        return checked_vector(z0, "z0", problem.n, may_be_number=problem.n == 1)
+    except InvalidProblem as error:
+        raise InvalidOption(str(error)) from error
 
 
-class ConeAuto(Policy):
-    """Sweeps, as long as nothing gets there with less work; then Newton, and an interior point.
+def _result(problem: Blocks, run: Run, log: Log, chosen: str | ConeAlgorithm) -> ConeResult:
+    """Return the result of a run."""
+    settings, measures = log.settings, run.measures
+    assert measures is not None
+    certificate = ConeCertificate(problem, measures)
+    words = dict(WORDS_OF_CONTACTS if problem.has_friction else WORDS)
+    if not settings.prove_infeasibility:
+        words[Status.STALLED] += NOT_ASKED
+    stages = tuple(stage for stage in log.stages if stage.work) or tuple(log.stages[:1])
+    if run.status is Status.SOLVED and not log.iterations:
+        stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
+    name = ", ".join(dict.fromkeys(stage.name for stage in stages))
+    return ConeResult(
+        z=certificate.point,
+        w=certificate.velocity,
+        status=run.status,
+        certificate=certificate,  # type: ignore[arg-type]
+        algorithm=f"auto: {name}" if chosen == "auto" else chosen.name,  # type: ignore[union-attr]
+        iterations=log.iterations,
+        work=log.work,
+        seconds=log.clock.read(),
+        setup_seconds=log.setup_seconds,
+        tolerance=settings.tolerance,
+        absolute_tolerance=settings.absolute_tolerance,
+        history=tuple(log.samples),
+        stages=_merged(stages),
+        infeasibility=run.proof,
+        problem=problem,
+        _advice=words,
+    )
 
-    What these leave open, of 3000 planted problems of up to 30 contacts some 30, and of piles none so far, gets convex
-    programs, sweeps until they stand still, and Newton's
-    method from other points. Small problems have had the first two in the compiled
-    loop.
-    """
 
-    name = chosen = "auto"
+def result_of(
+    problem: Blocks, z: FloatVector, iterations: int, settings: Settings, seconds: float
+) -> ConeResult:
+    """Return the result of a problem that a stack has solved."""
+    certificate = ConeCertificate.at(problem, z, settings.tolerance)
+    return ConeResult(
+        z=certificate.point,
+        w=certificate.velocity,
+        status=Status.SOLVED,
+        certificate=certificate,  # type: ignore[arg-type]
+        algorithm="auto: npgs, newton",
+        iterations=iterations,
+        work=0.0,
+        seconds=seconds,
+        setup_seconds=0.0,
+        tolerance=settings.tolerance,
+        stages=(StageRecord("npgs, newton", f"{SWEPT}, {FOLLOWS}", iterations, 0.0),),
+        problem=problem,
+    )
 
-    def __init__(
-        self, problem: Blocks, *, is_warm: bool, was_tried: bool, prove_infeasibility: bool
-    ) -> None:
-        self._prove_infeasibility = prove_infeasibility
-        self._problem = problem
-        self._newton_steps = BEFORE_THE_PATH if problem.has_friction else LONG
-        is_connected = connected_components(problem.block_norms.matrix) is None
-        shared = iter(
-            [Choice(NPGS(), SWEEPS)]
-        )  # what is left open, each component gets a run of its own for
-        self._left = self._stages(is_warm=is_warm, was_tried=was_tried) if is_connected else shared
 
-    def first(self, problem: Any) -> Choice:
-        """Return the first stage."""
-        return next(self._left)
-
-    def next_step(
-        self, problem: Any, stages: Sequence[Stage], goal: float, failed: bool
-    ) -> Choice | None:
-        """Return the next stage where one has come to its end, or where sweeps need more work than Newton."""
-        stage = stages[-1]
-        if not failed:
-            if stage.algorithm.name == "newton":
-                return next(self._left, None) if stage.iterations >= self._newton_steps else None
-            if stage.algorithm.name != "npgs" or stage.iterations < TRIAL:
-                return None
-            if stage.algorithm.sweeps >= LONG:  # type: ignore[attr-defined]
-                return next(self._left, None) if stage.iterations >= LONG_STEPS else None
-            left = stage.steps_to_go(goal) * 11.0 * self._problem.nonzeros
-            if left <= self._newton_operations(stage):
-                return None
-        return next(self._left, None)
-
-    def _newton_operations(self, stage: Stage) -> float:
-        """Return about how many multiplications an answer by Newton takes, the blocks at rest left out."""
-        if stage.z is None:
-            return np.inf
-        return NEWTON_STEPS * (newton_operations(self._problem, stage.z) + STEP_OPERATIONS)
-
-    def _stages(self, *, is_warm: bool, was_tried: bool) -> Iterator[Choice]:
-        """Yield what comes in turn; where the compiled loop `was_tried`, what it did not do."""
-        middle = Choice(InteriorPoint(), MIDDLE)
-        if is_warm and not was_tried:
-            yield Choice(
-                Newton(), "a start that is given is near: Newton's steps from there come first"
-            )
-        if is_warm and self._problem.has_friction:
-            yield middle
-        if not was_tried:
-            yield Choice(NPGS(), SWEEPS, from_start=is_warm)
-            yield Choice(Newton(), FOLLOWS)
-        self._newton_steps = LONG
-        if self._problem.has_friction and not is_warm:
-            yield middle
-        if self._prove_infeasibility:
-            yield Choice(InfeasibilityCheck(), "is there an answer at all?")
-        yield Choice(
-            FixedPoint(),
-            "convex programs, each with friction as after the one before",
-            from_start=True,
+def _merged(stages: tuple[StageRecord, ...]) -> tuple[StageRecord, ...]:
+    """Return the stages with those of one name and reason as one."""
+    merged: dict[tuple[str, str], StageRecord] = {}
+    for stage in stages:
+        known = merged.get(stage[:2])
+        iterations, work = (0, 0.0) if known is None else (known.iterations, known.work)
+        merged[stage[:2]] = stage._replace(
+            iterations=iterations + stage.iterations, work=work + stage.work
         )
-        yield Choice(NPGS(sweeps=LONG), "sweeps until they stand still", from_start=True)
-        yield from (Choice(Newton(seed=seed), NEARBY) for seed in range(STARTS))
-
-
-class ConeJudge(Judge):
-    """Measures by blocks; see :class:`Judge`."""
-
-    words = {  # noqa: RUF012 - read only
-        Status.STALLED: "no method reduces the residual further; next: try another start z0",
-        Status.INFEASIBLE: (
-            "no z in the cones has an M z + q in their duals, even with errors as large as the tolerance; "
-            "next: check the data; result.proof proves it"
-        ),
-    }
-    words_of_contacts = {  # noqa: RUF012 - read only
-        Status.STALLED: (
-            "no method reduces the residual further; next: try another start z0, or less friction: a solution need "
-            "not exist where friction is large or W is singular"
-        ),
-        Status.INFEASIBLE: (
-            "no impulses keep every contact from closing further, even with errors as large as the tolerance; "
-            "next: check the data; result.proof proves it"
-        ),
-    }
-
-    def __init__(self, problem: Blocks, settings: Settings) -> None:
-        self.scaling = CommonScaling(problem, problem)  # type: ignore[arg-type]
-        self.problem: Any = problem
-        self.asked, self.settings = problem, settings
-        self.reference = 1.0  # residuals are relative to those of the components already
-        self.proof = self._certificate = None
-        self.products: Callable[[], float] = lambda: (
-            np.inf
-        )  # products with M that the run has taken
-        if problem.has_friction:
-            self.words = self.words_of_contacts
-
-    def certificate_of(self, z: FloatVector) -> Certificate:
-        """Return the certificate of z; the latest one is kept."""
-        latest: Any = self._certificate
-        answer = self._held(z)
-        if latest is None or not np.array_equal(latest.point, answer):
-            self._certificate = latest = ConeCertificate.at(self.problem, answer)
-        return latest  # type: ignore[no-any-return]
-
-    def measure(self, z: FloatVector) -> float:
-        """Return the relative residual of z."""
-        return relative_residual(self.problem, self._held(z))
-
-    def is_at_floor(self, z: FloatVector | None) -> bool:
-        """Return whether rounding explains the residual of z, or the system of its cases makes an answer of it."""
-        return super().is_at_floor(z) or (
-            z is not None and self.final(z, End.AT_FLOOR, None).meets(self.settings)
-        )
-
-    def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
-        """Return the certificate of the answer, or of what the system of its cases and that of the next make of it."""
-        found: Any = self.certificate_of(z)
-        is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT, End.STEP_LIMIT, End.NO_SOLUTION)
-        problem, z = self.problem, found.point
-        for count in range(1, LAST_STEPS + 1):
-            if is_cut_short or found.relative_residual <= EXACT:
-                break
-            if count * newton_operations(problem, z) > self.products() * problem.nonzeros:
-                break
-            w = problem.slack(z)
-            step = NewtonSystem(problem).step(z, w, problem.residual(z, w)[0], 0.0)[1]
-            if step is None:
-                break
-            z = z + step  # outside the cones, too: that is what tells other cases
-            found = self.better_of(found, self.certificate_of(z))
-        return found  # type: ignore[no-any-return]
-
-    def _held(self, z: FloatVector) -> FloatVector:
-        """Return the point of K nearest to z, with z° in the components that z° answers."""
-        answered, z = criterion_of(self.problem).answered, self.problem.projected(z)
-        return z if answered is None else np.where(answered, self.problem.nearest_to_zero, z)
+    return tuple(merged.values())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -542,15 +616,6 @@ class ConeResult(Result):
     """
 
     problem: Any = None
-
-    @classmethod
-    def of(cls, problem: Blocks, result: Result) -> ConeResult:
-        """Return a run's result in the problem's own unknowns."""
-        given = {one.name: getattr(result, one.name) for one in fields(Result)}
-        certificate: Any = result.certificate
-        return cls(
-            **{**given, "z": certificate.point, "w": certificate.velocity, "problem": problem}
-        )
 
     @cached_property
     def motion(self) -> ContactMotion:
@@ -600,8 +665,8 @@ class ConeResult(Result):
                 else ""
             )
             lines.append(f"the steepest impulse leans {angle:.3g}° from its normal{limit}")
-        if not is_symmetric_to_rounding(problem.W):
-            asymmetry = float(abs(problem.W - problem.W.T).max())
+        asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
+        if asymmetry > ROUNDING * float(abs(problem.W).max() if problem.n else 0.0):
             lines.append(
                 f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given"
             )

@@ -6,18 +6,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import BoolVector, changes_by_name, read_only
-from ...core.lcp import LCP
-from ...core.matrix.matrix import residual_scales
-from ...core.rounding import fresh_copies
-from ...systems.least_norm import FreeBlocks, products, solved
-from ..batches.contact_batch import ContactBatchResult
-from ..cones.data import Blocks
-from ..cones.derivative import BY_HAND, REFINEMENTS, REFINING, ConeDerivative
-from ..cones.methods import EXACT
+from ...systems.least_norm import FreeBlocks, products
+from ..batches.contact_batch import ContactBatchResult, stack_of_worlds
+from ..cones.derivative import BY_HAND, StackDerivative
+from ..cones.newton import whole_systems
+from ..cones.stack import ConeStack
 from ..many.chunks import in_chunks
 from .batch_derivative import ManyDerivatives
 
@@ -26,122 +22,34 @@ NAMED = 5  # worlds, in words
 TOGETHER = 512  # worlds whose arrays a cache holds
 
 
-class _Worlds(Blocks):
-    """The contacts of some worlds as the blocks of one problem; its matrix is not made: W stays stacked."""
+class _Together(StackDerivative):
+    """The derivatives of some worlds, with an inverse of each one's system."""
 
-    def __init__(self, W: Any, b: Any, friction: Any, dimension: int) -> None:
-        rows = LCP(sp.csr_array((b.size, b.size)), b.ravel(), lower=-np.inf)
-        super().__init__(
-            rows, np.arange(0, b.size + 1, dimension), friction.ravel(), has_friction=True
-        )
-        self.W, self.d = W, dimension
-
-    def slack(self, z: Any) -> Any:
-        """Return W z + b."""
-        return products(self.W, z.reshape(self.W.shape[:2])).ravel() + self.q
+    def __init__(self, stack: ConeStack, z: Any, items: Any, is_solved: Any) -> None:
+        super().__init__(stack, stack.pattern.wide(z))
+        self.items = items
+        self.is_plain = is_solved & (self.system.is_regular | self.system.is_singular)
 
     @cached_property
-    def scale(self) -> Any:
-        """What w is divided by, as of each world by itself, shape (k,)."""
-        count, n = self.W.shape[:2]
-        blocks = self.W.reshape(count, n // self.d, self.d, n // self.d, self.d)
-        norms = np.sqrt(np.einsum("kimjl,kimjl->kij", blocks, blocks))
-        own = np.diagonal(norms, axis1=1, axis2=2) / np.sqrt(self.d)
-        norms[:, range(n // self.d), range(n // self.d)] = own
-        return residual_scales(own, norms.max(axis=2, initial=0.0)).ravel()
-
-
-class _Together(ConeDerivative):
-    """The derivative of some worlds as of one problem, whose system is one of each world."""
-
-    problem: _Worlds
-
-    def __init__(self, problem: _Worlds, z: Any, items: Any, is_solved: Any) -> None:
-        self.problem, self.shape, self.items = problem, z.shape, items
-        self.contacts = z.shape[0], z.shape[1] // problem.d
-        self.z = self._refined(z.ravel())
-        self.w = problem.slack(self.z)
-        self._take_element_at(self.z, self.w)
-        self.blocks = FreeBlocks(self._J, self._is_free.reshape(z.shape))
-        self.is_plain = is_solved & (self.blocks.is_regular | self.blocks.is_singular)
-
-    @cached_property
-    def is_degenerate(self) -> Any:
-        """The contacts on the edge of two cases, a row a world."""
-        return np.isin(np.arange(self.problem.slope.size), self.degenerate).reshape(self.contacts)
+    def system(self) -> FreeBlocks:
+        """The inverses on the free rows."""
+        free = np.repeat(self.is_free, self.stack.pattern.sizes, axis=1)
+        return FreeBlocks(whole_systems(self.stack, self.by_z, self.by_w), free)
 
     def changes(self, change: Any, slopes: Any) -> list[Any]:
         """Return [dz], a row a world, by changes of W z + b and of friction; NaN where it is one-sided."""
-        more = self.by_friction * np.repeat(slopes.ravel(), self.problem.d)
-        dz = self.tangent(change.ravel(), None, more).reshape(self.shape)
+        more = self.by_friction * np.repeat(slopes, self.stack.pattern.sizes, axis=1)
+        dz = self.tangent(change, None, more)
         dz[self.is_degenerate.any(axis=1)] = np.nan
         return [dz]
 
     def rows_of_gradients(self, g: Any, by_w: Any) -> list[Any]:
         """Return the gradients by b and by friction, a row a world."""
-        by_q, _, by_friction = self.gradients(g.ravel(), by_w.ravel())
-        return [by_q.reshape(self.shape), by_friction.reshape(self.contacts)]
-
-    def _take_rows(self, z: Any, w: Any) -> None:
-        from ..cones.kernels import derivatives
-
-        problem, (count, n), d = self.problem, self.shape, self.problem.d
-        by_z = np.empty((problem.slope.size, d, d))
-        self._by_w = np.empty_like(by_z)
-        derivatives(*problem.arrays, *fresh_copies(z, w, problem.scale), by_z, self._by_w)
-        self._is_free = np.repeat(self._by_w.any(axis=(1, 2)), d)
-        by_w = self._by_w.reshape(count, n // d, d, d)
-        self._J = np.matmul(by_w, problem.W.reshape(count, n // d, d, n)).reshape(count, n, n)
-        self._add_to_blocks(by_z)
-
-    def _add_to_blocks(self, own: Any) -> None:
-        """Add to the blocks on the diagonal of J, shape (blocks, d, d)."""
-        (count, n), d = self.shape, self.problem.d
-        places = np.arange(n // d)
-        self._J.reshape(count, n // d, d, n // d, d)[:, places, :, places] += own.reshape(
-            count, n // d, d, d
-        ).swapaxes(0, 1)
-
-    def _refined(self, z: Any) -> Any:
-        problem, shape = self.problem, self.shape
-
-        def largest(values: Any) -> Any:
-            return np.abs(values).reshape(shape).max(axis=1, initial=0.0)
-
-        w = problem.slack(z)
-        R = problem.residual(z, w)[0]
-        goal = EXACT * largest(np.abs(z) + np.abs(w) / problem.scale[problem.block_of_row])
-        for _ in range(REFINEMENTS):
-            before = largest(R)
-            if not (before > goal).any():
-                break
-            self._take_rows(z, w)
-            self._add_to_blocks(REFINING * problem.scale[:, np.newaxis, np.newaxis] * self._by_w)
-            after = z + solved(self._J, -R.reshape(*shape, 1)).ravel()
-            w_after = problem.slack(after)
-            R_after = problem.residual(after, w_after)[0]
-            is_better = np.repeat((before > goal) & (largest(R_after) < before), shape[1])
-            if not is_better.any():
-                break
-            z, w, R = (
-                np.where(is_better, *pair) for pair in ((after, z), (w_after, w), (R_after, R))
-            )
-        return z
-
-    def _sums_of_sizes(self) -> Any:
-        return products(np.abs(self.problem.W), np.abs(self.z).reshape(self.shape)).ravel()
-
-    def _product(self, x: Any, *, transposed: bool = False) -> Any:
-        W = self.problem.W
-        return products(W.swapaxes(1, 2) if transposed else W, x.reshape(self.shape)).ravel()
-
-    def _by_slack(self, x: Any, *, transposed: bool = False) -> Any:
-        return products(
-            self._by_w.swapaxes(1, 2) if transposed else self._by_w, x.reshape(-1, self.problem.d)
-        ).ravel()
+        by_q, _, by_friction = self.gradients(g, by_w)
+        return [by_q, by_friction]
 
     def _on_free(self, right: Any, *, transposed: bool = False) -> Any:
-        return self.blocks.solve(right.reshape(self.shape), transposed=transposed).ravel()
+        return self.system.solve(right, transposed=transposed)
 
 
 class ContactBatchGradient:
@@ -223,12 +131,8 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
                     np.where(is_solved[own], one[own], 0.0)
                     for one in (worlds.b, z, worlds.friction)
                 )
-                parts[k] = _Together(
-                    _Worlds(W, b, mu, worlds.dimension),
-                    at,
-                    np.arange(len(self))[own],
-                    self._is_solved[own],
-                )
+                stack = stack_of_worlds(W, b, mu, worlds.dimension)
+                parts[k] = _Together(stack, at, np.arange(len(self))[own], self._is_solved[own])
 
         in_chunks(derive, len(parts), self.batch.threads)
         return parts
@@ -237,7 +141,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
     def z(self) -> Any:
         """The impulses at which the derivatives are taken, shape (B, n); NaN where there are none."""
         z = np.full(self.batch.z.shape, np.nan)
-        self._fill([z], lambda part: [part.z.reshape(part.shape)], lambda k: [self[k].z])
+        self._fill([z], lambda part: [part.stack.pattern.flat(part.z)], lambda k: [self[k].z])
         return read_only(z)
 
     @cached_property
@@ -259,7 +163,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
         """The worlds in which several impulses make one motion, shape (B,), of bool: dz is the least of several."""
         is_singular = np.zeros(len(self), np.bool_)
         for part in self._parts:
-            is_singular[part.items] = part.is_plain & part.blocks.is_singular
+            is_singular[part.items] = part.is_plain & part.system.is_singular
         for k in self._left:
             is_singular[k] = self[k].is_singular
         return is_singular

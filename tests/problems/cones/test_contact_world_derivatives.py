@@ -140,7 +140,7 @@ def test_worlds_of_different_size() -> None:
 
 def test_what_the_loop_leaves_and_what_has_no_derivative() -> None:
     """Mixed units go one by one; NaN and no solution are errors of their own worlds, 0 where nobody asks."""
-    scale = np.array([1.0, 1.0, 1.0, 1e7, 1e7, 1e7])
+    scale = np.array([1.0, 1.0, 1.0, 1e4, 1e4, 1e4])
     coupled = np.eye(6) + 0.3 * np.fliplr(np.eye(6))
     W, b = np.stack([np.eye(6)] * 4), np.tile([-1.0, 3.0, 4.0, -1.0, 0.1, 0.0], (4, 1))
     W[0], W[1, 0, 0] = coupled * scale * scale[:, np.newaxis], np.nan

@@ -1,0 +1,197 @@
+"""Newton's method on the natural map of cones, for all problems of a stack at once, and the systems of its steps.
+
+A step solves (R_z + R_w (M + ε D)) s = −R, D = diag(d): the proximal ε keeps the system regular where several impulses
+make the same motion, and falls with the residual. Open blocks leave the system. The system has the unknowns of the
+blocks, or, where contacts are stated by bodies and these have fewer velocities, those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...systems.least_norm import solved
+from .stack import ConeStack
+from .systems import Factors, factorized_matrix
+
+PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
+LEAST_OF_BODIES = 1e-8  # 1/ε stands in the system of the velocities
+EXACT_OF_BODIES = 2.0**-36
+HARDER, EASIER = 100.0, 0.01  # times ε: of a singular system, and after a full step with no GAIN
+MEMORY = 5  # residuals whose largest a step may rise to
+HALVINGS, DECREASE = 14, 1e-4
+LAST_STEPS = 2
+GAIN, EXACT = 0.9, 2.0**-46  # a relative residual that another linear system hardly reduces
+PATIENCE = 15  # steps without GAIN
+STACKED_UP_TO = 12  # unknowns of one problem that are solved without leaving open blocks out
+
+
+def newton_steps(
+    stack: ConeStack,
+    z: Any,
+    steps: int,
+    goal: float,
+    *,
+    patience: int = PATIENCE,
+    proximal: float = PROXIMAL,
+) -> Iterator[tuple[Any, Any, Any, float]]:
+    """Yield which problems are open, their points and residuals, and the work: of the start, then of each step.
+
+    Steps are found by a nonmonotone line search on ‖R‖₂; a problem whose residual is at most `goal` is left out.
+    """
+    open_ones, here, at = np.arange(stack.B), stack, z
+    w, found, largest, size = here.measured(at)
+    yield open_ones, at, largest, 1.0
+    sizes, widest = np.repeat(size[:, None], MEMORY, 1), np.full(here.B, proximal)
+    best, since, least = size.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
+    for count in range(steps):
+        going = np.isfinite(size) & (largest > goal) & (since < patience)
+        if not going.any():
+            return
+        if not going.all():
+            kept = (open_ones, at, w, widest, sizes, largest, size, best, since)
+            kept = tuple(one[going] for one in kept)
+            open_ones, at, w, widest, sizes, largest, size, best, since = kept
+            here, found = here.taken(going), tuple(part[going] for part in found)
+        by_z, by_w = here.derivative(w, *found[1:])
+        epsilon = np.maximum(np.minimum(widest, 0.1 * largest), least)
+        step = None
+        while step is None and epsilon.min() <= 1.0:
+            try:
+                shift = (epsilon[:, None] * here.d)[..., None, None]
+                factors = factorized(here, by_z + shift * by_w, by_w)
+                step = factors.solve(-found[0])
+            except np.linalg.LinAlgError:
+                epsilon = np.maximum(HARDER * epsilon, LEAST_PROXIMAL)
+        if step is None:
+            return
+        t, allowed, before, start = np.ones(here.B), sizes.max(1), size, at
+        at = start + step
+        w, found, largest, size = here.measured(at)
+        for _ in range(HALVINGS):
+            is_short = ~(size <= (1.0 - DECREASE * t) * allowed)
+            if not is_short.any():
+                break
+            t[is_short] *= 0.5
+            at[is_short] = (start + t[:, None, None] * step)[is_short]
+            one, parts, *ends = here.taken(is_short).measured(at[is_short])
+            for whole, part in zip((w, *found, largest, size), (one, *parts, *ends), strict=True):
+                whole[is_short] = part
+        widest = np.where(
+            (t < 1.0) | (size >= before),
+            proximal,
+            np.where(size > GAIN * before, EASIER * epsilon, widest),
+        )
+        sizes[:, count % MEMORY] = size
+        since = np.where(size < GAIN * best, 0, since + 1)
+        best = np.minimum(best, size)
+        yield open_ones, at, largest, 2.0 + factors.entries / max(here.pattern.nonzeros, 1)
+
+
+def accuracy_of(stack: ConeStack) -> tuple[float, float]:
+    """Return the least proximal term, and the residual that no further step reduces."""
+    if stack.arms is not None and stack.arms.are_fewer(stack.pattern.n):
+        return LEAST_OF_BODIES, EXACT_OF_BODIES
+    return LEAST_PROXIMAL, EXACT
+
+
+def polished(stack: ConeStack, z: Any) -> tuple[Any, Any]:
+    """Return points and residuals after the linear systems of two active sets, if these reduce the residual.
+
+    If M is ill-conditioned, a small residual is no small error: a run that knows its active set ends with its system.
+    """
+    least, exact = accuracy_of(stack)
+    w, found, largest, _ = stack.measured(z)
+    best, smallest, shift = z, largest, least * stack.d[..., None, None]
+    for _ in range(LAST_STEPS):
+        if (largest <= exact).all():
+            break
+        by_z, by_w = stack.derivative(w, *found[1:])
+        try:
+            z = z + factorized(stack, by_z + shift * by_w, by_w).solve(-found[0])
+        except np.linalg.LinAlgError:
+            break
+        w, found, largest, _ = stack.measured(z)
+        is_better = largest < smallest
+        best = np.where(is_better[:, None, None], z, best)
+        smallest = np.where(is_better, largest, smallest)
+    return best, smallest
+
+
+def factorized(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
+    """Return what solves (mixed + by_w M) s = right, shape (B, k, m).
+
+    Raises
+    ------
+    LinAlgError
+        For a singular matrix.
+    """
+    pattern = stack.pattern
+    if stack.B > 1 or (not pattern.is_sparse and pattern.n <= STACKED_UP_TO):
+        J = whole_systems(stack, mixed, by_w)
+
+        def solve_all(right: Any) -> Any:
+            return pattern.wide(solved(J, pattern.flat(right)[..., None])[..., 0])
+
+        return Factors(solve_all, pattern.n**3 / 3.0)
+    free = by_w[0].any((1, 2))
+    arms = stack.arms
+    if arms is not None and arms.are_fewer(pattern.sizes[free].sum()):
+        found: Factors = arms.factorized(mixed[0], by_w[0], np.flatnonzero(free))
+        return found
+    J, rows = system_of_free_rows(stack, mixed[0], by_w[0], free)
+    inverse = factorized_matrix(J)
+
+    def solve(right: Any) -> Any:
+        held = np.where(free[:, None], 0.0, right[0])[
+            None
+        ]  # of open blocks s is the right-hand side
+        known = right[0]
+        if held.any():
+            known = known - (by_w[0] @ pattern.times(held)[0][..., None])[..., 0]
+        s = pattern.flat(held)
+        s[0, rows] = inverse.solve(pattern.flat(known[None])[0, rows])
+        return pattern.wide(s)
+
+    return Factors(solve, inverse.entries)
+
+
+def whole_systems(stack: ConeStack, mixed: Any, by_w: Any) -> Any:
+    """Return mixed + by_w M of each problem, shape (B, n, n)."""
+    pattern, M = stack.pattern, stack.pattern.M
+    B, k, m, n = stack.B, stack.k, stack.m, stack.pattern.n
+    if pattern.place is None:
+        J = (by_w @ M.reshape(B, k, m, n)).reshape(B, n, n)
+    else:
+        wide = np.zeros((B, k * m, n))
+        wide[:, pattern.place] = M
+        J = (by_w @ wide.reshape(B, k, m, n)).reshape(B, k * m, n)[:, pattern.place]
+    i, j, block = pattern.inner
+    at = pattern.starts[:-1][block]
+    J[:, at + i, at + j] += mixed[:, block, i, j]
+    return J
+
+
+def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> tuple[Any, Any]:
+    """Return mixed + by_w M on the rows and columns of the free blocks of one problem, and which rows these are."""
+    pattern, m = stack.pattern, stack.m
+    rows = np.flatnonzero(free[pattern.of_row])
+    if pattern.place is None and not pattern.is_sparse:
+        f = rows.size // m
+        J = (by_w[free] @ pattern.M[0][rows[:, None], rows].reshape(f, m, rows.size)).reshape(
+            f, m, f, m
+        )
+        J[np.arange(f), :, np.arange(f)] += mixed[free]
+        return J.reshape(rows.size, rows.size), rows
+    i, j, block = pattern.inner
+    own = free[block]
+    i, j, block = i[own], j[own], block[own]
+    number = np.cumsum(free[pattern.of_row]) - 1
+    first = number[pattern.starts[:-1][block]]
+    where, shape = (first + i, first + j), (rows.size, rows.size)
+    M = (pattern.M if pattern.is_sparse else sp.csr_array(pattern.M[0]))[rows][:, rows]
+    of_w, of_z = (sp.csr_array((part[block, i, j], where), shape=shape) for part in (by_w, mixed))
+    return of_w @ M + of_z, rows

@@ -1,0 +1,89 @@
+"""Convex programs over cones, as Clarabel takes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.checks import FloatVector
+from ...core.errors import UnsuitableProblem
+from .data import Blocks
+
+
+class ConvexProgram:
+    """The convex programs of one problem over cones, as Clarabel takes them."""
+
+    def __init__(self, problem: Blocks) -> None:
+        try:
+            import clarabel
+        except ImportError as error:  # pragma: no cover - cvxpy installs it
+            raise UnsuitableProblem(
+                "fixed_point needs Clarabel; install it with: pip install clarabel"
+            ) from error
+        self.problem, self.clarabel = problem, clarabel
+        M = sp.csc_array(problem.rows.csr)
+        self.symmetric = sp.csc_array(0.5 * (M + M.T))
+        self.rest = sp.csr_array(M - self.symmetric)
+        rows, limits, cones = conic_rows(problem, clarabel)
+        self.rows, self.limits, self.cones = sp.csc_array(rows), limits, cones
+        self.upper_half = sp.csc_array(sp.triu(self.symmetric))
+
+    @property
+    def is_final(self) -> bool:
+        """Whether nothing is held: another program would be the same."""
+        return not (self.problem.has_friction or self.rest.count_nonzero())
+
+    def minimised(self, z: FloatVector) -> FloatVector | None:
+        """Return the minimiser where what depends on z is held; None where there is none."""
+        problem = self.problem
+        q = problem.q + self.rest @ z
+        if problem.has_friction:
+            w = problem.slack(z)
+            w[problem.starts[:-1]] = 0.0
+            q[problem.starts[:-1]] += problem.slope * np.sqrt(
+                np.add.reduceat(w * w, problem.starts[:-1])
+            )
+        found = self.solve(self.upper_half, q, self.rows, self.limits, self.cones)
+        z = np.asarray(found.x)
+        return problem.projected(z) if z.size == problem.n and np.isfinite(z).all() else None
+
+    def solve(self, P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
+        """Return what Clarabel makes of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
+        settings = self.clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+        return self.clarabel.DefaultSolver(
+            sp.csc_matrix(P), c, sp.csc_matrix(A), b, cones, settings
+        ).solve()
+
+
+def conic_rows(problem: Blocks, clarabel: Any) -> tuple[Any, FloatVector, list[Any]]:
+    """Return A, b and cones such that z ∈ K says b − A z ∈ cones."""
+    rows: list[Any] = []
+    limits: list[FloatVector] = []
+    cones: list[Any] = []
+    identity = sp.eye_array(problem.n, format="csr")
+    single = np.flatnonzero(problem.sizes == 1)
+    single = problem.starts[:-1][single]
+    for sign, bound in ((-1.0, problem.lower), (1.0, problem.upper)):
+        has = single[np.isfinite(bound[single])]
+        if has.size:
+            rows.append(sign * identity[has])
+            limits.append(sign * bound[has])
+            cones.append(clarabel.NonnegativeConeT(has.size))
+    slopes = np.ones(problem.n)
+    slopes[problem.starts[:-1]] = np.where(problem.sizes > 1, problem.slope, 1.0)
+    for k in np.flatnonzero(problem.sizes > 1):
+        first, end = int(problem.starts[k]), int(problem.starts[k + 1])
+        if problem.slope[k] > 0.0:
+            rows.append(-sp.diags_array(slopes[first:end]) @ identity[first:end])
+            cones.append(clarabel.SecondOrderConeT(end - first))
+        else:
+            rows.append(-identity[first:end])
+            cones += [clarabel.NonnegativeConeT(1), clarabel.ZeroConeT(end - first - 1)]
+        limits.append(np.zeros(end - first))
+    if not rows:
+        return sp.csr_array((0, problem.n)), np.zeros(0), []
+    return sp.vstack(rows), np.concatenate(limits), cones

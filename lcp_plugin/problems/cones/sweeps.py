@@ -1,0 +1,164 @@
+"""The one compiled loop over cones: sweeps of block Gauss–Seidel, each block solved with the others as they are.
+
+A contact in space is solved exactly, a number is clipped into its bounds, other cones get projected steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ...core.kernels.compilation import helper, kernel
+from ...core.rounding import read_only_views
+from .stack import ConeStack
+
+LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections
+ACCURATE = 1e-14
+TURN = 0.5  # radians that a step turns at most
+ENTRIES = 2_000_000  # of M that the loop reads between two looks at the clock
+
+
+@helper
+def _solve_contact(A, b, f, x):  # type: ignore[no-untyped-def]
+    """Write the impulse of a contact in space with velocities A x + b over x; return whether it was found.
+
+    It opens, or sticks with x = −A⁻¹b, or slides: along the angle θ of the impulse x_N is −b_N / (A_NN + f A_NT d(θ)),
+    and θ is where the velocity across d vanishes, which Newton's method finds.
+    """
+    if b[0] >= 0.0:
+        x[:] = 0.0
+        return True
+    d = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    e = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
+    g = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    det = -(A[0, 0] * d + A[0, 1] * e + A[0, 2] * g)
+    one = A[1, 2] * b[2] - b[1] * A[2, 2]
+    two = b[1] * A[2, 1] - A[1, 1] * b[2]
+    three = A[1, 0] * b[2] - b[1] * A[2, 0]
+    n = (b[0] * d + A[0, 1] * one + A[0, 2] * two) / det
+    s = (b[0] * e - A[0, 0] * one + A[0, 2] * three) / det
+    t = (b[0] * g - A[0, 0] * two - A[0, 1] * three) / det
+    if 0.0 <= n < np.inf and np.hypot(s, t) <= f * n:
+        x[0], x[1], x[2] = n, s, t
+        return True
+    angle = np.arctan2(x[2], x[1])
+    if x[1] == 0.0 and x[2] == 0.0:
+        angle = np.arctan2(-b[2], -b[1])
+    size = abs(b[0]) + abs(b[1]) + abs(b[2])
+    for _ in range(LOCAL_STEPS):
+        co, si = np.cos(angle), np.sin(angle)
+        push = A[0, 0] + f * (A[0, 1] * co + A[0, 2] * si)
+        if not push > 0.0:
+            return False
+        n = -b[0] / push
+        by_x = A[1, 0] + f * (A[1, 1] * co + A[1, 2] * si)
+        by_y = A[2, 0] + f * (A[2, 1] * co + A[2, 2] * si)
+        change = -n / push * f * (A[0, 2] * co - A[0, 1] * si)
+        u, v = by_x * n + b[1], by_y * n + b[2]
+        du = by_x * change + f * n * (A[1, 2] * co - A[1, 1] * si)
+        dv = by_y * change + f * n * (A[2, 2] * co - A[2, 1] * si)
+        across, along = co * v - si * u, co * u + si * v
+        slope = co * dv - si * du - along
+        if f == 0.0 or (abs(across) <= ACCURATE * size and along <= 0.0):
+            x[0], x[1], x[2] = n, f * n * co, f * n * si
+            return True
+        if slope > 0.0:
+            angle -= max(-TURN, min(TURN, across / slope))
+        else:
+            angle += 1.0 if across < 0.0 else -1.0
+    return False
+
+
+@helper
+def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-untyped-def]
+    """Take x nearer to the solution of one block by x ← P(x − step · ŵ), w = A x + b."""
+    for _ in range(LOCAL_STEPS):
+        slip, change, longest = 0.0, 0.0, 0.0
+        for i in range(size):
+            w[i] = b[i]
+            for j in range(size):
+                w[i] += A[i, j] * x[j]
+        for i in range(1, size):
+            slip = np.hypot(slip, w[i])
+        if friction:
+            w[0] += f * slip
+        slip = 0.0
+        for i in range(size):
+            w[i] = x[i] - step * w[i]
+            if i:
+                slip = np.hypot(slip, w[i])
+        axis = (w[0] + f * slip) / (1.0 + f * f)
+        for i in range(size):
+            new = w[i]
+            if not axis > 0.0:
+                new = 0.0
+            elif slip > f * w[0]:
+                new = f * axis * (w[i] / slip) if i else axis
+            change, longest = max(change, abs(new - x[i])), max(longest, abs(new))
+            x[i] = new
+        if change <= ACCURATE * longest:
+            return
+
+
+@kernel
+def sweep(  # type: ignore[no-untyped-def]
+    starts, friction, mu, lower, upper, indptr, indices, data, q, own, step, z, sweeps, stop
+):
+    """Take sweeps on z, shape (B, n), in each problem until its changes are `stop` times its largest unknown."""
+    m = max(own.shape[2], 3)
+    b, x, w = np.zeros(m), np.zeros(m), np.zeros(m)
+    for world in range(z.shape[0]):
+        for _ in range(sweeps):
+            moved, largest = 0.0, 0.0
+            for c in range(starts.size - 1):
+                first = starts[c]
+                size, A = starts[c + 1] - first, own[world, c]
+                for i in range(size):
+                    total = q[world, first + i]
+                    for p in range(indptr[first + i], indptr[first + i + 1]):
+                        total += data[world, p] * z[world, indices[p]]
+                    for j in range(size):
+                        total -= A[i, j] * z[world, first + j]
+                    b[i], x[i] = total, z[world, first + i]
+                if size == 1:
+                    if A[0, 0] > 0.0:
+                        x[0] = min(max(-b[0] / A[0, 0], lower[world, first]), upper[world, first])
+                elif not (friction and size == 3 and _solve_contact(A, b, mu[world, c], x)):
+                    _project_steps(A, b, mu[world, c], friction, step[world, c], size, x, w)
+                for i in range(size):
+                    moved = max(moved, abs(x[i] - z[world, first + i]))
+                    largest = max(largest, abs(x[i]))
+                    z[world, first + i] = x[i]
+            if moved <= stop * largest:
+                break
+
+
+def sweeps(stack: ConeStack, z: Any, count: int, stop: float, each: int = 0) -> Iterator[Any]:
+    """Yield z, shape (B, k, m), after some of so many sweeps: as many as `each` says, or as the clock allows."""
+    pattern, M, shape = stack.pattern, stack.pattern.M, (stack.B, stack.pattern.n)
+    if pattern.is_sparse:
+        indptr, indices, data = M.indptr, M.indices, M.data[None]
+    else:
+        n = pattern.n
+        indptr, indices = n * np.arange(n + 1), np.tile(np.arange(n), n)
+        data = M.reshape(stack.B, -1)
+    size = np.sqrt((pattern.own**2).sum((2, 3)))
+    step = 1.0 / np.where(size > 0.0, size, np.sqrt(pattern.sizes) * pattern.d)
+    low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
+    if stack.low is not None:
+        low[:], high[:] = (np.repeat(one, pattern.sizes, axis=1) for one in (stack.low, stack.high))
+    places = read_only_views(*(one.astype(np.int64) for one in (pattern.starts, indptr, indices)))
+    arrays = (stack.mu, low, high, data, pattern.flat(stack.q), pattern.own, step)
+    mu, low, high, data, q, own, step = read_only_views(*map(np.ascontiguousarray, arrays))
+    starts, indptr, indices = places
+    z = np.array(pattern.flat(z), order="C")
+    chunk = each or max(1, ENTRIES // max(data.size, 1))
+    for done in range(0, count, chunk):
+        now = min(chunk, count - done)
+        sweep(
+            *(starts, stack.has_friction, mu, low, high, indptr, indices, data, q, own, step),
+            *(z, now, stop),
+        )
+        yield pattern.wide(z.copy())

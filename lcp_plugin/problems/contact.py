@@ -606,7 +606,9 @@ def checked_contacts(
         _refuse_velocities(W.shape[-1], given)
     edges, k = _edges(given.shape[-1] - 1, directions), given.shape[-2]
     mu = checked_friction(friction, k)
-    distances = None if gaps is None and time_step is None else _distances(gaps, time_step, k)
+    distances = (
+        None if gaps is None and time_step is None else checked_distances(gaps, time_step, k)
+    )
     several = (W, 3), (given, 3), (mu, 2), (np.empty(k) if distances is None else distances, 2)
     counts = {part.shape[0] for part, ndim in several if part.ndim == ndim}
     if len(counts) > 1:
@@ -653,7 +655,7 @@ def are_of_bodies(velocities: tuple[int, ...], normals: tuple[int, ...], d: int)
     )
 
 
-def _distances(gaps: ArrayLike | None, time_step: float | None, k: int) -> FloatArray:
+def checked_distances(gaps: ArrayLike | None, time_step: float | None, k: int) -> FloatArray:
     """Return the gaps, checked with the time step."""
     if gaps is None or time_step is None:
         missing = "gaps" if gaps is None else "time_step"

@@ -119,11 +119,10 @@ def moved(rng: Generator, problem: Any, point: Any) -> Any:
     return problem.projected(new)
 
 
-def measure(problem: Any, point: Any) -> float:
-    """The least tolerance at which the judge passes a point."""
+def measure(problem: Any, point: Any) -> tuple[float, Any]:
+    """The least tolerance at which the criterion passes a point, and the snapped point, which a result has."""
     found = ConeCertificate.at(problem, point)
-    value = max(found.relative_residual, found.term_residual)
-    return value if value == value else np.inf
+    return max(found.relative_residual, found.term_residual), found.point
 
 
 def attack_cones(rng: Generator, count: int, steps: int = 400) -> Iterator[str]:
@@ -131,7 +130,7 @@ def attack_cones(rng: Generator, count: int, steps: int = 400) -> Iterator[str]:
     for _ in range(count):
         problem, right = planted(rng)
         seen["problems"] += 1
-        if measure(problem, problem.projected(right)) > TOLERANCE:
+        if measure(problem, problem.projected(right))[0] > TOLERANCE:
             seen["right ones refused"] += 1
             continue
         best, least = right, np.inf
@@ -139,9 +138,11 @@ def attack_cones(rng: Generator, count: int, steps: int = 400) -> Iterator[str]:
             point, value = problem.projected(right), np.inf
             for _ in range(steps // 4):
                 new = moved(rng, problem, point)
-                if not np.isfinite(new).all() or not error(problem, right, new) > ERROR:
+                if not np.isfinite(new).all():
                     continue
-                found = measure(problem, new)
+                found, new = measure(problem, new)
+                if not error(problem, right, new) > ERROR:
+                    continue
                 if found <= value:
                     point, value = new, found
             best, least = (point, value) if value < least else (best, least)

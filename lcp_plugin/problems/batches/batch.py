@@ -259,7 +259,11 @@ def solve_batch(
         {**asked, "algorithm": algorithm, "z0": z0},
         {**(solve_batch.__kwdefaults__ or {}), "threads": 1, "tolerance": default},
     )
-    wishes = {name: wish for name, wish in every.items() if wish is not defaults[name]}
+    wishes = {
+        name: wish
+        for name, wish in every.items()
+        if not (wish is defaults[name] or (np.isscalar(wish) and wish == defaults[name]))
+    }
     if isinstance(M, FrictionalContactBatch):
         _refuse_data("contacts", "FrictionalContact(W, b, friction)", q, lower, upper)
         wishes.pop("z0", None)

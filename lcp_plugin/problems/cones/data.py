@@ -120,13 +120,15 @@ class Blocks:
         """Return R = z − P_K(z − ŵ/d), shape (n,), and each projection: 0 apex or bound, 1 inside, 2 on K."""
         stack = ConeStack.of(self)
         wide = stack.pattern.wide
-        R, case, *_ = stack.residual(wide(z[None]), wide(w[None]))
+        with np.errstate(all="ignore"):
+            R, case, *_ = stack.residual(wide(z[None]), wide(w[None]))
         return stack.pattern.flat(R)[0], case[0]
 
     def projected(self, z: FloatVector) -> FloatVector:
         """Return the point of K nearest to z, shape (n,)."""
         stack = ConeStack.of(self)
-        found: FloatVector = stack.pattern.flat(stack.projected(stack.pattern.wide(z[None])))[0]
+        with np.errstate(all="ignore"):
+            found: FloatVector = stack.pattern.flat(stack.projected(stack.pattern.wide(z[None])))[0]
         return found
 
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:

@@ -26,6 +26,7 @@ from ..contact import (
     are_of_bodies,
     check_symmetric,
     checked_contacts,
+    checked_distances,
     checked_friction,
     is_of_bodies,
     warn_of_much_friction,
@@ -137,10 +138,16 @@ class FrictionalContact(Blocks):
         if velocities.ndim not in (1, 2):
             raise InvalidProblem(f"{need}, got shape {velocities.shape}")
         if velocities.ndim == 2:
+            if dimension not in (None, velocities.shape[1]):
+                raise InvalidProblem(
+                    f"b has {velocities.shape[1]} columns and dimension is {dimension}; leave one out"
+                )
             dimension = velocities.shape[1]
         offset = checked_vector(velocities.ravel(), "b", None)
         d = dimension_of(dimension, _shape_of(friction), offset.size)
         k = offset.size // d
+        if self.bodies is None:
+            offset = _until_contact(offset, gaps, time_step, d)
         mu = np.broadcast_to(
             checked_friction(friction, k, f"one a contact of {d} rows"), (k,)
         ).copy()
@@ -239,7 +246,7 @@ class FrictionalContactBatch:
         contacts: ArrayLike | None = None,
         dimension: int | None = None,
     ) -> None:
-        W, b, friction, _ = _stated(W, b, friction, gaps, time_step, keeps_sparse=False)
+        W, b, friction, bodies = _stated(W, b, friction, gaps, time_step, keeps_sparse=False)
         need = "b must have shape (B, d k) or (B, k, d), d = 3 in space and 2 in the plane"
         offsets = real_array(b, need)
         if offsets.ndim not in (1, 2, 3):
@@ -251,6 +258,8 @@ class FrictionalContactBatch:
             real_array(friction, "friction must be a number, or have shape (k,) or (B, k)"),
         )
         self.dimension = d = dimension_of(dimension, mu.shape[-1:], n)
+        if bodies is None:
+            offsets = _until_contact(offsets, gaps, time_step, d)
         k = n // d
         matrices = real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
         if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (n, n):
@@ -389,13 +398,24 @@ def _stated(
     *,
     keeps_sparse: bool,
 ) -> tuple[Any, Any, Any, Bodies | None]:
-    """Return W, b, gaps included, friction, and the bodies, of one problem or of many."""
-    if not isinstance(W, tuple) and gaps is None and time_step is None:
+    """Return W, b, friction, and the bodies, of one problem or of many; b of bodies includes the gaps."""
+    if not isinstance(W, tuple):
         return W, b, friction, None
     data = checked_contacts(
         W, friction, b, gaps=gaps, time_step=time_step, keeps_sparse=keeps_sparse
     )
     return data.W, data.until_contact(data.velocities, data.gaps), data.friction, data.bodies
+
+
+def _until_contact(b: FloatVector, gaps: ArrayLike | None, time_step: Any, d: int) -> FloatVector:
+    """Return velocities, shape (…, d k), plus those that close the gaps within the step."""
+    if gaps is None and time_step is None:
+        return b
+    distances = checked_distances(gaps, time_step, b.shape[-1] // d)
+    several = np.broadcast_shapes(b.shape[:-1], distances.shape[:-1])
+    found = np.array(np.broadcast_to(b, (*several, b.shape[-1])))
+    found[..., ::d] += distances / time_step
+    return found
 
 
 def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[np.int64]:

@@ -903,3 +903,18 @@ def test_warm_steps_of_a_pile_obey_their_limit() -> None:
     result = solve(problem, z0=np.full(problem.n, 1e3), max_seconds=0.05, tolerance=1e-15)
     assert result.seconds <= 0.15
     assert np.isfinite(result.z).all()
+
+
+def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
+    """W in few digits, sparse, b flat: gap / time step is added to normal velocities, and W stays as it is."""
+    W = np.eye(6)
+    W[0, 3], W[3, 0] = 0.1, 0.101
+    b, gaps = np.concatenate([SLIDES, SLIDES]), [0.01, 0.0]
+    for given in (W, sp.csr_array(W)):
+        for velocities in (b, b.reshape(2, 3)):
+            problem = FrictionalContact(given, velocities, 0.5, gaps=gaps, time_step=0.1)
+            np.testing.assert_allclose(problem.b, b + 0.1 * np.eye(6)[0])
+            assert problem.W[3, 0] == 0.101
+            assert sp.issparse(problem.W) or not sp.issparse(given)
+    with pytest.raises(InvalidProblem, match="b has 3 columns and dimension is 2"):
+        FrictionalContact(np.eye(6), b.reshape(2, 3), 0.5, dimension=2)

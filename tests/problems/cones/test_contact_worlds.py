@@ -194,3 +194,10 @@ def test_unpickled_worlds_compile_nothing_again() -> None:
     solve(pickle.loads(pickle.dumps(worlds[0])))
     solve(FrictionalContact(sp.csr_array(W[0]), worlds.b[0], 0.5))
     assert len(sweep.signatures) == 1
+
+
+def test_a_default_that_is_stated_is_no_other_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """absolute_tolerance=0.0 and an equal string for the algorithm leave the worlds in their stack."""
+    worlds = FrictionalContact(*arrays(10))
+    monkeypatch.setattr("lcp_plugin.problems.batches.mixed_batch.solve", never_one_by_one)
+    assert solve_batch(worlds, absolute_tolerance=0.0, algorithm="".join(["au", "to"])).all_solved

@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 
-from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
+from .engine import Engine, EngineAnswer, EngineStatus, Limits, Multipliers, ProgramData
 
 ENGINES = {  # name: file and class; in the order in which `lcp-plugin list` shows them
     "daqp": "DAQP",
@@ -24,11 +24,11 @@ ENGINES = {  # name: file and class; in the order in which `lcp-plugin list` sho
 __all__ = [
     "ENGINES",
     "Engine",
-    "Hint",
+    "EngineAnswer",
+    "EngineStatus",
     "Limits",
     "Multipliers",
-    "Point",
-    "Statement",
+    "ProgramData",
     "engine_class",
 ]
 

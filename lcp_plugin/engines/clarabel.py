@@ -8,17 +8,17 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
+from .engine import Engine, EngineAnswer, EngineStatus, Limits, Multipliers, ProgramData
 
 SAYS = {
-    "Solved": Hint.OPTIMAL,
-    "AlmostSolved": Hint.OPTIMAL,
-    "PrimalInfeasible": Hint.INFEASIBLE,
-    "AlmostPrimalInfeasible": Hint.INFEASIBLE,
-    "DualInfeasible": Hint.UNBOUNDED,
-    "AlmostDualInfeasible": Hint.UNBOUNDED,
-    "MaxIterations": Hint.STOPPED,
-    "MaxTime": Hint.STOPPED,
+    "Solved": EngineStatus.OPTIMAL,
+    "AlmostSolved": EngineStatus.OPTIMAL,
+    "PrimalInfeasible": EngineStatus.INFEASIBLE,
+    "AlmostPrimalInfeasible": EngineStatus.INFEASIBLE,
+    "DualInfeasible": EngineStatus.UNBOUNDED,
+    "AlmostDualInfeasible": EngineStatus.UNBOUNDED,
+    "MaxIterations": EngineStatus.STOPPED,
+    "MaxTime": EngineStatus.STOPPED,
 }
 
 
@@ -52,7 +52,7 @@ class Clarabel(Engine):
         )
         return frozenset(names) - {"verbose", "time_limit"}
 
-    def answer(self, program: Statement, limits: Limits) -> Point:
+    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return Clarabel's point: equations in the zero cone, rows and finite bounds in the nonnegative one."""
         import clarabel
 
@@ -95,9 +95,9 @@ class Clarabel(Engine):
         )
         for (side, places), first, last in zip(sides, ends, ends[1:], strict=False):
             side[places] = y[first:last]
-        return Point(
+        return EngineAnswer(
             np.array(found.x),
             every,
             int(found.iterations),
-            SAYS.get(str(found.status), Hint.GAVE_UP),
+            SAYS.get(str(found.status), EngineStatus.GAVE_UP),
         )

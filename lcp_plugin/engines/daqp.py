@@ -11,17 +11,25 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..core.checks import FloatVector, are_no_limits
-from .engine import Engine, Hint, Limits, Multipliers, Point, Statement, beside_bounds
+from .engine import (
+    Engine,
+    EngineAnswer,
+    EngineStatus,
+    Limits,
+    Multipliers,
+    ProgramData,
+    beside_bounds,
+)
 
 EQUATION = 5  # of daqp's `sense`
 ANSWERED = 1  # the smallest exit flag of an answer
 INFEASIBLE = -1  # the exit flag
 SAYS = {
-    1: Hint.OPTIMAL,
-    2: Hint.OPTIMAL,
-    INFEASIBLE: Hint.INFEASIBLE,
-    -3: Hint.UNBOUNDED,
-    -4: Hint.STOPPED,
+    1: EngineStatus.OPTIMAL,
+    2: EngineStatus.OPTIMAL,
+    INFEASIBLE: EngineStatus.INFEASIBLE,
+    -3: EngineStatus.UNBOUNDED,
+    -4: EngineStatus.STOPPED,
 }
 OF_THE_CALL = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi", "time_limit")
 
@@ -52,7 +60,7 @@ class DAQP(Engine):
 
         return frozenset(inspect.signature(daqp.solve).parameters) - set(OF_THE_CALL)
 
-    def answer(self, program: Statement, limits: Limits) -> Point:
+    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return daqp's point."""
         P, G, A = program.P, program.G, program.A
         if not isinstance(P, np.ndarray):
@@ -83,8 +91,11 @@ class DAQP(Engine):
         inequality, equality = np.maximum(y[bounds : bounds + m], 0.0), y[bounds + m :]
         none = np.zeros(n)
         of_bounds = beside_bounds(y[:n], program.lower, program.upper) if bounds else (none, none)
-        return Point(
-            x, Multipliers(inequality, equality, *of_bounds), steps, SAYS.get(flag, Hint.GAVE_UP)
+        return EngineAnswer(
+            x,
+            Multipliers(inequality, equality, *of_bounds),
+            steps,
+            SAYS.get(flag, EngineStatus.GAVE_UP),
         )
 
     def points(

@@ -15,7 +15,7 @@ from ..core.checks import FloatVector
 from ..core.errors import InvalidOption, did_you_mean
 
 
-class Statement(NamedTuple):
+class ProgramData(NamedTuple):
     """Minimise ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
     Attributes
@@ -60,7 +60,7 @@ class Limits(NamedTuple):
     is_verbose: bool = False
 
 
-class Hint(Enum):
+class EngineStatus(Enum):
     """What an engine says of its point: it is not believed, but shows where to look."""
 
     OPTIMAL = "optimal"
@@ -70,13 +70,13 @@ class Hint(Enum):
     GAVE_UP = "gave up"
 
 
-class Point(NamedTuple):
+class EngineAnswer(NamedTuple):
     """A point x with multipliers, how many steps led there, and what the engine says of it."""
 
     x: FloatVector
     multipliers: Multipliers
     iterations: int
-    says: Hint
+    says: EngineStatus
 
 
 class Engine(ABC):
@@ -133,7 +133,7 @@ class Engine(ABC):
         """Return the names of the engine's options."""
 
     @abstractmethod
-    def answer(self, program: Statement, limits: Limits) -> Point:
+    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return the point that the engine ends at."""
 
 

@@ -6,9 +6,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
+from .engine import Engine, EngineAnswer, EngineStatus, Limits, Multipliers, ProgramData
 
-SAYS = {0: Hint.OPTIMAL, 1: Hint.STOPPED, 2: Hint.INFEASIBLE, 3: Hint.UNBOUNDED}
+SAYS = {
+    0: EngineStatus.OPTIMAL,
+    1: EngineStatus.STOPPED,
+    2: EngineStatus.INFEASIBLE,
+    3: EngineStatus.UNBOUNDED,
+}
 OPTIONS = frozenset(
     {
         "maxiter",
@@ -45,7 +50,7 @@ class HiGHS(Engine):
         """Return the options of scipy's `linprog` for HiGHS."""
         return OPTIONS
 
-    def answer(self, program: Statement, limits: Limits) -> Point:
+    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return the vertex that HiGHS ends at."""
         from scipy.optimize import linprog
 
@@ -65,12 +70,12 @@ class HiGHS(Engine):
         )
         m, p, n = program.h.size, program.b.size, program.c.size
         every = Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))
-        says = SAYS.get(found.status, Hint.GAVE_UP)
+        says = SAYS.get(found.status, EngineStatus.GAVE_UP)
         if found.x is None:
-            return Point(np.zeros(n), every, int(found.nit), says)
+            return EngineAnswer(np.zeros(n), every, int(found.nit), says)
         every.inequality[rows] = -found.ineqlin.marginals
         every.equality[:] = -found.eqlin.marginals
-        return Point(
+        return EngineAnswer(
             found.x,
             every._replace(lower=found.lower.marginals, upper=-found.upper.marginals),
             int(found.nit),

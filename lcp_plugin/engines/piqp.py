@@ -10,10 +10,15 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from .engine import Engine, Hint, Limits, Multipliers, Point, Statement
+from .engine import Engine, EngineAnswer, EngineStatus, Limits, Multipliers, ProgramData
 
 INFINITE = 1e30  # limits of rows that PIQP leaves out, and prints that it does
-SAYS = {1: Hint.OPTIMAL, -1: Hint.STOPPED, -2: Hint.INFEASIBLE, -3: Hint.UNBOUNDED}
+SAYS = {
+    1: EngineStatus.OPTIMAL,
+    -1: EngineStatus.STOPPED,
+    -2: EngineStatus.INFEASIBLE,
+    -3: EngineStatus.UNBOUNDED,
+}
 
 
 class PIQP(Engine):
@@ -44,7 +49,7 @@ class PIQP(Engine):
             "verbose"
         }
 
-    def answer(self, program: Statement, limits: Limits) -> Point:
+    def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return PIQP's point."""
         import piqp
 
@@ -70,7 +75,7 @@ class PIQP(Engine):
             solver.solve()
             fit = limits.seconds / (time.perf_counter() - begun) - 1.0
             solver.settings.max_iter = int(min(max(fit, 1.0), steps))
-        says = SAYS.get(int(solver.solve()), Hint.GAVE_UP)
+        says = SAYS.get(int(solver.solve()), EngineStatus.GAVE_UP)
         found = solver.result
         of_rows = np.zeros(m)
         of_rows[is_limit] = found.z_u
@@ -80,10 +85,10 @@ class PIQP(Engine):
             np.array(found.z_bl),
             np.array(found.z_bu),
         )
-        return Point(
+        return EngineAnswer(
             np.array(found.x),
             multipliers,
-            0 if says is Hint.GAVE_UP else int(found.info.iter),
+            0 if says is EngineStatus.GAVE_UP else int(found.info.iter),
             says,
         )
 

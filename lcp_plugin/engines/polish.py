@@ -19,13 +19,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import FloatVector
-from .engine import Multipliers, Point, Statement
+from .engine import EngineAnswer, Multipliers, ProgramData
 
 STEPS, ROUNDS = 15, 2
 SHIFTS = 2.0**-26, 2.0**-50  # δ relative to the largest entry of its row
 
 
-def polished(program: Statement, point: Point, rounds: int = ROUNDS) -> Iterator[Point]:
+def polished(
+    program: ProgramData, point: EngineAnswer, rounds: int = ROUNDS
+) -> Iterator[EngineAnswer]:
     """Yield the point after the steps, one of Newton's on min(multiplier, slack) = 0, and again with a smaller δ.
 
     A round begins at the point of the last one, and ends the polish if its active set has been met before, or if its
@@ -33,17 +35,17 @@ def polished(program: Statement, point: Point, rounds: int = ROUNDS) -> Iterator
 
     Parameters
     ----------
-    program : Statement
+    program : ProgramData
         Whose rows are of one size: slacks are compared with multipliers.
-    point : Point
+    point : EngineAnswer
         Finite.
 
     Examples
     --------
     >>> none = np.zeros((0, 1)), np.zeros(0)
-    >>> program = Statement(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
+    >>> program = ProgramData(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
     >>> near = Multipliers(np.zeros(0), np.zeros(0), np.zeros(1), np.array([0.9]))
-    >>> found, *_ = polished(program, Point(np.array([1.99]), near, 0, None))
+    >>> found, *_ = polished(program, EngineAnswer(np.array([1.99]), near, 0, None))
     >>> found.x, found.multipliers.upper
     (array([2.]), array([1.]))
     """

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ..core.checks import FloatVector, assembled
 from ..core.matrix.matrix import largest_in_rows
-from .engine import Multipliers, Point, Statement
+from .engine import EngineAnswer, Multipliers, ProgramData
 
 FAR = 1e7  # times the lower quartile of all limits: nobody is likely to reach a limit beyond
 MOST = 0.9  # of costs and sides are less than what is brought to 1
@@ -24,7 +24,7 @@ class ScaledProgram(NamedTuple):
 
     Attributes
     ----------
-    statement : Statement
+    statement : ProgramData
     units : array, shape (n,)
         x = units · x of the statement.
     rows : array, shape (m + p,)
@@ -33,18 +33,18 @@ class ScaledProgram(NamedTuple):
         What the objective is multiplied by.
     """
 
-    statement: Statement
+    statement: ProgramData
     units: FloatVector
     rows: FloatVector
     objective: float
 
     @classmethod
     def of(
-        cls, given: Statement, units: FloatVector, rows: FloatVector, objective: float = 1.0
+        cls, given: ProgramData, units: FloatVector, rows: FloatVector, objective: float = 1.0
     ) -> ScaledProgram:
         """Return the statement in these units, powers of two."""
         of_G, of_A = np.split(rows, [given.h.size])
-        statement = Statement(
+        statement = ProgramData(
             _scaled(given.P, units * objective, units),
             given.c * units * objective,
             _scaled(given.G, of_G, units),
@@ -56,7 +56,7 @@ class ScaledProgram(NamedTuple):
         )
         return cls(statement, units, rows, objective)
 
-    def outward(self, point: Point) -> Point:
+    def outward(self, point: EngineAnswer) -> EngineAnswer:
         """Return the point in the given units."""
         inequality, equality, lower, upper = point.multipliers
         of_G, of_A = np.split(self.rows / self.objective, [inequality.size])
@@ -67,7 +67,7 @@ class ScaledProgram(NamedTuple):
         return point._replace(x=point.x * self.units, multipliers=multipliers)
 
 
-def in_units(given: Statement, units: FloatVector) -> ScaledProgram:
+def in_units(given: ProgramData, units: FloatVector) -> ScaledProgram:
     """Return a statement with x in these units, rows whose largest coefficient is from 1 to 2, and costs about 1."""
     sizes = (
         largest_in_rows(one)
@@ -83,14 +83,14 @@ def _power_below(sizes: Any) -> Any:
     return np.where(sizes > 0.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1), 1.0)
 
 
-def with_sides_about_one(fitted: ScaledProgram, given: Statement) -> ScaledProgram:
+def with_sides_about_one(fitted: ScaledProgram, given: ProgramData) -> ScaledProgram:
     """Return the statement in units in which most limits and most costs are at most about 1."""
     one = fitted.statement
     t = _most(one.h, one.b, one.lower, one.upper)
     return ScaledProgram.of(given, fitted.units * t, fitted.rows / t, 1.0 / _most(one.c * t))
 
 
-def without_far_limits(given: Statement) -> Statement:
+def without_far_limits(given: ProgramData) -> ProgramData:
     """Return a statement without limits of inequalities and bounds far beyond the others; the same one if none is.
 
     Examples
@@ -98,7 +98,7 @@ def without_far_limits(given: Statement) -> Statement:
     >>> none = np.zeros((0, 1))
     >>> bounds = np.array([-1e19]), np.array([3.0])
     >>> without_far_limits(
-    ...     Statement(np.eye(1), np.ones(1), none, np.zeros(0), np.ones((1, 1)), np.ones(1), *bounds)
+    ...     ProgramData(np.eye(1), np.ones(1), none, np.zeros(0), np.ones((1, 1)), np.ones(1), *bounds)
     ... ).lower
     array([-inf])
     """

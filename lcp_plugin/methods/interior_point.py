@@ -18,7 +18,7 @@ from ..core.matrix.matrix import Matrix, fact
 from ..core.matrix.structure import row_numbers
 from ..core.matrix.symmetry import is_nearly_symmetric
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
-from ..engines import Engine, Limits, Multipliers, Statement
+from ..engines import Engine, Limits, Multipliers, ProgramData
 from ..engines.piqp import PIQP
 from ..engines.scaling import in_units
 from ..systems.equilibration import power_of_two
@@ -114,7 +114,7 @@ class ConvexProgram:
     Attributes
     ----------
     problem : LCP
-    statement : Statement
+    statement : ProgramData
         min ½ xᵀP x + cᵀx + Σ (upper − lower) v with R x + q + v ≥ 0, or ≤ 0, or = 0, as each row's bounds ask for;
         x, v and all vectors in `size`.
     size : float
@@ -126,7 +126,7 @@ class ConvexProgram:
     """
 
     problem: LCP
-    statement: Statement
+    statement: ProgramData
     size: float
     unknowns: Any
     multipliers: Any
@@ -208,7 +208,7 @@ def _stated(
     high: FloatVector,
     lower: FloatVector,
     upper: FloatVector,
-) -> Statement:
+) -> ProgramData:
     """Return the statement with lower ≤ x ≤ upper, of rows whose multipliers are between `low` and `high`."""
     below, above = np.isfinite(low), np.isfinite(high)
     rows, equations, boxed = map(np.flatnonzero, (below | above, ~(below | above), below & above))
@@ -230,7 +230,7 @@ def _stated(
             P, A, G = np.pad(P, (0, k)), np.pad(A, ((0, 0), (0, k))), np.hstack([G, v.toarray()])
     if sp.issparse(R):
         P, G, A = map(sp.csr_array, (P, G, A))
-    return Statement(
+    return ProgramData(
         P,
         np.append(c, (high - low)[boxed]),
         G,

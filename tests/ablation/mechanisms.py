@@ -207,12 +207,12 @@ def no_point(old: Any) -> Any:
     """The same of PIQP."""
 
     def by_piqp(*statement: Any) -> Any:
-        from lcp_plugin.engines import Hint, Multipliers, Point, Statement
+        from lcp_plugin.engines import EngineAnswer, EngineStatus, Multipliers, ProgramData
 
-        program = Statement(*statement)
+        program = ProgramData(*statement)
         n, m, p = program.c.size, program.h.size, program.b.size
         multipliers = Multipliers(*(np.full(size, np.nan) for size in (m, p, n, n)))
-        return program, Point(np.full(n, np.nan), multipliers, 0, Hint.GAVE_UP)
+        return program, EngineAnswer(np.full(n, np.nan), multipliers, 0, EngineStatus.GAVE_UP)
 
     return by_piqp
 

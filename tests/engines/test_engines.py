@@ -14,11 +14,11 @@ from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProble
 from lcp_plugin.engines import (
     ENGINES,
     Engine,
-    Hint,
+    EngineAnswer,
+    EngineStatus,
     Limits,
     Multipliers,
-    Point,
-    Statement,
+    ProgramData,
     engine_class,
 )
 from lcp_plugin.engines.polish import polished
@@ -205,10 +205,10 @@ def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
         def known_options() -> frozenset[str]:
             return frozenset()
 
-        def answer(self, program: Statement, limits: Limits) -> Point:
+        def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
             n, m, p = program.c.size, program.h.size, program.b.size
             zeros = Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))
-            return Point(np.full(n, self.value), zeros, 1, Hint.OPTIMAL)
+            return EngineAnswer(np.full(n, self.value), zeros, 1, EngineStatus.OPTIMAL)
 
     program = QuadraticProgram(None, [-1, -1, 2], [[1, 2, 3]], [6], lower=0, upper=5)
     assert not solve(program, Liar()).is_solved
@@ -245,7 +245,7 @@ def test_a_scaled_statement_leads_back(seed: int) -> None:
     n, m = int(rng.integers(1, 5)), int(rng.integers(0, 6))
     G, F = rng.normal(size=(m, n)), rng.normal(size=(n, n))
     none, bounds = (np.zeros((0, n)), np.zeros(0)), (np.full(n, -1e12), rng.normal(size=n) + 9.0)
-    given_ = Statement(F @ F.T, rng.normal(size=n), G, rng.normal(size=m), *none, *bounds)
+    given_ = ProgramData(F @ F.T, rng.normal(size=n), G, rng.normal(size=m), *none, *bounds)
     units, rows = (2.0 ** rng.integers(-30, 30, size) for size in (n, m))
     for scaled in (
         ScaledProgram.of(given_, units, rows, 2.0 ** rng.integers(-9, 9)),
@@ -253,7 +253,9 @@ def test_a_scaled_statement_leads_back(seed: int) -> None:
     ):
         inside, x, y = scaled.statement, rng.normal(size=n), rng.random(m)
         zeros = np.zeros(n)
-        back = scaled.outward(Point(x, Multipliers(y, none[1], zeros, zeros), 0, Hint.OPTIMAL))
+        back = scaled.outward(
+            EngineAnswer(x, Multipliers(y, none[1], zeros, zeros), 0, EngineStatus.OPTIMAL)
+        )
         left = inside.P @ x + inside.c + inside.G.T @ y
         whole = given_.P @ back.x + given_.c + given_.G.T @ back.multipliers.inequality
         np.testing.assert_allclose(left, whole * scaled.units * scaled.objective, rtol=1e-9)
@@ -263,7 +265,7 @@ def test_limits_that_nobody_reaches_are_left_out() -> None:
     """Beyond 10⁷ times the lower quartile; what fixes an unknown stays."""
     none, rows = (np.zeros((0, 2)), np.zeros(0)), (np.ones((2, 2)), np.array([1.0, 2.0]))
     bounds = np.array([-1e19, 1e19]), np.array([3.0, 1e19])
-    near = without_far_limits(Statement(np.eye(2), np.ones(2), *rows, *none, *bounds))
+    near = without_far_limits(ProgramData(np.eye(2), np.ones(2), *rows, *none, *bounds))
     assert near.lower.tolist() == [-INF, 1e19]
     assert near.upper.tolist() == [3.0, 1e19]
 
@@ -272,7 +274,7 @@ def test_limits_that_nobody_reaches_are_left_out() -> None:
 def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
     """An x that is wrong by 1e-4 with the right multipliers: the planted x to rounding."""
     program, x, _ = planted(2)
-    statement = Statement(
+    statement = ProgramData(
         kind(program.P),
         program.c,
         kind(program.G),
@@ -284,7 +286,7 @@ def test_a_polish_solves_the_case_that_a_rough_point_names(kind: Any) -> None:
     )
     rough = run_engine(program, engine_class("daqp")(), 1e-9, GIVEN).solution
     multipliers = Multipliers(rough.inequality, rough.equality, rough.lower, rough.upper)
-    found, *_ = polished(statement, Point(x + 1e-4, multipliers, 0, Hint.GAVE_UP))
+    found, *_ = polished(statement, EngineAnswer(x + 1e-4, multipliers, 0, EngineStatus.GAVE_UP))
     assert np.abs(found.x - x).max() <= 1e-12
 
 

@@ -21,7 +21,7 @@ from ...core.checks import FloatVector
 from ...core.deadline import seconds_left
 from ...core.kernels.floats import EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
-from ...engines import Limits, Point, Statement
+from ...engines import EngineAnswer, Limits, ProgramData
 from ...engines.piqp import PIQP
 from ...engines.polish import polished
 from .data import ScaledLeastSquares
@@ -185,9 +185,9 @@ class Split(NamedTuple):
         return self.joined(start + sign * z)
 
 
-def _answer(*statement: Any) -> tuple[Statement, Point]:
+def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
     """Return the statement, and PIQP's point of it."""
-    program = Statement(*statement)
+    program = ProgramData(*statement)
     return program, PIQP().answer(program, Limits(seconds_left()))
 
 

@@ -4,7 +4,8 @@ Of min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds. Multipliers a
 them: a wrong sign is 0, and a bound's multiplier is what the gradient r = P x + c + Cᵀy leaves. Two measures decide:
 
 - **primal**: the violation of a row relative to max(|d_i|, max_j |c_ij x_j|); of a bound relative to |x_j| or itself.
-  A row is excused if its violation is rounding, 2⁻⁴⁴, of |c_ij| times the unknowns that matter in its component.
+  A row without coefficients is a number that others have computed: it is relative to 1. A row is excused if its
+  violation is rounding, 2⁻⁴⁴, of |c_ij| times the unknowns that matter in its component.
 - **gap**, of each connected component: Σ |y_i| |slack_i| + Σ (|r_j| − blur_j)⁺ reach_j + Σ blur_j shake_j, and the
   price of mending excused rows, relative to the objective's terms. reach_j is the distance to the bound that r_j pushes
   to, at most 10⁴ times the size of x_j; blur_j is the rounding of r_j.
@@ -178,6 +179,8 @@ class Point:
             np.maximum(self.cost, largest(of_P, self.of_x)), largest(of_columns, self.of_y)
         )
         self.own = np.maximum(largest(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0))
+        if self.matrices.has_short_rows:
+            self.own = np.maximum(self.own, self.matrices.sizes_without_entries)
 
     # --- Rows --------------------------------------------------------------------------------------------------------
 

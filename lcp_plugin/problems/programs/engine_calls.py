@@ -12,7 +12,15 @@ from ...core.checks import FloatVector
 from ...core.deadline import is_over, seconds_left
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.solving.result import StageRecord
-from ...engines import Engine, Hint, Limits, Multipliers, Point, Statement, engine_class
+from ...engines import (
+    Engine,
+    EngineAnswer,
+    EngineStatus,
+    Limits,
+    Multipliers,
+    ProgramData,
+    engine_class,
+)
 from ...engines.polish import ROUNDS, polished
 from ...engines.scaling import (
     ScaledProgram,
@@ -25,7 +33,7 @@ from .program_matrices import as_csr
 from .reductions import FoldedRows
 from .solution import QPSolution
 
-NO_MINIMUM = (Hint.INFEASIBLE, Hint.UNBOUNDED)
+NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
 NOISE = 2.0**-40  # of the largest: what an interior point leaves of 0
 GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits and costs"
 ATTEMPTS = (  # engine, tolerance of its own, units
@@ -53,14 +61,14 @@ class EngineRun(NamedTuple):
         The best of its points, as it came, cleaned or polished.
     errors : Errors
         The two measures of it.
-    says : Hint
+    says : EngineStatus
         What the engine says of its last point.
     stage : StageRecord
     """
 
     solution: QPSolution
     errors: Errors
-    says: Hint
+    says: EngineStatus
     stage: StageRecord
 
 
@@ -111,7 +119,7 @@ def run_engine(
             f'{engine.name} solves {engine.solves}, but P has nonzeros; take "piqp", or give P = None'
         )
     reduced = FoldedRows.of(program).reduced
-    best, iterations, says = None, 0, Hint.GAVE_UP
+    best, iterations, says = None, 0, EngineStatus.GAVE_UP
     errors = Errors(np.inf, np.inf)
     with np.errstate(all="ignore"):  # what is beyond the range of doubles is no answer
         given = _statement(reduced)
@@ -151,7 +159,7 @@ def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:
     return x, np.zeros(reduced.right.size)
 
 
-def candidates(statement: Statement, point: Point, rounds: int) -> Iterator[Point]:
+def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:
     """Yield what may be the solution that a point is near: the point, and polished, each with noise set to 0.
 
     If x fits the rows exactly, multipliers are noise, and if x is 0, all of x is.
@@ -170,7 +178,7 @@ def candidates(statement: Statement, point: Point, rounds: int) -> Iterator[Poin
         yield clean
 
 
-def quiet(point: Point) -> Point:
+def quiet(point: EngineAnswer) -> EngineAnswer:
     """Return the point with 0 in place of x and multipliers of rows that are rounding relative to the largest."""
     inequality, equality, *of_bounds = point.multipliers
     y, x = np.concatenate([inequality, equality]), np.abs(point.x)
@@ -182,7 +190,7 @@ def quiet(point: Point) -> Point:
     )
 
 
-def _statements(given: Statement) -> Iterator[Statement]:
+def _statements(given: ProgramData) -> Iterator[ProgramData]:
     """Yield the statement without limits that are far away, and, if these matter, as it is."""
     near = without_far_limits(given)
     yield near
@@ -190,13 +198,13 @@ def _statements(given: Statement) -> Iterator[Statement]:
         yield given
 
 
-def _scaled(reduced: QuadraticProgram, statement: Statement, units: str) -> ScaledProgram:
+def _scaled(reduced: QuadraticProgram, statement: ProgramData, units: str) -> ScaledProgram:
     """Return the statement in the units of an attempt."""
     fitted = ScaledProgram.of(statement, *reduced.matrices.engine_units)
     return fitted if units is FITTED else with_sides_about_one(fitted, statement)
 
 
-def _asked(engine: Engine, statement: Statement, is_verbose: bool) -> Point:
+def _asked(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAnswer:
     """Return the point of an engine."""
     try:
         return engine.answer(statement, Limits(seconds_left(), is_verbose))
@@ -212,7 +220,7 @@ def _in_short(error: Exception) -> str:
     return str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
 
 
-def _statement(program: QuadraticProgram) -> Statement:
+def _statement(program: QuadraticProgram) -> ProgramData:
     """Return a program as engines take it: all matrices dense, or all sparse."""
     matrices = program.matrices
     if matrices.is_dense and (isinstance(program.P, np.ndarray) or matrices.is_small):
@@ -222,4 +230,4 @@ def _statement(program: QuadraticProgram) -> Statement:
         )
     else:
         P, G, A = matrices.sparse_P, as_csr(program.G), as_csr(program.A)
-    return Statement(P, program.c, G, program.h, A, program.b, program.lower, program.upper)
+    return ProgramData(P, program.c, G, program.h, A, program.b, program.lower, program.upper)

@@ -103,6 +103,12 @@ class ProgramMatrices:
         return units, rows
 
     @cached_property
+    def sizes_without_entries(self) -> FloatVector:
+        """1 of each row of G and A that has no entry, 0 of others."""
+        of_C = self.measured[3]
+        return np.asarray(largest(of_C, np.ones(of_C.shape[1])) == 0.0, np.float64)
+
+    @cached_property
     def has_short_rows(self) -> bool:
         """Whether some row of G or A has no more than one entry."""
         counts = (

@@ -24,7 +24,7 @@ from ...core.settings import OF_SOLVE, Settings, Status, checked_callback
 from ...core.solving.answer import NEXT, Answer
 from ...core.solving.result import Result, Sample, StageRecord, stage_lines
 from ...core.solving.run_log import say
-from ...engines import ENGINES, Engine, Hint, engine_class
+from ...engines import ENGINES, Engine, EngineStatus, engine_class
 from ...methods.interior_point import InteriorPoint
 from .conversion import optimality_conditions
 from .convexity import refuse_nonconvex
@@ -270,7 +270,7 @@ class _ProgramRun:
         self.lcp_result: Result | None = None
         self.proof: QPInfeasibility | QPUnboundedness | None = None
         self.stages, self.history = list[StageRecord](), tuple[Sample, ...]()
-        self.is_interrupted, self.says = False, Hint.GAVE_UP
+        self.is_interrupted, self.says = False, EngineStatus.GAVE_UP
 
     # --- Where points come from --------------------------------------------------------------------------------------
 
@@ -313,7 +313,9 @@ class _ProgramRun:
         """Return the vertex of a box that the costs push to."""
         solution = QPSolution.from_reduced(self.program, *nearest(self.program))
         errors = solution.errors_for(self.settings.tolerance)
-        says = Hint.OPTIMAL if errors.meet(self.settings.tolerance) else Hint.UNBOUNDED
+        says = (
+            EngineStatus.OPTIMAL if errors.meet(self.settings.tolerance) else EngineStatus.UNBOUNDED
+        )
         return EngineRun(solution, errors, says, StageRecord("costs", "boxes", 0, 0.0))
 
     def on_the_lcp(self, algorithm: Any, options: dict[str, Any]) -> EngineRun:
@@ -336,13 +338,13 @@ class _ProgramRun:
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
         errors = solution.errors_for(self.settings.tolerance)
         stage = StageRecord(result.algorithm, "complementarity problems", result.iterations, 0.0)
-        return EngineRun(solution, errors, Hint.GAVE_UP, stage)
+        return EngineRun(solution, errors, EngineStatus.GAVE_UP, stage)
 
     # --- What becomes of them ----------------------------------------------------------------------------------------
 
     def follow(self, runs: Iterator[EngineRun]) -> None:
         """Take runs until a point passes, a proof is found, or a limit comes."""
-        before, is_proof_wanted = Hint.GAVE_UP, self.settings.prove_infeasibility
+        before, is_proof_wanted = EngineStatus.GAVE_UP, self.settings.prove_infeasibility
         for run in runs:
             self.stages.append(run.stage)
             if self.best is None or run.errors.largest < self.best.errors.largest:
@@ -391,7 +393,7 @@ class _ProgramRun:
             return Status.MAX_SECONDS
         if self._is_stopped and self.lcp_result is not None:
             return self.lcp_result.status
-        if self.says is Hint.STOPPED and "max_iterations" in self.wishes:
+        if self.says is EngineStatus.STOPPED and "max_iterations" in self.wishes:
             return Status.MAX_ITERATIONS
         if self.program.facts.contradicts_by_rounding:
             return Status.PRECISION_LIMIT

@@ -54,12 +54,12 @@ class BinaryWriter(TextWriter):
         if text is not None:
             self.out.append(self._integers(len(text)) + text)
 
-    def _pairs(self, indices: Any, values: Any, is_real: bool = True) -> None:
+    def _pairs(self, indices: Any, values: Any) -> None:
         pairs = np.empty(
             indices.size,
             dtype=[
                 ("index", self.order + "i4"),
-                ("value", self.order + ("f8" if is_real else "i4")),
+                ("value", self.order + "f8"),
             ],
         )
         pairs["index"], pairs["value"] = indices, values

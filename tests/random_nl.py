@@ -14,7 +14,6 @@ from lcp_plugin.interfaces.nl.content import (
     OPERATOR_NAMES,
     PIECEWISE,
     NLContent,
-    Suffix,
     Token,
     Trees,
 )
@@ -58,8 +57,7 @@ def random_content(rng: Any, most: int = 6) -> NLContent:
         objective_trees=_trees(rng, [n + d] * o), defined_linear=_matrix(rng, d, range(n, n + d), n + d),
         defined_trees=_trees(rng, range(n, n + d)), is_integer=is_integer, logical_rows=0, functions=FUNCTIONS,
         start=np.where(has_start, _numbers(rng, n), 0.0),
-        dual_start=np.where(rng.random(m) < 0.3, rng.standard_normal(m), 0.0), has_start=has_start,
-        suffixes=_suffixes(rng, [n, m, o, 1]), options=((3, 1, 1, 0), (5, 0, 1, 0, 7, 2021))[m % 2],
+        has_start=has_start, options=((3, 1, 1, 0), (5, 0, 1, 0, 7, 2021))[m % 2],
     )  # fmt: skip
 
 
@@ -126,16 +124,6 @@ def _operator(rng: Any) -> tuple[float, int]:
     return float(rng.choice([*OPERATOR_NAMES[arity]])), counts[arity]
 
 
-def _suffixes(rng: Any, counts: list[int]) -> list[Suffix]:
-    suffixes = []
-    for kind, count in enumerate(counts):
-        indices = np.flatnonzero(rng.random(count) < 0.5)
-        if indices.size:
-            values = _numbers(rng, indices.size) if kind % 2 else rng.integers(-9, 10, indices.size)
-            suffixes.append(Suffix(f"priority{kind}", kind, indices, values))
-    return suffixes
-
-
 def difference(one: NLContent, other: NLContent) -> str:
     """Return what is not the same bit for bit, with types; nothing where all is."""
     return ", ".join(field.name for field in fields(NLContent)
@@ -154,11 +142,6 @@ def _bits(part: Any, whole: NLContent) -> Any:
         texts = [part.strings[int(k)] for k in part.values[is_string]]
         arrays = (part.kinds, np.where(is_string, 0.0, part.values), part.counts, part.starts)
         return texts, *(_bits(numbers, whole) for numbers in arrays)
-    if isinstance(part, list) and part and isinstance(part[0], Suffix):
-        return [
-            (one.name, one.kind, _bits(one.indices, whole), _bits(one.values, whole))
-            for one in part
-        ]
     return part
 
 

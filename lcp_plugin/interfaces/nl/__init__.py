@@ -44,7 +44,7 @@ they are constraints like others, as are bounds that a complementarity does not 
 rows as they stand in the file, by an evaluation of its own.
 
 **Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
-complementarity rows, expressions, defined variables, starts, suffixes, names from ``.col`` and ``.row``. What is
+complementarity rows, expressions, defined variables, starts, names from ``.col`` and ``.row``. What is
 damaged, or contradicts itself, is an `UnreadableFile` with its line or byte, and no count of a file is believed before
 it is compared with the file's length.
 """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -87,7 +86,7 @@ OPERATOR_NAMES: dict[int, dict[int, str]] = {
     PIECEWISE: {64: "piecewise-linear term"},
 }
 ARITY = {number: arity for arity, names in OPERATOR_NAMES.items() for number in names}
-SUFFIX_KIND, SUFFIX_IS_REAL = 3, 4  # bits of the first number of an S segment
+SUFFIX_IS_REAL = 4  # a bit of the first number of an S segment
 PARTNER = 5  # the kind of a complementarity row
 MOST_OPTIONS = 9
 WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
@@ -145,16 +144,6 @@ class Trees:
 
 
 @dataclass(frozen=True, eq=False)
-class Suffix:
-    """Values that somebody attached: to variables (kind 0), rows (1), objectives (2) or the problem (3)."""
-
-    name: str
-    kind: int
-    indices: Indices
-    values: NDArray[Any]
-
-
-@dataclass(frozen=True, eq=False)
 class NLContent:
     """The content of an ``.nl`` file.
 
@@ -184,11 +173,10 @@ class NLContent:
         How many logical constraints there are; what they say is not kept.
     functions : tuple of str
         Names of the external functions.
-    start, dual_start : ndarray, shape (n,) and (m,)
+    start : ndarray, shape (n,)
         0 where the file says nothing.
     has_start : ndarray of bool, shape (n,)
         Where the file gives a start.
-    suffixes : list of Suffix
     names, row_names : list of str or None
         Of ``.col`` and ``.row`` files beside it.
     options : tuple of int
@@ -214,9 +202,7 @@ class NLContent:
     logical_rows: int
     functions: tuple[str, ...]
     start: FloatVector
-    dual_start: FloatVector
     has_start: NDArray[np.bool_]
-    suffixes: list[Suffix]
     names: list[str] | None = None
     row_names: list[str] | None = None
     options: tuple[int, ...] = (3, 0, 1, 0)
@@ -236,7 +222,7 @@ class NLContent:
         objective_linear: sp.csr_array | None = None,
     ) -> NLContent:
         """Return the content with these rows between limits, and an objective to be minimised where there is one."""
-        n, m, count = lower.size, trees.size, 0 if objective is None else 1
+        n, count = lower.size, 0 if objective is None else 1
         none = Trees.of_numbers(np.zeros(0))
         return cls(
             lower=lower,
@@ -258,9 +244,7 @@ class NLContent:
             logical_rows=0,
             functions=(),
             start=np.zeros(n),
-            dual_start=np.zeros(m),
             has_start=np.zeros(n, dtype=bool),
-            suffixes=[],
         )
 
     def variable(self, column: int) -> str:

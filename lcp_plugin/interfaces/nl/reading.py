@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,11 +25,9 @@ from .content import (
     PARTNER,
     PIECEWISE,
     SUFFIX_IS_REAL,
-    SUFFIX_KIND,
     WITH_TOLERANCE,
     Indices,
     NLContent,
-    Suffix,
     Token,
     Trees,
 )
@@ -56,6 +53,7 @@ HEADS = {
     "S": 2,
 }
 NAMED = "FS"
+SKIPPED = {"k": "i", "K": "i", "d": "id"}  # entries of each column, a start of multipliers
 TOKENS = {
     "n": Token.NUMBER,
     "l": Token.NUMBER,
@@ -70,7 +68,7 @@ NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
 IS_AS_STATED = 4  # a bound of this kind may be 1e20
 LINES = 10  # of the head, which are text in binary files too
-MOST_LINE_BYTES = 4096  # a line of the head is never longer
+MOST_LINE_BYTES, MOST_DIGITS = 4096, 18  # of a line of the head, and of a number in it
 #: Of the lines of the head behind the first: how many numbers must stand there, what they are, and what each is called.
 HEAD = {
     2: (
@@ -105,10 +103,6 @@ STORED = {
     *HEAD[8][2].split(),
     *HEAD[10][2].split(),
 }
-
-
-class HeadFault(Fault):
-    """What is wrong with a line of the head."""
 
 
 def source_of(path: str | PathLike[str]) -> Path:
@@ -148,13 +142,10 @@ def read_content(path: str | PathLike[str]) -> NLContent:
 
 def _place(data: bytes, fault: Fault) -> str:
     """Return where a fault is: the line and what it says, or the byte."""
-    line, begin = fault.place, fault.place
-    if isinstance(fault, HeadFault):
-        begin = sum(len(one) + 1 for one in data.split(b"\n", LINES)[: line - 1])
-    elif data[:1] == b"b":
+    begin = fault.place
+    line = data.count(b"\n", 0, begin) + 1
+    if data[:1] == b"b" and line > LINES:
         return f"byte {begin}"
-    else:
-        line = data.count(b"\n", 0, begin) + 1
     text = data[begin : begin + SHOWN].split(b"\n")[0].decode("ascii", errors="replace")
     return f"line {line} ({text!r})"
 
@@ -164,31 +155,23 @@ def _place(data: bytes, fault: Fault) -> str:
 
 def _header(data: bytes) -> tuple[SimpleNamespace, int]:
     """Return the numbers of the head by their names, and where the segments begin."""
-    lines, begin = [], 0
-    for number in range(1, LINES + 1):
+    if data[:1] not in (b"g", b"b"):
+        raise Fault(0, "an .nl file begins with g (text) or b (binary)")
+    lines, begin = [b""], 0
+    header = SimpleNamespace(is_binary=data[:1] == b"b", places=[0])  # of its lines, from 1 on
+    for _ in range(LINES):
         end = data.find(b"\n", begin, begin + MOST_LINE_BYTES)
         if end < 0:
-            is_short = len(data) - begin < MOST_LINE_BYTES
-            raise HeadFault(
-                number,
-                f"the head of an .nl file has {LINES} lines, and the file ends here"
-                if is_short
-                else "this is no line of the head of an .nl file",
-            )
+            raise Fault(begin, f"an .nl file begins with {LINES} short lines of numbers")
         lines.append(data[begin:end])
+        header.places.append(begin)
         begin = end + 1
-        if number == 1 and lines[0][:1] not in (b"g", b"b"):
-            raise HeadFault(1, "an .nl file begins with g (text) or b (binary)")
-    header = SimpleNamespace(is_binary=lines[0][:1] == b"b")
-    header.options, header.tolerance = _options(lines[0][1:])
+    header.options, header.tolerance = _options(lines[1][1:])
     for number in HEAD:
-        _read_head_line(header, number, lines[number - 1], len(data) - begin)
+        _read_head_line(header, number, lines[number], len(data) - begin)
     if header.is_binary and header.arithmetic not in (0, LITTLE_ENDIAN, BIG_ENDIAN):
-        raise HeadFault(
-            6,
-            f"its numbers are of the arithmetic {header.arithmetic}, and 1 (IEEE, little-endian) "
-            "or 2 (big-endian) is needed; write the file as text",
-        )
+        what = f"its numbers are of the arithmetic {header.arithmetic}, and 1 or 2 (IEEE) is needed"
+        raise Fault(header.places[6], f"{what}; write the file as text")
     header.defined = sum(getattr(header, name) for name in HEAD[10][2].split())
     return header, begin
 
@@ -202,9 +185,9 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
         has_tolerance = count >= 2 and given[1:2] == [WITH_TOLERANCE] and len(words) > count + 1
         tolerance = float(words[count + 1]) if has_tolerance else None
     except ValueError:
-        raise HeadFault(1, "the options behind its letter are whole numbers") from None
+        count = -1
     if not 0 <= count <= MOST_OPTIONS:
-        raise HeadFault(1, f"it announces {count} options, and at most {MOST_OPTIONS} are possible")
+        raise Fault(0, f"behind its letter stand up to {MOST_OPTIONS} whole numbers, and how many")
     return (count, *given, *[0] * (count - len(given))), tolerance
 
 
@@ -213,15 +196,14 @@ def _read_head_line(header: SimpleNamespace, number: int, line: bytes, length: i
     needed, meaning, names = HEAD[number]
     called = names.split()
     words = line.split(b"#")[0].split()[: len(called)]
-    if len(words) < needed or not b"".join(words).isdigit():
-        count = needed if needed == len(called) else f"{needed} to {len(called)}"
-        raise HeadFault(number, f"{count} whole numbers are needed ({meaning})")
-    if max(map(len, words)) > 18:  # digits
-        raise HeadFault(number, "that is more than any file can hold")
+    if len(words) < needed or not b"".join(words).isdigit() or max(map(len, words)) > MOST_DIGITS:
+        what = f"{needed} whole numbers or more are needed ({meaning})"
+        raise Fault(header.places[number], what)
     numbers = [int(word) for word in words] + [0] * (len(called) - len(words))
     for name, value in zip(called, numbers, strict=True):
         if name in STORED and value > length:  # before anything is allocated
-            raise HeadFault(number, f"{value} are announced ({meaning}), and {length} bytes follow")
+            what = f"{value} are announced ({meaning}), and {length} bytes follow"
+            raise Fault(header.places[number], what)
         setattr(header, name, value)
 
 
@@ -266,16 +248,13 @@ class _Reader:
             "V": defined,
             "F": self.header.functions,
         }
-        self.heads: dict[tuple[str, int], int] = {}  # letter and owner of each segment: its place
         self.kinds, self.values, self.counts = bytearray(), array("d"), array("q")
         self.strings: list[bytes] = []
         self.trees: dict[str, dict[int, tuple[int, int]]] = {letter: {} for letter in "CLOV"}
-        self.rows = {letter: _Rows() for letter in "JGVxd"}
+        self.rows = {letter: _Rows() for letter in "JGVx"}
         self.bounds: dict[str, list[tuple[float, float, int, int]]] = {"b": [], "r": []}
         self.is_maximized: dict[int, bool] = {}
         self.functions: dict[int, str] = {}
-        self.suffixes: list[Suffix] = []
-        self.column_counts: list[int] | None = None
 
     def read_segments(self) -> None:
         """Read all of them, in whatever order they stand."""
@@ -297,39 +276,34 @@ class _Reader:
                 self._read_pairs(letter, owner, numbers[1], reach)
                 if letter == "V":
                     self._read_tree(letter, owner, reach)
-            elif letter in "xd":
-                self._read_pairs(letter, owner, numbers[0], n if letter == "x" else header.rows)
+            elif letter == "x":
+                self._read_pairs(letter, owner, numbers[0], n)
             elif letter in "br":
                 self._read_bounds(letter)
-            elif letter in "kK":
-                self._read_column_counts(letter, numbers[0])
+            elif letter in SKIPPED:
+                self._skip(SKIPPED[letter], numbers[0])
             elif letter == "F":
                 self.functions[owner] = source.name.decode(errors="replace")
-            else:
-                self._read_suffix(*numbers)
+            else:  # a suffix; text has real numbers for whole ones too
+                is_real = numbers[0] & SUFFIX_IS_REAL or not header.is_binary
+                self._skip("id" if is_real else "ii", numbers[1])
 
     def _owner(self, letter: str, numbers: list[int]) -> int:
-        """Return whose the segment is, numbered from 0; raise where it belongs to nothing, or is there already."""
-        count, first = self.owners.get(letter), self.header.variables if letter == "V" else 0
-        if count is None:
-            owner = len(self.suffixes) if letter == "S" else 0
-        else:
-            owner = numbers[0] - first
-            if not count:
-                self.source.fail(
-                    f"the head announces nothing that a segment {letter} could belong to"
-                )
-            if not 0 <= owner < count:
-                self.source.fail(
-                    f"a segment {letter} has a number from {first} to {first + count - 1}"
-                )
-        head = letter.lower() if letter == "K" else letter, owner
-        if head in self.heads:
-            self.source.fail(
-                f"a second segment {letter}{'' if count is None else owner + first}; a file has one"
-            )
-        self.heads[head] = self.source.at
+        """Return whose the segment is, numbered from 0; raise where it belongs to nothing."""
+        if letter not in self.owners:
+            return 0
+        first = self.header.variables if letter == "V" else 0
+        owner = numbers[0] - first
+        self._require_below(owner, self.owners[letter], f"the owner of a segment {letter}")
         return owner
+
+    def _require_below(self, index: int, count: int, what: str) -> None:
+        if not 0 <= index < count:
+            self.source.fail(f"{what} must be one of {count}, and this is number {index} from 0")
+
+    def _skip(self, form: str, count: int) -> None:
+        for _ in range(count):
+            self.source.row(form)
 
     def _read_tree(self, letter: str, owner: int, variables: int) -> None:
         """Read an expression over that many variables."""
@@ -358,13 +332,11 @@ class _Reader:
             return kind, len(self.strings) - 1, 0
         if kind is Token.VARIABLE:
             (number,) = source.integers(1)
-            if not 0 <= number < variables:
-                source.fail(f"there are {variables} variables that may stand here, numbered from 0")
+            self._require_below(number, variables, "a variable that may stand here")
             return kind, number, 0
         if kind is Token.CALL:
             number, count = source.integers(2)
-            if not 0 <= number < self.header.functions:
-                source.fail(f"there are {self.header.functions} functions here, numbered from 0")
+            self._require_below(number, self.header.functions, "a function")
             self._require_operands(count, 0)
             return kind, number, count
         (number,) = source.integers(1)
@@ -379,35 +351,25 @@ class _Reader:
         return kind, number, count
 
     def _require_operands(self, count: int, least: int) -> None:
-        most = len(self.source.data)
-        if not least <= count <= most:
-            self.source.fail(f"it has {count} operands, and a number up to {most} is possible here")
+        if not least <= count <= len(self.source.data):
+            self.source.fail(f"an operator cannot have {count} operands here")
 
     def _read_pairs(self, letter: str, owner: int, count: int, reach: int) -> None:
         """Read so many indices below `reach` with their values, and keep them in order."""
-        rows, found = self.rows[letter], dict[int, float]()
-        for index, value in self._pairs("id", count, reach):
-            if not math.isfinite(value):
-                self.source.fail(f"the value {value} is not finite")
-            if index in found:
-                self.source.fail(f"a second entry of variable {index} in one segment")
+        source, rows, found = self.source, self.rows[letter], dict[int, float]()
+        if count < 0:
+            source.fail(NO_NUMBERS)
+        for _ in range(count):
+            index, value = source.row("id")
+            self._require_below(index, reach, "an index")
+            if not math.isfinite(value) or index in found:
+                source.fail("the value of an index must be finite, and stand in one place")
             found[index] = value
         begin = len(rows.indices)
         order = sorted(found)
         rows.indices.extend(order)
         rows.values.extend(map(found.__getitem__, order))
         rows.spans[owner] = begin, len(rows.indices)
-
-    def _pairs(self, form: str, count: int, reach: int) -> Iterator[tuple[int, Any]]:
-        """Yield so many indices below `reach` with their values."""
-        source = self.source
-        if count < 0:
-            source.fail(NO_NUMBERS)
-        for _ in range(count):
-            index, value = source.row(form)
-            if not 0 <= index < reach:
-                source.fail(f"the index {index} lies outside 0 … {reach - 1}")
-            yield index, value
 
     def _read_bounds(self, letter: str) -> None:
         """Read lower and upper bound, partner and its finite bounds of each variable or row."""
@@ -431,53 +393,30 @@ class _Reader:
     def _check_partner(self, letter: str, finite: int, variable: int, earlier: set[int]) -> None:
         """Raise where a row cannot be complementary to a variable, which are numbered from 1 here."""
         source, n = self.source, self.header.variables
-        if letter == "b":
-            source.fail("a bound of kind 5 belongs to a row, not to a variable")
-        if not 0 <= finite < 4:
-            source.fail("behind 5 stands which bounds are finite: 0 to 3")
-        if not 1 <= variable <= n:
-            source.fail(f"a row is complementary to a variable from 1 to {n}")
+        if letter == "b" or not 0 <= finite < 4 or not 1 <= variable <= n:
+            what = f"which bounds are finite (0 to 3), and a variable from 1 to {n}"
+            source.fail(f"5 stands in the bounds of rows, behind it {what}")
         if variable in earlier:
             source.fail(
                 f"variable {variable} is complementary to an earlier row as well; one is possible"
             )
         earlier.add(variable)
 
-    def _read_column_counts(self, letter: str, count: int) -> None:
-        """Read in how many rows each variable but the last is; cumulative behind k."""
-        needed = max(self.header.variables - 1, 0)
-        if max(count, 0) != needed:  # −1 without variables
-            self.source.fail(f"{needed} counts of columns are needed")
-        given = [self.source.row("i")[0] for _ in range(needed)]
-        self.column_counts = np.diff(given, prepend=0).tolist() if letter == "k" else given
-
-    def _read_suffix(self, bits: int, count: int) -> None:
-        """Read a suffix; whatever its values say is let pass."""
-        header, name = self.header, self.source.name.decode(errors="replace")
-        if not 0 <= bits < 2 * SUFFIX_IS_REAL:
-            self.source.fail("a suffix' kind is 0 to 7")
-        kind, is_real = bits & SUFFIX_KIND, bool(bits & SUFFIX_IS_REAL)
-        reach = (header.variables, header.rows + header.logical_rows, header.objectives, 1)[kind]
-        form = "id" if is_real or not header.is_binary else "ii"  # text has any numbers
-        pairs = list(self._pairs(form, count, reach))
-        indices = np.array([index for index, _ in pairs], dtype=np.int64)
-        values: Any = np.array([value for _, value in pairs], dtype=np.float64)
-        if not is_real and (np.abs(values) < 2.0**53).all() and (values == np.floor(values)).all():
-            values = values.astype(np.int64)
-        self.suffixes.append(Suffix(name, kind, indices, values))
-
     # --- What they say together ---
 
     def content(self, path: Path) -> NLContent:
         """Return the content."""
         header = self.header
-        self._check_announced()
+        self._check_counts()
         n, m, o, d = header.variables, header.rows, header.objectives, header.defined
         linear = self.rows["J"].matrix(m, n)
-        self._check_column_counts(linear)
         lower, upper, _, _ = _columns(self.bounds["b"])
         row_lower, row_upper, partners, partner_bounds = _columns(self.bounds["r"])
-        start, has_start = self._start("x", n)
+        start, has_start = np.zeros(n), np.zeros(n, dtype=bool)
+        start[self.rows["x"].indices], has_start[self.rows["x"].indices] = (
+            self.rows["x"].values,
+            True,
+        )
         return NLContent(
             lower=lower,
             upper=upper,
@@ -496,58 +435,34 @@ class _Reader:
             logical_rows=header.logical_rows,
             functions=tuple(self.functions[k] or "?" for k in range(header.functions)),
             start=start,
-            dual_start=self._start("d", m)[0],
             has_start=has_start,
-            suffixes=self.suffixes,
             names=_names(path.with_suffix(".col"), n, header.name_length),
             row_names=_names(path.with_suffix(".row"), m, header.row_name_length),
             options=header.options,
             tolerance=header.tolerance,
         )
 
-    def _check_announced(self) -> None:
+    def _check_counts(self) -> None:
         """Raise where the head announces what is not there, before anything of that size is allocated."""
-        header = self.header
-        for line, announced, what, given in (
-            (2, header.objectives, "objectives", len(self.is_maximized)),
-            (6, header.functions, "functions", len(self.functions)),
-            (10, header.defined, "defined variables", len(self.trees["V"])),
-            (
-                2,
-                header.logical_rows,
-                "logical constraints",
-                len(self.trees["L"]) or header.logical_rows,
-            ),
+        header, bounds, trees = self.header, self.bounds, self.trees
+        pairs = header.linear_pairs + header.nonlinear_pairs
+        slopes, announced_slopes = len(self.rows["G"].values), header.objective_nonzeros
+        if 0 < slopes < announced_slopes:  # AMPL counts what simplifications removed later
+            announced_slopes = slopes
+        for line, announced, given, what in (
+            (2, header.variables, len(bounds["b"]), "bounds of variables"),
+            (2, header.rows, len(bounds["r"]), "bounds of rows"),
+            (2, header.objectives, len(trees["O"]), "objectives"),
+            (2, header.logical_rows, len(trees["L"]) or header.logical_rows, "logical constraints"),
+            (3, pairs, sum(row[2] >= 0 for row in bounds["r"]), "complementarity rows"),
+            (6, header.functions, len(self.functions), "functions"),
+            (8, header.nonzeros, len(self.rows["J"].values), "nonzeros of the segments J"),
+            (8, announced_slopes, slopes, "nonzeros of the segments G"),
+            (10, header.defined, len(trees["V"]), "defined variables"),
         ):
             if announced != given:
-                raise HeadFault(line, f"{announced} {what} are announced, {given} are there")
-        for letter, needed in (("b", header.variables), ("r", header.rows)):
-            if len(self.bounds[letter]) < needed:
-                raise HeadFault(2, f"the segment {letter} is missing: {needed} bounds are needed")
-        for letter, needed in (("J", header.nonzeros), ("G", header.objective_nonzeros)):
-            given = len(self.rows[letter].values)
-            may_lack = letter == "G" and given  # AMPL counts what simplifications removed later
-            if given > needed or (given < needed and not may_lack):
-                raise HeadFault(
-                    8,
-                    f"{needed} nonzeros are announced for the segments {letter}, {given} are there",
-                )
-        announced, given = (
-            header.linear_pairs + header.nonlinear_pairs,
-            sum(row[2] >= 0 for row in self.bounds["r"]),
-        )
-        if announced != given:
-            raise HeadFault(3, f"{announced} complementarity rows are announced, {given} are there")
-
-    def _check_column_counts(self, linear: sp.csr_array) -> None:
-        """Raise where the segment k contradicts the segments J."""
-        if self.column_counts is None:
-            return
-        counts = np.bincount(linear.indices, minlength=self.header.variables).tolist()
-        for k, (given, count) in enumerate(zip(self.column_counts, counts, strict=False)):
-            if given != count:
-                what = f"the segment says that variable {k} is in {given} rows, and the segments J have it in {count}"
-                raise Fault(self.heads["k", 0], what)
+                said = f"{announced} {what} are announced, {given} are there"
+                raise Fault(header.places[line], said)
 
     def _trees(self, letter: str, count: int) -> Trees:
         """Return one tree for each owner in their order; the number 0 where there is none."""
@@ -561,12 +476,6 @@ class _Reader:
             tuple(self.strings),
         )
 
-    def _start(self, letter: str, count: int) -> tuple[Any, Any]:
-        """Return the values of a segment x or d, and where there are some."""
-        rows, start, has_start = self.rows[letter], np.zeros(count), np.zeros(count, dtype=bool)
-        start[rows.indices], has_start[rows.indices] = rows.values, True
-        return start, has_start
-
     def _integers(self) -> Any:
         """Return which variables are integer: the last ones of each group in the order of the format."""
         header, n = self.header, self.header.variables
@@ -578,9 +487,8 @@ class _Reader:
             (max(header.in_rows, header.in_objectives), header.integers_in_objectives),
         ):
             if count > end or end > n:
-                raise HeadFault(
-                    7, f"{count} integer variables are announced where there are {min(end, n)}"
-                )
+                what = f"{count} integer variables are announced where there are {min(end, n)}"
+                raise Fault(header.places[7], what)
             is_integer[end - count : end] = True
         return is_integer
 

@@ -13,7 +13,7 @@ from ...core.errors import InvalidProblem
 from ...core.lcp import LCP
 from ...problems.programs.program import QuadraticProgram
 from ..files.files import checked_path, write_whole
-from .content import ARITY, NARY, PARTNER, PIECEWISE, SUFFIX_IS_REAL, NLContent, Token, Trees
+from .content import ARITY, NARY, PARTNER, PIECEWISE, NLContent, Token, Trees
 
 LETTERS = {
     Token.NUMBER: b"n",
@@ -153,11 +153,6 @@ class TextWriter:
         self.out.append(self._head().encode())
         for number, name in enumerate(content.functions):
             self._line("F", (number, ALSO_STRINGS, ANY_COUNT), text=name.encode())
-        for suffix in content.suffixes:
-            is_real = suffix.values.dtype.kind == "f"
-            bits = suffix.kind | (SUFFIX_IS_REAL if is_real else 0)
-            self._line("S", (bits, suffix.indices.size), text=suffix.name.encode())
-            self._pairs(suffix.indices, suffix.values, is_real)
         for k in range(content.defined_trees.size):
             row = _row(content.defined_linear, k)
             self._line("V", (n + k, row[0].size, 0))
@@ -169,14 +164,10 @@ class TextWriter:
         for k in range(content.objective_trees.size):
             self._line("O", (k, int(content.is_maximized[k])))
             self._tree(content.objective_trees, k)
-        for letter, is_given, values in (
-            ("d", content.dual_start != 0.0, content.dual_start),
-            ("x", content.has_start, content.start),
-        ):
-            if is_given.any():
-                indices = np.flatnonzero(is_given)
-                self._line(letter, (indices.size,))
-                self._pairs(indices, values[indices])
+        if content.has_start.any():
+            indices = np.flatnonzero(content.has_start)
+            self._line("x", (indices.size,))
+            self._pairs(indices, content.start[indices])
         if content.row_lower.size:
             self._bounds("r", content.row_lower, content.row_upper)
         self._bounds("b", content.lower, content.upper)
@@ -230,7 +221,7 @@ class TextWriter:
             letter.encode() + b" ".join(words if text is None else [*words, text]) + b"\n"
         )
 
-    def _pairs(self, indices: Any, values: Any, is_real: bool = True) -> None:
+    def _pairs(self, indices: Any, values: Any) -> None:
         lines = zip(indices.tolist(), values.tolist(), strict=True)
         self.out.append("".join(f"{index} {value!r}\n" for index, value in lines).encode())
 

@@ -126,7 +126,6 @@ def hard() -> NLContent:
         row_lower=np.concatenate([np.full(40, -np.inf), np.ones(40), np.full(4, -np.inf)]),
         row_upper=np.concatenate([np.full(40, np.inf), np.ones(40), KNAPSACK.sum(axis=1) // 2]),
         start=np.zeros(80),
-        dual_start=np.zeros(84),
         has_start=np.zeros(80, dtype=bool),
         is_integer=np.zeros(80, dtype=bool),
         defined_linear=sp.csr_array((0, 80)),

@@ -524,7 +524,6 @@ def with_auxiliaries(content: NLContent) -> NLContent:
         linear=both,
         trees=Trees(kinds, values, counts, np.cumsum([0, *lengths])),
         start=np.zeros(2 * n),
-        dual_start=np.zeros(2 * n),
         has_start=np.zeros(2 * n, dtype=bool),
         is_integer=np.zeros(2 * n, dtype=bool),
         partners=tall([np.full(n, -1), content.partners]),

@@ -189,7 +189,7 @@ class GridProblem:
         top, residual = self.truncation.grids[0], self.residual[: self.n]
         self.halo.fetch(z)
         largest, changed = sweeps.free_rows(
-            self.grid.rows, self.vectors, z, False, top.is_free, top.free_changed, residual
+            self.grid.rows, self.vectors, z, top.is_free, top.free_changed, residual
         )
         changed_rows = self.halo.total(changed)
         if changed_rows:

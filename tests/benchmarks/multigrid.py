@@ -155,8 +155,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     warm_up = parse(
         ROWS[0].quick if quick else ROWS[0].scene
     )  # compiles, and touches the memory for the first time
-    for smoother in ("pgs", "npsor"):
-        from_scratch(warm_up.problem, smoother=smoother)
+    from_scratch(warm_up.problem)
     for hierarchy in PYAMG:
         linear_solve(warm_up, hierarchy)
     for row in ROWS:
@@ -200,12 +199,11 @@ def _line(row: Row, quick: bool) -> str:
     product = product_seconds(problem)
     calls: dict[str, Callable[[], Any]] = {
         "pgs": partial(from_scratch, problem),
-        "npsor": partial(from_scratch, problem, smoother="npsor"),
     }
     if row.linear:
         calls |= {name: partial(linear_solve, scene, name) for name in PYAMG}
     best = quickest(calls)
-    ours, theirs = best["pgs"], best["npsor"]
+    ours = best["pgs"]
     rival = min(
         (name for name in PYAMG if name in best), key=lambda name: best[name].seconds, default=""
     )
@@ -216,7 +214,6 @@ def _line(row: Row, quick: bool) -> str:
         f"{result.status.name} {result.iterations:3d} cycles",
         f"work {result.work:4.0f}",
         f"{seconds:7.3f} s = {seconds / product:5.0f} products",
-        f"npsor {theirs.answer.status.name} {theirs.answer.iterations} cycles, ÷ pgs {theirs.seconds / seconds:.2f}",
     ]
     if rival:
         linear = best[rival]

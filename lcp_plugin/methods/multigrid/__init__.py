@@ -26,7 +26,7 @@ from ...core.errors import InvalidOption
 from ...core.lcp import LCP
 from ...core.tuning import DIRECT_UP_TO, MULTIGRID_PASSES, MULTIGRID_ROWS
 
-SMOOTHERS = ("pgs", "psor", "npgs", "npsor")
+SMOOTHERS = ("pgs", "psor")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,10 +35,10 @@ class Multigrid(Algorithm):
 
     Parameters
     ----------
-    smoother : {"pgs", "psor", "npgs", "npsor"}
+    smoother : {"pgs", "psor"}
         The projected sweep on the finest grid and in the nested iteration.
     relaxation : float
-        Of psor and npsor.
+        Of psor.
     nested : bool
         Whether to begin on the coarsest grid: for z itself, or from a warm start for the increment.
     coarsest : int

@@ -59,11 +59,7 @@ class MultigridRun:
         self.work += 0.0 if is_built else hierarchy.work
         finest = hierarchy.grids[0]
         self.grid = finest
-        # What snaps to a bound is measured before it does.
-        is_measured = algorithm.smoother in ("pgs", "psor")
-        self.tells_residual = is_measured and np.array_equal(
-            problem.residual_scale, problem.diagonal
-        )
+        self.tells_residual = np.array_equal(problem.residual_scale, problem.diagonal)
         self.truncation = Truncation(hierarchy)
         self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.extends else 1
         jumps = hierarchy.extends and finest.spread > JUMPS
@@ -93,9 +89,7 @@ class MultigridRun:
         fine = self.problems[0]
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
         residual = fine.residual
-        largest, _ = sweeps.free_rows(
-            fine.grid.rows, fine.vectors, z, False, free, changed, residual
-        )
+        largest, _ = sweeps.free_rows(fine.grid.rows, fine.vectors, z, free, changed, residual)
         self.work += fine.entries
         return float(largest)
 
@@ -218,7 +212,6 @@ class MultigridRun:
             fine.grid.rows,
             fine.vectors,
             z,
-            fine.is_projected_type,
             top.is_free,
             top.free_changed,
             fine.residual,

@@ -45,7 +45,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.checks import FloatVector, read_only
-from ...core.kernels import splitting_sweeps as kernels
 from ...core.kernels.floats import EPSILON
 from ...systems.hierarchy import sweeps
 from ...systems.hierarchy.grids import Grid
@@ -187,40 +186,13 @@ class GridProblem:
         )
         _, self.q, self.lower, self.upper = self.vectors
         self.residual = np.zeros(grid.n)
-        self.is_projected_type = algorithm.smoother in ("npgs", "npsor")
-        self.relaxation = algorithm.relaxation if algorithm.smoother in ("psor", "npsor") else 1.0
-        if self.is_projected_type:
-            pivots = np.full(
-                q.size, 1.0 / (1.0 / self.relaxation + 3.0)
-            )  # of the matrix scaled to unit diagonal
-            # Every diagonal entry is stored: behind it begins what a backward sweep has already updated.
-            self.splits = {False: grid.split, True: read_only(grid.split + 1)}
-            self.projected_type_rows = kernels.packed(
-                q, lower, upper, grid.inverse, grid.inverse, pivots
-            )
-            self.new = np.empty_like(self.residual)
+        self.relaxation = algorithm.relaxation if algorithm.smoother == "psor" else 1.0
 
     def sweep(self, z: FloatVector, backward: bool) -> None:
         """Overwrite z by one projected sweep."""
-        if not self.is_projected_type:
-            sweeps.projected_sweep(
-                self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z
-            )
-            return
-        indptr, _, indices, data = self.grid.rows
-        kernels.splitting_sweep(
-            indptr,
-            self.splits[backward],
-            indices,
-            data,
-            self.projected_type_rows,
-            1.0,
-            True,
-            backward,
-            z,
-            self.new,
+        sweeps.projected_sweep(
+            self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z
         )
-        np.copyto(z, self.new)
 
     def gauss_seidel(self, z: FloatVector) -> float:
         """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""

@@ -118,21 +118,18 @@ def free_rows(
     rows: Matrix,
     vectors: tuple[FloatVector, ...],
     z: FloatVector,
-    snaps: bool,
     is_free: BoolVector,
     is_changed: BoolVector,
     residual: FloatVector,
 ) -> tuple[float, int]:
     """Find the free rows of z: those strictly between their bounds, or pushed off the bound by w.
 
-    With `snaps`, an unknown that a Gauss–Seidel step would put at a bound is put there: projected-type sweeps approach
-    a bound without reaching it. Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
+    Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
     residual of the problem, and how many rows changed.
     """
     indptr, _, *rest = rows
-    piece = partial(_free_rows, indptr, *rest, *vectors, snaps, z, is_free, is_changed, residual)
-    # With `snaps` the next rows meet what is put at a bound.
-    found = [piece(0, residual.size)] if snaps else shared(piece, residual.size)
+    piece = partial(_free_rows, indptr, *rest, *vectors, z, is_free, is_changed, residual)
+    found = shared(piece, residual.size)
     largest = np.max([one for one, _ in found])  # a NaN kept
     return float(largest), int(sum(changed for _, changed in found))
 
@@ -277,7 +274,6 @@ def _free_rows(  # type: ignore[no-untyped-def]
     q,
     lower,
     upper,
-    snaps,
     z,
     is_free,
     is_changed,
@@ -290,9 +286,6 @@ def _free_rows(  # type: ignore[no-untyped-def]
     for i in range(uintp(first), uintp(end)):
         w = _plus_products(q[i], uintp(indptr[i]), uintp(indptr[i + one]), indices, data, z)
         step, above, below = w * inverse[i], z[i] - lower[i], z[i] - upper[i]
-        if snaps and ((step >= above) & (above > 0.0) | (step <= below) & (below < 0.0)):
-            z[i] = lower[i] if step >= above else upper[i]
-            above, below = z[i] - lower[i], z[i] - upper[i]
         r = abs(clamp(step, below, above))
         largest = largest if r <= largest else r
         is_off = ((above > 0.0) | (w < 0.0)) & ((below < 0.0) | (w > 0.0))

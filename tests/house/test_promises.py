@@ -188,23 +188,6 @@ def all_bits():
 """
 
 
-def test_the_method_of_a_program_is_known_where_cvxpy_was_imported_before() -> None:
-    """``import cvxpy, lcp_plugin`` is enough for method="LCP", and loads no modelling before the first solve."""
-    code = (
-        "import sys, cvxpy as cp, lcp_plugin\nassert 'lcp_plugin.modeling' not in sys.modules\n"
-        "x = cp.Variable()\nprint(cp.Problem(cp.Minimize((x - 2) ** 2), [x <= 1]).solve(method='LCP'))"
-    )
-    path = os.pathsep.join([str(TESTS.parent), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONPATH": path},
-    )
-    assert float(done.stdout) == pytest.approx(1.0)
-
-
 def bits_in_a_process(**environment: str) -> dict[str, Any]:
     path = os.pathsep.join([str(TESTS.parent), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(

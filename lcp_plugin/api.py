@@ -89,8 +89,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, with set-up and without compilation of kernels. It is obeyed at the end of the
-        iteration under way, as Ctrl-C is; a long factorisation is finished first. With a limit, none is begun that is
-        predicted not to fit.
+        iteration under way, as Ctrl-C is, which raises KeyboardInterrupt before the first step; a long factorization
+        is finished first. With a limit, none is begun that is predicted not to fit.
     absolute_tolerance : float
         In the unit of z: a component with ‖r‖∞ ≤ absolute_tolerance is solved in any case. Use it for contacts at rest,
         whose gaps are rounding. INFEASIBLE and NO_SOLUTION are proved by more than it.

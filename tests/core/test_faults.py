@@ -134,37 +134,6 @@ def test_ctrl_c_at_any_moment_leaves_everything_whole() -> None:
     assert done.stdout.count("INTERRUPTED") >= 5, done.stdout
 
 
-WHILE_LOADING = """
-    import signal, sys
-    from lcp_plugin import LCP, QuadraticProgram, Status, analyze, gallery, solve
-    first = {
-        "small": lambda: solve(LCP([[2, 1], [1, 2]], [-1, 1])),
-        "large": lambda: solve(gallery.build("obstacle_2d", size=30).problem),
-        "program": lambda: solve(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])),
-        "analyze": lambda: analyze([[2, 1], [1, 2]]),
-    }[sys.argv[1]]
-    signal.signal(signal.SIGALRM, signal.default_int_handler)
-    signal.setitimer(signal.ITIMER_REAL, float(sys.argv[2]))
-    try:
-        first()
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-    except KeyboardInterrupt:
-        pass
-    for _ in range(2):
-        found = first()
-        print(found.is_h_plus if sys.argv[1] == "analyze" else found.is_solved)
-"""
-
-
-KEEPS_THE_IMPORT_LOCK = """
-    import _imp
-    from lcp_plugin import LCP, solve
-    _imp.acquire_lock()  # as Ctrl-C leaves it that comes while Python looks up a module
-    print(solve(LCP([[2, 1], [1, 2]], [-1, 1])).is_solved)
-    print(_imp.lock_held())
-"""
-
-
 COMPILED_IN_TWO_THREADS = """
     from concurrent.futures import ThreadPoolExecutor
     import numpy as np
@@ -183,28 +152,11 @@ def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
     assert done.stdout.split() == ["6.0", "0.0"], done.stderr
 
 
-KEPT_KERNEL = """
-    import _thread, sys
-    import numpy as np
-    from lcp_plugin.core.kernels.compilation import kernel
-    def added(x): return x.size + x.sum()
-    class Interrupting:
-        def find_spec(self, name, *_):
-            if name == "numba.cpython.unicode": _thread.interrupt_main()
-    sys.meta_path.insert(0, Interrupting())
-    added = kernel(added)
-    try:
-        added(np.ones(3))
-    except KeyboardInterrupt:
-        pass
-    print(added(np.ones(3)), len(added.stats.cache_hits))
-"""
-
-
 def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Settings that an interrupted np.errstate leaves in force do not reach the caller, during a run or before."""
 
     def interrupted(*_: object, **__: object) -> Iterator[Step]:
+        yield Step(SWEPT.nearest_to_zero.copy())
         np.seterr(over="raise", invalid="ignore")
         raise KeyboardInterrupt
 
@@ -213,7 +165,12 @@ def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch
         patch.setattr(NPSOR, "iterates", interrupted)
         assert solve(SWEPT).status is Status.INTERRUPTED
         assert np.geterr() == before
-    monkeypatch.setattr("lcp_plugin.auto.checked_start", interrupted)
+
+    def at_once(*_: object, **__: object) -> None:
+        np.seterr(over="raise", invalid="ignore")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lcp_plugin.core.solving.driver.CommonScaling.of", at_once)
     with pytest.raises(KeyboardInterrupt):
         solve(TOTAL)
     assert np.geterr() == before

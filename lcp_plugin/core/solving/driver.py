@@ -49,7 +49,7 @@ def solved_by(
     header : callable, optional
         What ``verbose=True`` tells of M.
     """
-    run = scaling = None
+    run = None
 
     def run_in(scaling: CommonScaling) -> Run:
         return Run(scaling, policy, settings, callback, clock, judge(scaling, settings), header)
@@ -66,7 +66,8 @@ def solved_by(
             run = run_in(scaling)
             return run.judged(start, run.drive(start, first))
         except KeyboardInterrupt:
-            run = run or run_in(scaling or CommonScaling(problem, problem))
+            if run is None or run.state.iteration < 0:  # no step is made yet
+                raise
             return run.judged(start, End.INTERRUPTED)
 
 

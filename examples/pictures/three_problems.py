@@ -39,7 +39,7 @@ def exercise_boundary(axes: plt.Axes) -> None:
     """Draw where exercising an American put is best, through its year."""
     scene = gallery.american_put_march(size=901, volatility=0.3, steps=150)
     lower, spot = scene.problem.lower, scene.coordinates[0]
-    q = np.broadcast_to(scene.advance.boundary, (scene.steps, scene.n))
+    q = np.broadcast_to(scene.advance(np.zeros(scene.n)), (scene.steps, scene.n))
     steps = [step.require_solved() for step in march(scene.problem, q, propagator=-1.0, z0=lower)]
     boundary = [100.0, *(spot[(step.z == lower) & (lower > 0)].max() for step in steps)]
     years = np.linspace(1, 0, scene.steps + 1)

@@ -74,7 +74,7 @@ from .core.matrix.matrix import Matrix
 from .core.matrix.row_sums import has_positive_diagonal, row_blocks
 from .core.matrix.symmetry import mean_coupling
 from .core.policy.policy import Policy
-from .core.policy.remaining import ASKED_EVERY, TRIAL_SWEEPS, Remaining
+from .core.policy.remaining import TRIAL_SWEEPS, Remaining
 from .core.policy.stages import Choice, Stage
 from .core.settings import BESIDE, OF_SOLVE, Settings, checked_callback
 from .core.solving.driver import solved_by
@@ -83,7 +83,7 @@ from .core.solving.result import Result
 from .core.solving.run import Callback
 from .core.splittings.projected_relaxation import PGS, PSOR
 from .core.splittings.projected_type import NPSOR
-from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, INTERIOR_STEPS, LINEAR_PROGRAM_UP_TO
+from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
 from .engines import Engine
 
 if TYPE_CHECKING:
@@ -208,9 +208,6 @@ class Auto(EndsWithItsCase):
         if (order := _exact_order(problem, now)) is not None:
             return Choice(PGS(sweep=order), "M is triangular: a sweep in that order is exact")
         if now.algorithm.name == "banded":
-            failed = failed or (
-                now.iterations == ASKED_EVERY and self._seems_unheld(problem, by_rows=True)
-            )
             why = "banded ended without a solution; cheap sweeps over the rows are next"
             return replace(PROJECTED_TYPE, because=why) if failed else None
         left = Remaining.of(problem, now, goal, failed=failed)
@@ -222,11 +219,7 @@ class Auto(EndsWithItsCase):
             passes = factor_passes(problem)
             if left.has_failed and passes == math.inf:
                 return Choice(PSOR(), f"{left}, and a factor of M is predicted to be too large")
-            is_behind = left.sweeps > passes and (
-                2.0 * left.work > passes
-                or now.is_unsettled()
-                or (INTERIOR_STEPS * left.work > passes and self._seems_unheld(problem))
-            )
+            is_behind = left.sweeps > passes and (2.0 * left.work > passes or now.is_unsettled())
             if not (left.has_failed or is_behind):
                 return None
         else:
@@ -235,11 +228,7 @@ class Auto(EndsWithItsCase):
             rival = min(predicted, key=lambda one: predicted[one], default=None)
             if rival is None or not left.loses_to(rival, passes := predicted[rival]):
                 return None
-            if (
-                passes < math.inf
-                and rival.name != DIRECT
-                and not self._seems_unheld(problem, by_rows=True)
-            ):
+            if passes < math.inf and rival.name != DIRECT:
                 return Choice(
                     rival,
                     f"{left}; {rival.name} is expected to take the time of {passes:.0f} sweeps",
@@ -252,15 +241,6 @@ class Auto(EndsWithItsCase):
     def left_out(self) -> Sequence[str]:  # type: ignore[override]
         """What the direct methods did not try, where it came to them."""
         return () if self._direct is None else self._direct.left_out
-
-    def _seems_unheld(self, problem: LCP, *, by_rows: bool = False) -> bool:
-        """Return whether the sums of rows, or one factor, show a direction along which nothing holds z.
-
-        Only where proofs are looked for.
-        """
-        from .proofs.no_solution.infeasibility import seems_unheld
-
-        return self._prove_infeasibility and bool(seems_unheld(problem, by_rows=by_rows))
 
     def _fallback_order(self, problem: LCP) -> FallbackOrder:
         """Return the direct methods."""

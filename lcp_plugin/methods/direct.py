@@ -46,7 +46,7 @@ from ..core.tuning import (
     PIVOTS_FIRST_UP_TO,
     SEMIDEFINITENESS_UP_TO,
 )
-from ..proofs.no_solution.infeasibility import contradictory_row, seems_unheld
+from ..proofs.no_solution.infeasibility import contradictory_row
 from ..proofs.verdicts.report import is_negative
 from ..systems.factors import sizes_of_factor
 from .interior_point import InteriorPoint
@@ -109,20 +109,15 @@ class FallbackOrder:
         )
         if not (failed or is_overdue):
             return None
-        is_far_out = any(
-            one.has_no_solution_nearby for one in stages
-        )  # worth one turn, at the most
-        following = next(
-            (one for one in self._coming if not (is_far_out and one.turn < math.inf)), None
-        )
-        if following is None and self._waiting and not is_far_out:
+        following = next(self._coming, None)
+        if following is None and self._waiting:
             following = self._waiting.pop(0)
         if following is not None:
             if self._now is not None and not failed:
                 self._waiting.append(
                     replace(self._now, because="the others have had their turn", turn=math.inf)
                 )
-        elif failed and not is_far_out:
+        elif failed:
             following = next(self._last, None)
         self._now = following or self._now
         return following
@@ -177,11 +172,6 @@ def _by_prospects(problem: LCP, prove_infeasibility: bool, words: list[str]) -> 
     is_contradictory = row is not None and row.excludes(EPSILON)
     if is_contradictory:
         yield replace(check, because="one row contradicts its bounds by itself")
-    elif prove_infeasibility and not problem.is_dense and seems_unheld(problem):
-        yield replace(
-            check,
-            because="a factor of M meets a pivot of 0: nothing seems to hold z along some direction",
-        )
     elif newton.algorithm not in left_out and _suits_newton(problem):
         yield newton
         left_out.append(newton.algorithm)

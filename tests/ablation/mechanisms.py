@@ -268,13 +268,6 @@ MECHANISMS = (
         "core/matrix/symmetry.py:mean_coupling",
     ),
     Mechanism(
-        "unheld",
-        "a factor's pivots of 0 send auto to look for a proof",
-        {"proofs.no_solution.infeasibility:seems_unheld": says(False)},
-        "proofs/no_solution/infeasibility.py:seems_unheld proofs/no_solution/infeasibility.py:unheld_motion "
-        "proofs/no_solution/free_motion.py",
-    ),
-    Mechanism(
         "units",
         "rows and columns of M scaled by powers of two",
         {"core.matrix.scaling:scaling_of": says(None)},

@@ -41,8 +41,7 @@ class Stage:
 
     `residuals` holds (iteration of this stage, residual), `parts` (label, iterations, work) of an algorithm that has
     several; `least_residual` is that of its steps; `settles`, that steps have said their residuals may rise for a
-    while; `has_no_solution_nearby`, that a step has proved that no z within a radius, far beyond the data, is a
-    solution; `z` is the latest iterate, as long as the stage lasts; `moves` counts the unknowns that came to a bound or
+    while; `z` is the latest iterate, as long as the stage lasts; `moves` counts the unknowns that came to a bound or
     left it, window by window, where the policy watches them.
     """
 
@@ -53,7 +52,6 @@ class Stage:
     remark: str = ""
     least_residual: float = 0.0
     settles: bool = False
-    has_no_solution_nearby: bool = False
     z: FloatVector | None = None
     residuals: list[tuple[int, float]] = field(default_factory=list)
     parts: list[tuple[str, int, float]] = field(default_factory=list)

@@ -12,7 +12,6 @@ from ..settings import Status
 
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
-FAR_OUT = "no start leads to a solution within that size; next: check the data"
 TRIED = "auto has tried what suits this M"
 NOTHING_TO_DO = (
     "where it begins the residual is within the tolerance already, and nothing was left to do"
@@ -53,8 +52,6 @@ def advice_of_run(
             said[status] = said[status].replace("; next: ", f"; next: try {other}, or ")
     but_not = f", but not {', nor '.join(left_out)}" if left_out else ""
     end = f"next: try {other}" if other else f"{TRIED}{but_not}; next: try another start z0"
-    if any(stage.has_no_solution_nearby for stage in stages):
-        end = FAR_OUT
     if (negative := (problem.diagonal < 0.0)).any():
         end = f"M is not monotone (m_ii < 0 for i = {int(negative.argmax())}); {end}"
     return {**words, **said, **{status: f"{said[status]}; {end}" for status in WITHOUT_END}}

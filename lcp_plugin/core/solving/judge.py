@@ -175,8 +175,6 @@ class Judge:
         if self.proof is None or proof.margin > self.proof.margin:
             self.proof = proof
         criterion = self.problem.criterion
-        if criterion is None and getattr(proof, "radius", math.inf) < math.inf:
-            return False  # a near-singular M has solutions that large
         if not proof.excludes(
             settings.tolerance, settings.tolerance_on, settings.absolute_tolerance
         ):

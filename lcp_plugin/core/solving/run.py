@@ -172,9 +172,6 @@ class Run:
         """Return why the run ends with a proof that there is no solution, or none nearby, if it does."""
         if self.judge.accept_proof(proof):
             return End.NO_SOLUTION
-        self.state.stages[-1].has_no_solution_nearby = (
-            getattr(self.judge.proof, "radius", math.inf) < math.inf
-        )
         return End.AT_FLOOR if self.judge.misses_by_rounding(self.incumbent.z) else None
 
     def _end_with(self, step: Step, residual: float | None) -> End | None:

@@ -15,9 +15,9 @@ from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
 from ...proofs.exact.rational import exact_slack
-from ...proofs.exact.simplex import Effort
 from ...proofs.no_solution.infeasibility import NoSolution
 from .explorer import Explorer, Face, Point, extreme_points
+from .simplex import Effort
 
 __all__ = [
     "Effort",

@@ -12,9 +12,9 @@ from typing import Any
 
 from ...core.lcp import LCP
 from ...proofs.exact.rational import integer_matrix, slack_bounds
-from ...proofs.exact.simplex import Bound, Effort, ExactSimplex
 from ...proofs.no_solution.infeasibility import Case
 from ...proofs.no_solution.proof import FIXED, LOWER, SLACKLESS, UPPER, row_choices
+from .simplex import Bound, Effort, ExactSimplex
 
 Point = tuple[Fraction, ...]
 

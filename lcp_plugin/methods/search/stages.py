@@ -13,9 +13,9 @@ from ...core.checks import FloatVector
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
-from ...proofs.exact.simplex import QUANTUM
 from ...proofs.no_solution.infeasibility import find_infeasibility
 from . import Effort, NoSolution, Solutions, explore
+from .simplex import QUANTUM
 
 CASES_A_STEP = 50
 MOST_EXACT = 20_000
@@ -39,10 +39,6 @@ class FeasibilityCheck(Algorithm):
         proof = find_infeasibility(problem, effort_limit=effort)
         if proof is not None:
             yield Step(z0, proof=proof)
-        if proof is not None and proof.is_free_motion and problem.criterion is None:
-            yield Step(
-                z0, least_residual=proof.margin
-            )  # of all z within its radius: no method goes on beyond
 
 
 @dataclass(frozen=True, kw_only=True)

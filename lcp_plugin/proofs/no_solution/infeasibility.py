@@ -17,11 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.criterion import CommonScaling, RowScaling, reference_residual
-from ...core.checks import FloatVector
 from ...core.lcp import LCP
-from ...systems.null_space import null_space_by_rows, null_space_of
 from ..exact.rational import Rational
-from .free_motion import falling_directions
 from .linear_constraints import DECISIVE, LinearConstraints
 from .proof import (
     Choices,
@@ -71,51 +68,8 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     row = contradictory_row(problem)
     if row is not None and row.margin >= DECISIVE:
         return row
-    proof = unheld_motion(problem)
-    if proof is None and effort:
-        proof = _by_linear_program(problem, effort)
+    proof = _by_linear_program(problem, effort) if effort else None
     return row if proof is None or (row is not None and proof.margin < row.margin) else proof
-
-
-def unheld_motion(problem: LCP) -> Infeasibility | None:
-    """Return the proof that nothing holds z along some d: M d = 0 of a symmetric M, no bound ends it, and qᵀd < 0.
-
-    One factorisation of M, once; none where M is not symmetric and positive semidefinite to rounding.
-
-    Examples
-    --------
-    >>> springs = LCP([[1, -1], [-1, 1]], [1, -3])  # two masses, one spring between them, pulled upwards
-    >>> print(unheld_motion(springs))
-    nothing holds unknowns 0, 1: along them M d = 0 and qᵀd < 0, and no bound is in the way; proof: exact
-    """
-    return next(
-        (proof for d in _motions(problem) if (proof := _proven(problem, _by_row(d))) is not None),
-        None,
-    )
-
-
-def seems_unheld(problem: LCP, *, by_rows: bool = False) -> bool:
-    """Return whether double precision says that nothing holds z along some direction; proves nothing.
-
-    Where it is asked `by_rows`, no factor is made: only the Laplacian of a graph is seen.
-    """
-    if by_rows and (
-        problem.is_dense or (known := null_space_by_rows(problem.csr)) is None or not known.any()
-    ):
-        return False
-    return next(_motions(problem), None) is not None
-
-
-def _motions(problem: LCP) -> Iterator[FloatVector]:
-    directions = null_space_of(problem.matrix)
-    if directions is None:
-        return iter(())
-    rises, falls = np.isfinite(problem.lower), np.isfinite(problem.upper)
-    return falling_directions(problem.matrix.array, directions, problem.q, rises, falls)
-
-
-def _by_row(y: FloatVector) -> dict[int, Rational]:
-    return {i: value for i, value in enumerate(y.tolist()) if value}
 
 
 def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:

@@ -214,14 +214,10 @@ class Contradiction:
         """Whether each y_i has a sign that its row asks for."""
         return all(self.sides.signs(i)[value < 0] for i, value in self.y.items())
 
-    def holds(self, data: float, first: int = 0) -> bool:
-        """Return whether it is a proof, for all x that data of a size may mean; of the unknowns from the first on."""
-        return self.has_signs and self.size > 0 and self.is_wide(data) and self.is_rounding(first)
-
-    def is_wide(self, data: float) -> bool:
-        """Return whether x of 10⁸ times the size that such data mean leaves half the contradiction, as no solution."""
-        moved = sum((abs(value) for value in self.left.values()), ZERO)
-        return max(self.plain, ZERO) >= 2 * Fraction(WIDE) * Fraction(data) * moved
+    @property
+    def holds(self) -> bool:
+        """Whether it is a proof for all x."""
+        return self.has_signs and not self.left and self.plain > 0
 
     def is_wide_beside_terms(self, known: Mapping[int, float] | None = None) -> bool:
         """Return whether x of 10⁸ times the size that it has itself leaves half the contradiction.

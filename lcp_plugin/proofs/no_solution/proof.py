@@ -27,10 +27,9 @@ from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
 from ...core.matrix.symmetry import is_nearly_symmetric
-from ...core.representation import within
 from ...core.settings import Status
 from ..exact.rational import ZERO, Rational, exact_residuals, integer_matrix, rounded_down
-from .free_motion import is_at_rest, is_far_out, moved_unknowns
+from .free_motion import is_at_rest, moved_unknowns
 from .linear_constraints import Contradiction
 
 SAFE_RANGE = (1e-290, 1e290)
@@ -127,6 +126,7 @@ class NoSolutionProof:
 
     problem: LCP
     status: ClassVar[Status] = Status.NO_SOLUTION  # what it proves
+    radius: ClassVar[float] = np.inf  # it speaks of all z
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what closes each case, verified; None for a case that is not closed."""
@@ -245,20 +245,12 @@ class Choices(NamedTuple):
 
     def excluded_by(self, y: Mapping[int, Rational]) -> bool:
         """Return whether a Farkas vector closes the case, for all z."""
-        found = self.contradiction(y)
-        return not found.left and found.holds(1.0)
+        return self.contradiction(y).holds
 
     def closed_by(self, y: Mapping[int, Rational]) -> Closing | None:
         """Return what a Farkas vector closes the case with, for all z; None where it does not."""
         found = self.contradiction(y)
-        return None if found.left else self.closing(found, 1.0)
-
-    def closing(self, found: Contradiction, data: float, first: int = 0) -> Closing | None:
-        """Return what closes the case, for all z that data of a size may mean; None where it is not closed.
-
-        Of the unknowns before the first it is known that what is left of their sums is rounding.
-        """
-        if not found.holds(data, first):
+        if not found.holds:
             return None
         scale, path = residual_scale_of_criterion(self.problem), self.path
         sizes = {i: abs(y) for i, y in found.y.items() if path.get(i) not in (LOWER, UPPER)}
@@ -289,8 +281,7 @@ class Infeasibility(NoSolutionProof):
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
     y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
     component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r in the
-    units of :mod:`lcp_plugin.core.certificates.criterion`). Where Mᵀy should be 0 and is rounding beside its terms, all
-    this is said of the z whose entries without bounds are at most `radius` in size.
+    units of :mod:`lcp_plugin.core.certificates.criterion`).
 
     Attributes
     ----------
@@ -328,20 +319,6 @@ class Infeasibility(NoSolutionProof):
         y[list(self._used)] = [float(value) for value in self._used.values()]
         return y
 
-    @cached_property
-    def _found(self) -> Contradiction:
-        return Choices(self.problem, {}).contradiction(self._used)
-
-    @property
-    def radius(self) -> float:
-        """Of the |z_i| without bounds that it speaks of: ∞, or the one that leaves half the contradiction."""
-        return self._found.radius
-
-    @cached_property
-    def exact(self) -> bool:
-        """Whether the stored doubles have no solution at all, by however little."""
-        return self.radius == np.inf and self.verify()
-
     def rescaled(self, problem: LCP, factors: Sequence[Fraction]) -> Infeasibility:
         """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
         return Infeasibility.of(
@@ -350,34 +327,14 @@ class Infeasibility(NoSolutionProof):
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""
-        problem = self.problem
-        with np.errstate(all="ignore"):
-            sizes = np.abs(
-                np.concatenate([problem.q / problem.residual_scale, problem.lower, problem.upper])
-            )
-        # What is 0 but for rounding of its largest terms has data alone to be beside.
-        least, first = (0.0, problem.n) if self.is_free_motion else (1.0, 0)
-        if self.is_free_motion and not is_far_out(
-            problem.matrix.array, problem.q, self.y, self._found.left
-        ):
-            yield None
-            return
-        yield Choices(problem, {}).closing(
-            self._found, float(sizes[np.isfinite(sizes)].max(initial=least)), first
-        )
-
-    @cached_property
-    def is_free_motion(self) -> bool:
-        """Whether M maps y to 0 but for rounding, and a symmetric M, too: nothing holds z along y."""
-        return is_nearly_symmetric(self.problem.matrix) and is_at_rest(
-            self.problem.matrix.array, self.y
-        )
+        yield Choices(self.problem, {}).closed_by(self._used)
 
     def __str__(self) -> str:
-        if self.is_free_motion:
+        problem = self.problem
+        if is_nearly_symmetric(problem.matrix) and is_at_rest(problem.matrix.array, self.y):
             return (
                 f"nothing holds {moved_unknowns(self.y)}: along them M d = 0 and qᵀd < 0, and no bound is in the "
-                f"way; proof: exact{within(self.radius, 'z')}"
+                "way; proof: exact"
             )
         rows = list(self._used)
         named = ", ".join(f"{self.y[i]:.4g} × row {i}" for i in rows[:4]) + (
@@ -386,7 +343,7 @@ class Infeasibility(NoSolutionProof):
         combined = f"{len(rows)} rows contradict ({named})"
         if len(rows) == 1:
             combined = f"row {rows[0]} contradicts its bounds"
-        return f"no z within its bounds gives w the signs it needs: {combined}; proof: exact{within(self.radius, 'z')}"
+        return f"no z within its bounds gives w the signs it needs: {combined}; proof: exact"
 
     def __repr__(self) -> str:
         return f"Infeasibility({self})"

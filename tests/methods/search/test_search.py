@@ -14,9 +14,9 @@ from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import LCP, InvalidOption, InvalidProblem, Status, UnsuitableProblem, solve
 from lcp_plugin.methods.search import Effort, GaveUp, Solutions, all_solutions, explore, search
+from lcp_plugin.methods.search.simplex import QUANTUM
 from lcp_plugin.problems.reformulations.bimatrix_game import lcp_from_bimatrix_game
 from lcp_plugin.proofs.exact.rational import is_exact_solution
-from lcp_plugin.proofs.exact.simplex import QUANTUM
 from lcp_plugin.proofs.no_solution.infeasibility import Case, NoSolution
 from lcp_plugin.proofs.no_solution.proof import row_choices
 
@@ -358,7 +358,7 @@ def test_yields_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """The answers are the same, bit for bit, however often the search yields."""
     problem = LCP(*random_problem(np.random.default_rng([7, 1, 3]), largest=4)[:2])
     plain = [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)]
-    monkeypatch.setattr("lcp_plugin.proofs.exact.simplex.QUANTUM", 1)
+    monkeypatch.setattr("lcp_plugin.methods.search.simplex.QUANTUM", 1)
     assert [(s.exact_z, s.pattern, s.dimension) for s in all_solutions(problem)] == plain
 
 

@@ -11,7 +11,7 @@ from itertools import compress
 import numpy as np
 
 from ...core.checks import FloatVector
-from .rational import IntegerMatrix, integers, power_of_two
+from ...proofs.exact.rational import IntegerMatrix, integers, power_of_two
 
 Bound = int | None  # None: no bound
 Sides = tuple[FloatVector, FloatVector]  # lower, upper

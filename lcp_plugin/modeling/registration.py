@@ -108,6 +108,8 @@ def lcp_stated_by(problem: Any) -> LCP:
 
 def stated_in_cvxpy(problem: LCP) -> Any:
     """Return the cvxpy problem in one variable z that states an LCP."""
+    if problem.n == 0:  # cvxpy 1.8 has no empty variables
+        return cp.Problem(cp.Minimize(0))
     z = cp.Variable(problem.n, name="z")
     F = problem.csr @ z + problem.q
     pair = complements(box(z, problem.lower, problem.upper), F)
@@ -248,7 +250,8 @@ def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, A
             raise
         raise refused from error
     result = problem.solver_stats.extra_stats
-    if isinstance(result.proof, QPInfeasibility):
+    # cvxpy answers a problem without variables itself.
+    if result is not None and isinstance(result.proof, QPInfeasibility):
         named = conflicting_constraints(problem, result.proof)
         problem.solver_stats.extra_stats = replace(result, contradiction=named)
     return value

@@ -33,7 +33,6 @@ NNLS_STEPS = 10  # times the number of columns
 REFINEMENTS = 2  # solves with one factor of a face
 MAX_FACES = 30
 NOISE = 2.0**-44
-AT_BOUND = 4.0 * EPSILON  # of x before and after a step: it is at a bound so near
 SAME_COST = 1.0 + 1e-12  # a step may cost so much more, by rounding
 FACTORS = 20  # that PIQP makes, about
 PATIENCE = 60.0  # seconds for that
@@ -72,8 +71,7 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FacePoint]
             point = FacePoint(problem, clipped(x, problem.lower, problem.upper))
             if name == "lstsq" or (name == "nnls" and not problem.lower.any()):
                 yield name, without_noise(point)  # others lie near a face, not on it
-            on_face = on_its_face(point, A, b)
-            yield from ((name, one) for one in (without_noise(on_face), on_face))
+            yield name, on_its_face(point, A, b)
 
 
 def _dense_solutions(
@@ -247,8 +245,4 @@ def _towards_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector
     step = x - point.x
     if not np.isfinite(step).all():
         return point
-    x, problem = point.projected(step, point.problem.product(step)).x, point.problem
-    size = AT_BOUND * np.maximum(np.abs(x), np.abs(point.x))
-    for bound in (problem.lower, problem.upper):  # a step that ends at a bound is there
-        x = np.where(np.abs(x - bound) <= size, bound, x)
-    return FacePoint(problem, x)
+    return without_noise(point.projected(step, point.problem.product(step)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InvalidOption, InvalidProblem, did_you_mean
+from .errors import InvalidOption, InvalidProblem
 
 FloatVector = NDArray[np.float64]
 BoolVector = NDArray[np.bool_]
@@ -483,33 +482,3 @@ def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
     except InvalidProblem as error:
         raise InvalidOption(str(error)) from error
     return np.clip(start, problem.lower, problem.upper)
-
-
-def changes_by_name(
-    origin: Any, named: Mapping[str, Any], known: Sequence[str], elsewhere: str = ""
-) -> dict[str, Any]:
-    """Return what changes of the data that a problem was made from are in its M and q, as ``{"dM": …, "dq": …}``.
-
-    Parameters
-    ----------
-    origin : object
-        That of the problem: it may list `names`, and have `changes`.
-    named : mapping
-        The changes.
-    known : sequence of str
-        What else a derivative takes; for the message.
-    elsewhere : str
-        What to say of names of contacts that this derivative does not take.
-
-    Raises
-    ------
-    InvalidOption
-        Where a name is none of these.
-    """
-    names = getattr(origin, "names", ())
-    for name in named:
-        if name not in names:
-            raise InvalidOption(
-                f"a derivative takes no {name} here{did_you_mean(name, [*known, *names])}{elsewhere}"
-            )
-    return dict(origin.changes(**named)) if named else {}

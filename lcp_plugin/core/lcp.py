@@ -319,7 +319,7 @@ class LCP:
         """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 
         ``origin.start_from(before, same)`` is a start z0 from the answer of the step before, where contacts come and
-        go; ``derivative(result).jvp(dfriction=0.1)`` differentiates by friction, velocities, gaps and mass.
+        go.
         See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units, errors, and for batches.
 
         Parameters

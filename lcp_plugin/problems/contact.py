@@ -16,8 +16,6 @@ A simulation takes a few calls a step; ``start_from`` begins the next solve from
     result = solve(problem, z0=problem.origin.start_from(before, same))
     velocities = problem.origin.recover(result).body_velocities + dt * accelerations
 
-``derivative(result)`` of such a problem knows changes of friction, velocities, gaps and mass by these names.
-
 References
 ----------
 D. E. Stewart, J. C. Trinkle, *An implicit time-stepping scheme for rigid body dynamics with inelastic collisions and
@@ -29,7 +27,6 @@ doi:10.1023/A:1008292328909.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -38,7 +35,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.checks import canonical_csr, is_number, real_array, rectangular_matrix
-from ..core.errors import InvalidOption, InvalidProblem, ModelWarning
+from ..core.errors import InvalidProblem, ModelWarning
 from ..core.lcp import LCP
 from ..core.solving.result import Result
 
@@ -113,56 +110,6 @@ class Bodies(NamedTuple):
         return np.asarray(
             np.linalg.solve(self.mass, np.swapaxes(self.rows, -1, -2)), dtype=np.float64
         )
-
-
-@dataclass(frozen=True, eq=False)
-class ContactGradient:
-    """What a function of the answer has for gradients by the data that state contacts; of a batch one axis in front.
-
-    Attributes
-    ----------
-    friction : ndarray, shape (k,)
-    velocities : ndarray, shape (k, d), or (v,)
-        As they were given: those of the contacts, or of the bodies.
-    gaps : ndarray, shape (k,), or None
-        None where the contacts were stated without `gaps`.
-    mass : ndarray, shape (v, v), or None
-        Symmetric: the change of the function is ``np.sum(mass * dmass)``. None where W was given.
-    W : ndarray, shape (d k, d k)
-        Symmetric likewise.
-    of_lcp : Gradient or BatchGradient
-        By M, q and the bounds; also ``self.q, self.lower, self.upper, self.M``.
-    """
-
-    friction: FloatArray
-    velocities: FloatArray
-    gaps: FloatArray | None
-    mass: FloatArray | None
-    W: FloatArray
-    of_lcp: Any = field(repr=False)
-
-    @property
-    def q(self) -> Any:
-        """By the entries of q."""
-        return self.of_lcp.q
-
-    @property
-    def lower(self) -> Any:
-        """By the lower bounds."""
-        return self.of_lcp.lower
-
-    @property
-    def upper(self) -> Any:
-        """By the upper bounds."""
-        return self.of_lcp.upper
-
-    @property
-    def M(self) -> Any:
-        """By the entries of M."""
-        return self.of_lcp.M
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter((self.q, self.lower, self.upper, self.M))  # as a Gradient unpacks
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,123 +190,6 @@ class Contacts:
         closing = np.zeros((*gaps.shape, velocities.shape[-1]))
         closing[..., 0] = gaps / self.time_step
         return velocities + closing
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The changes that :meth:`changes` takes."""
-        has_gaps, has_mass = (
-            ("dgaps",) * (self.gaps is not None),
-            ("dmass",) * (self.bodies is not None),
-        )
-        return ("dfriction", "dvelocities", *has_gaps, *has_mass, "dW")
-
-    def changes(
-        self,
-        *,
-        dfriction: ArrayLike | None = None,
-        dvelocities: ArrayLike | None = None,
-        dgaps: ArrayLike | None = None,
-        dmass: ArrayLike | None = None,
-        dW: ArrayLike | None = None,
-    ) -> dict[str, FloatArray]:
-        """Return what changes of the data that state contacts are in M and q: ``{"dM": …, "dq": …}``, or one of these.
-
-        ``derivative(batch).jvp(**data.changes(dfriction=0.1))`` differentiates a batch; that of one result calls this.
-
-        Parameters
-        ----------
-        dfriction : number or array, shape (k,), optional
-        dvelocities : array, shape (k, d) or (v,), optional
-            Of the contacts, or of the bodies where theirs were given.
-        dgaps : number or array, shape (k,), optional
-        dmass : array, shape (v, v), optional
-            Symmetric.
-        dW : array, shape (d k, d k), optional
-            Symmetric.
-
-        Raises
-        ------
-        InvalidProblem
-            For other shapes, numbers that are not finite, or what is not symmetric.
-        InvalidOption
-            For `dgaps` or `dmass` of contacts that were stated without gaps or without a mass matrix.
-        """
-        k, d, found = self.count, self.velocities.shape[-1], dict[str, FloatArray]()
-        bent, slid = np.zeros(self.W.shape[-2:]), np.zeros(k)
-        if dW is not None:
-            bent = _change(dW, "dW", (d * k, d * k), is_symmetric=True)
-        if dmass is not None:
-            if self.bodies is None:
-                raise InvalidOption(
-                    "dmass needs contacts stated by (mass matrix, normals, tangents), and these were by W; give "
-                    "dW = −J m⁻¹ dmass m⁻¹ Jᵀ"
-                )
-            by_impulse, v = self.bodies.by_impulse, self.bodies.mass.shape[-1]
-            moved = _change(dmass, "dmass", (v, v), is_symmetric=True)
-            bent = bent - np.swapaxes(by_impulse, -1, -2) @ moved @ by_impulse
-        if dfriction is not None:
-            slid = _change(dfriction, "dfriction", (k,))
-        if not (dW is None and dmass is None and dfriction is None):
-            found["dM"] = self._in_matrix(bent, slid)
-        if dvelocities is not None or dgaps is not None:
-            found["dq"] = self._in_vector(
-                self._change_of_velocities(dvelocities), self._change_of_gaps(dgaps)
-            )
-        return found
-
-    def _change_of_velocities(self, dvelocities: ArrayLike | None) -> FloatArray:
-        """Return a change of the contacts' velocities, shape (k, d), by that of what was given."""
-        shape = self.velocities.shape[-2:]
-        if dvelocities is None:
-            return np.zeros(shape)
-        if self.bodies is None or self.bodies.velocities is None:
-            return _change(dvelocities, "dvelocities", shape)
-        moved = _change(dvelocities, "dvelocities", self.bodies.mass.shape[-1:])
-        along = _product(moved, np.swapaxes(self.bodies.rows, -1, -2))
-        return along.reshape(*along.shape[:-1], *shape)
-
-    def _change_of_gaps(self, dgaps: ArrayLike | None) -> FloatArray | None:
-        if dgaps is None:
-            return None
-        if self.gaps is None:
-            raise InvalidOption(
-                "dgaps needs contacts stated with gaps=… and time_step=…, and these were without; state them so, or "
-                "give dvelocities with dgap / time step along the normals"
-            )
-        return _change(dgaps, "dgaps", (self.count,))
-
-    def gradient(self, of_lcp: Any, z: ArrayLike) -> ContactGradient:
-        """Return the gradients by friction, velocities, gaps and mass that belong to one by M and q.
-
-        ``data.gradient(found.vjp(g), found.z)`` with ``found = derivative(batch)`` is that of a batch; ``vjp`` of one
-        result returns its own.
-
-        Parameters
-        ----------
-        of_lcp : Gradient or BatchGradient
-        z : array, shape (n,), or (B, n)
-            At which it was taken.
-        """
-        k, rows = self.count, self._by_edges
-        by_q, z = np.asarray(of_lcp.q), np.asarray(z)
-        moving, impulses = (
-            by_q[..., : -k or None] @ rows,
-            z[..., : -k or None] @ rows,
-        )  # by normals and tangents
-        by_velocities = moving.reshape(*moving.shape[:-1], k, -1)
-        by_mass = None
-        if self.bodies is not None:
-            by_impulse = np.swapaxes(self.bodies.by_impulse, -1, -2)
-            by_mass = -_symmetric_product(
-                _product(moving, by_impulse), _product(impulses, by_impulse)
-            )
-        gaps = None if self.time_step is None else by_velocities[..., 0] / self.time_step
-        if self.bodies is not None and self.bodies.velocities is not None:
-            by_velocities = _product(moving, self.bodies.rows)
-        friction = by_q[..., by_q.shape[-1] - k :] * z[..., :k]
-        return ContactGradient(
-            friction, by_velocities, gaps, by_mass, _symmetric_product(moving, impulses), of_lcp
-        )
 
     def recover(self, answer: Any) -> ContactMotion:
         """Return the impulses and velocities that an answer of the complementarity problem stands for.
@@ -495,17 +325,14 @@ def lcp_from_contacts(
     [0.1962] [[-0.05886]] [[0.00981]] [False]
 
     It falls with 1 m/s, 4 mm above the ground; a step takes 0.01 s. It may lose the 4 mm, so it keeps 0.4 m/s, and the
-    ground takes the other 0.6 m/s; the derivative says how the impulse changes with the gap, by −m / time step:
+    ground takes the other 0.6 m/s:
 
-    >>> from lcp_plugin import derivative
     >>> block = 2.0 * np.eye(2), [[0, 1]], [[1, 0]]  # mass matrix, normals, tangents; its velocities: along, up
     >>> problem = lcp_from_contacts(block, 0.5, [0.0, -1.0], gaps=0.004, time_step=0.01)
     >>> result = solve(problem)
     >>> motion = problem.origin.recover(result)
     >>> motion.normal.round(6), motion.separation.round(6), motion.body_velocities.round(6)
     (array([1.2]), array([-0.4]), array([ 0. , -0.4]))
-    >>> derivative(result).jvp(dgaps=1.0)[0].round(6)
-    np.float64(-200.0)
     """
     given = checked_contacts(contacts, friction, velocities, directions, gaps, time_step)
     if given.W.ndim != 2:
@@ -684,31 +511,10 @@ def warn_of_much_friction(friction: FloatArray, level: int) -> None:
     )
 
 
-def _change(
-    values: ArrayLike, name: str, shape: tuple[int, ...], *, is_symmetric: bool = False
-) -> FloatArray:
-    """Return a change of that shape, which may have one axis in front; a number stands for all entries of a vector."""
-    need = f"{name} must be a finite array of shape {shape}"
-    array = _array(values, need)
-    if array.ndim == 0 and len(shape) == 1:
-        array = np.full(shape, float(array))
-    if array.shape[-len(shape) :] != shape or array.ndim > 1 + len(shape):
-        raise InvalidProblem(f"{need}, got {array.shape}")
-    if is_symmetric:
-        check_symmetric(array, name)
-    return array
-
-
 def _product(x: FloatArray, A: FloatArray) -> FloatArray:
     """Return xᵀA, of a batch one by one."""
     product: FloatArray = (x[..., None, :] @ A)[..., 0, :]
     return product
-
-
-def _symmetric_product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return ½ (a bᵀ + b aᵀ)."""
-    product = a[..., :, None] * b[..., None, :]
-    return 0.5 * (product + np.swapaxes(product, -1, -2))
 
 
 def _of_bodies(

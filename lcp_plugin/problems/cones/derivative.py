@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
     FloatVector,
-    changes_by_name,
     checked_vector,
     is_number,
     rectangular_matrix,
@@ -34,7 +33,6 @@ from .stack import ON, WITHIN, Array, ConeStack, length
 REFINEMENTS = 5  # steps of Newton towards the solution before it is differentiated
 REFINING = 1e-8  # of d, their proximal term: rounding moves no impulses that the motion leaves undetermined
 EXACT = 2.0**-46  # relative to |z| + |w|/d: a smaller residual is not refined
-BY_HAND = "; of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du"
 ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d, from where another case begins
 ROUNDING = 1e-12  # of a block's terms: z and w/d that are smaller are both 0
 PIECES, ALIKE = 20, 1e-12  # most that are tried for a direction, and the change of dz that ends it
@@ -243,7 +241,6 @@ class ConeDerivative:
         dfriction: ArrayLike | None = None,
         dlower: ArrayLike | None = None,
         dupper: ArrayLike | None = None,
-        **named: Any,
     ) -> FloatVector:
         """Return the change dz, shape (n,), that changes of the data make; one-sided where blocks are degenerate.
 
@@ -257,12 +254,10 @@ class ConeDerivative:
         dlower, dupper : array, shape (n,), optional
             Of the bounds; only those that hold matter.
 
-        Raises
-        ------
-        InvalidOption
-            For any other name: of a mass matrix give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities dq = J du.
+        Notes
+        -----
+        Of a mass matrix m give dM = −J m⁻¹ dm m⁻¹ Jᵀ, of bodies' velocities u dq = J du.
         """
-        changes_by_name(None, named, ("dq", "dM", "dfriction", "dlower", "dupper"), BY_HAND)
         changes = dq, dM, dfriction, dlower, dupper
         dz = self._change(self._of, *changes)
         for _ in range(PIECES if self.degenerate.size else 0):

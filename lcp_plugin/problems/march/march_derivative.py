@@ -17,13 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
     FloatVector,
-    changes_by_name,
     finite_vector,
     is_number,
     real_array,
     rectangular_matrix,
 )
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
+from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix
@@ -44,7 +43,6 @@ BACKWARD = 2.0**-40  # relative residual of a stable solution
 CANCELLED = 2.0**40  # terms relative to their sum: the block is about singular
 KINK = 2  # times the side of a row at this bound with w = 0
 NEGLIGIBLE = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
-CHANGES = ("dM", "dforcing", "dpropagator", "dz0", "dlower", "dupper", "only_last")
 
 
 class Band(NamedTuple):
@@ -330,7 +328,6 @@ class MarchDerivative:
         dlower: ArrayLike | None = None,
         dupper: ArrayLike | None = None,
         only_last: bool = False,
-        **named: Any,
     ) -> FloatVector:
         """Return how the answers change with the data, dz; one-sided where rows are degenerate.
 
@@ -347,8 +344,6 @@ class MarchDerivative:
             The change of the bounds; only those that hold matter.
         only_last : bool
             Return that of the last answer alone.
-        **named
-            Of a problem that ``LCP.from_contacts`` made, dfriction, dmass or dW, which change M.
 
         Returns
         -------
@@ -361,8 +356,6 @@ class MarchDerivative:
             For another shape, or numbers that are not finite.
         UnsuitableProblem
             As that of a step's Derivative.
-        InvalidOption
-            For a name that this march does not know.
 
         Examples
         --------
@@ -373,17 +366,10 @@ class MarchDerivative:
                [0.15625, 0.09375]])
         """
         n, steps = self.march.problem.n, len(self)
-        more = changes_by_name(self.march.problem.origin, named, CHANGES)
-        if "dq" in more:
-            raise InvalidOption(
-                f"{' and '.join(named)} would change q, which a march takes from its forcing; write "
-                f'dforcing=problem.origin.changes({", ".join(f"{name}=…" for name in named)})["dq"]'
-            )
         rows = _rows(
             np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"
         )
         dM, dpropagator = _matrix(dM, "dM", n), _matrix(dpropagator, "dpropagator", n)
-        dM = sp.csr_array(dM + more["dM"]) if "dM" in more else dM
         low, high = _vector(dlower, "dlower", n), _vector(dupper, "dupper", n)
         before, dz = (
             _vector(dz0, "dz0", n, may_be_number=False).copy(),

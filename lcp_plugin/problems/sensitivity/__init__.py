@@ -12,7 +12,6 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
@@ -23,7 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import (
     BoolVector,
     FloatVector,
-    changes_by_name,
     finite_vector,
     rectangular_matrix,
 )
@@ -39,10 +37,9 @@ from ..batches.batch_run import BatchResult
 from ..batches.contact_batch import ContactBatchResult
 from ..cones.derivative import ConeDerivative
 from ..cones.solving import ConeResult
-from ..contact import ContactGradient, Contacts
 from ..march import March
 from ..march.march_derivative import MarchDerivative
-from .batch_derivative import CHANGES, BatchDerivative
+from .batch_derivative import BatchDerivative
 from .contact_batch_derivative import ContactBatchDerivative
 from .free_solutions import one_sided, solution, words_on_singular
 
@@ -99,8 +96,7 @@ def derivative(
     result : Result or BatchResult or ContactBatchResult or March
         SOLVED, of an LCP; or of a NonlinearProblem, where dq is a change of F. What its run has built (the hierarchy
         of M) serves again, and M is read where it lies: do not change its entries between the solve and this.
-        That of ``LCP.from_contacts`` knows changes of friction, velocities, gaps and mass by these names; over cones
-        see :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative`.
+        Over cones see :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative`.
 
     Returns
     -------
@@ -273,7 +269,6 @@ class Derivative(Linearised):
         dq: ArrayLike | None = None,
         dlower: ArrayLike | None = None,
         dupper: ArrayLike | None = None,
-        **named: Any,
     ) -> FloatVector:
         """Return how z changes with the data, dz; one-sided where rows are degenerate.
 
@@ -284,10 +279,6 @@ class Derivative(Linearised):
         dq : array, shape (n,), optional
         dlower, dupper : number or array, shape (n,), optional
             The change of the bounds; only those that hold matter.
-        **named
-            Changes of what the problem was made from: of ``LCP.from_contacts`` dfriction, dvelocities, dgaps, dmass
-            and dW, see :meth:`lcp_plugin.problems.contact.Contacts.changes`. ``problem.origin.recover(dz)`` has the
-            changes of the impulses.
 
         Returns
         -------
@@ -298,8 +289,6 @@ class Derivative(Linearised):
         ------
         InvalidProblem
             For another shape, or numbers that are not finite.
-        InvalidOption
-            For a name that this problem does not know.
         UnsuitableProblem
             Where no z solves the free rows after the change, or more than 500 of them are singular, or no one-sided
             derivative exists.
@@ -311,24 +300,18 @@ class Derivative(Linearised):
         >>> kink.is_unique, kink.degenerate, kink.jvp(dq=[-1.0]), kink.jvp(dq=[1.0])
         (False, array([0]), array([0.5]), array([0.]))
         """
-        h, moved = self._change(*self._with_named(dM, dq, named)), self._moved(dlower, dupper)
+        h, moved = self._change(dM, dq), self._moved(dlower, dupper)
         if self._is_degenerate:
             return one_sided(self.problem, self._rows, h, moved)
         dz: FloatVector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
         return dz
 
-    def dw(
-        self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None, **named: Any
-    ) -> FloatVector:
+    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: ArrayLike | None = None) -> FloatVector:
         """Return the change of w = M z + q that goes with a change dz of z, shape (n,)."""
-        return self._product(self._checked(dz, "dz")) + self._change(
-            *self._with_named(dM, dq, named)
-        )
+        return self._product(self._checked(dz, "dz")) + self._change(dM, dq)
 
-    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient | ContactGradient:
+    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
         """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
-
-        Of a problem that ``LCP.from_contacts`` made, there are those by friction, velocities, gaps and mass, too.
 
         Where rows are degenerate, this is the gradient of one of the pieces that meet there (an element of the
         B-subdifferential): that on which the rows in `free` are free.
@@ -358,23 +341,7 @@ class Derivative(Linearised):
             np.where(free | (rows.is_upper != is_upper), 0.0, by_bound)
             for is_upper in (False, True)
         )
-        gradient = Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
-        return (
-            problem.origin.gradient(gradient, self.z)
-            if isinstance(problem.origin, Contacts)
-            else gradient
-        )
-
-    def _with_named(
-        self, dM: Any, dq: ArrayLike | None, named: Mapping[str, Any]
-    ) -> tuple[Any, ArrayLike | None]:
-        """Return dM and dq with what changes of the data that the problem was made from add to them."""
-        if not named:
-            return dM, dq
-        more = changes_by_name(self.problem.origin, named, CHANGES)
-        if "dM" in more:
-            dM = more["dM"] if dM is None else self._matrix_change(dM) + more["dM"]
-        return dM, self._optional(dq, "dq") + more["dq"] if "dq" in more else dq
+        return Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
         """Return dM z + dq."""

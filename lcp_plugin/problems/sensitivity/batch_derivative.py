@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import changes_by_name, is_number, read_only, real_array, rectangular_matrix
+from ...core.checks import read_only, real_array, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.kernels.floats import EPSILON
 from ...core.matrix.matrix import residual_scales
@@ -24,11 +24,7 @@ R = TypeVar("R", bound=BatchAnswers[Any])
 STEPS = 6  # rounds of active sets; from a solved problem one or two settle all rows
 NOT_SMALL = 2.0**-10  # of a diagonal entry relative to its row
 HALF = 2.0**-26  # of the digits of a double
-CHANGES = ("dM", "dq", "dlower", "dupper")
 NUMBERS = "dlower", "dupper", "dfriction"  # which may be one number
-OF_ARRAYS = (
-    "; of contacts as arrays write jvp(**data.changes(dfriction=…)), data that of contact_data"
-)
 
 
 class BatchPart(Linearised):
@@ -302,7 +298,6 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         dq: Any = None,
         dlower: Any = None,
         dupper: Any = None,
-        **named: Any,
     ) -> Any:
         """Return how each z changes with its data, dz; one-sided where rows are degenerate.
 
@@ -313,9 +308,6 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         dq : array, shape (B, n) or (n,), optional
         dlower, dupper : number or array, shape (B, n) or (n,), optional
             The change of the bounds; only those that hold matter.
-        **named
-            Of a list of problems that ``LCP.from_contacts`` made, those of :meth:`Derivative.jvp`, a number for all
-            or a list. Of arrays ``**data.changes(dfriction=…)`` with the `data` of ``contact_data``.
 
         Returns
         -------
@@ -325,8 +317,6 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         ------
         InvalidProblem
             For another shape, or numbers that are not finite.
-        InvalidOption
-            For a name that these problems do not know.
 
         Examples
         --------
@@ -339,7 +329,7 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         h, low, high = map(self._rows_of, (dq, dlower, dupper), ("dq", "dlower", "dupper"))
         if dM is not None:
             h = h + self._product(dM)
-        h, dz = h + self._by_name(named) if named else h, self._table(np.nan)
+        dz = self._table(np.nan)
         self._fill(
             [dz],
             lambda part: part.changes(*(rows[part.items] for rows in (h, low, high))),
@@ -415,28 +405,6 @@ class BatchDerivative(ManyDerivatives[BatchResult]):
         return self._given(
             np.zeros(is_there.shape[1]) if values is None else values, name, is_there
         )
-
-    def _by_name(self, named: dict[str, Any]) -> Any:
-        """Return dM z + dq of each problem, by changes of the data that it was made from."""
-        for name, values in named.items():
-            if not is_number(values) and (
-                not isinstance(values, Sequence) or len(values) != len(self)
-            ):
-                got = len(values) if isinstance(values, Sequence) else type(values).__name__
-                raise InvalidProblem(
-                    f"{name} must be a list of {len(self)} changes, one a problem, got {got}"
-                )
-        rows = self._table(0.0)
-        for k in range(len(self)):
-            own = {
-                name: values if is_number(values) else values[k] for name, values in named.items()
-            }
-            origin = None if k in self.batch.errors else self.batch.items.problem(k).origin
-            changes = changes_by_name(origin, own, CHANGES, OF_ARRAYS)
-            if self._is_solved[k]:
-                turned = changes["dM"] @ self.z[k] if "dM" in changes else 0.0
-                rows[k] = turned + changes.get("dq", rows[k])
-        return rows
 
     def _product(self, dM: Any) -> Any:
         """Return dM z of each problem."""

@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector, changes_by_name, read_only
+from ...core.checks import BoolVector, read_only
 from ...systems.least_norm import FreeBlocks, products
 from ..batches.contact_batch import ContactBatchResult, stack_of_worlds
-from ..cones.derivative import BY_HAND, StackDerivative
+from ..cones.derivative import StackDerivative
 from ..cones.newton import whole_systems
 from ..cones.stack import ConeStack
 from ..many.chunks import in_chunks
 from .batch_derivative import ManyDerivatives
 
-CHANGES = "dq", "dM", "dfriction"
 NAMED = 5  # worlds, in words
 TOGETHER = 512  # worlds whose arrays a cache holds
 
@@ -197,7 +196,6 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
         dq: ArrayLike | None = None,
         dM: ArrayLike | None = None,
         dfriction: ArrayLike | None = None,
-        **named: Any,
     ) -> Any:
         """Return the changes dz that changes of the data make, shape (B, n); one-sided where contacts are degenerate.
 
@@ -213,10 +211,7 @@ class ContactBatchDerivative(ManyDerivatives[ContactBatchResult]):
         ------
         InvalidProblem
             For another shape, or numbers that are not finite.
-        InvalidOption
-            For any other name.
         """
-        changes_by_name(None, named, CHANGES, BY_HAND)
         db, dW, slopes = (
             self._by_world(dq, "dq"),
             self._by_world(dM, "dM"),

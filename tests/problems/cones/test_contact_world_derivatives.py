@@ -9,7 +9,6 @@ import pytest
 
 from lcp_plugin import (
     FrictionalContact,
-    InvalidOption,
     InvalidProblem,
     Status,
     UnsuitableProblem,
@@ -185,7 +184,6 @@ REFUSED: dict[str, tuple[Any, type[Exception], str]] = {
         InvalidProblem,
         r"dq\[0, 0\] = nan",
     ),
-    "another name": (lambda found: found.jvp(dmass=1.0), InvalidOption, "takes no dmass here"),
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.errors import InvalidProblem, UnreadableFile, UnsupportedModel
+from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.problem_classes import with_article
 from ..problems.cones.data import ConeProblem
@@ -107,10 +108,19 @@ def load_problem(path: str | PathLike[str]) -> Any:
         Where the file is missing, damaged or of another kind.
     InvalidProblem, UnsupportedModel
         Where it states no problem, or one with integers.
+
+    Notes
+    -----
+    A QuadraticProgram is minimised, and has no constant: a ModelWarning tells of a file that has it otherwise.
     """
     kind = kind_in(path)
     if kind is QuadraticProgram:
-        return load_program(path).program
+        program, constant, sign, _ = load_program(path)
+        if constant or sign < 0.0:
+            stated = f"objective {constant:+g}" if sign > 0.0 else f"-(objective {constant:+g})"
+            said = f"{path} states {stated}, where objective is what the problem returned minimises"
+            warnings.warn(said, ModelWarning, stacklevel=2)
+        return program
     if kind is FrictionalContact and checked_path(path).suffix.lower() in HDF5:
         return load_fclib(checked_path(path))
     if kind in (ConeProblem, FrictionalContact):

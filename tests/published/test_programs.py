@@ -17,10 +17,10 @@ from lcp_plugin import (
     QuadraticProgram,
     QuadraticProgramBatch,
     certify,
-    load_problem,
     solve,
     solve_batch,
 )
+from lcp_plugin.interfaces.program_files import load_program
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 
 register_with_qpsolvers()
@@ -44,8 +44,9 @@ def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
 
 
 def as_a_file(of: PublishedProgram, name: str) -> Answer:
-    result = solve(load_problem(str(FOLDER / f"qp_{name}.npz")))
-    return result.x, result.objective + of.r
+    program, constant, _, _ = load_program(str(FOLDER / f"qp_{name}.npz"))
+    result = solve(program)
+    return result.x, result.objective + constant
 
 
 def as_rows(of: PublishedProgram, name: str) -> Answer:
@@ -163,5 +164,5 @@ def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str)
 @pytest.mark.parametrize("name", BY_SIZE)
 def test_certify_proves_every_answer_of_ours(name: str) -> None:
     """Rows that a solve excuses beside what acts on them are excused by certify, too."""
-    result = solve(load_problem(str(FOLDER / f"qp_{name}.npz")))
+    result = solve(load_program(str(FOLDER / f"qp_{name}.npz")).program)
     assert certify(result).verdict == "proved"

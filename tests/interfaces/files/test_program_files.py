@@ -22,6 +22,7 @@ from lcp_plugin import (
     load_problem,
     solve,
 )
+from lcp_plugin.core.errors import ModelWarning
 from lcp_plugin.interfaces.program_files import load_program
 
 P, c = np.array([[2.0, 0.0], [0.0, 2.0]]), np.array([-2.0, -4.0])
@@ -209,6 +210,19 @@ def test_lp_files_are_programs_and_integers_are_named(tmp_path: Path) -> None:
     (tmp_path / "i.lp").write_text(LP.format(more="general\n y\n"))
     with pytest.raises(UnsupportedModel, match="has 1 integer variables, the first is y"):
         load_problem(tmp_path / "i.lp")
+
+
+def test_a_constant_and_a_maximum_are_told(tmp_path: Path) -> None:
+    """A program has neither; what the file adds to its objective, or that it is negated, is not lost in silence."""
+    pytest.importorskip("highspy")
+    lp = "maximize\n 2 x + 4 y + 3\nsubject to\n x + y <= 2\nend\n"
+    (tmp_path / "p.lp").write_text(lp)
+    with pytest.warns(ModelWarning, match=r"p\.lp states -\(objective -3\), where"):
+        program = load_problem(tmp_path / "p.lp")
+    assert -(solve(program).require_solved().objective - 3.0) == pytest.approx(11.0)
+    np.savez(tmp_path / "r.npz", P=np.eye(2), c=[-1.0, 0.0], r=0.5)
+    with pytest.warns(ModelWarning, match=r"r\.npz states objective \+0\.5, where"):
+        load_problem(tmp_path / "r.npz")
 
 
 def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from ...core.algorithm import Algorithm, Step
+from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.checks import FloatVector
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
@@ -83,6 +83,9 @@ class Banded(Algorithm):
 
     def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         """Yield the start, then z of one active set after the other; end if no other is to be tried."""
+        yield from without_warnings(self._steps(problem, z0))
+
+    def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
         band = self._bands(problem)
         work = 0.0
         for z, residual in active_sets(problem, band, problem.q, z0):

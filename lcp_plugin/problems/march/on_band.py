@@ -61,7 +61,7 @@ class Marches:
         """
         Q, Z = np.empty(forcing.shape), np.full(forcing.shape, np.nan)
         of_nearest = self._product(self.nearest)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             for k, given in enumerate(forcing):
                 Q[k] = given + self._propagated(states)
                 found = self._step(Q[k], of_nearest, states)

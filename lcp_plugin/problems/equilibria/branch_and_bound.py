@@ -353,12 +353,12 @@ class BranchAndBound:
         if self.outside is not None and is_open and self.outside.bound > lower:
             lower, bound_by = min(self.outside.bound, value), "SCIP"
         if self.descent is not None:
-            status, lower, value, best, bound_by = (
+            status, best, bound_by, lower, value = (
                 Status.UNBOUNDED,
-                -math.inf,
-                -math.inf,
                 None,
                 None,
+                -math.inf,
+                -math.inf,
             )
         elif best is not None and (value == lower or value - lower <= self.allowed):
             status = Status.SOLVED

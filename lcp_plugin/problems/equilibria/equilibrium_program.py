@@ -28,11 +28,8 @@ Indices = NDArray[np.int64]
 #: Of each pair the cases that are open: a sum of LOWER, BETWEEN, UPPER.
 Cases = NDArray[np.uint8]
 
-LOWER, BETWEEN, UPPER = (
-    1,
-    2,
-    4,
-)  # z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
+# z at its lower bound and w ≥ 0; w = 0; z at its upper bound and w ≤ 0
+LOWER, BETWEEN, UPPER = 1, 2, 4
 CASES = (LOWER, BETWEEN, UPPER)
 _COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
 

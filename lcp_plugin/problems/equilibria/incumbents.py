@@ -18,10 +18,8 @@ from .relaxations import Node, Relaxations
 
 MEETS = 1e-7  # beside 1 + ‖x‖∞: a case that x belongs to
 DESCENT = 1e-9  # of 1 + |f|
-NEAR, MOST_DOUBTFUL = (
-    1e-5,
-    6,
-)  # beside 1 + ‖x‖∞: pairs of another solver's point whose case is in doubt
+NEAR = 1e-5  # relative to 1 + ‖x‖∞: pairs of another solver's point whose case is in doubt
+MOST_DOUBTFUL = 6
 MOST_NEIGHBOURS = 50
 
 

@@ -144,10 +144,9 @@ class EquilibriumResult(Answer):
             Status.INFEASIBLE: is_excluded,
             Status.NO_SOLUTION: is_excluded,
         }
-        if (
-            not is_proved.get(self.status, True) or self.lower_bound == -math.inf
-        ):  # which says nothing
-            return is_proved.get(self.status, True)
+        holds = is_proved.get(self.status, True)
+        if not holds or self.lower_bound == -math.inf:  # which says nothing
+            return holds
         return self._tree_covers() and all(
             self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0
         )
@@ -219,13 +218,9 @@ class EquilibriumResult(Answer):
     @property
     def algorithm(self) -> str:
         """What ran."""
-        return (
-            "branch and bound"
-            if self.outside is None
-            else "SCIP, branch and bound"
-            if self.tree
-            else "SCIP"
-        )
+        if self.outside is None:
+            return "branch and bound"
+        return "SCIP, branch and bound" if self.tree else "SCIP"
 
     @property
     def proof(self) -> EquilibriumResult | None:
@@ -289,9 +284,7 @@ class EquilibriumResult(Answer):
         bound += f" ({BY_SCIP})" if self.bound_by == "SCIP" else ""
         if self.x is None:
             return f"no solution found, {bound}"
-        gap = (
-            f", gap {self.gap:.1e}" if self.gap < math.inf else ""
-        )  # beside an objective without terms
+        gap = f", gap {self.gap:.1e}" if self.gap < math.inf else ""  # ∞ for an objective of 0
         return f"objective {self.value:.9g}, {bound}{gap}"
 
     def _effort(self) -> str:

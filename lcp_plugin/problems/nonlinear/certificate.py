@@ -94,10 +94,8 @@ class Reference:
     def ends(self, problem: LCP, x: FloatVector, value: FloatVector) -> VectorEnds:
         """Return bounds of each component's reference, where `problem` is the linearisation at x and `value` F(x)."""
         least, most = self._ends_of_f(problem)
-        limit, distance = (
-            self._limit(problem, x, value),
-            largest_of_components(problem, np.abs(x - self.x)),
-        )
+        limit = self._limit(problem, x, value)
+        distance = largest_of_components(problem, np.abs(x - self.x))
         is_none = (most == 0.0) | np.isinf(most)
         least, most = (np.where(is_none, distance, np.minimum(end, limit)) for end in (least, most))
         return least, most

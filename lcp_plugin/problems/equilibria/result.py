@@ -138,13 +138,11 @@ class EquilibriumResult(Answer):
         relaxations = Relaxations(self.problem, self.tolerance)
         if self.status is Status.UNBOUNDED:
             return self._falls(relaxations)
-        is_excluded = self.x is None and self.lower_bound == math.inf
-        is_proved = {
-            Status.SOLVED: self.x is not None and self.gap <= self.tolerance,
-            Status.INFEASIBLE: is_excluded,
-            Status.NO_SOLUTION: is_excluded,
-        }
-        holds = is_proved.get(self.status, True)
+        holds = True
+        if self.status is Status.SOLVED:
+            holds = self.x is not None and self.gap <= self.tolerance
+        elif self.status in (Status.INFEASIBLE, Status.NO_SOLUTION):
+            holds = self.x is None and self.lower_bound == math.inf
         if not holds or self.lower_bound == -math.inf:  # which says nothing
             return holds
         return self._tree_covers() and all(

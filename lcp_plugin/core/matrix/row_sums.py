@@ -52,12 +52,10 @@ def triangle_sums(
     M = matrix.csr if part is None else part
     rows = row_numbers(M)
     size = np.abs(M.data) * inverse_residual_scale(matrix)[rows]
-    triangles = (M.indices < rows, M.indices > rows)
-    lower, upper = (
-        sp.csr_array((size * inside, M.indices, M.indptr), shape=M.shape) @ v
-        for inside in triangles
-    )
-    return lower, upper
+    triangle = sp.csr_array((size * (M.indices < rows), M.indices, M.indptr), shape=M.shape)
+    lower = triangle @ v
+    triangle.data = size * (M.indices > rows)
+    return lower, triangle @ v
 
 
 @fact

@@ -56,12 +56,35 @@ def strong_couplings(  # type: ignore[no-untyped-def]
 
 
 @kernel
+def unmirrored(begin, last, columns, first_row, end_row):  # type: ignore[no-untyped-def]
+    """Return how many more columns stand right of the diagonal than left of it; −n² if one lacks its mirror.
+
+    Row i holds the columns columns[begin[i]:last[i]], sorted.
+    """
+    one, balance = uintp(1), 0
+    for i in range(uintp(first_row), uintp(end_row)):
+        for m in range(uintp(begin[i]), uintp(last[i])):
+            j = uintp(columns[m])
+            if j <= i:
+                balance -= j < i
+                continue
+            p, end = uintp(begin[j]), uintp(last[j])
+            while p < end and uintp(columns[p]) < i:
+                p += one
+            if p == end or uintp(columns[p]) != i:
+                return -begin.size * begin.size
+            balance += 1
+    return balance
+
+
+@kernel
 def choose_coarse(  # type: ignore[no-untyped-def]
-    begin, last, columns, t_begin, t_last, dependents, kind, weight, entry, after, head
+    begin, last, columns, t_begin, t_last, dependents, is_mutual, kind, weight, entry, after, head
 ):
     """Fill kind with COARSE and FINE; an unknown that no other one depends on is FINE.
 
-    Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] on it.
+    Unknown i depends on columns[begin[i]:last[i]], and dependents[t_begin[i]:t_last[i]] on it; where that is the same
+    for all i, `is_mutual`, all of them are FINE once i is COARSE.
 
     The weight of an unknown is the number of its undecided dependents, to which each dependent that became FINE adds
     once more; −1 where it is decided. One list a weight holds the unknowns that had it at some time; an entry whose
@@ -116,6 +139,8 @@ def choose_coarse(  # type: ignore[no-untyped-def]
                     head[uintp(weight[p])] = size
                     size += one
                     heaviest = max(heaviest, weight[p])
+        if is_mutual:
+            continue
         for m in range(uintp(begin[i]), uintp(last[i])):
             p = uintp(columns[m])
             if weight[p] >= 0:

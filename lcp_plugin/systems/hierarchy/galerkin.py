@@ -35,14 +35,6 @@ def transposed(columns: int, indptr: Indices, indices: Indices, data: FloatVecto
     return by_column.indptr, by_column.indices, by_column.data
 
 
-def transposed_pattern(begin: Indices, last: Indices, columns: Indices) -> tuple[Indices, Indices]:
-    """List the rows i with j among columns[begin[i]:last[i]] in rows[first[j]:first[j + 1]]; return first and rows."""
-    indptr = np.append(0, np.cumsum(last - begin)).astype(columns.dtype)
-    listed = columns[np.arange(indptr[-1]) + np.repeat(begin - indptr[:-1], last - begin)]
-    first, rows, _ = transposed(last.size, indptr, listed, np.ones(listed.size, np.bool_))
-    return first, rows
-
-
 @inlined
 def _sort_row(indices, begin, end):  # type: ignore[no-untyped-def]
     """Sort by insertion: the rows are short."""

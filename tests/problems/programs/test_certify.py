@@ -1054,3 +1054,12 @@ def test_verdicts_do_not_depend_on_units(
     assert found.verdict == expected.verdict
     if found.lower is not None and expected.lower is not None:
         assert found.lower == pytest.approx(s * expected.lower, rel=1e-6)
+
+
+def test_a_program_without_unknowns_is_judged() -> None:
+    """Without unknowns the value is 0, and a row 0 ≤ h holds or not."""
+    empty = np.zeros((0, 0))
+    assert certify(QuadraticProgram(empty, []), []).verdict == "proved"
+    for h, verdict in ((1.0, "proved"), (-1.0, "disproved")):
+        program = QuadraticProgram(empty, [], np.zeros((1, 0)), [h])
+        assert certify(program, []).verdict == verdict

@@ -78,7 +78,7 @@ class FrictionalContact(Blocks):
     one W are a :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
 
     With an axis in front, W (B, d k, d k), b (B, d k) or (B, k, d), friction (B, k), any of these, it states B worlds:
-    :func:`lcp_plugin.solve_batch` and :func:`lcp_plugin.derivative` take them in one compiled call, ``worlds[i]`` is
+    :func:`lcp_plugin.solve_batch` and :func:`lcp_plugin.derivative` take them at once, ``worlds[i]`` is
     the FrictionalContact of number i, and raises what is wrong with it. A contiguous W is read where it lies: leave its
     entries as they are while you use the worlds.
 

@@ -58,24 +58,23 @@ def is_within_reach(problem: ScaledLeastSquares) -> bool:
     return bool(factor_sizes(both, LARGEST_FILL, most)[0] < np.inf)
 
 
-def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FacePoint]]:
-    """Yield points by what suits the problem, with the name of it."""
+def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FloatVector]]:
+    """Yield points x within the bounds by the solvers that suit the problem, with the name of the solver."""
     is_dense = problem.problem.is_dense or problem.problem.is_small
     A, b = problem.rows(is_dense=is_dense)
-    split = Split.of(problem, A)
     if not is_dense:
-        yield from (("piqp", FacePoint(problem, x)) for x in split.as_it_stands(b))
+        yield from (("piqp", x) for x in Split.of(problem, A).as_it_stands(b))
         return
-    for name, x in _dense_solutions(problem, split, A, b):
+    for name, x in _dense_solutions(problem, A, b):
         if np.isfinite(x).all():
-            point = FacePoint(problem, clipped(x, problem.lower, problem.upper))
             if name == "lstsq" or (name == "nnls" and not problem.lower.any()):
-                yield name, without_noise(point)  # others lie near a face, not on it
-            yield name, on_its_face(point, A, b)
+                yield name, without_noise(problem, x)  # others lie near a face, not on it
+            point = FacePoint(problem, clipped(x, problem.lower, problem.upper))
+            yield name, on_its_face(point, A, b).x
 
 
 def _dense_solutions(
-    problem: ScaledLeastSquares, split: Split, A: FloatVector, b: FloatVector
+    problem: ScaledLeastSquares, A: FloatVector, b: FloatVector
 ) -> Iterator[tuple[str, FloatVector]]:
     """Yield solutions x, the cheapest first, with the name of the solver."""
     bounds = np.isfinite(problem.lower).astype(int) + np.isfinite(problem.upper)
@@ -83,6 +82,7 @@ def _dense_solutions(
         yield "lstsq", shortest_solution(A, b)
     if (bounds == 1).all() and not problem.l1.any() and min(A.shape) <= MAX_NNLS_COLUMNS:
         yield "nnls", _by_nnls(problem, A, b)
+    split = Split.of(problem, A)
     if A.shape[0] < A.shape[1] and (bounds <= 1).all():
         yield "piqp", split.by_dual(b)
     yield "piqp", split.by_normal_equations(b)
@@ -189,13 +189,12 @@ def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
     return program, PIQP().answer(program, Limits(seconds_left()))
 
 
-def without_noise(point: FacePoint) -> FacePoint:
-    """Return the point with entries at a bound, or at 0, that are nearer to it than rounding of the largest one."""
-    x, problem = point.x, point.problem
+def without_noise(problem: ScaledLeastSquares, x: FloatVector) -> FloatVector:
+    """Return x with entries at a bound, or at 0, that are nearer to it than rounding of the largest one."""
     noise = NOISE * np.abs(x).max(initial=0.0)
     for bound in (problem.lower, problem.upper, 0.0):
         x = np.where(np.abs(x - bound) <= noise, bound, x)
-    return FacePoint(problem, clipped(x, problem.lower, problem.upper))
+    return clipped(x, problem.lower, problem.upper)
 
 
 def on_its_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
@@ -245,4 +244,5 @@ def _towards_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector
     step = x - point.x
     if not np.isfinite(step).all():
         return point
-    return without_noise(point.projected(step, point.problem.product(step)))
+    x = point.projected(step, point.problem.product(step)).x
+    return FacePoint(point.problem, without_noise(point.problem, x))

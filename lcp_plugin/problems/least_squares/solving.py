@@ -137,7 +137,7 @@ class LeastSquaresRun:
             self.enclosures.known.append(start)
         scaled = problem.scaled
         begin = scaled.nearest_to_zero if start is None else scaled.from_caller(start)
-        self.nearest = FacePoint(scaled, np.clip(begin, scaled.lower, scaled.upper))
+        self.nearest = np.clip(begin, scaled.lower, scaled.upper)
         self.best: Optimality | None = None
         self.algorithm, self.steps = "start", 0
         self._smallest = np.inf
@@ -156,7 +156,7 @@ class LeastSquaresRun:
             return Status.INTERRUPTED
 
     def _status(self) -> Status:
-        is_at_rest = not self.nearest.natural_residual.any()
+        is_at_rest = not FacePoint(self.problem.scaled, self.nearest).natural_residual.any()
         if (self.has_start or is_at_rest) and self._is_certified(self.nearest):
             return Status.SOLVED
         for point in chain.from_iterable(self._stages()):
@@ -167,7 +167,7 @@ class LeastSquaresRun:
         is_at_rounding_level = self.best is not None and self.best.is_at_rounding_level
         return Status.PRECISION_LIMIT if is_at_rounding_level else Status.STALLED
 
-    def _stages(self) -> Iterator[Iterator[FacePoint]]:
+    def _stages(self) -> Iterator[Iterator[FloatVector]]:
         """Yield projected steps, as many as cost about as much as PIQP, and engines; only engines if A is small."""
         problem, most = self.problem, self.settings.max_iterations
         few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
@@ -177,7 +177,7 @@ class LeastSquaresRun:
             is_direct = is_within_reach(problem.scaled)
             yield self._engine_points() if is_direct else self._projected_points(most)
 
-    def _engine_points(self) -> Iterator[FacePoint]:
+    def _engine_points(self) -> Iterator[FloatVector]:
         """Yield points by lstsq, nnls and PIQP; a point is a step."""
         points = engine_points(self.problem.scaled)
         while self.steps < self.settings.max_iterations:
@@ -188,11 +188,12 @@ class LeastSquaresRun:
             self.algorithm, self.nearest = found
             yield self.nearest
 
-    def _projected_points(self, most: int) -> Iterator[FacePoint]:
+    def _projected_points(self, most: int) -> Iterator[FloatVector]:
         """Yield the points of so many projected steps that may be optimal, the nearest one at the end."""
         self.algorithm, aim = "projected gradients", self.settings.tolerance
         since, before = 0, np.inf
-        for point in through_orthants(projected_steps)(self.nearest):
+        start = FacePoint(self.problem.scaled, self.nearest)
+        for point in through_orthants(projected_steps)(start):
             _require_time()
             if self.steps >= min(most, self.settings.max_iterations):
                 break
@@ -200,29 +201,28 @@ class LeastSquaresRun:
             size = point.size_of_residual * point.problem.size
             size = size / self.enclosures.reference if size > 0.0 else 0.0
             if not self._smallest <= size:
-                self.nearest, self._smallest = point, size
+                self.nearest, self._smallest = point.x, size
             if size <= aim:
                 aim = NARROWER * size
-                yield point
+                yield point.x
             if self.steps - since >= max(WINDOW, since // 2):
                 if self._smallest >= PROGRESS * before:
                     break
                 since, before = self.steps, self._smallest
         yield self.nearest
 
-    def _is_certified(self, point: FacePoint) -> bool:
-        """Certify a point, and keep it if it is the best; return whether it is SOLVED."""
+    def _is_certified(self, x: FloatVector) -> bool:
+        """Certify a scaled x, and keep it if it is the best; return whether it is SOLVED."""
         _require_time()
         tolerance = self.settings.tolerance
-        judged = self._judged(point, tolerance)
+        judged = self._judged(x, tolerance)
         is_solved = judged.meets(tolerance)
         if self.best is None or is_solved or judged.is_better(self.best):
             self.best = judged
         return is_solved
 
-    def _judged(self, point: FacePoint, tolerance: float) -> Optimality:
-        x = self.problem.scaled.to_caller(point.x)
-        return Optimality.of(self.enclosures, x, tolerance=tolerance)
+    def _judged(self, x: FloatVector, tolerance: float) -> Optimality:
+        return Optimality.of(self.enclosures, self.problem.scaled.to_caller(x), tolerance=tolerance)
 
     def result(self, status: Status) -> LeastSquaresResult:
         """Return the result of the run with its best point."""

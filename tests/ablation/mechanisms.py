@@ -420,6 +420,12 @@ MECHANISMS = (
         "problems/least_squares/engines.py:_by_nnls",
     ),
     Mechanism(
+        "nnls as given",
+        "small nonnegative problems by nnls as they stand, judged at once",
+        {f"{LEAST}.engines:nnls_as_given": says(None)},
+        "problems/least_squares/engines.py:nnls_as_given problems/least_squares/engines.py:_nnls_optimality",
+    ),
+    Mechanism(
         "PIQP of least squares",
         "PIQP on normal equations, the dual, and the problem as it stands",
         {f"{LEAST}.engines:_answer": Instead(no_point)},

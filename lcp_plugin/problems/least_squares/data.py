@@ -179,6 +179,20 @@ class BoundedLeastSquares:
         return made
 
     @property
+    def is_plain_nnls(self) -> bool:
+        """Whether x ≥ 0 is all that is asked, next to a small dense A x ≈ b."""
+        return (
+            self.is_dense
+            and self.shape[1] > 0
+            and self.is_small
+            and self.weights is None
+            and self.ridge == 0.0
+            and not self.lower.any()
+            and bool((self.upper == np.inf).all())
+            and not self.l1.any()
+        )
+
+    @property
     def is_small(self) -> bool:
         """Whether A has entries, and so few places for them that dense copies cost little."""
         return self.has_entries and self.shape[0] * self.shape[1] <= MAX_DENSE_ENTRIES

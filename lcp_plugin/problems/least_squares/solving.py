@@ -19,7 +19,7 @@ from ...core.solving.answer import NEXT, Answer
 from .certificate import Optimality, duality_gap
 from .data import BoundedLeastSquares
 from .enclosures import Enclosures
-from .engines import engine_points, is_within_reach
+from .engines import engine_points, is_within_reach, nnls_as_given
 from .steps import FacePoint, projected_steps, through_orthants
 
 NARROWER = 0.05  # the steepness at which a point is certified next ÷ that of the last one
@@ -113,9 +113,11 @@ def solve_least_squares(
     """Return the result of a problem that is stated already; see :func:`bounded_least_squares`."""
     clock = Clock()
     settings = Settings(tolerance=tolerance, max_iterations=max_iterations, max_seconds=max_seconds)
-    run = LeastSquaresRun(
-        problem, settings, None if x0 is None else problem.checked_start(x0), clock
-    )
+    start = None if x0 is None else problem.checked_start(x0)
+    may_step = settings.max_iterations > 0 and settings.max_seconds != 0.0
+    if may_step and (found := nnls_as_given(problem, settings.tolerance)) is not None:
+        return _result_of(problem, settings.tolerance, *found, Status.SOLVED, 1, "nnls", clock)
+    run = LeastSquaresRun(problem, settings, start, clock)
     with np.errstate(all="ignore"):
         return run.result(run.status())
 
@@ -231,23 +233,49 @@ class LeastSquaresRun:
             last = self._judged(self.nearest, np.inf)
             best = last if best is None or last.is_better(best) else best
         x, residual = best.x, best.sharp_residual
-        mask = (x >= problem.upper).astype(np.int_)
-        mask[x <= problem.lower] = -1
-        return LeastSquaresResult(
-            x=read_only(x),
-            cost=problem.cost(x, residual),
-            fun=read_only(residual),
-            optimality=best.value,
-            active_mask=read_only(mask),
-            status=status,
-            nit=self.steps,
-            algorithm=self.algorithm,
-            seconds=self.clock.read(),
-            tolerance=self.settings.tolerance,
-            is_proved=problem.has_entries,
-            problem=problem,
-            _dual=best.dual,
+        return _result_of(
+            problem,
+            self.settings.tolerance,
+            x,
+            residual,
+            best.dual,
+            best.value,
+            status,
+            self.steps,
+            self.algorithm,
+            self.clock,
         )
+
+
+def _result_of(
+    problem: BoundedLeastSquares,
+    tolerance: float,
+    x: FloatVector,
+    residual: FloatVector,
+    dual: FloatVector,
+    optimality: float,
+    status: Status,
+    steps: int,
+    algorithm: str,
+    clock: Clock,
+) -> LeastSquaresResult:
+    mask = (x >= problem.upper).astype(np.int_)
+    mask[x <= problem.lower] = -1
+    return LeastSquaresResult(
+        x=read_only(x),
+        cost=problem.cost(x, residual),
+        fun=read_only(residual),
+        optimality=optimality,
+        active_mask=read_only(mask),
+        status=status,
+        nit=steps,
+        algorithm=algorithm,
+        seconds=clock.read(),
+        tolerance=tolerance,
+        is_proved=problem.has_entries,
+        problem=problem,
+        _dual=dual,
+    )
 
 
 def _require_time() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -37,20 +36,6 @@ class Clarabel(Engine):
     reference: ClassVar[str] = "Goulart, Chen 2024"
     obeys: ClassVar[str] = "max_seconds; verbose prints its own log; Ctrl-C waits for its end"
     defaults: ClassVar = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
-
-    @staticmethod
-    @cache
-    def known_options() -> frozenset[str]:
-        """Return Clarabel's settings."""
-        import clarabel
-
-        settings = clarabel.DefaultSettings()
-        names = (
-            name
-            for name in dir(settings)
-            if not name.startswith("_") and not callable(getattr(settings, name))
-        )
-        return frozenset(names) - {"verbose", "time_limit"}
 
     def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return Clarabel's point: equations in the zero cone, rows and finite bounds in the nonnegative one."""

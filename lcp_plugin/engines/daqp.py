@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Iterable, Iterator
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -51,14 +49,6 @@ class DAQP(Engine):
     steps: ClassVar[str] = "iter_limit"
     ends_with_a_case: ClassVar[bool] = True
     defaults: ClassVar = {"primal_tol": 1e-9, "iter_limit": 1000}
-
-    @staticmethod
-    @cache
-    def known_options() -> frozenset[str]:
-        """Return those of ``daqp.solve`` that are no data."""
-        import daqp
-
-        return frozenset(inspect.signature(daqp.solve).parameters) - set(OF_THE_CALL)
 
     def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return daqp's point."""

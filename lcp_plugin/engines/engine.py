@@ -12,7 +12,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ..core.checks import FloatVector
-from ..core.errors import InvalidOption, did_you_mean
 
 
 class ProgramData(NamedTuple):
@@ -112,11 +111,6 @@ class Engine(ABC):
     is_for_linear_alone: ClassVar[bool] = False
 
     def __init__(self, **options: Any) -> None:
-        known = self.known_options() if options else frozenset[str]()
-        for option in options:
-            if option not in known:
-                hint = did_you_mean(option, known, is_listed=True)
-                raise InvalidOption(f"{self.name} has no option {option!r}{hint}")
         self.options = options
 
     def __repr__(self) -> str:
@@ -126,11 +120,6 @@ class Engine(ABC):
     def settings(self) -> dict[str, Any]:
         """All options that are not the engine's own defaults."""
         return {**self.defaults, **self.options}
-
-    @staticmethod
-    @abstractmethod
-    def known_options() -> frozenset[str]:
-        """Return the names of the engine's options."""
 
     @abstractmethod
     def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:

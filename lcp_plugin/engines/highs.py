@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import ClassVar
 
 import numpy as np
@@ -14,16 +15,6 @@ SAYS = {
     2: EngineStatus.INFEASIBLE,
     3: EngineStatus.UNBOUNDED,
 }
-OPTIONS = frozenset(
-    {
-        "maxiter",
-        "presolve",
-        "dual_feasibility_tolerance",
-        "primal_feasibility_tolerance",
-        "ipm_optimality_tolerance",
-        "simplex_dual_edge_weight_strategy",
-    }
-)
 
 
 class HiGHS(Engine):
@@ -45,29 +36,26 @@ class HiGHS(Engine):
     is_for_linear_alone: ClassVar[bool] = True
     defaults: ClassVar = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
 
-    @staticmethod
-    def known_options() -> frozenset[str]:
-        """Return the options of scipy's `linprog` for HiGHS."""
-        return OPTIONS
-
     def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return the vertex that HiGHS ends at."""
-        from scipy.optimize import linprog
+        from scipy.optimize import OptimizeWarning, linprog
 
         wishes = {**self.settings, "disp": limits.is_verbose}
         if np.isfinite(limits.seconds):
             wishes["time_limit"] = limits.seconds
         rows = np.isfinite(program.h)
-        found = linprog(
-            program.c,
-            program.G[rows] if rows.any() else None,
-            program.h[rows] if rows.any() else None,
-            program.A if program.b.size else None,
-            program.b if program.b.size else None,
-            np.column_stack([program.lower, program.upper]),
-            method="highs",
-            options=wishes,
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)  # of an unknown option
+            found = linprog(
+                program.c,
+                program.G[rows] if rows.any() else None,
+                program.h[rows] if rows.any() else None,
+                program.A if program.b.size else None,
+                program.b if program.b.size else None,
+                np.column_stack([program.lower, program.upper]),
+                method="highs",
+                options=wishes,
+            )
         m, p, n = program.h.size, program.b.size, program.c.size
         every = Multipliers(np.zeros(m), np.zeros(p), np.zeros(n), np.zeros(n))
         says = SAYS.get(found.status, EngineStatus.GAVE_UP)

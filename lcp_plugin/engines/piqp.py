@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -38,16 +37,6 @@ class PIQP(Engine):
         "max_seconds, by the time of its first step; verbose prints its own log; Ctrl-C waits for its end"
     )
     defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 250}
-
-    @staticmethod
-    @cache
-    def known_options() -> frozenset[str]:
-        """Return PIQP's settings."""
-        import piqp
-
-        return frozenset(name for name in dir(piqp.Settings) if not name.startswith("_")) - {
-            "verbose"
-        }
 
     def answer(self, program: ProgramData, limits: Limits) -> EngineAnswer:
         """Return PIQP's point."""

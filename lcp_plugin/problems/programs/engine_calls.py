@@ -209,9 +209,11 @@ def _asked(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAn
     try:
         return engine.answer(statement, Limits(seconds_left(), is_verbose))
     except Exception as error:  # whatever another package raises of an option's value
-        if not engine.options:
+        own = TOLERANCES.get(engine.name, ())
+        asked = {name: value for name, value in engine.options.items() if name not in own}
+        if not (asked or engine.options):
             raise
-        given = ", ".join(f"{name}={value!r}" for name, value in engine.options.items())
+        given = ", ".join(f"{name}={value!r}" for name, value in (asked or engine.options).items())
         raise InvalidOption(f"{engine.name} does not take {given}: {_in_short(error)}") from error
 
 

@@ -175,9 +175,9 @@ def chosen_kinds(
     dependents, is_mutual = depends, sum(share(mirror, n, SMALLEST_PIECE)) == 0
     if not is_mutual:
         starts = np.append(0, np.cumsum(last - indptr[:-1])).astype(indices.dtype)
-        first, rows, _ = galerkin.transposed(
-            n, starts, indices[is_strong], np.ones(int(starts[-1]))
-        )
+        end = int(indptr[-1])  # other rows may stand behind these
+        strong = indices[:end][is_strong[:end]]
+        first, rows, _ = galerkin.transposed(n, starts, strong, np.ones(strong.size))
         dependents = tuple(map(read_only, (first[:-1], first[1:], rows)))
     kind, weight = np.empty(n, np.uint8), np.empty(n, np.int32)
     entry, after = np.empty(n + data.size, indices.dtype), np.empty(n + data.size, indptr.dtype)

@@ -1,4 +1,4 @@
-"""The run of many worlds with contact and friction: one compiled loop over arrays, one by one what that leaves open."""
+"""The run of many problems with contact and friction: stacks of arrays, one by one what these leave open."""
 
 from __future__ import annotations
 

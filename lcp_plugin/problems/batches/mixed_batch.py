@@ -1,4 +1,4 @@
-"""The run of problems of several kinds: small ones over cones in a compiled loop, others one by one."""
+"""The run of problems of several kinds: small ones over the same cones as a stack, others one by one."""
 
 from __future__ import annotations
 

@@ -79,13 +79,9 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         engines of programs begin anew. Where a start changes nothing, ``explain()`` says so.
     tolerance : float
         In [0, 1), relative, for every kind: 1e-8, of a QuadraticProgram 1e-9, of an EquilibriumProgram 1e-6. Here
-        SOLVED means that in every connected component of M's graph the
-        residual of the returned z, rounding included, is at most this times that of the point of [lower, upper] nearest
-        to 0, and that no w_i misses its sign by more than √tolerance of its own terms:
-        ``help("lcp_plugin.core.certificates.criterion")``.
-    tolerance_on : {"residual", "error"}
-        With "error", SOLVED means instead that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is proved for each of these components; z*
-        is the solution.
+        SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included,
+        is at most this times that of the point of [lower, upper] nearest to 0, and that no row is violated by more
+        than tolerance^(3/4) of its terms: ``help("lcp_plugin.core.certificates.criterion")``.
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, with set-up and without compilation of kernels. It is obeyed at the end of the
@@ -101,8 +97,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         run with status INTERRUPTED. What it raises is passed on. "auto" answers a program by a method of our own
         then, since engines show no steps.
     error_bound : bool
-        Bound |z − z*|: in the result, computed when it is looked at; with ``record=True`` also along the run, the
-        clock stopped. None where nothing about M allows a bound; see :func:`lcp_plugin.error_bound`.
+        Bound |z − z*| in the result, computed when it is looked at. None where nothing about M allows a bound; see
+        :func:`lcp_plugin.error_bound`.
     prove_infeasibility : bool
         Look for a proof that there is no solution where none is found. False saves the work: a run that finds no
         solution then ends STALLED.
@@ -125,7 +121,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     Raises
     ------
     UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
-        Before the first iteration; UnsuitableMatrix also where ``tolerance_on="error"`` and M allows no error bound.
+        Before the first iteration.
 
     Notes
     -----

@@ -65,7 +65,6 @@ from numpy.typing import ArrayLike
 
 from .algorithms import create, refusal_of_engine
 from .core.algorithm import Algorithm, in_driven_sweeps
-from .core.certificates.criterion import CommonScaling
 from .core.checks import FloatVector, checked_start
 from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
@@ -78,17 +77,16 @@ from .core.policy.remaining import TRIAL_SWEEPS, Remaining
 from .core.policy.stages import Choice, Stage
 from .core.settings import BESIDE, OF_SOLVE, Settings, checked_callback
 from .core.solving.driver import solved_by
-from .core.solving.judge import Judge
 from .core.solving.result import Result
 from .core.solving.run import Callback
 from .core.splittings.projected_relaxation import PGS, PSOR
 from .core.splittings.projected_type import NPSOR
 from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
 from .engines import Engine
+from .methods.small.rounds import Rounds, is_small
 
 if TYPE_CHECKING:
     from .methods.direct import FallbackOrder
-    from .methods.small.small_dense import SmallDenseSolver
 
 DIRECT = "newton"  # predicts for all direct methods
 SHARE_OF_SOLVED, CALLS = (
@@ -178,14 +176,14 @@ class Auto(EndsWithItsCase):
     def first(self, problem: LCP) -> Choice:
         """Return what programs need, games, small problems, narrow bands or quick rows; else NPSOR."""
         is_program = getattr(problem.origin, "form", "") == "kkt"
+        if not is_program and takes_rounds(problem):
+            return Choice(Rounds(), "small: a few sweeps guess the active set")
         if is_program or _is_game(problem):
             self._direct = self._fallback_order(problem)
             if (first := self._direct.first()) is not None:
                 why = "multipliers have no diagonal entry, which sweeps need"
                 return replace(first, because=f"{why}; {first.because}") if is_program else first
             self._direct = None
-        if takes_the_small_dense_solver(problem):
-            return Choice(_small(), "small: a few sweeps guess which unknowns are at a bound")
         banded = _banded()
         passes = in_driven_sweeps(problem, banded.predicted_passes(problem, math.inf))
         cost = f"{max(passes, 1.0):.0f} sweep" + "s" * (passes > 1.5)
@@ -261,9 +259,9 @@ def _is_game(problem: LCP) -> bool:
     return is_game(problem)
 
 
-def takes_the_small_dense_solver(problem: LCP) -> bool:
-    """Return whether auto solves it by one compiled call: small, no game, no tridiagonal M-matrix kept sparse."""
-    if not _small().takes(problem) or _is_game(problem):
+def takes_rounds(problem: LCP) -> bool:
+    """Return whether auto begins with rounds on a dense M: a small problem, no tridiagonal M-matrix kept sparse."""
+    if not is_small(problem):
         return False
     return problem.is_dense or _banded().predicted_passes(problem, math.inf) > TRIAL_SWEEPS
 
@@ -292,14 +290,6 @@ def _rivals(problem: LCP, stages: Sequence[Stage], left: Remaining) -> list[Algo
             ):
                 rivals.append(multigrid)
     return [*rivals, Newton()]
-
-
-@cache
-def _small() -> SmallDenseSolver:
-    """Return the solver of small problems."""
-    from .methods.small.small_dense import SmallDenseSolver
-
-    return SmallDenseSolver()
 
 
 @cache
@@ -405,7 +395,6 @@ def solve_lcp(
     *,
     z0: ArrayLike | None = None,
     tolerance: float = 1e-8,
-    tolerance_on: str = "residual",
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     absolute_tolerance: float = 0.0,
@@ -428,7 +417,6 @@ def solve_lcp(
     policy = policy_for(algorithm, options, prove_infeasibility=prove_infeasibility)
     settings = Settings(
         tolerance,
-        tolerance_on,
         max_iterations,
         max_seconds,
         absolute_tolerance,
@@ -448,18 +436,8 @@ def solve_lcp(
             start,
             clock,
             callback,
-            judge=_judge_of,
             header=_header,
         )
-
-
-def _judge_of(scaling: CommonScaling, settings: Settings) -> Judge:
-    """Return the judge of an LCP; where the error is asked for, one that bounds it."""
-    if not (settings.error_bound or settings.is_on_error):
-        return Judge(scaling, settings)
-    from .proofs.bounds.error_judge import ErrorJudge
-
-    return ErrorJudge(scaling, settings)
 
 
 def _header(matrix: Matrix) -> tuple[str, str]:

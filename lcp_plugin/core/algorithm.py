@@ -18,7 +18,6 @@ from .matrix.row_sums import has_positive_diagonal
 from .tuning import SWEEP_ENTRIES
 
 SWEEPS = ("forward", "backward", "symmetric")
-Phases = tuple[bool, bool, bool]  # sweeps, rounds, pivots
 
 
 @dataclass(slots=True)
@@ -57,31 +56,6 @@ class Step:
     remark: str = ""
     label: str = ""
     least_residual: float = 0.0
-
-
-@dataclass(slots=True)
-class FusedSolve:
-    """Where all steps of a run at once have converged: an answer within the tolerance.
-
-    Attributes
-    ----------
-    z : ndarray, shape (n,)
-        Within the bounds; the caller's own from now on.
-    residual : float
-        The relative one, enclosed by :mod:`lcp_plugin.core.kernels.enclosures`: as the certificate has it.
-    term_residual : float
-        How wrong the worst row is beside its own terms.
-    work : float
-        In passes over M, summed step by step.
-    parts : tuple of (label, iterations, work)
-        What ran, in order.
-    """
-
-    z: FloatVector
-    residual: float
-    term_residual: float
-    work: float
-    parts: tuple[tuple[str, int, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,29 +136,6 @@ class Algorithm(ABC):
         UnsuitableMatrix, UnsuitableProblem
             Before the first step, naming the row that stands in the way.
         """
-
-    def solve_fused(
-        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
-    ) -> FusedSolve | None:
-        """Return where the steps of `iterates`, taken without Python between them, converge within the tolerance.
-
-        z, iterations and work are those that single steps give, bit for bit. None where they do not converge, or where
-        there is no such loop for this problem: then the steps are taken one by one.
-
-        Parameters
-        ----------
-        problem : LCP
-        z0 : ndarray, shape (n,)
-            A start within the bounds; not overwritten.
-        tolerance : float
-            On the relative residual, enclosed.
-        max_iterations : int
-        """
-        return None
-
-    def phases_of_small(self) -> Phases | None:
-        """Return the phases of the compiled road that this algorithm takes on small problems from z°, or None."""
-        return None
 
     def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Literal, Protocol, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,22 +29,12 @@ if TYPE_CHECKING:
     from ..problems.cones.frictional_contact import FrictionalContact
 
 
-class OriginsCriterion(Protocol):
-    """What an answer of a problem has to be for what it was converted from, a program for one."""
-
-    def is_answered(self, z: FloatVector, tolerance: float) -> bool:
-        """Return whether z, shape (n,), stands for an answer of that where a run has this tolerance."""
-
-    def has_no_solution(self, tolerance: float) -> bool:
-        """Return whether that is proved to have none."""
-
-
 class LCP:
     """Find z with lower ≤ z ≤ upper and w = M z + q complementary to it.
 
     For every row i: w_i ≥ 0 where z_i = lower_i, w_i = 0 where lower_i < z_i < upper_i, and w_i ≤ 0
     where z_i = upper_i. With the default bounds this is the classical problem z ≥ 0, w ≥ 0, zᵀw = 0;
-    a row with bounds (−∞, ∞) is an equation. The repr of a small problem can be pasted, beside `csr_array` and `inf`.
+    a row with bounds (−∞, ∞) is an equation.
 
     Parameters
     ----------
@@ -89,9 +79,6 @@ class LCP:
         check_order(self.lower, self.upper)
         self.origin: Any = (
             None  # what the problem was converted from; it can recover that one's solution
-        )
-        self.criterion: OriginsCriterion | None = (
-            None  # what decides instead of the problem's own residual
         )
 
     @cached_property
@@ -183,7 +170,7 @@ class LCP:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
             return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1])
         other = object.__new__(LCP)
-        other.origin, other.criterion, other.matrix = None, None, self.matrix
+        other.origin, other.matrix = None, self.matrix
         other.lower, other.upper, other.nearest_to_zero = (
             self.lower,
             self.upper,
@@ -244,8 +231,7 @@ class LCP:
 
         Who wants x writes ``solve(QuadraticProgram(P, c, …))``, which is sooner there. Who wants the LCP gets x,
         multipliers and residuals by ``problem.origin.recover(result)``; errors:
-        :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`. A run of ``solve`` ends where the tolerance holds
-        for the LCP and x passes the test of programs, to 1e-6.
+        :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`. ``solve`` judges it as an LCP.
 
         Parameters
         ----------

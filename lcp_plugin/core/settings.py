@@ -7,16 +7,15 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import Enum
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from .checks import is_number
-from .errors import InvalidOption, did_you_mean
+from .errors import InvalidOption
 
 NOTHING, BELOW, LARGEST = 2.0**-200, 1.0 - 2.0**-50, 2.0**900  # instead of 0; for rounding; for ∞
-TARGETS = ("residual", "error")
 
 
 class Status(Enum):
@@ -63,8 +62,6 @@ class Settings:
     ----------
     tolerance : float
         In [0, 1): it is relative.
-    tolerance_on : {"residual", "error"}
-        What the tolerance speaks of.
     max_iterations : int or None
         None means 100 000.
     max_seconds : float or None
@@ -87,7 +84,6 @@ class Settings:
     """
 
     tolerance: Any = 1e-8
-    tolerance_on: Any = "residual"
     max_iterations: Any = None
     max_seconds: Any = None
     absolute_tolerance: Any = 0.0
@@ -105,10 +101,6 @@ class Settings:
                 value is default or (type(value) is type(default) and value == default)
             ):
                 object.__setattr__(self, name, check(value, name))
-        if self.absolute_tolerance and self.is_on_error:
-            raise InvalidOption(
-                'absolute_tolerance goes with the residual, got it with tolerance_on="error"; leave one out'
-            )
 
     @property
     def goal(self) -> float:
@@ -127,12 +119,7 @@ class Settings:
     @property
     def is_unobserved(self) -> bool:
         """True where no more is wanted of the run than that it ends within the tolerance on the residual."""
-        return not (self.is_on_error or self.record or self.error_bound or self.verbose)
-
-    @property
-    def is_on_error(self) -> bool:
-        """True where SOLVED asks for a proven bound of the error."""
-        return bool(self.tolerance_on == "error")
+        return not (self.record or self.error_bound or self.verbose)
 
 
 BESIDE = ("z0", "callback")  # what else belongs to a run
@@ -174,12 +161,6 @@ def _whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int
     return min(int(value), MOST)
 
 
-def _choice(value: Any, name: str, choices: tuple[str, ...]) -> str:
-    if not isinstance(value, str) or value not in choices:
-        raise InvalidOption(f"{name}={value!r} is not offered{did_you_mean(value, choices)}")
-    return value
-
-
 def _flag(value: Any, name: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InvalidOption(f"{name} must be True or False, got {value!r}")
@@ -211,7 +192,6 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": _relative,
-    "tolerance_on": partial(_choice, choices=TARGETS),
     "max_iterations": _count,
     "max_seconds": _seconds,
     "absolute_tolerance": _number,

@@ -7,7 +7,7 @@
 True
 >>> convergence_guarantee(problem, "npsor").verdict  # also the theorem, and the rate that it proves
 'guaranteed'
->>> result = solve(problem, tolerance_on="error", tolerance=1e-10)
+>>> result = solve(problem, error_bound=True, tolerance=1e-12)
 >>> result.status.name, result.error_bound.infinity <= 1e-10
 ('SOLVED', True)
 >>> bound = error_bound(problem, [0.8, 0.0, 0.2])  # of any z; row by row in bound.componentwise
@@ -23,15 +23,8 @@ up to n = 10; beyond that a singular matrix stays undecided, and the evidence sa
 rounding. On other matrices there is no bound. If a factorization would fill in too much (3-D grids above some 40³,
 random graphs above some thousand unknowns) and nothing cheaper decides, there is no verdict and no bound.
 
-**During a run.** With ``error_bound=True`` the bound is part of the result, computed when you look at it
-(``result.error_bound.seconds`` says in what time); with ``record=True`` also part of every sample, where a sharp one is
-tried as often as the run can afford it. ``tolerance_on="error"``: SOLVED means that ‖z − z*‖∞ ≤ tolerance · ‖z‖∞ is
-proved; a matrix that allows no rigorous bound is refused before the first step.
-
-**Scaling.** Units of rows change no residual. The unknowns keep the units that they are given in, unless an entry of M
-is more than 2⁴ times the diagonal entry of its row and sizes differ by more than 2¹⁰: then SOLVED speaks of the
-residual of the scaled problem, by exact powers of two. Formula, and what the criterion cannot see:
-``help("lcp_plugin.core.certificates.criterion")``.
+**In a result.** With ``error_bound=True`` the bound is part of the result, computed when you look at it
+(``result.error_bound.seconds`` says in what time).
 
 **Without a bound.** SOLVED speaks of the residual; on stiff data a small one can go with a larger error in z.
 ``explain()`` says so where the diagonal spans more than six decades, where M is so nearly singular on the free rows
@@ -54,8 +47,8 @@ proved lower bound of at most the tolerance, unless x is proved to be wrong alth
 ('proved', -4.5, True)
 
 **No solution.** ``result.infeasibility`` proves it for the stored doubles, and ``verify()`` checks it again. Its
-``margin`` is the smallest relative residual that it leaves to any z, in the units of SOLVED; with
-``tolerance_on="error"`` any proof counts, however small that is. If it is within the tolerance the methods go on, and
+``margin`` is the smallest relative residual that it leaves to any z, as SOLVED measures it.
+If it is within the tolerance the methods go on, and
 the proof stays in the result.
 "auto" looks for a proof where its methods find no solution, and so does a run with newton, interior_point or lemke;
 sweeps alone end STALLED or DIVERGED.

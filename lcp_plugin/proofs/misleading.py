@@ -52,8 +52,7 @@ def _stiffness(result: Result) -> str:
         factor = result.error_bound.relative / relative if relative > 0.0 else 0.0
         if not factor > STIFF_FACTOR:
             return ""
-        further = "" if result.tolerance_on == "error" else ', and ask for tolerance_on="error"'
-        return f"stiff: the error may be {factor:.0e} times the residual; trust the bound{further}"
+        return f"stiff: the error may be {factor:.0e} times the residual; trust the bound"
     if not result.is_solved:
         return ""
     scale = result.certificate.problem.residual_scale
@@ -67,15 +66,9 @@ def _stiffness(result: Result) -> str:
     bound = _bound(result)
     if bound is None:
         return f"{stiff} of z, and nothing about M allows a bound of it"
-    is_large = bound.relative > result.tolerance
-    further = (
-        '; with tolerance_on="error" the run goes on until it is within the tolerance'
-        if is_large
-        else ""
-    )
     return (
         f"{stiff} of z: here it is proved to be at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
-        f"largest |z_i|{further}"
+        "largest |z_i|"
     )
 
 

@@ -220,19 +220,6 @@ def no_point(old: Any) -> Any:
 MECHANISMS = (
     # --- LCPs: what comes first
     Mechanism(
-        "small loop",
-        "small LCPs in one compiled call",
-        {"methods.small.small_dense:is_short": says(False)},
-        "methods/small/small_dense.py methods/small/kernels/small_problems.py methods/small/kernels/tableau.py "
-        "methods/small/kernels/small_systems.py methods/small/kernels/workspace.py",
-    ),
-    Mechanism(
-        "fused",
-        "auto's first method in one compiled call where nobody watches",
-        {"core.solving.driver:fused": says(None)},
-        "core/solving/driver.py:fused",
-    ),
-    Mechanism(
         "banded",
         "rounds of active sets on narrow bands",
         {"methods.banded:Banded.predicted_passes": says(math.inf)},
@@ -268,23 +255,10 @@ MECHANISMS = (
         "core/matrix/symmetry.py:mean_coupling",
     ),
     Mechanism(
-        "units",
-        "rows and columns of M scaled by powers of two",
-        {"core.matrix.scaling:scaling_of": says(None)},
-        "core/matrix/scaling.py",
-        "core/test_scaling.py::test_the_residual_tells_right_from_wrong_in_any_units",
-    ),
-    Mechanism(
         "last system",
         "long runs end with the linear system of the case they found",
         {"auto:EndsWithItsCase.last_system": says(None)},
         "auto.py:EndsWithItsCase methods/newton/active_set.py:solve_case",
-    ),
-    Mechanism(
-        "moved to bounds",
-        "a row right with its unknown at the bound that is near is right",
-        {"core.certificates.own_terms:_at_bounds": given_back(1)},
-        "core/certificates/own_terms.py:_at_bounds",
     ),
     # --- LCPs: the direct methods
     Mechanism(
@@ -581,7 +555,7 @@ MECHANISMS = (
         "small problems of a batch in one compiled loop",
         {"problems.batches.batch_run:BatchRun._solve_compiled": skipped()},
         "problems/batches/batch_run.py:BatchRun._solve_compiled "
-        "problems/batches/batch_run.py:BatchRun._run_compiled problems/batches/batch_groups.py",
+        "problems/batches/batch_run.py:BatchRun._solve_together problems/batches/batch_groups.py",
     ),
     Mechanism(
         "batch of programs",
@@ -603,10 +577,8 @@ MECHANISMS = (
 )
 NAMES = {one.name: one for one in MECHANISMS}
 HEAVIEST = (
-    "small loop",
     "multigrid",
     "banded",
-    "units",
     "search",
     "lemke",
     "interior point",

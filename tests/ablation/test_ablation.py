@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lcp_plugin import LCP, solve
-from lcp_plugin.methods.small import small_dense
+from lcp_plugin import LCP, auto, solve
+from lcp_plugin.methods.small import rounds
 
 from . import inputs, measuring, table
 from .mechanisms import HEAVIEST, MECHANISMS, NAMES, says
@@ -44,7 +44,7 @@ def test_what_is_no_more_is_missed() -> None:
     """A mechanism that has another name now, or another module, fails."""
     with (
         pytest.raises(KeyError),
-        replaced([Patch("methods.small.small_dense:SmallDenseSolver.taken", says(None))]),
+        replaced([Patch("methods.small.rounds:Rounds.taken", says(None))]),
     ):
         pass
     with pytest.raises(ModuleNotFoundError), replaced([Patch("methods.smaller:taken", says(None))]):
@@ -72,19 +72,16 @@ def test_page_has_a_line_for_each() -> None:
 
 def test_package_is_put_back() -> None:
     """A function is replaced where others imported it, too, and watched; afterwards all is as before."""
-    from lcp_plugin.methods import lemke
-
-    before = small_dense.is_short
-    patch = Patch("methods.small.small_dense:is_short", says(False))
+    before = rounds.is_small
+    patch = Patch("methods.small.rounds:is_small", says(False))
     with replaced([patch], watched=True):
-        assert lemke.is_short is not before
+        assert auto.is_small is not before
         assert solve(LCP(*TINY)).z.round(6).tolist() == [0.75, 0.0]
     assert patch.times > 0
     with replaced([patch]):
-        assert lemke.is_short is small_dense.is_short is not before
+        assert auto.is_small is rounds.is_small is not before
         assert solve(LCP(*TINY)).z.round(6).tolist() == [0.75, 0.0]
-    assert lemke.is_short is small_dense.is_short is before
-    assert solve(LCP(*TINY)).iterations
+    assert auto.is_small is rounds.is_small is before
 
 
 def test_a_loss_is_seen() -> None:
@@ -106,7 +103,7 @@ def test_what_would_do_the_same_is_not_met(monkeypatch: pytest.MonkeyPatch) -> N
     """A mechanism that is asked and has nothing to say is not met; one that has is."""
     monkeypatch.setattr(measuring, "inputs", lambda: iter([one()]))
     found = measuring.meetings([*NAMES])
-    assert found["small loop"] == [["tiny", "0"]]
+    assert found["search"] == []
     assert found["banded"] == []
 
 
@@ -124,7 +121,7 @@ def test_unknown_names_are_refused() -> None:
         [sys.executable, str(HERE), "bandid"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
-    assert "'bandid'; there are small loop" in done.stderr
+    assert "'bandid'; there are banded" in done.stderr
 
 
 @pytest.mark.full

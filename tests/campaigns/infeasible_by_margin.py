@@ -35,7 +35,6 @@ from exact_components import component_of_rows, references_of_rows
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import RowScaling
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 from lcp_plugin.problems.programs.solving import solve_program
@@ -147,8 +146,7 @@ def measured(problem: LCP, y: Any, z: Any) -> Planted:
 
 def divisors(problem: LCP) -> Any:
     """What w is divided by in the residual that SOLVED speaks of."""
-    scaling = RowScaling.of(problem)
-    return problem.residual_scale if scaling is None else scaling.scale
+    return problem.residual_scale
 
 
 def is_data(problem: LCP, absolute: Fraction) -> bool:
@@ -200,15 +198,7 @@ def exact_references(problem: LCP) -> list[Fraction]:
         step = max(step, Fraction(low)) if np.isfinite(low) else step
         step = min(step, Fraction(high)) if np.isfinite(high) else step
         at_zero.append(v - step)
-    scaling = RowScaling.of(problem)
-    weights = (
-        [Fraction(1)] * problem.n
-        if scaling is None
-        else [Fraction(2) ** -k for k in scaling.column.tolist()]
-    )
-    weighted = [r * weight for r, weight in zip(at_zero, weights, strict=True)]
-    of_rows = references_of_rows(weighted, component_of_rows(problem.csr))
-    return [of / weight for of, weight in zip(of_rows, weights, strict=True)]
+    return references_of_rows(at_zero, component_of_rows(problem.csr))
 
 
 def wrong_signs(problem: LCP, z: list[Fraction]) -> list[Fraction]:

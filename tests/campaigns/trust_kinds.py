@@ -188,29 +188,23 @@ def optional(rng: Generator, name: str) -> Found:
         "max_iterations": int(rng.choice([0, 3, 50, 1000])),
         "record": bool(rng.random() < 0.3),
         "error_bound": bool(rng.random() < 0.5),
-        "tolerance_on": "error" if rng.random() < 0.2 else "residual",
         "callback": (lambda sample, z: sample.iteration >= 20) if rng.random() < 0.2 else None,
     }
     start = bits(asked["z0"])
     try:
         result = solve(problem, name, **asked, **random_options(name, rng))
     except (UnsuitableMatrix, UnsuitableProblem):
-        if name == "auto" and asked["tolerance_on"] == "residual":
+        if name == "auto":
             yield Finding(CRASH, "auto refuses")
         return
     if bits(asked["z0"]) != start:
         yield Finding(MODIFIED, "z0")
-    if asked["tolerance_on"] == "residual" or result.status.name != "SOLVED":
-        if (
-            result.status.name == "SOLVED"
-            and problem.n
-            and not is_within(problem, result.z, tolerance)
-        ):
-            yield Finding(SOLVED, f"{truth}, {asked}")
-        elif result.status.name == "SOLVED" and truth != SOLVABLE:
-            yield Finding(NEAR, f"{truth}, but not within the tolerance, {asked}")
-        elif complaint := false_claim(problem, truth, result, tolerance):
-            yield Finding(CLAIM, f"{complaint}, {asked}")
+    if result.status.name == "SOLVED" and problem.n and not is_within(problem, result.z, tolerance):
+        yield Finding(SOLVED, f"{truth}, {asked}")
+    elif result.status.name == "SOLVED" and truth != SOLVABLE:
+        yield Finding(NEAR, f"{truth}, but not within the tolerance, {asked}")
+    elif complaint := false_claim(problem, truth, result, tolerance):
+        yield Finding(CLAIM, f"{complaint}, {asked}")
     if problem.n and result.error_bound is not None:
         exact = decide(problem).z  # the only solution: a bound is a proof of that
         if exact is None:
@@ -218,13 +212,6 @@ def optional(rng: Generator, name: str) -> Found:
         elif error_bounds.violations(problem, result.z, Exact(exact, tuple(ExactData(problem).slack(exact)), True),
                                      result.error_bound) != (0, 0):  # fmt: skip
             yield Finding(BOUND, f"{asked}")
-        elif asked["tolerance_on"] == "error" and result.status.name == "SOLVED":
-            z = [Fraction(float(value)) for value in result.z]
-            error = max(abs(ours - right) for ours, right in zip(z, exact, strict=True))
-            if error > Fraction(tolerance) * max(map(abs, z)):
-                yield Finding(SOLVED, f"an error beyond the tolerance, {asked}")
-    elif problem.n and result.status.name == "SOLVED" and asked["tolerance_on"] == "error":
-        yield Finding(SOLVED, f"an error within the tolerance without a bound, {asked}")
 
 
 def planted(rng: Generator, kind: str) -> Found:

@@ -18,8 +18,6 @@ import numpy as np
 import scipy.sparse as sp
 from exact_components import component_of_rows, relative_residual
 
-from lcp_plugin.core.certificates.criterion import RowScaling
-
 Bound = Fraction | None
 Point = tuple[Fraction, ...]
 
@@ -227,19 +225,12 @@ class ExactData:
         self.upper = [fraction(x) for x in problem.upper.tolist()]
         self.divisor = [self._divisor(i, row) for i, row in enumerate(self.rows)]
         self.components = component_of_rows(csr)
-        scaling = RowScaling.of(problem)
-        self.weights: list[Fraction] = [Fraction(1)] * len(self.rows)
-        if (
-            scaling is not None
-        ):  # that M̂ is the same for every D₁MD₂ is tested elsewhere; here they are used exactly
-            self.divisor = [Fraction(float(x)) for x in scaling.scale]
-            self.weights = [Fraction(2) ** -k for k in scaling.column.tolist()]
 
     def _divisor(self, i: int, row: list[tuple[int, int]]) -> Fraction:
         """d_i of the scaled residual: the diagonal, or the row's largest entry where that is negligible, or 1."""
         largest = max((abs(x) for _, x in row), default=0)
         diagonal = next((x for j, x in row if j == i), 0)
-        usable = diagonal > 0 and diagonal * 10**10 >= largest
+        usable = diagonal > 0 and diagonal * 2**20 >= largest
         return Fraction(diagonal if usable else largest, self.scale) if row else Fraction(1)
 
     def slack(self, z: Sequence[Any]) -> list[Fraction]:
@@ -294,18 +285,14 @@ class ExactData:
         """Whether calling z solved is a lie: ‖r_P(z)‖ > tolerance · ‖r_P(z°)‖, both exact, in a component P."""
         if not np.isfinite(np.array([float(x) for x in z])).all():
             return True
-        relative = relative_residual(self.weighted(z), self.weighted(self.nearest), self.components)
+        relative = relative_residual(self.residual(z), self.residual(self.nearest), self.components)
         return bool(relative > Fraction(tolerance))
-
-    def weighted(self, z: Sequence[Any]) -> list[Fraction]:
-        """Return the residuals in the scaling of the criterion."""
-        return [r * weight for r, weight in zip(self.residual(z), self.weights, strict=True)]
 
     def misses_by_rounding_of_q(self, z: Sequence[Any]) -> bool:
         """Whether every residual is at most 2⁻⁴⁴ of the largest |q̂_i|/d̂_i, which is what may contradict in q."""
-        rows = zip(self.weights, self.q, self.divisor, strict=True)
-        largest = max((weight * abs(q) / d for weight, q, d in rows), default=Fraction(0))
-        return max(self.weighted(z), default=Fraction(0)) <= largest * (1 + MACHINE_EPSILON) / 2**44
+        rows = zip(self.q, self.divisor, strict=True)
+        largest = max((abs(q) / d for q, d in rows), default=Fraction(0))
+        return max(self.residual(z), default=Fraction(0)) <= largest * (1 + MACHINE_EPSILON) / 2**44
 
     def is_at_rounding_level(self, z: Sequence[Any]) -> bool:
         """Whether every residual is at most 5 times its floor: 4 as claimed, and 1 for the rounding of the claim."""

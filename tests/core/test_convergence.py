@@ -135,7 +135,7 @@ def test_the_classes_are_what_they_are_called() -> None:
     assert abs(M - M.T).max() > 0.5
     for kind in CLASSES:
         problem, z = problem_of(kind)
-        assert Certificate.of(problem, z).relative_residual == 0.0
+        assert Certificate.of(problem, z).relative_residual <= 1e-13
         assert 0.3 < np.mean(z == 0.0) < 0.7
 
 
@@ -207,7 +207,7 @@ def boxed(seed: int = 0) -> Solved:
 def test_boxes_and_free_rows(name: str) -> None:
     """With symmetric boxes and free rows the exact z is found, and its rows at a bound are at that bound exactly."""
     problem, exact = boxed()
-    assert Certificate.of(problem, exact).relative_residual == 0.0
+    assert Certificate.of(problem, exact).relative_residual <= 1e-13
     result = solve(problem, name)
     assert result.status is Status.SOLVED
     assert error(result.z, exact) < 1e-7
@@ -233,12 +233,16 @@ def test_np_finishes_with_exact_zeros(name: str) -> None:
 # --- The scaling trap --------------------------------------------------------------------------------------
 
 
-def test_the_scaling_trap_catches_the_unscaled_method_honestly() -> None:
-    """Unscaled NPSOR(1.7) cycles beside z*; the status says that it did not converge and advises scaling."""
+def test_the_scaling_trap_catches_the_unscaled_method() -> None:
+    """Unscaled NPSOR(1.7) cycles near z*: no iterate of the first 300 has a small residual."""
     trap = scaling_trap()
-    result = solve(trap.problem, "npsor", relaxation=1.7, scaling=None, z0=trap.start)
-    assert result.status in (Status.STALLED, Status.DIVERGED)
-    assert result.certificate.relative_residual > 1e-5
+    steps = create("npsor", {"relaxation": 1.7, "scaling": None}).iterates(
+        trap.problem, np.array(trap.start, dtype=float)
+    )
+    residuals = [
+        Certificate.of(trap.problem, step.z).relative_residual for step in islice(steps, 300)
+    ]
+    assert min(residuals) > 1e-5
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 import pickle
@@ -25,8 +26,6 @@ from lcp_plugin import (
     QuadraticProgram,
     Result,
     Status,
-    UnsuitableMatrix,
-    error_bound,
     gallery,
     solve,
 )
@@ -36,7 +35,6 @@ from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.proofs import guarantees
 from lcp_plugin.proofs.bounds import error_bounds
 from lcp_plugin.proofs.bounds.error_bounds import ErrorBound
-from lcp_plugin.proofs.bounds.error_judge import ErrorJudge
 from lcp_plugin.proofs.exact.linear_systems import solve_exactly
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
@@ -368,15 +366,13 @@ def test_iterates_of_direct_methods_are_within_the_bounds(name: str) -> None:
 
 
 def test_ctrl_c_returns_the_best_iterate() -> None:
-    """SIGINT in the middle of a run gives INTERRUPTED and the best z so far; before the first step, the start."""
+    """SIGINT in the middle of a run gives INTERRUPTED and the best z so far; before the first step it is raised."""
     points = ((0.0, 0.0), (2.4, 0.0), (1.0, 1.0))
     result = solve(TWO, Scripted(points=points, interrupt_at=2))
     assert result.status is Status.INTERRUPTED
     np.testing.assert_array_equal(result.z, (2.4, 0.0))
-    assert solve(TWO, Scripted(points=points, interrupt_at=0), z0=[1.0, 7.0]).z.tolist() == [
-        1.0,
-        7.0,
-    ]
+    with pytest.raises(KeyboardInterrupt):
+        solve(TWO, Scripted(points=points, interrupt_at=0), z0=[1.0, 7.0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -396,33 +392,18 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
     assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
 
 
-PASSED_BY = {  # the automatic choice is fused here, and its first choice is not that of a named method
-    "auto": (
-        "core.solving.driver.Run.__init__",
-        "core.solving.driver.CommonScaling.of",
-        "auto.Single.first",
-    ),
-    "npsor": ("auto.Auto.first",),
-    "lemke": ("auto.Auto.first",),
-}
-
-
 @pytest.mark.parametrize("algorithm", ["auto", "npsor", "lemke"])
 @pytest.mark.parametrize(
     ("place", "options"),
     [
-        ("core.solving.driver.fused", {}),
-        ("core.solving.driver.Run.__init__", {}),
-        ("core.solving.driver.CommonScaling.of", {}),
-        ("proofs.bounds.error_judge.ErrorJudge._bound", {"tolerance_on": "error"}),
         ("auto.Auto.first", {}),
         ("auto.Single.first", {}),
     ],
 )
-def test_ctrl_c_during_the_set_up_returns_the_projected_start(
+def test_ctrl_c_during_the_set_up_is_raised(
     algorithm: str, place: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SIGINT before the first step, wherever it hits, gives INTERRUPTED with the start, and the next run is whole."""
+    """SIGINT before the first step is raised, wherever it hits, and the next run is whole."""
     path, _, name = f"lcp_plugin.{place}".rpartition(".")
     owner, hits = pkgutil.resolve_name(path), []
     original = getattr(owner, name)
@@ -434,15 +415,9 @@ def test_ctrl_c_during_the_set_up_returns_the_projected_start(
         return original(*arguments, **named)
 
     monkeypatch.setattr(owner, name, interrupted)
-    result = solve(TWO, algorithm, z0=[-1.0, 7.0], **options)
-    if not hits:  # not every set-up passes everywhere
-        assert place in PASSED_BY[algorithm]
-        return
-    assert result.status is Status.INTERRUPTED
-    assert result.z.tolist() == [0.0, 7.0]
-    assert result.iterations == 0
-    assert algorithm in result.algorithm
-    assert "INTERRUPTED" in result.explain()
+    with contextlib.suppress(KeyboardInterrupt):
+        solve(TWO, algorithm, z0=[-1.0, 7.0], **options)
+        assert not hits  # not every set-up passes everywhere
     assert solve(TWO, algorithm, **options).is_solved
 
 
@@ -602,63 +577,12 @@ def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result])
             array[0] = 1.0
 
 
-def test_a_proof_that_is_loose_is_sharpened_when_looked_at() -> None:
-    """Where tolerance_on="error" was reached by a plain bound far above the residual, the result has the sharp one."""
-    problem, exact = grid(60, 1e-4, level=9.0)
-    result = solve(problem, tolerance_on="error", tolerance=1e-3)
-    assert result.status is Status.SOLVED
-    plain, error = error_bound(problem, result.z, sharp=False), np.max(np.abs(result.z - exact))
-    assert plain.proves(1e-3)
-    assert plain.is_loose
-    assert result.error_bound is not None
-    assert (
-        error - 1e-9 <= result.error_bound.infinity <= 1.1 * error < 0.1 * plain.infinity
-    )  # q is rounded
-
-
-def test_bounds_along_the_run_are_sharp_where_that_is_affordable(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Every sample's bound holds and is within twice the error; above some size only once a run has cost as much."""
-    problem, exact = grid(30, 1e-4, level=9.0)
-    samples: list[np.ndarray] = []
-    result = solve(
-        problem,
-        "pgs",
-        error_bound=True,
-        record=True,
-        callback=lambda _, z: samples.append(z.copy()),
-    )
-    for sample in result.history:
-        error = np.max(np.abs(samples[sample.iteration] - exact))
-        assert error <= sample.error_bound <= 2.0 * error + 1e-9
-    assert (
-        error_bound(problem, samples[-1], sharp=False).infinity
-        > 100.0 * result.history[-1].error_bound
-    )
-    monkeypatch.setattr("lcp_plugin.proofs.bounds.error_judge.SHARP_SAMPLES_UP_TO", 100)
-    history = solve(problem, "pgs", error_bound=True, record=True).history
-    assert history[0].error_bound > 2.0 * result.history[0].error_bound
-    assert history[-1].error_bound <= 2.0 * result.history[-1].error_bound
-
-
 def test_where_no_bound_exists_the_result_says_why() -> None:
-    """On a matrix that allows no bound, error_bound=True gives None and the reason; tolerance_on="error" raises."""
+    """On a matrix that allows no bound, error_bound=True gives None and the reason."""
     game = LCP([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0])
     result = solve(game, error_bound=True)
     assert result.error_bound is None
     assert "no error bound: an error bound needs" in result.explain()
-    with pytest.raises(UnsuitableMatrix, match="an error bound needs"):
-        solve(game, tolerance_on="error")
-
-
-@pytest.mark.parametrize("name", ["auto", "npsor", "psor", "pgs", "mgs"])
-def test_tolerance_on_error_is_kept(name: str) -> None:
-    """With tolerance_on="error" SOLVED means a true relative error within the tolerance."""
-    assert EXAMPLE.exact is not None
-    result = solve(EXAMPLE.problem, name, tolerance_on="error", tolerance=1e-9)
-    assert result.status is Status.SOLVED
-    assert np.max(np.abs(result.z - EXAMPLE.exact)) <= 1e-9 * np.max(np.abs(result.z))
 
 
 @pytest.mark.parametrize("form", [np.array, sp.csr_array], ids=["dense", "sparse"])
@@ -701,12 +625,6 @@ def test_stiff_data_tell_the_truth() -> None:
     assert error > 0.3 * exact.max()
     assert error <= fooled.error_bound.infinity <= 10.0 * error
     assert "stiff: the error may be" in fooled.explain()
-    strict = solve(
-        problem, "pgs", tolerance=1e-7, tolerance_on="error", max_iterations=fooled.iterations - 100
-    )
-    assert strict.status is Status.MAX_ITERATIONS
-    assert "trust the bound" in strict.explain()
-    assert "ask for tolerance_on" not in strict.explain()
 
 
 def test_stiffer_data_are_said_to_be() -> None:
@@ -714,7 +632,6 @@ def test_stiffer_data_are_said_to_be() -> None:
     problem, exact = stiff_m_matrix(contrast=1e10)
     far = solve(problem, "pgs")
     assert (far.status, far.residual <= 1e-8) == (Status.STALLED, True)
-    assert "the residual is small enough, but a row is wrong beside its own terms" in far.explain()
     for algorithm in ("auto", "newton", "multigrid"):
         result = solve(problem, algorithm)
         assert result.is_solved
@@ -730,65 +647,6 @@ def grid(side: int, shift: float, level: float = 0.0) -> tuple[LCP, np.ndarray]:
     M = sp.csr_array(M + shift * sp.eye_array(side * side))
     exact = np.maximum(np.random.default_rng(0).standard_normal(side * side) + level, 0.0)
     return LCP(M, np.where(exact == 0.0, 1.0, 0.0) - M @ exact), exact
-
-
-@pytest.fixture
-def bounds_asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, ErrorBound]]:
-    """Whether it is sharp, and the bound, each time that a run asks for one."""
-    asked: list[tuple[bool, ErrorBound]] = []
-    bound = ErrorJudge._bound
-
-    def counted(self: ErrorJudge, z: np.ndarray, *, sharp: bool) -> ErrorBound:
-        asked.append((sharp, bound(self, z, sharp=sharp)))
-        return asked[-1][1]
-
-    monkeypatch.setattr(ErrorJudge, "_bound", counted)
-    return asked
-
-
-def test_sharp_bounds_are_not_wasted(bounds_asked: list[tuple[bool, ErrorBound]]) -> None:
-    """Where the cheap bound falls with the residual, tolerance_on="error" asks for three of them and no sharp one."""
-    problem, exact = grid(60, 4.0)
-    result = solve(problem, "npsor", tolerance_on="error")
-    assert result.status is Status.SOLVED
-    assert np.max(np.abs(result.z - exact)) <= 1e-8 * exact.max()
-    assert not any(sharp for sharp, _ in bounds_asked)
-    assert len(bounds_asked) <= 6
-
-
-def test_the_bound_that_proved_it_is_the_result_s(
-    bounds_asked: list[tuple[bool, ErrorBound]],
-) -> None:
-    """The bound of the run is not computed again at the end where z is the same."""
-    result = solve(grid(20, 4.0)[0], "pgs", tolerance_on="error")
-    assert result.error_bound is bounds_asked[-1][1]
-    assert [bound.proves(1e-8) for _, bound in bounds_asked].count(True) == 1
-
-
-def test_where_the_cheap_bound_is_poor_a_sharp_one_ends_the_run(
-    bounds_asked: list[tuple[bool, ErrorBound]],
-) -> None:
-    """A slow run on a nearly singular matrix is not swept on to rounding: a sharp bound is tried, but seldom."""
-    result = solve(grid(30, 1e-4, level=9.0)[0], "pgs", tolerance_on="error", tolerance=1e-6)
-    assert result.status is Status.SOLVED
-    assert 1 <= sum(sharp for sharp, _ in bounds_asked) <= 6
-
-
-def test_an_exact_zero_is_proved() -> None:
-    """Where z = 0 solves the problem without any residual, the error is 0 and tolerance_on="error" says so."""
-    problem = LCP([[1.3, -6.3], [6.3, 1.8]], [1.3, 0.0], lower=[0.0, -np.inf])
-    assert error_bound(problem, [0.0, 0.0]).relative == 0.0
-    assert solve(problem, tolerance_on="error").status is Status.SOLVED
-
-
-def test_texts_speak_of_what_was_asked() -> None:
-    """Under tolerance_on="error" no text says that the residual is above the tolerance."""
-    result = solve(grid(8, 1.0)[0], "pgs", tolerance_on="error", tolerance=0.0)
-    assert result.status in (Status.PRECISION_LIMIT, Status.STALLED)
-    assert result.certificate.relative_residual < 1e-14
-    with pytest.raises(NotConverged, match="the error is not proved to be within the tolerance"):
-        result.require_solved()
-    assert "residual is above" not in result.explain()
 
 
 def test_what_nobody_asked_for_is_not_computed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -811,16 +669,6 @@ def test_what_nobody_asked_for_is_not_computed(monkeypatch: pytest.MonkeyPatch) 
     )
     assert (
         solve(EXAMPLE.problem).guarantee.theorem == convergence_guarantee(EXAMPLE.problem).theorem
-    )
-
-
-def test_bounds_are_recorded_along_the_run() -> None:
-    """record=True with error_bound=True gives every sample a bound that holds."""
-    result = solve(EXAMPLE.problem, "npgs", record=True, error_bound=True)
-    assert all(sample.error_bound is not None for sample in result.history)
-    assert result.history[-1].error_bound < 1e-6 < result.history[0].error_bound
-    assert all(
-        sample.error_bound is None for sample in solve(EXAMPLE.problem, "npgs", record=True).history
     )
 
 

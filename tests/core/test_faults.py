@@ -170,7 +170,7 @@ def test_ctrl_c_while_numpy_changes_its_settings(monkeypatch: pytest.MonkeyPatch
         np.seterr(over="raise", invalid="ignore")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lcp_plugin.core.solving.driver.CommonScaling.of", at_once)
+    monkeypatch.setattr("lcp_plugin.core.solving.driver.Run", at_once)
     with pytest.raises(KeyboardInterrupt):
         solve(TOTAL)
     assert np.geterr() == before
@@ -194,7 +194,7 @@ def test_a_method_of_the_chain_that_breaks_is_replaced(
         while True:
             yield Step(np.full(problem.n, fault))
 
-    problem = gallery.build("obstacle_2d", size=6).problem
+    problem = gallery.build("random_h_plus", n=400).problem
     monkeypatch.setattr(NPSOR, "iterates", broken)
     result = solve(problem)
     assert result.status is Status.SOLVED

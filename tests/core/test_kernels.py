@@ -16,7 +16,6 @@ from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate, gallery
 from lcp_plugin.algorithms import REGISTRY, create
-from lcp_plugin.core.certificates.criterion import CommonScaling
 from lcp_plugin.core.kernels import splitting_sweeps as kernels
 
 WIDTHS = [np.int32, np.int64]
@@ -266,7 +265,7 @@ def test_packing_puts_vectors_side_by_side(count: int, n: int) -> None:
 )
 def test_residuals_of_steps_are_the_certificate_s(name: str, text: str) -> None:
     """Where a step brings residuals along, they are those of the certificate of its z, at every step."""
-    problem = CommonScaling.of(gallery.parse(text).problem).problem  # what a run works on
+    problem = gallery.parse(text).problem
     steps = create(name, {}).iterates(problem, np.ones(problem.n))
     for step in islice(steps, 8):
         certificate = Certificate.of(problem, step.z)

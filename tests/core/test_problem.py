@@ -687,7 +687,6 @@ def test_a_problem_shows_what_its_users_want() -> None:
         "origin",
         "csr",
         "matrix",
-        "criterion",
     }
     assert shown[1] == {
         "P",

@@ -13,12 +13,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from lcp_plugin import LCP, InvalidOption, NonlinearProblem, gallery, prepare, solve
 from lcp_plugin.algorithms import NPGS
-from lcp_plugin.core.certificates import row_residuals
-from lcp_plugin.core.certificates.row_residuals import residual_ends_of
 from lcp_plugin.core.kernels.threads import share, threads_for, threads_now
 from lcp_plugin.core.settings import checked_threads
 from lcp_plugin.problems.many.chunks import in_chunks
@@ -302,21 +299,3 @@ def test_the_number_of_threads_changes_no_bit(
             )
         )
     assert told.count(told[0]) == 4
-
-
-@pytest.mark.parametrize("name", ["dense", "sparse"])
-def test_enclosed_residuals_are_the_same_in_pieces(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Rows of a dense and of a sparse M, cut anywhere, have the bounds that they have together."""
-    rng = np.random.default_rng(0)
-    M: Any = rng.normal(size=(61, 61))
-    problem = LCP(M, rng.normal(size=61), upper=1.0)
-    z, scale = rng.random(61), problem.residual_scale
-    M = M if name == "dense" else sp.csr_array(M)
-    whole = residual_ends_of(M, z, problem, z, scale)
-    monkeypatch.setattr(row_residuals, "FEWEST", 7)
-    for threads in (2, 3, 8):
-        with threads_for(threads):
-            in_pieces = residual_ends_of(M, z, problem, z, scale)
-        assert [ends.tobytes() for ends in in_pieces] == [ends.tobytes() for ends in whole]

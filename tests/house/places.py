@@ -37,7 +37,6 @@ MEASURED = re.compile(
 NAMED = {
     "bring M, q to one scale": (
         "scaling_of",
-        "CommonScaling",
         "equilibrated",
         "equilibrating_exponents",
         "scaling_exponents",
@@ -175,7 +174,6 @@ ANOTHER_JOB = {  # looked at by eye
     "core/policy/stages.py: Stage.steps_to_go": "a prediction",
     "core/solving/advice.py: advice_of_run": "words",
     "core/solving/run.py: Run.ended": "whether the start is given back",
-    "methods/small/kernels/small_problems.py: enclosed": "whether an enclosure is worth its work",
     "problems/equilibria/equilibrium_program.py: EquilibriumProgram.distances": "distances of pairs",
     "problems/least_squares/certificate.py: _relative_gap": "whether a nearer dual point is worth its work",
     "problems/nonlinear/josephy_newton.py: _NewtonRun._progress": "the goal of a linear problem inside",

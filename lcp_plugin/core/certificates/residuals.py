@@ -1,4 +1,4 @@
-"""How wrong a z is: a function of the caller's (M, q, lower, upper) and z, and of nothing else."""
+"""How wrong a z is: a function of the user's (M, q, lower, upper) and z, and of nothing else."""
 
 from __future__ import annotations
 
@@ -16,55 +16,52 @@ from ..matrix.structure import connected_components
 from ..problem_classes import refusal
 from ..rounding import gamma
 from .criterion import (
-    RowScaling,
+    POWER,
+    Rows,
     VectorEnds,
     for_each_row,
-    hold_at_zero,
     largest_of_components,
     references_of_components,
-    within,
+    row_data,
+    rows_near_start,
+    sharp_residual_ends,
 )
-from .own_terms import term_residuals
 from .row_residuals import (
     at_rounding_level,
     euclidean_norm,
     largest_ratio,
-    magnitude,
     over,
-    residual_ends_of,
     rounding_floor,
     scaled_residual,
-    sharp_residual_ends,
 )
 
 if TYPE_CHECKING:
     from ..settings import Settings
 
 GAINED = 1e-2  # of the reference
-SMALL = 1e-9  # a smaller tolerance is meant of the complementarity problem that a program was made into, too
+DECIDED = 1e-12  # of the reference: rounding bounds below it may be plain
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """How far z is from solving the problem, measured on the problem's data and z alone.
 
-    The relative, natural and euclidean residuals are proved: upper bounds of the exact ones, sharp but for some ulps.
-    The others are measured in double precision.
+    The relative, natural and euclidean residuals are upper bounds of the exact ones: rounding errors are included. The
+    other numbers are measured in double precision.
 
     Attributes
     ----------
     problem : LCP
-        The problem that z was judged on.
+        The problem on which z was measured.
     z, w : ndarray, shape (n,)
         The point and its slack M z + q in double precision.
     scaled_residual : float
-        ‖r(z)‖∞ of the worst component, in the caller's unit of z, measured.
+        ‖r(z)‖∞ of the worst component, in the user's unit of z, measured.
     relative_residual : float
-        The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all connected components P of the graph of M, with
-        r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i) and z° the point of [lower, upper] nearest to 0, in the scaling
-        that M needs (:mod:`lcp_plugin.core.certificates.criterion`).
+        The largest ‖r_P(z)‖∞ / ref_P of all connected components P of the graph of M
+        (:mod:`lcp_plugin.core.certificates.criterion`).
     term_residual : float
-        How wrong the worst row is beside its own terms (:mod:`lcp_plugin.core.certificates.own_terms`).
+        The least tolerance at which every row passes the componentwise test there.
     natural_residual : float
         ‖z − mid(lower, upper, z − w)‖∞, unscaled; the number other solvers print.
     euclidean_residual : float
@@ -74,14 +71,13 @@ class Certificate:
     complementarity : float
         max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
     worst_index : int
-        The row of the largest residual relative to the ‖r_P(z°)‖∞ of its component: it names the worst one; −1 for an
-        empty problem.
+        The row of the largest residual relative to the reference of its component; −1 for an empty problem.
 
     Examples
     --------
     >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
-    >>> Certificate.of(problem, [2.5, 0]).relative_residual
-    0.0
+    >>> Certificate.of(problem, [2.5, 0]).relative_residual < 1e-14
+    True
     >>> Certificate.of(problem, [2.5, 0.5]).worst_index
     1
     """
@@ -102,7 +98,7 @@ class Certificate:
         Raises
         ------
         InvalidProblem
-            Where z is no real vector of length n. NaN and infinities are measured, not refused.
+            If z is not a real vector of length n. NaN and infinities are measured, not refused.
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(refusal("Certificate.of", problem))
@@ -112,157 +108,137 @@ class Certificate:
             z = read_only(z.copy())
         return cls(problem, z)
 
-    @classmethod
-    def enclosed(
-        cls, problem: LCP, z: FloatVector, relative_residual: float, term_residual: float
-    ) -> Certificate:
-        """Return the certificate of a z, shape (n,), whose residuals a kernel has measured in the same way.
-
-        Of a problem whose matrix needs no scaling: kernels know of none.
-        """
-        certificate = cls(problem, read_only(z))
-        certificate.__dict__.update(
-            relative_residual=relative_residual, term_residual=term_residual, _scaling=None
-        )
-        return certificate
+    @cached_property
+    def _rows(self) -> Rows:
+        with np.errstate(all="ignore"):
+            return row_data(self.problem).rows(self.z)
 
     @cached_property
     def w(self) -> FloatVector:
         """The slack M z + q in double precision, shape (n,), read-only."""
-        with np.errstate(all="ignore"):
-            w: FloatVector = self.problem.matrix.array @ self.z
-            w += self.problem.q
-        return read_only(w)
+        return read_only(self._rows.w)
 
-    def _largest(self, values: FloatVector) -> float:
-        """Return the largest of all rows' values."""
-        return _largest(values)
+    @cached_property
+    def _terms(self) -> FloatVector:
+        """|M||z| + |q|."""
+        return self._rows.terms
 
     @cached_property
     def _worst(self) -> tuple[float, int]:
-        """The residual that is the largest beside the reference of its component, and its row."""
+        """The residual that is the largest relative to the reference of its component, and its row."""
         several = connected_components(self.problem.matrix)
         with np.errstate(all="ignore"):
-            residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
-            relative = self._scaled(residual)
-            if (
-                several is not None
-            ):  # as the relative residual is proved: its component is the one that is named
+            residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
+            if several is not None:  # the component is that of the relative residual
                 relative = over(self._proved_rows, self.references[0][several.labels])
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
-        if not relative.size:
-            return 0.0, -1
-        return float(residual[worst] if self._scaling is None else residual.max()), worst
+        return (float(residual[worst]), worst) if relative.size else (0.0, -1)
 
     @property
     def worst_index(self) -> int:
-        """The row of the largest residual beside the reference of its component; −1 for an empty problem."""
+        """The row of the largest residual relative to the reference of its component; −1 for an empty problem."""
         return self._worst[1]
 
     @property
     def scaled_residual(self) -> float:
-        """‖r(z)‖∞ of the worst component, of all in mixed units, in the unit of z, as measured in double precision."""
+        """‖r(z)‖∞ of the worst component, in the unit of z, as measured in double precision."""
         return self._worst[0]
 
     @cached_property
     def relative_residual(self) -> float:
-        """The largest ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ of all components, rounded upwards; 0 for 0/0."""
+        """The largest ‖r_P(z)‖∞ / ref_P of all components, rounded upwards; 0 for 0/0."""
         if np.isinf(self.references[1]).any():
             return np.nan
         return largest_ratio(*self.residuals_of_components)
 
     @cached_property
-    def term_residual(self) -> float:
-        """How wrong the worst row is in its own terms."""
-        return self._largest(self.term_residuals)
-
-    @cached_property
     def term_residuals(self) -> FloatVector:
-        """How wrong each row is in its own terms, shape (n,)."""
-        return term_residuals(self.problem, self.z, self.w)
+        """The least tolerance at which each row passes the componentwise test, shape (n,)."""
+        with np.errstate(all="ignore"):
+            return row_data(self.problem).term_residuals(self.z, self._rows)
 
-    def term_above(self, small: float) -> float:
-        """Return the term residual without the rows whose own residual is at most `small`, in the unit of z."""
-        if not small:
-            return self.term_residual
-        return self._largest(np.where(self._scaled_ends[1] > small, self.term_residuals, 0.0))
+    @property
+    def term_residual(self) -> float:
+        """The least tolerance at which every row passes the componentwise test."""
+        return _largest(self.term_residuals)
 
-    def meets(self, settings: Settings, answered: BoolVector | None = None) -> bool:
-        """Return whether z is SOLVED as settings ask for it; the `answered` rows, shape (own,), do not count."""
+    def meets(
+        self, settings: Settings, answered: BoolVector | None = None, *, power: float = POWER
+    ) -> bool:
+        """Return whether z passes both tests of the criterion.
+
+        Parameters
+        ----------
+        settings : Settings
+        answered : array of bool, shape (n,), optional
+            Rows that do not count.
+        power : float
+            Of the tolerance, next to the terms of a row.
+        """
         goal, least = settings.goal, settings.least_reference
-        return bool(
-            within(self.relative_above(least, answered), self.term_above(goal * least), goal)
-        )
-
-    def answers_program(self, settings: Settings) -> bool | None:
-        """Return whether z answers the program that the problem was made from, as that says; None without one."""
-        criterion = self.problem.criterion
-        if criterion is None or settings.is_on_error or settings.absolute_tolerance:
-            return None
-        return criterion.is_answered(self.z, settings.tolerance)
-
-    def ends_a_run(self, settings: Settings, answered: BoolVector | None = None) -> bool:
-        """Return whether z is SOLVED, and no program left without an answer."""
-        return self.meets(settings, answered) and self.answers_program(settings) is not False
-
-    def is_solved(self, settings: Settings) -> bool:
-        """Return whether z is SOLVED; where the problem was made from a program, as that says."""
-        answers = self.answers_program(settings)
-        if answers is None or (answers and settings.tolerance < SMALL):
-            return self.meets(settings)
-        return answers
+        of_rows = self.term_residuals ** (POWER / power)
+        if least:  # rows within the absolute tolerance
+            of_rows = np.where(self._scaled_ends[1] > goal * least, of_rows, 0.0)
+        if not _largest(of_rows) <= goal:
+            return False
+        if not self.relative_above(least, answered) <= goal and self._may_be_sharpened:
+            known = self.__dict__
+            known["_scaled_ends"] = sharp_residual_ends(self.problem, self.z)
+            known["_may_be_sharpened"] = False
+            for name in ("relative_residual", "_proved_rows"):
+                known.pop(name, None)
+        return self.relative_above(least, answered) <= goal
 
     @cached_property
-    def _terms(self) -> FloatVector:
-        """|M||z| + |q|."""
-        return magnitude(self.problem, self.z)
+    def _may_be_sharpened(self) -> bool:
+        """Whether the rounding bound of one plain pass leaves the residual open: compensated sums are sharper."""
+        low, high = self._scaled_ends
+        return not self.is_linearised and bool((low < 0.99 * high).any())
 
     @property
     def residuals_of_components(self) -> VectorEnds:
-        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ‖r_P(z°)‖∞, shape (components,) each."""
+        """Upper bounds of ‖r_P(z)‖∞ and lower ones of ref_P, shape (components,) each."""
         return largest_of_components(self.problem, self._proved_rows), self.references[0]
 
-    @property
+    @cached_property
     def _proved_rows(self) -> FloatVector:
-        """An upper bound of every |r_i|, sharp in components that z° solves: there only what is exactly 0 will do."""
-        ends, least = self._scaled(self._scaled_ends[1]), self.references[0]
-        several = connected_components(self.problem.matrix)
-        of_rows = least if several is None else least[several.labels]
+        """An upper bound of every |r_i|, sharp in components that z° solves: there only an exact 0 passes."""
+        ends, of_rows = self._scaled_ends[1], for_each_row(self.problem, self.references[0])
         is_exact = (of_rows == 0.0) & (ends > 0.0) & (ends < np.inf)
-        if not is_exact.any():
-            return ends
-        return np.where(is_exact, self._scaled(self._sharp_ends()), ends)
+        return np.where(is_exact, self._sharp_ends(), ends) if is_exact.any() else ends
 
     def _sharp_ends(self) -> FloatVector:
-        return sharp_residual_ends(self.problem, self.z, self._scale)[1]
-
-    @cached_property
-    def _scaling(self) -> RowScaling | None:
-        """The scaling of the criterion; None where they are the caller's."""
-        return RowScaling.of(self.problem)
+        return sharp_residual_ends(self.problem, self.z)[1]
 
     @property
     def _scale(self) -> FloatVector:
-        """What w is divided by in the residual that SOLVED speaks of."""
-        return self.problem.residual_scale if self._scaling is None else self._scaling.scale
-
-    def _scaled(self, residuals: FloatVector) -> FloatVector:
-        """Return upper bounds of |r| in the scaling of the criterion."""
-        return residuals if self._scaling is None else self._scaling.upwards(residuals)
-
-    @property
-    def references(self) -> VectorEnds:
-        """Bounds of ‖r_P(z°)‖∞ of each component, shape (components,) each."""
-        return references_of_components(self.problem)
+        """The divisor of w in the residual."""
+        return self.problem.residual_scale
 
     @cached_property
-    def _scaled_ends(self) -> tuple[FloatVector, FloatVector]:
+    def references(self) -> VectorEnds:
+        """Bounds of ref_P of each component, shape (components,) each."""
+        least, most = references_of_components(self.problem)
+        with np.errstate(all="ignore"):
+            of_rows = row_data(self.problem).acting_reference(self.z, self._rows)
+        limit = largest_of_components(self.problem, of_rows)
+        return np.minimum(least, limit), np.minimum(most, limit)
+
+    @cached_property
+    def _scaled_ends(self) -> VectorEnds:
         """Bounds of every |r_i|."""
         return self._ends(self._scale)
 
-    def _ends(self, scale: FloatVector) -> tuple[FloatVector, FloatVector]:
-        problem = self.problem
-        return residual_ends_of(problem.matrix.array, self.z, problem, self.z, scale)
+    def _ends(self, scale: FloatVector) -> VectorEnds:
+        with np.errstate(all="ignore"):
+            at = self._rows
+            low, high = row_data(self.problem).residual_ends(self.z, at.w, at.slip, scale)
+            if scale is self._scale:
+                of_rows = for_each_row(self.problem, self.references[0])
+                is_open = (high > DECIDED * of_rows) & (low < 0.99 * high) & (high < np.inf)
+                if is_open.any():  # rounding counts: compensated sums are sharper
+                    return sharp_residual_ends(self.problem, self.z)
+        return low, high
 
     @cached_property
     def _natural(self) -> FloatVector:
@@ -272,13 +248,15 @@ class Certificate:
     @cached_property
     def natural_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖∞."""
-        return self._largest(self._natural)
+        return _largest(self._natural)
 
     @cached_property
     def euclidean_residual(self) -> float:
         """‖z − mid(lower, upper, z − w)‖₂, rounded upwards, without overflow."""
-        terms, norm = self.problem.n + 8, euclidean_norm(self._natural)
-        return float(np.nextafter(norm * (1.0 + gamma(terms)), np.inf)) if norm else norm
+        norm = euclidean_norm(self._natural)
+        return (
+            float(np.nextafter(norm * (1.0 + gamma(self.problem.n + 8)), np.inf)) if norm else 0.0
+        )
 
     @cached_property
     def bound_violation(self) -> float:
@@ -286,23 +264,17 @@ class Certificate:
         problem = self.problem
         with np.errstate(all="ignore"):
             outside = np.maximum(problem.lower - self.z, self.z - problem.upper)
-        return self._largest(np.maximum(outside, 0.0))
+        return _largest(np.maximum(outside, 0.0))
 
     @cached_property
-    def _products(self) -> FloatVector:
-        """The larger of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds, shape (n,)."""
+    def complementarity(self) -> float:
+        """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
         problem = self.problem
         with np.errstate(all="ignore"):
             above = np.where(np.isfinite(problem.lower), self.z - problem.lower, 0.0)
             below = np.where(np.isfinite(problem.upper), problem.upper - self.z, 0.0)
             larger = np.maximum(above * np.maximum(self.w, 0.0), below * np.maximum(-self.w, 0.0))
-            products: FloatVector = np.abs(larger)
-            return products
-
-    @cached_property
-    def complementarity(self) -> float:
-        """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
-        return self._largest(self._products)
+            return _largest(np.abs(larger))
 
     @cached_property
     def rounding_floor(self) -> FloatVector:
@@ -314,35 +286,34 @@ class Certificate:
 
     @cached_property
     def is_at_rounding_level(self) -> bool:
-        """True where no row's residual exceeds four times its rounding floor."""
-        is_low = at_rounding_level(self._scaled_ends[1], self.rounding_floor)
-        return bool(is_low.all())
+        """True if no row's residual exceeds four times its rounding floor."""
+        residual = self._scaled_ends[1]
+        if not self.is_linearised:
+            with np.errstate(all="ignore"):
+                residual = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
+        return bool(at_rounding_level(residual, self.rounding_floor).all())
 
     @cached_property
     def is_limited_by_rounding(self) -> bool:
-        """True at that level, where the residual is small, or in its component z° is a solution up to rounding.
+        """True at that level, if the residual is small, or in its component z° is a solution up to rounding.
 
         Rounding as large as the problem itself is no limit reached, but data or a z out of all proportion.
         """
         if not self.is_at_rounding_level:
             return False
-        is_large = ~(over(*self.residuals_of_components) <= GAINED)
-        if not is_large.any():
-            return True
-        return not (is_large & ~hold_at_zero(self.problem)).any()
+        is_large = for_each_row(self.problem, ~(over(*self.residuals_of_components) <= GAINED))
+        return not (is_large & ~rows_near_start(self.problem)).any()
 
     def relative_above(self, least: float, answered: BoolVector | None = None) -> float:
-        """Return the relative residual with no reference taken for less than `least`, in the caller's unit of z.
+        """Return the relative residual with no reference taken for less than `least`, in the unit of z.
 
-        The `answered` rows, shape (own,), do not count.
+        The `answered` rows, shape (n,), do not count.
         """
         if not least and answered is None:
             return self.relative_residual
         rows = self._proved_rows if answered is None else np.where(answered, 0.0, self._proved_rows)
-        floors = np.full(self.z.size, least)
-        floors = floors if self._scaling is None else self._scaling.downwards(floors)
-        references = np.maximum(for_each_row(self.problem, self.references[0]), floors)
-        return largest_ratio(rows, references)
+        references = np.maximum(for_each_row(self.problem, self.references[0]), least)
+        return largest_ratio(rows, np.broadcast_to(references, rows.shape))
 
     def __str__(self) -> str:
         lines = [

@@ -6,18 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..checks import BoolVector, FloatVector
 from ..kernels.floats import EPSILON, TINY
-from ..kernels.threads import share
 from ..lcp import LCP
+from ..matrix.matrix import Matrix, fact
 from ..matrix.row_sums import row_blocks
-from ..rounding import compensated_product, lower_end, read_only_views, upper_end
-
-FEWEST = (
-    2**13
-)  # rows a thread: on five-point rows some 0.15 ms, several times what a hand-over takes
 
 
 def scaled_residual(
@@ -39,6 +33,19 @@ def scaled_residual(
     return residual
 
 
+@fact
+def row_counts(matrix: Matrix) -> Any:
+    """Return the number of entries of each row, shape (n,), or n of a dense M."""
+    return matrix.n if matrix.is_dense else np.diff(matrix.csr.indptr)
+
+
+def magnitude(problem: LCP, z: FloatVector) -> FloatVector:
+    """Return |M||z| + |q|, shape (n,)."""
+    with np.errstate(all="ignore"):
+        sizes: FloatVector = abs(problem.matrix.array) @ np.abs(z) + np.abs(problem.q)
+    return sizes
+
+
 def measured_residual(problem: LCP, z: FloatVector) -> float:
     """Return ‖r(z)‖∞ as double precision gives it."""
     with np.errstate(all="ignore"):
@@ -46,103 +53,17 @@ def measured_residual(problem: LCP, z: FloatVector) -> float:
         return float(np.abs(residual, out=residual).max(initial=0.0))
 
 
-def residual_ends_of(
-    M: Any,
-    x: FloatVector,
-    rows: LCP,
-    z: FloatVector,
-    scale: FloatVector,
-    *,
-    q: FloatVector | None = None,
-) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of every |z_i − mid(lower_i, upper_i, z_i − w_i/scale_i)|, w = M x + q: 0 and ∞ for no number.
-
-    Parameters
-    ----------
-    M : array or CSR array, shape (m, n)
-        Not looked at where x is 0.
-    x : array, shape (n,)
-        z, and whatever else the rows need.
-    rows : LCP
-        Its q, lower and upper, each of shape (m,).
-    z, scale : arrays, shape (m,)
-    q : array, shape (m,), optional
-        Instead of that of the rows.
-
-    Returns
-    -------
-    smallest, largest : arrays, shape (m,)
-    """
-    from ..kernels.enclosures import residual_ends  # numba, which `import lcp_plugin` must not load
-
-    smallest, largest = np.empty(z.size), np.empty(z.size)
-    if not x.any():  # as z° is, most often
-        indptr, indices, data, stride = (
-            np.zeros(z.size + 1, np.int32),
-            np.empty(0, np.int32),
-            np.empty(0),
-            0,
-        )
-    elif sp.issparse(M):
-        indptr, indices, data, stride = M.indptr, M.indices, M.data, 0
-    else:
-        m, stride = M.shape
-        indptr, indices = (
-            np.arange(m + 1, dtype=np.int32) * np.int32(stride),
-            np.arange(stride, dtype=np.int32),
-        )
-        data = np.ascontiguousarray(M).reshape(-1)
-    vectors = rows.q if q is None else q, z, rows.lower, rows.upper, scale
-
-    def enclose(first: int, end: int) -> None:
-        begin = (
-            first * stride
-        )  # in a dense M, whose columns stand there once; places in a sparse one stay
-        starts, entries = (
-            (indptr[: end - first + 1], data[begin:]) if stride else (indptr[first : end + 1], data)
-        )
-        arrays = read_only_views(
-            starts, indices, entries, x, *(vector[first:end] for vector in vectors)
-        )
-        residual_ends(*arrays[:3], stride, *arrays[3:], smallest[first:end], largest[first:end])
-
-    share(enclose, z.size, FEWEST)
-    return smallest, largest
-
-
-def sharp_residual_ends(
-    problem: LCP, z: FloatVector, scale: FloatVector
-) -> tuple[FloatVector, FloatVector]:
-    """Return bounds of every |r_i(z)| for a few times the price: both 0 where w is known to be exactly 0."""
-    matrix = problem.matrix
-    value, radius = compensated_product(matrix.csr, z, problem.q)
-    low, high = lower_end(value, radius), upper_end(value, radius)
-    below, above = (
-        residual_ends_of(None, np.zeros(1), problem, z, scale, q=w) for w in (low, high)
-    )
-    smallest = np.where((low < 0.0) & (high > 0.0), 0.0, np.minimum(below[0], above[0]))
-    return smallest, np.maximum(below[1], above[1])
-
-
-def magnitude(problem: LCP, whole: FloatVector) -> FloatVector:
-    """Return |M||z| + |q|, shape (n,), at z."""
-    absolute: Any = abs(problem.matrix.array)
-    with np.errstate(all="ignore"):
-        sizes: FloatVector = absolute @ np.abs(whole) + np.abs(problem.q)
-    return sizes
-
-
 def rounding_floor(problem: LCP, magnitude: FloatVector, scale: FloatVector) -> FloatVector:
     """Return what rounding alone can make of each residual, k_i ε (|M||z| + |q|)_i / d_i, k_i = nonzeros of row i + 2.
 
     Parameters
     ----------
-    magnitude : array, shape (n,)
+    magnitude : array, shape (own,)
         |M||z| + |q|.
-    scale : array, shape (n,)
+    scale : array, shape (own,)
         d.
     """
-    terms = np.diff(problem.matrix.csr.indptr) + 2
+    terms = row_counts(problem.matrix) + 2
     with np.errstate(all="ignore"):
         floor: FloatVector = terms * (EPSILON * magnitude + TINY) / scale
     return floor

@@ -1,4 +1,4 @@
-"""Compiled sums of rows, and residuals, with proved bounds of what rounding did to them; they know arrays only.
+"""Compiled sums of rows with proved bounds of what rounding did to them; they know arrays only.
 
 `rounding` says how; here is how it becomes fast: a product is split by one fused multiply–add, loops have no branches,
 and no sum meets a subnormal number where none was given.
@@ -28,7 +28,6 @@ from .rows import clamp
 
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 ROUNDINGS = 2.0**-50  # of a few operations
-ROWS_AT_ONCE = 1024
 
 
 def fused(a: Any, b: Any, c: Any) -> Any:
@@ -73,21 +72,6 @@ def split_sum(a, b):  # type: ignore[no-untyped-def]
     s = a + b
     t = s - a
     return s, (a - (s - t)) + (b - t)
-
-
-@inlined
-def with_term(total, errors, size, h, a, b):  # type: ignore[no-untyped-def]
-    """Return a sum with the rounded product h = fl(a b) in it, the errors so far added up, and their magnitudes."""
-    e = fused(a, b, -h)
-    total, f = split_sum(total, h)
-    return total, errors + (e + f), size + (abs(e) + abs(f))
-
-
-@inlined
-def of_terms(total, errors, size, terms):  # type: ignore[no-untyped-def]
-    """Return such a sum of so many terms, and how far it may be off: γ₂ₖ times the magnitudes, and what was left."""
-    high, low = split_sum(total, errors)
-    return high, abs(low) + size * (4.0 * terms + 8.0) * UNIT
 
 
 @helper
@@ -173,35 +157,3 @@ def row_ends(slack, slip, scale, z, lower, upper):  # type: ignore[no-untyped-de
     wider = ROUNDINGS if is_rounded else 0.0
     least = least * (1.0 - wider) if is_finite & (least > 0.0) else 0.0
     return least, abs(most) * (1.0 + wider) if is_finite else np.inf  # no −0
-
-
-@kernel
-def residual_ends(  # type: ignore[no-untyped-def]
-    indptr, indices, data, stride, x, q, z, lower, upper, scale, smallest, largest
-):
-    """Write bounds of every |r_i|, r_i = mid(z_i − upper_i, z_i − lower_i, w_i / scale_i), w = M x + q.
-
-    The rounded terms of w are summed, and beside them their rounding errors; what that second sum of 2k terms loses
-    is at most γ₂ₖ times their magnitudes. Where a row is not finite the bounds are 0 and ∞. The columns of a dense M
-    come once, for all rows, with a stride of a row's length; a sparse M has the stride 0. Rows are taken in blocks,
-    so that the second loop, which has no branches, runs on several at a time.
-    """
-    one, rows = unsigned(1), unsigned(z.size)
-    for begin in range(unsigned(0), rows, unsigned(ROWS_AT_ONCE)):
-        here = min(unsigned(ROWS_AT_ONCE), rows - begin)
-        for i in range(begin, begin + here):
-            first, end = unsigned(indptr[i]), unsigned(indptr[i + one])
-            shift = i * unsigned(stride)
-            total, errors, size, is_small = q[i], 0.0, 0.0, False
-            for k in range(first, end):
-                a, b = data[k], x[unsigned(indices[k - shift])]
-                h = a * b
-                is_small |= (abs(h) < MAY_UNDERFLOW) & (b != 0.0)
-                total, errors, size = with_term(total, errors, size, h, a, b)
-            largest[i], smallest[i] = of_terms(total, errors, size, end - first)
-            if is_small:
-                smallest[i] += _underflow(indices, data, x, first, end, shift)
-        for i in range(begin, begin + here):
-            smallest[i], largest[i] = row_ends(
-                largest[i], smallest[i], scale[i], z[i], lower[i], upper[i]
-            )

@@ -112,6 +112,8 @@ class Stage:
 
     def is_steady(self) -> bool:
         """Return whether the last two contractions of the residual agree."""
+        if len(self.residuals) < 3:
+            return False
         (_, first), (_, second), (_, third) = self.residuals[-3:]
         if not min(first, second, third) > 0.0:
             return False

@@ -5,21 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from enum import Enum
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ..algorithm import Algorithm, Step
-from ..certificates.criterion import CommonScaling, measured_scaled_residual, rounding_of_data
+from ..certificates.criterion import (
+    POWER,
+    for_each_row,
+    references_of_components,
+    rounding_of_data,
+    rows_solved_at_start,
+    snapped,
+)
 from ..certificates.residuals import GAINED, Certificate
-from ..certificates.row_residuals import measured_residual, ratio
-from ..checks import FloatVector
+from ..certificates.row_residuals import measured_residual, over, ratio, scaled_residual
+from ..checks import BoolVector, FloatVector
 from ..kernels.floats import DATA_ROUNDING
+from ..lcp import LCP
 from ..settings import Settings, Status
-from .result import BoundOrReason
+from .result import BoundOrReason, bound_or_reason
 
 ASKED_AGAIN = 5  # after a fifth of the steps up to now
+ALIKE = 1.0 + 1e-9  # references so near are one
 
 
 class End(Enum):
@@ -46,100 +56,120 @@ STATUS_OF = {
 
 
 class Judge:
-    """Measures, certifies and names the end of a run on the caller's own data; this one judges an LCP.
+    """Measures, certifies and names the end of a run on the user's own data; this one judges an LCP.
 
-    Every z that it is given is in the scaling of the run; what it gives back is the caller's. A problem of another
-    kind brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run` asks: at each step
-    `residual_of` (what the algorithm says), `measure`, `certified` and `meets_tolerance`; where nothing falls
-    `is_at_floor`; of a proof `accept_proof` and `misses_by_rounding`; at the end `final`,
-    whose certificate `verdict` names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the Result of an
-    LCP of them.
+    A problem of another class brings a judge of its own, which answers what :class:`~lcp_plugin.core.solving.run.Run`
+    asks: at each step `residual_of` (the residual that the algorithm knows), `measure`, `certified` and
+    `meets_tolerance`; if nothing falls `is_at_floor`; of a proof `accept_proof` and `misses_by_rounding`; at the end
+    `final`, whose certificate `verdict` names the status of. ``Run.ended`` returns both, ``Run.judged`` makes the
+    Result of an LCP of them.
 
     Attributes
     ----------
     problem : LCP
-        The caller's.
+        The user's.
     asked : LCP or NonlinearProblem
-        What the caller wants to have solved; of a nonlinear problem, `problem` is the linearisation at the start.
+        The problem to be solved; of a nonlinear problem, `problem` is the linearization at the start.
     reference : float
-        What the residuals of the run are relative to, in its units; where it is 0, z° solves the problem.
+        Divides the residuals of the algorithms; if it is 0, z° solves the problem.
+    answered : array of bool, shape (n,), or None
+        Rows of components that z° solves.
     proof : object or None
         Of the proofs that the problem has no solution, the one with the largest margin.
     words : mapping from Status to str
-        What a status means, where another meaning than its own is right; the run says in addition what to do.
-    advice : mapping from Status to str
-        The whole of what is said of a status.
+        Meaning of a status, if another than its own is right; the run adds what to do.
     """
 
     words: Mapping[Status, str] = MappingProxyType({})
-    advice: Mapping[Status, str] = MappingProxyType({})
+    answered: BoolVector | None = None
+    _is_uniform = True  # all rows have one reference
     _asked_at, _ask_again = math.inf, 0  # residual and iteration
 
-    def __init__(self, scaling: CommonScaling, settings: Settings) -> None:
-        self.scaling, self.problem, self.settings = scaling, scaling.stated, settings
-        self.asked: Any = self.problem
-        self.reference = scaling.reference
+    def __init__(self, problem: LCP, settings: Settings) -> None:
+        self.asked: Any = problem
+        self.problem, self.settings = problem, settings
+        answered = rows_solved_at_start(problem)
+        self.answered = answered if answered.any() else None
+        most = references_of_components(problem)[1]
+        self._references = np.broadcast_to(for_each_row(problem, most), (problem.n,))
+        open_references = self._references[~answered]
+        self.reference = float(open_references.max(initial=0.0))
+        self._is_uniform = self.answered is None and bool(
+            (self.reference <= ALIKE * open_references).all()
+        )
         self.proof: Any = None
-        self._certificate: Certificate | None = None
+        self._certificate: Any = None
 
     def certificate_of(self, z: FloatVector) -> Certificate:
-        """Return the certificate of z on the caller's own data; the latest one is kept."""
-        answer, latest = self.scaling.outward(z), self._certificate
-        if latest is None or not np.array_equal(latest.z, answer):
-            self._certificate = latest = Certificate.of(self.problem, answer)
+        """Return the certificate of z, its entries near bounds moved onto them; the latest one is kept."""
+        if self._certificate is None or not np.array_equal(self._certificate[0], z):
+            self._certificate = z.copy(), Certificate.of(self.problem, snapped(self.problem, z))
+        latest: Certificate = self._certificate[1]
         return latest
 
+    def started(self, start: FloatVector) -> FloatVector:
+        """Return the start with z° in components that it solves: no other point can be measured there."""
+        if self.reference == 0.0:
+            return self.problem.nearest_to_zero
+        if self.answered is None:
+            return start
+        return np.where(self.answered, self.problem.nearest_to_zero, start)
+
     def residual_of(self, step: Step) -> float | None:
-        """Return the relative residual of a step where the algorithm knows it."""
-        return None if step.residual is None else self._relative(step.residual)
+        """Return the relative residual of a step if the algorithm knows it."""
+        if step.residual is None or not self._is_uniform:
+            return None
+        return ratio(step.residual, self.reference)
 
     def measure(self, z: FloatVector) -> float:
-        """Return the relative residual of z as double precision gives it."""
-        return self._relative(measured_residual(self.scaling.problem, z))
-
-    def _relative(self, residual: float) -> float:
-        """Return a residual of the run beside the reference; 0 where z° answers all of them: no step changes that."""
-        if self.reference == 0.0 and self.scaling.answered is not None:
-            return 0.0
-        return ratio(residual, self.reference)
+        """Return the relative residual of z in double precision."""
+        if self._is_uniform:
+            return ratio(measured_residual(self.problem, z), self.reference)
+        with np.errstate(all="ignore"):
+            residual = np.abs(scaled_residual(self.problem, z, self.problem.slack(z)))
+        if self.answered is not None:
+            residual[self.answered] = 0.0
+        return float(over(residual, self._references).max(initial=0.0))
 
     def certified(self, z: FloatVector) -> float:
-        """Return an upper bound of the relative residual of z; no step changes what z° answers."""
+        """Return an upper bound of the relative residual of z, without the components that z° solves."""
         return self._relative_in_open_components(self.certificate_of(z))
 
     def _relative_in_open_components(self, certificate: Certificate) -> float:
-        return certificate.relative_above(self.settings.least_reference, self.scaling.answered)
+        return certificate.relative_above(self.settings.least_reference, self.answered)
+
+    @cached_property
+    def goal(self) -> float:
+        """The relative residual below which a point may pass."""
+        small = float(self._references.min(initial=math.inf, where=self._references > 0.0))
+        return float(max(self.settings.tolerance, self.settings.absolute_tolerance / small))
 
     def may_meet_tolerance(self, residual: float) -> bool:
         """Return whether a relative residual is so small that a certificate is worth its work."""
-        return residual <= self.settings.goal
+        return residual <= self.goal
 
-    def meets_tolerance(self, z: FloatVector, residual: float, iteration: int) -> bool:
-        """Return whether z, of that certified residual, is what was asked for.
+    def meets_tolerance(
+        self, z: FloatVector, residual: float, iteration: int, power: float = POWER
+    ) -> bool:
+        """Return whether z, of that certified residual, passes; not every step is asked about.
 
-        Whether every row is right in its own terms, and whether it answers the program, if there is one, takes longer
-        to tell, and is not asked at every step.
+        `power` is that of the tolerance next to the terms of a row.
         """
         is_asked_in_vain = residual > 0.5 * self._asked_at and iteration < self._ask_again
         if not self.may_meet_tolerance(residual) or is_asked_in_vain:
             return False
-        meets = self.certificate_of(z).ends_a_run(self.settings, self.scaling.answered)
+        meets = self.certificate_of(z).meets(self.settings, self.answered, power=power)
         if not meets:
             self._asked_at, self._ask_again = residual, iteration + 1 + iteration // ASKED_AGAIN
         return meets
 
-    def require_rigorous_bounds(self) -> None:
-        """Raise where the run stops on the error and M allows no rigorous bound of it."""
-
-    def bound_along_the_run(self, z: FloatVector, work: float) -> float | None:
-        """Return a bound of ‖z − z*‖∞ where the caller wants one and M allows it."""
-        return None
-
     def bound_at_the_end(
         self, certificate: Certificate
     ) -> BoundOrReason | Callable[[], BoundOrReason]:
-        """Return the bound of the answer's error where the caller wants one, or how it is computed once looked at."""
-        return BoundOrReason()
+        """Return how the bound of the error is computed, if it was asked for."""
+        if not self.settings.error_bound:
+            return BoundOrReason()
+        return partial(bound_or_reason, self.problem, certificate.z)
 
     def is_at_floor(self, z: FloatVector | None) -> bool:
         """Return whether the residual of z is small and no larger than rounding explains: no step is worth its work."""
@@ -158,36 +188,26 @@ class Judge:
             certificate.natural_residual > in_its_unit
             and certificate.term_residual > self.settings.goal
         ):
-            return False  # small beside a coefficient that need not act
-        return measured_scaled_residual(problem, certificate.z) <= rounding_of_data(problem)
+            return False  # small next to a coefficient that need not act
+        return measured_residual(problem, certificate.z) <= rounding_of_data(problem)
 
     def accept_proof(self, proof: Any) -> bool:
-        """Keep the proof of the largest margin; return whether no z at all could be called solved beside this one.
-
-        It is one in the units of the run; kept is what it says in the caller's. Where the problem is made from a
-        program, that has to be proved infeasible in its own units as well.
-        """
-        settings, scaling = self.settings, self.scaling
-        if (factors := scaling.row_factors) is not None:
-            proof = proof.rescaled(scaling.stated, factors)
+        """Keep the proof of the largest margin; return whether it excludes that any z is SOLVED."""
         if not proof.verify():
             return False
         if self.proof is None or proof.margin > self.proof.margin:
             self.proof = proof
-        criterion = self.problem.criterion
-        if not proof.excludes(
-            settings.tolerance, settings.tolerance_on, settings.absolute_tolerance
-        ):
-            return False
-        return criterion is None or criterion.has_no_solution(settings.tolerance)
+        return bool(proof.excludes(self.settings.tolerance, self.settings.absolute_tolerance))
 
     def final(self, z: FloatVector, end: End, last: Algorithm | None) -> Certificate:
-        """Return the certificate of the answer: z, or z cleaned up by the last algorithm where that is no worse."""
+        """Return the certificate of the answer: z, or z cleaned up by the last algorithm if that is no worse."""
         certificate = self.certificate_of(z)
+        if not (certificate.is_linearised or self.is_solved_by(certificate)):
+            certificate = Certificate.of(self.problem, z)
         is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT)
         if last is None or is_cut_short or not np.isfinite(z).all():
             return certificate
-        finished = last.finish(self.scaling.problem, z)
+        finished = last.finish(self.problem, z)
         return (
             certificate
             if finished is z
@@ -195,36 +215,26 @@ class Judge:
         )
 
     def better_of(self, certificate: Certificate, cleaned: Certificate) -> Certificate:
-        """Return the cleaned one unless its residual is larger or a row wrong, or it answers the program no more."""
+        """Return the cleaned one unless its residual is larger, or a row fails."""
         before, after = (self._relative_in_open_components(one) for one in (certificate, cleaned))
-        meets = [one.meets(self.settings, self.scaling.answered) for one in (certificate, cleaned)]
+        meets = [one.meets(self.settings, self.answered) for one in (certificate, cleaned)]
         is_no_worse = after <= before < math.inf if meets[0] == meets[1] else meets[1]
-        return (
-            cleaned
-            if is_no_worse and cleaned.answers_program(self.settings) is not False
-            else certificate
-        )
+        return cleaned if is_no_worse else certificate
 
     def is_solved_by(self, certificate: Certificate) -> bool:
-        """Return whether the certificate shows what was asked for; a program, if there is one, is answered as well."""
-        return certificate.is_solved(self.settings)
+        """Return whether the certificate passes the criterion."""
+        return certificate.meets(self.settings)
 
     def verdict(self, certificate: Certificate, end: End, *, is_chain: bool) -> Status:
         """Return the status: what the certificate or a proof shows, or else why the run ended.
 
         Where one step of several algorithms diverged, the best z need not have: that is STALLED.
         """
-        if end is End.INTERRUPTED and (ended_by := getattr(self.problem.origin, "ended_by", None)):
-            self.proof = ended_by
-            self.words = {**self.words, ended_by.status: f"the program is {ended_by}"}
-            return ended_by.status  # type: ignore[no-any-return]
         if self.is_solved_by(certificate):
             return Status.SOLVED
         if end is End.NO_SOLUTION:
             return self.proof.status  # type: ignore[no-any-return]
-        if certificate.is_limited_by_rounding or self.misses_by_rounding(
-            self.scaling.inward(certificate.z)
-        ):
+        if certificate.is_limited_by_rounding or self.misses_by_rounding(certificate.z):
             return Status.PRECISION_LIMIT
         return (
             Status.STALLED

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..certificates.residuals import Certificate
 from ..checks import FloatVector, restored
+from ..errors import UnsuitableMatrix
+from ..lcp import LCP
 from ..representation import in_words
 from ..settings import Status
 from .answer import NEXT, Answer
@@ -23,6 +25,16 @@ class BoundOrReason(NamedTuple):
 
     bound: ErrorBound | None = None
     reason: str = ""
+
+
+def bound_or_reason(problem: LCP, z: FloatVector) -> BoundOrReason:
+    """Return a bound of |z − z*|, or the reason why there is none."""
+    from ...proofs.bounds.error_bounds import error_bound
+
+    try:
+        return BoundOrReason(error_bound(problem, z))
+    except UnsuitableMatrix as error:
+        return BoundOrReason(None, str(error))
 
 
 class StageRecord(NamedTuple):
@@ -63,9 +75,6 @@ class Sample:
         The relative one; None in a callback at a step where it was not measured.
     label : str
         The algorithm at work.
-    error_bound : float or None
-        A proved bound of ‖z − z*‖∞, where asked for. Above 100 000 unknowns it is seldom the sharpest there is: a
-        sharp one costs a linear solve, and is computed only once the run has cost as much.
     """
 
     iteration: int
@@ -73,7 +82,6 @@ class Sample:
     seconds: float
     residual: float | None
     label: str = ""
-    error_bound: float | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +100,7 @@ class Result(Answer):
         What ran; for ``auto`` the chain of what it chose.
     iterations, work, seconds, setup_seconds
         Of the whole run; see :class:`Sample` for the units.
-    tolerance, tolerance_on, absolute_tolerance
+    tolerance, absolute_tolerance
         As given to :func:`lcp_plugin.solve`.
     begun : str
         Where the run began, in words, where another than the caller chose that; else empty.
@@ -119,7 +127,6 @@ class Result(Answer):
     history: tuple[Sample, ...] = field(default=(), repr=False)
     stages: tuple[StageRecord, ...] = field(default=(), repr=False)
     infeasibility: Any = field(default=None, repr=False)
-    tolerance_on: str = "residual"
     absolute_tolerance: float = 0.0
     begun: str = ""
     _asked: Any = field(default="auto", repr=False)  # the algorithm, or its name
@@ -210,11 +217,7 @@ class Result(Answer):
             return str(self.infeasibility)
         residual, asked = f"relative residual {self.residual:.3e}", f"tolerance {self.tolerance:g}"
         bound, *proven = str(self.error_bound or "").splitlines() or [""]
-        if self.tolerance_on == "error":
-            known = f"{bound} ({asked})" if bound else f"no bound of the error ({asked})"
-            lines = [known, residual]
-        else:
-            lines = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
+        lines = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
         return "\n".join(["; ".join(lines), *proven])
 
     @property
@@ -222,10 +225,6 @@ class Result(Answer):
         if not self.absolute_tolerance:
             return ""
         return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"
-
-    def to_content(self) -> dict[str, Any]:
-        """Return what :meth:`to_json` writes, as a dictionary."""
-        return {**super().to_content(), "tolerance_on": self.tolerance_on}
 
     def _numbers(self) -> dict[str, float]:
         certificate, bound = self.certificate, self.error_bound

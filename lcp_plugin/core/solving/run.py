@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..algorithm import Step
-from ..certificates.criterion import CommonScaling
+from ..certificates.criterion import POWER
 from ..certificates.residuals import Certificate
 from ..certificates.row_residuals import ratio
 from ..checks import FloatVector, read_only
@@ -36,14 +36,14 @@ DIVERGED_BEYOND = 1e8  # times the residual of the start and of z°
 class Run:
     """One run: algorithms yield steps, the judge measures them, and the first reason to end ends it.
 
-    They work in the common scaling of the problem's components. A judge of another problem than the one that the
-    algorithms take may be given (see :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which
-    that one is the linearisation at the start. `header` tells what ``verbose=True`` prints of M.
+    A judge of another problem than the one that the algorithms take may be given (see
+    :class:`~lcp_plugin.core.solving.judge.Judge`): of a nonlinear problem, of which that one is the linearization at
+    the start. `header` is what ``verbose=True`` prints of M.
     """
 
     def __init__(
         self,
-        scaling: CommonScaling,
+        problem: LCP,
         policy: Policy,
         settings: Settings,
         callback: Callback | None,
@@ -51,21 +51,12 @@ class Run:
         judge: Judge | None = None,
         header: Header | None = None,
     ) -> None:
-        self.scaling, self.policy, self.settings, self.callback, self.clock = (
-            scaling,
-            policy,
-            settings,
-            callback,
-            clock,
-        )
-        self.judge, self.incumbent, self.state = (
-            judge or Judge(scaling, settings),
-            Incumbent(),
-            RunState(),
-        )
-        self.problem = problem = scaling.problem
+        self.problem, self.policy, self.settings = problem, policy, settings
+        self.callback, self.clock = callback, clock
+        self.judge = judge or Judge(problem, settings)
+        self.incumbent, self.state = Incumbent(), RunState()
         self.progress = Progress(problem.n, settings.max_iterations)
-        self.checks = CheckSchedule(ratio(1.0, self.judge.reference), settings.goal)
+        self.checks = CheckSchedule(ratio(1.0, self.judge.reference), self.judge.goal)
         self.start_residual = math.inf
         with clock.paused():
             self.log = RunLog(self.judge.asked, header) if settings.verbose else None
@@ -74,13 +65,9 @@ class Run:
 
     def drive(self, start: FloatVector, first: Choice) -> End:
         """Run the chain of algorithms within the time that is left; return why it ended."""
-        self.judge.require_rigorous_bounds()
         following: Choice | None = first
         left = self.settings.max_seconds - self.clock.read()
-        if (
-            self.judge.reference == 0.0
-        ):  # z° solves the problem, and no other point can be measured against it
-            start = self.problem.nearest_to_zero
+        start = self.judge.started(start)
         try:
             with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
                 while following is not None:
@@ -92,7 +79,7 @@ class Run:
                         if following.from_start or self.incumbent.z is None
                         else self.incumbent.z
                     ).copy()
-                    end, following = self._follow(self.scaling.steps(following, z))
+                    end, following = self._follow(following.iterates(self.problem, z))
         except OutOfTimeError:
             return End.TIME_LIMIT
         return end
@@ -123,9 +110,7 @@ class Run:
             return NO_STEP
 
     def _next(self, *, has_failed: bool) -> Choice | None:
-        return self.policy.next_step(
-            self.problem, self.state.stages, self.settings.goal, has_failed
-        )
+        return self.policy.next_step(self.problem, self.state.stages, self.judge.goal, has_failed)
 
     def _observe(self, step: Any) -> End | None:
         """Take note of one step; return why the run ends with it, if it does."""
@@ -152,7 +137,8 @@ class Run:
         self.incumbent.unmeasured = step.z
         known = residual = judge.residual_of(step)
         if residual is None:
-            if not (is_first or self.checks.is_due(state.iteration, step.increment)):
+            change = step.residual if step.increment is None else step.increment
+            if not (is_first or self.checks.is_due(state.iteration, change)):
                 return None
             residual = judge.measure(step.z)
             state.work += (
@@ -160,8 +146,8 @@ class Run:
             )  # the start is measured for every problem
         if judge.may_meet_tolerance(residual):
             residual = judge.certified(step.z)
-        if known is None and step.increment is not None:
-            self.checks.learn(state.iteration, step.increment, residual)
+        if known is None and change is not None:
+            self.checks.learn(state.iteration, change, residual)
         self.incumbent.offer(step.z, residual)
         state.stages[-1].note(residual)
         if state.iteration == 0:
@@ -181,7 +167,8 @@ class Run:
         algorithm = self.state.stages[-1].algorithm
         is_monotone = algorithm.is_monotone
         if residual is not None:
-            if self.judge.meets_tolerance(step.z, residual, iteration):
+            power = 1.0 if algorithm.ends_with_a_case else POWER
+            if self.judge.meets_tolerance(step.z, residual, iteration, power):
                 self.incumbent.take(step.z, residual)
                 return End.CONVERGED
             is_lost = (is_monotone and progress.is_rising(residual)) or not math.isfinite(residual)
@@ -201,7 +188,7 @@ class Run:
         if progress.is_flat(iteration, best) and self.judge.is_at_floor(self.incumbent.z):
             return End.AT_FLOOR
         is_stalled = (is_monotone or algorithm.is_watched) and progress.is_stalled(
-            iteration, best, settings.goal
+            iteration, best, self.judge.goal
         )
         return End.STALLED if is_stalled else None
 
@@ -228,14 +215,13 @@ class Run:
                 self._next_sample = max(
                     state.iteration + 1, math.ceil(state.iteration * 1.05)
                 )  # geometric
-                bound = self.judge.bound_along_the_run(step.z, state.work)
-                state.samples.append(replace(sample, error_bound=bound))
+                state.samples.append(sample)
         return wants_to_stop
 
     def _called_back(self, sample: Sample, z: FloatVector) -> bool:
         """Return whether a callback wants to stop."""
         callback = self.callback
-        return callback is not None and bool(callback(sample, read_only(self.scaling.outward(z))))
+        return callback is not None and bool(callback(sample, read_only(z)))
 
     def ended(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
         """Return what the judge makes of the best iterate, cleaned up, and of why the run ended."""
@@ -245,9 +231,7 @@ class Run:
         last = state.stages[-1] if state.stages else None
         # Where no z is near a solution, what is given back is the start, as in a batch.
         is_excluded = (
-            last is not None
-            and last.least_residual > self.settings.goal
-            and end is not End.CONVERGED
+            last is not None and last.least_residual > self.judge.goal and end is not End.CONVERGED
         )
         best = start if incumbent.z is None or is_excluded else incumbent.z
         certificate = self.judge.final(best, end, None if last is None else last.algorithm)
@@ -261,7 +245,7 @@ class Run:
 
     def _with_last_system(self, certificate: Certificate, last: Stage) -> Certificate:
         """Return the certificate of the solution of the linear system of the case that was found, if it is no worse."""
-        judge, state, z = self.judge, self.state, self.scaling.inward(certificate.z)
+        judge, state, z = self.judge, self.state, certificate.z
         found = self.policy.last_system(
             self.problem, z, state.work, judge.is_solved_by(certificate)
         )
@@ -287,7 +271,6 @@ class Run:
             status=status,
             certificate=certificate,
             tolerance=settings.tolerance,
-            tolerance_on=settings.tolerance_on,
             absolute_tolerance=settings.absolute_tolerance,
             algorithm=name_of(self.policy, stages),
             iterations=max(state.iteration, 0),
@@ -299,7 +282,7 @@ class Run:
             infeasibility=self.judge.proof,
             _asked=self.policy.chosen,
             _bound=self.judge.bound_at_the_end(certificate) if state.stages else BoundOrReason(),
-            _advice={**self._advice(certificate, status), **self.judge.advice},
+            _advice=self._advice(certificate, status),
         )
         if self.log is not None:
             self.log.end(result)

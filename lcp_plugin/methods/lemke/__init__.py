@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.algorithm import Algorithm, FusedSolve, Phases, Step, without_warnings
+from ...core.algorithm import Algorithm, Step, without_warnings
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector
 from ...core.errors import InvalidOption, UnsuitableProblem
@@ -19,9 +19,7 @@ from ...core.matrix.structure import connected_components
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.graph import block_rows
 from ..newton.active_set import classify, is_near, solve_active_set
-from ..small.small_dense import PIVOTS_ONLY, is_short, solve_fused, steps
 from .canonical_box import CanonicalBox, canonical_box
-from .games import is_game
 
 PIVOTS_A_ROUND = (10, 100)  # times n + 10
 ARBITRARY_STARTS = (10, 200)  # at least and at most
@@ -93,25 +91,7 @@ class Lemke(Algorithm):
         """
         return without_warnings(self._steps(problem, z0))
 
-    def solve_fused(
-        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
-    ) -> FusedSolve | None:
-        """Return where a first compiled path converges on a small dense problem."""
-        if not self._may_be_fused(problem, z0):
-            return None
-        return solve_fused(problem, z0, tolerance, max_iterations, PIVOTS_ONLY)
-
-    def phases_of_small(self) -> Phases | None:
-        """Return a path of pivots, where nothing limits it."""
-        return PIVOTS_ONLY if self.max_pivots is None and self.restarts is None else None
-
-    def _may_be_fused(self, problem: LCP, z0: FloatVector) -> bool:
-        has_plan = self.phases_of_small() is not None and is_short(problem) and not is_game(problem)
-        return has_plan and np.array_equal(z0, problem.nearest_to_zero)
-
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        if self._may_be_fused(problem, z0):
-            yield from steps(problem, z0, PIVOTS_ONLY)
         components = _components_that_fit(problem)
         z = z0.copy()
         yield Step(z, work=0.0)

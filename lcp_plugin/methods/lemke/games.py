@@ -9,7 +9,7 @@ from ...core.checks import FloatVector
 from ...core.lcp import LCP
 from ...core.matrix.matrix import fact
 from ...core.tuning import PIVOTS_FIRST_UP_TO
-from ..small.small_dense import as_dense
+from ..small.rounds import as_dense
 
 
 @fact

@@ -12,8 +12,6 @@ import scipy.sparse as sp
 
 from ...core.algorithm import (
     Algorithm,
-    FusedSolve,
-    Phases,
     Step,
     in_driven_sweeps,
     without_warnings,
@@ -25,7 +23,6 @@ from ...core.matrix.symmetry import is_nearly_symmetric
 from ...core.tuning import DIRECT_CUBE, DIRECT_ENTRIES, DIRECT_PASSES, DIRECT_ROWS, DIRECT_UP_TO
 from ...systems.factors import factorise
 from ...systems.graph import bandwidth
-from ..small.small_dense import ROUNDS_ONLY, is_short, solve_fused, steps
 from .active_set import LARGE_PATIENCE, NewtonState, classify
 
 PATIENCE = (
@@ -99,23 +96,7 @@ class Newton(Algorithm):
             return None
         return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
 
-    def phases_of_small(self) -> Phases:
-        """Return full steps only."""
-        return ROUNDS_ONLY
-
-    def solve_fused(
-        self, problem: LCP, z0: FloatVector, tolerance: float, max_iterations: int
-    ) -> FusedSolve | None:
-        """Return where compiled full steps converge on a small dense problem."""
-        return (
-            solve_fused(problem, z0, tolerance, max_iterations, ROUNDS_ONLY)
-            if is_short(problem)
-            else None
-        )
-
     def _steps(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
-        if is_short(problem):
-            yield from steps(problem, z0, ROUNDS_ONLY)
         start = np.clip(z0, problem.lower, problem.upper)
         is_elsewhere = problem.n <= BEGUN_AGAIN_UP_TO and not np.array_equal(
             start, problem.nearest_to_zero

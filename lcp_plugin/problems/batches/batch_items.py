@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...auto import takes_the_small_dense_solver
+from ...auto import takes_rounds
 from ...core.checks import DENSE_ABOVE_DENSITY, checked_start, read_only, real_array, without_huge
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...core.tuning import COMPILED_SPARSE_UP_TO, COMPILED_UP_TO
-from ...methods.small.small_dense import as_dense, is_short
+from ...methods.small.rounds import as_dense, is_small
 from ...systems.graph import outer_on_pattern
 from ..many.data import length_of_all, rows_of_a_batch
 from .batch_groups import Group
@@ -100,8 +100,8 @@ class Listed(Items):
     def groups(self, *, every: bool = False) -> Iterator[Group]:
         """Yield those that are small enough for a compiled call, without errors; every one, or where auto has one."""
         for n in sorted(self.sizes if every or self._starts is None else ()):
-            is_small = is_short if every else takes_the_small_dense_solver
-            items = [k for k, one in enumerate(self._problems) if one.n == n and is_small(one)]
+            suits = is_small if every else takes_rounds
+            items = [k for k, one in enumerate(self._problems) if one.n == n and suits(one)]
             chosen = [self.problem(k) for k in items]
             if not chosen:
                 continue
@@ -205,7 +205,7 @@ class Stacked(Items):
         is_here = np.ones(self.count, np.bool_)
         is_here[[*self.errors]] = False
         if self._base is not None:
-            is_here &= (is_short if every else takes_the_small_dense_solver)(self._base)
+            is_here &= (is_small if every else takes_rounds)(self._base)
         elif n > COMPILED_SPARSE_UP_TO:
             is_dense = [np.count_nonzero(M) > DENSE_ABOVE_DENSITY * n * n for M in self._M]
             is_here &= np.array(is_dense, np.bool_) & (n <= COMPILED_UP_TO)

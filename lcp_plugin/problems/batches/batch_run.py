@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ...auto import asked_of_solve, solve_lcp
-from ...core.algorithm import Algorithm, Phases
+from ...core.algorithm import Algorithm
 from ...core.certificates.residuals import Certificate
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
-from ...core.lcp import LCP
 from ...core.settings import Status
-from ...core.solving.driver import fused_result
-from ...core.solving.result import Result
-from ...methods.small.small_dense import Answers, run_phases
+from ...core.solving.result import Result, StageRecord
+from ...methods.small.rounds import CHUNK, solve_stack
 from ..many.answers import AnswerSequence, T
 from ..many.chunks import in_chunks
-from .batch_groups import Group, answers_in_common_scaling, by_components, well_scaled
+from .batch_groups import Group
 from .batch_items import Items, put
 
 
@@ -217,12 +215,6 @@ class ComplementarityAnswers(BatchAnswers[T]):
         return np.full(len(self), np.nan)
 
 
-@cache
-def _tiny() -> LCP:
-    """Return a problem for which auto takes one compiled call; to state it costs as much as to solve a small one."""
-    return LCP([[1.0]], [-1.0])
-
-
 class BatchRun(BatchLoop):
     """The answers as they come, in tables with a row a problem.
 
@@ -243,13 +235,11 @@ class BatchRun(BatchLoop):
         limit: float,
     ) -> None:
         super().__init__(items.count, algorithm, wishes, items.errors, threads=threads, limit=limit)
-        self.items, self.first = items, self.policy.first(_tiny())
+        self.items = items
         count, sizes = items.count, items.sizes
         self.z: Any = np.full((count, *sizes), np.nan) if len(sizes) <= 1 else [np.empty(0)] * count
         self.iterations = np.zeros(count, np.int64)
         self.results: dict[int, Result] = {}  # of those that were solved one by one
-        self.compiled: list[Answers] = []
-        self.place = np.full((2, count), -1)  # which of these has an answer, and where
 
     def _answers(self) -> BatchResult:
         return BatchResult(self)
@@ -259,49 +249,29 @@ class BatchRun(BatchLoop):
             self.z[k] = self.items.projected_start(k)
 
     def _solve_compiled(self) -> None:
-        phases = self._phases()
-        for group in () if phases is None else self.items.groups():
-            if not phases or (group.starts.shape[1] and not phases[1]):  # pivots alone begin at z°
-                continue
-            whole, in_components = by_components(well_scaled(group))
-            if whole.items.size:
-                self._run_compiled(whole, phases)
-            if in_components.items.size and self.has_time:
-                self._keep(
-                    in_components, answers_in_common_scaling(in_components, phases, self.settings)
-                )
+        if self.algorithm != "auto" or not self.settings.is_unobserved:
+            return
+        if self.settings.absolute_tolerance or not self.settings.max_iterations:
+            return
+        for group in self.items.groups():
+            size = max(1, CHUNK // group.shape[1] ** 2)
+            for first in range(0, group.items.size, size):
+                if not self.has_time:
+                    return
+                rows = np.arange(first, min(first + size, group.items.size))
+                self._solve_together(group.chosen(rows))
 
-    def _phases(self) -> Phases | None:
-        """Return the phases of the compiled loop that the caller's choice takes; None where it takes none."""
-        return self.first.algorithm.phases_of_small() if self.settings.is_unobserved else None
-
-    def _run_compiled(self, group: Group, phases: Phases) -> None:
-        answers = Answers(*group.shape)
-
-        def solve_chunk(first: int, end: int) -> None:
-            run_phases(
-                group[1:],
-                phases,
-                self.settings.tolerance,
-                self.settings.max_iterations,
-                first,
-                end,
-                answers,
-            )
-
-        try:
-            self._in_chunks(solve_chunk, group.items.size)
-        finally:
-            self._keep(group, answers)
-
-    def _keep(self, group: Group, answers: Answers) -> None:
-        converged = np.flatnonzero(answers.has_converged)
-        items = group.items[converged]
-        self.place[0, items], self.place[1, items] = len(self.compiled), converged
-        answers.z.flags.writeable = False  # they are judged
-        self.compiled.append(answers)
-        residual, steps = answers.residual[converged], answers.made[converged].sum(1)
-        self._write(items, answers.z[converged], Status.SOLVED, residual, steps)
+    def _solve_together(self, group: Group) -> None:
+        starts = group.starts if group.starts.shape[1] else None
+        found = solve_stack(
+            group.M, group.q, group.lower, group.upper, starts, self.settings.tolerance
+        )
+        good = np.flatnonzero(found.is_solved)
+        residual = np.broadcast_to(found.residual, group.items.shape)[good]
+        z = np.broadcast_to(found.z, group.shape)[good]
+        starts = np.clip(0.0, group.lower, group.upper) if starts is None else starts
+        moved = (z != np.broadcast_to(starts, group.shape)[good]).any(1)
+        self._write(group.items[good], z, Status.SOLVED, residual, moved.astype(np.int64))
 
     def _write(self, items: Any, z: Any, status: Status, residual: Any, iterations: Any) -> None:
         put(self.z, items, z if isinstance(z, list) else read_only(z))
@@ -324,20 +294,26 @@ class BatchRun(BatchLoop):
         """Return the result of problem k, which has no error."""
         if k in self.results:
             return self.results[k]
-        which, at = self.place[:, k].tolist()
-        if which < 0:  # not begun
+        if self.status[k] is not Status.SOLVED:  # not begun
             wishes = self.wishes | {"max_iterations": 0}
             found = solve_lcp(
                 self.items.problem(k), self.algorithm, z0=self.items.start(k), **wishes
             )
             return found if found.is_solved else replace(found, status=self.status[k])
-        answer = self.compiled[which].solve_fused(at)
-        assert answer is not None
-        certificate = Certificate.enclosed(
-            self.items.problem(k), answer.z, answer.residual, answer.term_residual
+        certificate = Certificate.of(self.items.problem(k), self.z[k])
+        return Result(
+            z=certificate.z,
+            w=certificate.w,
+            status=Status.SOLVED,
+            certificate=certificate,
+            algorithm="auto: rounds",
+            iterations=int(self.iterations[k]),
+            work=float(certificate.problem.n),
+            seconds=self.seconds / self.items.count,
+            setup_seconds=0.0,
+            tolerance=self.settings.tolerance,
+            stages=(StageRecord("rounds", "", 1, float(certificate.problem.n)),),
         )
-        share = self.seconds / self.items.count
-        return fused_result(certificate, self.policy, self.first, answer, self.settings, share)
 
 
 class BatchResult(ComplementarityAnswers[Result]):

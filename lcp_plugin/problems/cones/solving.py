@@ -609,7 +609,7 @@ class ConeResult(Result):
         The point and its slack; impulses r and velocities u of contacts.
     certificate : ConeCertificate
         All residuals, by blocks.
-    status, algorithm, iterations, work, seconds, setup_seconds, tolerance, tolerance_on, absolute_tolerance, begun
+    status, algorithm, iterations, work, seconds, setup_seconds, tolerance, absolute_tolerance, begun
         As of :class:`Result`, in its units.
     history, stages, infeasibility
         As of :class:`Result`.

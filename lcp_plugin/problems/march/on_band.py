@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ...core.checks import FloatVector
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.lcp import LCP
-from ...core.matrix.scaling import scaling_of
 from ...core.matrix.structure import connected_components
 from ...methods.banded import active_sets, solve_one_sided
 from ...systems.factors import bands
@@ -169,5 +168,5 @@ def _entries(problem: LCP) -> FloatVector:
 
 
 def needs_no_scaling(problem: LCP) -> bool:
-    """Return whether one reference serves all rows: M is connected and needs no scaling."""
-    return connected_components(problem.matrix) is None and scaling_of(problem.matrix) is None
+    """Return whether one reference serves all rows: M is connected."""
+    return connected_components(problem.matrix) is None

@@ -28,14 +28,12 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 
-from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components
+from ...core.certificates.criterion import VectorEnds, for_each_row, largest_of_components, row_data
 from ...core.certificates.residuals import GAINED, Certificate
 from ...core.certificates.row_residuals import (
     largest_ratio,
     magnitude,
-    residual_ends_of,
     scaled_residual,
 )
 from ...core.checks import FloatVector, read_only
@@ -168,7 +166,6 @@ class NonlinearCertificate(Certificate):
     """
 
     is_linearised: ClassVar[bool] = True
-    _scaling: ClassVar[None] = None  # F is judged in the units it is given in
 
     nonlinear: NonlinearProblem = field(kw_only=True, repr=False)
     value: FloatVector = field(kw_only=True, repr=False)
@@ -279,8 +276,8 @@ def _ends(
     problem: LCP, x: FloatVector, value: FloatVector, scale: FloatVector
 ) -> tuple[FloatVector, FloatVector]:
     """Return bounds of every |x_i − mid(lower_i, upper_i, x_i − value_i/scale_i)|."""
-    nothing = sp.csr_array((x.size, x.size))
-    return residual_ends_of(nothing, x, problem, x, scale, q=np.ascontiguousarray(value))
+    with np.errstate(all="ignore"):
+        return row_data(problem).residual_ends(x, value, np.zeros(x.size), scale)
 
 
 def term_residuals(

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ...auto import policy_for
 from ...core.algorithm import Algorithm, Step, without_warnings
-from ...core.certificates.criterion import CommonScaling, largest_of_components
+from ...core.certificates.criterion import largest_of_components
 from ...core.certificates.row_residuals import largest_ratio, scaled_residual
 from ...core.checks import FloatVector
 from ...core.deadline import Clock, is_over, seconds_left
@@ -23,7 +23,6 @@ from ...core.matrix.structure import connected_components
 from ...core.policy.policy import Policy
 from ...core.policy.stages import Choice, Stage
 from ...core.settings import Settings
-from ...core.solving.driver import fused
 from ...core.solving.result import Result, Sample
 from ...core.solving.run import Run
 from ...methods.lemke import Lemke
@@ -297,18 +296,13 @@ def solved_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) ->
 
     From the projected gradient step: the methods see a start and look for a solution near it.
     """
-    left, clock, scaling = seconds_left(), Clock(), CommonScaling.of(problem)
+    left, clock = seconds_left(), Clock()
     policy = LinearPolicy(algorithm)
     settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
-    start, first = (
-        scaling.inward(np.clip(step, problem.lower, problem.upper)),
-        policy.first(scaling.problem),
-    )
-    if (result := fused(scaling, policy, first, settings, start, clock)) is not None:
-        return result
-    run = Run(scaling, policy, settings, _Patience() if problem.n > SMALL else None, clock)
-    return run.judged(start, run.drive(start, first))
+    start = np.clip(step, problem.lower, problem.upper)
+    run = Run(problem, policy, settings, _Patience() if problem.n > SMALL else None, clock)
+    return run.judged(start, run.drive(start, policy.first(problem)))
 
 
 class _Patience:

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from ...auto import Single, policy_for
 from ...core.algorithm import Algorithm
-from ...core.certificates.criterion import CommonScaling
 from ...core.certificates.residuals import Certificate
 from ...core.checks import FloatVector, checked_vector, read_only
 from ...core.deadline import Clock
@@ -114,7 +113,6 @@ def solve_nonlinear(
         )
     settings = Settings(
         tolerance,
-        "residual",
         max_iterations,
         max_seconds,
         absolute_tolerance,
@@ -139,7 +137,7 @@ def solve_nonlinear(
         )
         judge = NonlinearJudge(points, reference, first, settings)
         run = Run(
-            judge.scaling,
+            judge.problem,
             Single(newton, prove_infeasibility=False),
             settings,
             callback,
@@ -207,7 +205,7 @@ class NonlinearJudge(Judge):
     ) -> None:
         self.points, self.compared_with = points, reference
         self.problem, self.asked, self.settings = start.lcp, points.problem, settings
-        self.scaling = CommonScaling(start.lcp, start.lcp)
+        self.goal = settings.goal
         self.reference = 1.0  # the certificate knows what each component is compared with
         self.proof = self._certificate = None
 
@@ -215,7 +213,8 @@ class NonlinearJudge(Judge):
         """Return the certificate of z by F(z) and F′(z)."""
         if self._certificate is None or not np.array_equal(self._certificate.z, z):
             self._certificate = NonlinearCertificate.at(self.points.at(z), self.compared_with)
-        return self._certificate
+        latest: Certificate = self._certificate
+        return latest
 
     def measure(self, z: FloatVector) -> float:
         """Return the relative residual of z."""

@@ -307,7 +307,7 @@ class ComplementarityFamily(Family):
 
     def judge(self, point: PathPoint) -> Status:
         """Return what the certificate says of z."""
-        if point.certificate.is_solved(self.settings):
+        if point.certificate.meets(self.settings):
             return Status.SOLVED
         return (
             Status.PRECISION_LIMIT if point.certificate.is_limited_by_rounding else Status.STALLED

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, checked_answer
+from ...core.checks import checked_answer
 from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .convexity import refuse_nonconvex
-from .criterion import PROGRAM_TOLERANCE, Errors
+from .criterion import PROGRAM_TOLERANCE
 from .program import QuadraticProgram, asymmetry_of
 from .reductions import FoldedRows
 from .solution import QPSolution
@@ -78,7 +78,7 @@ def optimality_conditions(program: QuadraticProgram, tolerance: float = PROGRAM_
     """Return the conditions of a program known to be convex; a run on them stops at a solution of the program."""
     origin = QPOrigin(program, tolerance)
     problem = origin.problem()
-    problem.origin = problem.criterion = origin
+    problem.origin = origin
     return problem
 
 
@@ -233,12 +233,3 @@ class QPOrigin:
         ):
             return QPSolution.without_multipliers(self.program, z[:n])
         return QPSolution.from_reduced(self.program, z[:n], z[n:])
-
-    def is_answered(self, z: FloatVector, tolerance: float) -> bool:
-        """Return whether z stands for a solution of the program: the run's own tolerance does not matter."""
-        reduced, n = self.reduced, self.program.n
-        return bool(Errors.of(reduced, z[:n], z[n:], self.tolerance).meet(self.tolerance))
-
-    def has_no_solution(self, tolerance: float) -> bool:
-        """Return whether the program is proved to have no minimum: the problem's proof may be one of rounding."""
-        return self.program.facts.accepted_proof() is not None

@@ -41,8 +41,9 @@ FEW = (
     300  # unknowns and rows of a program whose LCP is tried where no external solver has a solution
 )
 OF_THE_LCP = (
-    1e-9  # tolerance of a run on the LCP, whose answer has to pass the test of programs too
+    1e-12  # tolerance of a run on the LCP, whose answer has to pass the test of programs too
 )
+SMALL_RESIDUAL = 1e-4  # of the LCP, relative: a larger one is not worth a look at x
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
 VECTORS = {"c", "h", "b", "lower", "upper"}
 
@@ -196,7 +197,7 @@ def solve_program(
     """
     clock = Clock()
     wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
-    for name in ("error_bound", "tolerance_on", "absolute_tolerance"):
+    for name in ("error_bound", "absolute_tolerance"):
         if wishes.pop(name, None):
             raise InvalidOption(f"solve takes no {name} for a QuadraticProgram")
     wishes = {name: wish for name, wish in wishes.items() if wish is not None}
@@ -268,6 +269,7 @@ class _ProgramRun:
         self.callback, self.start = callback, start
         self.best: EngineRun | None = None
         self.lcp_result: Result | None = None
+        self.passing: FloatVector | None = None  # z of a run on the LCP whose x passes
         self.proof: QPInfeasibility | QPUnboundedness | None = None
         self.stages, self.history = list[StageRecord](), tuple[Sample, ...]()
         self.is_interrupted, self.says = False, EngineStatus.GAVE_UP
@@ -328,17 +330,29 @@ class _ProgramRun:
             del wishes["max_seconds"]
         try:
             result = solve_lcp(
-                problem, algorithm, tolerance=OF_THE_LCP, callback=self.callback, **wishes
+                problem, algorithm, tolerance=OF_THE_LCP, callback=self._ends_run, **wishes
             )
         except (UnsuitableMatrix, UnsuitableProblem) as refusal:
             stated = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
             raise UnsupportedModel(f"{refusal} (M is that of {stated})") from refusal
         self.lcp_result, self.history = result, result.history
-        z, n = result.z, self.program.n
+        z, n = result.z if self.passing is None else self.passing, self.program.n
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
         errors = solution.errors_for(self.settings.tolerance)
         stage = StageRecord(result.algorithm, "complementarity problems", result.iterations, 0.0)
         return EngineRun(solution, errors, EngineStatus.GAVE_UP, stage)
+
+    def _ends_run(self, sample: Sample, z: FloatVector) -> bool:
+        """Return whether a run on the complementarity problem ends: x passes the test, or the callback wants it."""
+        if self.callback is not None and self.callback(sample, z):
+            return True
+        if sample.residual is None or sample.residual > SMALL_RESIDUAL:
+            return False
+        n, tolerance = self.program.n, self.settings.tolerance
+        solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
+        if solution.errors_for(tolerance).meet(tolerance):
+            self.passing = z.copy()
+        return self.passing is not None
 
     # --- What becomes of them ----------------------------------------------------------------------------------------
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import CommonScaling, RowScaling, reference_residual
+from ...core.certificates.criterion import reference_residual
 from ...core.lcp import LCP
 from ..exact.rational import Rational
 from .linear_constraints import DECISIVE, LinearConstraints
@@ -25,7 +24,6 @@ from .proof import (
     Closing,
     Infeasibility,
     NoSolutionProof,
-    rescaled_multipliers,
     row_choices,
 )
 
@@ -57,14 +55,6 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
     if problem.n == 0:
         return None
     effort = DEFAULT_EFFORT // max(problem.n, 400) if effort_limit is None else effort_limit
-    scaling = (
-        CommonScaling(problem, problem)
-        if RowScaling.of(problem) is None
-        else CommonScaling.of(problem)
-    )
-    if (factors := scaling.row_factors) is not None:
-        known = find_infeasibility(scaling.problem, effort_limit=effort)
-        return None if known is None else known.rescaled(problem, factors)
     row = contradictory_row(problem)
     if row is not None and row.margin >= DECISIVE:
         return row
@@ -151,16 +141,6 @@ class Case:
     branches: dict[str, Case] = field(default_factory=dict)
     y: Sequence[Rational] | None = None
 
-    def rescaled(self, factors: Sequence[Fraction]) -> Case:
-        """Return the case of a problem in other units of z."""
-        branches = {choice: branch.rescaled(factors) for choice, branch in self.branches.items()}
-        y = (
-            None
-            if self.y is None
-            else rescaled_multipliers([Fraction(value) for value in self.y], factors)
-        )
-        return Case(self.row, branches, y)
-
 
 @dataclass(frozen=True, eq=False)
 class NoSolution(NoSolutionProof):
@@ -194,10 +174,6 @@ class NoSolution(NoSolutionProof):
         if self.tree.y is None or not any(self.tree.y):
             return None
         return Infeasibility.of(self.problem, dict(enumerate(self.tree.y)))
-
-    def rescaled(self, problem: LCP, factors: Sequence[Fraction]) -> NoSolution:
-        """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
-        return NoSolution(problem, self.tree.rescaled(factors), self.nodes)
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what closes each leaf, in exact arithmetic; None for one that does not, or a split that leaves gaps."""

@@ -17,13 +17,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.criterion import (
-    RowScaling,
     references_of_components,
-    residual_scale_of_criterion,
     rounding_of_data,
 )
 from ...core.checks import FloatVector
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.lcp import LCP
 from ...core.matrix.structure import connected_components
 from ...core.matrix.symmetry import is_nearly_symmetric
@@ -38,11 +36,8 @@ FEW = 500  # rows up to which all of M is kept in integers
 
 
 def exact_references(problem: LCP) -> Callable[[int], Fraction]:
-    """Return upper bounds of what r_i of an own row i is compared with; fractions reach beyond the range of doubles.
-
-    That is ‖r̂_P(z°)‖∞, P its component, in the caller's unit of z_i.
-    """
-    scaling, several = RowScaling.of(problem), connected_components(problem.matrix)
+    """Return upper bounds of ‖r_P(z°)‖∞, P the component of a row; fractions reach beyond the range of doubles."""
+    several = connected_components(problem.matrix)
     most = references_of_components(problem)[1]
 
     @cache
@@ -54,23 +49,13 @@ def exact_references(problem: LCP) -> Callable[[int], Fraction]:
             if several is None
             else np.flatnonzero(several.labels == component).tolist()
         )
-        exact = exactly_weighted(problem, problem.nearest_to_zero)
+        exact = exact_residuals(problem, problem.nearest_to_zero)
         return max(exact[i] for i in rows)
 
     def of_row(row: int) -> Fraction:
-        reference = of_component(0 if several is None else int(several.labels[row]))
-        return reference if scaling is None else reference * Fraction(2) ** int(scaling.column[row])
+        return of_component(0 if several is None else int(several.labels[row]))
 
     return of_row
-
-
-def exactly_weighted(problem: LCP, z: FloatVector) -> list[Fraction]:
-    """Return |r̂_i(z)| of every row without any rounding, for a finite z."""
-    scaling = RowScaling.of(problem)
-    if scaling is None:
-        return exact_residuals(problem, z)
-    residuals = exact_residuals(problem, z, scaling.scale)
-    return [r / Fraction(2) ** k for r, k in zip(residuals, scaling.column.tolist(), strict=True)]
 
 
 def row_choices(lower: float, upper: float) -> tuple[str, ...]:
@@ -98,14 +83,11 @@ class Closing:
         At least Σ weight_i ‖r_P(z°)‖∞, r the scaled residual and P the component of row i.
     absolute : Fraction
         At least Σ weight_i.
-    weighted : Fraction
-        The same in the scaling of the criterion.
     """
 
     contradiction: Fraction
     relative: Fraction
     absolute: Fraction
-    weighted: Fraction
 
 
 class NoSolutionProof:
@@ -132,17 +114,6 @@ class NoSolutionProof:
         """Yield what closes each case, verified; None for a case that is not closed."""
         raise NotImplementedError
 
-    def rescaled(self, problem: LCP, factors: Sequence[Fraction]) -> NoSolutionProof:
-        """Return what this proves of a problem of which this one's row i is factor_i times the row.
-
-        Parameters
-        ----------
-        problem : LCP
-            Stated so.
-        factors : sequence of Fraction, shape (n,)
-        """
-        raise NotImplementedError
-
     def verify(self) -> bool:
         """Return whether the proof holds, computed again from the problem's data alone."""
         return all(closing is not None for closing in self.closings())
@@ -164,22 +135,11 @@ class NoSolutionProof:
 
     @property
     def is_rounding(self) -> bool:
-        """Whether what contradicts is no more than rounding of the largest number in q, in the criterion's units."""
-        return rounded_down(self._least[2]) <= rounding_of_data(self.problem)
+        """Whether the contradiction is no more than rounding of the largest number in q."""
+        return rounded_down(self._least[1]) <= rounding_of_data(self.problem)
 
-    def excludes(
-        self,
-        tolerance: float,
-        tolerance_on: str = "residual",
-        absolute_tolerance: float = 0.0,
-    ) -> bool:
-        """Return whether no z within the bounds could be called SOLVED with these settings of a run.
-
-        With ``tolerance_on="error"`` SOLVED would be the proof that there is a solution nearby, which every proof that
-        there is none excludes.
-        """
-        if tolerance_on == "error":
-            return self.exact
+    def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
+        """Return whether no z within the bounds could be called SOLVED with these settings of a run."""
         if self.is_rounding or not self.margin > tolerance:
             return False
         # Rows may use up one tolerance in one component, and the other in another.
@@ -188,16 +148,15 @@ class NoSolutionProof:
         )
 
     @cached_property
-    def _least(self) -> tuple[Fraction | None, Fraction | None, Fraction | None]:
-        """The least relative residual, the least one, and that in the scaling of the criterion; None for ∞."""
+    def _least(self) -> tuple[Fraction | None, Fraction | None]:
+        """The least relative residual and the least one; None for ∞."""
         found = list(self.closings())
         closings = [closing for closing in found if closing is not None]
         if len(closings) < len(found):
-            return ZERO, ZERO, ZERO
+            return ZERO, ZERO
         relative = [one.contradiction / one.relative for one in closings if one.relative]
         absolute = [one.contradiction / one.absolute for one in closings if one.absolute]
-        weighted = [one.contradiction / one.weighted for one in closings if one.weighted]
-        return min(relative, default=None), min(absolute, default=None), min(weighted, default=None)
+        return min(relative, default=None), min(absolute, default=None)
 
 
 class Choices(NamedTuple):
@@ -252,7 +211,7 @@ class Choices(NamedTuple):
         found = self.contradiction(y)
         if not found.holds:
             return None
-        scale, path = residual_scale_of_criterion(self.problem), self.path
+        scale, path = self.problem.residual_scale, self.path
         sizes = {i: abs(y) for i, y in found.y.items() if path.get(i) not in (LOWER, UPPER)}
         scaled = [(i, size * Fraction(float(scale[i]))) for i, size in sizes.items()]
         leaving = {
@@ -261,15 +220,11 @@ class Choices(NamedTuple):
             if path.get(i) == (LOWER if value > 0 else UPPER)
         }  # of z_i from its bound
         shares = [*scaled, *leaving.items()]
-        scaling, reference = RowScaling.of(self.problem), exact_references(self.problem)
-        absolute = sum((share for _, share in shares), ZERO)
+        reference = exact_references(self.problem)
         return Closing(
             found.size,
             sum((share * reference(i) for i, share in shares), ZERO),
-            absolute,
-            absolute
-            if scaling is None
-            else sum((share * Fraction(2) ** int(scaling.column[i]) for i, share in shares), ZERO),
+            sum((share for _, share in shares), ZERO),
         )
 
 
@@ -280,8 +235,8 @@ class Infeasibility(NoSolutionProof):
     Permitted is w_i ≥ 0 where upper_i = ∞, w_i ≤ 0 where lower_i = −∞, both signs in a box. The sum yᵀ(M z + q − w) is
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
     y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
-    component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r in the
-    units of :mod:`lcp_plugin.core.certificates.criterion`).
+    component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r as in
+    :mod:`lcp_plugin.core.certificates.criterion`).
 
     Attributes
     ----------
@@ -308,6 +263,18 @@ class Infeasibility(NoSolutionProof):
             exact[i] = Fraction(value) / largest
         return cls(problem, tuple(exact))
 
+    def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
+        """Return the same; a row of zeros fails the componentwise test by all of its q_i, unless that is rounding."""
+        return super().excludes(tolerance, absolute_tolerance) or (
+            not absolute_tolerance and self._rests_on_empty_rows and self.exact
+        )
+
+    @cached_property
+    def _rests_on_empty_rows(self) -> bool:
+        used, sizes = list(self._used), np.abs(self.problem.q)
+        is_empty = not np.diff(self.problem.csr.indptr)[used].any()
+        return is_empty and bool((sizes[used] > DATA_ROUNDING * sizes.max()).all())
+
     @cached_property
     def _used(self) -> dict[int, Fraction]:
         return {i: value for i, value in enumerate(self.exact_y) if value}
@@ -318,12 +285,6 @@ class Infeasibility(NoSolutionProof):
         y = np.zeros(self.problem.n)
         y[list(self._used)] = [float(value) for value in self._used.values()]
         return y
-
-    def rescaled(self, problem: LCP, factors: Sequence[Fraction]) -> Infeasibility:
-        """Return what this proves of the problem in other units of z; see :meth:`NoSolutionProof.rescaled`."""
-        return Infeasibility.of(
-            problem, dict(enumerate(rescaled_multipliers(self.exact_y, factors)))
-        )
 
     def closings(self) -> Iterator[Closing | None]:
         """Yield what the only case is closed with: by c = −sup, and |y_i| for a wrong sign of w_i."""

@@ -286,12 +286,13 @@ def test_steps_are_within_the_bounds_and_know_their_residual() -> None:
 
 
 def test_a_limit_of_iterations_holds_for_all_rounds_at_once() -> None:
-    """Where more rounds are needed than allowed, the run ends after those with MAX_ITERATIONS."""
+    """Where more rounds are needed than allowed, the run ends after those, solved by its last linear system or not."""
     for problem in problems(True):
         needed = solve(problem, "banded").iterations
         if needed > 1:
             result = solve(problem, "banded", max_iterations=needed - 1)
-            assert (result.status, result.iterations) == (Status.MAX_ITERATIONS, needed - 1)
+            assert result.iterations == needed - 1
+            assert result.is_solved or result.status is Status.MAX_ITERATIONS
 
 
 # --- Marches in time ------------------------------------------------------------------------------------------

@@ -160,11 +160,11 @@ def test_random_games(degenerate: bool) -> None:
 
 @pytest.mark.parametrize("name", GAMES)
 def test_auto_begins_a_game_with_the_path_of_a_label(name: str) -> None:
-    """No sweep, round, path from r > 0 or look at all cases comes before it: each would be compiled, and in vain."""
+    """No sweep, round or path from r > 0 comes before it: each would be in vain."""
     result = solve(lcp_from_bimatrix_game(*GAMES[name]))
     assert result.is_solved
-    assert result.algorithm == "auto: lemke"
-    assert solve(lcp_from_bimatrix_game(*GAMES[name]), "lemke").z.tolist() == result.z.tolist()
+    assert result.algorithm.startswith("auto: game")
+    assert solve(lcp_from_bimatrix_game(*GAMES[name]), "lemke").is_solved
 
 
 def test_games_have_no_path_from_a_positive_covering_vector() -> None:

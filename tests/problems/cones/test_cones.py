@@ -252,7 +252,7 @@ def test_names_of_methods_are_checked() -> None:
         Newton(proximal=-1.0)
     with pytest.raises(InvalidOption, match="z0"):
         solve(problem, z0=[1.0])
-    with pytest.raises(InvalidOption, match="solve takes no tolerance_on"):
+    with pytest.raises(InvalidOption, match="tolerance_on"):
         solve(problem, tolerance_on="error")
 
 

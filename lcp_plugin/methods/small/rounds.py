@@ -1,0 +1,565 @@
+"""Small dense problems, one or a stack, by numpy alone: sweeps of NPSOR, rounds of active sets, Lemke's path.
+
+Two sweeps guess the active set; a round solves w = 0 on the free rows, the others at their bounds, and changes every
+wrong row. Where the rounds end without a solution, Lemke's path follows w = M z + q + t r from large t to t = 0. Arrays
+have an axis of problems in front: M has shape (B, n, n), the vectors (B, n).
+
+References
+----------
+Kumar, Deepmala, Das (the sweeps); Júdice, Pires 1994, doi:10.1016/0305-0548(94)90106-6 (the rounds); Lemke 1965,
+doi:10.1287/mnsc.11.7.681; Lemke, Howson 1964, doi:10.1137/0112033 (games).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.linalg import LinAlgError
+
+from ...core.algorithm import Algorithm, Step
+from ...core.certificates.criterion import RowData, times
+from ...core.checks import BoolVector, FloatVector
+from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL
+from ...core.lcp import LCP
+from ...core.matrix.matrix import Matrix, residual_scales
+
+SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
+RELAXATION, SWEEPS = 1.7, 2
+ROUNDS, IDLE = 12, 2  # at most; without fewer changes
+GOOD = 1e-12  # relative residual at which the rounds end
+SMALLEST_PIVOT = 1e-11  # of rows divided by their largest entry
+PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
+DELAYED = 8  # exchanges that are added to a tableau at once
+SMALLEST = 1e-130  # smaller values of z are 0: their products underflow
+WELL_CONDITIONED = 1e8
+CHUNK = 2**17  # entries of matrices that stay in the cache
+LOW, FREE, HIGH = 0, 1, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rounds(Algorithm):
+    """Rounds of active sets, then Lemke's paths, on a small dense problem."""
+
+    name: ClassVar[str] = "rounds"
+    is_monotone: ClassVar[bool] = False
+    ends_with_a_case: ClassVar[bool] = True
+
+    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+        """Yield the start, the point at which the rounds end, and the ends of the paths."""
+        yield Step(z0, work=0.0)
+        unit = max(problem.nonzeros, 1)
+        with np.errstate(all="ignore"):
+            stack = stack_of(as_dense(problem.matrix), problem.q, problem.lower, problem.upper)
+        points = answers(stack, z0[None])
+        while True:
+            with np.errstate(all="ignore"):
+                found = next(points, None)
+            if found is None:
+                return
+            label, z, entries = found
+            if np.isfinite(z).all():
+                yield Step(z, work=entries / unit, label=label)
+
+
+def is_small(problem: LCP) -> bool:
+    """Return whether rounds on a dense M suit the problem."""
+    return 0 < problem.n <= (SMALL_DENSE if problem.is_dense else SMALL_SPARSE)
+
+
+def as_dense(matrix: Matrix) -> FloatVector:
+    """Return M as an ndarray with an axis in front, shape (1, n, n)."""
+    M: FloatVector = matrix.array if matrix.is_dense else matrix.csr.toarray()
+    return M[None]
+
+
+# --- stacks --------------------------------------------------------------------------------------------------
+
+
+def stack_of(M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector) -> RowData:
+    """Return problems of one size as data of the criterion; an axis of length 1, or none, stands for all."""
+    count = max(len(M), *(len(one) if one.ndim == 2 else 1 for one in (q, lower, upper)))
+    shape = count, M.shape[-1]
+    q, lower, upper = (np.broadcast_to(one, shape) for one in (q, lower, upper))
+    M = np.ascontiguousarray(np.broadcast_to(M, (*shape, shape[1])))
+    sizes = np.abs(M)
+    largest = sizes.max(-1, initial=0.0)
+    diagonal = M.diagonal(axis1=-2, axis2=-1)
+    return RowData(
+        M, sizes, q, lower, upper, residual_scales(diagonal, largest), _components(sizes)
+    )
+
+
+def _components(sizes: FloatVector) -> Any:
+    """Return the component of each row, numbered through the stack; None if each M is connected."""
+    if sizes[:, 0, 1:].all() or sizes[:, 1:, 0].all():
+        return None
+    count, n = sizes.shape[:2]
+    linked = (sizes > 0.0) | (sizes.swapaxes(-1, -2) > 0.0) | np.eye(n, dtype=bool)
+    labels = np.broadcast_to(np.arange(n), (count, n))
+    while True:
+        lowest = np.where(linked, labels[:, None, :], n).min(-1)
+        lowest = np.take_along_axis(lowest, lowest, -1)
+        if (lowest == labels).all():
+            break
+        labels = lowest
+    return labels + n * np.arange(count)[:, None] if labels.any() else None
+
+
+def part_of(stack: RowData, items: Any) -> RowData:
+    """Return some problems of a stack."""
+    labels = stack.labels
+    if labels is not None:
+        labels = np.unique(labels[items], return_inverse=True)[1].reshape(-1, labels.shape[1])
+    names = ("M", "absolute", "q", "lower", "upper", "scale")
+    parts: dict[str, Any] = {name: getattr(stack, name)[items] for name in names}
+    return RowData(**parts, labels=labels)
+
+
+def references(stack: RowData) -> Any:
+    """Return lower bounds of ‖r_P(z°)‖∞ in the component of each row."""
+    at = stack.rows(stack.start)
+    return stack.largest(stack.residual_ends(stack.start, at.w, at.slip)[0])
+
+
+class Judged(NamedTuple):
+    """Points on their bounds, whether each is solved, and their relative residuals."""
+
+    z: FloatVector
+    is_solved: BoolVector
+    residual: FloatVector
+
+
+def judged(stack: RowData, z: FloatVector, reference: FloatVector, tolerance: float) -> Judged:
+    """Return the points z of a stack, moved onto near bounds, as the criterion measures them."""
+    z = np.where(np.abs(z) > SMALLEST, z, 0.0)
+    z = np.where(reference == 0.0, stack.start, np.clip(z, stack.lower, stack.upper))
+    z = stack.snapped(z, times(stack.M, z) + stack.q)
+    at = stack.rows(z)
+    high = stack.residual_ends(z, at.w, at.slip)[1]
+    limit = np.minimum(reference, stack.acting_reference(z, at))
+    relative = np.where(high == 0.0, 0.0, high / limit).max(-1, initial=0.0)
+    terms = stack.term_residuals(z, at, power=1.0).max(-1, initial=0.0)
+    return Judged(z, (relative <= tolerance) & (terms <= tolerance), relative)
+
+
+def solve_stack(
+    M: FloatVector,
+    q: FloatVector,
+    lower: FloatVector,
+    upper: FloatVector,
+    starts: FloatVector | None,
+    tolerance: float,
+) -> Judged:
+    """Return points of problems (B, n), as far as rounds and paths of all at once lead."""
+    with np.errstate(all="ignore"):
+        stack = stack_of(M, q, lower, upper)
+        reference = references(stack)
+        free = (stack.lower == -np.inf) & (stack.upper == np.inf)
+        has_diagonal = _has_diagonal(stack)
+        z = stack.start if starts is None else np.broadcast_to(starts, stack.q.shape)
+        if starts is not None:  # they name active sets
+            z = rounds(stack, z, times(stack.M, z) + stack.q, reference)[0]
+        elif (has_diagonal | free).all():
+            z = rounds(stack, *guessed(stack, z), reference)[0]
+        found = judged(stack, z, reference, tolerance)
+        items = np.flatnonzero(~found.is_solved & ~free.any(1))
+        if items.size:
+            of_paths = judged(few := part_of(stack, items), paths(few), reference[items], tolerance)
+            for table, values in zip(found, of_paths, strict=True):
+                table[items] = values
+    return found
+
+
+def _has_diagonal(stack: RowData) -> Any:
+    """Return the rows whose diagonal entry is positive and not negligible."""
+    diagonal = stack.M.diagonal(axis1=-2, axis2=-1)
+    return (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * stack.absolute.max(-1))
+
+
+def guessed(stack: RowData, z: FloatVector) -> tuple[FloatVector, FloatVector]:
+    """Return z and w after sweeps of NPSOR: (D/α + D + 2S⁻¹ − L)(z⁺ − z) = −2 S⁻¹ r_S(z), S = D⁻¹.
+
+    L is the block of M below its first half of rows and columns: every choice of L has the paper's theorem.
+    """
+    pivot, half = 1.0 / RELAXATION + 3.0, z.shape[-1] // 2
+    for _ in range(SWEEPS):
+        w = times(stack.M, z) + stack.q
+        change = stack.residual(z, w) * (2.0 / pivot)
+        new = np.clip(z - change, stack.lower, stack.upper)
+        more = times(stack.M[:, half:, :half], new[:, :half] - z[:, :half])
+        later = z[:, half:] - change[:, half:] - more / (pivot * stack.scale[:, half:])
+        new[:, half:] = np.clip(later, stack.lower[:, half:], stack.upper[:, half:])
+        z = new
+    return z, times(stack.M, z) + stack.q
+
+
+def rounds(
+    stack: RowData, z: FloatVector, w: FloatVector, reference: FloatVector
+) -> tuple[FloatVector, FloatVector]:
+    """Return the points at which rounds of active sets end, and their w."""
+    z, side, items = z.copy(), _sides(stack, z, w), np.arange(len(z))
+    fewest, idle = np.full(len(z), z.shape[1] + 1), np.zeros(len(z), int)
+    for _ in range(ROUNDS):
+        z[items] = at_sides(stack, side, items)
+        w = times(stack.M, z) + stack.q
+        before, side = side, _sides(stack, z, w)
+        changes = (side != before).sum(1)
+        idle = np.where(changes < fewest, 0, idle + 1)
+        fewest = np.minimum(changes, fewest)
+        is_open = (np.abs(stack.residual(z, w)) > GOOD * reference).any(1)
+        items = items[((changes > 0) & (idle <= IDLE) & is_open)[items]]
+        if not items.size:
+            break
+    return z, w
+
+
+def _sides(stack: RowData, z: FloatVector, w: FloatVector) -> Any:
+    step = w / stack.scale
+    at_upper = np.where(step <= z - stack.upper, HIGH, FREE)
+    return np.where(step >= z - stack.lower, LOW, at_upper)
+
+
+def at_sides(stack: RowData, side: Any, items: Any) -> FloatVector:
+    """Return z of these problems, z_i at the bound that `side` names, else w_i = 0; NaN if that is singular."""
+    z: FloatVector = np.where(side == LOW, stack.lower, np.where(side == HIGH, stack.upper, 0.0))
+    free = side[items] == FREE
+    most = int(free.sum(1).max(initial=0))
+    right, z = -(stack.q + times(stack.M, z))[items], z[items]
+    if not most:
+        return z
+    order = np.argsort(~free, 1, kind="stable")[:, :most]
+    inside = np.take_along_axis(free, order, 1)
+    n = side.shape[1]
+    rows = (items[:, None] * n + order)[:, :, None] * n
+    blocks = stack.M.reshape(-1).take(rows + order[:, None, :])
+    if not inside.all():  # a row at its bound is z_i = bound
+        blocks = np.where(inside[:, :, None], blocks, np.eye(most))
+    known = np.take_along_axis(z, order, 1)
+    right = np.where(inside, np.take_along_axis(right, order, 1), known)
+    np.put_along_axis(z, order, _solved(blocks, right), 1)
+    return z
+
+
+def _solved(A: FloatVector, b: FloatVector) -> FloatVector:
+    """Return the solutions of a stack of systems, NaN for a singular one."""
+    try:
+        return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=np.float64)
+    except LinAlgError:
+        if len(A) == 1:
+            return np.full_like(b, np.nan)
+    half = len(A) // 2
+    return np.concatenate([_solved(A[:half], b[:half]), _solved(A[half:], b[half:])])
+
+
+def paths(stack: RowData) -> FloatVector:
+    """Return the ends of Lemke's paths from r = 1, NaN where one is lost; no row is free."""
+    flips = stack.lower == -np.inf
+    base, sign = np.where(flips, stack.upper, stack.lower), np.where(flips, -1.0, 1.0)
+    M = sign[:, :, None] * stack.M * sign[:, None, :]
+    side = _followed(M, sign * (stack.q + times(stack.M, base)), stack.upper - stack.lower)
+    side = np.where(flips & (side >= 0), HIGH - side, side)
+    z = at_sides(stack, side, np.arange(len(side)))
+    z[(side < 0).any(1)] = np.nan
+    return z
+
+
+def _followed(M: FloatVector, q: FloatVector, width: FloatVector) -> Any:  # noqa: PLR0915 - one loop
+    """Return LOW, FREE or HIGH of each row at the ends of the paths of 0 ≤ x ≤ width, −1 where one is lost.
+
+    The path is that of a perturbed q. x_i = i, w_i = n + i, t = 2n are the numbers of variables.
+    """
+    count, n = q.shape
+    unit = np.abs(M).max(2)
+    unit = 1.0 / np.where(unit > 0.0, unit, 1.0)
+    T = np.concatenate([M * unit[:, :, None], np.ones((count, n, 1))], 2)
+    v, t = q * unit, 2 * n
+    largest = np.abs(v).max(1, keepdims=True)
+    v += PERTURBED * largest * np.random.default_rng(1).uniform(1.0, 2.0, n)
+    u = np.concatenate([width, np.full((count, n + 1), np.inf)], 1)
+    value = np.maximum(np.where(width == 0.0, 0.0, -v).max(1), 0.0)
+    v += value[:, None]
+    low, high = np.where(width == 0.0, -np.inf, 0.0), np.full((count, n), np.inf)
+    basis = np.tile(np.arange(n, 2 * n), (count, 1))
+    place = np.tile(np.r_[np.arange(2 * n), n], (count, 1))
+    side, result, here = np.full((count, n), LOW), np.full((count, n), -1), np.arange(count)
+    driven, direction, t_row = np.full(count, t), np.full(count, -1.0), np.full(count, -1)
+    for _ in range(10 * (n + 10)):
+        b = np.arange(len(here))
+        column = place[b, driven]
+        factor = T[b, :, column]
+        rate = direction[:, None] * factor
+        distance = np.where(
+            np.abs(rate) > SMALLEST_PIVOT, (np.where(rate < 0.0, low, high) - v) / rate, np.inf
+        )
+        row = distance.argmin(1)
+        step = np.maximum(distance[b, row], 0.0)
+        is_end = (t_row >= 0) & (distance[b, t_row] <= step * (1.0 + 1e-12))
+        row = np.where(is_end, t_row, row)
+        own = np.where(driven == t, value, u[b, driven])
+        jumps = own <= np.where(step < np.inf, step, 0.0)  # to its own other bound
+        step = np.where(jumps, own, step)
+        is_lost = ~(step < np.inf)
+        v += (direction * step)[:, None] * factor
+        falls = np.where(jumps, direction < 0.0, rate[b, row] < 0.0)
+        leaving = np.where(jumps, driven, basis[b, row])
+        i = np.flatnonzero(~(jumps | is_lost))
+        if i.size:
+            k, c, entering = row[i], column[i], driven[i]
+            index, is_x, is_t = entering % n, entering < n, entering == t
+            is_high = ~is_x & ~is_t & (side[i, index] == HIGH)
+            v[i, k] = value[i] + direction[i] * step[i]
+            is_fixed = ~is_x & ~is_t & (u[i, index] == 0.0)
+            low[i, k] = np.where(is_high | is_fixed, -np.inf, 0.0)
+            high[i, k] = np.where(is_high, 0.0, u[i, entering])
+            side[i[is_x], index[is_x]] = FREE
+            basis[i, k], place[i, leaving[i]] = entering, c
+            t_row[i] = np.where(is_t, k, np.where(t_row[i] == k, -1, t_row[i]))
+            at = np.arange(i.size)
+            pivot, factor = factor[i, k][:, None], factor[i]
+            held = T[i, k] / -pivot
+            held[at, c], factor[at, k] = 1.0 / pivot[:, 0], 1.0
+            T[i, :, c] = T[i, k] = 0.0
+            if i.size == b.size:
+                T += factor[:, :, None] * held[:, None, :]
+            else:
+                T[i] += factor[:, :, None] * held[:, None, :]
+        index, was_x = leaving % n, leaving < n
+        side[b[was_x], index[was_x]] = np.where(falls[was_x], LOW, HIGH)
+        is_high = side[b, index] == HIGH
+        driven = np.where(was_x, n + index, index)  # its complement
+        value = np.where(~was_x & is_high, u[b, index], 0.0)
+        direction = np.where(was_x, np.where(falls, 1.0, -1.0), np.where(is_high, -1.0, 1.0))
+        is_over = leaving == t
+        result[here[is_over]] = side[is_over]
+        on = ~(is_over | is_lost)
+        if not on.any():
+            break
+        if not on.all():
+            here, T, v, low, high, basis, place, side, driven, value, direction, t_row, u = (
+                a[on]
+                for a in (
+                    here,
+                    T,
+                    v,
+                    low,
+                    high,
+                    basis,
+                    place,
+                    side,
+                    driven,
+                    value,
+                    direction,
+                    t_row,
+                    u,
+                )
+            )
+    return result
+
+
+# --- one problem ---------------------------------------------------------------------------------------------
+
+
+COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
+    "path": lambda q: np.ones(q.size),
+    "path, r = |q|": lambda q: np.maximum(np.abs(q), 2.0**-10 * np.abs(q).max()),
+    "path, random r": lambda q: np.random.default_rng(0).uniform(0.25, 1.0, q.size),
+}
+
+
+def answers(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
+    """Yield points of one problem that may solve it, how each was found, and the entries that it took."""
+    n = z0.shape[1]
+    reference, entries = references(stack), float(n**3)
+    free = (stack.lower == -np.inf) & (stack.upper == np.inf)
+    has_rounds = bool((_has_diagonal(stack) | free).all())
+    is_cold = bool((z0 == stack.start).all())
+    if has_rounds or not is_cold:  # a start names an active set
+        begin = guessed(stack, z0) if is_cold else (z0, times(stack.M, z0) + stack.q)
+        yield "rounds", rounds(stack, *begin, reference)[0][0], entries
+    M, q, width, back = _canonical(
+        *(one[0] for one in (stack.M, stack.q, stack.lower, stack.upper))
+    )
+    game = _player(M, q) if q.size and not M[0, 0] and np.isposinf(width).all() else None
+    if game is not None:
+        yield "game", back(path(M, q, width, game=game)), 3.0 * entries
+    for name, covering in COVERINGS.items():
+        z = back(path(M, q, width, covering(q)) if q.size else q)
+        yield name, np.clip(z, stack.lower[0], stack.upper[0]), 3.0 * entries
+        if np.isfinite(z).all():
+            w = times(stack.M, z[None]) + stack.q
+            yield "rounds", rounds(stack, z[None], w, reference)[0][0], entries
+    if not has_rounds:
+        w = times(stack.M, stack.start) + stack.q
+        yield "rounds", rounds(stack, stack.start, w, reference)[0][0], entries
+
+
+class _Tableau:
+    """The basic variables as functions of the others: T + F R, the products of the last exchanges added at once."""
+
+    def __init__(self, T: FloatVector) -> None:
+        self.T, self.F, self.R = T, np.zeros((len(T), DELAYED)), np.zeros((DELAYED, T.shape[1]))
+        self.held = 0
+
+    def column(self, c: int) -> FloatVector:
+        """Return a column."""
+        column: FloatVector = self.T[:, c] + self.F[:, : self.held] @ self.R[: self.held, c]
+        return column
+
+    def exchange(self, factor: FloatVector, row: int, column: int) -> None:
+        """Let the basic variable of a row and the other one of a column, whose entries are `factor`, change places."""
+        T, F, R, k = self.T, self.F, self.R, self.held
+        R[k] = (T[row] + F[row, :k] @ R[:k]) / -factor[row]
+        R[k, column], F[:, k] = 1.0 / factor[row], factor
+        T[row], F[row, :k], T[:, column], R[:k, column] = 0.0, 0.0, 0.0, 0.0
+        F[row, k] = 1.0
+        self.held = k + 1
+        if self.held == DELAYED:
+            T += F @ R
+            self.held = 0
+
+
+def path(  # noqa: PLR0912, PLR0915 - one loop
+    M: FloatVector, q: FloatVector, width: FloatVector, r: Any = None, game: Any = None
+) -> FloatVector:
+    """Return x, 0 ≤ x ≤ width, at the end of Lemke's path w = M x + q + t r, NaN if it is lost.
+
+    The path is that of a perturbed q, on which no two rows block at once; x is the solution of q itself for its last
+    basis. For a game it is Lemke and Howson's.
+    """
+    n = q.size
+    unit = np.abs(M).max(1)
+    unit = 1.0 / np.where(unit > 0.0, unit, 1.0)
+    if game is not None:
+        r = np.where(game, 1.0, 0.0)
+        r[0] = 0.5
+    T = np.empty((n, n + 1))
+    T[:, :n], T[:, n] = M * unit[:, None], r
+    tableau = _Tableau(T)
+    v = q * unit
+    v = v + PERTURBED * np.abs(v).max() * np.random.default_rng(1).uniform(1.0, 2.0, n)
+    fixed = width == 0.0
+    value = float(np.where(fixed, 0.0, -v / r).max()) if game is None else 0.0
+    if value <= 0.0 and game is None:
+        return np.zeros(n)
+    v = v + value * r
+    low, high, side = np.where(fixed, -np.inf, 0.0), np.full(n, np.inf), [LOW] * n
+    basis, other = list(range(n, 2 * n)), [*range(n), 2 * n]  # x_i = i, w_i = n + i, t = 2n
+    t, column, direction, t_row, u = 2 * n, n, -1.0, -1, width.tolist()
+    driven = t
+    if game is not None:  # x_0 covers the other player's rows, t his own; both meet in one vertex
+        s = int(np.where(game, -np.inf, -v / T[:, 0]).argmax())
+        for row, at in ((s, 0), (0, n)):
+            factor = tableau.column(at)
+            value = -v[row] / factor[row]
+            v += value * factor
+            v[row] = value
+            basis[row], other[at] = other[at], basis[row]
+            tableau.exchange(factor, row, at)
+        side[0], t_row, driven, value, direction = FREE, 0, s, 0.0, 1.0
+        column = other.index(s)
+    for _ in range(10 * (n + 10)):
+        factor = tableau.column(column)
+        rate = factor if direction > 0.0 else -factor
+        distance = np.where(
+            np.abs(rate) > SMALLEST_PIVOT, (np.where(rate < 0.0, low, high) - v) / rate, np.inf
+        )
+        row = int(distance.argmin())
+        step = max(float(distance[row]), 0.0)
+        if t_row >= 0 and distance[t_row] <= step * (1.0 + 1e-12):
+            row = t_row
+        own = value if driven == t else u[driven] if driven < n else math.inf
+        if own <= step and own < math.inf:  # it meets its own other bound
+            v += (direction * own) * factor
+            if driven == t:
+                break
+            side[driven] = HIGH if direction > 0.0 else LOW
+            driven, value, direction = n + driven, 0.0, -direction
+            column = other.index(driven)
+            continue
+        if not step < math.inf:
+            return np.full(n, np.nan)
+        v += (direction * step) * factor
+        v[row] = value + direction * step
+        leaving, falls = basis[row], rate[row] < 0.0
+        if driven < n:
+            side[driven], low[row], high[row] = FREE, 0.0, u[driven]
+        elif driven == t:
+            t_row, low[row], high[row] = row, 0.0, math.inf
+        else:
+            i = driven - n
+            low[row] = -math.inf if side[i] == HIGH or fixed[i] else 0.0
+            high[row] = 0.0 if side[i] == HIGH else math.inf
+        t_row = -1 if row == t_row and driven != t else t_row
+        basis[row], other[column] = driven, leaving
+        if leaving == t:
+            break
+        tableau.exchange(factor, row, column)
+        if leaving >= n:
+            i = leaving - n
+            driven, value, direction = (i, 0.0, 1.0) if side[i] == LOW else (i, u[i], -1.0)
+        else:
+            side[leaving] = LOW if falls else HIGH
+            driven, value, direction = n + leaving, 0.0, 1.0 if falls else -1.0
+        column = other.index(driven)
+    else:
+        return np.full(n, np.nan)
+    return _at_sides_of_one(M, q, width, np.array(side))
+
+
+def _at_sides_of_one(M: FloatVector, q: FloatVector, width: FloatVector, side: Any) -> FloatVector:
+    """Return x at the bound that `side` names, w_i = 0 elsewhere; NaN if that is singular."""
+    x = np.where(side == HIGH, width, 0.0)
+    free = np.flatnonzero(side == FREE)
+    if free.size:
+        right = -(q + M @ x)[free]
+        x[free] = _solved(M[np.ix_(free, free)][None], right[None])[0]
+    return x
+
+
+def _canonical(
+    M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector
+) -> tuple[FloatVector, FloatVector, FloatVector, Callable[[FloatVector], FloatVector]]:
+    """Return (M, q, width, back) of the same problem with 0 ≤ x ≤ width; free rows are eliminated, or split."""
+    free = (lower == -np.inf) & (upper == np.inf)
+    flips = (lower == -np.inf) & ~free
+    base, sign = np.where(flips, upper, np.where(free, 0.0, lower)), np.where(flips, -1.0, 1.0)
+    b, A, n = sign * (q + M @ base), sign[:, None] * M * sign, q.size
+    if not free.any():
+        return A, b, upper - lower, lambda x: base + sign * x
+    E, R = np.flatnonzero(free), np.flatnonzero(~free)
+    to, block = A[np.ix_(R, E)], A[np.ix_(E, E)]
+    try:
+        S = np.linalg.solve(block, -np.column_stack([A[np.ix_(E, R)], b[E]]))
+        is_regular = bool(np.abs(S).max() < WELL_CONDITIONED)
+    except LinAlgError:
+        is_regular = False
+    if is_regular:
+
+        def back(x: FloatVector) -> FloatVector:
+            z = np.empty(n)
+            z[R], z[E] = x, S[:, :-1] @ x + S[:, -1]
+            return base + sign * z
+
+        reduced = A[np.ix_(R, R)] + to @ S[:, :-1]
+        return reduced, b[R] + to @ S[:, -1], (upper - lower)[R], back
+    A = np.block([[A, -A[:, E]], [-A[E], block]])
+    width = np.concatenate([upper - lower, np.full(E.size, np.inf)])
+
+    def joined(x: FloatVector) -> FloatVector:
+        z = x[:n].copy()
+        z[E] -= x[n:]
+        return base + sign * z
+
+    return A, np.concatenate([b, -b[E]]), width, joined
+
+
+def _player(M: FloatVector, q: FloatVector) -> Any:
+    """Return the rows of the first player of a bimatrix game, bool, or None."""
+    first = M[0] == 0.0
+    same = first[:, None] == first
+    is_game = (q < 0.0).all() and not first.all() and ((M > 0.0) == ~same).all()
+    return first if is_game else None

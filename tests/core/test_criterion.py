@@ -1,0 +1,176 @@
+"""The stopping criterion against constructed wrong points, enumeration in fractions, and exact results one ulp off."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, Certificate, Status, gallery, solve, solve_batch
+from lcp_plugin.core.settings import Settings
+
+METHODS = ("auto", "npsor", "psor", "newton", "lemke", "interior_point")
+TINY = 2.0**-17
+CONSTRUCTED: dict[str, tuple[Any, Any, Any, Any]] = {  # M, q, a wrong point, the right one or None
+    "the snapped point is measured": (
+        [[1, 1], [0, 1]],
+        [-(2.0**33), 64],
+        [2.0**33, 64],
+        [2.0**33, 0],
+    ),
+    "an idle row is no reference": (
+        [[1, 2048, 0], [0, 1, 1], [0, 1, 1 + TINY]],
+        [-1024, -2, -2 - TINY],
+        [0, 1.5, 0.5],
+        [0, 1, 1],
+    ),
+    "terms that cancel": (
+        [[1, -1, 0], [-1, 1, 0], [1, 0, 1]],
+        [-1, 0, -(2.0**27)],
+        [2.0**20, 2.0**20, 2.0**27 - 2.0**20],
+        None,
+    ),
+    "a row next to a large one": (
+        [[1, 1, 0], [0, 1, -2], [0, 0, 1]],
+        [-(2.0**46), 0, -1],
+        [2.0**46 - 10, 10, 1],
+        [2.0**46 - 2, 2, 1],
+    ),
+    "components": (np.eye(2), [-1e10, -0.5], [1e10, 0.6], [1e10, 0.5]),
+    "a row of zeros": ([[1, 1], [0, 0]], [-1, -1e-9], [1, 0], None),
+}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", CONSTRUCTED)
+def test_a_run_from_a_wrong_point_ends_at_the_right_one(name: str, method: str) -> None:
+    """No method calls a constructed wrong point SOLVED: the answer is right, or the status says that it is not."""
+    M, q, wrong, right = CONSTRUCTED[name]
+    problem = LCP(np.array(M, float), q)
+    for z0 in (wrong, None):
+        result = solve(problem, method, z0=z0, max_iterations=20_000)
+        if right is None:
+            assert not result.is_solved
+        elif result.is_solved:
+            np.testing.assert_allclose(result.z, right, rtol=1e-4)
+    if method == "auto":
+        assert result.is_solved is (right is not None)
+
+
+@pytest.mark.parametrize("name", CONSTRUCTED)
+def test_a_certificate_refuses_the_wrong_point(name: str) -> None:
+    """The point itself fails one of the two tests."""
+    M, q, wrong, right = CONSTRUCTED[name]
+    problem = LCP(np.array(M, float), q)
+    assert not Certificate.of(problem, wrong).meets(Settings())
+    if right is not None:
+        assert Certificate.of(problem, right).meets(Settings())
+
+
+@pytest.mark.parametrize("power", [-300, -40, 0, 40, 300])
+def test_a_row_of_zeros_is_infeasible_in_any_unit(power: int) -> None:
+    """w₂ = −1e-9 for every z, also if M and q are multiplied by a power of two."""
+    result = solve(LCP(np.ldexp([[1.0, 1.0], [0.0, 0.0]], power), np.ldexp([-1.0, -1e-9], power)))
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.verify()
+
+
+def solutions(M: Any, q: Any) -> list[list[Fraction]]:
+    """Return the solutions of all nonsingular complementary bases, in fractions."""
+    n, found = len(q), []
+    exact = [[Fraction(float(value)) for value in row] for row in M]
+    for is_free in product((False, True), repeat=n):
+        free = [i for i in range(n) if is_free[i]]
+        rows = [[exact[i][j] for j in free] + [-Fraction(float(q[i]))] for i in free]
+        if not _eliminate(rows):
+            continue
+        z = [Fraction(0)] * n
+        for i, row in zip(free, rows, strict=True):
+            z[i] = row[-1]
+        w = [
+            sum(a * b for a, b in zip(exact[i], z, strict=True)) + Fraction(float(q[i]))
+            for i in range(n)
+        ]
+        if min(z) >= 0 and min(w) >= 0:
+            found.append(z)
+    return found
+
+
+def _eliminate(rows: list[list[Fraction]]) -> bool:
+    for k in range(len(rows)):
+        pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)
+        if pivot is None:
+            return False
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [value / rows[k][k] for value in rows[k]]
+        for i in range(len(rows)):
+            if i != k and rows[i][k]:
+                rows[i] = [a - rows[i][k] * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return True
+
+
+def drawn(rng: np.random.Generator) -> tuple[Any, Any]:
+    """Return a problem of up to four rows: ties, near-parallel rows, odd diagonals, large integers."""
+    n = int(rng.integers(1, 5))
+    kind = rng.integers(6)
+    M = rng.integers(-3, 4, (n, n)).astype(float)
+    if kind == 1:
+        M = M @ M.T + np.eye(n)
+    elif kind == 2:
+        M[-1] = M[0] * (1.0 + 2.0 ** -int(rng.integers(5, 20)))
+        M[-1, -1] += 1.0
+    elif kind == 3:
+        M[np.diag_indices(n)] *= 2.0 ** -rng.integers(0, 50, n)
+    elif kind == 4:
+        M = M * rng.integers(1, 2**26, (n, n))
+    q = rng.integers(-3, 4, n).astype(float) * 2.0 ** rng.integers(-10, 27, n)
+    return M, q
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(20))
+def test_no_wrong_point_is_solved(seed: int) -> None:
+    """Of well-conditioned problems, a SOLVED z lies near an exact solution; none is SOLVED without one."""
+    rng = np.random.default_rng([81, seed])
+    for _ in range(100):
+        M, q = drawn(rng)
+        if abs(np.linalg.det(M)) == 0 or np.linalg.cond(M) > 1e4:
+            continue
+        result = solve(LCP(M, q))
+        if result.is_solved:
+            right = solutions(M, q)
+            size = max(1.0, float(np.abs(result.z).max()))
+            errors = [
+                max(abs(float(a) - b) for a, b in zip(z, result.z, strict=True)) for z in right
+            ]
+            assert min(errors, default=np.inf) <= 1e-3 * size, (M, q, result.z)
+
+
+ORDINARY = ("obstacle_1d", "obstacle_2d", "american_put", "random_h_plus", "random_spd")
+
+
+@pytest.mark.parametrize("name", [name for name in ORDINARY if name in gallery.names()])
+def test_a_right_result_passes_exactly_and_one_ulp_off(name: str) -> None:
+    """The polished result of an ordinary problem passes, and so does each neighbor with random last bits."""
+    problem = gallery.build(name).problem
+    z = solve(problem, "newton", tolerance=1e-12).z
+    rng, is_free = np.random.default_rng(0), (z > problem.lower) & (z < problem.upper)
+    for k in range(20):
+        ulps = rng.integers(-1, 2, z.size) * is_free * (k > 0)
+        moved = z * (1.0 + ulps * 2.0**-52)
+        assert Certificate.of(problem, moved).meets(Settings())
+
+
+def test_a_stack_is_judged_as_its_problems() -> None:
+    """Of 40 random problems each status in a batch is that of a solve by itself."""
+    rng = np.random.default_rng(3)
+    M, q = (
+        rng.integers(-2, 4, (40, 4, 4)).astype(float),
+        rng.integers(-3, 3, (40, 4)).astype(float),
+    )
+    batch = solve_batch(M, q)
+    for k in range(40):
+        assert solve(LCP(M[k], q[k])).status is batch.status[k]

@@ -1,0 +1,138 @@
+"""Rounds of active sets and Lemke's paths on small dense problems, one or a stack."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from collection.truth import ExactData
+from small_families import FAMILIES, definite_stack, draw, told
+
+from lcp_plugin import LCP, Status, solve, solve_batch
+
+INF = np.inf
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("family", FAMILIES)
+def test_watching_a_run_changes_nothing(family: str) -> None:
+    """With record or a callback the same bits, iterations, work and stages, for cold and warm starts and limits."""
+    rng = np.random.default_rng(0)
+    for k, drawn in enumerate(draw(family, 6, 9)):
+        z0 = None if k % 3 else rng.normal(size=drawn.n)
+        limit = {} if k % 4 else {"max_iterations": k % 5}
+        alone = solve(drawn, z0=z0, **limit)
+        watched = solve(drawn, z0=z0, record=True, **limit)
+        called = solve(drawn, z0=z0, callback=lambda sample, z: False, **limit)
+        assert told(alone) == told(watched) == told(called)
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("family", FAMILIES)
+def test_no_solved_point_is_a_lie(family: str) -> None:
+    """Exact arithmetic confirms the residual of each SOLVED point, and a batch has the same statuses."""
+    problems = list(draw(family, 12, 8))
+    results = [solve(drawn) for drawn in problems]
+    for drawn, result in zip(problems, results, strict=True):
+        assert not result.is_solved or not ExactData(drawn).is_lie(result.z, 1e-8)
+    batch = solve_batch(problems)
+    assert [result.status for result in results] == list(batch.status)
+    for k in range(len(problems)):
+        assert batch[k].status is batch.status[k]
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 17, 60, 128, 256])
+def test_a_planted_solution_is_found_by_the_first_rounds(n: int) -> None:
+    """Bounds on both sides and free rows; M positive definite, or triangular and P."""
+    rng = np.random.default_rng(n)
+    for matrix in (
+        definite_stack(1, n, n)[0][0],
+        np.tril(rng.normal(size=(n, n)), -1) / n + np.eye(n),
+    ):
+        lower = np.where(rng.random(n) < 0.1, -INF, np.where(rng.random(n) < 0.3, -1.0, 0.0))
+        upper = np.where(rng.random(n) < 0.4, np.maximum(lower, 0.0) + 1.0, INF)
+        side = rng.integers(0, 3, n)
+        side[(side == 0) & (lower == -INF)] = 1
+        side[(side == 2) & (upper == INF)] = 1
+        inside = np.maximum(np.minimum(lower, upper), -0.5) + 0.25
+        z = np.select([side == 0, side == 2], [lower, upper], inside)
+        w = np.select([side == 0, side == 2], [1.0, -1.0], 0.0)
+        result = solve(LCP(matrix, w - matrix @ z, lower=lower, upper=upper))
+        assert result.status is Status.SOLVED
+        np.testing.assert_allclose(result.z, z, atol=1e-7)
+        assert {stage.name for stage in result.stages} <= {"rounds", "path"}
+
+
+def test_a_game_is_solved_by_its_path() -> None:
+    """Lemke and Howson's path on random bimatrix games, where paths from r > 0 end on a ray."""
+    rng = np.random.default_rng(0)
+    for n in (3, 8, 20):
+        problem = LCP.from_game(rng.random((n, n)), rng.random((n, n)))
+        equilibrium = problem.origin.recover(solve(problem).require_solved())
+        assert equilibrium.regret <= 1e-9
+
+
+@pytest.mark.parametrize("is_regular", [True, False])
+def test_free_rows_without_a_diagonal_are_eliminated_or_split(is_regular: bool) -> None:
+    """A program with an equation, and one with the same equation twice."""
+    G = np.array([[1.0, 2.0, 1.0]]) if is_regular else np.array([[1.0, 2.0, 1.0]] * 2)
+    m = len(G)
+    M = np.block([[np.eye(3), -G.T], [G, np.zeros((m, m))]])
+    lower = np.r_[np.zeros(3), np.full(m, -INF)]
+    result = solve(LCP(M, np.r_[-1.0, 0.0, 1.0, -np.full(m, 1.0)], lower=lower))
+    assert result.is_solved
+    assert abs(G[0] @ result.z[:3] - 1.0) <= 1e-10
+
+
+def test_a_stack_of_contacts_with_friction_is_solved() -> None:
+    """Rows without a diagonal entry: paths of all problems at once."""
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(50, 6, 9))
+    M = A @ A.transpose(0, 2, 1)
+    M = np.concatenate(
+        [
+            np.concatenate([M, np.broadcast_to(np.eye(6)[:, :2], (50, 6, 2))], 2),
+            np.broadcast_to(np.r_["1", -np.eye(2, 6), np.zeros((2, 2))], (50, 2, 8)),
+        ],
+        1,
+    )
+    q = np.concatenate([rng.normal(size=(50, 6)), np.ones((50, 2))], 1)
+    batch = solve_batch(M, q)
+    assert sum(status is Status.SOLVED for status in batch.status) >= 49
+
+
+def test_nothing_is_said_in_passing() -> None:
+    """No warning, on problems of every family."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solve_batch([drawn for family in FAMILIES for drawn in draw(family, 2, 7)])
+
+
+def test_nobody_can_change_what_was_judged() -> None:
+    """The z of a batch, even or ragged, is read-only."""
+    M, q = definite_stack(3, 4)
+    ragged = solve_batch([LCP(M[0], q[0]), LCP([[1.0]], [-1.0])])
+    for z in (ragged.z[0], solve_batch(M, q).z):
+        with pytest.raises(ValueError, match="read-only"):
+            z[0] = 7.0
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        "np.array([[4., 1.], [1., 3.]]), [-1., -2.]",
+        "np.array([[0., 1.], [1., 0.]]), [-1., -1.]",
+        "np.array([[0., -1.], [1., 0.]]), [1., -1.], lower=[-np.inf, 0.]",
+    ],
+)
+def test_a_small_problem_loads_no_numba(problem: str) -> None:
+    """The first solve of a process compiles nothing."""
+    code = (
+        "import sys, numpy as np, lcp_plugin as lp\n"
+        f"assert lp.solve(lp.LCP({problem})).is_solved\n"
+        "assert 'numba' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

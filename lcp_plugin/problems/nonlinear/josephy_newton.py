@@ -32,6 +32,7 @@ from .data import Linearisation, Linearisations
 
 SUFFICIENT = 1e-4
 SHORTER = 30  # times a step is halved
+GROWTH = 10.0  # of the residual, by which a full step may miss the least one
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal steps
 FORCING = 0.01  # of the residual here, that a linearisation is solved to while far away
@@ -63,10 +64,10 @@ class JosephyNewton(Algorithm):
     -----
     The merit is ‖Φ‖₂, Φ the Fischer–Burmeister function with F(x) for w, beside the largest entry of each row of F′
     here: a diagonal that vanishes with x, as that of a convex power does at 0, says nothing about a point far away.
-    A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four points; a full step is taken also
-    if it halves the residual. If no step helps, the LCP of F′(x) + μD is solved for larger and larger μ, D the residual
-    scale (proximal steps); then small problems start elsewhere. A large linearisation is given up after 12 active sets
-    without half the residual.
+    A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four points. A full step is taken also
+    if its residual is at most ten times the least of these: on traffic networks the residual rises before it falls. If
+    no step helps, the LCP of F′(x) + μD is solved for larger and larger μ, D the residual scale (proximal steps); then
+    small problems start elsewhere. A large linearisation is given up after 12 active sets without half the residual.
 
     References
     ----------
@@ -170,14 +171,15 @@ class _NewtonRun:
         for k in range(SHORTER):
             x = target if k == 0 else here.x + 0.5**k * (target - here.x)
             point, least = self._at(x), (1.0 - SUFFICIENT * 0.5**k) * worst
-            is_better = self._merit(point) <= least or (k == 0 and self._halves(point))
+            is_better = self._merit(point) <= least or (k == 0 and self._is_within(point))
             if is_better and point.is_defined and not np.array_equal(x, here.x):
                 return point
         return None
 
-    def _halves(self, point: Linearisation) -> bool:
-        """Return whether the residual at a point is at most half of that here."""
-        return point.is_defined and self._relative(point) <= 0.5 * self._relative(self.here)
+    def _is_within(self, point: Linearisation) -> bool:
+        """Return whether the residual at a point is at most ten times the least of the latest points."""
+        least = min(map(self._relative, self.recent))
+        return point.is_defined and self._relative(point) <= GROWTH * least
 
     def _at(self, x: FloatVector) -> Linearisation:
         self.work += 1.0

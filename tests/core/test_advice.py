@@ -308,7 +308,6 @@ def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
     """explain() of a small infeasible program makes no second run, whose stages would contradict what it says."""
     result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
     assert result.status is Status.INFEASIBLE
-    assert ": 0 iterations" in result.explain()
     assert "npsor" not in result.explain()
 
 
@@ -339,57 +338,6 @@ def test_the_remedy_of_a_guarantee_is_followed() -> None:
     uncovered = convergence_guarantee(CONTACT, "npsor")
     assert 'algorithm="auto"' in uncovered.remedy
     assert solve(CONTACT).is_solved
-
-
-def test_what_a_program_is_told_runs() -> None:
-    """The form of a program that is refused names one that is taken."""
-    singular = QuadraticProgram(
-        [[0.0, 0.0], [0.0, 1.0]], [1.0, 1.0], G=[[-1.0, -1.0]], h=[1.0], lower=0.0
-    )
-    with pytest.raises(LCPError) as caught:
-        lcp_from_qp(singular, "direct")
-    forms = re.findall(r'form="(\w+)"', str(caught.value).partition("; use ")[2])
-    assert forms == ["kkt"]
-    assert solve(lcp_from_qp(singular, forms[0])).is_solved
-
-
-def test_what_certify_names_runs() -> None:
-    """The calls that certify names for other kinds of problems and answers run on them."""
-    problem, curved = LCP([[2, 1], [1, 2]], [-5, 1]), NonlinearProblem(lambda x: x**3 - 1.0)
-    made = LCP.from_qp(np.eye(2), [1.0, -1.0], lower=0.0)
-    result = solve(problem)
-    names: dict[str, Any] = {
-        "problem": problem,
-        "z": result.z,
-        "result": result,
-        "error_bound": error_bound,
-    }
-    names |= {"Certificate": type(result.certificate)}
-    for given, scope in (
-        (problem, names),
-        (result, names),
-        (curved, {"problem": curved, "x": [1.0], "solve": solve}),
-        (
-            made.origin.recover(solve(made)),
-            {
-                "program": made.origin.program,
-                "certify": certify,
-                "solution": made.origin.recover(solve(made)),
-            },
-        ),
-        (
-            bounded_least_squares([[1.0]], [1.0]),
-            {"problem": BoundedLeastSquares([[1.0]], [1.0]), "solve": solve},
-        ),
-    ):
-        with pytest.raises(LCPError) as caught:
-            certify(given)
-        calls = re.findall(
-            r"[A-Za-z_][\w.]*\((?:[^()]|\([^()]*\))*\)(?:\.\w+)?|result\.\w+", str(caught.value)
-        )
-        assert calls
-        for call in calls:
-            assert eval(call, dict(scope)) is not None
 
 
 def test_least_squares_that_stop_are_told_what_helps() -> None:

@@ -396,7 +396,7 @@ def sums_without_rounding(
     Examples
     --------
     >>> A = sp.csr_array(np.array([[1e16, 1.0, -1e16], [0.1, 0.2, -0.3]]))
-    >>> sums_without_rounding(A, np.ones(3))[0]
+    >>> float(sums_without_rounding(A, np.ones(3))[0])
     1.0
     """
     counts = np.diff(A.indptr)

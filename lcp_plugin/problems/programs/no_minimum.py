@@ -183,8 +183,8 @@ class QPUnboundedness:
     point satisfies all constraints; point + t direction does so for every t ≥ 0; and directionᵀP direction < 0, or
     P direction = 0 with cᵀ direction < 0.
 
-    Where P direction, and what constraints lose along it, is rounding and not 0 – of P, n ε Σ_j √(p_ii p_jj) |d_j|, as
-    a P that is positive semidefinite is so to rounding only – the proof is of all x and multipliers of a size up to
+    Where P direction, and what constraints lose along it, is rounding and not 0 – of P, 2 ε (k + 2) Σ_j |p_ij d_j| in
+    a row of k entries, since a sum of stored numbers is 0 to rounding only – the proof is of all x and multipliers of a size up to
     `radius`: none of them are a minimum and what proves it. point may then miss constraints by rounding.
 
     Attributes
@@ -314,10 +314,10 @@ class QPUnboundedness:
 
     @cached_property
     def _is_rounding(self) -> bool:
-        """Whether P d is within n ε √p_ii Σ_j √p_jj |d_j|, the rounding of a P = F Fᵀ."""
-        root = np.sqrt(np.maximum(self.program.P.diagonal(), 0.0))
-        size = float(root @ np.abs(numbers(self.direction)))
-        curved, limit = self._found.left.items(), self.program.n * EPSILON * size * root
+        """Whether P d is within the rounding of its terms, 2 ε (k + 2) Σ_j |p_ij d_j| in a row of k entries."""
+        P = sp.csr_array(self.program.P)
+        terms = abs(P) @ np.abs(numbers(self.direction))
+        curved, limit = self._found.left.items(), 2.0 * EPSILON * (np.diff(P.indptr) + 2) * terms
         return all(abs(float(value)) <= limit[j] for j, value in curved if j < limit.size)
 
     def __str__(self) -> str:

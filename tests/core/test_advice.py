@@ -16,14 +16,11 @@ from test_driver import TRAP
 
 from lcp_plugin import (
     LCP,
-    BoundedLeastSquares,
     LCPError,
     NonlinearProblem,
     QuadraticProgram,
     Status,
-    certify,
     complements,
-    error_bound,
     gallery,
     solve,
 )
@@ -33,7 +30,6 @@ from lcp_plugin.core.solving.advice import advice_of_run
 from lcp_plugin.core.tuning import PIVOTED_UP_TO
 from lcp_plugin.methods.direct import FallbackOrder
 from lcp_plugin.problems.least_squares.solving import bounded_least_squares
-from lcp_plugin.problems.programs.conversion import lcp_from_qp
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 LEFT_OUT = (

@@ -184,8 +184,8 @@ class QPUnboundedness:
     P direction = 0 with cᵀ direction < 0.
 
     Where P direction, and what constraints lose along it, is rounding and not 0 – of P, 2 ε (k + 2) Σ_j |p_ij d_j| in
-    a row of k entries, since a sum of stored numbers is 0 to rounding only – the proof is of all x and multipliers of a size up to
-    `radius`: none of them are a minimum and what proves it. point may then miss constraints by rounding.
+    a row of k entries, since a sum of stored numbers is 0 to rounding only – the proof is of all x and multipliers of a
+    size up to `radius`: none of them are a minimum and what proves it. point may then miss constraints by rounding.
 
     Attributes
     ----------

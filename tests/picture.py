@@ -56,7 +56,7 @@ FOLDERS = {  # or the file of one that is one
 
 def explained() -> list[str]:
     """The subpackages that the table below the picture explains."""
-    rows = _section().split("| subpackage | what is in it |")[1].split("\n\n")[0].splitlines()[2:]
+    rows = _section().split("| subpackage | contents |")[1].split("\n\n")[0].splitlines()[2:]
     return [subpackage for row in rows for subpackage in re.findall(r"`(\w+)`", row.split("|")[1])]
 
 

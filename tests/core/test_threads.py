@@ -278,7 +278,7 @@ SCENES = [
 def test_the_number_of_threads_changes_no_bit(
     name: str, size: dict[str, int], algorithm: str
 ) -> None:
-    """“The number of threads changes no bit”: z, w, every residual and count, with 1 to 4 threads of one solve."""
+    """“Results do not depend on the number of threads”: z, w, residuals and counts, with 1 to 4 threads of a solve."""
     told = []
     for threads in (1, 2, 3, 4):
         result = solve(gallery.build(name, **size).problem, algorithm, threads=threads)

@@ -145,7 +145,7 @@ def test_a_trade_is_told_on_one_screen(name: str) -> None:
     screen = Guide(name).source.partition("\n## ")[0]
     places = [
         screen.find(part)
-        for part in ("```python", "```text", "![", "**Checked.**", "**Time.** On ")
+        for part in ("```python", "```text", "![", "**Validation.**", "**Run time.** On ")
     ]
     assert -1 not in places
     assert places == sorted(places)

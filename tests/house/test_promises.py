@@ -1,4 +1,4 @@
-"""The manual's page "What is promised", line by line: each test quotes the words that it keeps."""
+"""The manual's page "Guarantees", line by line: each test quotes the words that it keeps."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Claiming(Algorithm):
 
 
 def test_solved_is_measured() -> None:
-    """“SOLVED is proved, never believed”: claims change nothing; the residual is that of z on the caller's data."""
+    """“SOLVED is verified”: claims change nothing; the residual is that of z on the caller's data."""
     assert not solve(TWO, Claiming()).is_solved
     result = solve(TWO)
     w = np.array([[2.0, 1.0], [1.0, 2.0]]) @ result.z + [-5.0, 1.0]
@@ -108,7 +108,7 @@ class FarAway(Algorithm):
 
 
 def test_rounding_hides_no_residual() -> None:
-    """“SOLVED is proved, never believed”: not where z is so large that M z + q is 0 in doubles and 2 in truth."""
+    """“SOLVED is verified”: not where z is so large that M z + q is 0 in doubles and 2 in truth."""
     infeasible = LCP([[9.0, -3.0, 6.0], [-3.0, 1.0, -2.0], [6.0, -2.0, 4.0]], [-2.0, 0.0, 0.0])
     far = np.array([2001613005325266.0, 6004839015975798.0, 0.0])
     assert Certificate.of(infeasible, far).relative_residual > 0.4  # whatever BLAS makes of w
@@ -217,13 +217,13 @@ def others_bits() -> list[dict[str, Any]]:
 
 @pytest.mark.full
 def test_processes_agree(own_bits: dict[str, Any], others_bits: list[dict[str, Any]]) -> None:
-    """“The same call gives the same bits”: z, status, counts, samples, bounds and reports of a process started anew."""
+    """“Results are bit-reproducible”: z, status, counts, samples, bounds and reports of a process started anew."""
     assert others_bits[0] == own_bits
 
 
 @pytest.mark.full
 def test_thread_counts_agree(own_bits: dict[str, Any], others_bits: list[dict[str, Any]]) -> None:
-    """“The number of threads changes no bit”: sweeps with three threads for numba and BLAS, and with ours."""
+    """“Results do not depend on the number of threads”: sweeps with three threads for numba and BLAS, and with ours."""
     three = others_bits[1]
     sweeps = [name for name in SPLITTINGS if name != "multigrid"]
     assert {name: three[name] for name in sweeps} == {name: own_bits[name] for name in sweeps}
@@ -231,7 +231,7 @@ def test_thread_counts_agree(own_bits: dict[str, Any], others_bits: list[dict[st
 
 @EVERY_ALGORITHM
 def test_runs_agree(name: str) -> None:
-    """“The same call gives the same bits”: prepared, in a batch, recorded, or after other runs."""
+    """“Results are bit-reproducible”: prepared, in a batch, recorded, or after other runs."""
     problem = gallery.build("random_h_plus", n=20).problem
     if name not in ("auto", *BOUNDED):
         problem = problem.with_q(problem.q, lower=0.0, upper=np.inf)
@@ -242,7 +242,7 @@ def test_runs_agree(name: str) -> None:
 
 
 def test_threads_agree() -> None:
-    """“Threads may share a problem”: eight at once, with different algorithms, on one whose cache is empty."""
+    """“Problems are thread-safe”: eight at once, with different algorithms, on one whose cache is empty."""
     names = [*BOUNDED, "auto"] * 3
     alone = {
         name: bits(solve(gallery.build("random_h_plus", n=30).problem, name).z) for name in {*names}
@@ -286,7 +286,7 @@ def given_matrices() -> dict[str, Any]:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("form", given_matrices())
 def test_nothing_given_changes(form: str) -> None:
-    """“Nothing you hand over is modified”: matrix, q, bounds, start and batch, in any form, by any call."""
+    """“Inputs are never modified”: matrix, q, bounds, start and batch, in any form, by any call."""
     M = given_matrices()[form]
     q, lower, upper = np.array([-3.0, 5.0, -1.0]), np.zeros(3), np.full(3, 9.0)
     z0, Q = np.array([7.0, -7.0, 0.5]), np.array([[1.0, -1.0], [0.0, np.nan], [-2.0, -3.0]])
@@ -309,7 +309,7 @@ def test_nothing_given_changes(form: str) -> None:
 
 @EVERY_ALGORITHM
 def test_nothing_global_changes(name: str) -> None:
-    """“Nothing global is touched”: solved, stopped, refused or in flames, the surroundings are what they were."""
+    """“Global state is never modified”: solved, stopped, refused or in flames, the surroundings are what they were."""
     assert scipy.optimize is not None  # loaded: its filter is not ours
 
     def raises(sample: Any, z: np.ndarray) -> None:
@@ -345,7 +345,7 @@ def blas_threads() -> Any:
 
 @EVERY_ALGORITHM
 def test_callbacks_may_raise(name: str) -> None:
-    """“What your callback raises reaches you”: the same object, an LCPError and a SystemExit, too."""
+    """“Exceptions raised in a callback propagate”: the same object, an LCPError and a SystemExit, too."""
     for error in (
         ZeroDivisionError("mine"),
         UnsuitableMatrix("mine"),
@@ -363,7 +363,7 @@ def test_callbacks_may_raise(name: str) -> None:
 
 @pytest.mark.parametrize("kind", [UnsuitableMatrix, UnsuitableProblem])
 def test_callbacks_may_raise_in_a_later_stage(kind: type[LCPError]) -> None:
-    """“What your callback raises reaches you”: what a method would refuse a matrix with is no refusal here."""
+    """“Exceptions raised in a callback propagate”: what a method would refuse a matrix with is no refusal here."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])  # no solution: several methods
     labels: list[str] = []
 
@@ -398,7 +398,7 @@ def test_an_ended_run_keeps_what_it_has(name: str) -> None:
 
 
 def test_refusals_are_ours(tmp_path: Path) -> None:
-    """“What is refused is an `LCPError`”: bad data, options, names, matrices and files, each in more than a word."""
+    """“Invalid input raises an `LCPError`”: bad data, options, names, matrices and files, each in more than a word."""
     calls: list[Any] = [
         lambda: LCP([[np.nan]], [1.0]),
         lambda: LCP([[1.0]], [1.0, 2.0]),
@@ -428,7 +428,7 @@ def test_refusals_are_ours(tmp_path: Path) -> None:
 
 
 def test_caches_are_not_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """“Compiled code needs no place on disk”: here none can be had; test_faults.py does it with real disks."""
+    """“The compilation cache is optional”: here none can be had; test_faults.py does it with real disks."""
     from lcp_plugin.core.kernels.compilation import kernel
 
     blocked = tmp_path / "file"

@@ -51,7 +51,9 @@ def test_commands_run(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     outcome = CliRunner().invoke(app, shlex.split(command)[1:])
     assert outcome.exit_code == 0, outcome.output
     if "--plot" in command:
-        assert (tmp_path / "obstacle.png").read_bytes().startswith(b"\x89PNG")
+        name = command.rsplit(maxsplit=1)[-1]
+        start = {".png": b"\x89PNG", ".pdf": b"%PDF"}[Path(name).suffix]
+        assert (tmp_path / name).read_bytes().startswith(start)
 
 
 def test_first_two_shell_blocks_install_and_test() -> None:

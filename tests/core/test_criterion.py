@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve, solve_batch
 from lcp_plugin.core.settings import Settings
@@ -68,6 +69,17 @@ def test_a_certificate_refuses_the_wrong_point(name: str) -> None:
     assert not Certificate.of(problem, wrong).meets(Settings())
     if right is not None:
         assert Certificate.of(problem, right).meets(Settings())
+
+
+def test_a_small_row_in_the_unit_of_another_is_not_excused() -> None:
+    """w₄ = −2 at its bound, next to z₃ = 1e19, is wrong: row 3 has q₃ = −2 and the same unknowns."""
+    M = np.array([[1, 0, 1, -1], [0, 1, 1, -1], [-1, -1, 0, 0], [1, 1, 0, 0]], float)
+    q, lower = [-1e19, 2, -2, 0], [-1e10, -1, 0, 0]
+    for matrix in (M, sp.csr_array(M)):
+        problem = LCP(matrix, q, lower=lower)
+        assert not Certificate.of(problem, [-1, -1, 1e19, 0]).meets(Settings())
+        assert not solve(problem).is_solved
+    assert not solve_batch(M, [q, q], lower=lower)[0].is_solved
 
 
 @pytest.mark.parametrize("power", [-300, -40, 0, 40, 300])

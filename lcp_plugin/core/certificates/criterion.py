@@ -13,10 +13,11 @@ rounding errors included, and if every row i satisfies the componentwise test
   z° the point of the bounds nearest to 0. So an idle row with a large q_i excuses no other row.
 - a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is what row i and its neighbors ask for; w_j(z°) at its rounding level
   counts as 0, and a_i = 0 is left out. Terms that cancel make T_i large, but not a_i.
-- The second test excuses a row with q_i = 0 if v_i ≤ 2⁻⁵⁰ min(d_i ‖z_P‖∞, T_P), T_P the largest T_k of rows that are
-  off their bounds or violated. It excuses one with T_i ≤ 2⁻⁴² min(d_i ‖z_P‖∞, T_P), too, if no chain of such small rows
-  leads to a small row with q_j ≠ 0. Such rows are at rounding level, as in the far field of a grid. So is v_i that is
-  no more than underflow makes of it.
+- The second test excuses a row with q_i = 0 if T_i ≤ 2⁻⁴² u_i or v_i ≤ 2⁻⁵⁰ u_i, u_i = min(d_i ‖z_P‖∞, T_P) and T_P
+  the largest T_k of rows that are off their bounds or violated. Such rows are at rounding level, as in the far field of
+  a grid. No small row (T_i ≤ 2⁻⁴² u_i) is excused if a chain of small rows leads to a small row with q_k ≠ 0: this row
+  sets the unit of the chain. Two rows of a chain share an unknown z_j ≠ 0, or one contains the unknown of the other.
+  Underflow excuses v_i as well.
 
 Where the active set is known, after a linear solve, the exponent 1 takes the place of 3/4. A run first moves each z_i
 to a bound that is nearer than w_i asks for (:meth:`RowData.snapped`); the moved point is measured and returned.
@@ -202,12 +203,14 @@ class RowData:
         unit = np.minimum(of_z, of_acting)
         is_small = terms <= NEGLIGIBLE * unit
         is_led = is_small & ~is_candidate
+        by_columns = self.absolute.swapaxes(-1, -2) if z.ndim > 1 else self.absolute.T
         while is_led.any():
-            after = is_led | (is_small & (times(self.absolute, np.abs(z) * is_led) > 0.0))
+            is_shared = (is_led | (times(by_columns, is_led) > 0.0)) & (z != 0.0)
+            after = is_led | (is_small & (times(self.absolute, is_shared) > 0.0))
             if (after == is_led).all():
                 break
             is_led = after
-        return is_candidate & ((is_small & ~is_led) | (wrong <= ROUNDING * unit))
+        return is_candidate & ~is_led & (is_small | (wrong <= ROUNDING * unit))
 
     def _underflow(self, z: FloatVector) -> Any:
         """Return what underflow alone makes of each w_i: no z_j that is not a normal number can be nearer."""

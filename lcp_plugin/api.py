@@ -78,7 +78,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         ``lemke`` begin with the active set of a z0 whose residual is at most a tenth of that of the default start;
         engines of programs begin anew. Where a start changes nothing, ``explain()`` says so.
     tolerance : float
-        In [0, 1), relative, for every kind: 1e-8, of a QuadraticProgram 1e-9, of an EquilibriumProgram 1e-6. Here
+        In [0, 1), relative: 1e-8 by default, of a QuadraticProgram and an EquilibriumProgram 1e-6 (the gap). Here
         SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included,
         is at most this times that of the point of [lower, upper] nearest to 0, and that no row is violated by more
         than tolerance^(3/4) of its terms: ``help("lcp_plugin.core.certificates.criterion")``.

@@ -390,7 +390,7 @@ def test_an_ended_run_keeps_what_it_has(name: str) -> None:
 
     result = solve(problem, name, callback=interrupts)
     assert result.status in (Status.INTERRUPTED, Status.SOLVED)
-    assert result.residual <= min(seen) * (1.0 + 1e-12)
+    assert result.residual <= min(seen) * (1.0 + 1e-9)  # the rounding bound is included at the end
     late = solve(problem, name, max_seconds=0.0)
     assert late.status in (Status.MAX_SECONDS, Status.SOLVED)
     assert late.residual <= 1.0 + 1e-12  # that of z°, where it begins

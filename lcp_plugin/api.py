@@ -94,8 +94,8 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         Keep samples of the run at geometric intervals in ``Result.history``; of an engine its start and its end.
     callback : callable, optional
         Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
-        run with status INTERRUPTED. What it raises is passed on. "auto" answers a program by a method of our own
-        then, since engines show no steps.
+        run with status INTERRUPTED. What it raises is passed on. External solvers show no steps: it is called with
+        their point.
     error_bound : bool
         Bound |z − z*| in the result, computed when it is looked at. None where nothing about M allows a bound; see
         :func:`lcp_plugin.error_bound`.

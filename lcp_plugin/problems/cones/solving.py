@@ -230,16 +230,18 @@ class Log:
             iterations=last.iterations + iterations, work=last.work + work
         )
 
-    def show(self, residual: float, z: Callable[[], FloatVector]) -> None:
+    def show(self, residual: float | None, z: Callable[[], FloatVector]) -> None:
         """Record, print and call back, the clock stopped; raise Ended if the user wants to stop."""
         with self.clock.paused():
             name = self.stages[-1].name
             sample = Sample(self.iterations, self.work, self.clock.read(), residual, name)
             wants_to_stop = self.callback is not None and bool(self.callback(sample, z()))
-            if self.settings.record and (self.iterations >= self._next or wants_to_stop):
+            is_due = residual is not None and (self.iterations >= self._next or wants_to_stop)
+            if self.settings.record and is_due:
                 self._next = max(self.iterations + 1, int(self.iterations * GROWTH))
                 self.samples.append(sample)
-            if self.settings.verbose and self.iterations >= self._next_line:
+            is_due = residual is not None and self.iterations >= self._next_line
+            if self.settings.verbose and is_due:
                 self._next_line = max(self.iterations + 1, int(self.iterations * VERBOSE_GROWTH))
                 self.say(
                     f"{self.iterations:>12} {self.work:>10.1f} {residual:>19.2e} {sample.seconds:>9.3f}"
@@ -402,10 +404,12 @@ class Run:
         if log.stages[-1][:2] != ("npgs", because):
             log.begin("npgs", because)
         count = min(count, SWEEPS_A_STEP * (log.settings.max_iterations - log.iterations))
-        for at in sweeps(self.stack, self.swept, count, STOP * self.tolerance):
+        for number, at in enumerate(sweeps(self.stack, self.swept, count, STOP * self.tolerance)):
             if not np.isfinite(at).all():
                 break
             self.swept = at
+            if number and log.callback is not None:
+                log.show(None, lambda: self._shown(at))  # noqa: B023 - called at once
             log.require_room()
         log.count((count + 1.0) * self.share, count // SWEEPS_A_STEP)
         points = newton_points(self.stack, self.swept, steps, self.goal, patience=patience)
@@ -420,15 +424,16 @@ class Run:
         """Take the points of one method, keep the best, and judge it at the end."""
         log = self.log
         for number, (z, residual, work) in enumerate(points):
-            if not number:
-                if residual <= EXACT and name == "newton" and judges:
-                    self.offer(z, residual)
-                    break
-                log.begin(name, because)
-            log.count(work * self.share, int(number > 0))
+            is_there = not number and residual <= EXACT and name == "newton" and judges
+            if not is_there:
+                if not number:
+                    log.begin(name, because)
+                log.count(work * self.share, int(number > 0))
             self.offer(z, residual)
             if log.is_watched:
                 log.show(residual, lambda: self._shown(z))  # noqa: B023 - called at once
+            if is_there:
+                break
             if not (judges is False and residual <= self.goal):
                 log.require_room()
         if judges:

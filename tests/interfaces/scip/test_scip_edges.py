@@ -119,13 +119,12 @@ class _Broken:
 
 @pytest.mark.full
 def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path: Path) -> None:
-    """A leader that is not convex gets a point, no bound, and both ways out, from arrays, cvxpy, Pyomo and AMPL."""
+    """A leader that is not convex gets no point, no bound, and both ways out, from arrays, cvxpy, Pyomo and AMPL."""
     solver = pe.SolverFactory("lcp_plugin")
     solver.solve(toll_in_pyomo())
     for result in (minimize_over_solutions(bilinear()), Toll(most=20.0).solved()[1], solver.result):
         assert (result.status, result.bound_by, result.proof) == (Status.STALLED, None, None)
-        assert result.x is not None
-        assert result.problem.excess(result.x) <= 1e-7
+        assert result.x is None
         assert "pip install 'lcp_plugin[global]'" in result.advice
         assert "derivative(problem)" in result.advice
     found = answered_by_ampl(toll_in_pyomo(), tmp_path)
@@ -347,8 +346,8 @@ def test_what_scip_finds_infeasible_is_no_proof(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_what_falls_for_ever_is_told_and_which_bounds_are_missing(tmp_path: Path) -> None:
-    """Products, integers, exponentials; the point that is kept is finite; the named bounds make it optimal."""
+def test_what_falls_for_ever_is_told_and_that_bounds_help(tmp_path: Path) -> None:
+    """Products, integers, exponentials; the point that is kept is finite; an upper bound makes it optimal."""
     toll = Toll()
     problem, result = toll.solved(cp.square(toll.toll))
     assert (problem.status, result.status, result.bound_by) == (
@@ -357,7 +356,7 @@ def test_what_falls_for_ever_is_told_and_which_bounds_are_missing(tmp_path: Path
         None,
     )
     assert "the objective falls without end, and nothing proves it; " in result.advice
-    assert "toll, flow[0], flow[1] have no upper bound; give them one" in result.advice
+    assert "bounds of the unknowns from above help" in result.advice
     assert np.isfinite(result.x).all()
     bounded = Toll(most=20.0)
     problem, result = bounded.solved(cp.square(bounded.toll))

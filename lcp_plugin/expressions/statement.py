@@ -17,7 +17,6 @@ from ..core.lcp import LCP
 from ..core.representation import in_words
 from ..core.solving.result import Result
 from ..problems.cones.data import Blocks
-from ..problems.cones.solving import solve_cones
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.nonlinear.solving import solve_nonlinear
@@ -405,10 +404,11 @@ def solve_from(
         Of `solve`, of `solve_nonlinear` or of `solve_cones`.
     """
     is_given = "z0" in options or start is None or not np.isfinite(start).all()
+    run: Any = solve_lcp
     if isinstance(problem, Blocks):
-        _refuse_unknown(
-            options, "a model with cones", list(inspect.signature(solve_cones).parameters)[1:]
-        )
+        from ..problems.cones.solving import solve_cones as run  # compiled loops, not for a model
+
+        _refuse_unknown(options, "a model with cones", list(inspect.signature(run).parameters)[1:])
     if isinstance(problem, NonlinearProblem):
         known = ["z0", *list(inspect.signature(solve_nonlinear).parameters)[2:]]
         _refuse_unknown(options, "a nonlinear model", known)
@@ -420,7 +420,6 @@ def solve_from(
         }
         result = solve_nonlinear(problem, z0, **own)
     else:
-        run: Any = solve_cones if isinstance(problem, Blocks) else solve_lcp
         result = run(problem, **(options if is_given else {"z0": start, **options}))
     return result if is_given else replace(result, begun=result.begun or BEGUN)
 

@@ -103,14 +103,18 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
         "next: check the data",
     ),
     "equilibrium program": (
-        lambda: solve(BEST, prove=True, max_nodes=1),
+        lambda: solve(BEST, prove=True, max_nodes=8),
         Status.MAX_ITERATIONS,
         "objective -",
         "next: raise max_nodes",
     ),
     "contact": (lambda: solve(BLOCK), Status.SOLVED, "relative residual", ""),
     "program": (
-        lambda: solve(QuadraticProgram(np.eye(2), [-1.0, -2.0]), max_iterations=0),
+        lambda: solve(
+            QuadraticProgram([[2.0, 1.0], [1.0, 2.0]], [-3.0, -4.0], G=[[1.0, 1.0]], h=[1.0]),
+            "daqp",
+            max_iterations=1,
+        ),
         Status.MAX_ITERATIONS,
         "objective 0; constraints are violated by",
         "next: raise max_iterations",
@@ -146,7 +150,8 @@ def test_the_first_three_lines_answer_three_questions(name: str) -> None:
 
 @pytest.mark.parametrize("name", RESULTS)
 def test_its_sentences_are_short_and_none_is_said_twice(name: str) -> None:
-    """No clause has more than 25 words."""
-    clauses = re.split(r"[.;:]\s+|\n", RESULTS[name][0]().explain())
-    assert max(len(clause.split()) for clause in clauses) <= 25
+    """No clause has more than 25 words; the list of what ran, which is indented, may have equal lines."""
+    told = RESULTS[name][0]().explain()
+    assert max(len(clause.split()) for clause in re.split(r"[.;:]\s+|\n", told)) <= 25
+    clauses = re.split(r"[.;:]\s+|\n", re.sub(r"\n  .*", "", told))
     assert len({*clauses}) == len(clauses)

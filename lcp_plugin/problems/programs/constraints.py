@@ -64,6 +64,11 @@ class Constraints:
         return self.sizes[0] + self.sizes[1]
 
     @property
+    def right(self) -> FloatVector:
+        """[h; b]: the limits of the rows of G and A."""
+        return self.limit[: self.rows]
+
+    @property
     def finite(self) -> Indices:
         """The rows that say something."""
         return np.flatnonzero(np.isfinite(self.limit))

@@ -192,7 +192,7 @@ class QPOrigin:
     @property
     def rows(self) -> int:
         """How many rows of G and A are left."""
-        return self.reduced.right.size
+        return self.reduced.constraints.rows
 
     @property
     def form(self) -> str:
@@ -205,7 +205,7 @@ class QPOrigin:
         multiplier = np.where(program.constraints.is_equality[:rows], -np.inf, 0.0)
         return LCP(
             program.matrices.kkt if rows else program.matrices.hessian,
-            np.concatenate([program.c, program.right]),
+            np.concatenate([program.c, program.constraints.right]),
             lower=np.concatenate([program.lower, multiplier]),
             upper=np.append(program.upper, np.full(rows, np.inf)),
         )

@@ -144,7 +144,7 @@ class Point:
     ) -> None:
         self.program, self.matrices, self.is_exact = program, program.matrices, is_exact
         m = self.matrices.sizes[0]
-        d, lower, upper = program.right, program.lower, program.upper
+        d, lower, upper = program.constraints.right, program.lower, program.upper
         self.outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
         self.given, x = np.abs(x), np.minimum(np.maximum(x, lower), upper)
         y = np.where(np.isfinite(d), y, 0.0)
@@ -351,7 +351,7 @@ class Point:
 @np.errstate(all="ignore")
 def excused_rows(program: QuadraticProgram, x: FloatVector) -> FloatVector:
     """Return the violation of each row that is rounding at x, whatever its own terms are."""
-    point = Point(program, x, np.zeros(program.right.size), is_exact=True)
+    point = Point(program, x, np.zeros(program.constraints.right.size), is_exact=True)
     return EXCUSED * point.reached
 
 

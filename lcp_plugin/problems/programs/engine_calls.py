@@ -153,10 +153,10 @@ def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:
     """Return x nearest to 0 within the bounds, without multipliers; in a linear program, x moved by its costs."""
     reduced = FoldedRows.of(program).reduced
     x = np.clip(0.0, reduced.lower, reduced.upper)
-    if not reduced.right.size and not reduced.matrices.has_curvature:
+    if not reduced.constraints.rows and not reduced.matrices.has_curvature:
         end = np.where(reduced.c > 0.0, reduced.lower, reduced.upper)
         x = np.where((reduced.c != 0.0) & np.isfinite(end), end, x)
-    return x, np.zeros(reduced.right.size)
+    return x, np.zeros(reduced.constraints.rows)
 
 
 def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:

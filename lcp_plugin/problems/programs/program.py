@@ -205,11 +205,6 @@ class QuadraticProgram:
         return self.matrices.is_semidefinite
 
     @cached_property
-    def right(self) -> FloatVector:
-        """[h; b]: the limits of the rows."""
-        return np.concatenate([self.h, self.b])
-
-    @cached_property
     def constraints(self) -> Constraints:
         """All constraints as rows of one matrix."""
         return Constraints.of(self)

@@ -65,7 +65,7 @@ class FoldedRows:
 
     @classmethod
     def _of(cls, program: QuadraticProgram) -> FoldedRows:
-        matrices, right = program.matrices, program.right
+        matrices, right = program.matrices, program.constraints.right
         if not matrices.has_short_rows and np.isfinite(right).all():
             own = np.full(program.n, OWN)
             return cls(program, program, np.arange(right.size), own, own, np.ones(right.size))

@@ -183,7 +183,7 @@ class QPSolution:
     def errors_for(self, tolerance: float) -> Errors:
         """Return both measures, or bounds of them if these meet the tolerance already."""
         folded = FoldedRows.of(self.program)
-        y = self.multipliers[: self.program.right.size][folded.left]
+        y = self.multipliers[: self.program.constraints.right.size][folded.left]
         return Errors.of(folded.reduced, self.x, y, tolerance)
 
     def __str__(self) -> str:

@@ -279,14 +279,14 @@ class _ProgramRun:
     def all_runs(self) -> Iterator[EngineRun]:
         """Yield what auto asks: a program of bounds alone is a complementarity problem of n unknowns."""
         reduced = FoldedRows.of(self.program).reduced
-        has_rows, matrices = bool(reduced.right.size), reduced.matrices
+        has_rows, matrices = bool(reduced.constraints.rows), reduced.matrices
         if not has_rows and not matrices.has_curvature:
             yield self._by_costs()
         is_lcp_first = not has_rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
             yield self.on_the_lcp("auto", {})
         yield from self.engine_runs(None)
-        if not is_lcp_first and reduced.n + reduced.right.size <= FEW:
+        if not is_lcp_first and reduced.n + reduced.constraints.rows <= FEW:
             yield self.on_the_lcp("auto", {})
 
     def engine_runs(self, engine: Engine | None) -> Iterator[EngineRun]:
@@ -390,7 +390,9 @@ class _ProgramRun:
 
     def _is_far(self, x: FloatVector) -> bool:
         """Return whether x is far beyond all limits, where a test of doubles may take a descent for a minimum."""
-        limits = np.concatenate([self.program.right, self.program.lower, self.program.upper])
+        limits = np.concatenate(
+            [self.program.constraints.right, self.program.lower, self.program.upper]
+        )
         limits = np.abs(limits[np.isfinite(limits)])
         return bool(np.abs(x).max(initial=0.0) > FAR * max(1.0, limits.max(initial=0.0)))
 

@@ -374,13 +374,13 @@ def test_what_falls_for_ever_is_told_and_that_bounds_help(tmp_path: Path) -> Non
 
 
 def test_bounds_that_are_missing_help() -> None:
-    """Nothing bounds the income after three nodes; with bounds, as rows, the gap is finite."""
-    gaps = []
+    """Nothing bounds the income after three nodes; with bounds, as rows, its bound is finite."""
+    bounds = []
     for most in (None, 20.0):
         _, result = Toll(most=most).solved(callback=lambda search: search.nodes >= 3)
-        gaps.append(result.gap)
-    assert np.isinf(gaps[0])
-    assert np.isfinite(gaps[1])
+        bounds.append(result.lower_bound)
+    assert np.isinf(bounds[0])
+    assert np.isfinite(bounds[1])
 
 
 def test_nan_is_refused_in_words_by_every_way_in(tmp_path: Path) -> None:

@@ -544,16 +544,6 @@ REFUSED = {
         lambda: lcp_from_qp((EYE, [1, 2])),
     ),
     "no LCP": (InvalidProblem, "needs an LCP, got list", lambda: qp_from_lcp([EYE])),
-    "form": (
-        InvalidOption,
-        "did you mean 'direct'",
-        lambda: lcp_from_qp(QuadraticProgram(EYE, [1, 2]), "dirct"),
-    ),
-    "direct with rows": (
-        UnsuitableProblem,
-        '"direct" needs',
-        lambda: lcp_from_qp(planted(0).program, "direct"),
-    ),
     "recover": (
         InvalidProblem,
         "z must be a vector of length 2",

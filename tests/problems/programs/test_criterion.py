@@ -200,7 +200,7 @@ FELL = {
 def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
     """Objectives off by half and more, with multipliers, idle unknowns and slacks of sizes that excuse nothing."""
     program, x, multipliers = FELL[name]
-    y = np.array(multipliers[: program.right.size], np.float64)
+    y = np.array(multipliers[: program.constraints.right.size], np.float64)
     errors = Errors.of(program, np.array(x, np.float64), y)
     assert errors.largest > 1e-5, errors
 

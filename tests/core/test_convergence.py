@@ -72,9 +72,9 @@ def problem_of(kind: str) -> Solved:
 # Measured iterations to 1e-8 in the order of CLASSES; None where the algorithm is not meant for the class.
 MEASURED: dict[str, tuple[int | None, ...]] = {
     "npj": (44, 43, 43, 40, 181, None),
-    "npgs": (44, 41, 45, 41, 160, None),
-    "npsor": (37, 35, 38, 35, 134, None),
-    "npaor": (37, 36, 37, 34, 138, None),
+    "npgs": (44, 41, 65, 41, 160, None),
+    "npsor": (37, 35, 54, 35, 134, None),
+    "npaor": (37, 36, 53, 34, 138, None),
     "npsplitting": (45, 43, 45, 42, 159, None),
     "pj": (16, 17, 32, 22, 119, None),
     "pgs": (10, 11, 18, 14, 60, 28),

@@ -131,6 +131,7 @@ class Certificate:
             residual = relative = np.abs(scaled_residual(self.problem, self.z, self.w, self._scale))
             if several is not None:  # the component is that of the relative residual
                 relative = over(self._proved_rows, self.references[0][several.labels])
+                relative = np.where(np.isfinite(residual), relative, np.nan)  # the worst of all
         worst = int(np.argmax(relative)) if relative.size else -1  # argmax stops at the first NaN
         return (float(residual[worst]), worst) if relative.size else (0.0, -1)
 

@@ -95,9 +95,16 @@ class Run:
         self.clock.read()  # what ends by itself may have done so because time is over
         is_late = self.clock.elapsed >= self.settings.max_seconds
         end = end or (End.TIME_LIMIT if is_late else End.NOTHING_LEFT)
+        self._measure_last()
         if end in FAILED and self.judge.is_at_floor(self.incumbent.z):
             end = End.AT_FLOOR
         return end, self._next(has_failed=True) if end in FAILED else None
+
+    def _measure_last(self) -> None:
+        """Measure the latest iterate if that has not been done, and keep the better one."""
+        last = self.incumbent.unmeasured
+        if last is not None:
+            self.incumbent.offer(last, self.judge.measure(last))
 
     def _step_of(self, steps: Iterator[Step]) -> Any:
         """Return the next step, NO_STEP where there is none, or where auto tried what does not take this problem."""
@@ -226,8 +233,7 @@ class Run:
     def ended(self, start: FloatVector, end: End) -> tuple[Certificate, Status]:
         """Return what the judge makes of the best iterate, cleaned up, and of why the run ended."""
         incumbent, state = self.incumbent, self.state
-        if incumbent.unmeasured is not None:
-            incumbent.offer(incumbent.unmeasured, self.judge.measure(incumbent.unmeasured))
+        self._measure_last()
         last = state.stages[-1] if state.stages else None
         # Where no z is near a solution, what is given back is the start, as in a batch.
         is_excluded = (

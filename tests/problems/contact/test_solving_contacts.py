@@ -60,8 +60,8 @@ def test_a_start_with_the_answers_contacts_costs_no_more_work() -> None:
 
 
 @pytest.mark.parametrize("is_warm", [False, True])
-def test_a_batch_gives_the_bits_of_each_problem(is_warm: bool) -> None:
-    """A batch of contacts gives each problem the z and iterations that solve gives it, watched or not."""
+def test_a_batch_gives_what_each_problem_gives(is_warm: bool) -> None:
+    """A batch of contacts gives each problem z up to rounding, and the iterations, of solve, watched or not."""
     items = [falling(4, 2, 10.0, np.random.default_rng(seed)).arrays for seed in range(12)]
     M, q = (np.array(part) for part in zip(*items, strict=True))
     z0 = solve_batch(M, 1.01 * q).z if is_warm else None
@@ -73,7 +73,8 @@ def test_a_batch_gives_the_bits_of_each_problem(is_warm: bool) -> None:
             solve(LCP(M[k], q[k]), z0=start),
             solve(LCP(M[k], q[k]), z0=start, record=True),
         )
-        assert alone.z.tobytes() == batch.z[k].tobytes() == watched.z.tobytes()
+        assert alone.z.tobytes() == watched.z.tobytes()
+        np.testing.assert_allclose(batch.z[k], alone.z, rtol=1e-12, atol=1e-12 * alone.z.max())
         assert alone.iterations == batch.iterations[k] == watched.iterations
 
 

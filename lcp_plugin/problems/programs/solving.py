@@ -421,8 +421,7 @@ class _ProgramRun:
     def result(self, name: str, seconds: float) -> QuadraticProgramResult:
         """Return the result."""
         program, status = self.program, self.status()
-        is_rounding = status is Status.PRECISION_LIMIT and program.facts.contradicts_by_rounding
-        if self.best is None or is_rounding:
+        if self.best is None:
             solution = QPSolution.from_reduced(program, *nearest(program))
             stage = StageRecord(name, "", 0, 0.0)
         else:

@@ -74,7 +74,7 @@ def planted(rng: np.random.Generator) -> Target:
 
     def passes(x: np.ndarray, tolerance: float) -> bool:
         at = Linearisation(problem, x)
-        return at.is_defined and NonlinearCertificate.at(at, reference).is_solved(
+        return at.is_defined and NonlinearCertificate.at(at, reference).meets(
             Settings(tolerance=tolerance)
         )
 

@@ -61,7 +61,7 @@ def test_kojima_shindo_and_josephy(
 
 def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
     """Which of the two solutions is found depends on the start, and both are."""
-    starts = np.random.default_rng(0).uniform(0, 3, (12, 4))
+    starts = np.random.default_rng(0).uniform(0, 3, (40, 4))
     found = {
         tuple(solved(solve_nonlinear(NonlinearProblem(models.kojima_shindo), x0)).round(4) + 0.0)
         for x0 in starts

@@ -39,7 +39,9 @@ MATTERS = 1e-6  # of the objective's terms: an unknown with less to move is no s
 REACH = 1e4  # times its size, an unknown without a bound is moved
 UNIT = 2.0**-53
 BLUR = 8.0 * UNIT  # of the terms of a sum: what the data may be off by
-LEAST_SIZE = 1e-8  # of the objective's terms, where they cancel
+LEAST_SIZE = (
+    1e-8  # of the objective's terms and of the rows' with their multipliers, where they cancel
+)
 LEAST_NORM_STEPS, LEAST_NORM_TO = 60, 1e-3
 TINY = 2.0**-1000
 
@@ -154,7 +156,7 @@ class Point:
         self.limits, self.cost = np.where(np.isfinite(d), np.abs(d), 0.0), np.abs(program.c)
         self.bend = of_P @ self.of_x
         terms = self.bend + self.cost + of_columns @ self.of_y
-        of_rows = of_C @ self.of_x + self.limits
+        self.terms_of_rows = of_rows = of_C @ self.of_x + self.limits
         if is_exact:
             self.product = sums_without_rounding(self.matrices.sparse_P, x)
             self.left = sums_without_rounding(
@@ -296,20 +298,33 @@ class Point:
         size = np.minimum(self.objective, dual)
         has_costs = self._sums(self.cost) > 0.0
         least = self.objective + np.where(has_costs, 0.0, self._sums(self.of_x * self.bend))
+        if self.is_exact:  # no double x makes |3 x - 0.3| zero
+            of_y = np.minimum(self.of_y, self._least_norm)
+            least = np.maximum(least, self._sums(0.0 * self.x, of_y * self.terms_of_rows))
         return np.asarray(np.maximum(size, LEAST_SIZE * least))
 
     @property
     def _dual_terms(self) -> FloatVector:
         """The terms of the dual objective with the multipliers, or, if these are less, with those of least norm."""
-        lower, upper = self.program.lower, self.program.upper
-        bound = np.where(self.left > 0.0, lower, upper)
-        distance = np.abs(self.x - bound)
-        bound = np.where(distance <= self.of_x, np.abs(bound), 0.0)
-        fixed = self._sums(np.abs(self.left) * bound) + self.curved
-        terms = fixed + self._sums(0.0 * self.x, self.of_y * self.limits)
-        free, on = np.flatnonzero(distance > 0.0), np.flatnonzero(self.y)
+        bound = np.where(self._distance <= self.of_x, np.abs(self._bound), 0.0)
+        of_rows = (self._sums(0.0 * self.x, y * self.limits) for y in (self.of_y, self._least_norm))
+        return self._sums(np.abs(self.left) * bound) + self.curved + np.minimum(*of_rows)
+
+    @property
+    def _bound(self) -> FloatVector:
+        """The bound that the gradient pushes to."""
+        return np.where(self.left > 0.0, self.program.lower, self.program.upper)
+
+    @property
+    def _distance(self) -> FloatVector:
+        return np.abs(self.x - self._bound)
+
+    @cached_property
+    def _least_norm(self) -> FloatVector:
+        """The sizes of the multipliers of least norm that pull as much at the unknowns that have room."""
+        free, on = np.flatnonzero(self._distance > 0.0), np.flatnonzero(self.y)
         if not (free.size and on.size):
-            return terms
+            return self.of_y
         units, row_units = self.matrices.fit
         T = sp.csr_array(self.matrices.rows[on].T)[free]
         pull, of_row = T @ self.y[on], self.matrices.components.of_row[on]
@@ -329,7 +344,7 @@ class Point:
         )[0]
         least = np.zeros(self.y.size)
         least[on] = np.abs(row_units[on] * found * part[of_row])
-        return np.minimum(terms, fixed + self._sums(0.0 * self.x, least * self.limits))
+        return least
 
     def _sums(self, of_unknowns: FloatVector, of_rows: FloatVector | None = None) -> FloatVector:
         """Return the sums over each component."""

@@ -162,7 +162,7 @@ def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:
 def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:
     """Yield what may be the solution that a point is near: the point, and polished, each with noise set to 0.
 
-    If x fits the rows exactly, multipliers are noise, and if x is 0, all of x is.
+    If x fits the rows exactly, multipliers are noise, and if x is 0, all of x is, with multipliers or without.
     """
     none = Multipliers(*(np.zeros_like(one) for one in point.multipliers))
     lower, upper = statement.lower, statement.upper
@@ -176,6 +176,7 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
         yield clean._replace(multipliers=none)
         yield one
         yield clean
+        yield clean._replace(x=np.clip(0.0, lower, upper))
 
 
 def quiet(point: EngineAnswer) -> EngineAnswer:

@@ -232,6 +232,34 @@ def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
         assert not result.is_solved or abs(result.objective + 2.667068273) <= 1e-6, algorithm
 
 
+@pytest.mark.parametrize("norm", [cp.norm1, cp.norm_inf], ids=["1", "infinity"])
+@pytest.mark.parametrize("n", [1, 2, 10, 20])
+def test_a_fit_without_an_error_is_solved(n: int, norm: Any) -> None:
+    """The minimum of ‖A x − b‖ is 0, and no x of doubles has it; x is that of the linear system."""
+    draw = np.random.default_rng(n)
+    A, x = draw.normal(size=(n, n)), cp.Variable(n)
+    b = np.array([0.3]) if n == 1 else draw.normal(size=n)
+    A = np.array([[3.0]]) if n == 1 else A
+    problem = cp.Problem(cp.Minimize(norm(A @ x - b)))
+    assert problem.solve(solver=QPSolver) <= 1e-12
+    assert problem.status == cp.OPTIMAL
+    np.testing.assert_allclose(x.value, np.linalg.solve(A, b), rtol=1e-9)
+
+
+def test_a_minimum_at_0_has_multipliers() -> None:
+    """An engine's x is 0 up to noise, and its multipliers are not: x = 0 is tried with them."""
+    x, one = cp.Variable(), cp.Variable()
+    e = cp.hstack([-0.081807 * x, -2.196497 * x, 0.042343 * x])
+    problem = cp.Problem(
+        cp.Minimize(
+            cp.sum_squares(e) + 1.39 * cp.norm1(cp.cumsum(cp.hstack([4 * x, -8 * x]))) + one
+        ),
+        [x >= -2.5, x <= 1.5, one >= 1],
+    )
+    assert problem.solve(solver=QPSolver) == pytest.approx(1.0, abs=1e-12)
+    assert problem.status == cp.OPTIMAL
+
+
 def test_an_objective_is_right_where_its_terms_cancel() -> None:
     """½ xᵀP x + cᵀx of a singular P far out, by fractions: rounding of its terms was 378 times the value."""
     P = np.array(

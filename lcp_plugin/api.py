@@ -158,7 +158,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         raise UnknownAlgorithm(
             f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
         )
-    if algorithm != "auto":
+    if not isinstance(algorithm, str) or algorithm != "auto":
         options["algorithm"] = algorithm
     known = options_of(name)
     if "z0" in options and "z0" not in known and "x0" in known:  # the unknown is called x

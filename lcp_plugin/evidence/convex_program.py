@@ -138,11 +138,11 @@ def solver_name(reference: Any) -> str:
     """Return cvxpy's name of an installed solver of quadratic programs, or raise InvalidOption."""
     from cvxpy import installed_solvers
 
-    name = reference.upper() if isinstance(reference, str) else reference
+    name = reference.upper() if isinstance(reference, str) else repr(reference)
     known = [one for one in installed_solvers() if one != "LCP"]
     if name not in known:
-        raise InvalidOption(f"cvxpy has no solver {reference!r}{did_you_mean(str(name), known)}")
-    return str(name)
+        raise InvalidOption(f"cvxpy has no solver {reference!r}{did_you_mean(name, known)}")
+    return name
 
 
 def solve_by(name: str, convex: ConvexProgram, max_seconds: float, options: Any = ()) -> Reply:

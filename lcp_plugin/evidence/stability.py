@@ -156,12 +156,12 @@ def stability_atlas(
             f"progress must be callable as progress(done, total, label), got {progress!r}"
         )
     entrants = methods_of(["auto", *REGISTRY] if algorithms is None else algorithms)
-    if isinstance(stresses, str):
+    if not isinstance(stresses, list | tuple | None):
         raise InvalidOption(f"stresses must be a list of names, got {stresses!r}")
     families = [*FAMILIES] if stresses is None else [*stresses]
     for name in families:
-        if name not in FAMILIES:
-            raise InvalidOption(f"unknown stress {name!r}{did_you_mean(name, FAMILIES)}")
+        if not isinstance(name, str) or name not in FAMILIES:
+            raise InvalidOption(f"unknown stress {name!r}{did_you_mean(str(name), FAMILIES)}")
     cases = [(family, case) for family in families for case in FAMILIES[family]()]
     if quick:
         cases = [(family, case) for family, case in cases if case.problem.n <= 2500]

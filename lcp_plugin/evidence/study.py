@@ -235,7 +235,8 @@ class Study:
 
 
 def _check_view(view: Any, known: Iterable[str], words: str = "view must be") -> None:
-    if view not in (known := [*known]):
+    known = [*known]
+    if not isinstance(view, str) or view not in known:
         raise InvalidOption(f"{words} one of {', '.join(known)}, got {view!r}")
 
 
@@ -584,7 +585,7 @@ def _checked_sizes(sizes: Any) -> list[int | None]:
 
 
 def _checked_references(names: Any) -> list[str]:
-    if isinstance(names, str) or not isinstance(names, Iterable):
+    if not isinstance(names, list | tuple):
         raise InvalidOption(f"references must be a list of names, got {names!r}")
     names = [*names]
     if not names:

@@ -557,7 +557,7 @@ RUNS = [
     row(
         "solve of M and q",
         InvalidOption,
-        r"got ndarray; write solve\(LCP\(M, q\)\), or solve\(QuadraticProgram",
+        r"solve needs an LCP.* got ndarray",
         lambda g: solve(g.M, g.q),
     ),
     row("solve of M", InvalidOption, r"solve needs an LCP.* got csr_array", lambda g: solve(g.csr)),

@@ -107,7 +107,8 @@ class QPSolution:
         reduced, m = folded.reduced, folded.reduced.h.size
         y = np.append(np.maximum(y[:m], 0.0), y[m:])
         P, C = reduced.matrices.measured[:2]
-        left = P @ x + reduced.c + C.T @ y
+        with np.errstate(all="ignore"):
+            left = P @ x + reduced.c + C.T @ y
         at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)
         at_upper = np.where(np.isfinite(reduced.upper), np.maximum(-left, 0.0), 0.0)
         every = folded.multipliers(np.concatenate([y, at_lower, at_upper]))

@@ -203,7 +203,9 @@ class Judge:
         """Return the certificate of the answer: z, or z cleaned up by the last algorithm if that is no worse."""
         certificate = self.certificate_of(z)
         if not (certificate.is_linearised or self.is_solved_by(certificate)):
-            plain = Certificate.of(self.problem, z)  # the best iterate; SOLVED is said of the moved one
+            plain = Certificate.of(
+                self.problem, z
+            )  # the best iterate; SOLVED is said of the moved one
             certificate = certificate if self.is_solved_by(plain) else plain
         is_cut_short = end in (End.INTERRUPTED, End.TIME_LIMIT)
         if last is None or is_cut_short or not np.isfinite(z).all():

@@ -45,7 +45,7 @@ from lcp_plugin.core.matrix.iteration_facts import (
 from lcp_plugin.proofs.bounds.error_bounds import error_bound
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.guarantees.convergence import numbers
-from lcp_plugin.proofs.verdicts import analyze, h_matrix, p_matrix, verdicts
+from lcp_plugin.proofs.verdicts import analyze, verdicts
 
 LARGEST_PIECES = 3  # rows up to which all linear pieces of an iteration are looked at
 Matrix = list[list[Fraction]]
@@ -219,7 +219,7 @@ KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
 @contextmanager
 def exact_arithmetic(is_allowed: bool) -> Iterator[None]:
     """Take the exact arithmetic for small matrices away where it is not allowed, as if they were larger."""
-    limits = ((h_matrix, "EXACT_SIZE"), (verdicts, "EXACT_SIZE"), (p_matrix, "LARGEST_WORK"))
+    limits = ((verdicts, "EXACT_SIZE"), (verdicts, "LARGEST_SIZE"))
     before = [getattr(module, name) for module, name in limits]
     for module, name in () if is_allowed else limits:
         setattr(module, name, 0)

@@ -73,7 +73,7 @@ def test_rational_verdicts_are_the_minors(A: list[list[Fraction]]) -> None:
 @settings.get_profile("many")
 @given(small_matrices())
 def test_verdicts_on_small_integers_are_the_minors(A: list[list[Fraction]]) -> None:
-    """The report on a matrix of small integers, singular ones among them, says what its minors say."""
+    """The report on small integers says what its minors say; a singular ⟨M⟩ may be undecided."""
     report = analyze([[float(entry) for entry in row] for row in A])
     symmetric = [[entry + A[j][i] for j, entry in enumerate(row)] for i, row in enumerate(A)]
     comparison = [
@@ -84,7 +84,8 @@ def test_verdicts_on_small_integers_are_the_minors(A: list[list[Fraction]]) -> N
     assert report.is_positive_semidefinite is all(
         minor >= 0 for minor in principal_minors(symmetric)
     )
-    assert report.is_h_matrix is all(minor > 0 for minor in principal_minors(comparison))
+    is_h = all(minor > 0 for minor in principal_minors(comparison))
+    assert report.is_h_matrix in ((is_h,) if is_h or determinant(comparison) else (None, False))
 
 
 # --- ⟨M⟩v > 0 and ⟨M⟩y ≤ 0 ----------------------------------------------------------------------------------

@@ -259,14 +259,15 @@ CLASSES = {
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_classes_hold_in_fractions(name: str) -> None:
-    """Every matrix drawn is of its class by minors, pivots and sums in fractions, and `analyze` does not disagree."""
+    """Every matrix drawn is of its class in fractions, and `analyze` finds it; False may be undecided."""
     strategy, oracle, verdict, value = CLASSES[name]
 
     @settings.get_profile("few")
     @given(strategy)
     def check(matrix: np.ndarray) -> None:
         assert oracle(matrix)
-        assert getattr(analyze(matrix), verdict) is value
+        found = getattr(analyze(matrix), verdict)
+        assert found is value or (found is None and value is False)
 
     check()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from ..algorithms import made
 from ..api import solve
 from ..core.errors import InvalidOption, UnreadableFile
 from ..core.lcp import LCP
+from ..core.settings import OF_SOLVE
 from ..problems.cones.data import ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
@@ -151,7 +151,7 @@ def _values(given: Target, answer: Any, x: Any) -> list[str]:
 
 def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
     """Return the options of the algorithm; values are read as numbers, true/false/none, or words."""
-    own = inspect.signature(solve).parameters
+    own = ("problem", "algorithm", *OF_SOLVE)
     options: dict[str, Any] = {}
     for pair in [*([] if relaxation is None else [f"relaxation={relaxation}"]), *pairs]:
         key, equals, text = pair.partition("=")

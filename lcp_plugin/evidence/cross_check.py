@@ -237,7 +237,8 @@ def _verdict_of(
     residuals = (
         f"relative residuals {ours.relative_residual:.1e} and {theirs.relative_residual:.1e}"
     )
-    if not theirs.meets(Settings(tolerance=ACCURATE_TOLERANCE)):
+    # An interior point need not meet the test of every row: z next to a bound leaves a small w_i as it is.
+    if not theirs.relative_residual <= ACCURATE_TOLERANCE:
         return (
             "not comparable",
             f"the solution of {name} does not reach {ACCURATE_TOLERANCE:.0e}: {residuals}",

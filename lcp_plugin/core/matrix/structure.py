@@ -51,7 +51,8 @@ class Components:
     def largest(self, values: FloatVector) -> FloatVector:
         """Return the largest of the values ≥ 0 of each component's rows, shape (count,); a NaN stays."""
         found = np.zeros(self.count)
-        np.maximum.at(found, self.labels, values)
+        with np.errstate(invalid="ignore"):
+            np.maximum.at(found, self.labels, values)
         return found
 
 

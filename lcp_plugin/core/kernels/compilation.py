@@ -60,8 +60,17 @@ event.register("numba:compiler_lock", _Seconds())  # type: ignore[no-untyped-cal
 def kernel(function: Any) -> Any:
     """Compile a function that Python calls; what it writes to is named in its docstring."""
     with suppress(RuntimeError):  # there is no place for a cache
-        return njit(cache=True, **OPTIONS)(function)
+        compiled = njit(cache=True, **OPTIONS)(function)
+        cache = compiled._cache
+        cache.save_overload = partial(_save, cache.save_overload)
+        return compiled
     return njit(**OPTIONS)(function)
+
+
+def _save(save: Any, *compiled: Any) -> None:
+    """Keep compiled code where the disk takes it; a full one keeps none."""
+    with suppress(OSError):
+        save(*compiled)
 
 
 def helper(function: Any = None, **options: Any) -> Any:

@@ -62,7 +62,8 @@ class Rounds(Algorithm):
                 return
             label, z, entries = found
             if np.isfinite(z).all():
-                yield Step(z, work=entries / unit, label=label)
+                inside = np.clip(z, problem.lower, problem.upper)
+                yield Step(inside, work=entries / unit, label=label)
 
 
 def is_small(problem: LCP) -> bool:

@@ -318,13 +318,16 @@ class Standing(NamedTuple):
 
 
 def best_of_named(table: Table) -> dict[str, tuple[str, float]]:
-    """Return the named method of least work on each problem that one solves in its own units, and that work."""
+    """Return the named method of least work on each problem that one solves in its own units, and that work.
+
+    The work of external solvers is not counted: they are left out.
+    """
     best: dict[str, tuple[str, float]] = {}
     for key, row in table.items():
         if (
             key.method != "auto"
             and key.units == "own"
-            and row.work < best.get(key.problem, ("", np.inf))[1]
+            and 0.0 < row.work < best.get(key.problem, ("", np.inf))[1]
         ):
             best[key.problem] = key.method, row.work
     return best

@@ -237,7 +237,7 @@ def _verdict_of(
     residuals = (
         f"relative residuals {ours.relative_residual:.1e} and {theirs.relative_residual:.1e}"
     )
-    # An interior point need not meet the test of every row: z next to a bound leaves a small w_i as it is.
+    # An interior point need not meet the test of every row: z next to a bound leaves a small w_i unchanged.
     if not theirs.relative_residual <= ACCURATE_TOLERANCE:
         return (
             "not comparable",

@@ -137,7 +137,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
 
 @pytest.mark.parametrize("name", RESULTS)
 def test_the_first_three_lines_answer_three_questions(name: str) -> None:
-    """The status in words, what was reached or what proves it, and, where it is not solved, what to do."""
+    """The summary names the status, the residual or the proof, and the next step of an unsolved problem."""
     call, status, sure, to_do = RESULTS[name]
     result = call()
     first, second, third, *_ = result.explain().splitlines()

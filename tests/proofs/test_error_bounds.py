@@ -75,7 +75,7 @@ def near_singular_problem(seed: int) -> LCP:
     """Return a problem of decimals whose ⟨M⟩, or whose symmetric part, is singular but for some ulps."""
     rng = np.random.default_rng(seed)
     n, ulps = int(rng.integers(2, 6)), int(rng.integers(1, 5))
-    if seed % 2:  # ⟨M⟩ v = 0 to rounding, any signs beside the diagonal
+    if seed % 2:  # ⟨M⟩ v = 0 to rounding, any signs next to the diagonal
         M, v = rng.integers(-9, 10, (n, n)) / 10, rng.integers(1, 10, n) / 10
         np.fill_diagonal(M, 0.0)
         diagonal = np.abs(M) @ v / v

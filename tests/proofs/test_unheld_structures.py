@@ -1,4 +1,4 @@
-"""Structures that nothing holds against their load: named by a factor, proved, said in words; held ones are solved."""
+"""Structures with zero-energy modes that the load excites: a factorization names them; others are solved."""
 
 from collections.abc import Callable
 from dataclasses import replace

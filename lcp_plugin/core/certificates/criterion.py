@@ -240,7 +240,7 @@ def row_data(problem: LCP) -> RowData:
     >>> for z in (np.array([2.5, 0.0]), np.array([2.0, 0.0])):
     ...     print(data.term_residuals(z, data.rows(z)).round(3))
     [0. 0.]
-    [0.058 0.   ]
+    [0.053 0.   ]
     >>> data.snapped(np.array([2.5, 1e-9]), np.array([0.0, 3.5]))
     array([2.5, 0. ])
     """

@@ -1,4 +1,4 @@
-"""Why the steps of a run ended, and the judge: what a residual is, when it is small enough, what Status an end gets."""
+"""Reasons why the steps of a run ended, and the stopping criterion of a run: residuals and their status."""
 
 from __future__ import annotations
 

@@ -412,7 +412,7 @@ def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobia
 
 
 def test_a_negligible_unknown_needs_not_be_told() -> None:
-    """1e-13 beside 1, where 0 is as right: nobody has to know it to four digits."""
+    """1e-13 next to 1: 0 is right, too."""
     problem = NonlinearProblem(lambda x: np.array([x[0] ** 2 - 1 + x[1], x[0] - 1 + 1e-9 * x[1]]))
     result = solve_nonlinear(problem, [1.0 + 1e-10, 1e-13], max_iterations=0)
     assert result.is_solved

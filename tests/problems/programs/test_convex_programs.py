@@ -338,7 +338,7 @@ def test_rounding_is_no_error_as_a_multiplier() -> None:
 
 
 def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
-    """Far from the bound 1e-6 beside terms of 62 is a dual residual, near it a multiplier; a large one never hides."""
+    """Far from the bound 1e-6 next to terms of 62 is a dual residual, near it a multiplier; a large one never hides."""
     program = QuadraticProgram([[1.0]], [1e-6 - 62.0], lower=0.0)
     solution = lcp_from_qp(program).origin.recover([62.0])
     assert solution.error <= 2e-8

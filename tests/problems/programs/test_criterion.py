@@ -145,7 +145,7 @@ def test_numbers_that_users_write(name: str) -> None:
 
 
 def test_a_small_cost_of_a_free_unknown_is_unbounded() -> None:
-    """Of x₁ + 1e-10 x₂ with x₁ = 1, however small the cost of x₂ is beside that of x₁."""
+    """Of x₁ + 1e-10 x₂ with x₁ = 1, however small the cost of x₂ is relative to that of x₁."""
     assert (
         solve(QuadraticProgram(None, [1.0, 1e-10], A=[[1.0, 0.0]], b=[1.0])).status
         is Status.UNBOUNDED
@@ -289,7 +289,7 @@ def test_an_objective_is_right_where_its_terms_cancel() -> None:
 
 
 def wrong_by(data: tuple[Any, ...], x: Any) -> float:
-    """By how much ½ xᵀP x + cᵀx misses the least value beside Σ |c_j x_j| + |xᵀP x|, by all cases in fractions."""
+    """By how much ½ xᵀP x + cᵀx misses the least value next to Σ |c_j x_j| + |xᵀP x|, by all cases in fractions."""
     P, c, G, h = data
     n, point = len(c), exact(x)
     program = ExactProgram(P, c, G, h, np.zeros((0, n)), [], [-np.inf] * n, [np.inf] * n)

@@ -411,17 +411,22 @@ class _ProgramRun:
             return self.lcp_result.status
         if self.says is EngineStatus.STOPPED and "max_iterations" in self.wishes:
             return Status.MAX_ITERATIONS
-        if self.program.facts.contradicts_by_rounding:
-            return Status.PRECISION_LIMIT
-        near = self.best is not None and self.best.errors.primal <= NEARLY.primal
-        if self.best is not None and near and self.best.errors.gap <= max(tolerance, NEARLY.gap):
-            return Status.PRECISION_LIMIT
-        return Status.STALLED
+        is_near = self._is_nearly_optimal or self.program.facts.contradicts_by_rounding
+        return Status.PRECISION_LIMIT if is_near else Status.STALLED
+
+    @property
+    def _is_nearly_optimal(self) -> bool:
+        """Whether the measures of the best point are small, though above the tolerance."""
+        if self.best is None:
+            return False
+        primal, gap, _ = self.best.errors
+        return bool(primal <= NEARLY.primal and gap <= max(self.settings.tolerance, NEARLY.gap))
 
     def result(self, name: str, seconds: float) -> QuadraticProgramResult:
         """Return the result."""
         program, status = self.program, self.status()
-        if self.best is None:
+        is_rounding = status is Status.PRECISION_LIMIT and not self._is_nearly_optimal
+        if self.best is None or is_rounding:
             solution = QPSolution.from_reduced(program, *nearest(program))
             stage = StageRecord(name, "", 0, 0.0)
         else:

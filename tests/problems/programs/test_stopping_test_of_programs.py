@@ -1,4 +1,4 @@
-"""What SOLVED means of programs: values and violations of answers, with the numbers that users write."""
+"""The stopping test of programs: values and violations of solutions, with the numbers that users write."""
 
 from __future__ import annotations
 
@@ -285,7 +285,7 @@ def test_an_objective_is_right_where_its_terms_cancel() -> None:
     assert batch.objective == pytest.approx([one.objective for one in batch], rel=1e-12)
 
 
-# --- A cost along a direction in which P is nearly singular, beside products that cancel -----------------------------
+# --- A cost along a direction in which P is nearly singular, next to products that cancel -----------------------------
 
 
 def wrong_by(data: tuple[Any, ...], x: Any) -> float:

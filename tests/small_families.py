@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from benchmarks.small import friction as falling_bodies
 
 from lcp_plugin import LCP, Result
 
@@ -19,6 +18,50 @@ def definite(n: int, rng: Generator) -> tuple[Matrix, Matrix]:
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     M = (Q * np.geomspace(1.0, 10.0 ** -rng.uniform(0.0, 10.0), n)) @ Q.T
     return 0.5 * (M + M.T), rng.normal(size=n)
+
+
+def spectrum(n: int, condition: float, active: float, seed: int = 5) -> LCP:
+    """Symmetric positive definite, eigenvalues evenly spread in the logarithm, a share `active` of z* at its bound."""
+    rng = np.random.default_rng(seed)
+    vectors, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    M = (vectors * np.geomspace(1.0, 1.0 / condition, n)) @ vectors.T
+    M = 0.5 * (M + M.T)
+    is_active = rng.random(n) < active
+    z, w = np.where(is_active, 0.0, rng.random(n)), np.where(is_active, rng.random(n), 0.0)
+    return LCP(M, w - M @ z)
+
+
+def falling_bodies(contacts: int, seed: int = 5) -> LCP:
+    """Contacts between bodies with Coulomb friction on a pyramid of four edges: 6 unknowns a contact.
+
+    The matrix is copositive, neither symmetric nor semidefinite, and has rows without a diagonal entry (Stewart,
+    Trinkle 1996, doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I).
+    """
+    rng = np.random.default_rng(seed)
+    bodies, m = max(1, contacts // 2), 5 * contacts
+    J = np.zeros((m, 6 * bodies))
+    for c in range(contacts):
+        normal = np.array([0.0, 0.0, 1.0]) + 0.2 * rng.standard_normal(3)
+        normal /= np.linalg.norm(normal)
+        first = np.cross(normal, [1.0, 0.0, 0.0])
+        first /= np.linalg.norm(first)
+        second, arm = np.cross(normal, first), rng.standard_normal(3)
+        pairs = ((int(rng.integers(bodies)), 1.0), (int(rng.integers(bodies)), -1.0))
+        for body, sign in pairs[: 1 if pairs[0][0] == pairs[1][0] else 2]:
+            rows_of_contact = [c, *(contacts + 4 * c + np.arange(4))]
+            for row, d in zip(
+                rows_of_contact, (normal, first, second, -first, -second), strict=True
+            ):
+                J[row, 6 * body : 6 * body + 6] += sign * np.concatenate([d, np.cross(arm, d)])
+    M = np.zeros((m + contacts, m + contacts))
+    M[:m, :m] = (J * np.exp(0.5 * rng.standard_normal(6 * bodies))) @ J.T
+    for c in range(contacts):
+        edges = contacts + 4 * c + np.arange(4)
+        M[m + c, c] = rng.uniform(0.1, 0.9)
+        M[m + c, edges], M[edges, m + c] = -1.0, 1.0
+    velocity = rng.standard_normal(6 * bodies)
+    velocity[2::6] -= 2.0  # they fall
+    return LCP(M, np.concatenate([J @ velocity, np.zeros(contacts)]))
 
 
 def friction(n: int, rng: Generator) -> tuple[Matrix, Matrix]:

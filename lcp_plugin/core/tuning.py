@@ -1,7 +1,6 @@
 """Where one way becomes cheaper than another on today's machines, and what is too large to be tried.
 
-``python tests/benchmarks tuning`` prints each beside what this machine says of it. A number that a theorem, or the
-precision of a double, fixes stands beside its proof, not here.
+A number that a theorem, or the precision of a double, fixes stands beside its proof, not here.
 """
 
 from __future__ import annotations

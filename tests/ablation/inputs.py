@@ -535,38 +535,16 @@ def planted_programs(count: int = 45) -> Iterator[Input]:
 
 def shapes(*, full: bool) -> Iterator[Input]:
     """Programs that users bring, of some hundred unknowns or some thousand."""
-    from benchmarks import programs, shapes
+    from benchmarks import programs
 
     large: list[tuple[Callable[..., Any], tuple[int, ...]]] = [
-        (shapes.lasso, (200, 800)),
-        (shapes.separator, (600, 150)),
-        (shapes.huber, (600, 100)),
         (programs.portfolio, (2000, 40)),
-        (shapes.full_portfolio, (2000, 50)),
-        (shapes.transport, (50, 50)),
-        (shapes.control, (150,)),
-        (shapes.nonnegative, (300, 300)),
-        (shapes.total_variation, (4000,)),
-        (shapes.isotonic, (4000,)),
         (programs.sparse, (1500,)),
         (programs.dense, (200,)),
         (programs.support_vectors, (300,)),
     ]
     small: list[tuple[Callable[..., Any], tuple[int, ...]]] = [
-        (shapes.lasso, (50, 100)),
-        (shapes.lasso, (200, 60)),
-        (shapes.elastic_net, (50, 100)),
-        (shapes.separator, (100, 10)),
-        (shapes.kernel, (100,)),
-        (shapes.largest_margin, (100, 10)),
-        (shapes.huber, (100, 20)),
         (programs.portfolio, (300, 15)),
-        (shapes.full_portfolio, (300, 20)),
-        (shapes.transport, (15, 15)),
-        (shapes.control, (30,)),
-        (shapes.nonnegative, (100, 50)),
-        (shapes.total_variation, (300,)),
-        (shapes.isotonic, (200,)),
         (programs.sparse, (300,)),
         (programs.linear, (300,)),
         (programs.dense, (60,)),

@@ -31,10 +31,7 @@ def main() -> int:
     parser.add_argument(
         "files",
         nargs="*",
-        help="of programs (.npz, .qps, .mps) or cones (.npz, .h5), not random ones",
-    )
-    parser.add_argument(
-        "--plot", metavar="FILE", help="of cones: a picture of the performance profile"
+        help="of programs (.npz, .qps, .mps), not random ones",
     )
     parser.add_argument(
         "--quick", action="store_true", help="small sizes: to see that it runs, not for figures"
@@ -51,12 +48,9 @@ def main() -> int:
             f"unknown benchmark {given.name!r}{meant or ';'} known: {', '.join(BENCHMARKS)}"
         )
     run = load(given.name)
-    wishes = {name: value for name in ("files", "plot") if (value := getattr(given, name))}
-    for name, value in wishes.items():
-        if name not in inspect.signature(run).parameters:
-            parser.error(
-                f"{given.name} takes no {name}; leave out {value if name == 'plot' else value[0]}"
-            )
+    wishes = {"files": given.files} if given.files else {}
+    if wishes and "files" not in inspect.signature(run).parameters:
+        parser.error(f"{given.name} takes no files; leave out {given.files[0]}")
     try:
         for line in run(quick=given.quick, **wishes):
             print(line, flush=True)

@@ -1,10 +1,7 @@
-"""Contact with friction as it is: answers from scratch and warm steps in time, beside pyramids and Siconos.
+"""Contact with exact friction cones: warm steps of a pile in time, walls from scratch, batches.
 
-Siconos (Debian's python3-siconos) runs in the system's Python, or in SICONOS_PYTHON, where that has it: its block
-Gauss–Seidel on a sparse W, and its Alart–Curnier Newton on a sparse or a dense one, whichever serves it better, each to
-the same tolerance of its own criterion. Whether its answers hold is what it says itself; beside that stands how large
-their residual is here.
-``FILE.npz …`` in place of planted problems; ``--plot FILE.png`` draws the performance profile.
+Siconos (Debian's python3-siconos), which ``piles`` compares with, runs in the system's Python, or in SICONOS_PYTHON,
+if that has it: its block Gauss–Seidel and its Alart–Curnier Newton, each to the same tolerance of its own criterion.
 """
 
 from __future__ import annotations
@@ -13,7 +10,7 @@ import os
 import statistics
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,118 +18,28 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from cone_families import planted_contacts, wall
+from cone_families import wall
 from scipy.spatial import cKDTree
 
-from lcp_plugin import LCP, FrictionalContact, derivative, load_problem, solve, solve_batch
-from lcp_plugin.core.errors import UnreadableFile
+from lcp_plugin import FrictionalContact, derivative, solve, solve_batch
 from lcp_plugin.problems.cones.stack import ConeStack
 from lcp_plugin.problems.cones.sweeps import sweeps
-from lcp_plugin.problems.contact import contact_data
 
-TOLERANCE, RATIOS = 1e-8, (1.0, 2.0, 5.0, 10.0)
+from .timing import medians
+
+TOLERANCE = 1e-8
 SYSTEM_PYTHON, LIMIT = os.environ.get("SICONOS_PYTHON", "/usr/bin/python3"), 60.0  # s
 SICONOS = ("NSGS", "NSN_AC")
 #: Seconds, ∞ where it is not solved; and our relative residual.
 Outcome = tuple[float, float]
 
 
-def run(
-    *, quick: bool = False, files: Sequence[str] = (), plot: str | None = None
-) -> Iterator[str]:
-    """Yield a line for each size or file, for the profile, and for a pile in time."""
-    ways: dict[str, Callable[[FrictionalContact], Outcome]] = {"auto": _ours}
-    if not files:
-        ways["pyramids of 8 edges"] = _pyramids
-    if has_siconos():
-        ways |= {f"Siconos {name}": partial(siconos_answer, name) for name in SICONOS}
-    else:
-        yield f"without Siconos: {SYSTEM_PYTHON} has no siconos; apt-get install python3-siconos"
-    seconds: dict[str, list[float]] = {name: [] for name in ways}
-    for label, problems in _of_files(files) if files else _planted(quick=quick):
-        found = {name: [way(problem) for problem in problems] for name, way in ways.items()}
-        told = []
-        for name, outcomes in found.items():
-            own = [taken for taken, _ in outcomes]
-            seconds[name] += own
-            worst = max(one for _, one in outcomes)
-            told.append(f"{name} {1e3 * statistics.median(own):.2f} ms (residual {worst:.0e})")
-        yield f"{label}: {', '.join(told)}"
-    least = [min(own) for own in zip(*seconds.values(), strict=True)]
-    for name, own in seconds.items():
-        shares = [
-            np.mean([mine <= ratio * best < np.inf for mine, best in zip(own, least, strict=True)])
-            for ratio in RATIOS
-        ]
-        within = ", ".join(
-            f"{ratio:g} × {share:.0%}" for ratio, share in zip(RATIOS, shares, strict=True)
-        )
-        solved = np.isfinite(own)
-        yield f"{name}: solved {solved.sum()} of {solved.size}, within so many times the quickest: {within}"
-    rivals = [own for name, own in seconds.items() if name.startswith("Siconos")]
-    if rivals:
-        beside = [
-            mine / min(one)
-            for mine, *one in zip(seconds["auto"], *rivals, strict=True)
-            if mine < np.inf and min(one) < np.inf
-        ]
-        yield (
-            f"geometric mean of auto / the quicker of Siconos's two, where both have an answer ({len(beside)}): "
-            f"{float(np.exp(np.mean(np.log(beside)))):.2f}"
-        )
-    if plot is not None:
-        _draw(seconds, least, plot)
-        yield f"performance profile: {plot}"
-    if not files:
-        for count, steps in ((8, 10),) if quick else ((30, 1000), (100, 200)):
-            yield _pile(count, steps)
-        yield _walls((2,) if quick else (4, 8, 10))
-        yield _batch(200 if quick else 10_000)
-
-
-def _planted(*, quick: bool) -> Iterator[tuple[str, list[FrictionalContact]]]:
-    for count, bodies in ((4, 2), (10, 5)) if quick else ((4, 2), (10, 5), (30, 15), (100, 50)):
-        yield (
-            f"{count} contacts",
-            [
-                planted_contacts(count, bodies, 10.0, np.random.default_rng(seed), most=1.0)[0]
-                for seed in range(2 if quick else 10)
-            ],
-        )
-
-
-def _of_files(files: Sequence[str]) -> Iterator[tuple[str, list[FrictionalContact]]]:
-    for name in files:
-        if not Path(name).is_file():
-            raise UnreadableFile(
-                f"{name} is no file; give .npz files of contacts, or none for planted problems"
-            )
-        problem: Any = load_problem(name)
-        yield f"{Path(name).stem} ({problem.slope.size} contacts)", [problem]
-
-
-def _timed(made: Callable[[], Any]) -> Outcome:
-    """Return the least seconds of three solutions, of a long one those of one, after one that loads.
-
-    Each is of a problem made anew, before the clock runs, as Siconos' are.
-    """
-    seconds: list[float] = []
-    solve(made(), tolerance=TOLERANCE)
-    while len(seconds) < 3 and not any(one > 0.5 for one in seconds):
-        problem = made()
-        began = time.perf_counter()
-        result = solve(problem, tolerance=TOLERANCE)
-        seconds.append(time.perf_counter() - began)
-    return (min(seconds) if result.is_solved else np.inf), result.certificate.relative_residual
-
-
-def _ours(problem: FrictionalContact) -> Outcome:
-    return _timed(partial(FrictionalContact, problem.W, problem.b, problem.friction))
-
-
-def _pyramids(problem: FrictionalContact) -> Outcome:
-    b = problem.b.reshape(-1, 3)
-    return _timed(partial(LCP.from_contacts, problem.W, problem.friction, b, directions=8))
+def run(*, quick: bool = False) -> Iterator[str]:
+    """Yield a line for each pile, for walls and for a batch."""
+    for count, steps in ((8, 10),) if quick else ((30, 1000), (100, 200)):
+        yield _pile(count, steps)
+    yield _walls((2,) if quick else (4, 8, 10))
+    yield _batch(200 if quick else 4096)
 
 
 @cache
@@ -171,41 +78,6 @@ def siconos_answer(name: str, problem: FrictionalContact, start: Any = None) -> 
     return (float(answer["seconds"]) if answer["is_solved"] else np.inf), judged.relative_residual
 
 
-def _draw(seconds: dict[str, list[float]], least: list[float], target: str) -> None:
-    """Draw which share of the problems each way solves within a multiple of the quickest's time."""
-    import matplotlib.pyplot as plt
-
-    from lcp_plugin.evidence.drawing import STYLE
-
-    plt.style.use(STYLE)
-    figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
-    ratios = {
-        name: [
-            mine / best if best < np.inf else np.inf for mine, best in zip(own, least, strict=True)
-        ]
-        for name, own in seconds.items()
-    }
-    end = 1.3 * max((one for own in ratios.values() for one in own if one < np.inf), default=1.0)
-    for name, own in ratios.items():
-        steps = np.sort(own)
-        shares = np.arange(1, steps.size + 1) / steps.size
-        is_in = steps < np.inf
-        x = np.concatenate([[1.0], steps[is_in], [end]])
-        y = np.concatenate([[0.0], shares[is_in], [shares[is_in][-1] if is_in.any() else 0.0]])
-        axes.step(x, y, where="post", label=name)
-    axes.set(
-        xscale="log",
-        xlim=(1.0, end),
-        ylim=(0.0, 1.03),
-        xlabel="seconds ÷ those of the quickest",
-        ylabel="share of the problems solved",
-        title=f"Contact with friction, tolerance {TOLERANCE:g}",
-    )
-    axes.legend(loc="lower right")
-    figure.savefig(target, dpi=150)
-    plt.close(figure)
-
-
 def _pile(count: int, steps: int) -> str:
     """Return what a step of 10 ms costs of spheres that are poured into a box, each begun where the last one ended.
 
@@ -235,14 +107,15 @@ def _pile(count: int, steps: int) -> str:
 
 
 def _walls(sizes: Sequence[int]) -> str:
-    """Return what walls of bricks cost from nothing: four contacts a face, many times what the bricks determine."""
+    """Return the times of walls of bricks from scratch: four contacts a face, many times more than the bricks need."""
     told = []
     for size in sizes:
-        problem = wall(size, size)[0]
-        seconds, residual = _ours(problem)
-        told.append(
-            f"{problem.slope.size} contacts {1e3 * seconds:.0f} ms (residual {residual:.0e})"
-        )
+        given = wall(size, size)[0]
+        problem = FrictionalContact(given.W, given.b, given.friction)
+        began = time.perf_counter()
+        result = solve(problem, tolerance=TOLERANCE)
+        seconds = time.perf_counter() - began
+        told.append(f"{problem.slope.size} contacts {1e3 * seconds:.0f} ms ({result.status.name})")
     return f"walls of bricks from nothing: {', '.join(told)}"
 
 
@@ -322,46 +195,21 @@ class Pile:
 
 
 def _batch(count: int) -> str:
-    """Return what an item of a batch of 4 contacts costs, beside pyramids of 4 and of 8 edges, on one thread."""
+    """Return what an item of a batch of 4 contacts costs from scratch, warm, and its gradient, on one thread."""
     rng = np.random.default_rng(0)
     J = rng.standard_normal((count, 12, 6))
-    W, b = J @ np.swapaxes(J, 1, 2) + 0.05 * np.eye(12), rng.standard_normal((count, 4, 3))
+    W, b = J @ np.swapaxes(J, 1, 2) + 0.05 * np.eye(12), rng.standard_normal((count, 12))
+    b[:, ::3] -= 0.5
     mu = rng.uniform(0.0, 1.0, (count, 4))
-    b[:, :, 0] -= 0.5
-    problems = [FrictionalContact(*one) for one in zip(W, b, mu, strict=True)]
-    pyramids = [contact_data(W, mu, b, directions=edges).arrays for edges in (4, 8)]
-    ways = [partial(solve_batch, problems), *(partial(solve_batch, *arrays) for arrays in pyramids)]
-    seconds: list[list[float]] = [[], [], []]
-    for _ in range(4):  # the first loads
-        for own, way in zip(seconds, ways, strict=True):
-            began = time.perf_counter()
-            found = way(threads=1)
-            own.append(time.perf_counter() - began)
-            assert found.all_solved
-    cones, four, eight = (min(own[1:]) for own in seconds)
-    return (
-        f"{count} problems of 4 contacts: {1e6 * cones / count:.0f} µs each, {cones / four:.1f} times pyramids of "
-        f"4 edges, {cones / eight:.1f} of 8\n{_worlds(W, b.reshape(count, -1), mu)}"
+    problems, moved = FrictionalContact(W, b, mu), FrictionalContact(W, 1.001 * b, mu)
+    start = solve_batch(problems).require_solved().z
+    calls = {
+        "from scratch": partial(solve_batch, problems, threads=1),
+        "warm": partial(solve_batch, moved, z0=start, threads=1),
+    }
+    batch = solve_batch(moved, z0=start, threads=1)
+    calls["gradient"] = lambda: derivative(batch).vjp(batch.z).M
+    told = ", ".join(
+        f"{name} {1e6 * seconds / count:.0f} µs" for name, seconds in medians(calls, 5).items()
     )
-
-
-def _worlds(W: Any, b: Any, mu: Any) -> str:
-    """Return what a warm solve of worlds in arrays costs and their gradient, on one thread and on two, medians of five.
-
-    Turns alternate, so that what else runs strikes both alike.
-    """
-    worlds, moved = FrictionalContact(W, b, mu), FrictionalContact(W, 1.001 * b, mu)
-    start = solve_batch(worlds).require_solved().z
-    seconds: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
-    for _ in range(6):  # the first loads
-        for threads, own in seconds.items():
-            began = time.perf_counter()
-            batch = solve_batch(moved, z0=start, threads=threads)
-            solved = time.perf_counter()
-            assert derivative(batch).vjp(batch.z).M.shape == W.shape
-            own.append((solved - began, time.perf_counter() - solved))
-    told = []
-    for threads, own in seconds.items():
-        solve_ms, gradient_ms = 1e3 * np.median(own[1:], axis=0)
-        told.append(f"{threads} thread(s) {solve_ms:.0f} ms, gradient {gradient_ms:.0f} ms")
-    return f"{len(W)} worlds in arrays, warm: {'; '.join(told)}"
+    return f"{count} problems of 4 contacts: {told} each"

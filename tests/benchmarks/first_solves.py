@@ -1,15 +1,15 @@
-"""What the benchmark `compilation` times, each in a process of its own: a first solve, or two kernels to compare with.
+"""First solves, each in a new process: how many functions numba compiles, and the processor seconds of the process.
 
-``python tests/benchmarks/first_solves.py NAME`` runs one and prints how many functions numba compiled and
-the processor seconds of the process; of the two kernels the seconds that compiling them took.
+``python tests/benchmarks/first_solves.py NAME`` runs one.
 """
 
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -118,54 +118,6 @@ SOLVES: dict[str, Callable[[], None]] = {
 }
 
 
-def _dense_lu(A: Any, order: Any) -> None:
-    """Factorise in place with row pivoting."""
-    n = A.shape[0]
-    for k in range(n):
-        largest = k
-        for i in range(k + 1, n):
-            if abs(A[i, k]) > abs(A[largest, k]):
-                largest = i
-        order[k] = largest
-        for j in range(n):
-            A[k, j], A[largest, j] = A[largest, j], A[k, j]
-        for i in range(k + 1, n):
-            A[i, k] /= A[k, k]
-            for j in range(k + 1, n):
-                A[i, j] -= A[i, k] * A[k, j]
-
-
-def _projected_gauss_seidel(
-    data: Any, indices: Any, indptr: Any, q: Any, z: Any, sweeps: int
-) -> float:
-    """Sweep in place; return the largest change of the last sweep."""
-    change = 0.0
-    for _ in range(sweeps):
-        change = 0.0
-        for i in range(q.size):
-            w, diagonal = q[i], 1.0
-            for entry in range(indptr[i], indptr[i + 1]):
-                w += data[entry] * z[indices[entry]]
-                if indices[entry] == i:
-                    diagonal = data[entry]
-            new = max(z[i] - w / diagonal, 0.0)
-            change, z[i] = max(change, abs(new - z[i])), new
-    return change
-
-
-def reference() -> dict[str, float]:
-    """Return the seconds that numba takes to compile two plain kernels, nothing of which is kept."""
-    from numba import njit
-
-    began, processor = time.perf_counter(), time.process_time()
-    njit(_dense_lu)(_definite(), np.empty(SIZE, np.int64))
-    pointers = np.arange(SIZE + 1)
-    njit(_projected_gauss_seidel)(
-        np.ones(SIZE), pointers[:-1], pointers, _random(SIZE), np.zeros(SIZE), 2
-    )
-    return {"seconds": time.perf_counter() - began, "processor": time.process_time() - processor}
-
-
 def first(name: str) -> dict[str, float]:
     """Run one of the first solves; return how much was compiled, and the processor seconds since the process began."""
     from numba.core import event
@@ -176,5 +128,15 @@ def first(name: str) -> dict[str, float]:
     return {"compilations": compilations, "processor": time.process_time()}
 
 
+def run(*, quick: bool = False) -> Iterator[str]:
+    """Yield a line for each first solve; kernels that are kept on disk are not compiled again."""
+    for name in ("ten",) if quick else SOLVES:
+        done = subprocess.run(
+            [sys.executable, __file__, name], capture_output=True, text=True, check=True
+        )
+        told = json.loads(done.stdout)
+        yield f"{name:<14} {told['compilations']:4.0f} functions compiled, {told['processor']:.2f} s of processor time"
+
+
 if __name__ == "__main__":
-    print(json.dumps(reference() if sys.argv[1] == "reference" else first(sys.argv[1])))
+    print(json.dumps(first(sys.argv[1])))

@@ -1,9 +1,6 @@
-"""Quadratic programs, conversion and recovery included, against the own time of specialists.
+"""Quadratic programs, conversion and recovery included, next to PIQP and Clarabel on data in their own format.
 
-Geometric means up to 2000 unknowns and constraints, and above: ours over PIQP's (its dense solver where the program is
-dense) and over Clarabel's, and a model-predictive controller that solves again with another state, over OSQP's, both
-through cvxpy. Then, dense programs with as many rows as unknowns, from arrays to the judged answer: milliseconds,
-and over PIQP's. `run` takes files as well, as ``lcp-plugin certify`` does.
+Geometric means are printed for up to 2000 unknowns and constraints, and above. `run` takes files too.
 """
 
 from __future__ import annotations
@@ -25,9 +22,9 @@ from lcp_plugin.interfaces.program_files import load_program
 from lcp_plugin.problems.programs.program import QuadraticProgram
 from lcp_plugin.problems.programs.solution import QPSolution
 
-from .rivals import SEED
-from .timing import medians, rounds, timed
+from .timing import rounds, timed
 
+SEED = 5
 SMALL = 2000  # unknowns and constraints
 OPTIMAL = 1e-6
 SECONDS, MOST_ROUNDS = 0.5, 15  # of each call, about
@@ -210,10 +207,6 @@ def run(*, quick: bool = False, files: Sequence[str | Path] = ()) -> Iterator[st
         note = "" if error <= OPTIMAL else f"   not solved: residual {error:.0e}"
         yield f"{case.name:<22} {case.size:>6} {seconds['ours']:>10.5f} s{ratios}{note}"
     yield from _means(outcomes, present)
-    if not files and find_spec("piqp") is not None:
-        yield from _from_arrays(quick=quick)
-    if not files and find_spec("osqp") is not None:
-        yield _again(quick=quick)
 
 
 def _means(outcomes: list[Outcome], present: Sequence[str]) -> Iterator[str]:
@@ -291,65 +284,3 @@ def _finite_rows(program: QuadraticProgram) -> tuple[Any, Any]:
     rows = program.constraints
     is_equality = rows.is_equality[rows.finite]
     return rows.finite[is_equality], rows.finite[~is_equality]
-
-
-def _from_arrays(*, quick: bool) -> Iterator[str]:
-    """Yield a line a size: what it takes from arrays to x and multipliers, checked, in medians of processor time."""
-    rng = np.random.default_rng(SEED)
-    for n in (10,) if quick else (10, 25, 50, 100, 200, 400):
-        factor, G = rng.standard_normal((n, n + 5)), rng.standard_normal((n, n))
-        h = G @ rng.random(n) + 0.5 * rng.random(n) + 0.1 * (rng.random(n) < 0.5)
-        program = QuadraticProgram(
-            factor @ factor.T / n + 0.01 * np.eye(n), 3.0 * rng.standard_normal(n), G, h
-        )
-
-        def call(given: QuadraticProgram = program) -> Any:
-            answer = solve(QuadraticProgram(given.P, given.c, given.G, given.h)).require_solved()
-            return answer.x, answer.duals
-
-        calls = {"ours": call, "piqp": _piqp(program, True)}
-        rounds(calls, 3)
-        every = rounds(calls, 1 if quick else 31, time.process_time)
-        ours, theirs = (float(np.median([one.seconds for one in every[name]])) for name in calls)
-        yield f"from arrays, n = m = {n}: {1e3 * ours:.3f} ms, {ours / theirs:.2f} × piqp"
-
-
-def _again(*, quick: bool) -> str:
-    """Return what it costs to solve a controller's problem again with another state, through cvxpy."""
-    import cvxpy as cp
-
-    from lcp_plugin.modeling.qp_solver import QPSolver
-
-    rng, (horizon, count) = np.random.default_rng(SEED), (5, 3) if quick else (20, 20)
-    F, B = dynamics(1.0, rng)
-    states, inputs = B.shape
-
-    def again(solver: Any) -> Callable[[], Any]:
-        present, x, u = (
-            cp.Parameter(states),
-            cp.Variable((states, horizon + 1)),
-            cp.Variable((inputs, horizon)),
-        )
-        problem = cp.Problem(
-            cp.Minimize(cp.sum_squares(x) + 0.1 * cp.sum_squares(u)),
-            [
-                x[:, 0] == present,
-                x[:, 1:] == F @ x[:, :-1] + B @ u,
-                cp.abs(u) <= 0.5,
-                cp.abs(x) <= 10.0,
-            ],
-        )
-        values = np.random.default_rng(SEED).uniform(-1.0, 1.0, (count, states))
-
-        def call() -> Any:
-            for value in values:
-                present.value = value
-                problem.solve(solver=solver, warm_start=True)
-
-        return call
-
-    seconds = medians({"ours": again(QPSolver), "osqp": again(cp.OSQP)}, 1 if quick else 5)
-    return (
-        f"model-predictive control again, {horizon} steps, through cvxpy: {1e3 * seconds['ours'] / count:.2f} ms, "
-        f"{seconds['ours'] / seconds['osqp']:.2f} × osqp"
-    )

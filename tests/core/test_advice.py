@@ -11,7 +11,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from benchmarks.small import friction
+from small_families import falling_bodies
 from test_driver import TRAP
 
 from lcp_plugin import (
@@ -38,7 +38,7 @@ LEFT_OUT = (
     "newton, where the diagonal is negative,",
     "lemke",
 )
-CONTACT = LCP(friction(10).M, friction(10).q)
+CONTACT = falling_bodies(10)
 TRAPPED = LCP(TRAP, [-210.0, -110, 150])  # an H₊-matrix on which unscaled steps run into a cycle
 FAR = LCP(
     [[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0]

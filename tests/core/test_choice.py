@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from applications.table import Case
-from benchmarks.auto import brick_wall
-from benchmarks.small import friction
+from small_families import falling_bodies
 from textbook_scenes import murty
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
@@ -144,7 +143,7 @@ def test_murty_s_exponential_problem_takes_no_time(orientation: str) -> None:
 
 def test_a_wall_at_rest_is_left_to_psor() -> None:
     """12 courses of 12 bricks, semidefinite: psor, whose first trial of a relaxation lasts 33 sweeps, converges."""
-    result = solve(brick_wall(12, 12))
+    result = solve(Case("brick_wall", {"courses": 12, "width": 12}).in_units("own")[0])
     assert result.is_solved
     assert names(result) == ["npsor", "psor"]
 
@@ -343,8 +342,7 @@ def test_a_method_without_an_end_in_sight_waits_for_the_others() -> None:
 @pytest.mark.parametrize("contacts", [25, 40, 80])
 def test_frictional_contact_is_solved_by_pivots_alone(contacts: int) -> None:
     """Copositive, neither symmetric nor H₊: up to 500 rows a compiled path comes first, of at most 3 n pivots."""
-    case = friction(contacts)
-    problem = LCP(case.M, case.q)
+    problem = falling_bodies(contacts)
     result = solve(problem)
     assert result.is_solved
     assert names(result)[-1] in ("lemke", "path")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.small import friction
+from small_families import falling_bodies
 
 from lcp_plugin import (
     LCP,
@@ -91,7 +91,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
         "next: accept z, or rescale the data",
     ),
     "stalled": (
-        lambda: solve(LCP(friction(10).M, friction(10).q), "npsor"),
+        lambda: solve(falling_bodies(10), "npsor"),
         Status.STALLED,
         "relative residual",
         'next: try algorithm="auto"',

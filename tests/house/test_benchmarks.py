@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from benchmarks import BENCHMARKS, load
 from benchmarks.paper_at_scale import factorised, scipy_npsor, substituted
-from benchmarks.tuning import MEASURED
 from paper_tables import cells, published
 
 from lcp_plugin import gallery
-from lcp_plugin.core import tuning
 
-QUICK = ("sweeps", "paper-at-scale", "programs", "certificates")  # half a second together
+QUICK = ("sweeps", "paper-at-scale", "programs")  # half a second together
 
 
 @pytest.mark.sampled(3)
@@ -28,7 +26,7 @@ QUICK = ("sweeps", "paper-at-scale", "programs", "certificates")  # half a secon
 def test_benchmark_runs(name: str) -> None:
     """A benchmark in its quick form prints lines with measured figures."""
     lines = list(load(name)(quick=True))
-    assert any(re.search(r"\d+\.?\d* (products|µs|s |× )", line) for line in lines)
+    assert any(re.search(r"\d+\.?\d* (products|µs|ms|s |× )", line) for line in lines)
 
 
 def benchmarks(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -94,9 +92,3 @@ def test_paper_tables_are_reproduced() -> None:
     assert [cell for cell in computed if cell.iterations != cell.paper_iterations] == []
     assert sum(f"{one.residual:.1e}" == f"{one.paper_residual:.1e}" for one in computed) >= 44
     assert published()["n"] == sorted({cell.n for cell in computed})
-
-
-def test_every_tuned_constant_is_measured() -> None:
-    """Each constant of `tuning` has its line in the benchmark, and nothing else has."""
-    constants = {name for name in vars(tuning) if name.isupper()}
-    assert set(MEASURED) == constants

@@ -1,6 +1,6 @@
 """Compiled loops cut into pieces that several threads take: the rows of one large problem, or many small problems.
 
-A hand-over costs some 50 µs (``python tests/benchmarks tuning``), more where other programs want the cores; so the
+A hand-over costs some 50 µs, more where other programs want the cores; so the
 thread that has work to share does the pieces that no thread has begun, and waits only for those under way.
 """
 

@@ -65,7 +65,8 @@ from numpy.typing import ArrayLike
 
 from .algorithms import create, refusal_of_engine
 from .core.algorithm import Algorithm, in_driven_sweeps
-from .core.checks import FloatVector, checked_start
+from .core.certificates.residuals import Certificate
+from .core.checks import FloatVector, checked_start, read_only
 from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.lcp import LCP
@@ -75,15 +76,15 @@ from .core.matrix.symmetry import mean_coupling
 from .core.policy.policy import Policy
 from .core.policy.remaining import TRIAL_SWEEPS, Remaining
 from .core.policy.stages import Choice, Stage
-from .core.settings import BESIDE, OF_SOLVE, Settings, checked_callback
+from .core.settings import BESIDE, OF_SOLVE, Settings, Status, checked_callback
 from .core.solving.driver import solved_by
-from .core.solving.result import Result
+from .core.solving.result import Result, StageRecord
 from .core.solving.run import Callback
 from .core.splittings.projected_relaxation import PGS, PSOR
 from .core.splittings.projected_type import NPSOR
 from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
 from .engines import Engine
-from .methods.small.rounds import Rounds, is_small
+from .methods.small.rounds import Rounds, first_answer, is_small
 
 if TYPE_CHECKING:
     from .methods.direct import FallbackOrder
@@ -96,6 +97,7 @@ SHARE_OF_SOLVED, CALLS = (
 CLEARLY_DOMINANT = (
     0.8  # Gauss–Seidel gains this factor a sweep, or more: 1e-8 in 83 sweeps at the most
 )
+GUESSED = "small: a few sweeps guess the active set"
 PROJECTED_TYPE = Choice(
     NPSOR(scaling="diagonal"),
     "cheap sweeps over the rows come first; how fast they are decides what follows",
@@ -177,7 +179,7 @@ class Auto(EndsWithItsCase):
         """Return what programs need, games, small problems, narrow bands or quick rows; else NPSOR."""
         is_program = getattr(problem.origin, "form", "") == "kkt"
         if not is_program and takes_rounds(problem):
-            return Choice(Rounds(), "small: a few sweeps guess the active set")
+            return Choice(Rounds(), GUESSED)
         if is_program or _is_game(problem):
             self._direct = self._fallback_order(problem)
             if (first := self._direct.first()) is not None:
@@ -427,6 +429,12 @@ def solve_lcp(
         prove_infeasibility,
     )
     callback, start = checked_callback(callback), checked_start(problem, z0)
+    is_limited = settings.max_seconds < math.inf or not settings.max_iterations
+    is_plain = settings.is_unobserved and not (is_limited or settings.absolute_tolerance)
+    if algorithm == "auto" and callback is None and is_plain:
+        found = _result_of_rounds(problem, settings, start, clock)
+        if found is not None:
+            return found
     # Ctrl-C that hits an errstate further down while it ends leaves that one's settings behind.
     with np.errstate():
         return solved_by(
@@ -438,6 +446,32 @@ def solve_lcp(
             callback,
             header=_header,
         )
+
+
+def _result_of_rounds(
+    problem: LCP, settings: Settings, start: FloatVector, clock: Clock
+) -> Result | None:
+    """Return the result of a small problem that the first rounds, or the first path, solve; else None."""
+    if getattr(problem.origin, "form", "") == "kkt" or not takes_rounds(problem):
+        return None
+    found = first_answer(problem, start, settings.tolerance)
+    if found is None:
+        return None
+    z, label, work = found
+    seconds = clock.read()
+    return Result(
+        z=z,
+        w=read_only(problem.slack(z)),
+        status=Status.SOLVED,
+        certificate=Certificate(problem, z),
+        algorithm=f"auto: {label}",
+        iterations=1,
+        work=work + 1.0,  # the point is measured
+        seconds=seconds,
+        setup_seconds=0.0,
+        tolerance=settings.tolerance,
+        stages=(StageRecord(label, GUESSED, 1, work),),
+    )
 
 
 def _header(matrix: Matrix) -> tuple[str, str]:

@@ -1,1 +1,1 @@
-"""Small dense problems, solved by one compiled call: sweeps, rounds of active sets, pivots."""
+"""Small dense problems by numpy: sweeps, rounds of active sets, pivots."""

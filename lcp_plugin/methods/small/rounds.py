@@ -22,7 +22,7 @@ from numpy.linalg import LinAlgError
 
 from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import RowData, times
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import BoolVector, FloatVector, read_only
 from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL
 from ...core.lcp import LCP
 from ...core.matrix.matrix import Matrix, residual_scales
@@ -54,7 +54,8 @@ class Rounds(Algorithm):
         unit = max(problem.nonzeros, 1)
         with np.errstate(all="ignore"):
             stack = stack_of(as_dense(problem.matrix), problem.q, problem.lower, problem.upper)
-        points = answers(stack, z0[None])
+            reference = references(stack)
+        points = answers(stack, z0[None], reference)
         while True:
             with np.errstate(all="ignore"):
                 found = next(points, None)
@@ -62,8 +63,31 @@ class Rounds(Algorithm):
                 return
             label, z, entries = found
             if np.isfinite(z).all():
-                inside = np.clip(z, problem.lower, problem.upper)
-                yield Step(inside, work=entries / unit, label=label)
+                with np.errstate(all="ignore"):
+                    z = judged(stack, z[None], reference, 0.0).z[0]
+                yield Step(z, work=entries / unit, label=label)
+
+
+def first_answer(
+    problem: LCP, z0: FloatVector, tolerance: float
+) -> tuple[FloatVector, str, float] | None:
+    """Return the first point of :func:`answers`, how it was found and its work; None unless it is solved.
+
+    None also if a step is superfluous: z0 is solved already, or z° is.
+    """
+    with np.errstate(all="ignore"):
+        stack = stack_of(as_dense(problem.matrix), problem.q, problem.lower, problem.upper)
+        reference = references(stack)
+        is_cold = z0 is problem.nearest_to_zero
+        if not reference.all() or not (
+            is_cold or not judged(stack, z0[None], reference, tolerance).is_solved[0]
+        ):
+            return None
+        label, z, entries = next(answers(stack, z0[None], reference))
+        found = judged(stack, z[None], reference, tolerance)
+    if not found.is_solved[0]:
+        return None
+    return read_only(found.z[0]), label, entries / max(problem.nonzeros, 1)
 
 
 def is_small(problem: LCP) -> bool:
@@ -226,6 +250,10 @@ def _sides(stack: RowData, z: FloatVector, w: FloatVector) -> Any:
 
 def at_sides(stack: RowData, side: Any, items: Any) -> FloatVector:
     """Return z of these problems, z_i at the bound that `side` names, else w_i = 0; NaN if that is singular."""
+    if len(side) == 1:
+        return _at_sides_of_one(stack.M[0], stack.q[0], stack.lower[0], stack.upper[0], side[0])[
+            None
+        ]
     z: FloatVector = np.where(side == LOW, stack.lower, np.where(side == HIGH, stack.upper, 0.0))
     free = side[items] == FREE
     most = int(free.sum(1).max(initial=0))
@@ -242,6 +270,22 @@ def at_sides(stack: RowData, side: Any, items: Any) -> FloatVector:
     known = np.take_along_axis(z, order, 1)
     right = np.where(inside, np.take_along_axis(right, order, 1), known)
     np.put_along_axis(z, order, _solved(blocks, right), 1)
+    return z
+
+
+def _at_sides_of_one(
+    M: FloatVector, q: FloatVector, lower: Any, upper: FloatVector, side: Any
+) -> FloatVector:
+    """Return z of one problem."""
+    free = (side == FREE).nonzero()[0]
+    z: FloatVector = np.where(side == HIGH, upper, lower)
+    if free.size:
+        z[free] = 0.0
+        right = -(M @ z + q)[free]
+        try:
+            z[free] = np.linalg.solve(M[free[:, None], free], right)
+        except LinAlgError:
+            z[free] = np.nan
     return z
 
 
@@ -371,10 +415,12 @@ COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
 }
 
 
-def answers(stack: RowData, z0: FloatVector) -> Iterator[tuple[str, FloatVector, float]]:
+def answers(
+    stack: RowData, z0: FloatVector, reference: Any
+) -> Iterator[tuple[str, FloatVector, float]]:
     """Yield points of one problem that may solve it, how each was found, and the entries that it took."""
     n = z0.shape[1]
-    reference, entries = references(stack), float(n**3)
+    entries = float(n**3)
     free = (stack.lower == -np.inf) & (stack.upper == np.inf)
     has_rounds = bool((_has_diagonal(stack) | free).all())
     is_cold = bool((z0 == stack.start).all())
@@ -508,17 +554,7 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
         column = other.index(driven)
     else:
         return np.full(n, np.nan)
-    return _at_sides_of_one(M, q, width, np.array(side))
-
-
-def _at_sides_of_one(M: FloatVector, q: FloatVector, width: FloatVector, side: Any) -> FloatVector:
-    """Return x at the bound that `side` names, w_i = 0 elsewhere; NaN if that is singular."""
-    x = np.where(side == HIGH, width, 0.0)
-    free = np.flatnonzero(side == FREE)
-    if free.size:
-        right = -(q + M @ x)[free]
-        x[free] = _solved(M[np.ix_(free, free)][None], right[None])[0]
-    return x
+    return _at_sides_of_one(M, q, 0.0, width, np.array(side))
 
 
 def _canonical(
